@@ -1,0 +1,47 @@
+"""Orograph: terrain visualisation for Python.
+
+>>> import orograph
+>>> dem = orograph.read("dem.tif")                                       # doctest: +SKIP
+>>> terrain = orograph.build(["tiles/n36.tif", "tiles/n37.tif"], "area.oro")  # doctest: +SKIP
+>>> picture = orograph.render(terrain)                                   # doctest: +SKIP
+>>> picture.save("relief.png")                                           # doctest: +SKIP
+
+Names are imported when they are first used, so that ``import orograph`` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from orograph.dem import Dem, read
+    from orograph.geo import Grid
+    from orograph.picture import Picture, render
+    from orograph.store import Terrain, build, open, terrain
+    from orograph.view import View
+
+__all__ = ["Dem", "Grid", "Picture", "Terrain", "View", "build", "open", "read", "render", "terrain"]
+
+_HOMES = {
+    "Dem": "orograph.dem",
+    "Grid": "orograph.geo",
+    "Picture": "orograph.picture",
+    "Terrain": "orograph.store",
+    "View": "orograph.view",
+    "build": "orograph.store",
+    "open": "orograph.store",
+    "read": "orograph.dem",
+    "render": "orograph.picture",
+    "terrain": "orograph.store",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'orograph' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

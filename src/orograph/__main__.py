@@ -1,0 +1,5 @@
+"""``python -m orograph`` is the command line."""
+
+from orograph.cli import main
+
+main()

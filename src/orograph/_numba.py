@@ -1,0 +1,24 @@
+"""The one place that says how kernels are compiled (see docs/architecture.md, *Kernels*).
+
+``@kernel`` releases the GIL and caches its machine code, so that a thread pool may run it on blocks of the work;
+``@inlined`` is for the small helpers inside kernels. ``fastmath`` stays off: a tie or a floor may decide an index.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def kernel(function: F) -> F:
+    """Compile ``function`` on first call (nopython, no GIL, cached on disk, NumPy's rules for division)."""
+    return cast(F, numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+
+
+def inlined(function: F) -> F:
+    """Compile a helper that is always inlined into the kernels that call it."""
+    return cast(F, numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")(function))

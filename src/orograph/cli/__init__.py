@@ -1,0 +1,102 @@
+"""The command line: one file per verb, loaded only when it is called; options that several verbs share in ``options``."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+import click
+
+from orograph.errors import OrographError
+
+VERBS = {
+    "build": "Build a terrain store from DEM files.",
+    "info": "Tell what a DEM or a store is, and what is suspicious about it.",
+    "render": "Draw a relief picture of a DEM or a store.",
+    "synth": "Make a fractal terrain of any size.",
+}
+
+EPILOG = """\b
+Exit codes: 0 done · 1 a fault of Orograph itself · 2 wrong command line · 3 input cannot be read ·
+4 output or store cannot be written or is damaged · 5 nothing to draw in view · 130 interrupted."""
+
+
+class Verbs(click.Group):
+    """Imports a verb's module only when it is needed: ``orograph info`` need not wait for the renderer."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in VERBS:
+            return None
+        command: click.Command = importlib.import_module(f"orograph.cli.{cmd_name}").command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Verbs"):
+            formatter.write_dl([(name, VERBS[name]) for name in sorted(VERBS)])
+
+
+@click.command(cls=Verbs, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="orograph")
+@click.option("--debug", is_flag=True, envvar="OROGRAPH_DEBUG", help="Show the traceback of errors.")
+@click.option("--quiet", "-q", is_flag=True, help="No progress on stderr.")
+@click.pass_context
+def cli(ctx: click.Context, debug: bool, quiet: bool) -> None:
+    """Terrain visualisation: from any elevation raster to a picture whose numbers are true.
+
+    \b
+    Begin with:
+      orograph info dem.tif                  what is in this file?
+      orograph render dem.tif -o relief.png  a relief picture of it
+      orograph build tiles/*.tif -o area.oro a store, for data larger than memory
+    """
+    ctx.ensure_object(dict)
+    ctx.obj["debug"] = debug
+    ctx.obj["quiet"] = quiet
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run the command line; turns every expected error into one paragraph on stderr and its exit code."""
+    args = sys.argv[1:] if argv is None else argv
+    debug = "--debug" in args or bool(os.environ.get("OROGRAPH_DEBUG"))
+    args = [a for a in args if a != "--debug"]  # allowed anywhere on the line
+    if debug:
+        args = ["--debug", *args]
+    try:
+        code = cli.main(args=args, prog_name="orograph", standalone_mode=False)
+        sys.exit(code if isinstance(code, int) else 0)
+    except click.exceptions.Exit as stop:
+        sys.exit(stop.exit_code)
+    except (click.exceptions.Abort, KeyboardInterrupt):
+        click.echo("\norograph: interrupted", err=True)
+        _leave(130)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except OrographError as error:
+        if debug:
+            raise
+        click.echo(f"orograph: {error}", err=True)
+        _leave(error.exit_code)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except Exception as error:
+        if debug:
+            raise
+        click.echo(
+            f"orograph: {type(error).__name__}: {error} This is a fault of Orograph itself; "
+            "run it again with --debug to see where, and please report it.",
+            err=True,
+        )
+        _leave(1)
+
+
+def _leave(code: int) -> None:
+    """Exit without waiting for worker threads that may still be busy with a cancelled block."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

@@ -1,0 +1,82 @@
+"""The live progress line on stderr (rich): what is being done, how far, how long it took."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.progress import BarColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+from orograph.progress import Progress, Task
+
+
+class LineTask(Task):
+    """A task that is drawn while it runs if it lasts, and leaves one line with its time if it lasted long enough."""
+
+    def __init__(self, owner: LineProgress, what: str, total: float | None) -> None:
+        self.owner, self.what, self.total = owner, what, total
+        self.remark = ""
+        self.id: TaskID | None = None
+        self.started = time.perf_counter()
+
+    def advance(self, n: float = 1) -> None:
+        if self.id is not None:
+            self.owner.bar.advance(self.id, n)
+
+    def note(self, text: str) -> None:
+        self.remark = text
+        if self.id is not None:
+            self.owner.bar.update(self.id, description=f"{self.what} — {text}")
+
+    def __enter__(self) -> Self:
+        self.started = time.perf_counter()
+        if self.owner.live:
+            self.id = self.owner.bar.add_task(self.what, total=self.total)
+            self.owner.opened += 1
+            if self.owner.opened == 1:
+                self.owner.bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        seconds = time.perf_counter() - self.started
+        if self.id is not None:
+            self.owner.bar.remove_task(self.id)
+            self.owner.opened -= 1
+            if self.owner.opened == 0:
+                self.owner.bar.stop()
+        if kind is None:
+            self.owner.timings.append((self.what, seconds))
+            if seconds >= self.owner.least or self.remark:
+                remark = f"  {self.remark}" if self.remark else ""
+                self.owner.console.print(f"{self.what:<44} {seconds:6.2f} s{remark}", highlight=False, markup=False,
+                                         soft_wrap=True)
+
+
+class LineProgress(Progress):
+    """Progress for a terminal; on a pipe it only leaves the finished lines.
+
+    Args:
+        least: tasks shorter than this many seconds leave no line.
+    """
+
+    def __init__(self, least: float = 1.0, quiet: bool = False) -> None:
+        self.console = Console(stderr=True, quiet=quiet)
+        self.live = self.console.is_terminal and not quiet
+        self.least = least
+        self.opened = 0
+        self.timings: list[tuple[str, float]] = []
+        self.bar = Bar(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
+                       TimeRemainingColumn(), console=self.console, transient=True)
+
+    def task(self, what: str, total: float | None = None) -> Task:
+        return LineTask(self, what, total)
+
+    def warn(self, text: str) -> None:
+        self.console.print(f"warning: {text}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+        sys.stderr.flush()

@@ -1,0 +1,84 @@
+"""The errors Orograph raises on purpose, each one paragraph: what happened, to which file, what to do about it.
+
+The command line prints them without a traceback (unless ``--debug``) and exits with ``exit_code``:
+
+====  ==================================================================
+code  meaning
+====  ==================================================================
+0     the job is done and its result is where the command said
+1     a fault of Orograph itself (please report it, with ``--debug``)
+2     the command line is wrong
+3     an input cannot be read, or does not say what is needed of it
+4     an output or a store cannot be written, is damaged or incomplete
+5     there is nothing to draw: no valid terrain in view
+130   interrupted (Ctrl-C); nothing half-written is left behind
+====  ==================================================================
+"""
+
+from __future__ import annotations
+
+import os
+
+
+class OrographError(Exception):
+    """An expected failure.
+
+    Args:
+        what: what happened, a full sentence.
+        path: the file or store it happened to, if any.
+        remedy: what the user can do, a full sentence.
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str, *, path: str | os.PathLike[str] | None = None, remedy: str = "") -> None:
+        self.what = what
+        self.path = None if path is None else os.fspath(path)
+        self.remedy = remedy
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        head = f"{self.path}: {self.what}" if self.path else self.what
+        return f"{head} {self.remedy}".strip()
+
+
+class UsageError(OrographError):
+    """Arguments that contradict each other or cannot be understood."""
+
+    exit_code = 2
+
+
+class ReadError(OrographError):
+    """An input that cannot be read, or lacks something that is needed (a CRS, valid samples…)."""
+
+    exit_code = 3
+
+
+class StoreError(OrographError):
+    """A store that cannot be written, opened or trusted."""
+
+    exit_code = 4
+
+
+class DamagedChunkError(StoreError):
+    """A chunk of a store fails its checksum or cannot be decoded; ``chunk`` is its key within the store."""
+
+    def __init__(self, chunk: str, *, path: str | os.PathLike[str] | None = None, cause: str = "") -> None:
+        self.chunk = chunk
+        super().__init__(
+            f"Chunk {chunk} is damaged{': ' + cause if cause else ''}.",
+            path=path,
+            remedy="Build the store again (orograph build --overwrite), or restore that file from a copy.",
+        )
+
+
+class OutputError(OrographError):
+    """A result that cannot be written."""
+
+    exit_code = 4
+
+
+class NothingInViewError(OrographError):
+    """The picture would be empty: no valid terrain in view."""
+
+    exit_code = 5
