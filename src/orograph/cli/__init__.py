@@ -1,4 +1,4 @@
-"""The command line: one file per verb, loaded only when it is called; options that several verbs share in ``options``."""
+"""The command line: one file per verb, loaded only when it is called."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ class Verbs(click.Group):
             formatter.write_dl([(name, VERBS[name]) for name in sorted(VERBS)])
 
 
-@click.command(cls=Verbs, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+
+@click.command(cls=Verbs, epilog=EPILOG, context_settings=SETTINGS)
 @click.version_option(package_name="orograph")
 @click.option("--debug", is_flag=True, envvar="OROGRAPH_DEBUG", help="Show the traceback of errors.")
 @click.option("--quiet", "-q", is_flag=True, help="No progress on stderr.")

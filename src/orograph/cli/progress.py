@@ -54,8 +54,9 @@ class LineTask(Task):
             self.owner.timings.append((self.what, seconds))
             if seconds >= self.owner.least or self.remark:
                 remark = f"  {self.remark}" if self.remark else ""
-                self.owner.console.print(f"{self.what:<44} {seconds:6.2f} s{remark}", highlight=False, markup=False,
-                                         soft_wrap=True)
+                self.owner.console.print(
+                    f"{self.what:<44} {seconds:6.2f} s{remark}", highlight=False, markup=False, soft_wrap=True
+                )
 
 
 class LineProgress(Progress):
@@ -71,8 +72,14 @@ class LineProgress(Progress):
         self.least = least
         self.opened = 0
         self.timings: list[tuple[str, float]] = []
-        self.bar = Bar(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
-                       TimeRemainingColumn(), console=self.console, transient=True)
+        self.bar = Bar(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f}%"),
+            TimeRemainingColumn(),
+            console=self.console,
+            transient=True,
+        )
 
     def task(self, what: str, total: float | None = None) -> Task:
         return LineTask(self, what, total)

@@ -1,0 +1,18 @@
+"""Shared fixtures: the open data sets beside the checkout (``../shared/data``), absent on most machines."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+DATA = Path(os.environ.get("OROGRAPH_DATA", Path(__file__).parents[1].parent / "shared" / "data"))
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of open test data; tests that need it are skipped, with the reason, where it is absent."""
+    if not DATA.is_dir():
+        pytest.skip(f"the open data sets are not at {DATA} (set OROGRAPH_DATA)")
+    return DATA
