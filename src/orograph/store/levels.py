@@ -1,0 +1,238 @@
+"""The arithmetic of the pyramid on blocks in memory: subsampling, box means, tile extrema, and the error of a level.
+
+*The error of a level.* Both surfaces are the right-triangle hierarchy's (every cell cut from its (even, even) to its
+(odd, odd) corner). The two by two cells under a coarse cell meet in an (odd, odd) sample, so all four of their
+diagonals end there and together contain both diagonals of the coarse cell: the fine triangulation refines the coarse
+one, whatever way that is cut. On a fine triangle both surfaces are thus linear, and their distance is largest at a
+corner, a full-resolution sample. The error of a tile is therefore exactly the largest distance of a full-resolution
+sample from the coarse triangles it lies in (in their closure: a sample on an edge belongs to both sides, of which one
+may be a hole). It is computed in float64 and rounded up to float32.
+
+Where a level's cells outgrow the block in memory, the nested sum of Lindstrom & Pascucci (2002) takes over: the error
+of the level below plus the distance between the two levels. That sum says nothing where the level below has a hole, so
+a tile with missing samples gets its height range instead, which bounds every distance within it.
+
+Heights in metres; every kernel releases the GIL.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import inlined, kernel
+from orograph.store.terrain import TILE, Heights, Shape
+
+F64 = NDArray[np.float64]
+Counts = NDArray[np.int64]
+
+
+def subsample(heights: Heights, level: int) -> Heights:
+    """Every 2^level-th sample each way, the last one repeated where the step leads beyond it. A new array."""
+    step = 1 << level
+    rows = np.arange(0, heights.shape[0] - 1 + step, step).clip(max=heights.shape[0] - 1)
+    cols = np.arange(0, heights.shape[1] - 1 + step, step).clip(max=heights.shape[1] - 1)
+    return heights[rows][:, cols] if level else heights.copy()
+
+
+@kernel
+def box_sums(heights: Heights, total: F64, count: Counts) -> None:
+    """Sum and number of the valid samples of each 2 × 2 block into ``total`` and ``count``."""
+    rows, cols = heights.shape
+    for i in range(total.shape[0]):
+        r1 = min(2 * i + 2, rows)
+        for j in range(total.shape[1]):
+            s = 0.0
+            n = 0
+            for r in range(2 * i, r1):
+                for c in range(2 * j, min(2 * j + 2, cols)):
+                    v = heights[r, c]
+                    if v == v:
+                        s += v
+                        n += 1
+            total[i, j] = s
+            count[i, j] = n
+
+
+@kernel
+def halve_sums(fine_total: F64, fine_count: Counts, total: F64, count: Counts) -> None:
+    """Add up sums and counts 2 × 2."""
+    rows, cols = fine_total.shape
+    for i in range(total.shape[0]):
+        r1 = min(2 * i + 2, rows)
+        for j in range(total.shape[1]):
+            s = 0.0
+            n = 0
+            for r in range(2 * i, r1):
+                for c in range(2 * j, min(2 * j + 2, cols)):
+                    s += fine_total[r, c]
+                    n += fine_count[r, c]
+            total[i, j] = s
+            count[i, j] = n
+
+
+@kernel
+def divide(total: F64, count: Counts, mean: Heights) -> None:
+    """``mean = total / count``, NaN where nothing was counted."""
+    for i in range(total.shape[0]):
+        for j in range(total.shape[1]):
+            mean[i, j] = total[i, j] / count[i, j] if count[i, j] else np.nan
+
+
+class BoxMeans:
+    """The box means of a block, level after level: ``next()`` goes one level up and returns its means."""
+
+    def __init__(self, heights: Heights) -> None:
+        self.heights: Heights | None = heights
+        self.total: F64 = np.empty((0, 0))
+        self.count: Counts = np.empty((0, 0), np.int64)
+
+    def next(self) -> Heights:
+        rows, cols = self.total.shape if self.heights is None else self.heights.shape
+        total = np.empty(((rows + 1) // 2, (cols + 1) // 2))
+        count = np.empty(total.shape, np.int64)
+        if self.heights is not None:
+            box_sums(self.heights, total, count)
+            self.heights = None
+        else:
+            halve_sums(self.total, self.count, total, count)
+        self.total, self.count = total, count
+        mean = np.empty(total.shape, np.float32)
+        divide(total, count, mean)
+        return mean
+
+
+@kernel
+def tile_extrema(heights: Heights, tile: int, low: Heights, high: Heights, count: Counts) -> None:
+    """Lowest, highest and number of valid samples of each tile, both borders included."""
+    rows, cols = heights.shape
+    for ty in range(low.shape[0]):
+        for tx in range(low.shape[1]):
+            mn = np.float32(np.inf)
+            mx = np.float32(-np.inf)
+            n = 0
+            for r in range(ty * tile, min(ty * tile + tile + 1, rows)):
+                for c in range(tx * tile, min(tx * tile + tile + 1, cols)):
+                    v = heights[r, c]
+                    if v == v:
+                        n += 1
+                        if v < mn:
+                            mn = v
+                        if v > mx:
+                            mx = v
+            low[ty, tx] = mn if n else np.nan
+            high[ty, tx] = mx if n else np.nan
+            count[ty, tx] = n
+
+
+@inlined
+def _off(row: Heights, u0: int, u1: int, base: float, slope: float, worst: float) -> float:
+    """The larger of ``worst`` and the distances of ``row[u0..u1]`` from the line base + u·slope; NaNs do not count."""
+    for u in range(u0, u1):
+        d = abs(row[u] - (base + u * slope))
+        worst = d if d > worst else worst
+    return worst
+
+
+@kernel
+def deviations(heights: Heights, step: int, tile: int, parity: int, worst: F64) -> None:
+    """For each tile of ``tile`` cells of ``step`` samples, the largest distance of a sample from the cells' surface.
+
+    Args:
+        heights: a block that begins on a cell's corner; beyond its end its last samples are repeated.
+        parity: cell (i, j) is cut from its upper left to its lower right corner if i + j + parity is even.
+        worst: the result, shape (tile rows, tile cols); 0 where nothing can be compared.
+    """
+    rows, cols = heights.shape
+    scale = 1.0 / step
+    for ty in range(worst.shape[0]):
+        for tx in range(worst.shape[1]):
+            m = 0.0
+            for i in range(ty * tile, (ty + 1) * tile):
+                r0 = i * step
+                if r0 >= rows - 1:
+                    break
+                r1 = min(r0 + step, rows - 1)
+                for j in range(tx * tile, (tx + 1) * tile):
+                    c0 = j * step
+                    if c0 >= cols - 1:
+                        break
+                    c1 = min(c0 + step, cols - 1)
+                    a = np.float64(heights[r0, c0])
+                    b = np.float64(heights[r0, c1])
+                    c = np.float64(heights[r1, c0])
+                    d = np.float64(heights[r1, c1])
+                    width = c1 - c0 + 1
+                    if (i + j + parity) & 1 == 0:
+                        for v in range(r1 - r0 + 1):
+                            row = heights[r0 + v, c0 : c1 + 1]
+                            m = _off(row, 0, min(v + 1, width), a + v * (c - a) * scale, (d - c) * scale, m)
+                            m = _off(row, v, width, a + v * (d - b) * scale, (b - a) * scale, m)
+                    else:
+                        for v in range(r1 - r0 + 1):
+                            row = heights[r0 + v, c0 : c1 + 1]
+                            m = _off(row, 0, min(step - v + 1, width), a + v * (c - a) * scale, (b - a) * scale, m)
+                            base = c + (step - v) * (b - d) * scale
+                            m = _off(row, step - v, width, base, (d - c) * scale, m)
+            worst[ty, tx] = m
+
+
+def extrema(heights: Heights) -> tuple[Heights, Heights, NDArray[np.uint8]]:
+    """Lowest, highest and validity (0, 1, 2) of the level-0 tiles of a block that includes its shared border."""
+    rows, cols = heights.shape
+    shape = max(1, -(-(rows - 1) // TILE)), max(1, -(-(cols - 1) // TILE))
+    low, high, count = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.int64)
+    tile_extrema(heights, TILE, low, high, count)
+    down = np.minimum(np.arange(shape[0]) * TILE + TILE + 1, rows) - np.arange(shape[0]) * TILE
+    across = np.minimum(np.arange(shape[1]) * TILE + TILE + 1, cols) - np.arange(shape[1]) * TILE
+    valid = np.where(count == np.outer(down, across), 2, np.minimum(count, 1)).astype(np.uint8)
+    return low, high, valid
+
+
+def reduce_tiles(low: Heights, high: Heights, valid: NDArray[np.uint8]) -> tuple[Heights, Heights, NDArray[np.uint8]]:
+    """The same tables one level up, where a tile lies over 2 × 2 of these."""
+    none = (valid == 0).all()
+    if none:
+        shape = (low.shape[0] + 1) // 2, (low.shape[1] + 1) // 2
+        return np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32), np.zeros(shape, np.uint8)
+    all_valid, any_valid = quarter(valid, np.minimum), quarter(valid, np.maximum)
+    combined = np.where(all_valid == 2, 2, np.minimum(any_valid, 1)).astype(np.uint8)
+    return quarter(low, np.fmin), quarter(high, np.fmax), combined
+
+
+def quarter(table: NDArray[Any], combine: np.ufunc) -> NDArray[Any]:
+    """Combine 2 × 2 entries of a table into one; an odd last row or column stands for itself."""
+    rows = combine(table[0::2], table[np.minimum(np.arange(1, table.shape[0] + 1, 2), table.shape[0] - 1)])
+    result: NDArray[Any] = combine(
+        rows[:, 0::2], rows[:, np.minimum(np.arange(1, rows.shape[1] + 1, 2), rows.shape[1] - 1)]
+    )
+    return result
+
+
+def round_up(worst: F64, magnitude: float) -> Heights:
+    """Distances as float32, never smaller: float64's own rounding at heights of ``magnitude`` is added first."""
+    worst = np.where(worst > 0, worst + magnitude * 2.0**-50, 0.0)
+    result = worst.astype(np.float32)
+    return np.where(result < worst, np.nextafter(result, np.float32(np.inf)), result)
+
+
+def magnitude(low: Heights, high: Heights) -> float:
+    """The largest absolute height in the tables, 0 if nothing is valid."""
+    return float(max(np.nanmax(np.abs(low), initial=0), np.nanmax(np.abs(high), initial=0)))
+
+
+def tile_errors(heights: Heights, level: int, origin: Shape = (0, 0)) -> F64:
+    """The largest distances of ``deviations`` for tiles of ``level`` over a block; at level 0 all are 0.
+
+    Args:
+        heights: the block with its shared border; it begins at a multiple of 2^level samples.
+        origin: the block's first sample (row, col) in the raster, which decides how cells are cut.
+    """
+    step = 1 << level
+    shape = tuple(max(1, -(-(side - 1) // (TILE * step))) for side in heights.shape)
+    worst = np.zeros((shape[0], shape[1]))
+    if level:
+        deviations(heights, step, TILE, (origin[0] // step + origin[1] // step) & 1, worst)
+    return worst

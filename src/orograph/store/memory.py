@@ -1,0 +1,168 @@
+"""A terrain held in memory: one array of heights, whose coarser levels, means and tile tables are made when asked for.
+
+For rasters that fit in memory anyway there is nothing to build: a picture of one tile of SRTM starts at once.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.geo.grid import Grid
+from orograph.parallel import map_ordered
+from orograph.progress import SILENT, Progress
+from orograph.store.terrain import TILE, Heights, Terrain, TileTable, tile_shape
+
+if TYPE_CHECKING:
+    from orograph.dem import Dem
+
+T = TypeVar("T")
+
+
+def check_metric(grid: Grid, name: str) -> None:
+    """Raise UsageError unless the grid is projected and in metres, as the heights are (or has no CRS)."""
+    crs = grid.crs
+    if crs is None:
+        return
+    if not crs.is_projected:
+        what = "in degrees" if crs.is_geographic else f"in {crs.type_name.lower()} coordinates"
+        raise UsageError(
+            f"{name} is {what} ({crs.name}), and terrain is drawn in metres.",
+            remedy="Build a store of it, or open it as a Mosaic; both bring it to a projected CRS.",
+        )
+    factors = {axis.unit_conversion_factor for axis in crs.axis_info[:2]}
+    if factors - {1.0}:
+        raise UsageError(
+            f"{name} is in {crs.axis_info[0].unit_name} ({crs.name}), and terrain is drawn in metres.",
+            remedy="Build a store of it, or open it as a Mosaic; both bring it to a metric CRS.",
+        )
+
+
+class MemoryTerrain(Terrain):
+    """A terrain over an array in memory.
+
+    Args:
+        heights: (rows, cols) float32, metres, NaN where missing. Not copied.
+        grid: where they lie: projected in metres, or without CRS.
+        name: what to call it.
+        vertical: name of the vertical datum.
+
+    Raises:
+        UsageError: the CRS is not metric, or the shapes differ.
+    """
+
+    def __init__(self, heights: Heights, grid: Grid, name: str, vertical: str | None = None) -> None:
+        if heights.shape != grid.shape:
+            raise UsageError(f"{name} has {heights.shape} heights on a grid of {grid.shape}.")
+        check_metric(grid, name)
+        self.grid, self.name, self.vertical = grid, name, vertical
+        self.heights = np.ascontiguousarray(heights, np.float32).view()
+        self.heights.flags.writeable = False
+        self._lock = threading.RLock()
+        self._made: dict[tuple[str, int], object] = {}
+
+    @classmethod
+    def from_dem(cls, dem: Dem, progress: Progress = SILENT) -> MemoryTerrain:
+        """The terrain of a DEM in a projected CRS in metres (or without CRS); its array is shared, not copied.
+
+        Raises:
+            UsageError: the DEM is in degrees, or in feet.
+        """
+        return cls(dem.heights, dem.grid, dem.name, dem.vertical)
+
+    @property
+    def height_range(self) -> tuple[float, float]:
+        low, high, _ = self._extrema(0)
+        if np.isnan(low).all():
+            return float("nan"), float("nan")
+        return float(np.nanmin(low)), float(np.nanmax(high))
+
+    @property
+    def valid_fraction(self) -> float:
+        def count() -> float:
+            missing = sum(int(np.isnan(self.heights[r : r + TILE]).sum()) for r in range(0, self.grid.rows, TILE))
+            return 1.0 - missing / self.heights.size
+
+        return self._once("valid", 0, count)
+
+    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        self._inside(self.shape(level), row0, row1, col0, col1)
+        return self._nested(level)[row0:row1, col0:col1]
+
+    def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        self._inside(self.mean_shape(level), row0, row1, col0, col1)
+        return (self._means()[level - 1] if level else self.heights)[row0:row1, col0:col1]
+
+    def tiles(self, level: int) -> TileTable:
+        self._check(level)
+        return self._once("tiles", level, lambda: self._tiles(level))
+
+    def _once(self, what: str, level: int, make: Callable[[], T]) -> T:
+        """Make a thing on first use, in one thread."""
+        with self._lock:
+            key = what, level
+            if key not in self._made:
+                self._made[key] = make()
+            return self._made[key]  # type: ignore[return-value]
+
+    def _nested(self, level: int) -> Heights:
+        def make() -> Heights:
+            from orograph.store.levels import subsample
+
+            fine = self._nested(level - 1)  # replication commutes with subsampling
+            return _frozen(subsample(fine, 1))
+
+        return self._once("nested", level, make) if level else self.heights
+
+    def _means(self) -> list[Heights]:
+        def make() -> list[Heights]:
+            from orograph.store.levels import BoxMeans
+
+            means = BoxMeans(self.heights)
+            return [_frozen(means.next()) for _ in range(1, self.levels)]
+
+        return self._once("means", 0, make)
+
+    def _extrema(self, level: int) -> tuple[Heights, Heights, NDArray[np.uint8]]:
+        def make() -> tuple[Heights, Heights, NDArray[np.uint8]]:
+            from orograph.store.levels import extrema, reduce_tiles
+
+            if level:
+                return reduce_tiles(*self._extrema(level - 1))
+            strips = range(0, max(1, self.grid.rows - 1), TILE)
+            parts = list(map_ordered(lambda r: extrema(self.heights[r : r + TILE + 1]), strips))
+            low, high, valid = (np.concatenate(column) for column in zip(*parts, strict=True))
+            return low, high, valid
+
+        return self._once("extrema", level, make)
+
+    def _tiles(self, level: int) -> TileTable:
+        from orograph.store.levels import magnitude, round_up, tile_errors
+
+        low, high, valid = self._extrema(level)
+        if level == 0:
+            return TileTable(low, high, np.zeros(low.shape, np.float32), valid)
+        size = TILE << level
+        # Cells of 2^level samples never straddle a strip of as many samples, so strips of one cell are independent;
+        # several cells at a time keep the number of calls small.
+        rows = max(1 << level, TILE)
+        strips = range(0, max(1, self.grid.rows - 1), rows)
+
+        def strip(row: int) -> NDArray[np.float64]:
+            part: NDArray[np.float64] = tile_errors(self.heights[row : row + rows + 1], level, (row, 0)).max(axis=0)
+            return part
+
+        worst = np.zeros(tile_shape(self.grid.shape, level))
+        for row, part in zip(strips, map_ordered(strip, strips), strict=True):
+            np.maximum(worst[row // size], part, out=worst[row // size])
+        return TileTable(low, high, round_up(worst, magnitude(low, high)), valid)
+
+
+def _frozen(array: Heights) -> Heights:
+    array.flags.writeable = False
+    return array

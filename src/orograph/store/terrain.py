@@ -1,0 +1,174 @@
+"""What every renderer sees of the ground: ``Terrain``, a raster of heights at all its resolutions, read by windows.
+
+The raster is thought of as the corner of a square of side 2^n + 1 samples; it is never padded in memory. Level k holds
+the *nested* subsample, every 2^k-th sample, so that a coarse vertex is a fine vertex (Lindstrom & Pascucci 2002); where
+the last sample of a level falls beyond the raster it repeats the raster's last one. Box means for shading are a second
+pyramid. Over tiles of 256 × 256 cells each level has tables of the lowest and highest full-resolution sample, of how
+much is valid, and of a bound of the vertical distance between the full-resolution surface and the level's.
+
+Heights are metres, float32, NaN where missing; indices are (row, col) from the north-west sample; windows are half
+open.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.geo.grid import Grid
+
+TILE = 256
+"""Cells along the side of a tile, at every level."""
+
+Heights = NDArray[np.float32]
+Shape = tuple[int, int]
+
+
+def exponent(shape: Shape) -> int:
+    """The smallest n with 2^n + 1 ≥ both sides."""
+    return max(max(shape) - 2, 0).bit_length()
+
+
+def level_count(shape: Shape) -> int:
+    """How many nested levels there are: the coarsest has at most 257 samples a side."""
+    return max(1, exponent(shape) - TILE.bit_length() + 2)
+
+
+def level_shape(shape: Shape, level: int) -> Shape:
+    """Samples of a nested level: ceil((side - 1) / 2^level) + 1 along each side."""
+    rows, cols = shape
+    return -((1 - rows) >> level) + 1, -((1 - cols) >> level) + 1
+
+
+def mean_shape(shape: Shape, level: int) -> Shape:
+    """Blocks of 2^level × 2^level samples that cover the raster."""
+    rows, cols = shape
+    return -(-rows >> level), -(-cols >> level)
+
+
+def tile_shape(shape: Shape, level: int) -> Shape:
+    """Tiles that cover the cells of a level (at least one each way, even for a single row of samples)."""
+    rows, cols = level_shape(shape, level)
+    return max(1, -(-(rows - 1) // TILE)), max(1, -(-(cols - 1) // TILE))
+
+
+@dataclass(frozen=True, slots=True)
+class TileTable:
+    """What is known of each tile of a level, arrays of shape (tile rows, tile cols).
+
+    Attributes:
+        minimum: float32, the lowest full-resolution sample under the tile, its borders included; NaN if there is none.
+        maximum: float32, the highest.
+        error: float32, metres; at least the vertical distance between the full-resolution surface and the level's
+            surface at every point of the tile where both exist.
+        valid: uint8, 0 if no full-resolution sample under the tile is valid, 1 if some are, 2 if all are.
+    """
+
+    minimum: Heights
+    maximum: Heights
+    error: Heights
+    valid: NDArray[np.uint8]
+
+
+class Terrain(ABC):
+    """An elevation raster at all its resolutions. Reading is safe from any number of threads.
+
+    Attributes:
+        grid: level 0, the real raster, projected, in metres (or without CRS).
+        name: what to call it in titles.
+        vertical: name of the vertical datum, or None if unknown.
+    """
+
+    grid: Grid
+    name: str
+    vertical: str | None
+
+    @property
+    @abstractmethod
+    def height_range(self) -> tuple[float, float]:
+        """Lowest and highest valid sample, metres; (nan, nan) if none is valid."""
+
+    @property
+    @abstractmethod
+    def valid_fraction(self) -> float:
+        """The part of all samples that is valid, 0 to 1."""
+
+    @property
+    def n(self) -> int:
+        """The exponent of the enclosing square's side, 2^n + 1 samples."""
+        return exponent(self.grid.shape)
+
+    @property
+    def side(self) -> int:
+        """Samples along the enclosing square, 2^n + 1."""
+        return (1 << self.n) + 1
+
+    @property
+    def levels(self) -> int:
+        """How many nested levels there are; level 0 is the raster itself."""
+        return level_count(self.grid.shape)
+
+    def shape(self, level: int) -> Shape:
+        """(rows, cols) of a nested level."""
+        return level_shape(self.grid.shape, self._check(level))
+
+    def mean_shape(self, level: int) -> Shape:
+        """(rows, cols) of a level of box means."""
+        return mean_shape(self.grid.shape, self._check(level))
+
+    @abstractmethod
+    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """Nested heights ``[row0, row1) × [col0, col1)`` of ``level``; the window lies inside ``shape(level)``.
+
+        Sample (i, j) is the raster's sample (min(i·2^level, rows − 1), min(j·2^level, cols − 1)).
+        The array may be shared with a cache: it is read-only, copy it to change it.
+
+        Raises:
+            UsageError: there is no such level, or the window is not inside it.
+            DamagedChunkError: a chunk of a store fails its checksum.
+        """
+
+    @abstractmethod
+    def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """Means of the valid samples of each 2^level × 2^level block, NaN where there is none; level 0 is the raster.
+
+        Raises: as ``read``, with ``mean_shape(level)``.
+        """
+
+    @abstractmethod
+    def tiles(self, level: int) -> TileTable:
+        """The tile table of a level."""
+
+    def close(self) -> None:  # noqa: B027 (most terrains have nothing to close)
+        """Let go of files and caches; the terrain cannot be read afterwards."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        rows, cols = self.grid.shape
+        crs = self.grid.crs.name if self.grid.crs else "no CRS"
+        return f"<{type(self).__name__} {self.name!r} {rows}×{cols}, {self.levels} levels, {crs}>"
+
+    def _check(self, level: int) -> int:
+        if not 0 <= level < self.levels:
+            raise UsageError(f"Terrain {self.name!r} has levels 0 to {self.levels - 1}, not {level}.")
+        return level
+
+    def _inside(self, shape: Shape, row0: int, row1: int, col0: int, col1: int) -> None:
+        if not (0 <= row0 <= row1 <= shape[0] and 0 <= col0 <= col1 <= shape[1]):
+            raise UsageError(
+                f"The window of rows {row0} to {row1} and columns {col0} to {col1} is not inside "
+                f"the {shape[0]}×{shape[1]} samples of this level of {self.name!r}."
+            )
