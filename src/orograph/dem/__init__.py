@@ -1,0 +1,6 @@
+"""One elevation raster: reading it, joining several, resampling, synthesising, looking for what is suspicious."""
+
+from orograph.dem.raster import Dem
+from orograph.dem.source import Source, read
+
+__all__ = ["Dem", "Source", "read"]

@@ -1,0 +1,117 @@
+"""Options that several verbs share, each declared once.
+
+``@source_options`` gives a verb the options of ``orograph.dem.Source.open`` as keyword arguments ``band``, ``nodata``,
+``spacing``, ``assume_crs``, ``encoding`` and ``vertical_unit``; ``@memory_option`` gives ``max_memory`` (bytes, int),
+``@jobs_option`` ``jobs`` (int or None: all processors).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+from orograph.cli.progress import LineProgress
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+DEFAULT_MEMORY = "1GiB"
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
+_ENCODINGS = ("mapbox", "terrarium")  # orograph.dem.encode.ENCODINGS, without importing NumPy for --help
+
+
+def parse_bytes(text: str) -> int:
+    """Bytes in "1GiB", "512 MiB", "1.5G" (10^9) or "4096".
+
+    Raises:
+        ValueError: not a number with one of these units, or less than one byte.
+    """
+    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([kmgt]i?)?b?\s*", text, re.IGNORECASE)
+    size = int(float(found[1]) * _UNITS[(found[2] or "").lower()]) if found else 0
+    if size < 1:
+        raise ValueError(f"{text!r} is not an amount of memory (write it like 1GiB, 512MiB or 2G)")
+    return size
+
+
+class Bytes(click.ParamType):
+    """An amount of memory on the command line."""
+
+    name = "size"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        if isinstance(value, int):
+            return value
+        try:
+            return parse_bytes(str(value))
+        except ValueError as error:
+            self.fail(f"{error}.", param, ctx)
+
+
+class Nodata(click.ParamType):
+    """A number as stored in the file, or "none"."""
+
+    name = "number|none"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
+        text = str(value).strip().lower()
+        try:
+            return text if text == "none" or text.lstrip("+-").isdigit() else float(text)
+        except ValueError:
+            self.fail(f"{value!r} is neither a number nor 'none'.", param, ctx)
+
+
+def source_options(function: F) -> F:
+    """Give a verb the options that say how elevation files are to be understood."""
+    for option in reversed(
+        [
+            click.option(
+                "--band", type=click.IntRange(min=1), default=1, show_default=True, help="Which band holds the heights."
+            ),
+            click.option(
+                "--nodata",
+                type=Nodata(),
+                help="The stored number that means 'no height here', instead of the one the file declares; "
+                "'none': there is no such number.",
+            ),
+            click.option(
+                "--spacing",
+                type=float,
+                metavar="METRES",
+                help="Distance between samples, for files that do not say where they lie.  [default: 1]",
+            ),
+            click.option("--assume-crs", metavar="CRS", help="The CRS of files that name none, e.g. EPSG:4326."),
+            click.option(
+                "--encoding",
+                type=click.Choice(_ENCODINGS),
+                help="Decode heights from the colours of terrain-RGB pictures.",
+            ),
+            click.option(
+                "--vertical-unit",
+                metavar="UNIT",
+                help="The unit of the heights (m, ft, us-ft, cm…), instead of the one the file declares.",
+            ),
+        ]
+    ):
+        function = option(function)
+    return function
+
+
+def memory_option(function: F) -> F:
+    """``--max-memory``: the bytes a verb may use for its own blocks and caches."""
+    return click.option(
+        "--max-memory", type=Bytes(), default=DEFAULT_MEMORY, show_default=True, help="Memory to keep within."
+    )(function)
+
+
+def jobs_option(function: F) -> F:
+    """``--jobs``: threads; None means all processors."""
+    return click.option(
+        "--jobs", "-j", type=click.IntRange(min=1), default=None, help="Threads to use.  [default: all processors]"
+    )(function)
+
+
+def progress_of(ctx: click.Context) -> LineProgress:
+    """The progress line of this run: silent with ``--quiet``; warnings are collected by the verb all the same."""
+    return LineProgress(quiet=bool((ctx.obj or {}).get("quiet", False)))

@@ -1,0 +1,211 @@
+"""Open GDAL datasets, lent to one thread at a time.
+
+A GDAL dataset must not be used by two threads at once, opening one costs most of a small read, and a mosaic has more
+files than a process may hold open. So datasets are *borrowed*: a thread gets an idle one of that file or opens
+another, and gives it back; of the idle ones only the ``IDLE`` most recently used stay open. A file that was rewritten
+meanwhile (other time, size or inode) is opened anew.
+
+GDAL's block cache is left at ``CACHE`` bytes unless GDAL_CACHEMAX says otherwise: its default, 5 % of the machine's
+memory, would break any promise about ours.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import warnings
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from orograph.errors import ReadError
+
+IDLE = 48
+CACHE = 64 << 20
+
+Key = tuple[str, tuple[int, int, int] | None]
+
+
+def _stamp(location: str) -> tuple[int, int, int] | None:
+    if location.startswith("/vsizip/{"):
+        location = location.removeprefix("/vsizip/{").partition("}")[0]
+    try:
+        found = Path(location.removeprefix("/vsigzip/")).stat()
+    except (OSError, ValueError):
+        return None
+    return found.st_mtime_ns, found.st_size, found.st_ino
+
+
+def _settings() -> dict[str, Any]:
+    return {} if "GDAL_CACHEMAX" in os.environ else {"GDAL_CACHEMAX": CACHE}
+
+
+class Handles:
+    """A pool of open rasterio datasets. All methods may be called from any thread."""
+
+    def __init__(self, idle: int = IDLE) -> None:
+        self.limit = idle
+        self._lock = threading.Lock()
+        self._idle: list[tuple[Key, Any]] = []  # least recently used first
+
+    @contextmanager
+    def borrow(self, location: str) -> Iterator[Any]:
+        """A dataset of ``location`` for this thread alone, inside a GDAL environment.
+
+        Raises:
+            ReadError: the file cannot be opened.
+        """
+        import rasterio
+
+        key = (location, _stamp(location))
+        with rasterio.Env(**_settings()):
+            with self._lock:
+                found = next((i for i in reversed(range(len(self._idle))) if self._idle[i][0] == key), None)
+                dataset = None if found is None else self._idle.pop(found)[1]
+            if dataset is None:
+                dataset = open_dataset(location)
+            try:
+                yield dataset
+            except BaseException:
+                dataset.close()
+                raise
+            with self._lock:
+                self._idle.append((key, dataset))
+                surplus = [self._idle.pop(0)[1] for _ in range(len(self._idle) - self.limit)]
+            for old in surplus:
+                old.close()
+
+    def close(self, location: str | None = None) -> None:
+        """Close the idle datasets (of one file)."""
+        with self._lock:
+            gone = [d for k, d in self._idle if location in (None, k[0])]
+            self._idle = [(k, d) for k, d in self._idle if location not in (None, k[0])]
+        for dataset in gone:
+            dataset.close()
+
+    def __len__(self) -> int:
+        return len(self._idle)
+
+
+HANDLES = Handles()
+
+
+def locate(path: str | os.PathLike[str]) -> str:
+    """What GDAL should open for ``path``: the raster inside a .zip or .gz, else the path itself (URLs pass through).
+
+    Raises:
+        ReadError: there is no such file, it is a directory, or a zip archive holds no or several rasters.
+    """
+    text = os.fspath(path)
+    if "://" in text or text.startswith("/vsi") or (":" in text and not Path(text).exists() and text[1:2] != ":"):
+        return text
+    file = Path(text)
+    if file.is_dir() and not (file / "hdr.adf").exists() and not file.suffix.lower() == ".zarr":
+        raise ReadError(
+            "This is a directory, not an elevation raster.", path=text, remedy="Name the files in it, e.g. DIR/*.tif."
+        )
+    if not file.exists():
+        raise ReadError("There is no such file.", path=text, remedy="Check the spelling of the path.")
+    if file.is_file() and file.stat().st_size == 0:
+        raise ReadError("The file is empty.", path=text, remedy="Fetch it again, or restore it from a copy.")
+    if file.suffix.lower() == ".zip":
+        return f"/vsizip/{{{file.as_posix()}}}/{_member(file)}"
+    if file.suffix.lower() == ".gz":
+        return f"/vsigzip/{file.as_posix()}"
+    return text
+
+
+_SIDECARS = {
+    ".xml",
+    ".txt",
+    ".prj",
+    ".tfw",
+    ".hdr",
+    ".md",
+    ".pdf",
+    ".html",
+    ".jpg",
+    ".kml",
+    ".ovr",
+    ".msk",
+    ".wld",
+    ".csv",
+}
+
+
+def _member(file: Path) -> str:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            names = [n for n in archive.namelist() if not n.endswith("/") and not n.startswith("__MACOSX")]
+    except (zipfile.BadZipFile, OSError) as error:
+        raise ReadError(
+            f"This is not a readable zip archive ({error}).", path=file, remedy="Fetch it again, or unpack it by hand."
+        ) from None
+    rasters = [n for n in names if Path(n).suffix.lower() not in _SIDECARS] if len(names) > 1 else names
+    if len(rasters) == 1:
+        return rasters[0]
+    if not rasters:
+        raise ReadError("The archive holds no raster.", path=file, remedy="Name an archive with an elevation raster.")
+    shown = ", ".join(rasters[:6]) + ("…" if len(rasters) > 6 else "")
+    raise ReadError(
+        f"The archive holds {len(rasters)} files that may be rasters ({shown}).",
+        path=file,
+        remedy=f"Name one of them: /vsizip/{file.as_posix()}/{rasters[0]}",
+    )
+
+
+def open_dataset(location: str) -> Any:
+    """A rasterio dataset open for reading.
+
+    Raises:
+        ReadError: GDAL cannot open it, or it is a container of several rasters.
+    """
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            dataset = rasterio.open(location)
+    except (RasterioError, OSError, ValueError) as error:
+        raise ReadError(
+            f"GDAL cannot open it: {cause_of(error)}", path=location, remedy=_remedy(location, error)
+        ) from None
+    if dataset.count == 0:
+        inside = list(dataset.subdatasets)
+        dataset.close()
+        shown = "; ".join(inside[:6]) + ("…" if len(inside) > 6 else "")
+        raise ReadError(
+            f"The file holds {len(inside)} rasters and does not say which is meant ({shown})."
+            if inside
+            else "The file holds no raster band.",
+            path=location,
+            remedy=f"Name one of them as the path, e.g. '{inside[0]}'." if inside else "Name an elevation raster.",
+        )
+    return dataset
+
+
+def cause_of(error: BaseException) -> str:
+    """GDAL's own words about a failure: the innermost message, one line, ending in a full stop."""
+    inner: BaseException = error
+    while inner.__cause__ is not None:
+        inner = inner.__cause__
+    text = " ".join((getattr(inner, "errmsg", "") or str(inner) or type(inner).__name__).split())
+    return text if text.endswith(".") else text + "."
+
+
+def _remedy(location: str, error: BaseException) -> str:
+    text = str(error).lower()
+    if "codec" in text:
+        return "This build of GDAL lacks the codec: write it again with another (gdal_translate -co COMPRESS=ZSTD)."
+    if location.lower().endswith((".hgt", ".hgt.gz")):
+        return "GDAL knows .hgt files by name and size: it must be called like N44W072.hgt (the south-west corner)."
+    if location.lower().endswith(".pmtiles") or location.lower().endswith(".mbtiles"):
+        return "Tile archives must be made one raster first (gdal_translate to GeoTIFF)."
+    if "://" in location or location.startswith("/vsi"):
+        return "Check the address, the network and the credentials."
+    return (
+        "Check that it is a raster that `gdalinfo` can read and that it is whole (fetch it again if it was cut short)."
+    )

@@ -1,0 +1,194 @@
+"""What a raster's header says of itself, brought to one convention: where its samples lie, in what unit, above what.
+
+- *North-west first.* South-up and east-first rasters are flipped as they are read, so that sample (0, 0) is the
+  north-west one; a rotated or sheared geotransform is kept as it is.
+- *Pixel-is-point.* GDAL already shifts such files (GeoTIFF's GTRasterTypeGeoKey, SRTM .hgt, DTED) by half a cell, so
+  that the centre of its pixel is the sample: nothing is left to do, and the tests hold it to that.
+- *No place.* GDAL's identity geotransform means that the file has none (a PNG, a file with control points only): rows
+  are then taken to run south and ``spacing`` metres apart, and the CRS is unknown.
+- *Horizontal CRS.* The vertical part of a compound or 3D CRS is split off: its name becomes ``vertical``, its unit
+  that of the heights unless the band says otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from affine import Affine
+from pyproj import CRS
+from pyproj.exceptions import CRSError, ProjError
+
+from orograph.dem.units import METRES, metres_per
+from orograph.errors import ReadError, UsageError
+from orograph.geo.grid import Grid
+
+ELLIPSOIDAL = "ellipsoidal height"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a raster lies: its grid (north-west first) and how the file's rows and columns must be turned for it."""
+
+    grid: Grid
+    flip_rows: bool
+    flip_cols: bool
+    georeferenced: bool
+
+
+def place_of(
+    dataset: Any, *, spacing: float | None, assume_crs: str | None, warnings: list[str]
+) -> tuple[Place, CRS | None]:
+    """The place of a dataset, and its full CRS (perhaps compound), None if unknown.
+
+    Raises:
+        ReadError: a degenerate geotransform.
+        UsageError: ``spacing`` is not a positive number, or ``assume_crs`` is not a CRS.
+    """
+    shape = (dataset.height, dataset.width)
+    full = _crs_of(dataset, warnings)
+    if spacing is not None and not (0 < spacing < float("inf")):
+        raise UsageError(f"The spacing must be a positive number of metres, not {spacing:g}.")
+    assumed = None if assume_crs is None else _parse(assume_crs)
+    transform: Affine = dataset.transform
+    if transform.is_identity:
+        return Place(_local(dataset, shape, spacing, full, assumed, warnings), False, False, False), None
+    if spacing is not None:
+        warnings.append("It says where its samples lie, so --spacing is not used for it.")
+    if full is None:
+        full = assumed
+        if full is None:
+            warnings.append(_nameless(transform, shape))
+    elif assumed is not None and assumed != full:
+        warnings.append("It names its own CRS, so --assume-crs is not used for it.")
+    a, b, c, d, e, f = transform[:6]
+    flip_rows = flip_cols = False
+    if b == 0 and d == 0:
+        if e > 0:
+            flip_rows, e, f = True, -e, f + e * shape[0]
+        if a < 0:
+            flip_cols, a, c = True, -a, c + a * shape[1]
+    try:
+        grid = Grid(shape, Affine(a, b, c, d, e, f), horizontal(full))
+    except ValueError as error:
+        raise ReadError(
+            f"{str(error).capitalize()}.", path=dataset.name, remedy="Mend it with gdal_edit -a_ullr."
+        ) from None
+    return Place(grid, flip_rows, flip_cols, True), full
+
+
+def _local(
+    dataset: Any,
+    shape: tuple[int, int],
+    spacing: float | None,
+    crs: CRS | None,
+    assumed: CRS | None,
+    warnings: list[str],
+) -> Grid:
+    """The grid of a raster that does not say where it lies: metres from its south-west corner."""
+    if dataset.gcps[0]:
+        points = len(dataset.gcps[0])
+        why = f"It is placed by {points} ground control points only, which are not used (gdalwarp makes a map of it)"
+    elif dataset.rpcs is not None:
+        why = "It is placed by rational polynomials (RPC) only, which are not used (gdalwarp makes a map of it)"
+    else:
+        why = "It does not say where it lies"
+    if spacing is None:
+        warnings.append(f"{why}: its samples are taken to be 1 m apart (give --spacing METRES).")
+    else:
+        warnings.append(f"{why}: its samples are taken to be {spacing:g} m apart, as asked.")
+    if assumed is not None:
+        warnings.append("Without a place of its own, --assume-crs cannot be used for it.")
+    if crs is not None:
+        warnings.append(f"Its CRS ({crs.name}) is not used, for it has no position in it.")
+    step = 1.0 if spacing is None else float(spacing)
+    return Grid(shape, Affine(step, 0, 0, 0, -step, shape[0] * step), None)
+
+
+def _nameless(transform: Affine, shape: tuple[int, int]) -> str:
+    corners = [transform * p for p in ((0, 0), (shape[1], 0), (0, shape[0]), (shape[1], shape[0]))]
+    degrees = all(abs(x) <= 360.5 and abs(y) <= 90.5 for x, y in corners) and abs(transform.determinant) < 1
+    if degrees:
+        return "It has no CRS; its coordinates look like degrees (give --assume-crs EPSG:4326 if they are)."
+    return "It has no CRS; its coordinates are taken to be metres (give --assume-crs CODE)."
+
+
+@lru_cache(maxsize=64)
+def _parse(text: str) -> CRS:
+    try:
+        return CRS.from_user_input(text)
+    except CRSError:
+        raise UsageError(f"{text!r} is not a CRS that PROJ knows (e.g. EPSG:32611, or a WKT or PROJ string).") from None
+
+
+@lru_cache(maxsize=64)
+def _from_wkt(wkt: str) -> CRS:
+    return CRS.from_wkt(wkt)
+
+
+def _crs_of(dataset: Any, warnings: list[str]) -> CRS | None:
+    from rasterio.errors import RasterioError
+
+    if not dataset.crs:
+        return None
+    try:
+        crs = _from_wkt(dataset.crs.to_wkt())
+    except (CRSError, RasterioError) as error:
+        warnings.append(f"Its CRS cannot be understood ({' '.join(str(error).split())[:200]}) and is not used.")
+        return None
+    return crs.source_crs if crs.is_bound and crs.source_crs is not None else crs
+
+
+def horizontal(crs: CRS | None) -> CRS | None:
+    """The horizontal part of a compound or 3D CRS; any other unchanged."""
+    if crs is None:
+        return None
+    if crs.is_compound and crs.sub_crs_list:
+        return horizontal(crs.sub_crs_list[0])
+    if len(crs.axis_info) == 3 and (crs.is_geographic or crs.is_projected):
+        flat = crs.to_2d()
+        code = flat.to_epsg()  # to_2d() loses the code: EPSG:4979 would come back as a nameless twin of EPSG:4326
+        return CRS.from_epsg(code) if code is not None else flat
+    return crs
+
+
+def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
+    """The name of the vertical datum the file declares, or its format prescribes; None if unknown."""
+    if crs is not None and crs.is_compound and len(crs.sub_crs_list) > 1:
+        return str(crs.sub_crs_list[1].name)
+    if crs is not None and len(crs.axis_info) == 3 and (crs.is_geographic or crs.is_projected):
+        return ELLIPSOIDAL
+    if dataset.driver == "SRTMHGT":
+        return "EGM96 height"  # SRTM product specification: heights above the EGM96 geoid
+    if dataset.driver == "DTED":  # MIL-PRF-89020B, DSI record: MSL (mean sea level) or E96 (EGM96)
+        return {"MSL": "mean sea level", "E96": "EGM96 height"}.get(dataset.tags().get("DTED_VerticalDatum", ""))
+    return None
+
+
+def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warnings: list[str]) -> float:
+    """Metres in one unit of the (scaled) values: asked for, else the band's unit tag, else the vertical axis of the
+    CRS.
+
+    Raises:
+        UsageError: the unit asked for is not known.
+    """
+    if asked is not None:
+        factor = metres_per(asked)
+        if factor is None:
+            known = ", ".join(sorted({min((n for n, f in METRES.items() if f == v), key=len) for v in METRES.values()}))
+            raise UsageError(
+                f"{asked!r} is not a unit of length that is known here (known: {known} and their full names)."
+            )
+        return factor
+    tag = dataset.units[band - 1]
+    if tag and tag.strip():
+        factor = metres_per(tag)
+        if factor is not None:
+            return factor
+        warnings.append(f"The unit of its values is {tag.strip()!r}, which is not a length: are these heights?")
+    try:
+        axis = next((a for a in (crs.axis_info if crs is not None else ()) if a.direction in ("up", "down")), None)
+    except ProjError:
+        axis = None
+    return float(axis.unit_conversion_factor) if axis is not None and axis.unit_conversion_factor > 0 else 1.0

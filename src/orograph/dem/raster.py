@@ -1,0 +1,41 @@
+"""One elevation raster in memory: heights in metres with their place, datum and name.
+
+Validity is NaN-ness: a sample that has no height is NaN, and nothing else is. Units: metres, whatever the file had.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geo.grid import Grid
+
+
+@dataclass(frozen=True, slots=True)
+class Dem:
+    """An elevation raster.
+
+    Attributes:
+        heights: (rows, cols) float32, metres, NaN where missing; row 0 is the northernmost of a raster that is not
+        rotated. grid: where the samples lie; ``grid.shape == heights.shape``.
+        vertical: name of the vertical datum ("EGM96 height", "ellipsoidal height"…), None if unknown.
+        name: what to call it in titles (a file's stem).
+    """
+
+    heights: NDArray[np.float32]
+    grid: Grid
+    vertical: str | None = None
+    name: str = "terrain"
+
+    def __post_init__(self) -> None:
+        if self.heights.dtype != np.float32:
+            raise TypeError(f"heights must be float32 (metres, NaN where missing), not {self.heights.dtype}")
+        if self.heights.shape != self.grid.shape:
+            raise ValueError(f"heights are {self.heights.shape} but the grid is {self.grid.shape}")
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(rows, cols) bool: True where there is a height."""
+        return ~np.isnan(self.heights)

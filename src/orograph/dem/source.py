@@ -1,0 +1,467 @@
+"""One raster file opened for reading by windows: ``Source``; and ``read``, the whole of it as a ``Dem``.
+
+Whatever the file holds, ``Source.read`` gives metres as float32 with NaN where there is no height:
+
+1. the file's numbers are compared with its nodata value *as stored*, before any scaling (integers exactly, floats by
+   ``_is_nodata``); a mask or alpha band counts too; NaN, ±inf and anything of magnitude 1e30 or more (a nodata value
+   that was not declared: no body is that large) are never heights;
+2. height = (number · scale + offset) · metres per unit, in float64, rounded once to float32. Integers beyond 2^24 and
+   float64 thereby keep 24 bits: better than 0.001 m for every height on Earth.
+
+Files larger than memory are no trouble to ``Source``; ``read`` refuses them (``MAX_READ_BYTES``).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.dem.encode import ENCODINGS, decode_rgb
+from orograph.dem.handles import HANDLES, cause_of, locate
+from orograph.dem.header import place_of, unit_of, vertical_of
+from orograph.dem.raster import Dem
+from orograph.errors import ReadError, UsageError
+from orograph.geo.grid import Grid
+
+MAX_READ_BYTES = 2 << 30
+"""``read`` holds at most this many bytes of heights (float32: 536 million samples, e.g. 23170²)."""
+
+MAX_BLOCK_BYTES = 256 << 20
+"""A file stored in blocks larger than this cannot be read by windows in bounded memory, and is refused."""
+
+HUGE = 1e30  # metres; nodata values such as ±3.4e38 and -1e37 lie beyond, heights do not
+
+_CHUNK = 32 << 20  # bytes of the file's own numbers read at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """One raster, opened for windowed reading. Make one with ``Source.open``.
+
+    Attributes:
+        path: as given; ``location``: what GDAL opens (inside an archive, say).
+        name: the file's stem.
+        grid: where the samples lie, the north-west one first.
+        vertical: name of the vertical datum, None if unknown.
+        dtype: of the stored numbers, e.g. "int16"; ``band``: which band (1-based).
+        nodata: the stored number that means "missing", None if there is none.
+        scale, offset: height in the file's unit = number · scale + offset.
+        unit_factor: metres in one of the file's unit.
+        encoding: how colours hold the height ("mapbox", "terrarium"), or None.
+        georeferenced: whether the file says where it lies.
+        block: (rows, cols) of the blocks the file is stored in; ``bands``: how many it has.
+        driver: GDAL's name of the format.
+        warnings: what a user should know, full sentences.
+    """
+
+    path: str
+    location: str
+    name: str
+    grid: Grid
+    vertical: str | None
+    dtype: str
+    band: int
+    bands: int
+    nodata: float | int | None
+    scale: float
+    offset: float
+    unit_factor: float
+    encoding: str | None
+    georeferenced: bool
+    block: tuple[int, int]
+    driver: str
+    warnings: list[str] = field(default_factory=list)
+    _flip_rows: bool = False
+    _flip_cols: bool = False
+    _mask: Literal["none", "gdal", "alpha"] = "none"
+    _alpha: int = 0
+
+    @classmethod
+    def open(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        band: int = 1,
+        nodata: float | str | None = None,
+        spacing: float | None = None,
+        assume_crs: str | None = None,
+        encoding: str | None = None,
+        vertical_unit: str | None = None,
+    ) -> Source:
+        """Read the header of a raster (no samples).
+
+        Args:
+            path: a file, a .zip or .gz of one, a URL or anything else GDAL opens.
+            band: which band holds the heights, from 1.
+            nodata: the stored number that means "missing", instead of the declared one; "none" for no such number.
+            spacing: metres between samples, for files that do not say where they lie.
+            assume_crs: the CRS of files that name none.
+            encoding: "mapbox" or "terrarium" for terrain-RGB pictures.
+            vertical_unit: the unit of the heights ("ft", "cm"…), instead of the declared one.
+
+        Raises:
+            ReadError: the file is missing, broken, or not of real numbers.
+            UsageError: an option that does not fit the file.
+        """
+        location = locate(path)
+        warnings: list[str] = []
+        with HANDLES.borrow(location) as dataset:
+            _check_size(dataset, path)
+            _check_band(dataset, band, path)
+            if encoding is not None:
+                _check_encoding(dataset, encoding, path)
+            elif vertical_unit is None and _is_picture(dataset):
+                warnings.append(
+                    "It looks like a picture, not heights: its bands are colours of 8 bits "
+                    "(give --encoding mapbox or terrarium if it is a terrain-RGB tile)."
+                )
+            elif dataset.count > 1:
+                warnings.extend(_band_warnings(dataset, band))
+            place, crs = place_of(dataset, spacing=spacing, assume_crs=assume_crs, warnings=warnings)
+            dtype = dataset.dtypes[band - 1]
+            mask, alpha = _mask_of(dataset, band, nodata)
+            unit = unit_of(dataset, band, crs, vertical_unit, warnings)
+            plain = encoding is None
+            return cls(
+                path=os.fspath(path),
+                location=location,
+                name=_stem(path),
+                grid=place.grid,
+                vertical=vertical_of(dataset, crs),
+                dtype=dtype,
+                band=band,
+                bands=dataset.count,
+                nodata=_nodata_of(dataset, band, nodata, dtype) if plain else None,
+                scale=float(dataset.scales[band - 1]) if plain else 1.0,
+                offset=float(dataset.offsets[band - 1]) if plain else 0.0,
+                unit_factor=unit,
+                encoding=encoding,
+                georeferenced=place.georeferenced,
+                block=tuple(dataset.block_shapes[band - 1]),
+                driver=dataset.driver,
+                warnings=warnings,
+                _flip_rows=place.flip_rows,
+                _flip_cols=place.flip_cols,
+                _mask=mask if plain else "none",
+                _alpha=alpha,
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self.grid.shape
+
+    def read(self, row0: int, row1: int, col0: int, col1: int, *, step: int = 1) -> NDArray[np.float32]:
+        """Heights of every ``step``-th sample of the half-open window, from its first: float32 metres, NaN where
+        missing.
+
+        Safe from any thread. The samples are the file's own, whatever overviews it has.
+
+        Args:
+            row0, row1, col0, col1: window in samples, inside the raster.
+            step: 1 reads all; k reads rows row0, row0 + k… and columns likewise.
+
+        Returns:
+            (ceil((row1 − row0) / step), ceil((col1 − col0) / step)) float32.
+
+        Raises:
+            ReadError: the file is damaged there; names the block.
+            ValueError: a window that is empty or not inside the raster, or a step below 1.
+        """
+        rows, cols = self.grid.shape
+        if not (0 <= row0 < row1 <= rows and 0 <= col0 < col1 <= cols) or step < 1:
+            raise ValueError(f"window [{row0}, {row1}) × [{col0}, {col1}), step {step}, of a raster of {rows} × {cols}")
+        n_rows, n_cols = -(-(row1 - row0) // step), -(-(col1 - col0) // step)
+        first_row = rows - 1 - (row0 + (n_rows - 1) * step) if self._flip_rows else row0
+        first_col = cols - 1 - (col0 + (n_cols - 1) * step) if self._flip_cols else col0
+        out = np.empty((n_rows, n_cols), np.float32)
+        with HANDLES.borrow(self.location) as dataset:
+            for i0, i1, j0, j1 in self._chunks(n_rows, n_cols, step):
+                top, left = first_row + i0 * step, first_col + j0 * step
+                height, width = (i1 - i0 - 1) * step + 1, (j1 - j0 - 1) * step + 1
+                out[i0:i1, j0:j1] = self._decode(dataset, top, left, height, width, step)
+        if self._flip_rows:
+            out = out[::-1]
+        if self._flip_cols:
+            out = out[:, ::-1]
+        return np.ascontiguousarray(out)
+
+    def close(self) -> None:
+        """Close the file's idle handles (they are also closed when many other files are read)."""
+        HANDLES.close(self.location)
+
+    def __enter__(self) -> Source:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _chunks(self, n_rows: int, n_cols: int, step: int) -> list[tuple[int, int, int, int]]:
+        """Pieces (i0, i1, j0, j1) of the output whose source windows are small enough to be read at once."""
+        itemsize = np.dtype(self.dtype).itemsize * (4 if self.encoding else 1)
+        wide = max(1, min(n_cols, _CHUNK // itemsize // step))
+        # Where whole blocks lie between the rows that are wanted, one row at a time touches only the blocks it needs.
+        tall = 1 if step > self.block[0] else max(1, min(n_rows, _CHUNK // (itemsize * wide * step * step)))
+        if step == 1 and self.block[0] > 1 and tall < n_rows:
+            tall = max(self.block[0], tall // self.block[0] * self.block[0])  # blocks are decoded once
+        return [
+            (i, min(i + tall, n_rows), j, min(j + wide, n_cols))
+            for i in range(0, n_rows, tall)
+            for j in range(0, n_cols, wide)
+        ]
+
+    def _decode(self, dataset: Any, top: int, left: int, height: int, width: int, step: int) -> NDArray[np.float32]:
+        from rasterio.errors import RasterioError
+        from rasterio.windows import Window
+
+        window = Window(left, top, width, height)
+        indexes: int | list[int] = self.band
+        if self.encoding is not None:
+            indexes = list(range(1, min(dataset.count, 4) + 1))
+        try:
+            raw = dataset.read(indexes, window=window)[..., ::step, ::step]
+            mask = None
+            if self._mask == "gdal":
+                mask = dataset.read_masks(self.band, window=window)[::step, ::step] == 0
+            elif self._mask == "alpha":
+                mask = dataset.read(self._alpha, window=window)[::step, ::step] == 0
+        except (RasterioError, MemoryError) as error:
+            raise ReadError(
+                f"{self._where(error, top, left, height, width)} cannot be read: {cause_of(error)}",
+                path=self.path,
+                remedy="The file is damaged or was cut short: fetch it again, or restore it from a copy.",
+            ) from None
+        if self.encoding is not None:
+            heights = decode_rgb(raw, self.encoding)
+        else:
+            heights = self._heights(raw)
+        if mask is not None:
+            heights[mask] = np.nan
+        return heights
+
+    def _where(self, error: BaseException, top: int, left: int, height: int, width: int) -> str:
+        """The block that failed, in the file's own rows and columns, if GDAL names it; else the window asked for."""
+        inner: BaseException | None = error
+        while inner is not None:
+            found = re.search(r"X offset (\d+), Y offset (\d+)", getattr(inner, "errmsg", "") or str(inner))
+            if found:
+                (high, wide), (col, row) = self.block, (int(found[1]), int(found[2]))
+                row, col = row * high, col * wide
+                return f"The block of rows {row}–{row + high - 1}, columns {col}–{col + wide - 1}"
+            inner = inner.__cause__
+        return f"Something in rows {top}–{top + height - 1}, columns {left}–{left + width - 1}"
+
+    def _heights(self, raw: NDArray[Any]) -> NDArray[np.float32]:
+        missing = None if self.nodata is None else _is_nodata(raw, self.nodata)
+        plain = self.scale == 1 and self.offset == 0 and self.unit_factor == 1
+        with np.errstate(over="ignore", invalid="ignore"):
+            if plain:
+                heights = raw.astype(np.float32)
+            else:
+                heights = ((raw.astype(np.float64) * self.scale + self.offset) * self.unit_factor).astype(np.float32)
+            if raw.dtype.kind == "f":
+                heights[~(np.abs(raw) < HUGE)] = np.nan
+        if not plain or raw.dtype.itemsize > 4:
+            heights[~np.isfinite(heights)] = np.nan
+        if missing is not None:
+            heights[missing] = np.nan
+        return heights
+
+
+def _is_nodata(raw: NDArray[Any], nodata: float | int) -> NDArray[np.bool_]:
+    """Where stored numbers mean "missing".
+
+    Integers are compared exactly. Floats are compared as float32, in which the result is anyway: the tag may be a
+    float64 text of a float32 value or the reverse (−3.4028234663852886e+38, −99.9); unless float32 would turn it into
+    0.
+    """
+    missing: NDArray[np.bool_]
+    with np.errstate(over="ignore", under="ignore"):
+        narrow = np.float32(nodata) if raw.dtype.kind == "f" else np.float32(0)
+        if np.isnan(nodata):
+            missing = np.isnan(raw)
+        elif raw.dtype.kind != "f" or narrow == 0 or np.isinf(narrow):
+            missing = raw == nodata
+        else:
+            missing = raw.astype(np.float32, copy=False) == narrow
+    return missing
+
+
+def _nodata_of(dataset: Any, band: int, asked: float | str | None, dtype: str) -> float | int | None:
+    """The nodata number in the band's own type; None if there is none, or it cannot occur in that type."""
+    if isinstance(asked, str):
+        if asked.strip().lower() == "none":
+            return None
+        try:
+            asked = int(asked) if asked.strip().lstrip("+-").isdigit() else float(asked)
+        except ValueError:
+            raise UsageError(f"The nodata value must be a number or 'none', not {asked!r}.") from None
+    value = dataset.nodatavals[band - 1] if asked is None else asked
+    if value is None:
+        return None
+    if np.dtype(dtype).kind == "f":
+        return float(value)
+    info = np.iinfo(dtype)
+    if not np.isfinite(value) or value != int(value) or not info.min <= int(value) <= info.max:
+        return None  # -9999 declared on uint8, say: no stored number equals it
+    return int(value)
+
+
+def _mask_of(dataset: Any, band: int, asked: float | str | None) -> tuple[Literal["none", "gdal", "alpha"], int]:
+    """Where else missing samples are marked: GDAL's mask (mask bands, alpha, ISIS special pixels), or an alpha band
+    of floats.
+
+    GDAL ignores an alpha band that is not of integers (Spearfish: float32), hence the second kind.
+    """
+    from rasterio.enums import ColorInterp, MaskFlags
+
+    flags = set(dataset.mask_flag_enums[band - 1])
+    if MaskFlags.all_valid in flags:
+        alphas = (
+            [i + 1 for i, c in enumerate(dataset.colorinterp) if c == ColorInterp.alpha] if dataset.count < 100 else []
+        )
+        if alphas and band not in alphas:
+            return "alpha", alphas[0]
+        return "none", 0
+    if MaskFlags.nodata in flags and (flags == {MaskFlags.nodata} or asked is not None):
+        return "none", 0  # nothing but the nodata value, which is compared here
+    if dataset.count < 100 and dataset.colorinterp[band - 1] == ColorInterp.alpha:
+        return "none", 0
+    return "gdal", 0
+
+
+def _check_size(dataset: Any, path: str | os.PathLike[str]) -> None:
+    from rasterio.enums import Interleaving
+
+    rows, cols = dataset.block_shapes[0]
+    together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
+    size = rows * cols * together * _itemsize(dataset.dtypes[0])
+    if size > MAX_BLOCK_BYTES:
+        raise ReadError(
+            f"It is stored in blocks of {rows} × {cols} samples × {together} bands, {size / 2**20:,.0f} MiB each, "
+            f"which cannot be read in bounded memory (the limit is {MAX_BLOCK_BYTES / 2**20:.0f} MiB).",
+            path=path,
+            remedy="Write it again in tiles (gdal_translate -co TILED=YES), if it is a sound file.",
+        )
+
+
+def _itemsize(dtype: str) -> int:
+    return 4 if dtype == "complex_int16" else np.dtype(dtype).itemsize
+
+
+def _check_band(dataset: Any, band: int, path: str | os.PathLike[str]) -> None:
+    if not 1 <= band <= dataset.count:
+        raise UsageError(
+            f"There is no band {band}: {_list_bands(dataset)}.", path=path, remedy="Choose another with --band."
+        )
+    dtype = dataset.dtypes[band - 1]
+    if dtype.startswith("complex"):
+        raise ReadError(
+            f"Its numbers are complex ({dtype}), which heights are not.",
+            path=path,
+            remedy="Take one part of them first.",
+        )
+
+
+def _check_encoding(dataset: Any, encoding: str, path: str | os.PathLike[str]) -> None:
+    if encoding not in ENCODINGS:
+        raise UsageError(f"{encoding!r} is not an encoding known here ({', '.join(ENCODINGS)}).", path=path)
+    if dataset.count not in (3, 4) or set(dataset.dtypes) != {"uint8"}:
+        raise UsageError(
+            f"Encoding {encoding} needs three bands of 8 bits (and perhaps alpha), but {_list_bands(dataset)} of "
+            f"{dataset.dtypes[0]}.",
+            path=path,
+            remedy="Leave --encoding away.",
+        )
+
+
+def _list_bands(dataset: Any) -> str:
+    if dataset.count == 1:
+        return "it has one band"
+    names = [f"{i}: {d}" for i, d in enumerate(dataset.descriptions[:12], 1) if d]
+    return f"it has {dataset.count} bands" + (f" ({', '.join(names)})" if names else "")
+
+
+def _is_picture(dataset: Any) -> bool:
+    return dataset.count in (3, 4) and set(dataset.dtypes) == {"uint8"}
+
+
+_ELEVATION = ("elev", "height", "altitude", "dem", "dtm", "dsm", "topo", "orog", "relief", "bathy", "hgt", "dhm", "dgm")
+
+
+def _band_warnings(dataset: Any, band: int) -> list[str]:
+    from rasterio.enums import ColorInterp
+
+    if dataset.count == 2 and dataset.colorinterp[1] == ColorInterp.alpha and band == 1:
+        return []
+    names = [d or "" for d in dataset.descriptions[:1000]]
+    likely = [i for i, n in enumerate(names, 1) if any(word in n.lower() for word in _ELEVATION)]
+    if band in likely:
+        return []
+    text = (
+        f"Band {band}"
+        + (f" ({names[band - 1]!r})" if names[band - 1 : band] != [""] else "")
+        + f" of {dataset.count} is read"
+    )
+    if likely:
+        name = names[likely[0] - 1]
+        return [f"{text}, but band {likely[0]} ({name!r}) sounds like the heights (give --band {likely[0]})."]
+    return [f"{text} (choose with --band)."]
+
+
+def _stem(path: str | os.PathLike[str]) -> str:
+    name = os.fspath(path).rstrip("/").replace("\\", "/").rpartition("/")[2].partition("?")[0]
+    if name.lower().endswith((".zip", ".gz")):
+        name = name.rpartition(".")[0]
+    stem = name.rpartition(".")[0]
+    return stem or name
+
+
+def read(
+    path: str | os.PathLike[str],
+    *,
+    band: int = 1,
+    nodata: float | str | None = None,
+    spacing: float | None = None,
+    assume_crs: str | None = None,
+    encoding: str | None = None,
+    vertical_unit: str | None = None,
+    max_bytes: int = MAX_READ_BYTES,
+) -> Dem:
+    """Read a whole raster as a ``Dem``. The options are those of ``Source.open``.
+
+    Args:
+        max_bytes: refuse rasters whose heights (float32) take more memory than this.
+
+    Raises:
+        ReadError: the file cannot be read, is damaged, or is too large.
+        UsageError: an option that does not fit the file.
+    """
+    source = Source.open(
+        path,
+        band=band,
+        nodata=nodata,
+        spacing=spacing,
+        assume_crs=assume_crs,
+        encoding=encoding,
+        vertical_unit=vertical_unit,
+    )
+    rows, cols = source.shape
+    if rows * cols * 4 > max_bytes:
+        raise ReadError(
+            f"Its {rows} × {cols} heights would take {rows * cols * 4 / 2**30:,.1f} GiB of memory "
+            f"(the limit is {max_bytes / 2**30:.1f} GiB).",
+            path=path,
+            remedy="Use `orograph build` or `orograph render`, which work in blocks, or read windows with Source.",
+        )
+    with source:
+        heights = source.read(0, rows, 0, cols)
+    return Dem(heights, source.grid, source.vertical, source.name)
+
+
+__all__ = ["HUGE", "MAX_BLOCK_BYTES", "MAX_READ_BYTES", "Source", "read"]
