@@ -1,0 +1,383 @@
+"""Many rasters as one terrain: any files, any CRS, any spacing, read by windows of one projected metric grid.
+
+Sources on one lattice are first put together sample by sample (``lattice``), so that tiles which share an edge,
+overlap or merely touch have no seam. The finest lattice decides the grid (``target``); where it has no value the next
+coarser fills in. A lattice that *is* the target grid is copied; any other is resampled straight from its files to the
+target, window by window: exact projection on a sparse mesh (``coordinates``), then the kernels of ``resample``, after
+averaging blocks of samples where the target is coarser. Nothing depends on how the raster is cut into windows or on
+who reads them: results are the same to the bit. Units: metres; samples.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from pyproj import CRS, Proj
+
+from orograph.dem.coordinates import Coordinates, Mesh
+from orograph.dem.lattice import Lattice, Raster, full_turn, group, offset_between
+from orograph.dem.projection import horizontal, in_metres, unwrapped
+from orograph.dem.resample import METHODS, box_means, sample
+from orograph.dem.target import choose, ground_spacing, parse_crs
+from orograph.errors import ReadError, UsageError
+from orograph.geo.grid import Grid
+from orograph.progress import SILENT, Progress
+
+COARSER = 1.5  # from this ratio of spacings on, sources are averaged before they are sampled
+PIECE = 1 << 22  # target samples resampled at once
+BUDGET = 3 << 23  # source samples held at once (float32: 96 MiB)
+STRIP = 256  # rows whose coordinates are held at once
+FALSE_SCALE = 0.01  # scale error of a kept projection from which on it is worth a warning
+
+Heights = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class _Layer:
+    """A lattice and how to take it to the target grid: by a whole offset, or by coordinates (and averaging before)."""
+
+    lattice: Lattice
+    offset: tuple[int, int] | None  # (row, col) of the target's first sample in the lattice
+    coordinates: Coordinates | None
+    means: tuple[int, int]  # rows, cols of the blocks averaged first
+    box: tuple[int, int, int, int]  # target rows and columns it can reach
+
+
+class Mosaic:
+    """One raster made of many.
+
+    Attributes:
+        grid: the terrain's grid: projected, metres (or local metres without a CRS).
+        name: the file's stem, or that of the first and how many more.
+        vertical: name of the vertical datum, None if unknown or mixed.
+        warnings: what a user should know, full sentences.
+        sources: the rasters, in order of precedence within a lattice.
+        height_source: file names, for the store's metadata.
+        projection: why the grid has its CRS ("UTM zone 11N", "as the source").
+        lossless: whether every sample is a source's own, none interpolated.
+        resampling: "nearest", "bilinear" or "cubic".
+        dtypes: the stored types of the sources, e.g. ("int16",).
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[Raster],
+        *,
+        crs: str | CRS | None = None,
+        resolution: float | None = None,
+        resampling: str = "bilinear",
+        options: dict[str, Any] | None = None,
+    ) -> None:
+        if resampling not in METHODS:
+            raise UsageError(f"The resampling must be one of {', '.join(METHODS)}, not {resampling!r}.")
+        if not sources:
+            raise UsageError("There is no file to read.")
+        wanted = None if crs is None else parse_crs(crs)
+        self.sources: tuple[Raster, ...] = tuple(sources)
+        self.resampling = resampling
+        self.warnings: list[str] = []
+        grids = _turned([_placed(s, options or {}, self.warnings) for s in self.sources])
+        if len({g.crs is None for g in grids}) == 2:
+            nameless = next(s for s, g in zip(self.sources, grids) if g.crs is None)
+            raise ReadError(
+                "It has no CRS while other files have one: they cannot be put together.",
+                path=getattr(nameless, "path", nameless.name),
+                remedy="Give the CRS of such files with --assume-crs.",
+            )
+        if wanted is not None and grids[0].crs is None:
+            raise UsageError(
+                "The files have no CRS, so they cannot be brought to another.", remedy="Give theirs: --assume-crs."
+            )
+        lattices = sorted(group(self.sources, grids), key=lambda g: float(f"{ground_spacing(g.grid):.4g}"))
+        target = choose(lattices, crs=wanted, resolution=resolution)
+        self.grid = target.grid
+        self.projection = target.reason
+        self._layers = [_layer(lattice, target.grid, resampling) for lattice in lattices]
+        self.lossless = all(layer.offset is not None for layer in self._layers)
+        self.name = self.sources[0].name + (f" and {len(sources) - 1} more" if len(sources) > 1 else "")
+        self.height_source = [Path(getattr(s, "path", s.name)).name for s in self.sources]
+        self.dtypes = tuple(sorted({str(getattr(s, "dtype", "float32")) for s in self.sources}))
+        self.vertical = self._one_datum()
+        self._options = {
+            "crs": None if wanted is None else wanted.to_wkt(),
+            "resolution": resolution,
+            **(options or {}),
+        }
+        self._gather_warnings()
+
+    @classmethod
+    def open(
+        cls,
+        paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        *,
+        crs: str | CRS | None = None,
+        resolution: float | None = None,
+        resampling: str = "bilinear",
+        progress: Progress = SILENT,
+        **options: Any,
+    ) -> Mosaic:
+        """Open files (headers only) and choose the grid that holds them all.
+
+        Args:
+            paths: one file or many; of those on one lattice the first named wins where several have a sample.
+            crs: projected CRS of the terrain; one in feet is used with metre axes.
+            resolution: metres between samples of the terrain.
+            resampling: "nearest", "bilinear" or "cubic"; has no effect where samples are kept.
+            options: those of ``Source.open``.
+
+        Raises:
+            ReadError: a file cannot be read or placed, or the area cannot be shown flat.
+            UsageError: options that cannot be understood.
+        """
+        from orograph.dem.source import Source
+
+        names = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+        sources: list[Raster] = []
+        with progress.task("Opening files", total=len(names)) as task:
+            for path in names:
+                sources.append(Source.open(path, **options))
+                task.advance()
+        return cls(sources, crs=crs, resolution=resolution, resampling=resampling, options=options)
+
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """Heights of a half-open window inside the grid: (row1-row0, col1-col0) float32 metres, NaN where missing.
+
+        Safe from any thread; the same to the bit whatever the window.
+
+        Raises:
+            ReadError: a source is damaged there.
+            ValueError: the window is empty or not inside the grid.
+        """
+        rows, cols = self.grid.shape
+        if not (0 <= row0 < row1 <= rows and 0 <= col0 < col1 <= cols):
+            raise ValueError(f"window [{row0}, {row1}) × [{col0}, {col1}) of a raster of {rows} × {cols}")
+        out = np.full((row1 - row0, col1 - col0), np.nan, np.float32)
+        for i, layer in enumerate(self._layers):
+            a, b = max(row0, layer.box[0]), min(row1, layer.box[1])
+            c, d = max(col0, layer.box[2]), min(col1, layer.box[3])
+            if a < b and c < d:
+                part = out[a - row0 : b - row0, c - col0 : d - col0]
+                if i == 0 or np.isnan(part).any():
+                    self._fill(layer, a, b, c, d, part)
+        return out
+
+    def fingerprint(self) -> str:
+        """A hash of the files (absolute path, size, time of change) and all options: if equal, so are the samples."""
+        said: list[str] = [repr(sorted(self._options.items(), key=str)), self.resampling, repr(self.grid.transform[:6])]
+        said += [repr(self.grid.shape), "" if self.grid.crs is None else self.grid.crs.to_wkt()]
+        for source in self.sources:
+            path = Path(getattr(source, "path", source.name))
+            said.append(str(path.absolute()))
+            if path.exists():
+                found = path.stat()
+                said.append(f"{found.st_size} {found.st_mtime_ns}")
+        return hashlib.sha256("\n".join(said).encode()).hexdigest()
+
+    def _fill(self, layer: _Layer, row0: int, row1: int, col0: int, col1: int, out: Heights) -> None:
+        """Give the missing samples of ``out`` (that window) the values of one lattice."""
+        if layer.offset is not None:
+            r, c = layer.offset
+            found = layer.lattice.read(row0 + r, row1 + r, col0 + c, col1 + c)
+            np.copyto(out, found, where=np.isnan(out))
+            return
+        assert layer.coordinates is not None
+        reach = mesh = None
+        if (row1 - row0) * (col1 - col0) <= PIECE:
+            mesh = layer.coordinates.mesh(row0, row1, col0, col1)
+            reach = _reach(layer, mesh)
+            if reach is None:
+                return
+        if (
+            mesh is None
+            or reach is None
+            or ((reach[1] - reach[0]) * (reach[3] - reach[2]) > BUDGET and max(out.shape) > 16)
+        ):
+            if row1 - row0 >= col1 - col0:
+                middle = (row0 + row1) // 2
+                self._fill(layer, row0, middle, col0, col1, out[: middle - row0])
+                self._fill(layer, middle, row1, col0, col1, out[middle - row0 :])
+            else:
+                middle = (col0 + col1) // 2
+                self._fill(layer, row0, row1, col0, middle, out[:, : middle - col0])
+                self._fill(layer, row0, row1, middle, col1, out[:, middle - col0 :])
+            return
+        window = _averaged(layer, *reach)
+        k_rows, k_cols = layer.means
+        for r in range(row0, row1, STRIP):
+            end = min(r + STRIP, row1)
+            u, v = mesh.positions(r, end, col0, col1)
+            if layer.means != (1, 1):
+                u, v = (u - (k_cols - 1) / 2) / k_cols, (v - (k_rows - 1) / 2) / k_rows
+            sample(self.resampling, window, reach[0], reach[2], u, v, out[r - row0 : end - row0])
+
+    def _one_datum(self) -> str | None:
+        datums = {s.vertical for s in self.sources}
+        if len(datums - {None}) > 1:
+            self.warnings.append(
+                f"The files have heights above different datums ({', '.join(sorted(d for d in datums if d))}); "
+                "they are put together as they are, which leaves steps of up to tens of metres."
+            )
+        elif len(datums) > 1:
+            self.warnings.append("Some of the files do not say above which datum their heights are.")
+        return self.sources[0].vertical if len(datums) == 1 else None
+
+    def _gather_warnings(self) -> None:
+        seen = set(self.warnings)
+        for source in self.sources:
+            for text in getattr(source, "warnings", ()):
+                if text not in seen:
+                    seen.add(text)
+                    self.warnings.append(text if len(self.sources) == 1 else f"{source.name}: {text}")
+        scale = _scale_at_centre(self.grid)
+        if abs(scale - 1) > FALSE_SCALE and self.projection != "as asked for":
+            assert self.grid.crs is not None
+            self.warnings.append(
+                f"A metre of {self.grid.crs.name} is {1 / scale:.3g} m on the ground here, so slopes come out wrong by "
+                "that factor; the samples are kept as they are (give --crs, e.g. the UTM zone, for true proportions)."
+            )
+
+
+def _placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Grid:
+    """A source's grid in a horizontal CRS, with metres if it is projected.
+
+    Raises:
+        ReadError: the file does not say where or how large it is.
+    """
+    grid, path = source.grid, getattr(source, "path", source.name)
+    if grid.crs is None or not (
+        grid.crs.is_projected or grid.crs.is_geographic or grid.crs.is_bound or grid.crs.is_compound
+    ):
+        if options.get("spacing") is not None:
+            return Grid(grid.shape, grid.transform, None)
+        if not getattr(source, "georeferenced", True) or grid.transform == Affine.identity():
+            raise ReadError(
+                "It does not say where it lies or how far apart its samples are.",
+                path=path,
+                remedy="Give the distance between samples in metres (--spacing 30), or the CRS (--assume-crs).",
+            )
+        west, south, east, north = grid.bounds()
+        if max(abs(west), abs(east)) <= 360 and max(abs(south), abs(north)) <= 90.01 and max(grid.spacing) < 1:
+            raise ReadError(
+                f"It has no CRS, and its coordinates ({west:.6g}…{east:.6g}, {south:.6g}…{north:.6g}) may be degrees.",
+                path=path,
+                remedy="Say so (--assume-crs EPSG:4326), or give the distance between samples in metres (--spacing 30).",
+            )
+        warnings.append("There is no CRS; its coordinates are taken for metres (give the CRS with --assume-crs).")
+        warnings[:] = list(dict.fromkeys(warnings))
+        return Grid(grid.shape, grid.transform, None)
+    crs = horizontal(grid.crs)
+    if crs.is_geographic:
+        return Grid(grid.shape, grid.transform, crs)
+    if not crs.is_projected:
+        raise ReadError(
+            f"Its CRS ({crs.name}) is neither projected nor geographic.", path=path, remedy="Give --assume-crs."
+        )
+    crs, unit = in_metres(crs)
+    return Grid(grid.shape, Affine.scale(unit) * grid.transform if unit != 1 else grid.transform, crs)
+
+
+def _turned(grids: list[Grid]) -> list[Grid]:
+    """Geographic grids moved by whole turns of longitude so that neighbours across the antimeridian are neighbours."""
+    which = [i for i, g in enumerate(grids) if g.crs is not None and g.crs.is_geographic]
+    if len(which) < 2:
+        return grids
+    turn = np.array([full_turn(grids[i]) for i in which])
+    middle = np.array([float(grids[i].xy((grids[i].cols - 1) / 2, 0)[0]) for i in which])
+    wanted = unwrapped(middle / turn * 360.0) / 360.0 * turn
+    out = list(grids)
+    for i, turns, full in zip(which, np.round((wanted - middle) / turn), turn):
+        if turns:
+            out[i] = Grid(grids[i].shape, Affine.translation(turns * full, 0) * grids[i].transform, grids[i].crs)
+    return out
+
+
+def _layer(lattice: Lattice, target: Grid, resampling: str) -> _Layer:
+    everything = (0, target.rows, 0, target.cols)
+    offset = offset_between(target, lattice.grid)
+    if offset is not None:
+        return _Layer(lattice, offset, None, (1, 1), everything)
+    coordinates = Coordinates(target, lattice.grid)
+    means = (1, 1) if resampling == "nearest" else _blocks(coordinates, lattice.grid)
+    return _Layer(lattice, None, coordinates, means, _box(lattice.grid, target))
+
+
+def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
+    """(rows, cols) of source samples to average: how many lie between target samples, at the source's centre."""
+    back = Coordinates(grid, coordinates.target)
+    col, row = back.exact(np.array([(grid.cols - 1) / 2]), np.array([(grid.rows - 1) / 2]))
+    if not np.isfinite(col + row).all():
+        return 1, 1
+    at = np.array([[-0.5, 0.5, 0, 0], [0, 0, -0.5, 0.5]])
+    u, v = coordinates.exact(col + at[0], row + at[1])
+    across, down = math.hypot(u[1] - u[0], u[3] - u[2]), math.hypot(v[1] - v[0], v[3] - v[2])
+    if not math.isfinite(across + down):
+        return 1, 1
+    return (round(down) if down >= COARSER else 1), (round(across) if across >= COARSER else 1)
+
+
+def _box(grid: Grid, target: Grid) -> tuple[int, int, int, int]:
+    """Target rows and columns that may lie within a source grid, generously: beyond it need not be looked at."""
+    t = np.linspace(-0.5, 0.5, 65)
+    s, d = np.meshgrid(t, t)
+    back = Coordinates(grid, target)
+    col, row = back.exact((grid.cols - 1) / 2 + s * (grid.cols + 1), (grid.rows - 1) / 2 + d * (grid.rows + 1))
+    if not np.isfinite(col + row).all():
+        return 0, target.rows, 0, target.cols
+    slack_r, slack_c = 4 + 0.05 * np.ptp(row), 4 + 0.05 * np.ptp(col)
+    r0, r1 = math.floor(row.min() - slack_r), math.ceil(row.max() + slack_r)
+    c0, c1 = math.floor(col.min() - slack_c), math.ceil(col.max() + slack_c)
+    return max(0, r0), min(target.rows, r1), max(0, c0), min(target.cols, c1)
+
+
+def _averaged(layer: _Layer, row0: int, row1: int, col0: int, col1: int) -> Heights:
+    """A window of the lattice, or of its block means, whose blocks are counted from the lattice's first sample."""
+    k_rows, k_cols = layer.means
+    if layer.means == (1, 1):
+        return layer.lattice.read(row0, row1, col0, col1)
+    out = np.empty((row1 - row0, col1 - col0), np.float32)
+    tall = max(1, BUDGET // (k_rows * k_cols * (col1 - col0)))
+    wide = max(1, min(col1 - col0, BUDGET // (k_rows * k_cols)))
+    for r in range(row0, row1, tall):
+        for c in range(col0, col1, wide):
+            end_r, end_c = min(r + tall, row1), min(c + wide, col1)
+            window = layer.lattice.read(r * k_rows, end_r * k_rows, c * k_cols, end_c * k_cols)
+            part = np.empty((end_r - r, end_c - c), np.float32)
+            box_means(window, k_rows, k_cols, part)
+            out[r - row0 : end_r - row0, c - col0 : end_c - col0] = part
+    return out
+
+
+def _reach(layer: _Layer, mesh: Mesh) -> tuple[int, int, int, int] | None:
+    """Rows and columns of the (averaged) lattice that a window needs, with what the kernels look at around them."""
+    bounds = mesh.bounds()
+    if bounds is None:
+        return None
+    u0, u1, v0, v1 = bounds
+    k_rows, k_cols = layer.means
+    rows, cols = -(-layer.lattice.grid.rows // k_rows), -(-layer.lattice.grid.cols // k_cols)
+    j0, j1 = math.floor((v0 - (k_rows - 1) / 2) / k_rows) - 1, math.floor((v1 - (k_rows - 1) / 2) / k_rows) + 3
+    i0, i1 = math.floor((u0 - (k_cols - 1) / 2) / k_cols) - 1, math.floor((u1 - (k_cols - 1) / 2) / k_cols) + 3
+    j0, j1, i0, i1 = max(j0, -2), min(j1, rows + 2), max(i0, -2), min(i1, cols + 2)
+    return (j0, j1, i0, i1) if j0 < j1 and i0 < i1 else None
+
+
+def _scale_at_centre(grid: Grid) -> float:
+    """Map metres per ground metre at the centre of a projected grid; 1 where that is not defined."""
+    if grid.crs is None or not grid.crs.is_projected:
+        return 1.0
+    proj = Proj(grid.crs)
+    lon, lat = proj(*grid.xy((grid.cols - 1) / 2, (grid.rows - 1) / 2), inverse=True)
+    if not (math.isfinite(lon) and math.isfinite(lat)) or abs(lat) > 89.9:
+        return 1.0
+    factors = proj.get_factors(lon, lat)
+    scale = math.sqrt(abs(factors.areal_scale))
+    return scale if math.isfinite(scale) and scale > 0 else 1.0
