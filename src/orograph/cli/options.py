@@ -9,11 +9,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from orograph.cli.progress import LineProgress
+if TYPE_CHECKING:
+    from orograph.cli.progress import LineProgress
+
+    ParamType = click.ParamType[Any]
+else:
+    ParamType = click.ParamType
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -35,7 +40,7 @@ def parse_bytes(text: str) -> int:
     return size
 
 
-class Bytes(click.ParamType):
+class Bytes(ParamType):
     """An amount of memory on the command line."""
 
     name = "size"
@@ -49,7 +54,7 @@ class Bytes(click.ParamType):
             self.fail(f"{error}.", param, ctx)
 
 
-class Nodata(click.ParamType):
+class Nodata(ParamType):
     """A number as stored in the file, or "none"."""
 
     name = "number|none"
@@ -114,4 +119,6 @@ def jobs_option(function: F) -> F:
 
 def progress_of(ctx: click.Context) -> LineProgress:
     """The progress line of this run: silent with ``--quiet``; warnings are collected by the verb all the same."""
+    from orograph.cli.progress import LineProgress
+
     return LineProgress(quiet=bool((ctx.obj or {}).get("quiet", False)))
