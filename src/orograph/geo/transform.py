@@ -1,0 +1,50 @@
+"""Moving positions between coordinate reference systems, horizontally, always in (x, y) = (longitude, latitude) order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
+
+from orograph.errors import UsageError
+
+Array = NDArray[np.float64]
+
+
+def crs_of(text: Any) -> CRS:
+    """A CRS from anything pyproj understands.
+
+    Raises:
+        UsageError: it does not.
+    """
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as error:
+        raise UsageError(f"{text!r} is not a coordinate reference system: {error}") from error
+
+
+def transformer(source: Any, target: Any) -> Callable[[ArrayLike, ArrayLike], tuple[Array, Array]]:
+    """A function (x, y) → (x, y) from CRS ``source`` to CRS ``target``; positions outside become inf, as PROJ has it.
+
+    Raises:
+        UsageError: one is None or unknown, or no operation between them exists (other planet, local CRS).
+    """
+    if source is None or target is None:
+        raise UsageError("Positions cannot be brought to another CRS: the terrain has none. Give --assume-crs.")
+    a, b = crs_of(source), crs_of(target)
+    if a == b:
+        return lambda x, y: (np.asarray(x, np.float64), np.asarray(y, np.float64))
+    try:
+        operation = Transformer.from_crs(a, b, always_xy=True)
+    except ProjError as error:
+        raise UsageError(f"There is no way from {a.name} to {b.name}: {error}") from error
+
+    def move(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+        u, v = operation.transform(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        return np.asarray(u), np.asarray(v)
+
+    return move

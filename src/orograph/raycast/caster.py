@@ -1,0 +1,124 @@
+"""The caster: rays in, first hits on the terrain's surface out; no colour, no light.
+
+Positions are *sample coordinates*: x = column, y = row (fractional), z = height in metres. A ray is o + t·d; whoever makes
+the rays decides what t measures (with directions of unit forward component it is the view-space depth).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.parallel import cpu_count, map_ordered
+from orograph.raycast.stack import Stack, Window
+
+Array = NDArray[np.float64]
+
+
+class Caster:
+    """Casts rays at a stack of nested windows (one window at full resolution is the exact surface).
+
+    Args:
+        windows: outermost first (see ``Stack``).
+        shape: (rows, cols) of the terrain at full resolution.
+        jobs: threads; results do not depend on it.
+    """
+
+    def __init__(self, windows: list[Window], shape: tuple[int, int], jobs: int | None = None) -> None:
+        self.jobs = jobs or cpu_count()
+        self.stack = Stack.build(windows, shape, self.jobs)
+
+    @classmethod
+    def of(cls, heights: NDArray[np.float32], jobs: int | None = None) -> Caster:
+        """The exact surface of heights (rows, cols) float32, NaN where missing."""
+        return cls([Window(0, 0, 0, heights)], heights.shape, jobs)
+
+    def _scene(self):  # type: ignore[no-untyped-def]
+        s = self.stack
+        return s.pool, s.maxima, s.minima, s.mips, s.ints, s.floats
+
+    def _blocks(self, work: Callable[[int, int], None], n: int, block: int) -> None:
+        spans = [(a, min(a + block, n)) for a in range(0, n, block)]
+        for _ in map_ordered(lambda span: work(*span), spans, self.jobs):
+            pass
+
+    def surface(self, x: float, y: float) -> float:
+        """Height of the surface at one point, metres; NaN outside it or in a hole."""
+        ray = np.array([[x, y, self.stack.high + 1.0]]), np.array([[0.0, 0.0, -1.0]])
+        return self.stack.high + 1.0 - float(self.cast(*ray)[0][0])
+
+    def cast(self, origins: Array, directions: Array, near: float = 0.0, far: float = np.inf) -> tuple[Array, NDArray[np.int8]]:
+        """First hits of arbitrary rays.
+
+        Args:
+            origins, directions: (n, 3) float64.
+            near, far: the range of t that counts.
+
+        Returns:
+            t (n,) float64, NaN where nothing is hit; the window hit (n,) int8, −1 where none.
+        """
+        from orograph.raycast.kernels import cast_rays
+
+        t, which = np.empty(len(origins)), np.empty(len(origins), np.int8)
+        s = self.stack
+        self._blocks(
+            lambda a, b: cast_rays(*self._scene(), s.low, s.high, origins, directions, near, far, t, which, a, b), len(origins), 16384
+        )
+        return t, which
+
+    def cast_pinhole(
+        self, eye: Array, d0: Array, du: Array, dv: Array, size: tuple[int, int], near: float = 0.0, far: float = np.inf
+    ) -> tuple[Array, NDArray[np.int8]]:
+        """First hits of a pinhole camera's rays: direction ``d0 + px·du + py·dv`` through pixel (px, py).
+
+        Args:
+            eye, d0, du, dv: (3,) float64, sample coordinates.
+            size: (height, width) in pixels.
+
+        Returns:
+            t (height, width) float64, NaN where nothing is hit; the window hit, int8.
+        """
+        from orograph.raycast.kernels import cast_pinhole
+
+        height, width = size
+        t, which = np.empty(size), np.empty(size, np.int8)
+        s = self.stack
+        end = min(far, self._reach(eye, d0, du, dv, size))
+        ground = self.surface(eye[0], eye[1])
+        clear = not (eye[2] <= ground) and near == 0.0  # also true outside, where ground is NaN
+        self._blocks(
+            lambda a, b: cast_pinhole(
+                *self._scene(), s.low, s.high, eye, d0, du, dv, near, end, clear, 0, width, a, b, t, which
+            ),
+            height,
+            16,
+        )
+        return t, which
+
+    def _reach(self, eye: Array, d0: Array, du: Array, dv: Array, size: tuple[int, int]) -> float:
+        """A t beyond which no ray of the camera is over the terrain or within its slab of heights."""
+        s, f = self.stack, self.stack.floats[0]
+        corners = np.array([d0 + x * du + y * dv for x in (0, size[1] - 1) for y in (0, size[0] - 1)])
+        far = np.linalg.norm([max(abs(eye[0] - f[3]), abs(eye[0] - f[5])), max(abs(eye[1] - f[4]), abs(eye[1] - f[6]))])
+        tall = max(abs(eye[2] - s.low), abs(eye[2] - s.high))
+        # The slowest direction in the plan lies on the quadrilateral of directions; where that is near zero (looking
+        # down) the fall ends the ray instead. Of each, the smallest over the corners bounds from below what is needed.
+        plan = _distance_to_origin(corners[[0, 1, 3, 2], :2])
+        fall = float(corners[:, 2].max())
+        reach = far / plan if plan > 0 else np.inf
+        if fall < 0:
+            reach = min(reach, tall / -fall) if plan > 0 else tall / -fall
+        return float(min(reach, 1e12)) * (1 + 1e-9) + 1.0
+
+
+def _distance_to_origin(polygon: Array) -> float:
+    """Distance of the origin from a convex polygon (n, 2) in order; 0 inside."""
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    if (cross > 0).all() or (cross < 0).all():
+        return 0.0
+    ab = b - a
+    s = np.clip(-(a * ab).sum(1) / np.maximum((ab * ab).sum(1), 1e-300), 0, 1)
+    return float(np.hypot(*(a + s[:, None] * ab).T).min())

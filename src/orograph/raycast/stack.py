@@ -1,0 +1,90 @@
+"""The nested windows that a caster runs over, flattened into the few arrays its kernels take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.raycast.mips import Mips, build_mips
+
+MARGIN = 1e-3
+"""Metres by which the slab of heights is opened, so that a level plain is not a slab of no thickness."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A rectangle of samples of one nested level.
+
+    Attributes:
+        level: sample (x, y) of the window is sample ``(col0 + x) · 2^level, (row0 + y) · 2^level`` of the terrain.
+        col0, row0: even, so that the window's diagonals are the terrain's.
+        heights: (rows, cols) float32 metres, NaN where missing; at least 2 × 2.
+    """
+
+    level: int
+    col0: int
+    row0: int
+    heights: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        if self.col0 % 2 or self.row0 % 2:
+            raise ValueError("a window begins at an even column and row")
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """Windows, outermost (coarsest) first, each inside the one before.
+
+    Attributes:
+        pool: all heights, float32, flat; no copy if there is one window.
+        maxima, minima: all their pyramids, flat; ``mips`` (3, levels of all windows) int64: offset of the maxima, of the
+            minima, nodes per row.
+        ints (W, 6) int64, floats (W, 7) float64: see ``kernels.BASE`` and following.
+        low, high: the slab that holds every height, metres.
+    """
+
+    windows: tuple[Window, ...]
+    pool: NDArray[np.float32]
+    maxima: NDArray[np.float32]
+    minima: NDArray[np.float32]
+    mips: NDArray[np.int64]
+    ints: NDArray[np.int64]
+    floats: NDArray[np.float64]
+    low: float
+    high: float
+
+    @classmethod
+    def build(cls, windows: list[Window], shape: tuple[int, int], jobs: int | None = None) -> Stack:
+        """Flatten ``windows``; ``shape`` is the terrain's (rows, cols) at full resolution: nothing is hit beyond it."""
+        pyramids: list[Mips] = [build_mips(w.heights, jobs) for w in windows]
+        ints = np.zeros((len(windows), 6), np.int64)
+        floats = np.zeros((len(windows), 7), np.float64)
+        base = mip = max_base = min_base = 0
+        tables = []
+        for k, (w, m) in enumerate(zip(windows, pyramids)):
+            rows, cols = w.heights.shape
+            scale = 2.0**w.level
+            ints[k] = base, cols, cols - 1, rows - 1, mip, m.levels
+            west, north = w.col0 * scale, w.row0 * scale
+            east, south = west + (cols - 1) * scale, north + (rows - 1) * scale
+            floats[k] = west, north, scale, west, north, min(east, shape[1] - 1.0), min(south, shape[0] - 1.0)
+            tables.append(np.stack([m.max_offset + max_base, m.min_offset + min_base, m.cols]))
+            base += w.heights.size
+            mip += m.levels
+            max_base += m.maxima.size
+            min_base += m.minima.size
+        one = len(windows) == 1
+        ranges = [m.height_range for m in pyramids]
+        return cls(
+            tuple(windows),
+            np.ascontiguousarray(windows[0].heights).ravel() if one else np.concatenate([w.heights.ravel() for w in windows]),
+            pyramids[0].maxima if one else np.concatenate([m.maxima for m in pyramids]),
+            pyramids[0].minima if one else np.concatenate([m.minima for m in pyramids]),
+            np.ascontiguousarray(np.concatenate(tables, axis=1)),
+            ints,
+            floats,
+            min(r[0] for r in ranges) - MARGIN,
+            max(r[1] for r in ranges) + MARGIN,
+        )

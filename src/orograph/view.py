@@ -1,0 +1,270 @@
+"""The camera: ``View``, its axes, matrices and frustum, and the rays through its pixels; all in float64.
+
+A view lives in the terrain's projected CRS: x = easting, y = northing, z = height, in metres. Pixel (0, 0) is the upper
+left one and its centre lies at (0.5, 0.5). View-space depth is the distance along the viewing direction, so rays are made
+with directions of unit forward component: the ray parameter *is* the depth.
+
+Exaggeration stretches heights on the way to the screen only. The eye and the target are true places and are stretched
+with the ground, so what is seen does not depend on the height that counts as zero, and an eye above the ground stays so.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orograph.errors import ReadError, UsageError
+
+Array = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A camera.
+
+    Attributes:
+        eye, target: (easting, northing, height) in metres, in the terrain's CRS.
+        up: the direction that is up in the picture; parallel to the view it is replaced by north.
+        fov_y: vertical field of view, degrees in (0, 180).
+        width, height: pixels.
+        near, far: depths in metres between which things are seen.
+        projection: "perspective", or "plan": straight down onto the target, parallel rays; the picture is as high as
+            ``fov_y`` spans at the eye's distance from the target, and ``up`` (or the viewing direction) turns it.
+    """
+
+    eye: Point
+    target: Point
+    up: Point = (0.0, 0.0, 1.0)
+    fov_y: float = 40.0
+    width: int = 1280
+    height: int = 720
+    near: float = 0.0
+    far: float = math.inf
+    projection: Literal["perspective", "plan"] = "perspective"
+
+    def __post_init__(self) -> None:
+        for name in ("eye", "target", "up"):
+            value = tuple(float(v) for v in getattr(self, name))
+            if len(value) != 3 or not all(map(math.isfinite, value)):
+                raise UsageError(f"The view's {name} must be three finite numbers, not {getattr(self, name)!r}.")
+            object.__setattr__(self, name, value)
+        if self.eye == self.target:
+            raise UsageError("The view's eye and target are the same point, so it has no direction.")
+        if not 0 < self.fov_y < 180:
+            raise UsageError(f"fov_y is an angle in degrees between 0 and 180, not {self.fov_y}.")
+        if self.width < 1 or self.height < 1 or self.width != int(self.width) or self.height != int(self.height):
+            raise UsageError(
+                f"A picture needs whole numbers of pixels, at least 1 × 1, not {self.width} × {self.height}."
+            )
+        if not 0 <= self.near < self.far:
+            raise UsageError(f"near ({self.near}) must not be negative and must be less than far ({self.far}).")
+        if self.projection not in ("perspective", "plan"):
+            raise UsageError(f"projection is 'perspective' or 'plan', not {self.projection!r}.")
+
+    # ---- reading and writing -------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], *, crs: Any = None) -> Self:
+        """A view from VIEW.json's keys.
+
+        Args:
+            values: eye, target; optionally up, fov_y, width, height, near, far, projection, and ``crs``: the CRS of eye
+                and target where it is not the terrain's, e.g. "EPSG:4326" for (longitude, latitude, height).
+            crs: the terrain's CRS (pyproj); needed if ``values`` names another.
+
+        Raises:
+            UsageError: a key is missing, unknown or of the wrong kind, or the CRS cannot be used.
+        """
+        known = {f.name for f in fields(cls)}
+        unknown = set(values) - known - {"crs"}
+        if unknown:
+            raise UsageError(f"A view has no {sorted(unknown)[0]!r}; its keys are {', '.join(sorted(known))} and crs.")
+        given = {k: v for k, v in values.items() if k in known and v is not None}
+        for name in ("eye", "target"):
+            if name not in given:
+                raise UsageError(f"The view lacks {name!r}: three numbers.")
+        try:
+            for name in ("eye", "target", "up"):
+                if name in given:
+                    given[name] = tuple(float(v) for v in given[name])
+            for name in ("fov_y", "near", "far"):
+                if name in given:
+                    given[name] = float(given[name])
+            for name in ("width", "height"):
+                if name in given:
+                    if float(given[name]) != int(given[name]):
+                        raise ValueError(name)
+                    given[name] = int(given[name])
+        except (TypeError, ValueError) as error:
+            raise UsageError(
+                f"The view's {name} is not a number, or not three of them: {values.get(name)!r}."
+            ) from error
+        if values.get("crs") is not None:
+            from orograph.geo.transform import transformer
+
+            move = transformer(values["crs"], crs)
+            for name in ("eye", "target"):
+                x, y = move(given[name][0], given[name][1])
+                given[name] = (float(x), float(y), given[name][2])
+        return cls(**given)
+
+    @classmethod
+    def load(cls, path: str | Path, *, crs: Any = None) -> Self:
+        """Read a VIEW.json (see ``from_dict``)."""
+        try:
+            values = json.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ReadError(f"The view cannot be read: {error.strerror}.", path=path) from error
+        except ValueError as error:
+            raise ReadError(f"This is not JSON: {error}.", path=path) from error
+        if not isinstance(values, dict):
+            raise ReadError("A view is a JSON object with eye, target, fov_y, width and height.", path=path)
+        return cls.from_dict(values, crs=crs)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``from_dict`` reads; an unlimited ``far`` is left out (JSON knows no infinity)."""
+        values = asdict(self)
+        if math.isinf(self.far):
+            del values["far"]
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
+
+    def resized(self, width: int, height: int) -> Self:
+        """The same view in a picture of another size."""
+        return replace(self, width=width, height=height)
+
+    # ---- geometry ------------------------------------------------------------------------------------------------
+
+    def axes(self, exaggeration: float = 1.0) -> tuple[Array, Array, Array]:
+        """Unit vectors (right, up, forward) of the camera, in stretched space."""
+        stretch = np.array([1.0, 1.0, exaggeration])
+        forward = (np.array(self.target) - np.array(self.eye)) * stretch
+        forward /= np.linalg.norm(forward)
+        up = np.array(self.up)
+        if self.projection == "plan":
+            heading = up - up[2] * np.array([0.0, 0.0, 1.0])
+            if np.linalg.norm(heading) < 1e-9 * max(1.0, np.linalg.norm(up)):
+                heading = forward * np.array([1.0, 1.0, 0.0])
+            if np.linalg.norm(heading) < 1e-9:
+                heading = np.array([0.0, 1.0, 0.0])
+            up = heading
+            forward = np.array([0.0, 0.0, -1.0])
+        right = np.cross(forward, up)
+        if np.linalg.norm(right) < 1e-9 * np.linalg.norm(up):  # looking along up: north is up in the picture
+            right = np.cross(forward, [0.0, 1.0, 0.0])
+            if np.linalg.norm(right) < 1e-9:
+                right = np.array([1.0, 0.0, 0.0])
+        right /= np.linalg.norm(right)
+        return right, np.cross(right, forward), forward
+
+    @property
+    def distance(self) -> float:
+        """From the eye to the target, metres."""
+        return float(np.linalg.norm(np.subtract(self.target, self.eye)))
+
+    @property
+    def pixel_slope(self) -> float:
+        """The height of a pixel at the picture's centre, at unit depth (perspective)."""
+        return 2.0 * math.tan(math.radians(self.fov_y) / 2.0) / self.height
+
+    @property
+    def pixel_metres(self) -> float:
+        """The size of a pixel at the target, metres; everywhere, in a plan."""
+        return self.pixel_slope * self.distance
+
+    def view_matrix(self, exaggeration: float = 1.0) -> Array:
+        """World (stretched) → camera, (4, 4): x right, y up, z *towards* the eye (right-handed, as OpenGL has it)."""
+        right, up, forward = self.axes(exaggeration)
+        eye = np.array(self.eye) * [1.0, 1.0, exaggeration]
+        matrix = np.eye(4)
+        for row, axis in enumerate((right, up, -forward)):
+            matrix[row, :3] = axis
+            matrix[row, 3] = -axis @ eye
+        return matrix
+
+    def projection_matrix(self) -> Array:
+        """Camera → clip space, (4, 4), reversed depth: 1 at ``near`` (or 1 m, if that is 0), 0 at ``far``."""
+        near = self.near or 1.0
+        matrix = np.zeros((4, 4))
+        if self.projection == "plan":
+            half = self.pixel_metres * self.height / 2
+            far = self.far if math.isfinite(self.far) else 1e7
+            matrix[0, 0] = self.height / (half * self.width)
+            matrix[1, 1] = 1 / half
+            matrix[2, 2], matrix[2, 3], matrix[3, 3] = 1 / (far - near), far / (far - near), 1.0
+            return matrix
+        cot = 1.0 / math.tan(math.radians(self.fov_y) / 2)
+        matrix[0, 0], matrix[1, 1], matrix[3, 2] = cot * self.height / self.width, cot, -1.0
+        if math.isfinite(self.far):
+            matrix[2, 2], matrix[2, 3] = near / (self.far - near), self.far * near / (self.far - near)
+        else:
+            matrix[2, 3] = near
+        return matrix
+
+    def frustum(self, exaggeration: float = 1.0) -> Array:
+        """The planes (n, 4) that bound what is seen: a·x + b·y + c·z + d ≥ 0 inside, unit normals, stretched space.
+
+        Left, right, bottom, top, near, and far if it is finite.
+        """
+        right, up, forward = self.axes(exaggeration)
+        eye = np.array(self.eye) * [1.0, 1.0, exaggeration]
+        normals, points = [], []
+        if self.projection == "plan":
+            half_y = self.pixel_metres * self.height / 2
+            half_x = half_y * self.width / self.height
+            for axis, half in ((right, half_x), (-right, half_x), (up, half_y), (-up, half_y)):
+                normals.append(axis)
+                points.append(np.array(self.target) * [1, 1, exaggeration] - axis * half)
+        else:
+            half_y = math.tan(math.radians(self.fov_y) / 2)
+            half_x = half_y * self.width / self.height
+            for axis, half in ((right, half_x), (-right, half_x), (up, half_y), (-up, half_y)):
+                normals.append((axis + half * forward) / math.hypot(1.0, half))
+                points.append(eye)
+        normals.append(forward)
+        points.append(eye + forward * self.near)
+        if math.isfinite(self.far):
+            normals.append(-forward)
+            points.append(eye + forward * self.far)
+        return np.array([[*n, -(n @ p)] for n, p in zip(normals, points)])
+
+    def project(self, points: ArrayLike, exaggeration: float = 1.0) -> tuple[Array, Array]:
+        """Pixel positions (…, 2) and depths (…) of true positions (…, 3); NaN for points at or behind the eye."""
+        right, up, forward = self.axes(exaggeration)
+        stretch = np.array([1.0, 1.0, exaggeration])
+        delta = (np.asarray(points, np.float64) - np.array(self.eye)) * stretch
+        depth = delta @ forward
+        if self.projection == "plan":
+            delta = (np.asarray(points, np.float64) - np.array(self.target)) * stretch
+            scale: Any = self.pixel_metres
+        else:
+            scale = np.where(depth > 0, depth, np.nan) * self.pixel_slope
+        x = delta @ right / scale + self.width / 2
+        y = self.height / 2 - delta @ up / scale
+        return np.stack([x, y], -1), depth
+
+    def ray_basis(self, exaggeration: float = 1.0) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """What makes the ray through pixel position (px, py): origin o0 + px·ou + py·ov, direction d0 + px·du + py·dv.
+
+        All (3,), true space; pixel *positions*: (0.5, 0.5) is the centre of the first pixel. In perspective ou and ov
+        are zero, in a plan du and dv are. Directions have unit forward component.
+        """
+        right, up, forward = self.axes(exaggeration)
+        unstretch = np.array([1.0, 1.0, 1.0 / exaggeration])
+        zero = np.zeros(3)
+        if self.projection == "plan":
+            m = self.pixel_metres
+            centre = np.array([self.target[0], self.target[1], self.eye[2]])
+            ou, ov = right * m, -up * m
+            return centre - ou * self.width / 2 - ov * self.height / 2, ou, ov, forward * unstretch, zero, zero
+        s = self.pixel_slope
+        du, dv = right * s * unstretch, -up * s * unstretch
+        d0 = forward * unstretch - du * self.width / 2 - dv * self.height / 2
+        return np.array(self.eye), zero, zero, d0, du, dv
