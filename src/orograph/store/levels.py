@@ -29,12 +29,18 @@ F64 = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 
-def subsample(heights: Heights, level: int) -> Heights:
-    """Every 2^level-th sample each way, the last one repeated where the step leads beyond it. A new array."""
-    step = 1 << level
-    rows = np.arange(0, heights.shape[0] - 1 + step, step).clip(max=heights.shape[0] - 1)
-    cols = np.arange(0, heights.shape[1] - 1 + step, step).clip(max=heights.shape[1] - 1)
-    return heights[rows][:, cols] if level else heights.copy()
+def halve(heights: Heights, end: tuple[bool, bool] = (True, True)) -> Heights:
+    """Every second sample each way; where an axis is at the raster's ``end`` its last sample closes the row. A copy."""
+    index = [np.arange(0, side + at_end, 2).clip(max=side - 1) for side, at_end in zip(heights.shape, end, strict=True)]
+    result: Heights = heights[index[0]][:, index[1]]
+    return result
+
+
+def subsample(heights: Heights, level: int, end: tuple[bool, bool] = (True, True)) -> Heights:
+    """Every 2^level-th sample each way, the last one repeated where the step leads beyond an ``end`` of the raster."""
+    for _ in range(level):
+        heights = halve(heights, end)
+    return heights
 
 
 @kernel

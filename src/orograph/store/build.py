@@ -1,0 +1,309 @@
+"""Building a store: choose the size of its shards from the memory allowed, do its tasks, and only then let it be seen.
+
+A store in a folder is built beside its place, in ``STORE.partial``, which becomes ``STORE`` by a rename when everything
+is written; an old store is replaced only then. At a URL there is no rename: the store is built in place, and it is the
+root's ``zarr.json``, written last, that makes it one (with ``overwrite`` the old store is gone from the beginning).
+Either way a build that is killed leaves nothing that opens, and ``resume`` finishes it to the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from orograph.errors import StoreError, UsageError
+from orograph.parallel import cpu_count, map_ordered
+from orograph.progress import SILENT, Progress
+from orograph.store.layout import CHUNK, FORMAT, PARTS, PLAN, ROOT, Record, dumps, metadata
+from orograph.store.memory import MemoryTerrain, check_metric
+from orograph.store.source import ArraySource, HeightSource
+from orograph.store.storage import FolderStorage, Storage, storage_at
+from orograph.store.stored import CACHE_BYTES, StoredTerrain, is_store, open, partial, read_record
+from orograph.store.terrain import Shape, level_count, level_shape
+
+if TYPE_CHECKING:
+    from orograph.dem import Dem
+
+MEMORY = 1 << 30
+SHARDS = (2048, 1024, 512)
+BASE = 280 << 20  # the interpreter, its libraries and their caches
+READER = 160 << 20  # what a mosaic may hold while it reads one window
+
+Path_ = str | os.PathLike[str]
+
+
+def build(
+    source: HeightSource | Dem | Path_ | Sequence[Path_],
+    url: Path_,
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+    max_memory: int = MEMORY,
+    jobs: int | None = None,
+    progress: Progress = SILENT,
+    storage_options: dict[str, Any] | None = None,
+    shard: int | None = None,
+    chunk: int = CHUNK,
+    **options: Any,
+) -> StoredTerrain:
+    """Build a store and open it.
+
+    Args:
+        source: DEM files, a Dem, or anything that reads windows of heights (see ``HeightSource``).
+        url: the store's folder, or a URL fsspec can write to.
+        overwrite: replace a store (or an unfinished build) that is there.
+        resume: finish an interrupted build of the same sources and options; begins one if there is none.
+        max_memory: bytes the process should stay within; decides the size of shards and how many tasks run at once.
+        jobs: threads (default: all processors). The store's bytes do not depend on it.
+        storage_options: for the fsspec file system.
+        shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
+        options: for ``Mosaic.open`` where ``source`` is files: ``crs``, ``resolution``, ``nodata``…
+
+    Raises:
+        StoreError: something is there already, what was begun differs, or it cannot be written (disk full).
+        ReadError, UsageError: a source cannot be read or is not metric.
+    """
+    if overwrite and resume:
+        raise UsageError("A build either resumes or overwrites, not both.")
+    raster = as_source(source, progress, **options)
+    check_metric(raster.grid, raster.name)
+    final = storage_at(url, storage_options)
+    storage = final if final.remote else FolderStorage(partial(final.url))
+    done = _complete(final)
+    begun = storage.exists(PLAN) or (not final.remote and storage.exists(ROOT))
+    shard, jobs = _sizes(raster.grid.shape, max_memory, jobs, shard)
+    plan = _plan(raster, shard, chunk)
+
+    if resume and begun:
+        plan = _resumable(storage, plan)
+    elif resume and done:
+        if read_record(final).source == plan["source"]:
+            return open(url, storage_options=storage_options)
+        raise StoreError(
+            "A complete store of other sources or options is there.",
+            path=final.url,
+            remedy="Use --overwrite to replace it.",
+        )
+    elif not overwrite and (done or begun or _occupied(final)):
+        raise _there_already(final, done, begun)
+    elif overwrite and not done and not begun and _occupied(final):
+        raise StoreError(
+            "Something is there that is not an Orograph store, and will not be overwritten.",
+            path=final.url,
+            remedy="Remove it, or choose another place.",
+        )
+
+    fresh = not (resume and begun)
+    if fresh and begun and not final.remote:
+        with _locked(storage):
+            pass  # another process may be at work there
+    if fresh and (begun or done or not final.remote):
+        if final.remote:
+            storage.remove(ROOT) if done else None
+        storage.remove()
+    if fresh:
+        storage.put(PLAN, [dumps(plan)])
+    with _locked(storage):
+        if not storage.exists(ROOT):
+            _fill(raster, storage, plan, jobs, resume and begun, progress)
+        storage.remove(PARTS)
+        storage.remove(PLAN)
+    storage.close()
+    if isinstance(final, FolderStorage):
+        _publish(Path(storage.url), final.path)
+    return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
+
+
+def terrain(source: HeightSource | Dem, progress: Progress = SILENT) -> MemoryTerrain:
+    """A terrain in memory: of a Dem (its array is shared), or of anything that reads windows, read as a whole.
+
+    Raises:
+        UsageError: it is not in a metric CRS.
+    """
+    if not isinstance(source, HeightSource):
+        return MemoryTerrain.from_dem(source, progress)
+    rows, cols = source.grid.shape
+    check_metric(source.grid, source.name)
+    heights = np.empty((rows, cols), np.float32)
+    strips = range(0, rows, 512)
+
+    def load(row: int) -> None:
+        end = min(row + 512, rows)
+        heights[row:end] = source.read(row, end, 0, cols)
+
+    with progress.task("Reading heights", total=len(strips)) as task:
+        for _ in map_ordered(load, strips):
+            task.advance()
+    return MemoryTerrain(heights, source.grid, source.name, source.vertical)
+
+
+def as_source(source: HeightSource | Dem | Path_ | Sequence[Path_], progress: Progress, **options: Any) -> HeightSource:
+    """Whatever heights come as, something that reads windows of them."""
+    if isinstance(source, str | os.PathLike | Sequence):
+        from orograph.dem.mosaic import Mosaic
+
+        return Mosaic.open(source, progress=progress, **options)
+    if options:
+        raise UsageError(f"{', '.join(options)}: such options are for files, not for heights already read.")
+    if isinstance(source, HeightSource):
+        return source
+    return ArraySource(source.heights, source.grid, source.name, source.vertical)
+
+
+def _sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None) -> tuple[int, int]:
+    """Side of the shards and number of tasks at once that fit the memory allowed."""
+    wanted = jobs or cpu_count()
+    for side in SHARDS if shard is None else (shard,):
+        for at_once in range(wanted, 0, -1):
+            if _memory(shape, side, at_once) <= max_memory:
+                return side, at_once
+    return shard or SHARDS[-1], 1
+
+
+def _memory(shape: Shape, shard: int, jobs: int) -> int:
+    """About what a build holds at once: its tasks, and the coarse shards that are open (two at level 1)."""
+    unit = 4 * shard * shard
+    coarse = 0
+    for level in range(1, level_count(shape)):
+        rows, cols = level_shape(shape, level)
+        coarse += 2 * (2 if level == 1 else 1) * min(unit, 4 * rows * cols)
+    return BASE + jobs * (4 * unit + READER) + coarse
+
+
+def _plan(raster: HeightSource, shard: int, chunk: int) -> dict[str, Any]:
+    grid = raster.grid
+    return {
+        "format": FORMAT,
+        "source": raster.fingerprint(),
+        "name": raster.name,
+        "vertical": raster.vertical,
+        "shape": list(grid.shape),
+        "transform": list(grid.transform[:6]),
+        "crs": None if grid.crs is None else grid.crs.to_wkt(),
+        "shard": shard,
+        "chunk": chunk,
+    }
+
+
+def _resumable(storage: Storage, plan: dict[str, Any]) -> dict[str, Any]:
+    """The plan of the interrupted build, if this is the same build."""
+    data = storage.get(PLAN)
+    if data is None:  # complete but for its last rename
+        record = read_record(storage)
+        return {**plan, "shard": record.shard, "chunk": record.chunk}
+    try:
+        begun: dict[str, Any] = json.loads(data)
+    except ValueError:
+        begun = {}
+    # The shards' size follows from --max-memory, which may differ: the build goes on as it was begun.
+    plan = {**plan, "shard": begun.get("shard"), "chunk": begun.get("chunk")}
+    differing = [key for key in plan if plan[key] != begun.get(key)]
+    if differing:
+        names = {"source": "sources or options", "format": "store format"}
+        what = ", ".join(names.get(key, key) for key in differing)
+        raise StoreError(
+            f"The interrupted build cannot be resumed: its {what} differ from these.",
+            path=storage.url,
+            remedy="Run it with the same files and options, or start anew with --overwrite.",
+        )
+    return plan
+
+
+def _fill(
+    raster: HeightSource, storage: Storage, plan: dict[str, Any], jobs: int, resume: bool, progress: Progress
+) -> None:
+    """Do all tasks and write all metadata, the root's last."""
+    from orograph.store.pyramid import Pyramid, tasks
+
+    pyramid = Pyramid(raster, storage, plan["shard"], plan["chunk"], resume)
+    spots = tasks(raster.grid.shape, plan["shard"])
+    with progress.task("Resuming the store" if resume else "Building the store", total=len(spots)) as task:
+        for _ in map_ordered(pyramid.run, spots, jobs):
+            task.advance()
+    first = pyramid.finish()
+    seen = bool(first.valid.any())
+    record = Record(
+        grid=raster.grid,
+        name=raster.name,
+        vertical=raster.vertical,
+        shard=plan["shard"],
+        chunk=plan["chunk"],
+        height_range=(float(np.nanmin(first.minimum)), float(np.nanmax(first.maximum))) if seen else (np.nan, np.nan),
+        valid_fraction=pyramid.valid_samples / (raster.grid.rows * raster.grid.cols),
+        source=plan["source"],
+    )
+    others, root = metadata(record)
+    for objects in (others, root):
+        for key, data in objects.items():
+            storage.put(key, [data])
+
+
+def _complete(final: Storage) -> bool:
+    return is_store(final)
+
+
+def _occupied(final: Storage) -> bool:
+    """Whether something that is no store lies where a folder is to be."""
+    if not isinstance(final, FolderStorage):
+        return final.exists(ROOT)
+    path = final.path
+    return path.exists() and (not path.is_dir() or any(path.iterdir()))
+
+
+def _there_already(final: Storage, done: bool, begun: bool) -> StoreError:
+    if begun:
+        return StoreError(
+            "An interrupted build of this store is there.",
+            path=final.url,
+            remedy="Finish it with --resume, or start anew with --overwrite.",
+        )
+    if done:
+        return StoreError("A store is there already.", path=final.url, remedy="Use --overwrite to replace it.")
+    return StoreError(
+        "Something is there that is not an Orograph store.", path=final.url, remedy="Choose another place."
+    )
+
+
+def _publish(built: Path, final: Path) -> None:
+    """Let the finished store take its place; an old one goes away only after that."""
+    old = final.with_name(final.name + ".replaced")
+    try:
+        FolderStorage(old).remove()
+        if final.exists():
+            final.rename(old)
+        built.rename(final)
+    except OSError as error:
+        raise StoreError(
+            f"The finished store could not take its place: {error.strerror or error}.",
+            path=final,
+            remedy=f"It lies complete at {built}.",
+        ) from error
+    FolderStorage(old).remove()
+
+
+@contextmanager
+def _locked(storage: Storage) -> Iterator[None]:
+    """Keep a second process from building the same store (in folders, where the system has file locks)."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    path = storage.path / PLAN if isinstance(storage, FolderStorage) else None
+    if path is None or not path.exists():
+        yield
+        return
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise StoreError(
+                "Another process is building this store.", path=storage.url, remedy="Wait until it is done."
+            ) from error
+        yield

@@ -1,0 +1,312 @@
+"""The names and the metadata of a store: what a Zarr tool sees, and what Orograph reads back.
+
+A store is a Zarr v3 group::
+
+    zarr.json                  written last; its attribute "orograph" makes the group a store
+    heights/{k}/height         (rows_k, cols_k) float32, metres, NaN missing: the nested level k
+    heights/{k}/x, y           sample coordinates (unless the grid is rotated); spatial_ref: the CRS, as CF has it
+    mean/{k}/height            box means of 2^k × 2^k samples, k ≥ 1; x, y and spatial_ref as above
+    tiles/{k}/minimum, maximum, error (float32), valid (uint8)
+
+so that ``xarray.open_zarr(store, group="heights/3")`` opens a level with its coordinates. The root carries the
+*multiscales*, *spatial* and *proj* conventions (versions below), and Orograph's own record with a checksum over itself.
+A build keeps its plan in ``build.json`` and what each finished task found in ``parts/`` until it is complete.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from orograph.errors import StoreError
+from orograph.geo.grid import Grid
+from orograph.store.arrays import ArraySpec, crc32c
+from orograph.store.terrain import Shape, level_count, level_shape, mean_shape, tile_shape
+
+FORMAT = 1
+"""The version of this layout; a reader refuses newer ones."""
+
+CHUNK = 256
+ROOT = "zarr.json"
+PLAN = "build.json"
+PARTS = "parts"
+TABLES = {"minimum": ("float32", math.nan), "maximum": ("float32", math.nan), "error": ("float32", 0.0)}
+TABLES_AND_VALID = {**TABLES, "valid": ("uint8", 0.0)}
+
+_RAW = "https://raw.githubusercontent.com/{}/refs/tags/v1/schema.json"
+_SPEC = "https://github.com/{}/blob/v1/README.md"
+CONVENTIONS = [
+    {
+        "schema_url": _RAW.format(repository),
+        "spec_url": _SPEC.format(repository),
+        "uuid": uuid,
+        "name": name,
+        "description": description,
+    }
+    for repository, uuid, name, description in (
+        (
+            "zarr-conventions/multiscales",
+            "d35379db-88df-4056-af3a-620245f8e347",
+            "multiscales",
+            "Multiscale layout of zarr datasets",
+        ),
+        (
+            "zarr-experimental/geo-proj",
+            "f17cb550-5864-4468-aeb7-f3180cfb622f",
+            "proj:",
+            "Coordinate reference system information for geospatial data",
+        ),
+        (
+            "zarr-conventions/spatial",
+            "689b58e2-cf7b-45e0-9fff-9cfc0883d6b4",
+            "spatial:",
+            "Spatial coordinate information",
+        ),
+    )
+]
+"""Version 1 of the three conventions."""
+
+
+def heights_spec(shape: Shape, level: int, shard: int, chunk: int) -> ArraySpec:
+    """The nested heights of a level."""
+    return ArraySpec(f"heights/{level}/height", level_shape(shape, level), shard, chunk)
+
+
+def mean_spec(shape: Shape, level: int, shard: int, chunk: int) -> ArraySpec:
+    """The box means of a level ≥ 1."""
+    return ArraySpec(f"mean/{level}/height", mean_shape(shape, level), shard, chunk)
+
+
+def table_spec(shape: Shape, level: int, name: str, shard: int, chunk: int) -> ArraySpec:
+    """One of a level's tile tables."""
+    dtype, fill = TABLES_AND_VALID[name]
+    return ArraySpec(f"tiles/{level}/{name}", tile_shape(shape, level), shard, chunk, dtype, fill, ("tile_y", "tile_x"))
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """What a complete store says of itself under ``orograph``.
+
+    Attributes:
+        grid: of level 0.
+        name: of the terrain.
+        vertical: name of the vertical datum, None if unknown.
+        shard, chunk: samples along their sides.
+        height_range: lowest and highest valid sample, nan if there is none.
+        valid_fraction: of all samples.
+        source: fingerprint of what it was built from.
+    """
+
+    grid: Grid
+    name: str
+    vertical: str | None
+    shard: int
+    chunk: int
+    height_range: tuple[float, float]
+    valid_fraction: float
+    source: str
+
+    def to_json(self) -> dict[str, Any]:
+        crs = self.grid.crs
+        low, high = self.height_range
+        record: dict[str, Any] = {
+            "format": FORMAT,
+            "complete": True,
+            "name": self.name,
+            "vertical": self.vertical,
+            "shape": list(self.grid.shape),
+            "transform": list(self.grid.transform[:6]),
+            "crs": None if crs is None else crs.to_wkt(),
+            "levels": level_count(self.grid.shape),
+            "shard": self.shard,
+            "chunk": self.chunk,
+            "height_range": None if math.isnan(low) else [low, high],
+            "valid_fraction": self.valid_fraction,
+            "source": self.source,
+        }
+        return {**record, "checksum": _checksum(record)}
+
+    @classmethod
+    def from_json(cls, record: dict[str, Any], url: str) -> Record:
+        """Read the record back.
+
+        Raises:
+            StoreError: its format is newer than this reader, or it fails its checksum.
+        """
+        if not isinstance(record.get("format"), int) or record["format"] > FORMAT:
+            raise StoreError(
+                f"It has store format {record.get('format')}, and this version reads formats up to {FORMAT}.",
+                path=url,
+                remedy="Update Orograph (pip install -U orograph).",
+            )
+        said = record.get("checksum")
+        if said != _checksum({key: value for key, value in record.items() if key != "checksum"}):
+            raise StoreError(
+                "The record of the store in zarr.json fails its checksum.",
+                path=url,
+                remedy="Build the store again (orograph build --overwrite).",
+            )
+        crs = None if record["crs"] is None else CRS.from_wkt(record["crs"])
+        rows, cols = record["shape"]
+        low, high = record["height_range"] or (math.nan, math.nan)
+        return cls(
+            Grid((rows, cols), Affine(*record["transform"]), crs),
+            record["name"],
+            record["vertical"],
+            record["shard"],
+            record["chunk"],
+            (low, high),
+            record["valid_fraction"],
+            record["source"],
+        )
+
+
+def _checksum(record: dict[str, Any]) -> str:
+    return f"{crc32c(json.dumps(record, sort_keys=True).encode()):08x}"
+
+
+def dumps(document: dict[str, Any]) -> bytes:
+    """JSON as it is written: the same bytes for the same document."""
+    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+
+
+def level_transform(grid: Grid, level: int, mean: bool) -> Affine:
+    """The geotransform of a level: blocks for means; for nested heights cells centred on the samples they keep."""
+    scale = Affine.scale(1 << level)
+    if mean:
+        return grid.transform * scale
+    return grid.transform * Affine.translation(0.5, 0.5) * scale * Affine.translation(-0.5, -0.5)
+
+
+def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
+    """Every small object of a complete store: (all but the root, the root), keys to bytes."""
+    grid, shard, chunk = record.grid, record.shard, record.chunk
+    levels = level_count(grid.shape)
+    nodes: dict[str, dict[str, Any]] = {"heights": _group(), "tiles": _group()}
+    data: dict[str, bytes] = {}
+    if levels > 1:
+        nodes["mean"] = _group()
+    names = {"heights": "nested subsample", "mean": "mean of the valid samples of each block"}
+    for level in range(levels):
+        for kind, make in (("heights", heights_spec), ("mean", mean_spec)):
+            if kind == "mean" and level == 0:
+                continue
+            spec = make(grid.shape, level, shard, chunk)
+            transform = level_transform(grid, level, kind == "mean")
+            path = f"{kind}/{level}"
+            nodes[path] = _group(_spatial(Grid(spec.shape, transform, grid.crs)))
+            attributes = {
+                "units": "m",
+                "standard_name": "surface_altitude",
+                "long_name": f"terrain height, {names[kind]}, level {level}",
+                "grid_mapping": "spatial_ref",
+            }
+            nodes[spec.path] = spec.metadata(attributes)
+            _coordinates(path, Grid(spec.shape, transform, grid.crs), nodes, data)
+        nodes[f"tiles/{level}"] = _group()
+        for name in TABLES_AND_VALID:
+            spec = table_spec(grid.shape, level, name, shard, chunk)
+            nodes[spec.path] = spec.metadata({"units": "m"} if name != "valid" else {"flag_values": [0, 1, 2]})
+    for path in [path for path, node in nodes.items() if node["node_type"] == "group"]:
+        below = {p[len(path) + 1 :]: node for p, node in nodes.items() if p.startswith(path + "/")}
+        nodes[path] = {**nodes[path], "consolidated_metadata": _consolidated(below)}
+    root = {
+        **_group({**_root_attributes(record), "orograph": record.to_json()}),
+        "consolidated_metadata": _consolidated(
+            {path: {k: v for k, v in node.items() if k != "consolidated_metadata"} for path, node in nodes.items()}
+        ),
+    }
+    data.update({f"{path}/{ROOT}": dumps(node) for path, node in nodes.items()})
+    return data, {ROOT: dumps(root)}
+
+
+def _consolidated(nodes: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    return {"kind": "inline", "must_understand": False, "metadata": nodes}
+
+
+def _group(attributes: dict[str, Any] | None = None) -> dict[str, Any]:
+    return {"zarr_format": 3, "node_type": "group", "attributes": attributes or {}}
+
+
+def _spatial(grid: Grid) -> dict[str, Any]:
+    """The spatial and proj conventions' attributes of a grid."""
+    attributes: dict[str, Any] = {
+        "spatial:dimensions": ["y", "x"],
+        "spatial:shape": list(grid.shape),
+        "spatial:transform": list(grid.transform[:6]),
+        "spatial:bbox": list(grid.bounds()),
+        "spatial:registration": "pixel",
+    }
+    if grid.crs is not None:
+        authority = grid.crs.to_authority(min_confidence=100)
+        if authority:
+            attributes["proj:code"] = ":".join(authority)
+        attributes["proj:wkt2"] = grid.crs.to_wkt()
+    conventions = [c for c in CONVENTIONS if c["name"] == "spatial:" or (c["name"] == "proj:" and grid.crs is not None)]
+    return {"zarr_conventions": conventions, **attributes}
+
+
+def _root_attributes(record: Record) -> dict[str, Any]:
+    spatial = _spatial(record.grid)
+    layout: list[dict[str, Any]] = []
+    for level in range(level_count(record.grid.shape)):
+        step = float(1 << level)
+        entry: dict[str, Any] = {
+            "asset": f"heights/{level}",
+            "transform": {"scale": [step, step], "translation": [(1 - step) / 2] * 2},
+            "spatial:shape": list(level_shape(record.grid.shape, level)),
+            "spatial:transform": list(level_transform(record.grid, level, mean=False)[:6]),
+        }
+        if level:
+            entry["derived_from"] = f"heights/{level - 1}"
+        layout.append(entry)
+    return {
+        **spatial,
+        "zarr_conventions": [CONVENTIONS[0], *spatial["zarr_conventions"]],
+        "multiscales": {"layout": layout, "resampling_method": "nearest"},
+    }
+
+
+def _coordinates(path: str, grid: Grid, nodes: dict[str, dict[str, Any]], data: dict[str, bytes]) -> None:
+    """CF coordinates of a level (small, unsharded arrays) for xarray and rioxarray."""
+    a, b, c, d, e, f = grid.transform[:6]
+    if b == 0 and d == 0:
+        x = grid.xy(np.arange(grid.cols), 0)[0]
+        y = grid.xy(0, np.arange(grid.rows))[1]
+        for name, values, title in (("x", x, "projection_x_coordinate"), ("y", y, "projection_y_coordinate")):
+            attributes = {"standard_name": title, "axis": name.upper(), "units": "m"}
+            nodes[f"{path}/{name}"] = _small(values, (name,), attributes)
+            data[f"{path}/{name}/c/0"] = _with_checksum(values)
+    reference = np.zeros((), np.int64)
+    about = {"GeoTransform": " ".join(repr(v) for v in (c, a, b, f, d, e))}
+    if grid.crs is not None:
+        about["crs_wkt"] = about["spatial_ref"] = grid.crs.to_wkt()
+    nodes[f"{path}/spatial_ref"] = _small(reference, (), about)
+    data[f"{path}/spatial_ref/c"] = _with_checksum(reference)
+
+
+def _small(values: NDArray[Any], dimensions: tuple[str, ...], attributes: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "zarr_format": 3,
+        "node_type": "array",
+        "shape": list(values.shape),
+        "data_type": str(values.dtype),
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(values.shape)}},
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
+        "fill_value": 0,
+        "codecs": [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}],
+        "dimension_names": list(dimensions),
+        "attributes": attributes,
+    }
+
+
+def _with_checksum(values: NDArray[Any]) -> bytes:
+    data = values.astype(values.dtype.newbyteorder("<")).tobytes()
+    return data + crc32c(data).to_bytes(4, "little")

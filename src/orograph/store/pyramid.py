@@ -1,0 +1,266 @@
+"""The work of a build: one task per full-resolution shard, from which every coarser level follows.
+
+A task reads its square of 2^m samples and the row and column beyond it that its tiles share with their neighbours,
+writes the shard, and works out all it will ever contribute: its samples of every nested level, its box means, its tile
+tables, and the errors of the levels up to m. Samples and means go straight into the coarse shards that hold them; a
+coarse shard is written when its last part is in. Tasks run in quadtree post-order (Morton order), so that only a few
+coarse shards per level are open at once: memory grows with the depth of the pyramid, not with the raster.
+
+What a task found is kept in ``parts/`` until the build is complete. A resumed build reads finished shards back, which
+proves them by their checksums and gives the same samples, hence the same bytes, as the first time.
+"""
+
+from __future__ import annotations
+
+import io
+import threading
+import zipfile
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import DamagedChunkError, OrographError
+from orograph.store.arrays import ArraySpec, ShardedArray, Spot
+from orograph.store.cache import ChunkCache
+from orograph.store.layout import PARTS, TABLES_AND_VALID, heights_spec, mean_spec, table_spec
+from orograph.store.levels import (
+    BoxMeans,
+    divide,
+    extrema,
+    halve,
+    halve_sums,
+    magnitude,
+    quarter,
+    reduce_tiles,
+    round_up,
+    tile_errors,
+)
+from orograph.store.source import HeightSource
+from orograph.store.storage import Storage
+from orograph.store.terrain import TILE, Heights, Shape, TileTable, level_count, level_shape, mean_shape, tile_shape
+
+Facts = dict[str, NDArray[Any]]
+Kind = Callable[[Shape, int, int, int], ArraySpec]
+
+
+def tasks(shape: Shape, shard: int) -> list[Spot]:
+    """The full-resolution shards (row, col) in Morton order."""
+    rows, cols = -(-shape[0] // shard), -(-shape[1] // shard)
+    spots = [(i, j) for i in range(rows) for j in range(cols)]
+    return sorted(spots, key=lambda spot: _spread(spot[0]) << 1 | _spread(spot[1]))
+
+
+def _spread(value: int) -> int:
+    return sum((value >> bit & 1) << (2 * bit) for bit in range(value.bit_length()))
+
+
+class Canvas:
+    """A coarse array that is put together from parts, each of its shards written when it is complete.
+
+    Args:
+        spec: the array.
+        storage: where its shards go.
+        spans: for each axis the half-open extents, in its samples, of the parts that will come.
+    """
+
+    def __init__(self, spec: ArraySpec, storage: Storage, spans: tuple[list[Spot], list[Spot]]) -> None:
+        self.spec, self.storage = spec, storage
+        self._lock = threading.Lock()
+        self._open: dict[Spot, Heights] = {}
+        rows, cols = (
+            [sum(a < (s + 1) * spec.shard and b > s * spec.shard for a, b in axis) for s in range(count)]
+            for axis, count in zip(spans, spec.shards, strict=True)
+        )
+        self._awaited = {(i, j): rows[i] * cols[j] for i in range(len(rows)) for j in range(len(cols))}
+
+    def add(self, row: int, col: int, part: Heights) -> None:
+        """Put a part in its place, and write the shards it completes."""
+        size, shape = self.spec.shard, self.spec.shape
+        for i in range(row // size, (row + part.shape[0] - 1) // size + 1):
+            for j in range(col // size, (col + part.shape[1] - 1) // size + 1):
+                with self._lock:
+                    block = self._open.get((i, j))
+                    if block is None:
+                        side = min(size, shape[0] - i * size), min(size, shape[1] - j * size)
+                        block = self._open[i, j] = np.full(side, self.spec.fill, np.float32)
+                top, left = row - i * size, col - j * size
+                r, c = max(top, 0), max(left, 0)
+                piece = part[r - top : block.shape[0] - top, c - left : block.shape[1] - left]
+                block[r : r + piece.shape[0], c : c + piece.shape[1]] = piece
+                with self._lock:
+                    self._awaited[i, j] -= 1
+                    done = self._awaited[i, j] == 0
+                    if done:
+                        del self._open[i, j]
+                if done:
+                    key = self.spec.key((i, j))
+                    self.storage.put(key, self.spec.encode(block))
+
+
+class Pyramid:
+    """All arrays of a store under construction.
+
+    Args:
+        source: the heights.
+        storage: where the store is built.
+        shard, chunk: samples along their sides; powers of two.
+        resume: use what an interrupted build left.
+    """
+
+    def __init__(self, source: HeightSource, storage: Storage, shard: int, chunk: int, resume: bool) -> None:
+        self.source, self.storage, self.shard, self.chunk, self.resume = source, storage, shard, chunk, resume
+        self.shape = shape = source.grid.shape
+        self.levels = level_count(shape)
+        self.direct = min(shard.bit_length() - 1, self.levels - 1)  # the coarsest level that tasks make themselves
+        self.finest = heights_spec(shape, 0, shard, chunk)
+        self.heights = {k: self._canvas(heights_spec, k) for k in range(1, self.direct + 1)}
+        self.means = {k: self._canvas(mean_spec, k) for k in range(1, self.direct + 1)}
+        tiles = tile_shape(shape, 0)
+        self.low, self.high = np.full(tiles, np.nan, np.float32), np.full(tiles, np.nan, np.float32)
+        self.least, self.most = np.full(tiles, 2, np.uint8), np.zeros(tiles, np.uint8)
+        self.worst = {k: np.zeros(tile_shape(shape, k)) for k in range(1, self.levels)}
+        self.valid_samples = 0
+        self._lock = threading.Lock()
+        # Beyond ``direct`` levels are small enough to be made at the end, from the last one that tasks made.
+        self.last = np.full(level_shape(shape, self.direct), np.nan, np.float32)
+        self.last_total = np.zeros(mean_shape(shape, self.direct))
+        self.last_count = np.zeros(mean_shape(shape, self.direct), np.int64)
+
+    def _canvas(self, kind: Kind, level: int) -> Canvas:
+        nested = kind is heights_spec
+        spec = kind(self.shape, level, self.shard, self.chunk)
+        axes = []
+        for side, samples in zip(self.shape, spec.shape, strict=True):
+            blocks = -(-side // self.shard)
+            starts = [b * self.shard >> level for b in range(blocks)]
+            axes.append(list(zip(starts, [*starts[1:], samples], strict=True)))
+        assert nested or spec.shape == mean_shape(self.shape, level)
+        return Canvas(spec, self.storage, (axes[0], axes[1]))
+
+    def run(self, spot: Spot) -> None:
+        """Do one task, or take over what an interrupted build did of it."""
+        found = self._finished(spot) if self.resume else None
+        own, facts = found or self._make(spot)
+        row, col = spot[0] * self.shard, spot[1] * self.shard
+        end = row + own.shape[0] == self.shape[0], col + own.shape[1] == self.shape[1]
+        nested, means = own, BoxMeans(own)
+        for level in range(1, self.direct + 1):
+            nested = halve(nested, end)
+            self.heights[level].add(row >> level, col >> level, nested)
+            self.means[level].add(row >> level, col >> level, means.next())
+        if self.direct < self.levels - 1:
+            r, c = row >> self.direct, col >> self.direct
+            self.last[r : r + nested.shape[0], c : c + nested.shape[1]] = nested
+            area = slice(r, r + means.total.shape[0]), slice(c, c + means.total.shape[1])
+            self.last_total[area], self.last_count[area] = means.total, means.count
+        with self._lock:
+            self._combine(row, col, facts)
+
+    def _make(self, spot: Spot) -> tuple[Heights, Facts]:
+        """Read, write the shard, look at its tiles, and keep what was found."""
+        (rows, cols), size = self.shape, self.shard
+        row, col = spot[0] * size, spot[1] * size
+        heights = self.source.read(row, min(row + size + 1, rows), col, min(col + size + 1, cols))
+        heights = np.ascontiguousarray(heights, np.float32)
+        own = heights[:size, :size]
+        self.storage.put(self.finest.key(spot), self.finest.encode(own))
+        low, high, valid = extrema(heights)
+        facts: Facts = {"low": low, "high": high, "valid": valid}
+        facts["samples"] = np.array(own.size - np.count_nonzero(np.isnan(own)))
+        empty = not valid.any()
+        for level in range(1, self.direct + 1):
+            if empty:
+                facts[f"worst{level}"] = np.zeros((1, 1))
+            else:
+                facts[f"worst{level}"] = tile_errors(heights, level, (row, col))
+        packed = io.BytesIO()
+        np.savez(packed, **facts)  # type: ignore[arg-type]
+        self.storage.put(_part(spot), [packed.getvalue()])
+        return own, facts
+
+    def _finished(self, spot: Spot) -> tuple[Heights, Facts] | None:
+        """The samples and facts of a task an interrupted build finished; None if it did not, or they are damaged."""
+        data = self.storage.get(_part(spot))
+        if data is None:
+            return None
+        row, col = spot[0] * self.shard, spot[1] * self.shard
+        array = ShardedArray(self.finest, self.storage, ChunkCache(0), 1)
+        try:
+            with np.load(io.BytesIO(data)) as packed:
+                facts = dict(packed)
+            rows, cols = min(row + self.shard, self.shape[0]), min(col + self.shard, self.shape[1])
+            return array.read(row, rows, col, cols), facts
+        except (DamagedChunkError, zipfile.BadZipFile, OSError, ValueError, KeyError):
+            return None
+
+    def _combine(self, row: int, col: int, facts: Facts) -> None:
+        """Add a task's facts to the tables of the whole raster."""
+        self.valid_samples += int(facts["samples"])
+        at = row // TILE, col // TILE
+        low = facts["low"]
+        if at[0] >= self.low.shape[0] or at[1] >= self.low.shape[1]:
+            return  # the raster's last row or column alone: it is the border of the tiles before it
+        area = slice(at[0], at[0] + low.shape[0]), slice(at[1], at[1] + low.shape[1])
+        self.low[area] = np.fmin(self.low[area], low)
+        self.high[area] = np.fmax(self.high[area], facts["high"])
+        self.least[area] = np.minimum(self.least[area], facts["valid"])
+        self.most[area] = np.maximum(self.most[area], facts["valid"])
+        for level in range(1, self.direct + 1):
+            worst, table = facts[f"worst{level}"], self.worst[level]
+            r, c = at[0] >> level, at[1] >> level
+            area = slice(r, r + worst.shape[0]), slice(c, c + worst.shape[1])
+            table[area] = np.maximum(table[area], worst)
+
+    def finish(self) -> TileTable:
+        """Write the levels that no task could make, and all tile tables; returns those of level 0."""
+        valid = np.where(self.least == 2, 2, np.minimum(self.most, 1)).astype(np.uint8)
+        low, high = self.low, self.high
+        first = TileTable(low, high, np.zeros(low.shape, np.float32), valid)
+        self._write_tables(0, first)
+        nested, total, count = self.last, self.last_total, self.last_count
+        for level in range(1, self.levels):
+            low, high, valid = reduce_tiles(low, high, valid)
+            if level > self.direct:
+                self._sum_of_errors(level, nested, low, high, valid)
+                nested = halve(nested)
+                self._write_whole(heights_spec, level, nested)
+                fine_total, fine_count = total, count
+                total = np.empty(mean_shape(self.shape, level))
+                count = np.empty(total.shape, np.int64)
+                halve_sums(fine_total, fine_count, total, count)
+                mean = np.empty(total.shape, np.float32)
+                divide(total, count, mean)
+                self._write_whole(mean_spec, level, mean)
+            error = round_up(self.worst[level], magnitude(low, high))
+            self._write_tables(level, TileTable(low, high, error, valid))
+        return first
+
+    def _sum_of_errors(self, level: int, finer: Heights, low: Heights, high: Heights, valid: NDArray[np.uint8]) -> None:
+        """The error of a level from that of the level below; where samples are missing, the height range."""
+        between = tile_errors(finer, 1)
+        summed = quarter(self.worst[level - 1], np.maximum) + between
+        spread = np.nan_to_num(high.astype(np.float64) - low)
+        self.worst[level] = np.where(valid == 2, np.minimum(summed, spread), spread)
+
+    def _write_tables(self, level: int, table: TileTable) -> None:
+        for name in TABLES_AND_VALID:
+            spec = table_spec(self.shape, level, name, self.shard, self.chunk)
+            self._write(spec, getattr(table, name))
+
+    def _write_whole(self, kind: Kind, level: int, values: Heights) -> None:
+        self._write(kind(self.shape, level, self.shard, self.chunk), values)
+
+    def _write(self, spec: ArraySpec, values: NDArray[Any]) -> None:
+        if values.shape != spec.shape:
+            raise OrographError(f"{spec.path} should be {spec.shape}, not {values.shape}.")
+        size = spec.shard
+        for i in range(spec.shards[0]):
+            for j in range(spec.shards[1]):
+                block = values[i * size : (i + 1) * size, j * size : (j + 1) * size]
+                self.storage.put(spec.key((i, j)), spec.encode(block))
+
+
+def _part(spot: Spot) -> str:
+    return f"{PARTS}/{spot[0]}.{spot[1]}.npz"

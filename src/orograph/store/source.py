@@ -1,0 +1,51 @@
+"""What a store is built from: anything with a grid that reads windows of heights (a Mosaic, or a Dem wrapped here)."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from orograph.geo.grid import Grid
+from orograph.store.terrain import Heights
+
+
+@runtime_checkable
+class HeightSource(Protocol):
+    """A raster of heights in a projected metric CRS (or none) that is read by windows, from any thread."""
+
+    @property
+    def grid(self) -> Grid: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def vertical(self) -> str | None: ...
+
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """Heights of a half-open window, float32 metres, NaN where missing, the same whatever the window."""
+
+    def fingerprint(self) -> str:
+        """Differs whenever any height might differ; what --resume compares."""
+
+
+class ArraySource:
+    """Heights in memory as a source.
+
+    Args:
+        heights: (rows, cols) float32, metres, NaN where missing.
+        grid: where they lie.
+    """
+
+    def __init__(self, heights: Heights, grid: Grid, name: str, vertical: str | None = None) -> None:
+        self.heights, self.grid, self.name, self.vertical = heights, grid, name, vertical
+
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        return self.heights[row0:row1, col0:col1]
+
+    def fingerprint(self) -> str:
+        digest = hashlib.sha256(repr((self.grid.shape, tuple(self.grid.transform), self.name, self.vertical)).encode())
+        digest.update(np.ascontiguousarray(self.heights).view(np.uint8).data)
+        return digest.hexdigest()[:32]

@@ -1,0 +1,285 @@
+"""Where a store's bytes lie: a folder, or anything fsspec reaches (``memory://``, ``s3://``, ``http://``…).
+
+A store needs very little of its storage: whole objects by key, ranges of them, and a put after which the object is
+there entirely or not at all. A folder gives that by writing beside the place and renaming; object stores by nature.
+Keys are paths with ``/``. Every failure other than absence is a StoreError that says where.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import threading
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from orograph.errors import StoreError
+
+Range = tuple[str, int, int]
+"""(key, first byte, byte behind the last)."""
+
+OPEN_FILES = 128
+
+
+class Storage(ABC):
+    """Objects by key. Reading is safe from any thread, and so is writing different keys."""
+
+    url: str
+    remote: bool
+
+    @abstractmethod
+    def get(self, key: str) -> bytes | None:
+        """The whole object, or None if there is none."""
+
+    @abstractmethod
+    def tail(self, key: str, length: int) -> bytes | None:
+        """The object's last ``length`` bytes (fewer if it is shorter), or None if there is none."""
+
+    @abstractmethod
+    def ranges(self, wanted: Sequence[Range]) -> list[bytes]:
+        """Ranges of objects, fetched together where that is faster; short or empty if an object is cut off or gone."""
+
+    @abstractmethod
+    def put(self, key: str, parts: Sequence[bytes]) -> None:
+        """Write an object, atomically: it appears whole or not at all."""
+
+    @abstractmethod
+    def exists(self, key: str) -> bool:
+        """Whether the object is there."""
+
+    @abstractmethod
+    def remove(self, key: str = "") -> None:
+        """Remove an object or everything below a key (all of it: ""); nothing happens if it is not there."""
+
+    @abstractmethod
+    def size(self) -> int | None:
+        """Bytes of all objects together, None where that cannot be told."""
+
+    def close(self) -> None:  # noqa: B027 (only folders hold files open)
+        """Let go of open files."""
+
+
+class _File:
+    """An open file descriptor, closed when its last user lets go of it."""
+
+    __slots__ = ("fd",)
+
+    def __init__(self, path: Path) -> None:
+        self.fd = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+
+    def __del__(self) -> None:
+        if hasattr(self, "fd"):
+            os.close(self.fd)
+
+
+class FolderStorage(Storage):
+    """A folder on a local disk; the files read last stay open."""
+
+    remote = False
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.url = str(self.path)
+        self._lock = threading.Lock()
+        self._open: OrderedDict[str, _File] = OrderedDict()
+
+    def _file(self, key: str) -> _File:
+        with self._lock:
+            file = self._open.get(key)
+            if file is None:
+                file = self._open[key] = _File(self.path / key)
+                if len(self._open) > OPEN_FILES:
+                    self._open.popitem(last=False)
+            else:
+                self._open.move_to_end(key)
+            return file
+
+    def get(self, key: str) -> bytes | None:
+        try:
+            return (self.path / key).read_bytes()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            raise self._failed("read", key, error) from error
+
+    def tail(self, key: str, length: int) -> bytes | None:
+        try:
+            file = self._file(key)
+            size = os.fstat(file.fd).st_size
+            return _pread(file.fd, min(length, size), max(0, size - length))
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            raise self._failed("read", key, error) from error
+
+    def ranges(self, wanted: Sequence[Range]) -> list[bytes]:
+        found = []
+        for key, start, stop in wanted:
+            try:
+                found.append(_pread(self._file(key).fd, stop - start, start))
+            except FileNotFoundError:
+                found.append(b"")
+            except OSError as error:
+                raise self._failed("read", key, error) from error
+        return found
+
+    def put(self, key: str, parts: Sequence[bytes]) -> None:
+        path = self.path / key
+        beside = path.with_name(f".{path.name}.writing")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                with beside.open("wb") as file:
+                    file.writelines(parts)
+                beside.replace(path)
+            except BaseException:
+                beside.unlink(missing_ok=True)
+                raise
+        except OSError as error:
+            raise self._failed("written", key, error) from error
+
+    def exists(self, key: str) -> bool:
+        return (self.path / key).exists()
+
+    def remove(self, key: str = "") -> None:
+        path = self.path / key if key else self.path
+        try:
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+        except OSError as error:
+            raise self._failed("removed", key, error) from error
+
+    def size(self) -> int | None:
+        return sum(entry.stat().st_size for entry in self.path.rglob("*") if entry.is_file())
+
+    def close(self) -> None:
+        with self._lock:
+            self._open.clear()
+
+    def _failed(self, what: str, key: str, error: OSError) -> StoreError:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        return StoreError(
+            f"{key or 'The folder'} could not be {what}: {error.strerror or error}.",
+            path=self.path,
+            remedy="Make room, then run the same command with --resume." if full else "",
+        )
+
+
+if hasattr(os, "pread"):
+
+    def _pread(fd: int, length: int, start: int) -> bytes:
+        return os.pread(fd, length, start)
+
+else:  # Windows has no pread
+    _seek_lock = threading.Lock()
+
+    def _pread(fd: int, length: int, start: int) -> bytes:
+        with _seek_lock:
+            os.lseek(fd, start, os.SEEK_SET)
+            return os.read(fd, length)
+
+
+class RemoteStorage(Storage):
+    """Anything fsspec reaches.
+
+    Args:
+        url: of the store's root.
+        options: passed to the fsspec file system (``endpoint_url``, ``key``, ``anon``…).
+    """
+
+    remote = True
+
+    def __init__(self, url: str, options: dict[str, Any] | None = None) -> None:
+        import fsspec
+
+        self.url = url.rstrip("/")
+        try:
+            self.fs, self.root = fsspec.core.url_to_fs(self.url, **(options or {}))
+        except (ImportError, ValueError) as error:
+            raise StoreError(
+                f"Its kind of address cannot be opened: {error}.",
+                path=url,
+                remedy="pip install 'orograph[remote]' brings http and s3; other protocols need their fsspec package.",
+            ) from error
+
+    def _at(self, key: str) -> str:
+        return f"{self.root.rstrip('/')}/{key}" if key else self.root
+
+    @contextmanager
+    def _reporting(self, what: str, key: str) -> Iterator[None]:
+        try:
+            yield
+        except (FileNotFoundError, StoreError):
+            raise
+        except Exception as error:  # every fsspec backend has its own family of errors
+            raise StoreError(
+                f"{key or 'It'} could not be {what}: {type(error).__name__}: {error}.", path=self.url
+            ) from error
+
+    def get(self, key: str) -> bytes | None:
+        try:
+            with self._reporting("read", key):
+                return bytes(self.fs.cat_file(self._at(key)))
+        except FileNotFoundError:
+            return None
+
+    def tail(self, key: str, length: int) -> bytes | None:
+        try:
+            with self._reporting("read", key):
+                return bytes(self.fs.cat_file(self._at(key), start=-length))
+        except FileNotFoundError:
+            return None
+
+    def ranges(self, wanted: Sequence[Range]) -> list[bytes]:
+        if not wanted:
+            return []
+        keys, starts, stops = zip(*wanted, strict=True)
+        with self._reporting("read", keys[0]):
+            found = self.fs.cat_ranges([self._at(k) for k in keys], list(starts), list(stops), on_error="return")
+            for part in found:
+                if isinstance(part, Exception) and not isinstance(part, FileNotFoundError):
+                    raise part
+        return [b"" if isinstance(part, Exception) else bytes(part) for part in found]
+
+    def put(self, key: str, parts: Sequence[bytes]) -> None:
+        with self._reporting("written", key):
+            self.fs.pipe_file(self._at(key), b"".join(parts))
+
+    def exists(self, key: str) -> bool:
+        with self._reporting("read", key):
+            return bool(self.fs.exists(self._at(key)))
+
+    def remove(self, key: str = "") -> None:
+        try:
+            with self._reporting("removed", key):
+                self.fs.rm(self._at(key), recursive=True)
+                self.fs.invalidate_cache()
+        except FileNotFoundError:
+            pass
+
+    def size(self) -> int | None:
+        try:
+            self.fs.invalidate_cache()
+            return int(self.fs.du(self.root))
+        except Exception:  # a web server need not list what it has
+            return None
+
+
+def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = None) -> Storage:
+    """The storage of a path, a ``file://`` URL, or any other URL fsspec knows."""
+    text = os.fspath(url)
+    if text.startswith("file://"):
+        from urllib.parse import unquote, urlsplit
+        from urllib.request import url2pathname
+
+        return FolderStorage(url2pathname(unquote(urlsplit(text).path)))
+    if "://" in text:
+        return RemoteStorage(text, options)
+    return FolderStorage(text)

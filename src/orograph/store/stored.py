@@ -1,0 +1,195 @@
+"""A terrain read from a store: opened by one small read, then chunk by chunk through a cache of a fixed size."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from typing import Any
+
+from orograph.errors import DamagedChunkError, StoreError
+from orograph.store.arrays import ShardedArray
+from orograph.store.cache import ChunkCache
+from orograph.store.layout import PLAN, ROOT, TABLES_AND_VALID, Record, heights_spec, mean_spec, table_spec
+from orograph.store.storage import FolderStorage, Storage, storage_at
+from orograph.store.terrain import Heights, Terrain, TileTable
+
+CACHE_BYTES = 256 << 20
+"""Decoded chunks a terrain keeps unless told otherwise."""
+
+
+class StoredTerrain(Terrain):
+    """A terrain in a store; make it with ``open``.
+
+    Args:
+        storage: where the store lies.
+        record: what it says of itself.
+        cache_bytes: budget of decoded chunks.
+        jobs: threads for large windows.
+    """
+
+    def __init__(self, storage: Storage, record: Record, cache_bytes: int, jobs: int | None) -> None:
+        self.storage, self.record = storage, record
+        self.grid, self.name, self.vertical = record.grid, record.name, record.vertical
+        self.cache = ChunkCache(cache_bytes)
+        self._jobs = jobs
+        self._lock = threading.Lock()
+        self._arrays: dict[tuple[str, int], ShardedArray] = {}
+        self._tables: dict[int, TileTable] = {}
+
+    @property
+    def url(self) -> str:
+        """Path or URL of the store."""
+        return self.storage.url
+
+    @property
+    def height_range(self) -> tuple[float, float]:
+        return self.record.height_range
+
+    @property
+    def valid_fraction(self) -> float:
+        return self.record.valid_fraction
+
+    @property
+    def size_bytes(self) -> int | None:
+        """Bytes of the store on disk; None where the storage cannot list what it has (a web server)."""
+        return self.storage.size()
+
+    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        array = self._array("heights", level)
+        self._inside(array.spec.shape, row0, row1, col0, col1)
+        return array.read(row0, row1, col0, col1)
+
+    def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        array = self._array("mean" if level else "heights", level)
+        self._inside(array.spec.shape, row0, row1, col0, col1)
+        return array.read(row0, row1, col0, col1)
+
+    def tiles(self, level: int) -> TileTable:
+        self._check(level)
+        table = self._tables.get(level)
+        if table is None:
+            once = ChunkCache(0)  # tables are kept whole, not by chunks
+            shape, record = self.grid.shape, self.record
+            columns: dict[str, Any] = {}
+            for name in TABLES_AND_VALID:
+                spec = table_spec(shape, level, name, record.shard, record.chunk)
+                values = ShardedArray(spec, self.storage, once, 1).read(0, spec.shape[0], 0, spec.shape[1])
+                values.flags.writeable = False
+                columns[name] = values
+            table = self._tables[level] = TileTable(**columns)
+        return table
+
+    def close(self) -> None:
+        self.cache.clear()
+        self.storage.close()
+
+    def _array(self, kind: str, level: int) -> ShardedArray:
+        found = self._arrays.get((kind, level))
+        if found is None:
+            self._check(level)
+            make = heights_spec if kind == "heights" else mean_spec
+            spec = make(self.grid.shape, level, self.record.shard, self.record.chunk)
+            with self._lock:
+                found = self._arrays.setdefault((kind, level), ShardedArray(spec, self.storage, self.cache, self._jobs))
+        return found
+
+    def check(self) -> list[str]:
+        """Read every chunk and return the keys of the damaged ones."""
+        damaged = []
+        for level in range(self.levels):
+            for kind in ("heights", "mean")[: 2 if level else 1]:
+                spec = self._array(kind, level).spec
+                array = ShardedArray(spec, self.storage, ChunkCache(0), self._jobs)
+                for row in range(0, spec.shape[0], spec.chunk):
+                    for col in range(0, spec.shape[1], spec.chunk):
+                        rows, cols = min(row + spec.chunk, spec.shape[0]), min(col + spec.chunk, spec.shape[1])
+                        try:
+                            array.read(row, rows, col, cols)
+                        except DamagedChunkError as error:
+                            if error.chunk not in damaged:
+                                damaged.append(error.chunk)
+            try:
+                self.tiles(level)
+            except DamagedChunkError as error:
+                damaged.append(error.chunk)
+        return damaged
+
+
+def open(
+    url: str | os.PathLike[str],
+    *,
+    cache_bytes: int = CACHE_BYTES,
+    jobs: int | None = None,
+    storage_options: dict[str, Any] | None = None,
+) -> StoredTerrain:
+    """Open a store for reading.
+
+    Args:
+        url: a folder, or any URL fsspec reads (``file://``, ``memory://``, ``s3://``, ``http://``…).
+        cache_bytes: how many bytes of decoded chunks to keep; 0 keeps none.
+        jobs: threads for large windows (default: all processors).
+        storage_options: for the fsspec file system (``endpoint_url``, ``anon``…).
+
+    Raises:
+        StoreError: there is no store, its build is not finished, its format is newer than this reader, or its
+            metadata is damaged.
+    """
+    storage = storage_at(url, storage_options)
+    return StoredTerrain(storage, read_record(storage), cache_bytes, jobs)
+
+
+def partial(path: str | os.PathLike[str]) -> str:
+    """The folder in which a store is built until it is complete."""
+    return os.fspath(path).rstrip("/\\") + ".partial"
+
+
+def read_record(storage: Storage) -> Record:
+    """What the store says of itself.
+
+    Raises:
+        StoreError: see ``open``.
+    """
+    url = storage.url
+    data = storage.get(ROOT)
+    if data is None:
+        begun = storage.exists(PLAN)
+        if not begun and isinstance(storage, FolderStorage):
+            begun = FolderStorage(partial(storage.path)).exists(PLAN)
+        if begun:
+            raise StoreError(
+                "This store is incomplete: its build was interrupted.",
+                path=url,
+                remedy="Finish it by running the same orograph build with --resume.",
+            )
+        missing = isinstance(storage, FolderStorage) and not storage.path.exists()
+        raise StoreError(
+            "There is no such store." if missing else "This is not an Orograph store (it has no zarr.json).",
+            path=url,
+            remedy="Build one with orograph build DEM... -o STORE.",
+        )
+    try:
+        document = json.loads(data)
+        record = document["attributes"].get("orograph") if document.get("node_type") == "group" else None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise StoreError(
+            f"The store's zarr.json is damaged: {error}.",
+            path=url,
+            remedy="Build the store again (orograph build --overwrite).",
+        ) from error
+    if not isinstance(record, dict):
+        raise StoreError(
+            "This is a Zarr hierarchy, but not an Orograph store.",
+            path=url,
+            remedy="Build one from the DEM with orograph build DEM... -o STORE.",
+        )
+    return Record.from_json(record, url)
+
+
+def is_store(storage: Storage) -> bool:
+    """Whether a complete store of any format lies there."""
+    data = storage.get(ROOT)
+    try:
+        return data is not None and isinstance(json.loads(data)["attributes"]["orograph"], dict)
+    except (ValueError, KeyError, TypeError):
+        return False
