@@ -267,9 +267,9 @@ def _placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Gri
         west, south, east, north = grid.bounds()
         if max(abs(west), abs(east)) <= 360 and max(abs(south), abs(north)) <= 90.01 and max(grid.spacing) < 1:
             raise ReadError(
-                f"It has no CRS, and its coordinates ({west:.6g}…{east:.6g}, {south:.6g}…{north:.6g}) may be degrees.",
+                f"It has no CRS and its extent ({west:.6g}…{east:.6g}, {south:.6g}…{north:.6g}) may be degrees.",
                 path=path,
-                remedy="Say so (--assume-crs EPSG:4326), or give the distance between samples in metres (--spacing 30).",
+                remedy="Say so (--assume-crs EPSG:4326), or give the metres between samples (--spacing 30).",
             )
         warnings.append("There is no CRS; its coordinates are taken for metres (give the CRS with --assume-crs).")
         warnings[:] = list(dict.fromkeys(warnings))

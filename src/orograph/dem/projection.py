@@ -220,7 +220,9 @@ def utm_crs(base: CRS, zone: int, south: bool) -> CRS:
         return CRS.from_epsg(first + zone - zones.start)
     hemisphere = "S" if south else "N"
     return ProjectedCRS(
-        conversion=UTMConversion(zone, hemisphere), name=f"{base.name} / UTM zone {zone}{hemisphere}", geodetic_crs=base
+        conversion=UTMConversion(str(zone), hemisphere),
+        name=f"{base.name} / UTM zone {zone}{hemisphere}",
+        geodetic_crs=base,
     )
 
 
