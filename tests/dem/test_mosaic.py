@@ -133,30 +133,32 @@ def test_around_a_pole(box: tuple[float, float, float, float]) -> None:
 
 
 def test_against_gdal_on_a_real_tile(shared_data: Path) -> None:
-    """In narrow strips GDAL's approximate transformer, which interpolates along rows, is as good as exact; and finer
-    than the source it does not widen its kernel: there both are plain bilinear."""
+    """GDAL interpolates positions along its rows (rasterio gives no way to have them exact), so its pixels depend on the
+    window: 8 m off in a window of the whole tile, right in one of 16². Finer than the source it does not widen its
+    kernel, and is plain bilinear."""
     path = shared_data / "california-3s-tiles" / "N38W119.tif"
     m = Mosaic.open(path, resolution=60)
-    for col in (200, 700, 1200):
-        row0, row1, col0, col1 = 20, m.grid.rows - 20, col, col + 24
-        got = m.read(row0, row1, col0, col1)
-        want = np.full(got.shape, np.nan, np.float32)
-        with rasterio.open(path) as file:
-            reproject(
-                file.read(1).astype(np.float32),
-                want,
-                src_transform=file.transform,
-                src_crs=file.crs,
-                dst_transform=m.grid.window(row0, row1, col0, col1).transform,
-                dst_crs=m.grid.crs.to_wkt() if m.grid.crs else None,
-                resampling=Resampling.bilinear,
-                src_nodata=np.nan,
-                dst_nodata=np.nan,
-            )
-        both = ~np.isnan(got) & ~np.isnan(want)
-        assert both.mean() > 0.9 and (np.isnan(got) != np.isnan(want)).mean() < 1e-3
-        difference = np.abs(got - want)[both]
-        assert difference.mean() < 0.005 and difference.max() < 0.1
+    assert m.grid.crs is not None
+    with rasterio.open(path) as file:
+        heights, transform, crs = file.read(1).astype(np.float32), file.transform, file.crs
+    rng = np.random.default_rng(0)
+    differences = []
+    for row, col in zip(rng.integers(60, m.grid.rows - 80, 25), rng.integers(60, m.grid.cols - 80, 25)):
+        window = (int(row), int(row) + 16, int(col), int(col) + 16)
+        want = np.full((16, 16), np.nan, np.float32)
+        reproject(
+            heights,
+            want,
+            src_transform=transform,
+            src_crs=crs,
+            dst_transform=m.grid.window(*window).transform,
+            dst_crs=m.grid.crs.to_wkt(),
+            resampling=Resampling.bilinear,
+            src_nodata=np.nan,
+            dst_nodata=np.nan,
+        )
+        differences.append(np.abs(m.read(*window) - want))
+    assert np.mean(differences) < 0.005 and np.max(differences) < 0.05
 
 
 def test_sea_stays_at_zero_and_constants_constant() -> None:
