@@ -56,6 +56,10 @@ class Source:
         georeferenced: whether the file says where it lies.
         block: (rows, cols) of the blocks the file is stored in; ``bands``: how many it has.
         driver: GDAL's name of the format.
+        description: what the file calls the band, "" if it does not say.
+        unit: what the file calls the unit of its numbers, "" if it does not say.
+        picture: whether its bands are colours or classes rather than heights.
+        undeclared: stored numbers of magnitude 1e30 or more met so far that the file does not declare as nodata.
         warnings: what a user should know, full sentences.
     """
 
@@ -75,7 +79,11 @@ class Source:
     georeferenced: bool
     block: tuple[int, int]
     driver: str
+    description: str = ""
+    unit: str = ""
     warnings: list[str] = field(default_factory=list)
+    undeclared: set[float] = field(default_factory=set)
+    picture: bool = False
     _flip_rows: bool = False
     _flip_cols: bool = False
     _mask: Literal["none", "gdal", "alpha"] = "none"
@@ -120,6 +128,8 @@ class Source:
                     "It looks like a picture, not heights: its bands are colours of 8 bits "
                     "(give --encoding mapbox or terrarium if it is a terrain-RGB tile)."
                 )
+            elif _is_palette(dataset, band):
+                warnings.append("It has a colour table: its numbers are classes or colours, not heights.")
             elif dataset.count > 1:
                 warnings.extend(_band_warnings(dataset, band))
             place, crs = place_of(dataset, spacing=spacing, assume_crs=assume_crs, warnings=warnings)
@@ -144,12 +154,20 @@ class Source:
                 georeferenced=place.georeferenced,
                 block=tuple(dataset.block_shapes[band - 1]),
                 driver=dataset.driver,
+                description=_description(dataset, band),
+                unit=(dataset.units[band - 1] or "").strip(),
                 warnings=warnings,
+                picture=plain and (_is_picture(dataset) or _is_palette(dataset, band)),
                 _flip_rows=place.flip_rows,
                 _flip_cols=place.flip_cols,
                 _mask=mask if plain else "none",
                 _alpha=alpha,
             )
+
+    @property
+    def masked(self) -> bool:
+        """Whether a mask or alpha band, besides any nodata value, says where samples are missing."""
+        return self._mask != "none"
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -265,12 +283,23 @@ class Source:
             else:
                 heights = ((raw.astype(np.float64) * self.scale + self.offset) * self.unit_factor).astype(np.float32)
             if raw.dtype.kind == "f":
-                heights[~(np.abs(raw) < HUGE)] = np.nan
+                huge = ~(np.abs(raw) < HUGE)
+                heights[huge] = np.nan
+                if self._mask != "gdal":  # ISIS's special pixels are such numbers, and known to the mask
+                    self._note_undeclared(raw, huge, missing)
         if not plain or raw.dtype.itemsize > 4:
             heights[~np.isfinite(heights)] = np.nan
         if missing is not None:
             heights[missing] = np.nan
         return heights
+
+    def _note_undeclared(self, raw: NDArray[Any], huge: NDArray[np.bool_], missing: NDArray[np.bool_] | None) -> None:
+        if missing is not None:
+            huge = huge & ~missing
+        found = raw[huge]
+        finite = found[np.isfinite(found)]
+        if finite.size and len(self.undeclared) < 8:
+            self.undeclared.add(float(finite[0]))
 
 
 def _is_nodata(raw: NDArray[Any], nodata: float | int) -> NDArray[np.bool_]:
@@ -388,7 +417,19 @@ def _list_bands(dataset: Any) -> str:
 
 
 def _is_picture(dataset: Any) -> bool:
-    return dataset.count in (3, 4) and set(dataset.dtypes) == {"uint8"}
+    return bool(dataset.count in (3, 4) and set(dataset.dtypes) == {"uint8"})
+
+
+def _is_palette(dataset: Any, band: int) -> bool:
+    from rasterio.enums import ColorInterp
+
+    return bool(dataset.count < 100 and dataset.colorinterp[band - 1] == ColorInterp.palette)
+
+
+def _description(dataset: Any, band: int) -> str:
+    """The band's name: GDAL's description, else what a netCDF variable is called."""
+    tags = dataset.tags(band)
+    return str(dataset.descriptions[band - 1] or tags.get("long_name") or tags.get("standard_name") or "").strip()
 
 
 _ELEVATION = ("elev", "height", "altitude", "dem", "dtm", "dsm", "topo", "orog", "relief", "bathy", "hgt", "dhm", "dgm")

@@ -1,0 +1,263 @@
+"""``orograph info``: what a DEM or a store is, and what is suspicious about it, for people or (``--json``) programs.
+
+The keys of the JSON object are fixed: kind ("dem" or "store"), path, crs, transform (a b c d e f as in GDAL and
+affine), shape [rows, cols], spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction,
+dtype, nodata, vertical_datum, levels, side, size_bytes, warnings. What is unknown, and every number that is not
+finite, is null. Several paths give a list.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import click
+
+from orograph.cli.options import jobs_option, progress_of, source_options
+from orograph.errors import ReadError
+from orograph.progress import Progress
+
+Facts = dict[str, Any]
+
+
+@click.command("info")
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object (a list for several paths).")
+@click.option("--exact", is_flag=True, help="Read every sample of a raster however large it is.")
+@source_options
+@jobs_option
+@click.pass_context
+def command(
+    ctx: click.Context, /, paths: tuple[str, ...], as_json: bool, exact: bool, jobs: int | None, **options: Any
+) -> None:
+    """Tell what a DEM or a store is, and what is suspicious about it.
+
+    PATH is anything GDAL reads (also inside .zip and .gz, or a URL), or a terrain store. Heights are in metres, after
+    scale, offset and unit.
+
+    \b
+    Examples:
+      orograph info N44W072.hgt
+      orograph info tiles/*.tif --json
+      orograph info height.png --spacing 30
+    """
+    progress = progress_of(ctx)
+    facts = [facts_of(path, progress=progress, exact=exact or None, jobs=jobs, **options) for path in paths]
+    if as_json:
+        plain = [{k: v for k, v in f.items() if not k.startswith("_")} for f in facts]
+        click.echo(json.dumps(plain[0] if len(plain) == 1 else plain, indent=2, ensure_ascii=False, allow_nan=False))
+        return
+    for i, fact in enumerate(facts):
+        click.echo(("\n" if i else "") + describe(fact))
+
+
+def facts_of(path: str, *, progress: Progress, exact: bool | None, jobs: int | None, **options: Any) -> Facts:
+    """The JSON object of one path (keys that begin with "_" are for people only)."""
+    return _store_facts(path) if is_store(path) else _dem_facts(path, progress, exact, jobs, options)
+
+
+def is_store(path: str) -> bool:
+    """Whether a folder or URL is a Zarr group (a store) rather than a raster file."""
+    if "://" not in path:
+        return (Path(path) / "zarr.json").is_file()
+    last = path.rstrip("/").rpartition("/")[2].partition("?")[0]
+    if Path(last).suffix not in ("", ".oro", ".zarr"):
+        return False
+    import fsspec
+
+    try:
+        filesystem, root = fsspec.url_to_fs(path)
+        return bool(filesystem.exists(f"{root.rstrip('/')}/zarr.json"))
+    except (OSError, ValueError, ImportError) as error:
+        raise ReadError(f"It cannot be reached: {error}.", path=path, remedy="Check the address.") from None
+
+
+def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | None, options: Facts) -> Facts:
+    from orograph.dem.inspect import crs_text, spacing_metres, suspicions
+    from orograph.dem.source import Source
+    from orograph.dem.statistics import statistics
+    from orograph.store.terrain import exponent, level_count
+
+    with Source.open(path, **options) as source:
+        spacing = spacing_metres(source.grid)
+        found = statistics(source, spacing[0], exact=exact, jobs=jobs, progress=progress)
+        warnings = suspicions(source, found)
+    crs = source.grid.crs
+    return {
+        "kind": "dem",
+        "path": path,
+        "crs": crs_text(crs),
+        "transform": list(source.grid.transform[:6]),
+        "shape": list(source.shape),
+        "spacing_m": [_finite(v) for v in spacing],
+        "height_range": [_finite(found.low), _finite(found.high)],
+        "height_range_exact": found.exact,
+        "valid_fraction": found.valid_fraction,
+        "dtype": source.dtype,
+        "nodata": _finite(source.nodata),
+        "vertical_datum": source.vertical,
+        "levels": level_count(source.shape),
+        "side": (1 << exponent(source.shape)) + 1,
+        "size_bytes": _size(path),
+        "warnings": warnings,
+        "_format": source.driver,
+        "_crs": crs,
+        "_nodata": source.nodata,
+        "_masked": source.masked,
+        "_bands": (source.band, source.bands, source.description),
+        "_scaling": (source.scale, source.offset, source.unit_factor),
+        "_georeferenced": source.georeferenced,
+        "_encoding": source.encoding,
+    }
+
+
+def _store_facts(path: str) -> Facts:
+    from orograph import store
+    from orograph.dem.inspect import crs_text, spacing_metres
+
+    with store.open(path) as terrain:
+        low, high = terrain.height_range
+        return {
+            "kind": "store",
+            "path": path,
+            "crs": crs_text(terrain.grid.crs),
+            "transform": list(terrain.grid.transform[:6]),
+            "shape": list(terrain.grid.shape),
+            "spacing_m": [_finite(v) for v in spacing_metres(terrain.grid)],
+            "height_range": [_finite(low), _finite(high)],
+            "height_range_exact": True,
+            "valid_fraction": terrain.valid_fraction,
+            "dtype": "float32",
+            "nodata": None,
+            "vertical_datum": terrain.vertical,
+            "levels": terrain.levels,
+            "side": terrain.side,
+            "size_bytes": _size(path),
+            "warnings": [],
+            "_format": "terrain store",
+            "_crs": terrain.grid.crs,
+            "_georeferenced": True,
+        }
+
+
+def _finite(value: float | int | None) -> float | int | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _size(path: str) -> int | None:
+    """Bytes on disk of a file, or of all files in a folder; None for what is not on this disk."""
+    file = Path(path)
+    if file.is_file():
+        return file.stat().st_size
+    if not file.is_dir():
+        return None
+    return sum((Path(root) / name).stat().st_size for root, _, names in os.walk(file) for name in names)
+
+
+def describe(facts: Facts) -> str:
+    """The facts as a person reads them."""
+    rows, cols = facts["shape"]
+    size = "" if facts["size_bytes"] is None else f", {_bytes(facts['size_bytes'])}"
+    lines = [click.style(f"{facts['path']}", bold=True) + f"  ({facts['_format']}{size})"]
+
+    def line(label: str, text: str) -> None:
+        lines.append(f"  {label:<9}{text}")
+
+    band, bands, description = facts.get("_bands", (1, 1, ""))
+    of = f", band {band} of {bands}" if bands > 1 else ""
+    line(
+        "samples", f"{rows} rows × {cols} columns, {facts['dtype']}{of}" + (f" ({description})" if description else "")
+    )
+    x, y = facts["spacing_m"]
+    line("spacing", f"{x:.6g} × {y:.6g} m" + _degrees(facts) if x is not None else "unknown")
+    line("CRS", _crs_line(facts))
+    line("extent", _extent(facts))
+    low, high = facts["height_range"]
+    if low is None:
+        line("heights", "none")
+    else:
+        about = "" if facts["height_range_exact"] else "about "
+        datum = facts["vertical_datum"] or "vertical datum unknown"
+        line("heights", f"{about}{low:.7g} to {high:.7g} m ({datum})" + _scaling(facts))
+    line("valid", _valid(facts))
+    line(
+        "terrain", f"{facts['levels']} level{'s' if facts['levels'] > 1 else ''} in a square of {facts['side']} samples"
+    )
+    for text in facts["warnings"]:
+        lines.append(click.style("  ! ", fg="yellow", bold=True) + text)
+    return "\n".join(lines)
+
+
+def _valid(facts: Facts) -> str:
+    share = facts["valid_fraction"]
+    text = "all" if share == 1 else "none" if share == 0 else f"{min(max(share, 0.0001), 0.9999):.2%}"
+    if facts["kind"] == "store":
+        return text
+    nodata = facts["_nodata"]
+    rule = "no nodata value declared" if nodata is None else f"nodata {nodata:.9g}"
+    if facts["_masked"]:
+        rule = "by its mask" + ("" if nodata is None else f" and {rule}")
+    sampled = "" if facts["height_range_exact"] else " of the samples looked at (--exact reads all)"
+    return f"{text}{sampled} ({rule})"
+
+
+def _crs_line(facts: Facts) -> str:
+    crs = facts["_crs"]
+    if crs is None:
+        return "none" if facts["_georeferenced"] else "none: the file does not say where it lies"
+    text = facts["crs"]
+    if len(text) < 40:
+        return f"{text} ({crs.name})"
+    method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
+    return f"{crs.name}" + (f", {method}" if method and method != "unknown" else "") + " (no code)"
+
+
+def _degrees(facts: Facts) -> str:
+    crs = facts["_crs"]
+    if crs is None or not crs.is_geographic:
+        return ""
+    a, b, _, d, e, _ = facts["transform"]
+    return f" at its centre ({math.hypot(a, d):.6g} × {math.hypot(b, e):.6g} {crs.axis_info[0].unit_name}s)"
+
+
+def _extent(facts: Facts) -> str:
+    a, b, c, d, e, f = facts["transform"]
+    rows, cols = facts["shape"]
+    corners = [(a * i + b * j + c, d * i + e * j + f) for i in (0, cols) for j in (0, rows)]
+    xs, ys = [p[0] for p in corners], [p[1] for p in corners]
+    turned = " (rotated)" if b or d else ""
+    x, y = facts["spacing_m"]
+    across = "" if x is None else f", {_length(x * cols)} × {_length(y * rows)}"
+    return f"x {min(xs):.10g} to {max(xs):.10g}, y {min(ys):.10g} to {max(ys):.10g}{across}{turned}"
+
+
+def _scaling(facts: Facts) -> str:
+    if facts.get("_encoding"):
+        return f", decoded from {facts['_encoding']} colours"
+    scale, offset, unit = facts.get("_scaling", (1.0, 0.0, 1.0))
+    said = []
+    if scale != 1 or offset != 0:
+        said.append(f"stored × {scale:.7g}" + (f" + {offset:.7g}" if offset else ""))
+    if unit != 1:
+        said.append(f"1 unit = {unit:.9g} m")
+    return f", {', '.join(said)}" if said else ""
+
+
+def _length(metres: float) -> str:
+    return (
+        f"{metres / 1000:,.0f} km"
+        if metres >= 1e6
+        else f"{metres / 1000:.4g} km"
+        if metres >= 1000
+        else f"{metres:.4g} m"
+    )
+
+
+def _bytes(size: int) -> str:
+    for unit, factor in (("GiB", 2**30), ("MiB", 2**20), ("KiB", 2**10)):
+        if size >= factor:
+            return f"{size / factor:.1f} {unit}"
+    return f"{size} bytes"

@@ -1,0 +1,228 @@
+"""What is suspicious about a raster of heights: the faults that make wrong pictures without a word.
+
+Each check is a sentence with what was seen and what to do; none of them changes anything. The commonest faults are
+degrees taken for metres, feet, nodata values that are not declared, and rasters that are no heights at all.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+
+from orograph.dem.source import Source
+from orograph.dem.statistics import Statistics
+from orograph.geo.ellipsoid import Ellipsoid
+from orograph.geo.grid import Grid
+
+_USUAL_NODATA = (-32768, -32767, -9999, -99999, -999, -9998, -10000, 32767, 65535, 9999, 99999, -2147483648, 4294967295)
+_HIGHEST, _DEEPEST = 8850.0, -11000.0  # Everest (8849 m, 2020) and Challenger Deep (10 935 m), of Earth's solid surface
+_NOT_HEIGHTS = frozenset(
+    {"slope", "aspect", "hillshade", "shade", "curvature", "skyview", "roughness", "landcover", "landform", "landforms"}
+    | {"nlcd", "temperature", "theta", "latitude", "longitude", "lat", "lon", "red", "green", "blue", "intensity"}
+    | {"vegetation", "difference", "depth"}
+)
+_UNIT_WORDS = {"cm": "cm", "centimetres": "cm", "centimeters": "cm", "ft": "ft", "feet": "ft", "mm": "mm", "km": "km"}
+
+
+def spacing_metres(grid: Grid) -> tuple[float, float]:
+    """Metres between neighbouring samples along a row and along a column.
+
+    Of a geographic grid at its centre, on its ellipsoid; of a projected one in the metres of its plane; without a CRS
+    the coordinates are taken to be metres.
+    """
+    crs = grid.crs
+    if crs is None:
+        return grid.spacing
+    factor = _unit(crs)
+    if not crs.is_geographic:
+        x, y = grid.spacing
+        return x * factor, y * factor
+    a, b, _, d, e, _ = grid.transform[:6]
+    degrees = math.degrees(factor)
+    centre = float(grid.xy((grid.cols - 1) / 2, (grid.rows - 1) / 2)[1]) * degrees
+    lengths = Ellipsoid.of(crs).degree_lengths(max(-90.0, min(90.0, centre)))
+    east, north = float(lengths[0]) * degrees, float(lengths[1]) * degrees
+    return math.hypot(a * east, d * north), math.hypot(b * east, e * north)
+
+
+def crs_text(crs: CRS | None) -> str | None:
+    """ "EPSG:nnnn" (or another authority's code) if it has one, else its WKT; None for none."""
+    if crs is None:
+        return None
+    code = crs.to_authority()
+    return ":".join(code) if code is not None else crs.to_wkt()
+
+
+def suspicions(source: Source, found: Statistics) -> list[str]:
+    """Sentences about what a user should look at twice: those of the header, then those of the heights."""
+    return [*source.warnings, *_about_place(source), *_about_heights(source, found)]
+
+
+def _about_place(source: Source) -> list[str]:
+    grid, crs = source.grid, source.grid.crs
+    if crs is None:
+        return []
+    west, south, east, north = grid.bounds()
+    said: list[str] = []
+    if crs.is_geographic:
+        if west < -360.5 or east > 540.5 or south < -91 or north > 91:
+            said.append(
+                f"Its CRS is in degrees, but its coordinates run to {max(map(abs, (west, south, east, north))):,.0f}: "
+                "the CRS is wrong."
+            )
+        elif east > 180 + abs(grid.transform.a) and west < 180:
+            said.append(f"Its longitudes run from {west:.6g}° to {east:.6g}°, across 180° E.")
+        return said
+    factor = _unit(crs)
+    if abs(factor - 1) > 1e-9:
+        name = crs.axis_info[0].unit_name if crs.axis_info else "unit"
+        if source.unit_factor == 1 and not source.unit and 0.3 < factor < 0.31:
+            said.append(
+                f"Its CRS is in feet ({name}), and the unit of its heights is not declared: taken to be metres "
+                "(give --vertical-unit ft or us-ft if they are feet)."
+            )
+        else:
+            said.append(f"Its CRS is in units of {factor:.9g} m ({name}).")
+    if "Pseudo-Mercator" in crs.name or crs.to_epsg() == 3857:
+        stretch = _mercator_stretch(grid)
+        if stretch > 1.02:
+            said.append(
+                f"It is in Web Mercator, whose metres are {stretch:.2f} times too long here: distances and relief are "
+                "distorted (give --crs of a UTM zone to build or render)."
+            )
+    return said
+
+
+def _about_heights(source: Source, found: Statistics) -> list[str]:
+    said: list[str] = []
+    low, high = found.low, found.high
+    for value in sorted(source.undeclared):
+        said.append(f"It holds the number {value:g}, which it does not declare as nodata: treated as missing.")
+    if math.isnan(low):
+        said.append("None of its samples is valid." if found.exact else "No valid sample was found.")
+        return said
+    word = _not_heights(source)
+    if word:
+        said.append(f"It is called {word!r}, which is not a height.")
+    undeclared = [n for n in _USUAL_NODATA if _is(source, n, low) or _is(source, n, high)]
+    for number in undeclared:
+        which = "lowest" if _is(source, number, low) else "highest"
+        said.append(
+            f"Its {which} stored number is {number}, a usual nodata value that it does not declare "
+            f"(give --nodata {number} if it means missing)."
+        )
+    if low == high:
+        said.append(f"All its valid heights are {low:g} m.")
+    if found.valid_fraction < 0.5:
+        said.append(f"{1 - found.valid_fraction:.0%} of its samples are missing.")
+    if source.picture:
+        return said
+    if not undeclared:
+        said.extend(_about_units(source, found))
+    if source.dtype in ("uint8", "int8") and source.encoding is None and source.scale == 1 and source.bands < 3:
+        said.append("Its numbers have 8 bits: heights in steps of a metre at best, or shades of a picture.")
+    return said
+
+
+def _about_units(source: Source, found: Statistics) -> list[str]:
+    low, high = found.low, found.high
+    ellipsoid = _ellipsoid(source.grid.crs)
+    radius = ellipsoid.a if ellipsoid is not None else math.inf
+    if math.isfinite(radius) and 0.5 * radius < low and high < 1.5 * radius:
+        return [
+            f"Its heights ({low:,.0f} to {high:,.0f} m) look like radii, distances from the centre of the body (radius "
+            f"{radius:,.0f} m), not heights above its surface."
+        ]
+    said: list[str] = []
+    word = next((w for w in _words(source.name) if w in _UNIT_WORDS), None)
+    if word is not None and source.unit_factor == 1 and not source.unit:
+        unit = _UNIT_WORDS[word]
+        said.append(
+            f"Its name says {word!r}, but the unit of its heights is not declared: taken to be metres "
+            f"(give --vertical-unit {unit} if they are not)."
+        )
+    on_earth = radius == math.inf or 6.3e6 < radius < 6.4e6
+    if on_earth and (high > _HIGHEST or low < _DEEPEST):
+        worst = high if high > _HIGHEST else low
+        than = "higher than Mount Everest" if high > _HIGHEST else "deeper than any ocean"
+        said.append(
+            f"Its heights reach {worst:,.0f} m, {than}: are they in feet or centimetres (--vertical-unit ft or cm), "
+            "or is there an undeclared nodata value (--nodata)?"
+        )
+    dx, dy = spacing_metres(source.grid)
+    extent = max(dx * source.grid.cols, dy * source.grid.rows)
+    if found.slope > 2:
+        said.append(
+            f"From sample to sample it rises or falls {found.slope:.3g} times the spacing on average, steeper than any "
+            "landscape: the spacing or the unit of the heights is not what it says"
+            + ("." if source.georeferenced else " (give --spacing METRES).")
+        )
+    elif 0 < high - low < 1e-4 * extent and extent > 1000:
+        said.append(
+            f"Its heights span only {high - low:.3g} m over {extent / 1000:,.3g} km: are they in kilometres or degrees?"
+        )
+    if low >= -180 and high <= 360 and source.encoding is None and _looks_like_coordinates(source):
+        said.append("Its values change evenly from sample to sample: are they longitudes or latitudes in degrees?")
+    return said
+
+
+def _looks_like_coordinates(source: Source) -> bool:
+    """Whether, in a window in the middle, all rows (or columns) rise or fall all along, by almost even steps."""
+    rows, cols = source.shape
+    if min(rows, cols) < 8:
+        return False
+    r, c = max(0, rows // 2 - 32), max(0, cols // 2 - 32)
+    heights = source.read(r, min(r + 64, rows), c, min(c + 64, cols)).astype(np.float64)
+    for axis in (0, 1):
+        first = np.diff(heights, axis=axis)
+        if np.isnan(first).any():
+            return False
+        one_way = bool((first > 0).all() or (first < 0).all())
+        if one_way and float(np.abs(np.diff(first, axis=axis)).mean()) < 0.3 * abs(float(first.mean())):
+            return True
+    return False
+
+
+def _not_heights(source: Source) -> str | None:
+    """The word in the band's description, or in the file's name, that says it is something else."""
+    words = [*_words(source.description), *_words(source.name)]
+    return next((word for word in words if word in _NOT_HEIGHTS), None)
+
+
+def _words(text: str) -> list[str]:
+    return re.split(r"[^a-z]+", text.lower())
+
+
+def _is(source: Source, number: int, height: float) -> bool:
+    """Whether a height is that of a stored number that is not the declared nodata."""
+    if source.encoding is not None or number == source.nodata:
+        return False
+    return float(np.float32((number * source.scale + source.offset) * source.unit_factor)) == height
+
+
+def _ellipsoid(crs: CRS | None) -> Ellipsoid | None:
+    try:
+        return None if crs is None else Ellipsoid.of(crs)
+    except ValueError:
+        return None
+
+
+def _unit(crs: CRS) -> float:
+    """Metres (or radians) in one unit of the CRS's first axis."""
+    return float(crs.axis_info[0].unit_conversion_factor) if crs.axis_info else 1.0
+
+
+def _mercator_stretch(grid: Grid) -> float:
+    if grid.crs is None or grid.crs.geodetic_crs is None:
+        return 1.0
+    try:
+        there = Transformer.from_crs(grid.crs, grid.crs.geodetic_crs, always_xy=True)
+        x, y = grid.xy((grid.cols - 1) / 2, (grid.rows - 1) / 2)
+        lat = float(there.transform(float(x), float(y))[1])
+    except ProjError:
+        return 1.0
+    return 1 / math.cos(math.radians(lat)) if abs(lat) < 89.9 else 1.0
