@@ -35,9 +35,8 @@ BATCH = 64  # chunks fetched together from remote storage
 INDICES = 4096  # shard indices kept
 
 CODEC = {"cname": "zstd", "clevel": 1, "blocksize": 1 << 18}
-"""One blosc block per 256² chunk of float32. Warped SRTM packs 1.8:1 so (integers 5:1) and decodes at 2 GB/s a
-core; lz4
-decodes at 4 GB/s but packs 1.6:1 (3:1), and smaller blosc blocks lose both ways (docs/store.md has the table)."""
+"""One blosc block per 256² chunk of float32. Warped SRTM packs 1.8:1 so (integers 5:1) and decodes at 2 GB/s a core.
+lz4 decodes at 4 GB/s but packs 1.6:1 (3:1); smaller blosc blocks lose both ways (docs/store.md has the table)."""
 
 
 def crc32c(data: bytes) -> int:

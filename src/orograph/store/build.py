@@ -75,7 +75,7 @@ def build(
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
     storage = final if final.remote else FolderStorage(partial(final.url))
-    done = _complete(final)
+    done = is_store(final)
     begun = storage.exists(PLAN) or (not final.remote and storage.exists(ROOT))
     shard, jobs = _sizes(raster.grid.shape, max_memory, jobs, shard)
     plan = _plan(raster, shard, chunk)
@@ -104,8 +104,7 @@ def build(
         with _locked(storage):
             pass  # another process may be at work there
     if fresh and (begun or done or not final.remote):
-        if final.remote:
-            storage.remove(ROOT) if done else None
+        storage.remove(ROOT)  # first, lest what is left look complete
         storage.remove()
     if fresh:
         storage.put(PLAN, [dumps(plan)])
@@ -242,10 +241,6 @@ def _fill(
     for objects in (others, root):
         for key, data in objects.items():
             storage.put(key, [data])
-
-
-def _complete(final: Storage) -> bool:
-    return is_store(final)
 
 
 def _occupied(final: Storage) -> bool:

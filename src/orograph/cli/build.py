@@ -1,0 +1,133 @@
+"""``orograph build``: from DEM files to a store."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orograph.cli.options import jobs_option, memory_option, progress_of, source_options
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+
+@click.command("build", short_help="Build a terrain store from DEM files.")
+@click.argument("dem", nargs=-1, required=True, type=click.Path())
+@click.option("--output", "-o", "store", required=True, metavar="STORE", help="Folder or URL (s3://…) of the store.")
+@click.option("--crs", help="Projected CRS of the terrain.  [default: the files' own, or their UTM zone]")
+@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: as the files]")
+@click.option(
+    "--resampling",
+    type=click.Choice(["nearest", "bilinear", "cubic"]),
+    default="bilinear",
+    show_default=True,
+    help="How samples are found where they have to be brought to another grid.",
+)
+@source_options
+@memory_option
+@jobs_option
+@click.option(
+    "--overwrite", is_flag=True, help="Replace a store that is there; it stays until the new one is complete."
+)
+@click.option("--resume", is_flag=True, help="Finish an interrupted build of the same files with the same options.")
+@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    dem: tuple[str, ...],
+    store: str,
+    overwrite: bool,
+    resume: bool,
+    max_memory: int,
+    jobs: int | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Build a terrain store from DEM files: one raster at all its resolutions, read tile by tile.
+
+    Many files become one terrain; degrees become metres (the UTM zone, unless --crs says otherwise); a projected raster
+    is kept sample for sample. The store is a Zarr v3 hierarchy that other tools read as well.
+
+    A build that is interrupted (Ctrl-C, a full disk, a crash) leaves STORE.partial, and --resume finishes it to the
+    same bytes. Nothing that is incomplete opens as a store.
+
+    \b
+    Examples:
+      orograph build dem.tif -o area.oro
+      orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
+      orograph build tiles/*.tif -o area.oro --resume
+    """
+    from orograph.store.build import as_source, build
+
+    progress = progress_of(ctx)
+    started = time.perf_counter()
+    source = as_source(dem, progress, **options)
+    for warning in getattr(source, "warnings", ()):
+        progress.warn(warning)
+    try:
+        terrain = build(
+            source, store, overwrite=overwrite, resume=resume, max_memory=max_memory, jobs=jobs, progress=progress
+        )
+    except KeyboardInterrupt:
+        click.echo(f"\n{store} is not complete; run the same command with --resume to finish it.", err=True)
+        raise
+    grid, size = terrain.grid, terrain.size_bytes
+    low, high = terrain.height_range
+    known = low == low
+    result = {
+        "path": terrain.url,
+        "size_bytes": size,
+        "shape": list(grid.shape),
+        "levels": terrain.levels,
+        "side": terrain.side,
+        "crs": crs_name(grid.crs),
+        "spacing_m": list(grid.spacing),
+        "height_range": [low, high] if known else None,
+        "valid_fraction": terrain.valid_fraction,
+        "vertical_datum": terrain.vertical,
+        "seconds": round(time.perf_counter() - started, 3),
+        "peak_memory_bytes": peak_memory(),
+    }
+    if as_json:
+        click.echo(json.dumps(result))
+        return
+    x, y = grid.spacing
+    crs = "no CRS" if grid.crs is None else grid.crs.name
+    spacing = f"{x:.6g} m" if abs(x - y) < 1e-6 * x else f"{x:.6g} × {y:.6g} m"
+    click.echo(
+        f"{terrain.url}: {megabytes(size)}, {grid.cols} × {grid.rows} samples at {spacing}, {crs}\n"
+        f"{terrain.levels} levels, side {terrain.side}; "
+        + (f"heights {low:.1f} to {high:.1f} m, " if known else "no valid height, ")
+        + f"{100 * terrain.valid_fraction:.4g} % valid\n"
+        f"built in {result['seconds']:.1f} s, peak memory {megabytes(peak_memory())}"
+    )
+
+
+def crs_name(crs: CRS | None) -> str | None:
+    """The authority's code of a CRS, its WKT where it has none."""
+    if crs is None:
+        return None
+    authority = crs.to_authority(min_confidence=100)
+    return ":".join(authority) if authority else str(crs.to_wkt())
+
+
+def peak_memory() -> int | None:
+    """The largest memory this process has had resident, in bytes; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def megabytes(size: int | None) -> str:
+    """A size for people."""
+    if size is None:
+        return "unknown size"
+    return f"{size / 1e6:.1f} MB" if size < 1e9 else f"{size / 1e9:.2f} GB"
