@@ -1,12 +1,13 @@
 """The caster: rays in, first hits on the terrain's surface out; no colour, no light.
 
-Positions are *sample coordinates*: x = column, y = row (fractional), z = height in metres. A ray is o + t·d; whoever makes
-the rays decides what t measures (with directions of unit forward component it is the view-space depth).
+Positions are *sample coordinates*: x = column, y = row (fractional), z = height in metres. A ray is o + t·d; whoever
+makes the rays decides what t measures (with directions of unit forward component it is the view-space depth).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ class Caster:
         """The exact surface of heights (rows, cols) float32, NaN where missing."""
         return cls([Window(0, 0, 0, heights)], heights.shape, jobs)
 
-    def _scene(self):  # type: ignore[no-untyped-def]
+    def _scene(self) -> tuple[NDArray[Any], ...]:
         s = self.stack
         return s.pool, s.maxima, s.minima, s.mips, s.ints, s.floats
 
@@ -49,7 +50,9 @@ class Caster:
         ray = np.array([[x, y, self.stack.high + 1.0]]), np.array([[0.0, 0.0, -1.0]])
         return self.stack.high + 1.0 - float(self.cast(*ray)[0][0])
 
-    def cast(self, origins: Array, directions: Array, near: float = 0.0, far: float = np.inf) -> tuple[Array, NDArray[np.int8]]:
+    def cast(
+        self, origins: Array, directions: Array, near: float = 0.0, far: float = np.inf
+    ) -> tuple[Array, NDArray[np.int8]]:
         """First hits of arbitrary rays.
 
         Args:
@@ -64,7 +67,9 @@ class Caster:
         t, which = np.empty(len(origins)), np.empty(len(origins), np.int8)
         s = self.stack
         self._blocks(
-            lambda a, b: cast_rays(*self._scene(), s.low, s.high, origins, directions, near, far, t, which, a, b), len(origins), 16384
+            lambda a, b: cast_rays(*self._scene(), s.low, s.high, origins, directions, near, far, t, which, a, b),
+            len(origins),
+            16384,
         )
         return t, which
 
@@ -96,6 +101,31 @@ class Caster:
             16,
         )
         return t, which
+
+    def skyline(self, points: Array, direction: tuple[float, float], skip: Array, lower: float, enough: float) -> Array:
+        """The steepest slope from each point to any ground in one direction (see ``skyline.py``).
+
+        Args:
+            points: (n, 3) float64, sample coordinates; NaN rows give NaN.
+            direction: (columns, rows) covered by one metre in the direction of the light.
+            skip: (n,) horizontal metres left out next to the point.
+            lower, enough: slopes between which the answer matters.
+
+        Returns:
+            (n,) float64, ``lower`` where nothing stands above that slope; where ``enough`` is reached, the first slope
+            found at or above it.
+        """
+        from orograph.raycast.skyline import skylines
+
+        out = np.empty(len(points))
+        s = self.stack
+        dx, dy = direction
+        self._blocks(
+            lambda a, b: skylines(*self._scene(), s.high, points, dx, dy, skip, lower, enough, out, a, b),
+            len(points),
+            16384,
+        )
+        return out
 
     def _reach(self, eye: Array, d0: Array, du: Array, dv: Array, size: tuple[int, int]) -> float:
         """A t beyond which no ray of the camera is over the terrain or within its slab of heights."""

@@ -1,14 +1,14 @@
 """Many rays against a stack of nested windows: the loops that the caster's threads run.
 
-A *window* is a rectangle of samples of one level of the terrain; windows are nested, the outermost and coarsest first. A
-ray is cut by their borders into at most 2·W − 1 stretches, each on the finest window that contains it, and runs through
-them in order. Where two levels disagree at a border, the change of side is a hit on the border: no crack can be seen
-through.
+A *window* is a rectangle of samples of one level of the terrain; windows are nested, the outermost and coarsest first.
+A ray is cut by their borders into at most 2·W − 1 stretches, each on the finest window that contains it, and runs
+through them in order. Where two levels disagree at a border, the change of side is a hit on the border: no crack can be
+seen through.
 
 What a pinhole camera and a height field give beyond a general ray tracer: the rays of a block of pixels lie in one thin
-pyramid, which is marched first (`beam`): as long as the pyramid's lower side stays above the maximum of the ground below
-it, none of its rays hits, and all begin their own walk there, a cell or two before the surface. Blocks hand their start
-down to the smaller blocks in them (Amanatides 1984, *Ray tracing with cones*, is the ancestor).
+pyramid, which is marched first (`beam`): as long as the pyramid's lower side stays above the maximum of the ground
+below it, none of its rays hits, and all begin their own walk there, a cell or two before the surface. Blocks hand their
+start down to the smaller blocks in them (Amanatides 1984, *Ray tracing with cones*, is the ancestor).
 """
 
 from __future__ import annotations
@@ -24,8 +24,11 @@ ORIGIN_X, ORIGIN_Y, SCALE, WEST, NORTH, EAST, SOUTH = range(7)
 
 
 @kernel
-def ray(pool, maxima, minima, mips, ints, floats, low, high, ox, oy, oz, dx, dy, dz, t0, t1, clear):  # type: ignore[no-untyped-def]
-    """The first hit of one ray with the stack; (t, window), t = inf if there is none. ``clear``: known to be above at t0."""
+def ray(pool, maxima, minima, mips, ints, floats, low, high, ox, oy, oz, dx, dy, dz, t0, t1, clear):
+    """The first hit of one ray with the stack: (t, window), t = inf if there is none.
+
+    ``clear``: known to be above the ground at t0.
+    """
     a, b = clip(oz, dz, low, high, t0, t1)
     from_above = a > t0 and dz < 0.0
     began = a
@@ -54,8 +57,25 @@ def ray(pool, maxima, minima, mips, ints, floats, low, high, ox, oy, oz, dx, dy,
         k = 1.0 / f[SCALE]
         m0, m1 = n[MIP_FIRST], n[MIP_FIRST] + n[MIP_COUNT]
         t, side = cast(
-            pool, n[BASE], n[STRIDE], n[CELLS_X], n[CELLS_Y], maxima, mips[0, m0:m1], minima, mips[1, m0:m1],
-            mips[2, m0:m1], (ox - f[ORIGIN_X]) * k, (oy - f[ORIGIN_Y]) * k, oz, dx * k, dy * k, dz, a, b, side,
+            pool,
+            n[BASE],
+            n[STRIDE],
+            n[CELLS_X],
+            n[CELLS_Y],
+            maxima,
+            mips[0, m0:m1],
+            minima,
+            mips[1, m0:m1],
+            mips[2, m0:m1],
+            (ox - f[ORIGIN_X]) * k,
+            (oy - f[ORIGIN_Y]) * k,
+            oz,
+            dx * k,
+            dy * k,
+            dz,
+            a,
+            b,
+            side,
             2 if clear else 6,
         )
         if t < np.inf:
@@ -64,18 +84,25 @@ def ray(pool, maxima, minima, mips, ints, floats, low, high, ox, oy, oz, dx, dy,
 
 
 @kernel
-def cast_rays(pool, maxima, minima, mips, ints, floats, low, high, origins, directions, t0, t1, out, which, first, last):  # type: ignore[no-untyped-def]
+def cast_rays(
+    pool, maxima, minima, mips, ints, floats, low, high, origins, directions, t0, t1, out, which, first, last
+):
     """Rays [first, last) of arrays (n, 3); ``out`` float64 (n,): t (NaN: none), ``which`` int8 (n,): the window hit."""
     for i in range(first, last):
         o, d = origins[i], directions[i]
-        t, w = ray(pool, maxima, minima, mips, ints, floats, low, high, o[0], o[1], o[2], d[0], d[1], d[2], t0, t1, False)
+        t, w = ray(
+            pool, maxima, minima, mips, ints, floats, low, high, o[0], o[1], o[2], d[0], d[1], d[2], t0, t1, False
+        )
         out[i] = t if t < np.inf else np.nan
         which[i] = w
 
 
 @kernel
-def beam(maxima, mips, ints, floats, high, o, corners, t, t1, first):  # type: ignore[no-untyped-def]
-    """How far a pyramid of rays o + t·d, d spanned by four ``corners`` (4, 3), stays above the ground: t ≤ the first hit."""
+def beam(maxima, mips, ints, floats, high, o, corners, t, t1, first):
+    """How far a pyramid of rays o + t·d, d spanned by four ``corners`` (4, 3), stays above the ground.
+
+    The answer is at most the first hit of any of its rays.
+    """
     windows = ints.shape[0]
     finest = floats[windows - 1, SCALE]
     speed = 1e-300
@@ -104,9 +131,20 @@ def beam(maxima, mips, ints, floats, high, o, corners, t, t1, first):  # type: i
             m0, m1 = n[MIP_FIRST], n[MIP_FIRST] + n[MIP_COUNT]
             u0, u1 = max(x0, f[WEST]), min(x1, f[EAST])
             v0, v1 = max(y0, f[NORTH]), min(y1, f[SOUTH])
-            ground = max(ground, highest(
-                maxima, mips[0, m0:m1], mips[2, m0:m1], n[CELLS_X], n[CELLS_Y], (u0 - f[ORIGIN_X]) * k,
-                (u1 - f[ORIGIN_X]) * k, (v0 - f[ORIGIN_Y]) * k, (v1 - f[ORIGIN_Y]) * k))
+            ground = max(
+                ground,
+                highest(
+                    maxima,
+                    mips[0, m0:m1],
+                    mips[2, m0:m1],
+                    n[CELLS_X],
+                    n[CELLS_Y],
+                    (u0 - f[ORIGIN_X]) * k,
+                    (u1 - f[ORIGIN_X]) * k,
+                    (v0 - f[ORIGIN_Y]) * k,
+                    (v1 - f[ORIGIN_Y]) * k,
+                ),
+            )
         if z > ground:
             t = end
             step *= 2.0
@@ -118,7 +156,7 @@ def beam(maxima, mips, ints, floats, high, o, corners, t, t1, first):  # type: i
 
 
 @kernel
-def block_corners(d0, du, dv, x0, x1, y0, y1, out):  # type: ignore[no-untyped-def]
+def block_corners(d0, du, dv, x0, x1, y0, y1, out):
     """Directions through the outer pixel centres of a block."""
     for k in range(3):
         out[0, k] = d0[k] + x0 * du[k] + y0 * dv[k]
@@ -127,12 +165,14 @@ def block_corners(d0, du, dv, x0, x1, y0, y1, out):  # type: ignore[no-untyped-d
         out[3, k] = d0[k] + (x1 - 1) * du[k] + (y1 - 1) * dv[k]
 
 
-FIRST_OUTER, FIRST_INNER = 64., 4.
+FIRST_OUTER, FIRST_INNER = 64.0, 4.0
 OUTER_X, OUTER_Y, INNER_X, INNER_Y = 64, 16, 16, 4
 
 
 @kernel
-def cast_pinhole(pool, maxima, minima, mips, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x0, x1, y0, y1, out, which):  # type: ignore[no-untyped-def]
+def cast_pinhole(
+    pool, maxima, minima, mips, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x0, x1, y0, y1, out, which
+):
     """Pixels [x0, x1) × [y0, y1) of a pinhole camera at ``o``: direction d0 + px·du + py·dv through pixel (px, py).
 
     ``clear``: the eye is known to be above the surface (or outside it), so beams may be marched.
@@ -161,14 +201,51 @@ def cast_pinhole(pool, maxima, minima, mips, ints, floats, low, high, o, d0, du,
                         which[sy:fy, sx:fx] = -1
                     elif single:
                         march_block(
-                            pool, n[BASE], n[STRIDE], n[CELLS_X], n[CELLS_Y], maxima, mips[0], minima, mips[1],
-                            mips[2], local, d0, du, dv, sx, fx, sy, fy, near, t1, clear, out, which)
+                            pool,
+                            n[BASE],
+                            n[STRIDE],
+                            n[CELLS_X],
+                            n[CELLS_Y],
+                            maxima,
+                            mips[0],
+                            minima,
+                            mips[1],
+                            mips[2],
+                            local,
+                            d0,
+                            du,
+                            dv,
+                            sx,
+                            fx,
+                            sy,
+                            fy,
+                            near,
+                            t1,
+                            clear,
+                            out,
+                            which,
+                        )
                     else:
                         for py in range(sy, fy):
                             for px in range(sx, fx):
                                 t, w = ray(
-                                    pool, maxima, minima, mips, ints, floats, low, high, o[0], o[1], o[2],
-                                    d0[0] + px * du[0] + py * dv[0], d0[1] + px * du[1] + py * dv[1],
-                                    d0[2] + px * du[2] + py * dv[2], near, t1, clear)
+                                    pool,
+                                    maxima,
+                                    minima,
+                                    mips,
+                                    ints,
+                                    floats,
+                                    low,
+                                    high,
+                                    o[0],
+                                    o[1],
+                                    o[2],
+                                    d0[0] + px * du[0] + py * dv[0],
+                                    d0[1] + px * du[1] + py * dv[1],
+                                    d0[2] + px * du[2] + py * dv[2],
+                                    near,
+                                    t1,
+                                    clear,
+                                )
                                 out[py, px] = t if t < np.inf else np.nan
                                 which[py, px] = w

@@ -1,7 +1,7 @@
 """Minimum and maximum mipmaps over the cells of a height field.
 
-A *node* of level L covers 2^L × 2^L cells; its maximum bounds every sample on those cells, shared borders included, so a
-ray above it meets nothing there (Tevs, Ihrke & Seidel 2008, *Maximum mipmaps for fast, accurate, and scalable dynamic
+A *node* of level L covers 2^L × 2^L cells; its maximum bounds every sample on those cells, shared borders included, so
+a ray above it meets nothing there (Tevs, Ihrke & Seidel 2008, *Maximum mipmaps for fast, accurate, and scalable dynamic
 height field rendering*, §3). Maxima begin at level 1 and minima at level 2: together 5/12 of the heights' memory.
 Heights are float32 metres; missing samples (NaN) take no part; a node without valid samples is (−inf, +inf).
 """
@@ -9,11 +9,12 @@ Heights are float32 metres; missing samples (NaN) take no part; a node without v
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel
+from orograph._numba import Function, kernel
 from orograph.parallel import cpu_count, map_ordered
 
 MAX_LEVEL0 = 1
@@ -21,7 +22,7 @@ MIN_LEVEL0 = 2
 
 
 @kernel
-def _max_of_samples(heights, out, row0, row1):  # type: ignore[no-untyped-def]
+def _max_of_samples(heights, out, row0, row1):
     """Level 1: the 3 × 3 samples on 2 × 2 cells, node rows [row0, row1)."""
     rows, cols = heights.shape
     whole = (cols - 1) // 2
@@ -44,7 +45,7 @@ def _max_of_samples(heights, out, row0, row1):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _min_of_samples(heights, out, row0, row1):  # type: ignore[no-untyped-def]
+def _min_of_samples(heights, out, row0, row1):
     """Level 2: the 5 × 5 samples on 4 × 4 cells, node rows [row0, row1)."""
     rows, cols = heights.shape
     whole = (cols - 1) // 4
@@ -65,7 +66,7 @@ def _min_of_samples(heights, out, row0, row1):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _halve(fine, coarse, sign):  # type: ignore[no-untyped-def]
+def _halve(fine, coarse, sign):
     """The next level: the larger of up to four children (the smaller where ``sign`` is −1)."""
     rows, cols = fine.shape
     for i in range(coarse.shape[0]):
@@ -118,7 +119,7 @@ def build_mips(heights: NDArray[np.float32], jobs: int | None = None) -> Mips:
         level += 1
     jobs = jobs or cpu_count()
 
-    def pyramid(first: int, sample_kernel, sign: float):  # type: ignore[no-untyped-def]
+    def pyramid(first: int, sample_kernel: Function, sign: float) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         sizes = [0 if k < first else r * c for k, (r, c) in enumerate(shapes)]
         offsets = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
         pool = np.empty(sum(sizes), np.float32)
@@ -128,7 +129,7 @@ def build_mips(heights: NDArray[np.float32], jobs: int | None = None) -> Mips:
         blocks = [(a, min(a + step, n)) for a in range(0, n, step)]
         for _ in map_ordered(lambda b: sample_kernel(heights, views[0], *b), blocks, jobs):
             pass
-        for fine, coarse in zip(views, views[1:]):
+        for fine, coarse in pairwise(views):
             _halve(fine, coarse, np.float32(sign))
         offsets[:first] = -1
         return pool, offsets

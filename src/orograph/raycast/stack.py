@@ -39,8 +39,8 @@ class Stack:
 
     Attributes:
         pool: all heights, float32, flat; no copy if there is one window.
-        maxima, minima: all their pyramids, flat; ``mips`` (3, levels of all windows) int64: offset of the maxima, of the
-            minima, nodes per row.
+        maxima, minima: all their pyramids, flat.
+        mips: (3, levels of all windows) int64: offset of the maxima, of the minima, nodes per row.
         ints (W, 6) int64, floats (W, 7) float64: see ``kernels.BASE`` and following.
         low, high: the slab that holds every height, metres.
     """
@@ -79,7 +79,9 @@ class Stack:
         ranges = [m.height_range for m in pyramids]
         return cls(
             tuple(windows),
-            np.ascontiguousarray(windows[0].heights).ravel() if one else np.concatenate([w.heights.ravel() for w in windows]),
+            np.ascontiguousarray(windows[0].heights).ravel()
+            if one
+            else np.concatenate([w.heights.ravel() for w in windows]),
             pyramids[0].maxima if one else np.concatenate([m.maxima for m in pyramids]),
             pyramids[0].minima if one else np.concatenate([m.minima for m in pyramids]),
             np.ascontiguousarray(np.concatenate(tables, axis=1)),

@@ -1,9 +1,9 @@
-"""One ray against one height field: hierarchical traversal of the cells, exact intersection of the two triangles in each.
+"""One ray against one height field: hierarchical traversal of the cells, exact intersection of their two triangles.
 
 Idea and source: Tevs, Ihrke & Seidel 2008 (maximum mipmaps, §3): walk along the ray from node to node of the pyramid,
-climb a level where a parent's border is crossed, descend where the ray comes below a node's maximum. Here the walk is in
-integers (no position is recomputed from a rounded parameter, so no cell is skipped or visited twice), and carries the
-*side* of the surface on which the ray runs: a change of side is a hit, also between cells whose shared edge rounds
+climb a level where a parent's border is crossed, descend where the ray comes below a node's maximum. Here the walk is
+in integers (no position is recomputed from a rounded parameter, so no cell is skipped or visited twice), and carries
+the *side* of the surface on which the ray runs: a change of side is a hit, also between cells whose shared edge rounds
 differently, so nothing leaks through an edge.
 
 Coordinates are the samples' own: x to the right along a row, y down the rows, z in metres; the ray is o + t·d, t ≥ 0.
@@ -21,7 +21,7 @@ INF = np.inf
 
 
 @inlined
-def plane_height(a, b, c, d, u, v, even, first):  # type: ignore[no-untyped-def]
+def plane_height(a, b, c, d, u, v, even, first):
     """Height at (u, v) on one triangle of a cell with corners a (0,0), b (1,0), c (0,1), d (1,1).
 
     ``even``: the diagonal runs a–d, and ``first`` is the triangle a b d (u ≥ v); else it runs b–c, ``first`` is a b c.
@@ -36,7 +36,7 @@ def plane_height(a, b, c, d, u, v, even, first):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def clip(o, d, low, high, t0, t1):  # type: ignore[no-untyped-def]
+def clip(o, d, low, high, t0, t1):
     """The part of [t0, t1] on which o + t·d lies in [low, high]; empty if t0 > t1."""
     if d == 0.0:
         return (t0, t1) if low <= o <= high else (1.0, 0.0)
@@ -45,7 +45,7 @@ def clip(o, d, low, high, t0, t1):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def cell_hit(a, b, c, d, even, u0, v0, z0, u1, v1, z1, side):  # type: ignore[no-untyped-def]
+def cell_hit(a, b, c, d, even, u0, v0, z0, u1, v1, z1, side):
     """Intersect the ray's passage (u0, v0, z0) → (u1, v1, z1) through a cell with its two triangles.
 
     Returns (s, side): the fraction of the passage at the hit (−1: none) and the side after it: +1 above, −1 below,
@@ -82,8 +82,26 @@ def cell_hit(a, b, c, d, even, u0, v0, z0, u1, v1, z1, side):  # type: ignore[no
 
 
 @kernel
-def cast(  # type: ignore[no-untyped-def]
-    pool, base, stride, nc, nr, maxima, max_offset, minima, min_offset, mip_cols, ox, oy, oz, dx, dy, dz, t0, t1, side,
+def cast(
+    pool,
+    base,
+    stride,
+    nc,
+    nr,
+    maxima,
+    max_offset,
+    minima,
+    min_offset,
+    mip_cols,
+    ox,
+    oy,
+    oz,
+    dx,
+    dy,
+    dz,
+    t0,
+    t1,
+    side,
     level,
 ):
     """The first hit of a ray with one height field for t in [t0, t1], within which the ray stays on its cells.
@@ -127,9 +145,18 @@ def cast(  # type: ignore[no-untyped-def]
         if not free:
             i = base + cy * stride + cx
             s, side = cell_hit(
-                np.float64(pool[i]), np.float64(pool[i + 1]), np.float64(pool[i + stride]),
-                np.float64(pool[i + stride + 1]), ((cx + cy) & 1) == 0,
-                ox + t * dx - cx, oy + t * dy - cy, za, ox + te * dx - cx, oy + te * dy - cy, zb, side,
+                np.float64(pool[i]),
+                np.float64(pool[i + 1]),
+                np.float64(pool[i + stride]),
+                np.float64(pool[i + stride + 1]),
+                ((cx + cy) & 1) == 0,
+                ox + t * dx - cx,
+                oy + t * dy - cy,
+                za,
+                ox + te * dx - cx,
+                oy + te * dy - cy,
+                zb,
+                side,
             )
             if s >= 0.0:
                 return t + s * (te - t), side
@@ -160,9 +187,30 @@ PATIENCE = 24
 
 
 @kernel
-def march_block(  # type: ignore[no-untyped-def]
-    pool, base, stride, nc, nr, maxima, max_offset, minima, min_offset, mip_cols, o, d0, du, dv, px0, px1, py0, py1, near,
-    far, clear, out, which,
+def march_block(
+    pool,
+    base,
+    stride,
+    nc,
+    nr,
+    maxima,
+    max_offset,
+    minima,
+    min_offset,
+    mip_cols,
+    o,
+    d0,
+    du,
+    dv,
+    px0,
+    px1,
+    py0,
+    py1,
+    near,
+    far,
+    clear,
+    out,
+    which,
 ):
     """``cast`` for a block of a pinhole camera's rays that begin (at ``near``) close above the surface of one window.
 
@@ -224,8 +272,18 @@ def march_block(  # type: ignore[no-untyped-def]
                             side = 1
                         else:
                             s, side = cell_hit(
-                                a, b, c, d, ((cx + cy) & 1) == 0, ox + t * dx - cx, oy + t * dy - cy, zc,
-                                ox + ue * dx - cx, oy + ue * dy - cy, zd, side,
+                                a,
+                                b,
+                                c,
+                                d,
+                                ((cx + cy) & 1) == 0,
+                                ox + t * dx - cx,
+                                oy + t * dy - cy,
+                                zc,
+                                ox + ue * dx - cx,
+                                oy + ue * dy - cy,
+                                zd,
+                                side,
                             )
                             if s >= 0.0:
                                 hit = t + s * (ue - t)
@@ -264,16 +322,34 @@ def march_block(  # type: ignore[no-untyped-def]
                         break
             if not over:
                 hit, side = cast(
-                    pool, base, stride, nc, nr, maxima, max_offset, minima, min_offset, mip_cols, ox, oy, oz, dx, dy, dz,
-                    t, t1, side, MARCH_LEVEL,
+                    pool,
+                    base,
+                    stride,
+                    nc,
+                    nr,
+                    maxima,
+                    max_offset,
+                    minima,
+                    min_offset,
+                    mip_cols,
+                    ox,
+                    oy,
+                    oz,
+                    dx,
+                    dy,
+                    dz,
+                    t,
+                    t1,
+                    side,
+                    MARCH_LEVEL,
                 )
             out[py, px] = hit if hit < INF else np.nan
             which[py, px] = 0 if hit < INF else -1
 
 
 @kernel
-def highest(maxima, max_offset, mip_cols, nc, nr, x0, x1, y0, y1):  # type: ignore[no-untyped-def]
-    """An upper bound of the surface over the rectangle [x0, x1] × [y0, y1] (clipped to the cells): at most four nodes."""
+def highest(maxima, max_offset, mip_cols, nc, nr, x0, x1, y0, y1):
+    """An upper bound of the surface over [x0, x1] × [y0, y1], clipped to the cells: at most four nodes are read."""
     top = mip_cols.shape[0] - 1
     i0 = min(max(np.int64(np.floor(x0)), 0), nc - 1)
     i1 = min(max(np.int64(np.floor(x1)), 0), nc - 1)

@@ -1,0 +1,184 @@
+"""Which windows of which levels a view needs: nested rectangles, each as coarse as the tolerance in pixels allows.
+
+From the coarsest level down, the tiles of a level that lie in the view's frustum and whose error, projected, exceeds
+the tolerance must be drawn finer; the rectangle of the next finer level is the smallest that holds them. So every tile
+in view is drawn at a level whose projected error keeps the tolerance, and windows nest by construction.
+
+The projected error of a vertical displacement e (metres, stretched) at depth z and radius r from the optical axis is at
+most f·e/z · sqrt(1 + (r/z)²) pixels, f = 1/pixel_slope; with z = d·cos θ, d the distance from the eye, that is at most
+f·e / ((d − e)·cos² θ), θ the angle to the corner of the picture: the factor 1/cos² is what distance-based metrics
+forget. A tile that is only partly valid is held to samples of at most a pixel besides, since its error says nothing of its rim.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.parallel import map_ordered
+from orograph.raycast.stack import Window
+from orograph.store.terrain import TILE, Terrain
+from orograph.view import View
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Rectangle:
+    """Samples ``[row0, row1) × [col0, col1)`` of a level."""
+
+    level: int
+    row0: int
+    row1: int
+    col0: int
+    col1: int
+
+    @property
+    def samples(self) -> int:
+        return (self.row1 - self.row0) * (self.col1 - self.col0)
+
+
+@dataclass(frozen=True, slots=True)
+class Boxes:
+    """The tiles of one level: extents (ty, tx) in sample coordinates and heights, NaN where a tile is empty."""
+
+    west: Array
+    east: Array
+    north: Array
+    south: Array
+    low: Array
+    high: Array
+
+
+def tile_boxes(terrain: Terrain, level: int) -> Boxes:
+    """Bounding boxes of a level's tiles."""
+    table = terrain.tiles(level)
+    ty, tx = table.minimum.shape
+    step = float(TILE << level)
+    west, north = np.meshgrid(np.arange(tx) * step, np.arange(ty) * step)
+    last_col, last_row = terrain.grid.cols - 1.0, terrain.grid.rows - 1.0
+    east, south = np.minimum(west + step, last_col), np.minimum(north + step, last_row)
+    return Boxes(west, east, north, south, table.minimum.astype(np.float64), table.maximum.astype(np.float64))
+
+
+def in_frustum(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -> NDArray[np.bool_]:
+    """Tiles whose box is not wholly outside one plane of the frustum (conservative)."""
+    a, b, c, d, e, f = terrain.grid.samples[:6]
+    inside = np.isfinite(boxes.high)
+    for nx, ny, nz, n0 in view.frustum(exaggeration):
+        # The plane in sample coordinates; its most positive corner of the box decides.
+        px, py, pz = nx * a + ny * d, nx * b + ny * e, nz * exaggeration
+        p0 = n0 + nx * c + ny * f
+        reach = p0 + px * np.where(px > 0, boxes.east, boxes.west) + py * np.where(py > 0, boxes.south, boxes.north)
+        inside &= reach + pz * np.where(pz > 0, boxes.high, boxes.low) >= 0
+    return inside
+
+
+def distances(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -> Array:
+    """A lower bound of the distance from the eye to each box, metres of stretched space."""
+    col, row = terrain.grid.index(view.eye[0], view.eye[1])
+    a, b, _, d, e, _ = terrain.grid.samples[:6]
+    linear = np.array([[a, b], [d, e]])
+    # Metres per sample along the least stretched direction: exact for the square, unrotated cells of most terrain.
+    scale = np.linalg.svd(linear, compute_uv=False)
+    sx, sy = (math.hypot(a, d), math.hypot(b, e)) if abs(a * b + d * e) < 1e-9 * scale[0] ** 2 else (scale[1], scale[1])
+    dx = np.maximum(np.maximum(boxes.west - col, col - boxes.east), 0) * sx
+    dy = np.maximum(np.maximum(boxes.north - row, row - boxes.south), 0) * sy
+    dz = np.maximum(np.maximum(boxes.low - view.eye[2], view.eye[2] - boxes.high), 0) * exaggeration
+    return np.asarray(np.sqrt(dx * dx + dy * dy + dz * dz))
+
+
+def off_axis(view: View) -> float:
+    """cos² of the angle between the viewing direction and the picture's corner."""
+    half = math.tan(math.radians(view.fov_y) / 2)
+    return 1.0 / (1.0 + half * half * (1.0 + (view.width / view.height) ** 2))
+
+
+def pixel_error(terrain: Terrain, view: View, exaggeration: float, level: int, boxes: Boxes) -> Array:
+    """An upper bound, in pixels, of what drawing each tile at ``level`` displaces on the screen."""
+    table = terrain.tiles(level)
+    error = table.error.astype(np.float64) * exaggeration
+    focal = 1.0 / view.pixel_slope
+    spacing = max(terrain.grid.spacing) * 2.0**level
+    if view.projection == "plan":
+        return np.where(table.valid == 1, spacing / view.pixel_metres, 0.0)
+    d = np.maximum(distances(terrain, view, exaggeration, boxes), view.near)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = np.where(d > error, focal * error / ((d - error) * off_axis(view)), np.inf)
+        moved = np.where(error > 0, moved, 0.0)
+        rim = np.where(d > 0, focal * spacing / d, np.inf)
+    return np.maximum(moved, np.where(table.valid == 1, rim * 0.5, 0.0))
+
+
+def spacing_error(terrain: Terrain, view: View, exaggeration: float, level: int, boxes: Boxes) -> Array:
+    """Samples of ``level`` in pixels (at most): above 1 the light on them can be drawn finer."""
+    spacing = max(terrain.grid.spacing) * 2.0**level
+    if view.projection == "plan":
+        return np.full(boxes.low.shape, spacing / view.pixel_metres)
+    d = np.maximum(distances(terrain, view, exaggeration, boxes), max(view.near, 1e-9))
+    return spacing / view.pixel_slope / d
+
+
+def rectangles(
+    terrain: Terrain, view: View, exaggeration: float, tolerance: float, *, by: str = "error"
+) -> list[Rectangle]:
+    """The windows a view needs, outermost first; the outermost covers the whole terrain at its coarsest level.
+
+    Args:
+        tolerance: pixels.
+        by: "error": displacement on the screen (the surface), or "spacing": size of samples (its light).
+    """
+    measure = {"error": pixel_error, "spacing": spacing_error}[by]
+    top = terrain.levels - 1
+    rows, cols = terrain.shape(top)
+    found = [Rectangle(top, 0, rows, 0, cols)]
+    for level in range(top, 0, -1):
+        boxes = tile_boxes(terrain, level)
+        need = in_frustum(terrain, view, exaggeration, boxes)
+        need &= measure(terrain, view, exaggeration, level, boxes) > tolerance
+        outer = found[-1]
+        # Only tiles within the window above count: what it left out was fine enough there already.
+        inside = np.zeros_like(need)
+        inside[outer.row0 // TILE : -(-(outer.row1 - 1) // TILE), outer.col0 // TILE : -(-(outer.col1 - 1) // TILE)] = (
+            True
+        )
+        need &= inside
+        if not need.any():
+            break
+        rs, cs = np.flatnonzero(need.any(1)), np.flatnonzero(need.any(0))
+        rows, cols = terrain.shape(level - 1)
+        row0, col0 = 2 * int(rs[0]) * TILE, 2 * int(cs[0]) * TILE
+        row1, col1 = min(2 * (int(rs[-1]) + 1) * TILE + 1, rows), min(2 * (int(cs[-1]) + 1) * TILE + 1, cols)
+        found.append(Rectangle(level - 1, row0, row1, col0, col1))
+    return _without_hidden(found, terrain)
+
+
+def _without_hidden(found: list[Rectangle], terrain: Terrain) -> list[Rectangle]:
+    """Drop windows that a finer one covers completely."""
+    kept: list[Rectangle] = []
+    for outer, inner in zip(found, [*found[1:], None]):
+        if inner is not None:
+            half = 2
+            covers = (
+                inner.row0 <= half * outer.row0
+                and inner.col0 <= half * outer.col0
+                and inner.row1 - 1 >= min(half * (outer.row1 - 1), terrain.shape(inner.level)[0] - 1)
+                and inner.col1 - 1 >= min(half * (outer.col1 - 1), terrain.shape(inner.level)[1] - 1)
+            )
+            if covers:
+                continue
+        kept.append(outer)
+    return kept
+
+
+def load(terrain: Terrain, found: list[Rectangle], jobs: int | None = None) -> list[Window]:
+    """Read nested heights for the caster."""
+    return [
+        Window(r.level, r.col0, r.row0, h)
+        for r, h in zip(
+            found, map_ordered(lambda r: terrain.read(r.level, r.row0, r.row1, r.col0, r.col1), found, jobs)
+        )
+    ]
