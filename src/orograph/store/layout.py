@@ -228,7 +228,9 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
 
 
 def _consolidated(nodes: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    return {"kind": "inline", "must_understand": False, "metadata": nodes}
+    # zarr-python wants the children of a group one after the other
+    in_order = dict(sorted(nodes.items(), key=lambda item: (item[0].count("/"), item[0])))
+    return {"kind": "inline", "must_understand": False, "metadata": in_order}
 
 
 def _group(attributes: dict[str, Any] | None = None) -> dict[str, Any]:

@@ -86,7 +86,7 @@ class MemoryTerrain(Terrain):
     def valid_fraction(self) -> float:
         def count() -> float:
             missing = sum(int(np.isnan(self.heights[r : r + TILE]).sum()) for r in range(0, self.grid.rows, TILE))
-            return 1.0 - missing / self.heights.size
+            return (self.heights.size - missing) / self.heights.size
 
         return self._once("valid", 0, count)
 
