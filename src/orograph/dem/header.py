@@ -12,6 +12,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -156,7 +157,8 @@ def horizontal(crs: CRS | None) -> CRS | None:
 def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
     """The name of the vertical datum the file declares, or its format prescribes; None if unknown."""
     if crs is not None and crs.is_compound and len(crs.sub_crs_list) > 1:
-        return str(crs.sub_crs_list[1].name)
+        # "NAVD88 height (ftUS)" is NAVD88 height once it is in metres
+        return re.sub(r" \((ft|ftUS|m|cm)\)$", "", str(crs.sub_crs_list[1].name))
     if crs is not None and len(crs.axis_info) == 3 and (crs.is_geographic or crs.is_projected):
         return ELLIPSOIDAL
     if dataset.driver == "SRTMHGT":
