@@ -12,6 +12,7 @@ Names are imported when they are first used, so that ``import orograph`` costs n
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -45,3 +46,7 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*globals(), *__all__])
+
+
+if "xarray" in sys.modules:  # da.orograph, for those who use xarray; others need not pay for it
+    importlib.import_module("orograph.dem.accessor")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -70,3 +72,12 @@ def test_what_cannot_be_elevation_is_refused() -> None:
         made(square.astype(complex), [1, 2, 3], [1, 0]).orograph.to_dem()
     with pytest.raises(ReadError, match="CRS"):
         made(square, [1, 2, 3], [1, 0], crs="EPSG:nonsense").orograph.to_dem()
+
+
+def test_importing_orograph_registers_it_where_xarray_is_in_use() -> None:
+    program = "import sys, {}\nprint('orograph.dem.accessor' in sys.modules, 'xarray' in sys.modules)"
+    for imports, says in (("xarray, orograph", "True True"), ("orograph", "False False")):
+        run = subprocess.run(
+            [sys.executable, "-c", program.format(imports)], capture_output=True, text=True, check=True
+        )
+        assert run.stdout.strip() == says
