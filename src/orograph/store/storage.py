@@ -24,6 +24,8 @@ Range = tuple[str, int, int]
 """(key, first byte, byte behind the last)."""
 
 OPEN_FILES = 128
+GAP = 32 << 10  # bytes fetched in vain rather than asking twice
+REQUEST = 4 << 20  # bytes asked for at once
 
 
 class Storage(ABC):
@@ -240,13 +242,17 @@ class RemoteStorage(Storage):
     def ranges(self, wanted: Sequence[Range]) -> list[bytes]:
         if not wanted:
             return []
-        keys, starts, stops = zip(*wanted, strict=True)
+        together = merged(wanted)
+        keys, starts, stops = zip(*together, strict=True)
         with self._reporting("read", keys[0]):
             found = self.fs.cat_ranges([self._at(k) for k in keys], list(starts), list(stops), on_error="return")
             for part in found:
                 if isinstance(part, Exception) and not isinstance(part, FileNotFoundError):
                     raise part
-        return [b"" if isinstance(part, Exception) else bytes(part) for part in found]
+        pieces: dict[str, list[tuple[int, bytes]]] = {}
+        for (key, start, _), part in zip(together, found, strict=True):
+            pieces.setdefault(key, []).append((start, b"" if isinstance(part, Exception) else bytes(part)))
+        return [_cut(pieces[key], start, stop) for key, start, stop in wanted]
 
     def put(self, key: str, parts: Sequence[bytes]) -> None:
         with self._reporting("written", key):
@@ -270,6 +276,25 @@ class RemoteStorage(Storage):
             return int(self.fs.du(self.root))
         except Exception:  # a web server need not list what it has
             return None
+
+
+def merged(wanted: Sequence[Range]) -> list[Range]:
+    """Neighbouring ranges of one object as one request, as long as little is fetched in vain."""
+    together: list[Range] = []
+    for key, start, stop in sorted(wanted):
+        if together and together[-1][0] == key:
+            first, last = together[-1][1:]
+            if start - last <= GAP and stop - first <= REQUEST:
+                together[-1] = (key, first, max(last, stop))
+                continue
+        together.append((key, start, stop))
+    return together
+
+
+def _cut(pieces: list[tuple[int, bytes]], start: int, stop: int) -> bytes:
+    """What of a range lies in the one piece that begins last before it."""
+    first, data = max((piece for piece in pieces if piece[0] <= start), key=lambda piece: piece[0])
+    return data[start - first : stop - first]
 
 
 def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = None) -> Storage:

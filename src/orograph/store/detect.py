@@ -1,0 +1,31 @@
+"""Whether a path or URL is a store (a Zarr group) rather than a raster file, at the cost of one look."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from orograph.errors import ReadError
+
+
+def is_store(path: str | os.PathLike[str]) -> bool:
+    """Whether a folder or URL holds a Zarr group.
+
+    Raises:
+        ReadError: a URL that could be a store cannot be looked at.
+    """
+    text = os.fspath(path)
+    if "://" not in text:
+        return (Path(text) / "zarr.json").is_file()
+    last = text.rstrip("/").rpartition("/")[2].partition("?")[0]
+    if Path(last).suffix not in ("", ".oro", ".zarr"):
+        return False
+    import fsspec
+
+    try:
+        filesystem, root = fsspec.url_to_fs(text)
+        return bool(filesystem.exists(f"{root.rstrip('/')}/zarr.json"))
+    except (OSError, ValueError, ImportError) as error:
+        raise ReadError(
+            f"It cannot be reached: {error}.", path=text, remedy="Check the URL and the network."
+        ) from error

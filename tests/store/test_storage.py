@@ -1,0 +1,204 @@
+"""Stores elsewhere: file and memory URLs, S3 (a local moto server), and a web server that gives ranges."""
+
+from __future__ import annotations
+
+import re
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from surfaces import rough, source
+
+from orograph import store
+from orograph.errors import DamagedChunkError, StoreError
+from orograph.store.storage import FolderStorage, RemoteStorage, merged, storage_at
+
+HEIGHTS = rough((290, 260), 21, hole=True)
+SIZES = {"shard": 128, "chunk": 32}
+
+
+def check(terrain):
+    np.testing.assert_array_equal(terrain.read(0, 0, 290, 0, 260), HEIGHTS)
+    np.testing.assert_array_equal(terrain.read(0, 30, 90, 20, 101), HEIGHTS[30:90, 20:101])
+    assert terrain.height_range == (np.nanmin(HEIGHTS), np.nanmax(HEIGHTS))
+    assert terrain.tiles(1).valid.shape == (1, 1)
+    assert terrain.check() == []
+
+
+@pytest.fixture(scope="module")
+def local(tmp_path_factory):
+    path = tmp_path_factory.mktemp("local") / "area.oro"
+    store.build(source(HEIGHTS), path, **SIZES)
+    return path
+
+
+def objects(storage, folder):
+    names = [str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()]
+    return {name: (storage.get(name), (folder / name).read_bytes()) for name in names}
+
+
+@given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 300), st.integers(1, 60)), min_size=1))
+def test_neighbouring_ranges_are_fetched_together(wanted):
+    storage = RemoteStorage("memory://orograph-ranges")
+    data = {key: np.random.default_rng(ord(key)).bytes(400) for key in "ab"}
+    for key, content in data.items():
+        storage.put(key, [content])
+    ranges = [(key, start, start + length) for key, start, length in wanted]
+    assert storage.ranges(ranges) == [data[key][start:stop] for key, start, stop in ranges]
+
+
+def test_far_ranges_are_fetched_apart():
+    near, far = ("a", 0, 10), ("a", 1 << 20, (1 << 20) + 5)
+    assert merged([far, near, ("a", 12, 20), ("b", 0, 4)]) == [("a", 0, 20), far, ("b", 0, 4)]
+    assert len(merged([("a", i << 20, (i + 1) << 20) for i in range(10)])) == 3
+
+
+def test_file_urls_are_folders(tmp_path):
+    path = tmp_path / "a b.oro"
+    check(store.build(source(HEIGHTS), path.as_uri(), **SIZES))
+    assert isinstance(storage_at(path.as_uri()), FolderStorage)
+    check(store.open(path.as_uri()))
+    check(store.open(str(path) + "/"))
+
+
+def test_memory_urls(local):
+    url = "memory://orograph-test/area.oro"
+    terrain = store.build(source(HEIGHTS), url, **SIZES)
+    check(terrain)
+    assert all(a == b for a, b in objects(terrain.storage, local).values())
+    assert terrain.size_bytes == FolderStorage(local).size()  # nothing is left over
+    with pytest.raises(StoreError, match="there already"):
+        store.build(source(HEIGHTS), url, **SIZES)
+    other = store.build(source(HEIGHTS + 1), url, overwrite=True, **SIZES)
+    np.testing.assert_array_equal(other.read(0, 0, 5, 0, 5), HEIGHTS[:5, :5] + 1)
+    with pytest.raises(StoreError, match="not an Orograph store"):
+        store.open("memory://orograph-test/nothing")
+
+
+def test_an_interrupted_build_at_a_url_is_resumed(local, monkeypatch):
+    url = "memory://orograph-test/resumed"
+    put, left = RemoteStorage.put, [30]
+
+    def stop(self, key, parts):
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        put(self, key, parts)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RemoteStorage, "put", stop)
+        with pytest.raises(KeyboardInterrupt):
+            store.build(source(HEIGHTS), url, jobs=1, **SIZES)
+    with pytest.raises(StoreError, match=r"incomplete.*--resume"):
+        store.open(url)
+    with pytest.raises(StoreError, match="interrupted build"):
+        store.build(source(HEIGHTS), url, **SIZES)
+    terrain = store.build(source(HEIGHTS), url, resume=True, **SIZES)
+    check(terrain)
+    assert all(a == b for a, b in objects(terrain.storage, local).values())
+
+
+def test_an_unknown_protocol_says_what_to_install():
+    with pytest.raises(StoreError, match="cannot be opened"):
+        store.open("gopher://example.org/area.oro")
+
+
+class Ranges(BaseHTTPRequestHandler):
+    """A web server of files that understands ``Range: bytes=a-b`` and ``bytes=-n``."""
+
+    folder: Path
+    protocol_version = "HTTP/1.1"
+
+    def answer(self, body: bool) -> None:
+        path = self.folder / self.path.lstrip("/")
+        if not path.is_file():
+            self.send_error(404)
+            return
+        data = path.read_bytes()
+        found = re.fullmatch(r"bytes=(\d*)-(\d*)", self.headers.get("Range", ""))
+        size = len(data)
+        if found:
+            first, last = found.groups()
+            start, stop = (max(0, size - int(last)), size) if not first else (int(first), int(last or size - 1) + 1)
+            stop = min(stop, size)
+            if start >= size:
+                self.send_error(416)
+                return
+            data = data[start:stop]
+            self.send_response(206)
+            self.send_header("Content-Range", f"bytes {start}-{stop - 1}/{size}")
+        else:
+            self.send_response(200)
+        self.send_header("Accept-Ranges", "bytes")
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        if body:
+            self.wfile.write(data)
+
+    def do_GET(self) -> None:
+        self.answer(True)
+
+    def do_HEAD(self) -> None:
+        self.answer(False)
+
+    def log_message(self, *args: object) -> None:
+        pass
+
+
+@pytest.fixture
+def web(local):
+    handler = type("Handler", (Ranges,), {"folder": local.parent})
+    kind = type("Server", (ThreadingHTTPServer,), {"request_queue_size": 128})
+    server = kind(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+
+
+def test_http(web, local, tmp_path):
+    pytest.importorskip("aiohttp")
+    terrain = store.open(f"{web}/area.oro")
+    np.testing.assert_array_equal(terrain.read(0, 0, 290, 0, 260), HEIGHTS)
+    assert terrain.tiles(0).valid.shape == (2, 2)
+    with pytest.raises(StoreError, match="not an Orograph store"):
+        store.open(f"{web}/other.oro")
+    with pytest.raises(StoreError, match="could not be written"):
+        store.build(source(HEIGHTS), f"{web}/new.oro", **SIZES)
+
+
+@pytest.fixture(scope="module")
+def bucket():
+    server = pytest.importorskip("moto.server")
+    s3fs = pytest.importorskip("s3fs")
+    running = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    running.start()
+    host, port = running.get_host_and_port()
+    options = {"endpoint_url": f"http://{host}:{port}", "key": "k", "secret": "s"}
+    s3fs.S3FileSystem(**options).mkdir("terrain")
+    yield options
+    running.stop()
+
+
+def test_s3(bucket, local):
+    url = "s3://terrain/area.oro"
+    terrain = store.build(source(HEIGHTS), url, storage_options=bucket, **SIZES)
+    check(terrain)
+    assert all(a == b for a, b in objects(terrain.storage, local).values())
+    assert terrain.size_bytes == FolderStorage(local).size()
+    terrain.storage.fs.rm("terrain/area.oro/heights/0/height/c/1/0")
+    with pytest.raises(DamagedChunkError, match="heights/0/height/c/1/0"):
+        store.open(url, storage_options=bucket).read(0, 130, 140, 0, 10)
+    with pytest.raises(StoreError, match="not an Orograph store"):
+        store.open("s3://terrain/nothing", storage_options=bucket)
+
+
+def test_s3_by_environment(bucket, monkeypatch):
+    monkeypatch.setenv("AWS_ENDPOINT_URL", bucket["endpoint_url"])
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "k")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "s")
+    check(store.build(source(HEIGHTS), "s3://terrain/by-environment", **SIZES))
