@@ -7,18 +7,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numba
 
-F = TypeVar("F", bound=Callable[..., Any])
+Function = Callable[..., Any]
 
 
-def kernel(function: F) -> F:
+def kernel(function: Function) -> Function:
     """Compile ``function`` on first call (nopython, no GIL, cached on disk, NumPy's rules for division)."""
-    return cast(F, numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+    return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy")(function))
 
 
-def inlined(function: F) -> F:
+def inlined(function: Function) -> Function:
     """Compile a helper that is always inlined into the kernels that call it."""
-    return cast(F, numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")(function))
+    return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")(function))

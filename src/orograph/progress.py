@@ -42,5 +42,8 @@ class Progress:
     def warn(self, text: str) -> None:
         """A thing the user should know that does not stop the work (one sentence)."""
 
+    def note(self, text: str) -> None:
+        """A thing worth knowing that is no cause for concern (one line)."""
+
 
 SILENT = Progress()

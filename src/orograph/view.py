@@ -1,11 +1,11 @@
 """The camera: ``View``, its axes, matrices and frustum, and the rays through its pixels; all in float64.
 
-A view lives in the terrain's projected CRS: x = easting, y = northing, z = height, in metres. Pixel (0, 0) is the upper
-left one and its centre lies at (0.5, 0.5). View-space depth is the distance along the viewing direction, so rays are made
-with directions of unit forward component: the ray parameter *is* the depth.
+A view lives in the terrain's projected CRS: x = easting, y = northing, z = height, in metres. Pixel (0, 0) is the
+upper left one and its centre lies at (0.5, 0.5). View-space depth is the distance along the viewing direction; rays are
+made with directions of unit forward component, so the ray parameter *is* the depth.
 
 Exaggeration stretches heights on the way to the screen only. The eye and the target are true places and are stretched
-with the ground, so what is seen does not depend on the height that counts as zero, and an eye above the ground stays so.
+with the ground: what is seen does not depend on the height that counts as zero, and an eye above the ground stays so.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class View:
         unknown = set(values) - known - {"crs"}
         if unknown:
             raise UsageError(f"A view has no {sorted(unknown)[0]!r}; its keys are {', '.join(sorted(known))} and crs.")
-        given = {k: v for k, v in values.items() if k in known and v is not None}
+        given: dict[str, Any] = {k: v for k, v in values.items() if k in known and v is not None}
         for name in ("eye", "target"):
             if name not in given:
                 raise UsageError(f"The view lacks {name!r}: three numbers.")

@@ -197,7 +197,7 @@ def _valid(facts: Facts) -> str:
     if facts["kind"] == "store":
         return text
     nodata = facts["_nodata"]
-    rule = "no nodata value declared" if nodata is None else f"nodata {nodata:.9g}"
+    rule = "no nodata value declared" if nodata is None else f"nodata {nodata:.9g}".replace("nan", "NaN")
     if facts["_masked"]:
         rule = "by its mask" + ("" if nodata is None else f" and {rule}")
     sampled = "" if facts["height_range_exact"] else " of the samples looked at (--exact reads all)"

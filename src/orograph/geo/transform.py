@@ -1,4 +1,4 @@
-"""Moving positions between coordinate reference systems, horizontally, always in (x, y) = (longitude, latitude) order."""
+"""Moving positions between coordinate reference systems, horizontally, in (x, y) = (longitude, latitude) order."""
 
 from __future__ import annotations
 

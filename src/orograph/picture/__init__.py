@@ -1,0 +1,7 @@
+"""Pictures: what is drawn (``Scene``), from where (``camera``), and the CPU backend that draws it (``cpu``)."""
+
+from orograph.picture.api import render
+from orograph.picture.result import Picture
+from orograph.picture.scene import Scene, Sun
+
+__all__ = ["Picture", "Scene", "Sun", "render"]

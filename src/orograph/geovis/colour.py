@@ -1,0 +1,95 @@
+"""Colours of heights: hypsometric tints, any ``cmap`` name, and the span of heights they are stretched over.
+
+Tables are linear RGB, ready to be lit. Our own tints are given by a few stops in sRGB and interpolated in OKLab
+(Ottosson 2020), where equal steps look equal; they are light and grey enough for shading to read on them (Imhof 1965,
+*Kartographische Geländedarstellung*, ch. 13).
+"""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.store.terrain import Terrain
+
+Colours = NDArray[np.float32]
+
+TINTS: dict[str, list[tuple[float, str]]] = {
+    # Position 0–1, colour. Lowland greens, ochre slopes, brown-grey heights, pale summits.
+    "alpine": [(0.0, "#7fa07a"), (0.12, "#9db587"), (0.28, "#c9c899"), (0.45, "#d9c597"), (0.62, "#c4a585"),
+               (0.78, "#b3a193"), (0.9, "#d3cdc6"), (1.0, "#f4f2ee")],
+    "mars": [(0.0, "#6e4a3c"), (0.35, "#a0694a"), (0.65, "#c99468"), (0.85, "#dfbf98"), (1.0, "#f2e6d2")],
+    "grey": [(0.0, "#a9a9a9"), (1.0, "#dedede")],
+}  # fmt: skip
+
+DEFAULT = "alpine"
+
+_M1 = np.array([[0.4122214708, 0.5363325363, 0.0514459929], [0.2119034982, 0.6806995451, 0.1073969566],
+                [0.0883024619, 0.2817188376, 0.6299787005]])  # fmt: skip
+_M2 = np.array([[0.2104542553, 0.7936177850, -0.0040720468], [1.9779984951, -2.4285922050, 0.4505937099],
+                [0.0259040371, 0.7827717662, -0.8086757660]])  # fmt: skip
+
+
+def srgb_to_linear(colour: NDArray[Any]) -> Colours:
+    """sRGB in [0, 1] → linear light."""
+    c = np.asarray(colour, np.float32)
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def linear_to_srgb(colour: NDArray[Any]) -> Colours:
+    """Linear light → sRGB, clipped to [0, 1]."""
+    x = np.clip(np.asarray(colour, np.float32), 0.0, 1.0)
+    power = np.power(np.maximum(x, 0.0031308), np.float32(1 / 2.4))
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * power - 0.055).astype(np.float32)
+
+
+def colour_table(name: str | None = None, n: int = 1024) -> Colours:
+    """A table (n, 3) float32 of linear colours from the lowest to the highest.
+
+    Args:
+        name: one of ``TINTS`` or a name of the ``cmap`` catalogue; None is the default tint.
+
+    Raises:
+        UsageError: there is no such colour map; names like it are suggested.
+    """
+    name = name or DEFAULT
+    if name in TINTS:
+        at = np.array([p for p, _ in TINTS[name]])
+        stops = np.array([[int(c[i : i + 2], 16) / 255 for i in (1, 3, 5)] for _, c in TINTS[name]])
+        lab = np.cbrt(srgb_to_linear(stops).astype(np.float64) @ _M1.T) @ _M2.T
+        x = np.linspace(0, 1, n)
+        smooth = np.stack([np.interp(x, at, lab[:, k]) for k in range(3)], 1)
+        return np.clip(((smooth @ np.linalg.inv(_M2).T) ** 3) @ np.linalg.inv(_M1).T, 0, 1).astype(np.float32)
+    import cmap
+
+    try:
+        found = cmap.Colormap(name)
+    except (ValueError, TypeError, KeyError) as error:
+        known = [*TINTS, *(str(k) for k in cmap.Colormap.catalog().unique_keys())]
+        short = {k.split(":")[-1]: k for k in known}
+        close = [short[m] for m in difflib.get_close_matches(name.split(":")[-1], list(short), 4)]
+        hint = f"Did you mean {', '.join(close)}?" if close else "Try alpine, viridis, gist_earth or cmocean:topo."
+        raise UsageError(f"There is no colour map {name!r}.", remedy=hint) from error
+    return srgb_to_linear(np.asarray(found(np.linspace(0, 1, n)))[:, :3])
+
+
+def height_span(terrain: Terrain) -> tuple[float, float]:
+    """The heights, metres, that the ends of a colour table stand for: all but the outer hundredths of what there is.
+
+    Taken on the coarsest level, so that a spike or a pit does not wash out the rest; never an empty span.
+    """
+    level = terrain.levels - 1
+    rows, cols = terrain.shape(level)
+    heights = terrain.read(level, 0, rows, 0, cols)
+    valid = heights[np.isfinite(heights)]
+    if valid.size == 0:
+        low, high = terrain.height_range
+    else:
+        low, high = (float(v) for v in np.percentile(valid, [0.5, 99.5]))
+    if not high - low > 1e-6:
+        low, high = low - 0.5, high + 0.5
+    return low, high

@@ -1,0 +1,156 @@
+"""The slope of the ground at the scale of a pixel: what light falls on.
+
+Heights are averaged over the footprint of a pixel before they are differentiated: gradients of box means, interpolated
+between two levels (trilinear, Williams 1983), so that relief neither sparkles where samples are smaller than pixels nor
+shows facets where they are larger (gradients at the samples by central differences, blended bilinearly between them).
+The mean of gradients is the gradient of means, so this is the exact prefilter of a surface's slope.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel
+from orograph.parallel import map_ordered
+from orograph.raycast.select import Rectangle
+from orograph.store.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def _gradient(pool, base, rows, cols, u, v):
+    """d/du, d/dv of the raster at fractional position (u, v), and whether the ground there is exactly level."""
+    j0 = min(max(np.int64(np.floor(u)), 0), max(cols - 2, 0))
+    i0 = min(max(np.int64(np.floor(v)), 0), max(rows - 2, 0))
+    fu, fv = min(max(u - j0, 0.0), 1.0), min(max(v - i0, 0.0), 1.0)
+    gu = gv = weight = 0.0
+    for i in range(i0, min(i0 + 2, rows)):
+        wv = fv if i > i0 else 1.0 - fv
+        for j in range(j0, min(j0 + 2, cols)):
+            w = wv * (fu if j > j0 else 1.0 - fu)
+            here = np.float64(pool[base + i * cols + j])
+            if here != here or w == 0.0:
+                continue
+            a, b, du = here, here, 0.0
+            if j > 0 and pool[base + i * cols + j - 1] == pool[base + i * cols + j - 1]:
+                a = np.float64(pool[base + i * cols + j - 1])
+                du += 1.0
+            if j + 1 < cols and pool[base + i * cols + j + 1] == pool[base + i * cols + j + 1]:
+                b = np.float64(pool[base + i * cols + j + 1])
+                du += 1.0
+            c, d, dv = here, here, 0.0
+            if i > 0 and pool[base + (i - 1) * cols + j] == pool[base + (i - 1) * cols + j]:
+                c = np.float64(pool[base + (i - 1) * cols + j])
+                dv += 1.0
+            if i + 1 < rows and pool[base + (i + 1) * cols + j] == pool[base + (i + 1) * cols + j]:
+                d = np.float64(pool[base + (i + 1) * cols + j])
+                dv += 1.0
+            gu += w * (b - a) / max(du, 1.0)
+            gv += w * (d - c) / max(dv, 1.0)
+            weight += w
+    if weight > 0.0:
+        return gu / weight, gv / weight
+    return 0.0, 0.0
+
+
+@kernel
+def _gradients(pool, ints, floats, points, footprint, out, first, last):
+    """Points [first, last): (n, 3) sample coordinates, footprint (n,) in samples; out (n, 2): metres per sample."""
+    windows = ints.shape[0]
+    for k in range(first, last):
+        x, y = points[k, 0], points[k, 1]
+        if x != x:
+            out[k, 0] = out[k, 1] = np.nan
+            continue
+        level = np.log2(max(footprint[k], 1.0))
+        whole = np.floor(level)
+        part = level - whole
+        gx = gy = 0.0
+        for step in range(2):
+            share = part if step == 1 else 1.0 - part
+            if share == 0.0:
+                continue
+            chosen = 0  # the outermost window holds every point
+            for w in range(windows - 1, -1, -1):  # the finest that is no finer than wanted and holds the point
+                if (
+                    ints[w, 3] >= whole + step
+                    and floats[w, 1] <= x <= floats[w, 2]
+                    and floats[w, 3] <= y <= floats[w, 4]
+                ):
+                    chosen = w
+                    break
+            s = floats[chosen, 0]
+            u = (x + 0.5) / s - 0.5 - floats[chosen, 5]
+            v = (y + 0.5) / s - 0.5 - floats[chosen, 6]
+            a, b = _gradient(pool, ints[chosen, 0], ints[chosen, 1], ints[chosen, 2], u, v)
+            gx += share * a / s
+            gy += share * b / s
+        out[k, 0], out[k, 1] = gx, gy
+
+
+@dataclass(frozen=True, slots=True)
+class Relief:
+    """Box means of the heights over nested windows; ``gradient`` looks them up.
+
+    Attributes:
+        pool: float32, all windows, flat. ints (W, 4): offset, rows, cols, level. floats (W, 7): 2^level, then the west,
+            east, north and south limits of the window in sample coordinates, its first column and row.
+    """
+
+    pool: NDArray[np.float32]
+    ints: NDArray[np.int64]
+    floats: Array
+
+    @classmethod
+    def load(cls, terrain: Terrain, rectangles: list[Rectangle], jobs: int | None = None) -> Relief:
+        """Read the means over ``rectangles`` (outermost first) and the levels between them that filtering needs."""
+        wanted: list[Rectangle] = []
+        for r, finer in zip(rectangles, [*rectangles[1:], None]):
+            wanted.append(r)
+            # Between two windows that are several levels apart lie levels that a pixel may want: cover the finer one.
+            for level in range(r.level - 1, finer.level if finer else r.level, -1):
+                k = level - finer.level  # type: ignore[union-attr]
+                f = finer
+                assert f is not None
+                wanted.append(Rectangle(level, f.row0 >> k, -(-f.row1 >> k), f.col0 >> k, -(-f.col1 >> k)))
+        clipped = []
+        for r in wanted:
+            rows, cols = terrain.mean_shape(r.level)
+            clipped.append(
+                Rectangle(
+                    r.level, r.row0, max(min(r.row1, rows), r.row0 + 1), r.col0, max(min(r.col1, cols), r.col0 + 1)
+                )
+            )
+        arrays = list(map_ordered(lambda r: terrain.read_mean(r.level, r.row0, r.row1, r.col0, r.col1), clipped, jobs))
+        ints, floats = np.zeros((len(clipped), 4), np.int64), np.zeros((len(clipped), 7))
+        base = 0
+        for k, (r, a) in enumerate(zip(clipped, arrays)):
+            s = 2.0**r.level
+            ints[k] = base, *a.shape, r.level
+            margin = s if k else -np.inf  # differences reach one sample out; the outermost takes whatever comes
+            floats[k] = (
+                s,
+                r.col0 * s + margin,
+                r.col1 * s - margin,
+                r.row0 * s + margin,
+                r.row1 * s - margin,
+                r.col0,
+                r.row0,
+            )
+            base += a.size
+        pool = arrays[0].ravel() if len(arrays) == 1 else np.concatenate([a.ravel() for a in arrays])
+        return cls(np.ascontiguousarray(pool), ints, floats)
+
+    def gradient(self, points: Array, footprint: Array) -> Array:
+        """Slope at points (n, 3) in sample coordinates, averaged over a footprint (n,) in samples.
+
+        Returns:
+            (n, 2) float64: metres of height per sample along columns and along rows; NaN where the point is NaN.
+        """
+        out = np.empty((len(points), 2))
+        _gradients(self.pool, self.ints, self.floats, points, footprint, out, 0, len(points))
+        return out

@@ -1,0 +1,205 @@
+"""Where to stand: cameras made for a terrain out of what people say (from the south-west, at this place, all of it).
+
+Framing is exact: for a given direction the position that sees every given point with the least distance has a closed
+form, since each side of the frustum bounds the eye by one half-space (see ``fit``).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import NothingInViewError, UsageError
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.93
+"""The part of the picture's half-width and half-height that the fitted terrain may fill."""
+
+
+def outline(terrain: Terrain) -> Array:
+    """Positions (n, 3) in the terrain's CRS whose box holds all valid ground: samples of a coarse level, extremes kept.
+
+    Raises:
+        NothingInViewError: no sample is valid.
+    """
+    level = terrain.levels - 1
+    table = terrain.tiles(level)
+    rows, cols = terrain.shape(level)
+    heights = terrain.read(level, 0, rows, 0, cols)
+    step = max(1, max(rows, cols) // 128)
+    chosen = np.zeros(heights.shape, bool)
+    chosen[::step, ::step] = chosen[-1, ::step] = chosen[::step, -1] = True
+    r, c = np.nonzero(chosen & np.isfinite(heights))
+    if len(r) == 0:
+        r, c = np.nonzero(np.isfinite(heights))
+    if len(r) == 0:
+        if not np.isfinite(table.maximum).any():
+            raise NothingInViewError(
+                "None of the samples is valid, so there is nothing to draw.",
+                path=terrain.name,
+                remedy="See what the file holds with orograph info; a wrong --nodata or --band hides everything.",
+            )
+        # What is valid lies between the samples of this level: its tiles' corners bound it.
+        i, j = np.nonzero(np.isfinite(table.maximum))
+        r, c = np.concatenate([i, i + 1]) * 256, np.concatenate([j, j + 1]) * 256
+        z = np.concatenate([table.minimum[i, j], table.maximum[i, j]]).astype(np.float64)
+    else:
+        z = heights[r, c].astype(np.float64)
+    scale = 2**level
+    col = np.minimum(c * scale, terrain.grid.cols - 1)
+    row = np.minimum(r * scale, terrain.grid.rows - 1)
+    x, y = terrain.grid.xy(col, row)
+    points = np.stack([x, y, z], 1)
+    low, high = terrain.height_range
+    top = points[np.argmax(z)].copy()
+    top[2] = high
+    base = points[np.argmin(z)].copy()
+    base[2] = low
+    return np.concatenate([points, [top, base]])
+
+
+def direction(azimuth: float, pitch: float) -> Array:
+    """The unit viewing direction of an eye that stands at ``azimuth`` (degrees clockwise from north) of what it looks at,
+    ``pitch`` degrees above it."""
+    a, p = math.radians(azimuth), math.radians(pitch)
+    return np.array([-math.sin(a) * math.cos(p), -math.cos(a) * math.cos(p), -math.sin(p)])
+
+
+def fit(points: Array, forward: Array, fov_y: float, size: tuple[int, int], exaggeration: float = 1.0) -> View:
+    """The perspective view along ``forward`` that holds all ``points`` (n, 3) from as near as possible.
+
+    In camera axes (right a, up b, forward c) a point lies within the left and right sides seen from eye e if
+    |a − e_a| ≤ t·(c − e_c): two half-spaces in (e_a, e_c), whose nearest common point is the eye; likewise up and down.
+    """
+    width, height = size
+    stretch = np.array([1.0, 1.0, exaggeration])
+    drawn = points * stretch
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(right) < 1e-9 else right / np.linalg.norm(right)
+    up = np.cross(right, forward)
+    a, b, c = drawn @ right, drawn @ up, drawn @ forward
+    ty = math.tan(math.radians(fov_y) / 2) * MARGIN
+    tx = ty * width / height
+    eye = []
+    depth = []
+    for across, t in ((a, tx), (b, ty)):
+        plus, minus = (c - across / t).min(), (c + across / t).min()
+        eye.append(t * (minus - plus) / 2)
+        depth.append((plus + minus) / 2)
+    back = min(depth)
+    # Where one direction leaves room, its points are centred in it, at the depth the other demands.
+    span = max(float(np.ptp(a)), float(np.ptp(b)), float(np.ptp(c)), 1.0)
+    back = min(back, float(c.min()) - 1e-3 * span)
+    position = right * eye[0] + up * eye[1] + forward * back
+    target = position + forward * (float((c.min() + c.max()) / 2) - back)
+    return View(
+        tuple(position / stretch),
+        tuple(target / stretch),
+        fov_y=fov_y,
+        width=width,
+        height=height,  # type: ignore[arg-type]
+    )
+
+
+def whole(
+    terrain: Terrain,
+    size: tuple[int, int],
+    *,
+    azimuth: float = 180.0,
+    pitch: float = 42.0,
+    fov_y: float = 30.0,
+    exaggeration: float = 1.0,
+) -> View:
+    """A view that shows the whole terrain well: from the south, obliquely, with a long lens."""
+    return fit(outline(terrain), direction(azimuth, pitch) * [1.0, 1.0, 1.0], fov_y, size, exaggeration)
+
+
+def around(
+    terrain: Terrain,
+    size: tuple[int, int],
+    *,
+    azimuth: float,
+    pitch: float,
+    distance: float | None,
+    fov_y: float = 30.0,
+    exaggeration: float = 1.0,
+) -> View:
+    """A view from ``azimuth`` and ``pitch`` at ``distance`` metres of the terrain's middle (None: all of it in the picture)."""
+    if not -90 <= pitch <= 90:
+        raise UsageError(f"--pitch is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
+    if distance is None:
+        return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration)
+    if not distance > 0:
+        raise UsageError(f"--distance is in metres, more than 0, not {distance:g}.")
+    points = outline(terrain)
+    middle = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
+    target = np.array([*middle, ground(terrain, middle[0], middle[1], default=float(np.median(points[:, 2])))])
+    eye = target - direction(azimuth, pitch) * distance / np.array([1.0, 1.0, exaggeration])
+    return View(tuple(eye), tuple(target), fov_y=fov_y, width=size[0], height=size[1])  # type: ignore[arg-type]
+
+
+def standing(
+    terrain: Terrain,
+    size: tuple[int, int],
+    eye: tuple[float, float, float],
+    look_at: tuple[float, float] | None,
+    *,
+    fov_y: float = 45.0,
+) -> View:
+    """A view from (longitude, latitude, height) towards the ground at (longitude, latitude), or the terrain's middle.
+
+    Raises:
+        UsageError: the terrain has no CRS, or the place cannot be brought to it.
+    """
+    from orograph.geo.transform import transformer
+
+    move = transformer("EPSG:4326", terrain.grid.crs)
+    x, y = (float(v) for v in move(eye[0], eye[1]))
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise UsageError(f"Longitude {eye[0]:g}, latitude {eye[1]:g} cannot be brought to the terrain's projection.")
+    points = outline(terrain)
+    if look_at is None:
+        tx, ty = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
+    else:
+        tx, ty = (float(v) for v in move(*look_at))
+    z = ground(terrain, tx, ty, default=float(np.median(points[:, 2])))
+    return View((x, y, eye[2]), (tx, ty, z), fov_y=fov_y, width=size[0], height=size[1])
+
+
+def plan(terrain: Terrain, size: tuple[int, int]) -> View:
+    """The map view: straight down, north up, the whole terrain, its outline filling the picture to the margin."""
+    points = outline(terrain)
+    west, south = points[:, :2].min(0)
+    east, north = points[:, :2].max(0)
+    metres = max((east - west) / size[0], (north - south) / size[1], 1e-6) / MARGIN * size[1]
+    x, y = (west + east) / 2, (south + north) / 2
+    high = float(points[:, 2].max())
+    fov_y = 30.0
+    distance = metres / 2 / math.tan(math.radians(fov_y) / 2)
+    # The eye is above the highest summit; the target lies as far below it as makes a pixel the wanted size.
+    eye = high + max(10.0, 0.1 * distance)
+    return View((x, y, eye), (x, y, eye - distance), (0.0, 1.0, 0.0), fov_y, size[0], size[1], projection="plan")
+
+
+def ground(terrain: Terrain, x: float, y: float, default: float) -> float:
+    """Height of the full-resolution surface at a place in the terrain's CRS; ``default`` beside it or in a hole."""
+    col, row = (float(v) for v in terrain.grid.index(x, y))
+    rows, cols = terrain.grid.shape
+    if not (0 <= col <= cols - 1 and 0 <= row <= rows - 1):
+        return default
+    c, r = min(int(col), max(cols - 2, 0)), min(int(row), max(rows - 2, 0))
+    # An even corner keeps the diagonals' parity in the little window.
+    c0, r0 = c & ~1, r & ~1
+    patch = terrain.read(0, r0, min(r0 + 3, rows), c0, min(c0 + 3, cols))
+    from orograph.raycast.caster import Caster
+
+    if min(patch.shape) < 2:
+        return default
+    height = Caster.of(np.ascontiguousarray(patch), 1).surface(col - c0, row - r0)
+    return height if math.isfinite(height) else default

@@ -1,0 +1,135 @@
+"""The CPU backend: a scene becomes a picture with no graphics stack at all.
+
+First one ray through each pixel's centre (depth, and most of the picture), in blocks over threads; then, only where the
+picture has edges (silhouettes, shadows, shores), ``samples`` rays per pixel in a fixed low-discrepancy pattern. All
+colour is linear light until the last step.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import NothingInViewError
+from orograph.parallel import map_ordered
+from orograph.picture.ground import Ground
+from orograph.picture.result import Picture
+from orograph.picture.scene import Scene
+from orograph.picture.shading import Shader
+from orograph.progress import SILENT, Progress
+
+Array = NDArray[np.float64]
+
+EDGE = 0.045
+"""Difference of neighbouring pixels (sRGB, 0 to 1, largest channel) from which both are antialiased."""
+
+BLOCK = 1 << 15
+"""Samples shaded at a time by a thread."""
+
+
+def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
+    """Draw ``scene``.
+
+    Raises:
+        NothingInViewError: no valid terrain is in view; the message says what to change.
+        DamagedChunkError: a chunk that is needed fails its checksum.
+    """
+    clock = [time.perf_counter()]
+    facts: dict[str, Any] = {}
+
+    def lap(name: str) -> None:
+        clock.append(time.perf_counter())
+        facts.setdefault("seconds", {})[name] = round(clock[-1] - clock[-2], 4)
+
+    with progress.task("Reading heights"):
+        ground = Ground.load(scene)
+        if ground.tolerance > scene.pixel_tolerance:
+            progress.warn(
+                f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not fit "
+                "into --max-memory."
+            )
+    lap("heights")
+    with progress.task("Casting rays"):
+        t, window = ground.rays.first()
+    lap("rays")
+    if not np.isfinite(t).any():
+        raise NothingInViewError(_why_empty(scene), path=scene.terrain.name, remedy="Leave the camera options away to see all of it.")
+    facts["windows"] = [{"level": r.level, "rows": r.row1 - r.row0, "cols": r.col1 - r.col0} for r in ground.windows]
+    facts["tolerance_px"] = ground.tolerance
+    facts["hit_fraction"] = float(np.isfinite(t).mean())
+    with progress.task("Light and colour", total=2 * t.size) as task:
+        shader = Shader(scene, ground, t, progress)
+        lap("light")
+        view = scene.view
+        linear = np.empty((view.height, view.width, 3), np.float32)
+        flat, ft, fw = linear.reshape(-1, 3), t.ravel(), window.ravel()
+
+        def block(start: int) -> int:
+            i = np.arange(start, min(start + BLOCK, len(ft)))
+            px, py = i % view.width + 0.5, i // view.width + 0.5
+            flat[i] = shader.colour(ground.rays.meet(px, py, ft[i], fw[i]), px, py)
+            return len(i)
+
+        for n in map_ordered(block, range(0, len(ft), BLOCK), scene.jobs):
+            task.advance(n)
+        lap("colour")
+        if scene.samples > 1:
+            edges = np.flatnonzero(find_edges(encode(linear)).ravel())
+            facts["edge_fraction"] = len(edges) / len(ft)
+            offsets = pattern(scene.samples)
+
+            def refine(start: int) -> int:
+                chosen = edges[start : start + BLOCK // scene.samples]
+                px = (chosen % view.width)[:, None] + offsets[None, :, 0]
+                py = (chosen // view.width)[:, None] + offsets[None, :, 1]
+                u, v = px.ravel(), py.ravel()
+                depth, w = ground.rays.cast(u, v)
+                colours = shader.colour(ground.rays.meet(u, v, depth, w), u, v)
+                flat[chosen] = colours.reshape(len(chosen), scene.samples, 3).mean(1)
+                return len(chosen)
+
+            for n in map_ordered(refine, range(0, len(edges), max(1, BLOCK // scene.samples)), scene.jobs):
+                task.advance(n * len(ft) / max(1, len(edges)))
+            lap("antialiasing")
+    pixels = np.round(encode(linear) * 255).astype(np.uint8)
+    facts["shader"] = shader.facts
+    return Picture(pixels, t.astype(np.float32), scene.view, facts)
+
+
+def encode(linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Linear light → sRGB's transfer function, clipped to [0, 1]."""
+    x = np.clip(linear, 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(np.maximum(x, 0.0031308), np.float32(1 / 2.4)) - 0.055).astype(np.float32)
+
+
+def find_edges(picture: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Pixels (height, width) that differ from a neighbour by more than ``EDGE``."""
+    edges = np.zeros(picture.shape[:2], bool)
+    across = (np.abs(np.diff(picture, axis=1)) > EDGE).any(2)
+    down = (np.abs(np.diff(picture, axis=0)) > EDGE).any(2)
+    edges[:, 1:] |= across
+    edges[:, :-1] |= across
+    edges[1:] |= down
+    edges[:-1] |= down
+    return edges
+
+
+def pattern(n: int) -> Array:
+    """n positions in a pixel (n, 2), evenly spread: the R2 sequence (Roberts 2018), the same for every pixel."""
+    g = 1.32471795724474602596
+    k = np.arange(1, n + 1)[:, None]
+    return (0.5 + k * np.array([1 / g, 1 / g**2])) % 1.0
+
+
+def _why_empty(scene: Scene) -> str:
+    view, terrain = scene.view, scene.terrain
+    col, row = (float(v) for v in terrain.grid.index(view.eye[0], view.eye[1]))
+    inside = 0 <= col <= terrain.grid.cols - 1 and 0 <= row <= terrain.grid.rows - 1
+    place = "above or under its area" if inside else "outside its area"
+    return (
+        f"Nothing of the terrain is in view: the eye at ({view.eye[0]:.0f}, {view.eye[1]:.0f}, {view.eye[2]:.0f}) is {place} "
+        f"and looks towards ({view.target[0]:.0f}, {view.target[1]:.0f}, {view.target[2]:.0f})."
+    )

@@ -1,0 +1,163 @@
+"""What is known at the points where rays meet the ground: position, slope at the pixel's scale, light that reaches them.
+
+Everything here is asked by blocks of samples from several threads. Positions are kept twice: in sample coordinates (for
+the caster and the rasters) and in the terrain's CRS (for drapes). Slopes and normals are those of the stretched ground,
+since that is what light falls on in the picture; heights stay true.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.light.relief import Relief
+from orograph.picture.scene import Scene, Sun
+from orograph.raycast.caster import Caster
+from orograph.raycast.select import Rectangle, load, rectangles
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """Samples of a picture, some of which met the ground.
+
+    Attributes:
+        hit: (n,) which did; the other arrays hold those only, (m, …).
+        directions: (n, 3) of all rays, stretched CRS space, unit length.
+        points: (m, 3) sample coordinates and true height. x, y: (m,) CRS coordinates. depth: (m,) view-space depth.
+        footprint: (m,) width of a pixel on the ground, in samples. window: (m,) of the caster.
+    """
+
+    hit: Flags
+    directions: Array
+    points: Array
+    x: Array
+    y: Array
+    depth: Array
+    footprint: Array
+    window: NDArray[np.int8]
+
+
+class Rays:
+    """A scene's camera against its caster."""
+
+    def __init__(self, scene: Scene, caster: Caster) -> None:
+        self.scene, self.caster = scene, caster
+        self.single = copy.copy(caster)
+        self.single.jobs = 1
+        view, grid = scene.view, scene.terrain.grid
+        self.basis = view.ray_basis(scene.exaggeration)
+        inverse = ~grid.samples
+        self.linear = np.array([[inverse.a, inverse.b, 0.0], [inverse.d, inverse.e, 0.0], [0.0, 0.0, 1.0]])
+        self.offset = np.array([inverse.c, inverse.f, 0.0])
+        self.spacing = math.sqrt(abs(grid.transform.determinant))
+        self.far = min(view.far, 1e9)
+
+    def first(self) -> tuple[Array, NDArray[np.int8]]:
+        """Depth (height, width) and window of the hits through all pixel centres, on all threads."""
+        view = self.scene.view
+        size = (view.height, view.width)
+        o0, ou, ov, d0, du, dv = self.basis
+        if view.projection == "perspective":
+            centre = d0 + 0.5 * (du + dv)
+            return self.caster.cast_pinhole(
+                self.linear @ o0 + self.offset, self.linear @ centre, self.linear @ du, self.linear @ dv, size, view.near, self.far
+            )
+        t, window = np.empty(size), np.empty(size, np.int8)
+        px = np.arange(view.width) + 0.5
+        for row in range(0, view.height, 64):
+            py = np.arange(row, min(row + 64, view.height)) + 0.5
+            u, v = (a.ravel() for a in np.meshgrid(px, py))
+            a, b = self.cast(u, v, self.caster)
+            t[row : row + 64], window[row : row + 64] = a.reshape(len(py), -1), b.reshape(len(py), -1)
+        return t, window
+
+    def cast(self, px: Array, py: Array, caster: Caster | None = None) -> tuple[Array, NDArray[np.int8]]:
+        """Depths and windows of rays through arbitrary pixel positions (n,), in the calling thread."""
+        o0, ou, ov, d0, du, dv = self.basis
+        origins = o0 + px[:, None] * ou + py[:, None] * ov
+        directions = d0 + px[:, None] * du + py[:, None] * dv
+        return (caster or self.single).cast(
+            origins @ self.linear.T + self.offset, directions @ self.linear.T, self.scene.view.near, self.far
+        )
+
+    def meet(self, px: Array, py: Array, t: Array, window: NDArray[np.int8]) -> Hits:
+        """Positions of the samples at pixel positions (n,) with depths t (n,)."""
+        o0, ou, ov, d0, du, dv = self.basis
+        directions = d0 + px[:, None] * du + py[:, None] * dv
+        hit = np.isfinite(t)
+        depth = t[hit]
+        world = o0 + px[hit, None] * ou + py[hit, None] * ov + depth[:, None] * directions[hit]
+        points = world @ self.linear.T + self.offset
+        directions[:, 2] *= self.scene.exaggeration
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        view = self.scene.view
+        metres = depth * view.pixel_slope if view.projection == "perspective" else np.full(len(depth), view.pixel_metres)
+        # Seen at a slant a pixel covers more ground one way; the geometric mean is what an isotropic filter can do.
+        slant = np.clip(np.abs(directions[hit, 2]), 0.1, 1.0) ** -0.5
+        return Hits(hit, directions, points, world[:, 0], world[:, 1], depth, metres * slant / self.spacing, window[hit])
+
+
+class Ground:
+    """The caster and relief a scene needs, loaded within its budget of memory."""
+
+    def __init__(self, scene: Scene, windows: list[Rectangle], tolerance: float) -> None:
+        terrain = scene.terrain
+        self.scene, self.tolerance = scene, tolerance
+        self.windows = windows
+        self.caster = Caster(load(terrain, windows, scene.jobs), terrain.grid.shape, scene.jobs)
+        self.relief = Relief.load(
+            terrain, rectangles(terrain, scene.view, scene.exaggeration, 1.0, by="spacing"), scene.jobs
+        )
+        self.rays = Rays(scene, self.caster)
+        grid = terrain.grid
+        linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
+        self.to_world = np.linalg.inv(linear).T  # gradients per sample → gradients per metre
+        self.to_samples = np.linalg.inv(linear)
+
+    @classmethod
+    def load(cls, scene: Scene) -> Ground:
+        """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed."""
+        terrain = scene.terrain
+        rows, cols = terrain.grid.shape
+        tolerance = scene.pixel_tolerance
+        # Heights 4 bytes and their pyramids 5/12 of that, the relief's means 4/3, reading on the way.
+        bytes_per_sample = 4 * (1 + 5 / 12) + 4
+        budget = math.inf if scene.max_memory is None else max(scene.max_memory - 250 * 2**20, scene.max_memory // 4)
+        if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
+            return cls(scene, [Rectangle(0, 0, rows, 0, cols)], 0.0)
+        tolerance = tolerance or 0.05
+        while True:
+            chosen = rectangles(terrain, scene.view, scene.exaggeration, tolerance)
+            if sum(r.samples for r in chosen) * bytes_per_sample <= budget or len(chosen) == 1:
+                return cls(scene, chosen, tolerance)
+            tolerance *= 1.25
+
+    def normals(self, hits: Hits) -> Array:
+        """Unit normals (m, 3) of the stretched ground in CRS axes, averaged over each pixel."""
+        g = self.relief.gradient(hits.points, hits.footprint) @ self.to_world.T * self.scene.exaggeration
+        n = np.empty((len(g), 3))
+        n[:, :2] = -g
+        n[:, 2] = 1.0
+        n /= np.linalg.norm(n, axis=1, keepdims=True)
+        return n
+
+    def skyline(self, hits: Hits, sun: Sun, which: Flags) -> Array:
+        """tan of the horizon's angle towards the sun on the stretched ground, clamped just around the sun's disc, for
+        the hits in ``which``."""
+        radius = sun.diameter / 2
+        low = math.tan(math.radians(max(sun.altitude - radius, -89.0)))
+        high = math.tan(math.radians(min(sun.altitude + radius, 89.9)))
+        a = math.radians(sun.azimuth)
+        step = self.to_samples @ [math.sin(a), math.cos(a)]
+        scale = 2.0 ** np.array([w.level for w in self.caster.stack.windows])
+        # Next to the point its own facet would shade it: there the normal decides. A pixel is the other limit of detail.
+        skip = np.maximum(scale[hits.window[which]], np.minimum(hits.footprint[which], 4.0)) * self.rays.spacing
+        x = self.scene.exaggeration
+        return self.rays.single.skyline(hits.points[which], (step[0], step[1]), skip, low / x, high / x) * x

@@ -1,0 +1,80 @@
+"""From paths to a terrain that can be drawn: opened, read into memory, or built once into a store that is kept.
+
+A raster that is small enough is read into memory and forgotten. A larger one is built into a store in the user's cache
+folder (``$OROGRAPH_CACHE``, or the platform's own place), under a name made from its files, their sizes and times and
+the reading options: the next picture of it opens that store at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from orograph.errors import OrographError, StoreError, UsageError
+from orograph.picture.scene import EXACT_SAMPLES
+from orograph.progress import SILENT, Progress
+from orograph.store.terrain import Terrain
+
+
+def cache_folder() -> Path:
+    """Where the stores of large DEMs are kept: ``$OROGRAPH_CACHE``, else the platform's cache folder."""
+    if chosen := os.environ.get("OROGRAPH_CACHE"):
+        return Path(chosen)
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "orograph"
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "orograph" / "cache"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "orograph"
+
+
+def prepare(
+    paths: list[str], *, max_memory: int | None = None, jobs: int | None = None, progress: Progress = SILENT, **options: Any
+) -> Terrain:
+    """The terrain of a store, of one DEM or of many.
+
+    Args:
+        paths: one store, or DEM files.
+        options: for ``Mosaic.open``.
+
+    Raises:
+        ReadError, StoreError, UsageError: as ``store.open``, ``Mosaic.open`` and ``store.build``.
+    """
+    from orograph import store
+    from orograph.store.detect import is_store
+
+    if len(paths) == 1 and is_store(paths[0]):
+        given = {k: v for k, v in options.items() if v is not None}
+        if given:
+            raise UsageError(f"{', '.join(sorted(given))}: a store is already built; such options are for DEM files.")
+        return store.open(paths[0])
+    from orograph.dem.mosaic import Mosaic
+
+    mosaic = Mosaic.open(paths, progress=progress, **{k: v for k, v in options.items() if v is not None})
+    for warning in mosaic.warnings:
+        progress.warn(warning)
+    rows, cols = mosaic.grid.shape
+    if rows * cols <= EXACT_SAMPLES and (max_memory is None or rows * cols * 12 <= max_memory):
+        return store.terrain(mosaic, progress)
+    kept = cache_folder() / f"{mosaic.fingerprint()[:20]}.oro"
+    if kept.exists():
+        try:
+            terrain = store.open(kept)
+        except OrographError as error:
+            progress.warn(f"the kept store cannot be used and is built again ({error})")
+        else:
+            progress.note(f"drawn from the store kept at {kept}")
+            return terrain
+    try:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(
+            f"The cache folder cannot be made: {error.strerror}.", path=kept.parent,
+            remedy="Set OROGRAPH_CACHE to a folder with room, or use orograph build and render the store.",
+        ) from error  # fmt: skip
+    memory = {} if max_memory is None else {"max_memory": max_memory}
+    terrain = store.build(mosaic, kept, resume=True, jobs=jobs, progress=progress, **memory)
+    size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())
+    progress.note(f"the store made of it is kept at {kept} ({size / 1e6:.0f} MB); the next picture starts from there")
+    return terrain

@@ -1,0 +1,96 @@
+"""What is drawn: terrain, camera, light, colour and furniture, the same description for every backend."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from typing import Literal
+
+from orograph.errors import UsageError
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+EXACT_SAMPLES = 4100 * 4100
+"""Terrains of up to this many samples are drawn at full resolution unless a tolerance is asked for."""
+
+DEFAULT_TOLERANCE = 0.5
+"""Pixels: what larger terrains may be displaced by on the screen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sun:
+    """A distant disc of light.
+
+    Attributes:
+        azimuth: degrees clockwise from (grid) north, towards the sun.
+        altitude: degrees above the horizon.
+        diameter: degrees; the real sun's is 0.53.
+    """
+
+    azimuth: float = 315.0
+    altitude: float = 45.0
+    diameter: float = 0.53
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.azimuth) and -90 <= self.altitude <= 90):
+            raise UsageError(f"The sun's altitude lies between −90 and 90 degrees, not {self.altitude:g}.")
+        if not 0 <= self.diameter < 90:
+            raise UsageError(f"The sun's diameter is an angle in degrees, not {self.diameter:g}.")
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A picture to be.
+
+    Attributes:
+        terrain, view: what is looked at, and from where.
+        sun: the light; ``shadows``: whether ground casts shadows.
+        exaggeration: heights are stretched by this on the screen (never in what is measured).
+        colormap: a ``cmap`` name or one of ``geovis.colour``'s own; None: the hypsometric tint.
+        drape: an image file laid over the ground, in any CRS.
+        sky: draw sky and haze; else the background is paper.
+        water: "auto" finds seas and lakes by their flatness, None draws none, a number is a water level in metres.
+        samples: rays per pixel where the picture has edges (1: no antialiasing).
+        tolerance: pixels; 0 demands the exact surface, None decides by size (``EXACT_SAMPLES``, ``DEFAULT_TOLERANCE``).
+        furniture: title, colour bar, north arrow, scale bar; ``title``: None takes the terrain's name.
+        max_memory: bytes that heights and pictures may take; None: no limit.
+        jobs: threads; None: all processors.
+    """
+
+    terrain: Terrain
+    view: View
+    sun: Sun = field(default_factory=Sun)
+    shadows: bool = True
+    exaggeration: float = 1.0
+    colormap: str | None = None
+    drape: str | os.PathLike[str] | None = None
+    sky: bool = False
+    water: Literal["auto"] | float | None = "auto"
+    samples: int = 4
+    tolerance: float | None = None
+    furniture: bool = False
+    title: str | None = None
+    max_memory: int | None = None
+    jobs: int | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.exaggeration < math.inf:
+            raise UsageError(f"The exaggeration is a factor greater than 0, not {self.exaggeration:g}.")
+        if self.samples < 1:
+            raise UsageError(f"A pixel needs at least one sample, not {self.samples}.")
+        if self.tolerance is not None and not self.tolerance >= 0:
+            raise UsageError(f"The tolerance is in pixels, 0 or more, not {self.tolerance:g}.")
+        if min(self.terrain.grid.shape) < 2:
+            raise UsageError(
+                f"The raster has {self.terrain.grid.rows} row(s) and {self.terrain.grid.cols} column(s); a surface needs "
+                "at least two of each."
+            )
+
+    @property
+    def pixel_tolerance(self) -> float:
+        """The tolerance in force, pixels."""
+        if self.tolerance is not None:
+            return self.tolerance
+        rows, cols = self.terrain.grid.shape
+        return 0.0 if rows * cols <= EXACT_SAMPLES else DEFAULT_TOLERANCE
