@@ -9,18 +9,49 @@ import click
 from orograph.cli.options import jobs_option, progress_of
 
 
-@click.command()
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), required=True, help="GeoTIFF to
-write.") @click.option("--size", default="1025", show_default=True, metavar="N|ROWSxCOLS", help="Samples: a side, or
-rows × columns.") @click.option("--seed", type=int, default=1, show_default=True, help="Which terrain: another number,
-another world.") @click.option("--spacing", type=float, default=30.0, show_default=True, help="Metres between samples.")
-@click.option("--crs", default="EPSG:32633", show_default=True, help="A projected CRS.") @click.option("--relief",
-type=float, help="Metres from the lowest to the highest place.  [default: 2500, less below 42 km]") @click.option(
-"--roughness", type=click.FloatRange(0, 3), default=1.0, show_default=True, help="Depth of the finer furrows: 0 smooth,
-1 natural.", ) @click.option( "--compress", type=click.Choice(["zstd", "deflate", "none"]), default="none",
-show_default=True, help="Compression of the file.", ) @jobs_option @click.pass_context def command( ctx: click.Context,
-output: Path, size: str, seed: int, spacing: float, crs: str, relief: float | None, roughness: float, compress: str,
-jobs: int | None, ) -> None:
+@click.command("synth")
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), required=True, help="The GeoTIFF to write."
+)
+@click.option(
+    "--size", default="1025", show_default=True, metavar="N|ROWSxCOLS", help="Samples: of a side, or rows × columns."
+)
+@click.option("--seed", type=int, default=1, show_default=True, help="Which terrain: another number, another world.")
+@click.option("--spacing", type=float, default=30.0, show_default=True, help="Metres between samples.")
+@click.option("--crs", default="EPSG:32633", show_default=True, help="A projected CRS.")
+@click.option(
+    "--relief",
+    type=float,
+    help="Metres from the lowest to the highest place.  [default: 6 % of the side, at most 2500]",
+)
+@click.option(
+    "--roughness",
+    type=click.FloatRange(0, 3),
+    default=1.0,
+    show_default=True,
+    help="Depth of the finer furrows: 0 smooth, 1 natural.",
+)
+@click.option(
+    "--compress",
+    type=click.Choice(["zstd", "deflate", "none"]),
+    default="none",
+    show_default=True,
+    help="Compression of the file: none is read fastest, zstd takes a third of the space.",
+)
+@jobs_option
+@click.pass_context
+def command(
+    ctx: click.Context,
+    output: Path,
+    size: str,
+    seed: int,
+    spacing: float,
+    crs: str,
+    relief: float | None,
+    roughness: float,
+    compress: str,
+    jobs: int | None,
+) -> None:
     """Make a fractal terrain of any size: plains, and ranges carved by rivers.
 
     The same seed and size give the same file to the byte, whatever the number of jobs. The terrain is written in
