@@ -91,8 +91,9 @@ def write(path: Path, case: dict[str, Any]) -> None:
             compress=case["compress"], **case["layout"],
         ) as dataset,
     ):  # fmt: skip
-        dataset.write(numbers, 1)
+        # First these: beside a vertical CRS, GDAL writes them into the geotransform's tags and loses them afterwards.
         dataset.scales, dataset.offsets, dataset.units = [case["scale"]], [case["offset"]], [case["unit"]]
+        dataset.write(numbers, 1)
         if case["mask"] is not None and case["nodata"] is None:
             dataset.write_mask(case["mask"])
 

@@ -213,6 +213,12 @@ def test_bands(shared_data: Path) -> None:
         Source.open(path, band=6)
 
 
+def test_a_colour_table_is_not_heights_unless_it_is_of_plain_greys(tmp_path: Path, shared_data: Path) -> None:
+    classes = shared_data / "spdatalarge-zion-nz-ecuador" / "zion_nlcd2011.tif"
+    assert any("colour table" in w for w in Source.open(classes).warnings) and Source.open(classes).picture
+    assert not Source.open(shared_data / "pugetsound-openglobe" / "ps-e.lg.png").picture
+
+
 # Terrain-RGB -------------------------------------------------------------------------------------------------------
 
 

@@ -97,8 +97,6 @@ def _local(
         why = "It does not say where it lies"
     if spacing is None:
         warnings.append(f"{why}: its samples are taken to be 1 m apart (give --spacing METRES).")
-    else:
-        warnings.append(f"{why}: its samples are taken to be {spacing:g} m apart, as asked.")
     if assumed is not None:
         warnings.append("Without a place of its own, --assume-crs cannot be used for it.")
     if crs is not None:

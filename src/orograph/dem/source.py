@@ -3,7 +3,7 @@
 Whatever the file holds, ``Source.read`` gives metres as float32 with NaN where there is no height:
 
 1. the file's numbers are compared with its nodata value *as stored*, before any scaling (integers exactly, floats by
-   ``_is_nodata``); a mask or alpha band counts too; NaN, ±inf and anything of magnitude 1e30 or more (a nodata value
+   ``is_nodata``); a mask or alpha band counts too; NaN, ±inf and anything of magnitude 1e30 or more (a nodata value
    that was not declared: no body is that large) are never heights;
 2. height = (number · scale + offset) · metres per unit, in float64, rounded once to float32. Integers beyond 2^24 and
    float64 thereby keep 24 bits: better than 0.001 m for every height on Earth.
@@ -21,18 +21,26 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.encode import ENCODINGS, decode_rgb
+from orograph.dem.bands import (
+    MAX_BLOCK_BYTES,
+    band_warnings,
+    check_band,
+    check_encoding,
+    check_size,
+    description_of,
+    is_palette,
+    is_picture,
+)
+from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.dem.header import place_of, unit_of, vertical_of
+from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
-from orograph.errors import ReadError, UsageError
+from orograph.errors import ReadError
 from orograph.geo.grid import Grid
 
 MAX_READ_BYTES = 2 << 30
 """``read`` holds at most this many bytes of heights (float32: 536 million samples, e.g. 23170²)."""
-
-MAX_BLOCK_BYTES = 256 << 20
-"""A file stored in blocks larger than this cannot be read by windows in bounded memory, and is refused."""
 
 HUGE = 1e30  # metres; nodata values such as ±3.4e38 and -1e37 lie beyond, heights do not
 
@@ -119,22 +127,22 @@ class Source:
         location = locate(path)
         warnings: list[str] = []
         with HANDLES.borrow(location) as dataset:
-            _check_size(dataset, path)
-            _check_band(dataset, band, path)
+            check_size(dataset, path)
+            check_band(dataset, band, path)
             if encoding is not None:
-                _check_encoding(dataset, encoding, path)
-            elif vertical_unit is None and _is_picture(dataset):
+                check_encoding(dataset, encoding, path)
+            elif vertical_unit is None and is_picture(dataset):
                 warnings.append(
                     "It looks like a picture, not heights: its bands are colours of 8 bits "
                     "(give --encoding mapbox or terrarium if it is a terrain-RGB tile)."
                 )
-            elif _is_palette(dataset, band):
+            elif is_palette(dataset, band):
                 warnings.append("It has a colour table: its numbers are classes or colours, not heights.")
             elif dataset.count > 1:
-                warnings.extend(_band_warnings(dataset, band))
+                warnings.extend(band_warnings(dataset, band))
             place, crs = place_of(dataset, spacing=spacing, assume_crs=assume_crs, warnings=warnings)
             dtype = dataset.dtypes[band - 1]
-            mask, alpha = _mask_of(dataset, band, nodata)
+            mask, alpha = mask_of(dataset, band, nodata)
             unit = unit_of(dataset, band, crs, vertical_unit, warnings)
             plain = encoding is None
             return cls(
@@ -146,7 +154,7 @@ class Source:
                 dtype=dtype,
                 band=band,
                 bands=dataset.count,
-                nodata=_nodata_of(dataset, band, nodata, dtype) if plain else None,
+                nodata=nodata_of(dataset, band, nodata, dtype) if plain else None,
                 scale=float(dataset.scales[band - 1]) if plain else 1.0,
                 offset=float(dataset.offsets[band - 1]) if plain else 0.0,
                 unit_factor=unit,
@@ -154,10 +162,10 @@ class Source:
                 georeferenced=place.georeferenced,
                 block=tuple(dataset.block_shapes[band - 1]),
                 driver=dataset.driver,
-                description=_description(dataset, band),
+                description=description_of(dataset, band),
                 unit=(dataset.units[band - 1] or "").strip(),
                 warnings=warnings,
-                picture=plain and (_is_picture(dataset) or _is_palette(dataset, band)),
+                picture=plain and (is_picture(dataset) or is_palette(dataset, band)),
                 _flip_rows=place.flip_rows,
                 _flip_cols=place.flip_cols,
                 _mask=mask if plain else "none",
@@ -275,7 +283,7 @@ class Source:
         return f"Something in rows {top}–{top + height - 1}, columns {left}–{left + width - 1}"
 
     def _heights(self, raw: NDArray[Any]) -> NDArray[np.float32]:
-        missing = None if self.nodata is None else _is_nodata(raw, self.nodata)
+        missing = None if self.nodata is None else is_nodata(raw, self.nodata)
         plain = self.scale == 1 and self.offset == 0 and self.unit_factor == 1
         with np.errstate(over="ignore", invalid="ignore"):
             if plain:
@@ -300,159 +308,6 @@ class Source:
         finite = found[np.isfinite(found)]
         if finite.size and len(self.undeclared) < 8:
             self.undeclared.add(float(finite[0]))
-
-
-def _is_nodata(raw: NDArray[Any], nodata: float | int) -> NDArray[np.bool_]:
-    """Where stored numbers mean "missing".
-
-    Integers are compared exactly. Floats are compared as float32, in which the result is anyway: the tag may be a
-    float64 text of a float32 value or the reverse (−3.4028234663852886e+38, −99.9); unless float32 would turn it into
-    0.
-    """
-    missing: NDArray[np.bool_]
-    with np.errstate(over="ignore", under="ignore"):
-        narrow = np.float32(nodata) if raw.dtype.kind == "f" else np.float32(0)
-        if np.isnan(nodata):
-            missing = np.isnan(raw)
-        elif raw.dtype.kind != "f" or narrow == 0 or np.isinf(narrow):
-            missing = raw == nodata
-        else:
-            missing = raw.astype(np.float32, copy=False) == narrow
-    return missing
-
-
-def _nodata_of(dataset: Any, band: int, asked: float | str | None, dtype: str) -> float | int | None:
-    """The nodata number in the band's own type; None if there is none, or it cannot occur in that type."""
-    if isinstance(asked, str):
-        if asked.strip().lower() == "none":
-            return None
-        try:
-            asked = int(asked) if asked.strip().lstrip("+-").isdigit() else float(asked)
-        except ValueError:
-            raise UsageError(f"The nodata value must be a number or 'none', not {asked!r}.") from None
-    value = dataset.nodatavals[band - 1] if asked is None else asked
-    if value is None:
-        return None
-    if np.dtype(dtype).kind == "f":
-        return float(value)
-    info = np.iinfo(dtype)
-    if not np.isfinite(value) or value != int(value) or not info.min <= int(value) <= info.max:
-        return None  # -9999 declared on uint8, say: no stored number equals it
-    return int(value)
-
-
-def _mask_of(dataset: Any, band: int, asked: float | str | None) -> tuple[Literal["none", "gdal", "alpha"], int]:
-    """Where else missing samples are marked: GDAL's mask (mask bands, alpha, ISIS special pixels), or an alpha band
-    of floats.
-
-    GDAL ignores an alpha band that is not of integers (Spearfish: float32), hence the second kind.
-    """
-    from rasterio.enums import ColorInterp, MaskFlags
-
-    flags = set(dataset.mask_flag_enums[band - 1])
-    if MaskFlags.all_valid in flags:
-        alphas = (
-            [i + 1 for i, c in enumerate(dataset.colorinterp) if c == ColorInterp.alpha] if dataset.count < 100 else []
-        )
-        if alphas and band not in alphas:
-            return "alpha", alphas[0]
-        return "none", 0
-    if MaskFlags.nodata in flags and (flags == {MaskFlags.nodata} or asked is not None):
-        return "none", 0  # nothing but the nodata value, which is compared here
-    if dataset.count < 100 and dataset.colorinterp[band - 1] == ColorInterp.alpha:
-        return "none", 0
-    return "gdal", 0
-
-
-def _check_size(dataset: Any, path: str | os.PathLike[str]) -> None:
-    from rasterio.enums import Interleaving
-
-    rows, cols = dataset.block_shapes[0]
-    together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
-    size = rows * cols * together * _itemsize(dataset.dtypes[0])
-    if size > MAX_BLOCK_BYTES:
-        raise ReadError(
-            f"It is stored in blocks of {rows} × {cols} samples × {together} bands, {size / 2**20:,.0f} MiB each, "
-            f"which cannot be read in bounded memory (the limit is {MAX_BLOCK_BYTES / 2**20:.0f} MiB).",
-            path=path,
-            remedy="Write it again in tiles (gdal_translate -co TILED=YES), if it is a sound file.",
-        )
-
-
-def _itemsize(dtype: str) -> int:
-    return 4 if dtype == "complex_int16" else np.dtype(dtype).itemsize
-
-
-def _check_band(dataset: Any, band: int, path: str | os.PathLike[str]) -> None:
-    if not 1 <= band <= dataset.count:
-        raise UsageError(
-            f"There is no band {band}: {_list_bands(dataset)}.", path=path, remedy="Choose another with --band."
-        )
-    dtype = dataset.dtypes[band - 1]
-    if dtype.startswith("complex"):
-        raise ReadError(
-            f"Its numbers are complex ({dtype}), which heights are not.",
-            path=path,
-            remedy="Take one part of them first.",
-        )
-
-
-def _check_encoding(dataset: Any, encoding: str, path: str | os.PathLike[str]) -> None:
-    if encoding not in ENCODINGS:
-        raise UsageError(f"{encoding!r} is not an encoding known here ({', '.join(ENCODINGS)}).", path=path)
-    if dataset.count not in (3, 4) or set(dataset.dtypes) != {"uint8"}:
-        raise UsageError(
-            f"Encoding {encoding} needs three bands of 8 bits (and perhaps alpha), but {_list_bands(dataset)} of "
-            f"{dataset.dtypes[0]}.",
-            path=path,
-            remedy="Leave --encoding away.",
-        )
-
-
-def _list_bands(dataset: Any) -> str:
-    if dataset.count == 1:
-        return "it has one band"
-    names = [f"{i}: {d}" for i, d in enumerate(dataset.descriptions[:12], 1) if d]
-    return f"it has {dataset.count} bands" + (f" ({', '.join(names)})" if names else "")
-
-
-def _is_picture(dataset: Any) -> bool:
-    return bool(dataset.count in (3, 4) and set(dataset.dtypes) == {"uint8"})
-
-
-def _is_palette(dataset: Any, band: int) -> bool:
-    from rasterio.enums import ColorInterp
-
-    return bool(dataset.count < 100 and dataset.colorinterp[band - 1] == ColorInterp.palette)
-
-
-def _description(dataset: Any, band: int) -> str:
-    """The band's name: GDAL's description, else what a netCDF variable is called."""
-    tags = dataset.tags(band)
-    return str(dataset.descriptions[band - 1] or tags.get("long_name") or tags.get("standard_name") or "").strip()
-
-
-_ELEVATION = ("elev", "height", "altitude", "dem", "dtm", "dsm", "topo", "orog", "relief", "bathy", "hgt", "dhm", "dgm")
-
-
-def _band_warnings(dataset: Any, band: int) -> list[str]:
-    from rasterio.enums import ColorInterp
-
-    if dataset.count == 2 and dataset.colorinterp[1] == ColorInterp.alpha and band == 1:
-        return []
-    names = [d or "" for d in dataset.descriptions[:1000]]
-    likely = [i for i, n in enumerate(names, 1) if any(word in n.lower() for word in _ELEVATION)]
-    if band in likely:
-        return []
-    text = (
-        f"Band {band}"
-        + (f" ({names[band - 1]!r})" if names[band - 1 : band] != [""] else "")
-        + f" of {dataset.count} is read"
-    )
-    if likely:
-        name = names[likely[0] - 1]
-        return [f"{text}, but band {likely[0]} ({name!r}) sounds like the heights (give --band {likely[0]})."]
-    return [f"{text} (choose with --band)."]
 
 
 def _stem(path: str | os.PathLike[str]) -> str:

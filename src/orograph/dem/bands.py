@@ -1,0 +1,111 @@
+"""Looking at the bands of an open dataset: may this one be read, and does it look like heights?"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from orograph.dem.encode import ENCODINGS
+from orograph.errors import ReadError, UsageError
+
+MAX_BLOCK_BYTES = 256 << 20
+"""A file stored in blocks larger than this cannot be read by windows in bounded memory, and is refused."""
+
+
+def check_size(dataset: Any, path: str | os.PathLike[str]) -> None:
+    from rasterio.enums import Interleaving
+
+    rows, cols = dataset.block_shapes[0]
+    together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
+    size = rows * cols * together * _itemsize(dataset.dtypes[0])
+    if size > MAX_BLOCK_BYTES:
+        raise ReadError(
+            f"It is stored in blocks of {rows} × {cols} samples × {together} bands, {size / 2**20:,.0f} MiB each, "
+            f"which cannot be read in bounded memory (the limit is {MAX_BLOCK_BYTES / 2**20:.0f} MiB).",
+            path=path,
+            remedy="Write it again in tiles (gdal_translate -co TILED=YES), if it is a sound file.",
+        )
+
+
+def _itemsize(dtype: str) -> int:
+    return 4 if dtype == "complex_int16" else np.dtype(dtype).itemsize
+
+
+def check_band(dataset: Any, band: int, path: str | os.PathLike[str]) -> None:
+    if not 1 <= band <= dataset.count:
+        raise UsageError(
+            f"There is no band {band}: {_list_bands(dataset)}.", path=path, remedy="Choose another with --band."
+        )
+    dtype = dataset.dtypes[band - 1]
+    if dtype.startswith("complex"):
+        raise ReadError(
+            f"Its numbers are complex ({dtype}), which heights are not.",
+            path=path,
+            remedy="Take one part of them first.",
+        )
+
+
+def check_encoding(dataset: Any, encoding: str, path: str | os.PathLike[str]) -> None:
+    if encoding not in ENCODINGS:
+        raise UsageError(f"{encoding!r} is not an encoding known here ({', '.join(ENCODINGS)}).", path=path)
+    if dataset.count not in (3, 4) or set(dataset.dtypes) != {"uint8"}:
+        raise UsageError(
+            f"Encoding {encoding} needs three bands of 8 bits (and perhaps alpha), but {_list_bands(dataset)} of "
+            f"{dataset.dtypes[0]}.",
+            path=path,
+            remedy="Leave --encoding away.",
+        )
+
+
+def _list_bands(dataset: Any) -> str:
+    if dataset.count == 1:
+        return "it has one band"
+    names = [f"{i}: {d}" for i, d in enumerate(dataset.descriptions[:12], 1) if d]
+    return f"it has {dataset.count} bands" + (f" ({', '.join(names)})" if names else "")
+
+
+def is_picture(dataset: Any) -> bool:
+    return bool(dataset.count in (3, 4) and set(dataset.dtypes) == {"uint8"})
+
+
+def is_palette(dataset: Any, band: int) -> bool:
+    from rasterio.enums import ColorInterp
+
+    if dataset.count >= 100 or dataset.colorinterp[band - 1] != ColorInterp.palette:
+        return False
+    try:
+        table = dataset.colormap(band)
+    except ValueError:
+        return False
+    return any(colour[:3] != (i, i, i) for i, colour in table.items())  # a table of plain greys changes nothing
+
+
+def description_of(dataset: Any, band: int) -> str:
+    """The band's name: GDAL's description, else what a netCDF variable is called."""
+    tags = dataset.tags(band)
+    return str(dataset.descriptions[band - 1] or tags.get("long_name") or tags.get("standard_name") or "").strip()
+
+
+_ELEVATION = ("elev", "height", "altitude", "dem", "dtm", "dsm", "topo", "orog", "relief", "bathy", "hgt", "dhm", "dgm")
+
+
+def band_warnings(dataset: Any, band: int) -> list[str]:
+    from rasterio.enums import ColorInterp
+
+    if dataset.count == 2 and dataset.colorinterp[1] == ColorInterp.alpha and band == 1:
+        return []
+    names = [d or "" for d in dataset.descriptions[:1000]]
+    likely = [i for i, n in enumerate(names, 1) if any(word in n.lower() for word in _ELEVATION)]
+    if band in likely:
+        return []
+    text = (
+        f"Band {band}"
+        + (f" ({names[band - 1]!r})" if names[band - 1 : band] != [""] else "")
+        + f" of {dataset.count} is read"
+    )
+    if likely:
+        name = names[likely[0] - 1]
+        return [f"{text}, but band {likely[0]} ({name!r}) sounds like the heights (give --band {likely[0]})."]
+    return [f"{text} (choose with --band)."]

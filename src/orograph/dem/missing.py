@@ -1,0 +1,76 @@
+"""Which stored numbers mean "no height here": the nodata value, and masks.
+
+The nodata value is compared with numbers as stored, in their own type, before any scaling; a value that cannot occur in
+that type (−9999 declared for bytes) is none.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+
+
+def is_nodata(raw: NDArray[Any], nodata: float | int) -> NDArray[np.bool_]:
+    """Where stored numbers mean "missing".
+
+    Integers are compared exactly. Floats are compared as float32, in which the result is anyway: the tag may be a
+    float64 text of a float32 value or the reverse (−3.4028234663852886e+38, −99.9); unless float32 would turn it into
+    0.
+    """
+    missing: NDArray[np.bool_]
+    with np.errstate(over="ignore", under="ignore"):
+        narrow = np.float32(nodata) if raw.dtype.kind == "f" else np.float32(0)
+        if np.isnan(nodata):
+            missing = np.isnan(raw)
+        elif raw.dtype.kind != "f" or narrow == 0 or np.isinf(narrow):
+            missing = raw == nodata
+        else:
+            missing = raw.astype(np.float32, copy=False) == narrow
+    return missing
+
+
+def nodata_of(dataset: Any, band: int, asked: float | str | None, dtype: str) -> float | int | None:
+    """The nodata number in the band's own type; None if there is none, or it cannot occur in that type."""
+    if isinstance(asked, str):
+        if asked.strip().lower() == "none":
+            return None
+        try:
+            asked = int(asked) if asked.strip().lstrip("+-").isdigit() else float(asked)
+        except ValueError:
+            raise UsageError(f"The nodata value must be a number or 'none', not {asked!r}.") from None
+    value = dataset.nodatavals[band - 1] if asked is None else asked
+    if value is None:
+        return None
+    if np.dtype(dtype).kind == "f":
+        return float(value)
+    info = np.iinfo(dtype)
+    if not np.isfinite(value) or value != int(value) or not info.min <= int(value) <= info.max:
+        return None  # -9999 declared on uint8, say: no stored number equals it
+    return int(value)
+
+
+def mask_of(dataset: Any, band: int, asked: float | str | None) -> tuple[Literal["none", "gdal", "alpha"], int]:
+    """Where else missing samples are marked: GDAL's mask (mask bands, alpha, ISIS special pixels), or an alpha band
+    of floats.
+
+    GDAL ignores an alpha band that is not of integers (Spearfish: float32), hence the second kind.
+    """
+    from rasterio.enums import ColorInterp, MaskFlags
+
+    flags = set(dataset.mask_flag_enums[band - 1])
+    if MaskFlags.all_valid in flags:
+        alphas = (
+            [i + 1 for i, c in enumerate(dataset.colorinterp) if c == ColorInterp.alpha] if dataset.count < 100 else []
+        )
+        if alphas and band not in alphas:
+            return "alpha", alphas[0]
+        return "none", 0
+    if MaskFlags.nodata in flags and (flags == {MaskFlags.nodata} or asked is not None):
+        return "none", 0  # nothing but the nodata value, which is compared here
+    if dataset.count < 100 and dataset.colorinterp[band - 1] == ColorInterp.alpha:
+        return "none", 0
+    return "gdal", 0
