@@ -7,7 +7,8 @@ in view is drawn at a level whose projected error keeps the tolerance, and windo
 The projected error of a vertical displacement e (metres, stretched) at depth z and radius r from the optical axis is at
 most f·e/z · sqrt(1 + (r/z)²) pixels, f = 1/pixel_slope; with z = d·cos θ, d the distance from the eye, that is at most
 f·e / ((d − e)·cos² θ), θ the angle to the corner of the picture: the factor 1/cos² is what distance-based metrics
-forget. A tile that is only partly valid is held to samples of at most a pixel besides, since its error says nothing of its rim.
+forget. A tile that is only partly valid is held to samples of at most a pixel besides, since its error says nothing of
+its rim.
 """
 
 from __future__ import annotations
