@@ -1,7 +1,7 @@
 """Radiance of a clear sky seen from the ground: scattered sunlight in a round atmosphere, tabulated for one sun.
 
 Air (Rayleigh), haze (Mie) and ozone as in Hillaire, "A Scalable and Production Ready Sky and Atmosphere Rendering
-Technique" (Computer Graphics Forum 39(4), 2020), with its coefficients for red, green and blue (sections 4 and 5.5):
+Technique" (Computer Graphics Forum 39(4), 2020), with its coefficients of air and ozone for red, green and blue:
 light scattered once is integrated along each ray with the transmittance from a table; light scattered more often comes
 from the same paper's isotropic closed sum, Ψ = L₂ / (1 − f). The round Earth makes twilight come out by itself. What
 is smooth (the integrals) is tabulated over directions; the haze's peaked phase function multiplies them afterwards.
@@ -10,6 +10,8 @@ Units: kilometres, radians; radiance for a sun of illuminance 1 outside the air,
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,13 +22,17 @@ GROUND = 6360.0
 TOP = 6460.0
 RAYLEIGH = np.array([5.802e-3, 13.558e-3, 33.1e-3])
 RAYLEIGH_HEIGHT = 8.0
-MIE = 3.996e-3
-MIE_EXTINCTION = 8.396e-3
+MIE = 30e-3
+MIE_EXTINCTION = 32.6e-3
+"""Optical depth 0.04: a clear day, brighter around the sun, as the CIE's clear skies are (Hillaire's has 0.01)."""
 MIE_HEIGHT = 1.2
-MIE_G = 0.8
+MIE_G = 0.72
 OZONE = np.array([0.650e-3, 1.881e-3, 0.085e-3])
 ALBEDO = 0.3
 """Of the ground around, for the light it throws back into the air."""
+
+OBSERVER = 0.5
+"""Height of whoever sees the sky."""
 
 ELEVATIONS, AZIMUTHS = 72, 33
 
@@ -40,7 +46,7 @@ def densities(height: Array) -> tuple[Array, Array, Array]:
 def extinction(height: Array) -> Array:
     """Extinction (…, 3) per km at heights in km."""
     air, haze, ozone = densities(height)
-    return air[..., None] * RAYLEIGH + haze[..., None] * MIE_EXTINCTION + ozone[..., None] * OZONE
+    return np.asarray(air[..., None] * RAYLEIGH + haze[..., None] * MIE_EXTINCTION + ozone[..., None] * OZONE)
 
 
 def to_top(r: Array, mu: Array) -> Array:
@@ -50,7 +56,7 @@ def to_top(r: Array, mu: Array) -> Array:
 
 def horizon(r: Array) -> Array:
     """Cosine from the vertical of the ray that grazes the ground, seen from radius ``r``."""
-    return -np.sqrt(np.maximum(1.0 - (GROUND / np.maximum(r, GROUND)) ** 2, 0.0))
+    return np.asarray(-np.sqrt(np.maximum(1.0 - (GROUND / np.maximum(r, GROUND)) ** 2, 0.0)))
 
 
 def optical_depth(height: ArrayLike, mu: ArrayLike, steps: int = 64) -> Array:
@@ -59,7 +65,7 @@ def optical_depth(height: ArrayLike, mu: ArrayLike, steps: int = 64) -> Array:
     length = to_top(r, mu)
     edges = np.linspace(0.0, 1.0, steps + 1) ** 2
     total = np.zeros((*r.shape, 3))
-    for a, b in zip(edges[:-1], edges[1:]):
+    for a, b in pairwise(edges):
         s = length * (a + b) / 2
         radius = np.sqrt(r * r + s * s + 2 * r * mu * s)
         total += extinction(radius - GROUND) * (length * (b - a))[..., None]
@@ -82,7 +88,7 @@ def grid_lookup(table: NDArray[np.floating], u: NDArray[np.floating], v: NDArray
     high -= low
     high *= fu
     high += low
-    return high
+    return np.asarray(high)
 
 
 class Transmittance:
@@ -127,7 +133,7 @@ class ManyTimes:
         depth = np.zeros((*length.shape, 3))
         second, factor = np.zeros_like(depth), np.zeros_like(depth)
         beside = np.sqrt(np.maximum(1.0 - sun * sun, 0.0))
-        for a, b in zip(edges[:-1], edges[1:]):
+        for a, b in pairwise(edges):
             s = length * (a + b) / 2
             radius = np.sqrt(r * r + s * s + 2 * r * z * s)
             mu = (r * sun + s * (z * sun + across * beside)) / radius
@@ -150,7 +156,7 @@ class ManyTimes:
         return np.asarray(grid_lookup(self.table, u, v).reshape(*height.shape, 3))
 
 
-def sky_table(altitude: float, height: float = 0.5) -> tuple[Array, Array]:
+def sky_table(altitude: float, height: float = OBSERVER) -> tuple[Array, Array]:
     """The sky's smooth parts over directions, for a sun at ``altitude`` (radians), seen from ``height`` km.
 
     Returns:
@@ -171,7 +177,7 @@ def sky_table(altitude: float, height: float = 0.5) -> tuple[Array, Array]:
     depth = np.zeros((*towards.shape, 3))
     air, haze = np.zeros_like(depth), np.zeros_like(depth)
     rayleigh = (3.0 / (16.0 * np.pi) * (1.0 + towards**2))[..., None] * RAYLEIGH
-    for a, b in zip(edges[:-1], edges[1:]):
+    for a, b in pairwise(edges):
         s = length * (a + b) / 2
         radius = np.sqrt(r * r + s * s + 2 * r * z * s)
         h = radius - GROUND
@@ -194,4 +200,4 @@ def mie_phase(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
     g = MIE_G
     x = np.maximum(1.0 + g * g - 2.0 * g * cosine, 1e-4)
     norm = 3.0 * (1.0 - g * g) / (8.0 * np.pi * (2.0 + g * g))
-    return norm * (1.0 + cosine * cosine) / (x * np.sqrt(x))
+    return np.asarray(norm * (1.0 + cosine * cosine) / (x * np.sqrt(x)))
