@@ -55,7 +55,8 @@ def gradient_noise(x: float, y: float, seed: int) -> float:
     a, b = _corner(i, j, seed, s, t), _corner(i + 1, j, seed, s - 1, t)
     c, d = _corner(i, j + 1, seed, s, t - 1), _corner(i + 1, j + 1, seed, s - 1, t - 1)
     upper, lower = a + (b - a) * fs, c + (d - c) * fs
-    return (upper + (lower - upper) * ft) * 1.3
+    value: float = (upper + (lower - upper) * ft) * 1.3
+    return value
 
 
 @kernel
