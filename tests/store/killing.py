@@ -20,8 +20,8 @@ from surfaces import rough, source
 from orograph import store
 from orograph.errors import StoreError
 
-HEIGHTS = rough((600, 500), 11, missing=0.01, hole=True)
-TRIALS = 6
+HEIGHTS = rough((420, 350), 11, missing=0.01, hole=True)
+TRIALS = 4
 SIZES = {"shard": 64, "chunk": 16}
 
 

@@ -1,0 +1,125 @@
+"""``orograph build`` as a process: what it says, what it returns, and how it is interrupted."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from click.testing import CliRunner
+
+from orograph import store
+from orograph.cli.build import command
+
+
+def write(path, heights, crs="EPSG:32611", **profile):
+    rows, cols = heights.shape
+    transform = Affine(30, 0, 500_000, 0, -30, 4_000_000) if crs != "EPSG:4326" else Affine(0.01, 0, 8, 0, -0.01, 47)
+    options = {"driver": "GTiff", "height": rows, "width": cols, "count": 1, "dtype": heights.dtype, "crs": crs}
+    with rasterio.open(path, "w", transform=transform, **options, **profile) as file:
+        file.write(heights, 1)
+    return path
+
+
+def orograph(*args, **kwargs):
+    line = [sys.executable, "-m", "orograph", *map(str, args)]
+    return subprocess.run(line, capture_output=True, text=True, timeout=120, **kwargs)
+
+
+HEIGHTS = np.add.outer(np.arange(300, dtype=np.float32), np.arange(200, dtype=np.float32)) / 7
+
+
+def test_it_says_what_it_made(tmp_path):
+    dem = write(tmp_path / "dem.tif", HEIGHTS, nodata=0)
+    ran = orograph("build", dem, "-o", tmp_path / "area.oro")
+    assert ran.returncode == 0, ran.stderr
+    for said in (
+        "area.oro",
+        "200 × 300 samples at 30 m",
+        "UTM zone 11N",
+        "2 levels, side 513",
+        "0.1 to 71.1 m",
+        "peak",
+    ):
+        assert said in ran.stdout
+    with store.open(tmp_path / "area.oro") as terrain:
+        expected = np.where(HEIGHTS == 0, np.nan, HEIGHTS)
+        np.testing.assert_array_equal(terrain.read(0, 0, 300, 0, 200), expected)
+
+
+def test_json(tmp_path):
+    dem = write(tmp_path / "dem.tif", HEIGHTS)
+    ran = orograph("build", dem, "-o", tmp_path / "area.oro", "--json", "--max-memory", "512MiB", "--jobs", 1)
+    told = json.loads(ran.stdout)
+    assert told["shape"] == [300, 200] and told["levels"] == 2 and told["side"] == 513
+    assert told["crs"] == "EPSG:32611" and told["spacing_m"] == [30, 30] and told["valid_fraction"] == 1
+    assert told["size_bytes"] == sum(p.stat().st_size for p in (tmp_path / "area.oro").rglob("*") if p.is_file())
+    assert told["height_range"] == [0, pytest.approx(HEIGHTS.max())]
+    if sys.platform != "win32":
+        assert 50e6 < told["peak_memory_bytes"] < 512 << 20
+
+
+def test_degrees_become_metres(tmp_path):
+    dem = write(tmp_path / "dem.tif", HEIGHTS, crs="EPSG:4326")
+    ran = CliRunner().invoke(command, [str(dem), "-o", str(tmp_path / "a.oro"), "--json"], obj={"quiet": True})
+    assert ran.exit_code == 0, ran.output
+    assert json.loads(ran.stdout)["crs"] == "EPSG:32632"
+
+
+@pytest.mark.parametrize("flags", [[], ["--resume"]])
+def test_a_store_that_is_there_is_not_touched(tmp_path, flags):
+    dem = write(tmp_path / "dem.tif", HEIGHTS)
+    other = write(tmp_path / "other.tif", HEIGHTS + 1)
+    assert orograph("build", dem, "-o", tmp_path / "a.oro").returncode == 0
+    ran = orograph("build", other, "-o", tmp_path / "a.oro", *flags)
+    assert ran.returncode == 4 and "--overwrite" in ran.stderr and "Traceback" not in ran.stderr
+    ran = orograph("build", other, "-o", tmp_path / "a.oro", "--overwrite")
+    assert ran.returncode == 0
+    assert store.open(tmp_path / "a.oro").height_range[0] == 1
+
+
+def test_faults_of_the_command_line_and_of_the_input(tmp_path):
+    assert orograph("build", "-o", tmp_path / "a.oro").returncode == 2
+    ran = orograph("build", tmp_path / "none.tif", "-o", tmp_path / "a.oro")
+    assert ran.returncode == 3 and "none.tif" in ran.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGINT")
+def test_ctrl_c_tells_how_to_resume(tmp_path):
+    rng = np.random.default_rng(0)
+    dem = write(tmp_path / "dem.tif", rng.random((6200, 6200), dtype=np.float32))
+    line = [sys.executable, "-m", "orograph", "build", dem, "-o", tmp_path / "a.oro", "--jobs", "1"]
+    process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob("a.oro.partial/parts/*.npz")):
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.005)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, said
+    assert "--resume" in said and "interrupted" in said and "Traceback" not in said
+    assert not (tmp_path / "a.oro").exists()
+    ran = orograph("build", dem, "-o", tmp_path / "a.oro", "--resume")
+    assert ran.returncode == 0 and "6200 × 6200" in ran.stdout
+    with rasterio.open(dem) as file:
+        np.testing.assert_array_equal(store.open(tmp_path / "a.oro").read(0, 0, 6200, 0, 6200), file.read(1))
+
+
+def test_a_real_mosaic_within_its_memory(shared_data, tmp_path):
+    tiles = sorted((shared_data / "california-3s-tiles").glob("N3[67]W11*.tif"))
+    if not tiles:
+        pytest.skip("california-3s-tiles is not in the shared data")
+    ran = orograph("build", *tiles, "-o", tmp_path / "ca.oro", "--json", "--max-memory", "600MiB")
+    told = json.loads(ran.stdout)
+    assert told["peak_memory_bytes"] < 600 << 20
+    low, high = told["height_range"]
+    assert -90 < low < -80 and 4380 < high < 4421  # Badwater; Mount Whitney, as three seconds of arc see it
+    assert store.open(tmp_path / "ca.oro").check() == []
