@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.abc
 import os
 import sys
 
@@ -11,6 +12,7 @@ import click
 from orograph.errors import OrographError
 
 VERBS = {
+    "demo": "Draw the built-in sample, step by step.",
     "build": "Build a terrain store from DEM files.",
     "info": "Tell what a DEM or a store is, and what is suspicious about it.",
     "render": "Draw a relief picture of a DEM or a store.",
@@ -68,6 +70,7 @@ def main(argv: list[str] | None = None) -> None:
     args = [a for a in args if a != "--debug"]  # allowed anywhere on the line
     if debug:
         args = ["--debug", *args]
+    _spare_imports(args)
     try:
         code = cli.main(args=args, prog_name="orograph", standalone_mode=False)
         sys.exit(code if isinstance(code, int) else 0)
@@ -96,6 +99,34 @@ def main(argv: list[str] | None = None) -> None:
             err=True,
         )
         _leave(1)
+
+
+def _spare_imports(args: list[str]) -> None:
+    """Keep two libraries from loading what this process does not use: half a second of a two-second command.
+
+    Numba loads SciPy's linear algebra with its first kernel, for products of matrices that no kernel here has; rasterio
+    loads boto3, if it is installed, to sign requests to S3. Both take its absence as an answer. Only the command line
+    does this, never the library: the process is ours alone.
+    """
+    hidden = ["scipy"]
+    if not any(a.startswith(("s3:", "/vsis3")) for a in args):
+        hidden.append("boto3")
+    absent = [name for name in hidden if name not in sys.modules]
+
+    class Spared(importlib.abc.MetaPathFinder):
+        def find_spec(self, fullname: str, path: object, target: object = None) -> None:
+            if fullname in absent and _asked_by("numba", "rasterio"):
+                raise ImportError(f"{fullname} is not needed here")
+
+    sys.meta_path.insert(0, Spared())
+
+
+def _asked_by(*packages: str) -> bool:
+    """Whether the import under way was written in one of ``packages``."""
+    frame = sys._getframe(2)
+    while frame is not None and frame.f_globals.get("__name__", "").startswith(("importlib", "_frozen_importlib")):
+        frame = frame.f_back  # type: ignore[assignment]
+    return frame is not None and frame.f_globals.get("__name__", "").split(".")[0] in packages
 
 
 def _leave(code: int) -> None:

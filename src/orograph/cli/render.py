@@ -77,6 +77,7 @@ class Water(click.ParamType):  # type: ignore[type-arg]
               help="Where the sun stands: degrees clockwise from north, and above the horizon.")
 @click.option("--shadows/--no-shadows", default=True, show_default=True, help="Cast shadows.")
 @click.option("--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Stretch heights in the picture.")
+@click.option("--relief", type=float, metavar="X", help="Strengthen slopes for shading only; 1 is nature.  [default: by scale]")
 @click.option("--colormap", metavar="NAME", help="Colour of heights: any name of the cmap catalogue, or a built-in tint (alpine, mars, grey).  [default: alpine]")
 @click.option("--drape", type=click.Path(), metavar="IMAGE", help="Lay this image over the ground; any CRS.")
 @click.option("--water", type=Water(), default="auto", show_default=True, help="Draw level ground as water, or all below a level.")
@@ -125,7 +126,7 @@ def command(ctx: click.Context, /, paths: tuple[str, ...], output: str, as_json:
     water = None if options["water"] == "none" else options["water"]
     scene = Scene(
         terrain, view, Sun(*options["sun"]), shadows=options["shadows"], exaggeration=options["exaggeration"],
-        colormap=options["colormap"], drape=options["drape"], sky=options["sky"], water=water, samples=options["samples"],
+        colormap=options["colormap"], drape=options["drape"], sky=options["sky"], water=water, relief=options["relief"], samples=options["samples"],
         tolerance=options["tolerance"], furniture=options["furniture"], title=options["title"], max_memory=max_memory, jobs=jobs,
     )  # fmt: skip
     picture = draw(scene, progress)

@@ -7,46 +7,45 @@ constant, so equality is the test; heights in metres.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-LEAST_SAMPLES = 150
-"""Level samples (whose eight neighbours have the same height) from which an area can be a lake."""
-
-COMPACT = 0.35
-"""Least part of an area's samples that lies inside it, neighbours and all: ragged patches of plains have little inside."""
+LEAST_SAMPLES = 100
+"""Samples an area must have left, once its two outer rings are taken off, to be water: that leaves little of ragged
+patches."""
 
 
-def find_water(heights: NDArray[np.float32], cell_area: float) -> NDArray[np.bool_]:
-    """Samples (rows, cols) that are water.
+def find_water(heights: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Samples (rows, cols) of heights (float32 metres, NaN where missing) that are water."""
+    inner = _level(heights)
+    if not inner.any():
+        return inner
+    from rasterio.features import sieve
 
-    Args:
-        heights: (rows, cols) float32 metres, NaN where missing.
-        cell_area: square metres of a sample.
-    """
-    del cell_area
-    level = np.zeros(heights.shape, bool)
-    core = heights[1:-1, 1:-1]
-    same = np.isfinite(core)
-    for dr in (0, 1, 2):
-        for dc in (0, 1, 2):
-            if (dr, dc) != (1, 1):
-                same &= heights[dr : heights.shape[0] - 2 + dr, dc : heights.shape[1] - 2 + dc] == core
-    level[1:-1, 1:-1] = same
-    if not level.any():
-        return level
-    from scipy import ndimage
+    kept = sieve(inner.astype(np.uint8), LEAST_SAMPLES, connectivity=8).astype(bool) & inner
+    # Back out to the shore: two rings of samples of the same height.
+    grown = np.where(kept, heights, -np.inf)
+    for axis in (0, 1):
+        wide = grown.copy()
+        for shift in (1, 2):
+            a, b = [slice(None)] * 2, [slice(None)] * 2
+            a[axis], b[axis] = slice(shift, None), slice(None, -shift)
+            np.maximum(wide[tuple(a)], grown[tuple(b)], out=wide[tuple(a)])
+            np.maximum(wide[tuple(b)], grown[tuple(a)], out=wide[tuple(b)])
+        grown = wide
+    return np.asarray(grown == heights)
 
-    square = np.ones((3, 3), bool)
-    labels, count = ndimage.label(level, square)
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
-    inner = ndimage.binary_erosion(level, square)
-    inside = np.bincount(labels[inner], minlength=count + 1)
-    water = (sizes >= LEAST_SAMPLES) & (inside >= COMPACT * sizes - 2 * math.sqrt(LEAST_SAMPLES))
-    water[0] = False
-    found = water[labels]
-    # The shore: level samples found by their neighbours are one short of it, if of the same height.
-    grown = ndimage.grey_dilation(np.where(found, heights, -np.inf), footprint=square)
-    return np.asarray(found | (grown == heights))
+
+def _level(heights: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Samples whose 5 × 5 surroundings have exactly their height (inside the raster's border or cut by it)."""
+    level = np.isfinite(heights)
+    for axis in (0, 1):
+        same = level.copy()
+        a, b = [slice(None)] * 2, [slice(None)] * 2
+        for shift in (1, 2):
+            a[axis], b[axis] = slice(shift, None), slice(None, -shift)
+            equal = (heights[tuple(a)] == heights[tuple(b)]) & level[tuple(a)] & level[tuple(b)]
+            same[tuple(a)] &= equal
+            same[tuple(b)] &= equal
+        level = same
+    return level

@@ -15,32 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.light.relief import Relief
+from orograph.picture.kernels import ends, incidence
 from orograph.picture.scene import Scene, Sun
 from orograph.raycast.caster import Caster
 from orograph.raycast.select import Rectangle, load, rectangles
 
 Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """Samples of a picture, some of which met the ground.
+    """Samples of a picture (n,), NaN where no ground was met.
 
     Attributes:
-        hit: (n,) which did; the other arrays hold those only, (m, …).
-        directions: (n, 3) of all rays, stretched CRS space, unit length.
-        points: (m, 3) sample coordinates and true height. x, y: (m,) CRS coordinates. depth: (m,) view-space depth.
-        footprint: (m,) width of a pixel on the ground, in samples. window: (m,) of the caster.
+        t: (n,) view-space depth.
+        points: (n, 3) sample coordinates and true height.
+        rays: (n, 3) unit directions in stretched CRS space, of all samples.
+        width: (n,) of a pixel on the ground, in samples.
+        window: (n,) of the caster, −1 where no ground was met.
     """
 
-    hit: Flags
-    directions: Array
+    t: Array
     points: Array
-    x: Array
-    y: Array
-    depth: Array
-    footprint: Array
+    rays: Array
+    width: Array
     window: NDArray[np.int8]
 
 
@@ -89,19 +87,14 @@ class Rays:
 
     def meet(self, px: Array, py: Array, t: Array, window: NDArray[np.int8]) -> Hits:
         """Positions of the samples at pixel positions (n,) with depths t (n,)."""
-        o0, ou, ov, d0, du, dv = self.basis
-        directions = d0 + px[:, None] * du + py[:, None] * dv
-        hit = np.isfinite(t)
-        depth = t[hit]
-        world = o0 + px[hit, None] * ou + py[hit, None] * ov + depth[:, None] * directions[hit]
-        points = world @ self.linear.T + self.offset
-        directions[:, 2] *= self.scene.exaggeration
-        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         view = self.scene.view
-        metres = depth * view.pixel_slope if view.projection == "perspective" else np.full(len(depth), view.pixel_metres)
-        # Seen at a slant a pixel covers more ground one way; the geometric mean is what an isotropic filter can do.
-        slant = np.clip(np.abs(directions[hit, 2]), 0.1, 1.0) ** -0.5
-        return Hits(hit, directions, points, world[:, 0], world[:, 1], depth, metres * slant / self.spacing, window[hit])
+        parallel = view.projection == "plan"
+        points, rays, width = np.empty((len(px), 3)), np.empty((len(px), 3)), np.empty(len(px))
+        ends(
+            px, py, t, *self.basis, self.linear, self.offset, self.scene.exaggeration,
+            view.pixel_metres if parallel else view.pixel_slope, parallel, self.spacing, points, rays, width,
+        )  # fmt: skip
+        return Hits(t, points, rays, width, window)
 
 
 class Ground:
@@ -139,16 +132,17 @@ class Ground:
                 return cls(scene, chosen, tolerance)
             tolerance *= 1.25
 
-    def normals(self, hits: Hits) -> Array:
-        """Unit normals (m, 3) of the stretched ground in CRS axes, averaged over each pixel."""
-        g = self.relief.gradient(hits.points, hits.footprint) @ self.to_world.T * self.scene.exaggeration
-        n = np.empty((len(g), 3))
-        n[:, :2] = -g
-        n[:, 2] = 1.0
-        n /= np.linalg.norm(n, axis=1, keepdims=True)
-        return n
+    def incidence(self, hits: Hits, to_sun: Array, strength: float) -> tuple[Array, Array]:
+        """Cosine of the sun's angle of incidence (n,), not below 0, and the upward part of the normal (n,).
 
-    def skyline(self, hits: Hits, sun: Sun, which: Flags) -> Array:
+        Slopes are averaged over each pixel, and multiplied by the exaggeration and ``strength``.
+        """
+        gradient = self.relief.gradient(hits.points, hits.width)
+        cosine, tilt = np.empty(len(gradient)), np.empty(len(gradient))
+        incidence(gradient, self.to_world, self.scene.exaggeration * strength, to_sun, cosine, tilt)
+        return cosine, tilt
+
+    def skyline(self, hits: Hits, sun: Sun, which: NDArray[np.int64]) -> Array:
         """tan of the horizon's angle towards the sun on the stretched ground, clamped just around the sun's disc, for
         the hits in ``which``."""
         radius = sun.diameter / 2
@@ -158,6 +152,6 @@ class Ground:
         step = self.to_samples @ [math.sin(a), math.cos(a)]
         scale = 2.0 ** np.array([w.level for w in self.caster.stack.windows])
         # Next to the point its own facet would shade it: there the normal decides. A pixel is the other limit of detail.
-        skip = np.maximum(scale[hits.window[which]], np.minimum(hits.footprint[which], 4.0)) * self.rays.spacing
+        skip = np.maximum(scale[hits.window[which]], np.minimum(hits.width[which], 4.0)) * self.rays.spacing
         x = self.scene.exaggeration
         return self.rays.single.skyline(hits.points[which], (step[0], step[1]), skip, low / x, high / x) * x

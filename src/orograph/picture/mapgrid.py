@@ -23,11 +23,18 @@ WORKING = 1_500_000
 
 AZIMUTHS = 16
 
+TYPICAL_SLOPE = 0.42
+"""Slope (rise over run) that four fifths of the ground should not exceed once strengthened."""
+
+MOST_STRENGTH = 6.0
+
 
 class MapGrid:
     """Sky-view factor and water, bilinear.
 
     Attributes:
+        sky_view, water: (rows, cols) float32 over samples of 2^level = ``scale``, first (row0, col0); water may be empty.
+        strength: by how much slopes are strengthened for shading unless the scene says.
         visible_range: metres from the nearest to the farthest ground in view.
         water_fraction: of the working grid.
     """
@@ -40,7 +47,7 @@ class MapGrid:
         if len(rows) == 0:
             rows, cols = np.nonzero(np.isfinite(depth))
         seen = ground.rays.meet(cols + 0.5, rows + 0.5, depth[rows, cols], np.zeros(len(rows), np.int8))
-        self.visible_range = (float(seen.depth.min()), float(seen.depth.max()))
+        self.visible_range = (float(seen.t.min()), float(seen.t.max()))
         west, north = np.maximum(seen.points[:, :2].min(0) - 8, 0)
         east, south = seen.points[:, :2].max(0) + 8
         limit = terrain.levels - 1
@@ -61,33 +68,33 @@ class MapGrid:
         t = terrain.grid.transform
         linear = np.array([[t.a, t.b], [t.d, t.e]]) * self.scale
         self.sky_view = sky_view(heights * np.float32(scene.exaggeration), linear, AZIMUTHS, jobs=scene.jobs)
-        self.water: NDArray[np.float32] | None = None
+        self.water = np.empty((0, 0), np.float32)
         if scene.water is not None:
             if scene.water == "auto":
                 from orograph.geovis.water import find_water
 
-                found = find_water(heights, abs(float(np.linalg.det(linear))))
+                found = find_water(heights)
             else:
                 found = heights <= np.float32(scene.water)
             if found.any():
                 self.water = found.astype(np.float32)
-        self.water_fraction = 0.0 if self.water is None else float(self.water.mean())
+        self.water_fraction = float(self.water.mean()) if self.water.size else 0.0
+        self.strength = self._strength(heights, linear, scene.exaggeration)
 
-    def look_up(self, points: Array) -> tuple[Array, Array | None]:
-        """Sky-view factor and share of water (or None, if there is none) at points (n, 3) in sample coordinates."""
-        u = (points[:, 0] + 0.5) / self.scale - 0.5 - self.col0
-        v = (points[:, 1] + 0.5) / self.scale - 0.5 - self.row0
-        rows, cols = self.sky_view.shape
-        j = np.clip(np.floor(u), 0, max(cols - 2, 0)).astype(np.int64)
-        i = np.clip(np.floor(v), 0, max(rows - 2, 0)).astype(np.int64)
-        fu, fv = np.clip(u - j, 0, 1), np.clip(v - i, 0, 1)
-        j1, i1 = np.minimum(j + 1, cols - 1), np.minimum(i + 1, rows - 1)
-
-        def bilinear(a: NDArray[np.float32]) -> Array:
-            top = a[i, j] * (1 - fu) + a[i, j1] * fu
-            low = a[i1, j] * (1 - fu) + a[i1, j1] * fu
-            return np.asarray(top * (1 - fv) + low * fv, np.float64)
-
-        sky = bilinear(self.sky_view)
-        sky[~np.isfinite(sky)] = 1.0
-        return sky, None if self.water is None else bilinear(self.water)
+    @staticmethod
+    def _strength(heights: NDArray[np.float32], linear: Array, exaggeration: float) -> float:
+        """How much slopes are strengthened for shading: 1 for rugged ground, more where a small scale or a gentle land
+        leaves little to see (cartographers' practice: relief is drawn for its form, Imhof 1965 ch. 8)."""
+        rows, cols = heights.shape
+        if rows < 3 or cols < 3:
+            return 1.0
+        down, across = heights[1:, :-1] - heights[:-1, :-1], heights[:-1, 1:] - heights[:-1, :-1]
+        to_world = np.linalg.inv(linear).T
+        gx = to_world[0, 0] * across + to_world[0, 1] * down
+        gy = to_world[1, 0] * across + to_world[1, 1] * down
+        slope = np.sqrt(gx * gx + gy * gy)
+        slope = slope[np.isfinite(slope) & (slope > 0)]  # water is level and has no say
+        if slope.size == 0:
+            return 1.0
+        typical = float(np.percentile(slope, 80)) * exaggeration
+        return float(np.clip(TYPICAL_SLOPE / max(typical, 1e-9), 1.0, MOST_STRENGTH))

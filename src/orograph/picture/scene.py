@@ -51,6 +51,7 @@ class Scene:
         drape: an image file laid over the ground, in any CRS.
         sky: draw sky and haze; else the background is paper.
         water: "auto" finds seas and lakes by their flatness, None draws none, a number is a water level in metres.
+        relief: factor on slopes for shading only; None strengthens small scales and gentle land, 1 is nature.
         samples: rays per pixel where the picture has edges (1: no antialiasing).
         tolerance: pixels; 0 demands the exact surface, None decides by size (``EXACT_SAMPLES``, ``DEFAULT_TOLERANCE``).
         furniture: title, colour bar, north arrow, scale bar; ``title``: None takes the terrain's name.
@@ -67,6 +68,7 @@ class Scene:
     drape: str | os.PathLike[str] | None = None
     sky: bool = False
     water: Literal["auto"] | float | None = "auto"
+    relief: float | None = None
     samples: int = 4
     tolerance: float | None = None
     furniture: bool = False

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.colour import colour_table, height_span, srgb_to_linear
-from orograph.light.shade import disc_fraction, shoulder, sky_colour, sun_colour
+from orograph.light.shade import disc_fraction, sky_colour, sun_colour
 from orograph.picture.ground import Ground, Hits
+from orograph.picture.kernels import compose
 from orograph.picture.mapgrid import MapGrid
 from orograph.picture.scene import Scene
 from orograph.progress import SILENT, Progress
@@ -28,6 +29,11 @@ MISSING = srgb_to_linear(np.array([0.62, 0.62, 0.62], np.float32))
 WATER = srgb_to_linear(np.array([0.44, 0.60, 0.70], np.float32))
 AMBIENT = 0.34
 """The part of the light on level ground, under a 45° sun and an open sky, that comes from the sky."""
+
+BOUNCE = 0.10
+"""The part of all light that ground which does not see the sky gets from lit ground instead."""
+
+NOTHING = np.empty((0, 4), np.float32)
 
 
 class Shader:
@@ -56,52 +62,45 @@ class Shader:
             from orograph.geovis.drape import Drape
 
             self.drape = Drape.open(scene.drape, scene.terrain.grid, scene.max_memory)
+        self.strength = scene.relief if scene.relief is not None else self.maps.strength
+        self.lower_limb = math.tan(math.radians(max(scene.sun.altitude - scene.sun.diameter / 2, -89.0))) * (1 + 1e-9)
+        self.facts["relief"] = self.strength
         self.facts["height_span"] = self.span
         self.facts["water_fraction"] = self.maps.water_fraction
 
     def colour(self, hits: Hits, px: Array, py: Array) -> Colours:
         """Linear colours (n, 3) of the samples in ``hits`` at pixel positions px, py (n,)."""
-        out = np.empty((len(hits.hit), 3), np.float32)
-        out[~hits.hit] = self.background(hits.directions[~hits.hit])
-        if not hits.hit.any():
+        out = np.empty((len(hits.t), 3), np.float32)
+        missed = np.flatnonzero(np.isnan(hits.t))
+        if len(missed):
+            out[missed] = self.background(hits.rays[missed])
+        if len(missed) == len(hits.t):
             return out
-        normals = self.ground.normals(hits)
-        towards = normals @ self.to_sun
-        sky_view, water = self.maps.look_up(hits.points)
-        albedo = self.albedo(hits)
-        if water is not None:
-            wet = water[:, None].astype(np.float32)
-            albedo = albedo * (1 - wet) + WATER * wet
-        lit = np.maximum(towards, 0.0)
+        cosine, tilt = self.ground.incidence(hits, self.to_sun, self.strength)
+        sunlit = np.ones(len(cosine))
         if self.scene.shadows:
-            shone = lit > 0
-            if shone.any():
-                slopes = self.ground.skyline(hits, self.scene.sun, shone)
-                lit[shone] *= disc_fraction(np.degrees(np.arctan(slopes)), self.scene.sun.altitude, self.scene.sun.diameter)
-        # Light from the sky comes from around the zenith: what leans away from it sees less of it besides its horizon.
-        open_sky = sky_view * (0.5 + 0.5 * normals[:, 2])
-        light = lit[:, None].astype(np.float32) * self.sunlight + open_sky[:, None].astype(np.float32) * self.skylight
-        # Ground that does not see the sky sees lit ground instead.
-        light += ((1.0 - sky_view) * 0.10)[:, None].astype(np.float32) * (self.sunlight + self.skylight)
-        colour = shoulder(albedo * light)
+            lit = np.flatnonzero(cosine > 0)  # false for NaN
+            slopes = self.ground.skyline(hits, self.scene.sun, lit)
+            shaded = np.flatnonzero(slopes > self.lower_limb)
+            sunlit[lit[shaded]] = disc_fraction(
+                np.degrees(np.arctan(slopes[shaded])), self.scene.sun.altitude, self.scene.sun.diameter
+            )
+        drape = NOTHING if self.drape is None else self.drape_colours(hits)
+        maps = self.maps
+        compose(
+            hits.points, cosine, tilt, sunlit, maps.sky_view, maps.water, maps.scale, maps.row0, maps.col0, self.table,
+            *self.span, drape, WATER, self.sunlight, self.skylight, BOUNCE, out,
+        )  # fmt: skip
         if self.air is not None:
-            colour = self.air.haze(colour, hits.directions[hits.hit], hits.depth)
-        out[hits.hit] = colour
+            met = np.flatnonzero(~np.isnan(hits.t))
+            out[met] = self.air.haze(out[met], hits.rays[met], hits.t[met])
         return out
 
-    def albedo(self, hits: Hits) -> Colours:
-        """The ground's own colour: the drape where it is, else the tint of the height."""
-        low, high = self.span
-        z = (hits.points[:, 2] - low) / max(high - low, 1e-9) * (len(self.table) - 1)
-        i = np.clip(z, 0, len(self.table) - 1.001)
-        k = i.astype(np.int64)
-        f = (i - k)[:, None].astype(np.float32)
-        colour: Colours = self.table[k] * (1 - f) + self.table[k + 1] * f
-        if self.drape is not None:
-            rgba = self.drape.sample(hits.x, hits.y, hits.footprint * self.ground.rays.spacing)
-            alpha = rgba[:, 3:]
-            colour = colour * (1 - alpha) + rgba[:, :3] * alpha
-        return colour
+    def drape_colours(self, hits: Hits) -> Colours:
+        """Colour and opacity (n, 4) of the draped image."""
+        assert self.drape is not None
+        x, y = self.scene.terrain.grid.xy(hits.points[:, 0], hits.points[:, 1])
+        return self.drape.sample(x, y, hits.width * self.ground.rays.spacing)
 
     def background(self, directions: Array) -> Colours:
         """What is seen where no ground is."""

@@ -1,0 +1,42 @@
+# Everything runs in .venv/ beside this file; each target makes what it needs.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+SOURCES := $(shell find src -name '*.py' 2>/dev/null)
+
+.PHONY: demo test check bench clean help
+
+help:
+	@echo 'make demo   install, and render the built-in sample to out/'
+	@echo 'make test   install what the tests need, and run them'
+	@echo 'make check  ruff and mypy'
+	@echo 'make bench  the benchmarks, as tables'
+	@echo 'make clean  remove .venv/ and what was made'
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo 'Orograph needs Python 3.11 or newer: make PYTHON=python3.12 …'; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# One stamp per set of extras: a second run installs nothing.
+$(VENV)/.%: pyproject.toml requirements.lock | $(BIN)/python
+	$(PIP) install --quiet --constraint requirements.lock --editable '.[$*]'
+	@touch $@
+
+demo: $(VENV)/.sample
+	@$(BIN)/orograph demo --output out
+
+test: $(VENV)/.test
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+check: $(VENV)/.check $(VENV)/.test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(VENV)/.bench
+	@for file in bench/[a-z]*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+clean:
+	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,67 @@
+"""``orograph demo``: the whole way from a file in degrees to a picture, on the sample that comes with matplotlib."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from orograph.cli.options import progress_of
+
+
+@click.command("demo")
+@click.option("--output", "-o", type=click.Path(file_okay=False, path_type=Path), default="orograph-demo", show_default=True,
+              help="Folder for the sample and its picture; made if it is not there.")
+@click.pass_context
+def command(ctx: click.Context, /, output: Path) -> None:
+    """Draw the built-in sample (Jacksboro fault, Tennessee), say how long each step took and what to try next.
+
+    The sample is real: 344 × 403 heights of the Shuttle Radar Topography Mission in degrees, which matplotlib ships.
+    The first run compiles Orograph's kernels, once for this machine.
+    """
+    progress = progress_of(ctx)
+    steps: list[tuple[str, float]] = []
+    clock = time.perf_counter()
+
+    def step(name: str) -> None:
+        nonlocal clock
+        steps.append((name, time.perf_counter() - clock))
+        clock = time.perf_counter()
+        click.echo(f"{name:<58} {steps[-1][1]:6.2f} s", err=True)
+
+    from orograph.errors import OutputError
+    from orograph.sample import write_jacksboro
+
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"The folder cannot be made: {error.strerror}.", path=output) from error
+    dem = write_jacksboro(output)
+    step(f"the sample, as a GeoTIFF in degrees: {dem}")
+
+    from orograph.picture.camera import whole
+    from orograph.picture.cpu import draw
+    from orograph.picture.prepare import prepare
+    from orograph.picture.scene import Scene, Sun
+
+    terrain = prepare([str(dem)], progress=progress)
+    rows, cols = terrain.grid.shape
+    crs = terrain.grid.crs
+    step(f"read and brought to metres ({crs.name if crs else 'local'}, {cols} × {rows})")
+    view = whole(terrain, (1280, 720), azimuth=160, pitch=38)
+    scene = Scene(terrain, view, Sun(315, 35), furniture=True, title="Jacksboro fault, Tennessee")
+    with progress.task("Drawing (the first run compiles)"):
+        picture = draw(scene, progress)
+    step("drawn, with sun, shadows and the light of the sky")
+    out = picture.save(output / "jacksboro.png")
+    step("written")
+    click.echo(f"\nThe picture: {out}\n")
+    click.echo(
+        "Try next:\n"
+        f"  orograph info {dem}\n"
+        f"  orograph render {dem} -o map.png --projection plan --furniture\n"
+        f"  orograph render {dem} -o dusk.png --from 225 --pitch 15 --sun 280,8 --sky --exaggeration 1.5\n"
+        f"  orograph build {dem} -o jacksboro.oro\n"
+        "and the same with your own DEM in its place."
+    )

@@ -1,0 +1,104 @@
+"""The renderer's inner loops over samples: where rays end, how light falls there, what colour results.
+
+All arrays run over the samples of a block; a sample that met no ground has NaN in its depth and position and is passed
+over. Colours are linear light, float32.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import kernel
+
+
+@kernel
+def ends(px, py, t, o0, ou, ov, d0, du, dv, linear, offset, exaggeration, metres, parallel, spacing, points, rays, width):
+    """Ends of rays: ``points`` (n, 3) in sample coordinates, unit ``rays`` (n, 3) stretched, ``width`` (n,) of a pixel
+    on the ground in samples. ``metres``: a pixel at unit depth, or (``parallel``) anywhere.
+
+    Seen at a slant a pixel covers more ground one way; the geometric mean is what an isotropic filter can do.
+    """
+    for i in range(len(px)):
+        x = d0[0] + px[i] * du[0] + py[i] * dv[0]
+        y = d0[1] + px[i] * du[1] + py[i] * dv[1]
+        z = d0[2] + px[i] * du[2] + py[i] * dv[2]
+        wx = o0[0] + px[i] * ou[0] + py[i] * ov[0] + t[i] * x
+        wy = o0[1] + px[i] * ou[1] + py[i] * ov[1] + t[i] * y
+        points[i, 0] = linear[0, 0] * wx + linear[0, 1] * wy + offset[0]
+        points[i, 1] = linear[1, 0] * wx + linear[1, 1] * wy + offset[1]
+        points[i, 2] = o0[2] + px[i] * ou[2] + py[i] * ov[2] + t[i] * z
+        z *= exaggeration
+        k = 1.0 / np.sqrt(x * x + y * y + z * z)
+        rays[i, 0], rays[i, 1], rays[i, 2] = x * k, y * k, z * k
+        slant = 1.0 / np.sqrt(min(max(abs(z * k), 0.1), 1.0))
+        width[i] = (metres if parallel else metres * t[i]) * slant / spacing
+
+
+@kernel
+def incidence(gradient, to_world, stretch, sun, cosine, tilt):
+    """Cosine of the light's angle to the normal (not below 0) and upward part of the normal of ``stretch``-ed slopes."""
+    for i in range(len(gradient)):
+        a, b = gradient[i, 0], gradient[i, 1]
+        gx = (to_world[0, 0] * a + to_world[0, 1] * b) * stretch
+        gy = (to_world[1, 0] * a + to_world[1, 1] * b) * stretch
+        up = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+        cosine[i] = max((sun[2] - gx * sun[0] - gy * sun[1]) * up, 0.0)
+        tilt[i] = up
+
+
+@kernel
+def _bilinear(field, u, v):
+    rows, cols = field.shape
+    j = min(max(np.int64(np.floor(u)), 0), max(cols - 2, 0))
+    i = min(max(np.int64(np.floor(v)), 0), max(rows - 2, 0))
+    fu, fv = min(max(u - j, 0.0), 1.0), min(max(v - i, 0.0), 1.0)
+    j1, i1 = min(j + 1, cols - 1), min(i + 1, rows - 1)
+    top = field[i, j] * (1.0 - fu) + field[i, j1] * fu
+    low = field[i1, j] * (1.0 - fu) + field[i1, j1] * fu
+    return top * (1.0 - fv) + low * fv
+
+
+@kernel
+def _shoulder(x):
+    """Bend what is brighter than 0.82 smoothly towards 1 (``light.shade.shoulder``)."""
+    return x if x < 0.82 else 0.82 + 0.18 * (1.0 - np.exp((0.82 - x) / 0.18))
+
+
+@kernel
+def compose(
+    points, cosine, tilt, sunlit, sky_map, water_map, scale, row0, col0, table, low, high, drape, water, sunlight,
+    skylight, bounce, out,
+):
+    """Colours (n, 3) of lit ground.
+
+    Args:
+        sunlit: (n,) part of the sun seen. sky_map, water_map: fields over samples of 2^level = ``scale``, first
+            (row0, col0); water_map may have no samples.
+        table: (k, 3) tint from height ``low`` to ``high``. drape: (n, 4) colour and opacity over it, or (0, 4).
+        water, sunlight, skylight: (3,) colours; bounce: part of all light that ground sees instead of hidden sky.
+    """
+    last = table.shape[0] - 1
+    wet_map, draped = water_map.shape[0] > 0, drape.shape[0] > 0
+    for i in range(len(points)):
+        if points[i, 0] != points[i, 0]:
+            continue
+        u = (points[i, 0] + 0.5) / scale - 0.5 - col0
+        v = (points[i, 1] + 0.5) / scale - 0.5 - row0
+        sky = _bilinear(sky_map, u, v)
+        if sky != sky:
+            sky = 1.0
+        z = min(max((points[i, 2] - low) / (high - low) * last, 0.0), last - 1e-6)
+        k = np.int64(z)
+        f = z - k
+        wet = _bilinear(water_map, u, v) if wet_map else 0.0
+        alpha = drape[i, 3] if draped else 0.0
+        lit = cosine[i] * sunlit[i]
+        # Light from the sky comes from around the zenith: what leans away sees less of it besides its horizon.
+        open_sky = sky * (0.5 + 0.5 * tilt[i])
+        for c in range(3):
+            albedo = table[k, c] * (1.0 - f) + table[k + 1, c] * f
+            if draped:
+                albedo = albedo * (1.0 - alpha) + drape[i, c] * alpha
+            albedo = albedo * (1.0 - wet) + water[c] * wet
+            light = lit * sunlight[c] + open_sky * skylight[c] + (1.0 - sky) * bounce * (sunlight[c] + skylight[c])
+            out[i, c] = _shoulder(albedo * light)
