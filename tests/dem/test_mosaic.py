@@ -126,15 +126,14 @@ def test_around_a_pole(box: tuple[float, float, float, float]) -> None:
     want = 1000 + 80 * (90 - np.abs(lat)) * np.cos(np.radians(lon))
     inside = 90 - np.abs(lat) < (north - south) - step
     assert not np.isnan(got[inside]).any()
-    assert (
-        np.abs(got - want)[inside].max() < 80 * step / 2 + 0.5
-    )  # the half row around the pole has one value per column
+    # the half row around the pole has one value per column
+    assert np.abs(got - want)[inside].max() < 80 * step / 2 + 0.5
     assert np.abs(got - want)[inside & (90 - np.abs(lat) > step)].max() < 0.1
 
 
 def test_against_gdal_on_a_real_tile(shared_data: Path) -> None:
-    """GDAL interpolates positions along its rows (rasterio gives no way to have them exact), so its pixels depend on the
-    window: 8 m off in a window of the whole tile, right in one of 16². Finer than the source it does not widen its
+    """GDAL interpolates positions along its rows (rasterio gives no way to have them exact), so its pixels depend on
+    the window: 8 m off in one of the whole tile, right in one of 16². Finer than the source it does not widen its
     kernel, and is plain bilinear."""
     path = shared_data / "california-3s-tiles" / "N38W119.tif"
     m = Mosaic.open(path, resolution=60)
