@@ -132,13 +132,14 @@ def _cubic(window: Heights, row0: int, col0: int, u: Floats, v: Floats, out: Hei
 
 @inlined
 def _row(window: Heights, j: int, i: int, s: float) -> float:
-    return _catmull_rom(
+    value: float = _catmull_rom(
         np.float64(window[j, i - 1]),
         np.float64(window[j, i]),
         np.float64(window[j, i + 1]),
         np.float64(window[j, i + 2]),
         s,
     )
+    return value
 
 
 @kernel
