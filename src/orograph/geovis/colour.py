@@ -20,8 +20,8 @@ Colours = NDArray[np.float32]
 
 TINTS: dict[str, list[tuple[float, str]]] = {
     # Position 0–1, colour. Lowland greens, ochre slopes, brown-grey heights, pale summits.
-    "alpine": [(0.0, "#7fa07a"), (0.12, "#9db587"), (0.28, "#c9c899"), (0.45, "#d9c597"), (0.62, "#c4a585"),
-               (0.78, "#b3a193"), (0.9, "#d3cdc6"), (1.0, "#f4f2ee")],
+    "alpine": [(0.0, "#8ba884"), (0.12, "#a8bc92"), (0.27, "#cecda6"), (0.44, "#dccca4"), (0.60, "#cab195"),
+               (0.76, "#b9aa9e"), (0.89, "#d6d1cb"), (1.0, "#f5f4f1")],
     "mars": [(0.0, "#6e4a3c"), (0.35, "#a0694a"), (0.65, "#c99468"), (0.85, "#dfbf98"), (1.0, "#f2e6d2")],
     "grey": [(0.0, "#a9a9a9"), (1.0, "#dedede")],
 }  # fmt: skip

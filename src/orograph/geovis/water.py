@@ -1,8 +1,9 @@
 """Water, found by what only water is: exactly level over a large connected area.
 
 Elevation models are given lakes and seas of one value. Plains of integer heights have level patches too, but small and
-ragged ones: a level area is water if it is large, and more so if it is compact. Resampling keeps constant areas exactly
-constant, so equality is the test; heights in metres.
+ragged ones: a level area is water if it is large and much of it lies well inside. Resampling and averaging keep constant
+areas exactly constant, so equality is the test. Heights are metres; sizes are in samples, for what cannot be seen cannot
+be told apart either.
 """
 
 from __future__ import annotations
@@ -10,42 +11,63 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-LEAST_SAMPLES = 100
-"""Samples an area must have left, once its two outer rings are taken off, to be water: that leaves little of ragged
-patches."""
+from orograph._numba import kernel
+
+LEAST_SAMPLES = 120
+"""Level samples (whose eight neighbours have their height) that an area must have."""
+
+LEAST_INSIDE = 0.4
+"""Least part of them whose 24 neighbours have their height: ragged patches have little inside."""
+
+
+@kernel
+def _flood(heights, level, inner, least, inside, water):
+    """Mark in ``water`` the connected level areas that pass; ``level`` is used up."""
+    rows, cols = heights.shape
+    stack = np.empty(rows * cols, np.int64)
+    for seed in range(rows * cols):
+        if not level[seed // cols, seed % cols]:
+            continue
+        level[seed // cols, seed % cols] = False
+        stack[0] = seed
+        size, read, deep = 1, 0, 0
+        while read < size:  # what was pushed stays: it is the area
+            at = stack[read]
+            read += 1
+            r, c = at // cols, at % cols
+            deep += inner[r, c]
+            for i in range(max(r - 1, 0), min(r + 2, rows)):
+                for j in range(max(c - 1, 0), min(c + 2, cols)):
+                    if level[i, j] and heights[i, j] == heights[r, c]:
+                        level[i, j] = False
+                        stack[size] = i * cols + j
+                        size += 1
+        if size >= least and deep >= inside * size:
+            for k in range(size):
+                r, c = stack[k] // cols, stack[k] % cols
+                for i in range(max(r - 1, 0), min(r + 2, rows)):  # out to the shore, whose samples are level too
+                    for j in range(max(c - 1, 0), min(c + 2, cols)):
+                        if heights[i, j] == heights[r, c]:
+                            water[i, j] = True
 
 
 def find_water(heights: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Samples (rows, cols) of heights (float32 metres, NaN where missing) that are water."""
-    inner = _level(heights)
-    if not inner.any():
-        return inner
-    from rasterio.features import sieve
+    """Samples (rows, cols) of ``heights`` (float32 metres, NaN where missing) that are water."""
+    level = _same(heights, np.isfinite(heights))
+    water = np.zeros(heights.shape, bool)
+    if level.any():
+        _flood(np.ascontiguousarray(heights), level, _same(heights, level), LEAST_SAMPLES, LEAST_INSIDE, water)
+    return water
 
-    kept = sieve(inner.astype(np.uint8), LEAST_SAMPLES, connectivity=8).astype(bool) & inner
-    # Back out to the shore: two rings of samples of the same height.
-    grown = np.where(kept, heights, -np.inf)
+
+def _same(heights: NDArray[np.float32], where: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Samples in ``where`` whose eight neighbours (those inside the raster) are in ``where`` and have their height."""
+    level = where
     for axis in (0, 1):
-        wide = grown.copy()
-        for shift in (1, 2):
-            a, b = [slice(None)] * 2, [slice(None)] * 2
-            a[axis], b[axis] = slice(shift, None), slice(None, -shift)
-            np.maximum(wide[tuple(a)], grown[tuple(b)], out=wide[tuple(a)])
-            np.maximum(wide[tuple(b)], grown[tuple(a)], out=wide[tuple(b)])
-        grown = wide
-    return np.asarray(grown == heights)
-
-
-def _level(heights: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Samples whose 5 × 5 surroundings have exactly their height (inside the raster's border or cut by it)."""
-    level = np.isfinite(heights)
-    for axis in (0, 1):
-        same = level.copy()
         a, b = [slice(None)] * 2, [slice(None)] * 2
-        for shift in (1, 2):
-            a[axis], b[axis] = slice(shift, None), slice(None, -shift)
-            equal = (heights[tuple(a)] == heights[tuple(b)]) & level[tuple(a)] & level[tuple(b)]
-            same[tuple(a)] &= equal
-            same[tuple(b)] &= equal
-        level = same
+        a[axis], b[axis] = slice(1, None), slice(None, -1)
+        equal = (heights[tuple(a)] == heights[tuple(b)]) & level[tuple(a)] & level[tuple(b)]
+        level = level.copy()
+        level[tuple(a)] &= equal
+        level[tuple(b)] &= equal
     return level

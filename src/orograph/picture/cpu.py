@@ -55,7 +55,7 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
             )
     lap("heights")
     with progress.task("Casting rays"):
-        t, window = ground.rays.first()
+        t, window, veil = ground.rays.first()
     lap("rays")
     if not np.isfinite(t).any():
         raise NothingInViewError(_why_empty(scene), path=scene.terrain.name, remedy="Leave the camera options away to see all of it.")
@@ -67,12 +67,12 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
         lap("light")
         view = scene.view
         linear = np.empty((view.height, view.width, 3), np.float32)
-        flat, ft, fw = linear.reshape(-1, 3), t.ravel(), window.ravel()
+        flat, ft, fw, fv = linear.reshape(-1, 3), t.ravel(), window.ravel(), veil.ravel()
 
         def block(start: int) -> int:
             i = np.arange(start, min(start + BLOCK, len(ft)))
             px, py = i % view.width + 0.5, i // view.width + 0.5
-            flat[i] = shader.colour(ground.rays.meet(px, py, ft[i], fw[i]), px, py)
+            flat[i] = shader.colour(ground.rays.meet(px, py, ft[i], fw[i], fv[i]), px, py)
             return len(i)
 
         for n in map_ordered(block, range(0, len(ft), BLOCK), scene.jobs):
@@ -88,8 +88,7 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
                 px = (chosen % view.width)[:, None] + offsets[None, :, 0]
                 py = (chosen // view.width)[:, None] + offsets[None, :, 1]
                 u, v = px.ravel(), py.ravel()
-                depth, w = ground.rays.cast(u, v)
-                colours = shader.colour(ground.rays.meet(u, v, depth, w), u, v)
+                colours = shader.colour(ground.rays.meet(u, v, *ground.rays.cast(u, v)), u, v)
                 flat[chosen] = colours.reshape(len(chosen), scene.samples, 3).mean(1)
                 return len(chosen)
 

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.geovis.missing import patches
 from orograph.light.relief import Relief
 from orograph.picture.kernels import ends, incidence
 from orograph.picture.scene import Scene, Sun
@@ -33,6 +35,7 @@ class Hits:
         rays: (n, 3) unit directions in stretched CRS space, of all samples.
         width: (n,) of a pixel on the ground, in samples.
         window: (n,) of the caster, −1 where no ground was met.
+        veil: (n,) depth of a patch over missing data in front of what was met, NaN where there is none.
     """
 
     t: Array
@@ -40,13 +43,14 @@ class Hits:
     rays: Array
     width: Array
     window: NDArray[np.int8]
+    veil: Array
 
 
 class Rays:
     """A scene's camera against its caster."""
 
-    def __init__(self, scene: Scene, caster: Caster) -> None:
-        self.scene, self.caster = scene, caster
+    def __init__(self, scene: Scene, caster: Caster, patches: Caster | None) -> None:
+        self.scene, self.caster, self.patches = scene, caster, patches
         self.single = copy.copy(caster)
         self.single.jobs = 1
         view, grid = scene.view, scene.terrain.grid
@@ -57,35 +61,52 @@ class Rays:
         self.spacing = math.sqrt(abs(grid.transform.determinant))
         self.far = min(view.far, 1e9)
 
-    def first(self) -> tuple[Array, NDArray[np.int8]]:
-        """Depth (height, width) and window of the hits through all pixel centres, on all threads."""
+    def first(self) -> tuple[Array, NDArray[np.int8], Array]:
+        """Depth, window and veil (see ``Hits``), each (height, width), of the rays through all pixel centres."""
+        t, window = self._pixels(self.caster)
+        return t, window, self._veil(t, lambda: self._pixels(self.patches)[0])
+
+    def cast(self, px: Array, py: Array) -> tuple[Array, NDArray[np.int8], Array]:
+        """Depth, window and veil of rays through arbitrary pixel positions (n,), in the calling thread."""
+        t, window = self._positions(px, py, self.single)
+        return t, window, self._veil(t, lambda: self._positions(px, py, self.patches)[0])
+
+    def _veil(self, t: Array, patch_depth: Callable[[], Array]) -> Array:
+        if self.patches is None:
+            return np.full(t.shape, np.nan)
+        veil = patch_depth()
+        veil[t <= veil] = np.nan  # false where nothing else was met
+        return veil
+
+    def _pixels(self, caster: Caster | None) -> tuple[Array, NDArray[np.int8]]:
+        assert caster is not None
         view = self.scene.view
         size = (view.height, view.width)
-        o0, ou, ov, d0, du, dv = self.basis
+        o0, _, _, d0, du, dv = self.basis
         if view.projection == "perspective":
-            centre = d0 + 0.5 * (du + dv)
-            return self.caster.cast_pinhole(
-                self.linear @ o0 + self.offset, self.linear @ centre, self.linear @ du, self.linear @ dv, size, view.near, self.far
-            )
+            return caster.cast_pinhole(
+                self.linear @ o0 + self.offset, self.linear @ (d0 + 0.5 * (du + dv)), self.linear @ du, self.linear @ dv,
+                size, view.near, self.far,
+            )  # fmt: skip
         t, window = np.empty(size), np.empty(size, np.int8)
         px = np.arange(view.width) + 0.5
         for row in range(0, view.height, 64):
             py = np.arange(row, min(row + 64, view.height)) + 0.5
             u, v = (a.ravel() for a in np.meshgrid(px, py))
-            a, b = self.cast(u, v, self.caster)
+            a, b = self._positions(u, v, caster)
             t[row : row + 64], window[row : row + 64] = a.reshape(len(py), -1), b.reshape(len(py), -1)
         return t, window
 
-    def cast(self, px: Array, py: Array, caster: Caster | None = None) -> tuple[Array, NDArray[np.int8]]:
-        """Depths and windows of rays through arbitrary pixel positions (n,), in the calling thread."""
+    def _positions(self, px: Array, py: Array, caster: Caster | None) -> tuple[Array, NDArray[np.int8]]:
+        assert caster is not None
         o0, ou, ov, d0, du, dv = self.basis
         origins = o0 + px[:, None] * ou + py[:, None] * ov
         directions = d0 + px[:, None] * du + py[:, None] * dv
-        return (caster or self.single).cast(
+        return caster.cast(
             origins @ self.linear.T + self.offset, directions @ self.linear.T, self.scene.view.near, self.far
         )
 
-    def meet(self, px: Array, py: Array, t: Array, window: NDArray[np.int8]) -> Hits:
+    def meet(self, px: Array, py: Array, t: Array, window: NDArray[np.int8], veil: Array) -> Hits:
         """Positions of the samples at pixel positions (n,) with depths t (n,)."""
         view = self.scene.view
         parallel = view.projection == "plan"
@@ -94,7 +115,7 @@ class Rays:
             px, py, t, *self.basis, self.linear, self.offset, self.scene.exaggeration,
             view.pixel_metres if parallel else view.pixel_slope, parallel, self.spacing, points, rays, width,
         )  # fmt: skip
-        return Hits(t, points, rays, width, window)
+        return Hits(t, points, rays, width, window, veil)
 
 
 class Ground:
@@ -108,7 +129,8 @@ class Ground:
         self.relief = Relief.load(
             terrain, rectangles(terrain, scene.view, scene.exaggeration, 1.0, by="spacing"), scene.jobs
         )
-        self.rays = Rays(scene, self.caster)
+        veiled = patches(self.caster.stack.windows, terrain.grid.shape) if terrain.valid_fraction < 1 else None
+        self.rays = Rays(scene, self.caster, veiled and Caster(veiled, terrain.grid.shape, scene.jobs))
         grid = terrain.grid
         linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
         self.to_world = np.linalg.inv(linear).T  # gradients per sample → gradients per metre

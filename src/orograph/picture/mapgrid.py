@@ -46,7 +46,7 @@ class MapGrid:
         rows, cols = rows * step, cols * step
         if len(rows) == 0:
             rows, cols = np.nonzero(np.isfinite(depth))
-        seen = ground.rays.meet(cols + 0.5, rows + 0.5, depth[rows, cols], np.zeros(len(rows), np.int8))
+        seen = ground.rays.meet(cols + 0.5, rows + 0.5, depth[rows, cols], np.zeros(len(rows), np.int8), depth[rows, cols])
         self.visible_range = (float(seen.t.min()), float(seen.t.max()))
         west, north = np.maximum(seen.points[:, :2].min(0) - 8, 0)
         east, south = seen.points[:, :2].max(0) + 8

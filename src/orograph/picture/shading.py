@@ -26,8 +26,11 @@ Colours = NDArray[np.float32]
 
 PAPER = srgb_to_linear(np.array([0.965, 0.958, 0.937], np.float32))
 MISSING = srgb_to_linear(np.array([0.62, 0.62, 0.62], np.float32))
+HATCH = 7.0
+"""Pixels from stripe to stripe of the hatching over missing data."""
+
 WATER = srgb_to_linear(np.array([0.44, 0.60, 0.70], np.float32))
-AMBIENT = 0.34
+AMBIENT = 0.27
 """The part of the light on level ground, under a 45° sun and an open sky, that comes from the sky."""
 
 BOUNCE = 0.10
@@ -74,8 +77,19 @@ class Shader:
         missed = np.flatnonzero(np.isnan(hits.t))
         if len(missed):
             out[missed] = self.background(hits.rays[missed])
-        if len(missed) == len(hits.t):
-            return out
+        if len(missed) < len(hits.t):
+            self._lit(hits, out)
+        veiled = np.flatnonzero(~np.isnan(hits.veil))
+        if len(veiled):
+            # Grey hatching at 45°, the cartographer's sign for what is not known.
+            stripe = (px[veiled] + py[veiled]) % HATCH < HATCH / 2
+            out[veiled] = MISSING * np.where(stripe, 1.0, 0.8).astype(np.float32)[:, None]
+            if self.air is not None:
+                out[veiled] = self.air.haze(out[veiled], hits.rays[veiled], hits.veil[veiled])
+        return out
+
+    def _lit(self, hits: Hits, out: Colours) -> None:
+        """Colour the samples that met ground."""
         cosine, tilt = self.ground.incidence(hits, self.to_sun, self.strength)
         sunlit = np.ones(len(cosine))
         if self.scene.shadows:
@@ -94,7 +108,6 @@ class Shader:
         if self.air is not None:
             met = np.flatnonzero(~np.isnan(hits.t))
             out[met] = self.air.haze(out[met], hits.rays[met], hits.t[met])
-        return out
 
     def drape_colours(self, hits: Hits) -> Colours:
         """Colour and opacity (n, 4) of the draped image."""
