@@ -26,13 +26,21 @@ from orograph._numba import inlined, kernel
 from orograph.store.terrain import TILE, Heights, Shape
 
 F64 = NDArray[np.float64]
-Counts = NDArray[np.int64]
+Counts = NDArray[np.int32]
 
 
 def halve(heights: Heights, end: tuple[bool, bool] = (True, True)) -> Heights:
     """Every second sample each way; where an axis is at the raster's ``end`` its last sample closes the row. A copy."""
-    index = [np.arange(0, side + at_end, 2).clip(max=side - 1) for side, at_end in zip(heights.shape, end, strict=True)]
-    result: Heights = heights[index[0]][:, index[1]]
+    rows, cols = ((side + at_end + 1) // 2 for side, at_end in zip(heights.shape, end, strict=True))
+    kept = heights[::2, ::2]
+    result = np.empty((rows, cols), np.float32)
+    result[: kept.shape[0], : kept.shape[1]] = kept
+    if cols > kept.shape[1]:
+        result[: kept.shape[0], -1] = heights[::2, -1]
+    if rows > kept.shape[0]:
+        result[-1, : kept.shape[1]] = heights[-1, ::2]
+        if cols > kept.shape[1]:
+            result[-1, -1] = heights[-1, -1]
     return result
 
 
@@ -47,14 +55,22 @@ def subsample(heights: Heights, level: int, end: tuple[bool, bool] = (True, True
 def box_sums(heights: Heights, total: F64, count: Counts) -> None:
     """Sum and number of the valid samples of each 2 × 2 block into ``total`` and ``count``."""
     rows, cols = heights.shape
-    for i in range(total.shape[0]):
-        r1 = min(2 * i + 2, rows)
-        for j in range(total.shape[1]):
+    for i in range(rows // 2):
+        for j in range(cols // 2):
+            a = np.float64(heights[2 * i, 2 * j])
+            b = np.float64(heights[2 * i, 2 * j + 1])
+            c = np.float64(heights[2 * i + 1, 2 * j])
+            d = np.float64(heights[2 * i + 1, 2 * j + 1])
+            above = (a if a == a else 0.0) + (b if b == b else 0.0)
+            total[i, j] = above + ((c if c == c else 0.0) + (d if d == d else 0.0))
+            count[i, j] = int(a == a) + int(b == b) + int(c == c) + int(d == d)
+    for i in range(total.shape[0]):  # an odd last row or column
+        for j in range(0 if 2 * i + 1 == rows else cols // 2, total.shape[1]):
             s = 0.0
             n = 0
-            for r in range(2 * i, r1):
-                for c in range(2 * j, min(2 * j + 2, cols)):
-                    v = heights[r, c]
+            for r in range(2 * i, min(2 * i + 2, rows)):
+                for k in range(2 * j, min(2 * j + 2, cols)):
+                    v = heights[r, k]
                     if v == v:
                         s += v
                         n += 1
@@ -93,12 +109,12 @@ class BoxMeans:
     def __init__(self, heights: Heights) -> None:
         self.heights: Heights | None = heights
         self.total: F64 = np.empty((0, 0))
-        self.count: Counts = np.empty((0, 0), np.int64)
+        self.count: Counts = np.empty((0, 0), np.int32)
 
     def next(self) -> Heights:
         rows, cols = self.total.shape if self.heights is None else self.heights.shape
         total = np.empty(((rows + 1) // 2, (cols + 1) // 2))
-        count = np.empty(total.shape, np.int64)
+        count = np.empty(total.shape, np.int32)
         if self.heights is not None:
             box_sums(self.heights, total, count)
             self.heights = None
@@ -135,11 +151,33 @@ def tile_extrema(heights: Heights, tile: int, low: Heights, high: Heights, count
 
 @inlined
 def _off(row: Heights, u0: int, u1: int, base: float, slope: float, worst: float) -> float:
-    """The larger of ``worst`` and the distances of ``row[u0..u1]`` from the line base + u·slope; NaNs do not count."""
+    """The larger of ``worst`` and the distances of ``row[u0..u1)`` from the line base + u·slope; NaNs do not count."""
     for u in range(u0, u1):
         d = abs(row[u] - (base + u * slope))
         worst = d if d > worst else worst
     return worst
+
+
+@inlined
+def _off_cell(heights: Heights, r0: int, c0: int, r1: int, c1: int, step: int, even: bool, m: float) -> float:
+    """The larger of ``m`` and the distances of the samples [r0, r1] × [c0, c1] from the cell's two triangles."""
+    scale = 1.0 / step
+    a = np.float64(heights[r0, c0])
+    b = np.float64(heights[r0, c1])
+    c = np.float64(heights[r1, c0])
+    d = np.float64(heights[r1, c1])
+    width = c1 - c0 + 1
+    if even:
+        for v in range(r1 - r0 + 1):
+            row = heights[r0 + v, c0 : c1 + 1]
+            m = _off(row, 0, min(v + 1, width), a + v * (c - a) * scale, (d - c) * scale, m)
+            m = _off(row, v, width, a + v * (d - b) * scale, (b - a) * scale, m)
+    else:
+        for v in range(r1 - r0 + 1):
+            row = heights[r0 + v, c0 : c1 + 1]
+            m = _off(row, 0, min(step - v + 1, width), a + v * (c - a) * scale, (b - a) * scale, m)
+            m = _off(row, step - v, width, c + (step - v) * (b - d) * scale, (d - c) * scale, m)
+    return m
 
 
 @kernel
@@ -148,11 +186,11 @@ def deviations(heights: Heights, step: int, tile: int, parity: int, worst: F64) 
 
     Args:
         heights: a block that begins on a cell's corner; beyond its end its last samples are repeated.
+        step: any power of two; ``deviations_of_two`` is the fast one for 2.
         parity: cell (i, j) is cut from its upper left to its lower right corner if i + j + parity is even.
         worst: the result, shape (tile rows, tile cols); 0 where nothing can be compared.
     """
     rows, cols = heights.shape
-    scale = 1.0 / step
     for ty in range(worst.shape[0]):
         for tx in range(worst.shape[1]):
             m = 0.0
@@ -166,23 +204,53 @@ def deviations(heights: Heights, step: int, tile: int, parity: int, worst: F64) 
                     if c0 >= cols - 1:
                         break
                     c1 = min(c0 + step, cols - 1)
-                    a = np.float64(heights[r0, c0])
-                    b = np.float64(heights[r0, c1])
-                    c = np.float64(heights[r1, c0])
-                    d = np.float64(heights[r1, c1])
-                    width = c1 - c0 + 1
-                    if (i + j + parity) & 1 == 0:
-                        for v in range(r1 - r0 + 1):
-                            row = heights[r0 + v, c0 : c1 + 1]
-                            m = _off(row, 0, min(v + 1, width), a + v * (c - a) * scale, (d - c) * scale, m)
-                            m = _off(row, v, width, a + v * (d - b) * scale, (b - a) * scale, m)
-                    else:
-                        for v in range(r1 - r0 + 1):
-                            row = heights[r0 + v, c0 : c1 + 1]
-                            m = _off(row, 0, min(step - v + 1, width), a + v * (c - a) * scale, (b - a) * scale, m)
-                            base = c + (step - v) * (b - d) * scale
-                            m = _off(row, step - v, width, base, (d - c) * scale, m)
+                    m = _off_cell(heights, r0, c0, r1, c1, step, (i + j + parity) & 1 == 0, m)
             worst[ty, tx] = m
+
+
+@kernel
+def deviations_of_two(heights: Heights, tile: int, parity: int, worst: F64) -> None:
+    """``deviations`` for cells of 2 × 2: all that can differ are the midpoints of the four edges and the centre."""
+    rows, cols = heights.shape
+    for ty in range(worst.shape[0]):
+        for tx in range(worst.shape[1]):
+            m = 0.0
+            top = 0.0
+            bottom = 0.0
+            left = 0.0
+            right = 0.0
+            centre = 0.0
+            for i in range(ty * tile, (ty + 1) * tile):
+                r = 2 * i
+                if r >= rows - 1:
+                    break
+                for j in range(tx * tile, (tx + 1) * tile):
+                    k = 2 * j
+                    if k >= cols - 1:
+                        break
+                    even = (i + j + parity) & 1 == 0
+                    if r + 2 >= rows or k + 2 >= cols:
+                        m = _off_cell(heights, r, k, min(r + 2, rows - 1), min(k + 2, cols - 1), 2, even, m)
+                        continue
+                    a = np.float64(heights[r, k])
+                    b = np.float64(heights[r, k + 2])
+                    c = np.float64(heights[r + 2, k])
+                    d = np.float64(heights[r + 2, k + 2])
+                    # Each triangle has two edges; its third corner adds nothing, or makes it a hole.
+                    x1 = abs(heights[r, k + 1] - 0.5 * (a + b) + 0.0 * (d if even else c))
+                    x2 = abs(heights[r + 2, k + 1] - 0.5 * (c + d) + 0.0 * (a if even else b))
+                    x3 = abs(heights[r + 1, k] - 0.5 * (a + c) + 0.0 * (d if even else b))
+                    x4 = abs(heights[r + 1, k + 2] - 0.5 * (b + d) + 0.0 * (a if even else c))
+                    middle = 0.5 * (a + d) if even else 0.5 * (b + c)
+                    p = b if even else a
+                    q = c if even else d
+                    x5 = abs(heights[r + 1, k + 1] - middle) + 0.0 * (p if p == p else q)  # either side will do
+                    top = x1 if x1 > top else top
+                    bottom = x2 if x2 > bottom else bottom
+                    left = x3 if x3 > left else left
+                    right = x4 if x4 > right else right
+                    centre = x5 if x5 > centre else centre
+            worst[ty, tx] = max(max(max(top, left), max(bottom, right)), max(centre, m))
 
 
 def extrema(heights: Heights) -> tuple[Heights, Heights, NDArray[np.uint8]]:
@@ -239,6 +307,9 @@ def tile_errors(heights: Heights, level: int, origin: Shape = (0, 0)) -> F64:
     step = 1 << level
     shape = tuple(max(1, -(-(side - 1) // (TILE * step))) for side in heights.shape)
     worst = np.zeros((shape[0], shape[1]))
-    if level:
-        deviations(heights, step, TILE, (origin[0] // step + origin[1] // step) & 1, worst)
+    parity = (origin[0] // step + origin[1] // step) & 1
+    if level == 1:
+        deviations_of_two(heights, TILE, parity, worst)
+    elif level:
+        deviations(heights, step, TILE, parity, worst)
     return worst
