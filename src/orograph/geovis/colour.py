@@ -8,6 +8,7 @@ Tables are linear RGB, ready to be lit. Our own tints are given by a few stops i
 from __future__ import annotations
 
 import difflib
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ TINTS: dict[str, list[tuple[float, str]]] = {
     # Position 0–1, colour. Lowland greens, ochre slopes, brown-grey heights, pale summits.
     "alpine": [(0.0, "#8ba884"), (0.12, "#a8bc92"), (0.27, "#cecda6"), (0.44, "#dccca4"), (0.60, "#cab195"),
                (0.76, "#b9aa9e"), (0.89, "#d6d1cb"), (1.0, "#f5f4f1")],
+    "sea": [(0.0, "#4f7fa5"), (0.45, "#7aa7c2"), (0.8, "#a5c9d6"), (1.0, "#c6dfe3")],
     "mars": [(0.0, "#6e4a3c"), (0.35, "#a0694a"), (0.65, "#c99468"), (0.85, "#dfbf98"), (1.0, "#f2e6d2")],
     "grey": [(0.0, "#a9a9a9"), (1.0, "#dedede")],
 }  # fmt: skip
@@ -77,19 +79,58 @@ def colour_table(name: str | None = None, n: int = 1024) -> Colours:
     return srgb_to_linear(np.asarray(found(np.linspace(0, 1, n)))[:, :3])
 
 
-def height_span(terrain: Terrain) -> tuple[float, float]:
-    """The heights, metres, that the ends of a colour table stand for: all but the outer hundredths of what there is.
+@dataclass(frozen=True, slots=True)
+class Tint:
+    """How heights become colours.
 
-    Taken on the coarsest level, so that a spike or a pit does not wash out the rest; never an empty span.
+    Attributes:
+        low, high: metres at the ends of ``land``.
+        land: (n, 3) float32 linear colours.
+        floor: metres at the deep end of ``sea``; its other end is 0 m.
+        sea: (m, 3), or (0, 3) where what lies below 0 m is land like any other.
+    """
+
+    low: float
+    high: float
+    land: Colours
+    floor: float
+    sea: Colours
+
+    def scale(self, n: int = 256) -> tuple[float, float, Colours]:
+        """Both ends and one table (n, 3) of colours for a legend."""
+        if not len(self.sea):
+            return self.low, self.high, self.land
+        z = np.linspace(self.floor, self.high, n)
+        land = np.clip((z - self.low) / (self.high - self.low) * (len(self.land) - 1), 0, len(self.land) - 1)
+        sea = np.clip(z / self.floor * -(len(self.sea) - 1) + len(self.sea) - 1, 0, len(self.sea) - 1)
+        return self.floor, self.high, np.where((z < 0)[:, None], self.sea[sea.astype(int)], self.land[land.astype(int)])
+
+
+def tint_of(terrain: Terrain, name: str | None = None, sea: bool | None = None) -> Tint:
+    """The tint a terrain is drawn with.
+
+    The ends stand for all heights but the outer two hundredths, so that a spike or a pit does not wash out the rest; they
+    are taken on the coarsest level and never coincide.
+
+    Args:
+        name: see ``colour_table``.
+        sea: whether ground below 0 m is the floor of a sea. None: it is, if at least a tenth of the ground lies deeper
+            than 2 m and some higher (a basin on land, like Death Valley, is less of its surroundings).
     """
     level = terrain.levels - 1
     rows, cols = terrain.shape(level)
     heights = terrain.read(level, 0, rows, 0, cols)
     valid = heights[np.isfinite(heights)]
     if valid.size == 0:
-        low, high = terrain.height_range
-    else:
-        low, high = (float(v) for v in np.percentile(valid, [0.5, 99.5]))
+        valid = np.array(terrain.height_range, np.float32)
+    deep = float((valid < -2).mean())
+    if sea is None:
+        sea = name is None and deep >= 0.1 and float((valid > 2).mean()) >= 0.01
+    floor = float(np.percentile(valid[valid < 0], 1)) if sea and (valid < 0).any() else -1.0
+    land = valid[valid >= 0] if sea and (valid >= 0).any() else valid
+    low, high = (float(v) for v in np.percentile(land, [0.5, 99.5]))
+    if sea:
+        low = 0.0
     if not high - low > 1e-6:
         low, high = low - 0.5, high + 0.5
-    return low, high
+    return Tint(low, high, colour_table(name), floor, colour_table("sea", 256) if sea else np.empty((0, 3), np.float32))

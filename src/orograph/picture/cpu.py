@@ -96,6 +96,11 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
                 task.advance(n * len(ft) / max(1, len(edges)))
             lap("antialiasing")
     pixels = encode(linear)
+    if scene.furniture:
+        from orograph.picture.legend import decorate
+
+        pixels = decorate(pixels, scene, shader, t, bool(np.isfinite(veil).any()))
+        lap("furniture")
     facts["shader"] = shader.facts
     return Picture(pixels, t.astype(np.float32), scene.view, facts)
 

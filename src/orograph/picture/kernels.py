@@ -66,7 +66,7 @@ def _shoulder(x):
 
 @kernel
 def compose(
-    points, cosine, tilt, sunlit, sky_map, water_map, scale, row0, col0, table, low, high, drape, water, sunlight,
+    points, cosine, tilt, sunlit, sky_map, water_map, scale, row0, col0, land, low, high, sea, floor, drape, water, sunlight,
     skylight, bounce, out,
 ):
     """Colours (n, 3) of lit ground.
@@ -74,10 +74,10 @@ def compose(
     Args:
         sunlit: (n,) part of the sun seen. sky_map, water_map: fields over samples of 2^level = ``scale``, first
             (row0, col0); water_map may have no samples.
-        table: (k, 3) tint from height ``low`` to ``high``. drape: (n, 4) colour and opacity over it, or (0, 4).
+        land: (k, 3) tint from height ``low`` to ``high``; sea: (m, 3) from ``floor`` to 0 m, or (0, 3).
+        drape: (n, 4) colour and opacity over the tint, or (0, 4).
         water, sunlight, skylight: (3,) colours; bounce: part of all light that ground sees instead of hidden sky.
     """
-    last = table.shape[0] - 1
     wet_map, draped = water_map.shape[0] > 0, drape.shape[0] > 0
     for i in range(len(points)):
         if points[i, 0] != points[i, 0]:
@@ -87,7 +87,11 @@ def compose(
         sky = _bilinear(sky_map, u, v)
         if sky != sky:
             sky = 1.0
-        z = min(max((points[i, 2] - low) / (high - low) * last, 0.0), last - 1e-6)
+        below = sea.shape[0] > 0 and points[i, 2] < 0.0
+        table = sea if below else land
+        last = table.shape[0] - 1
+        z = (points[i, 2] - floor) / -floor if below else (points[i, 2] - low) / (high - low)
+        z = min(max(z * last, 0.0), last - 1e-6)
         k = np.int64(z)
         f = z - k
         wet = _bilinear(water_map, u, v) if wet_map else 0.0

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.colour import colour_table, height_span, srgb_to_linear
+from orograph.geovis.colour import srgb_to_linear, tint_of
 from orograph.light.shade import disc_fraction, sky_colour, sun_colour
 from orograph.picture.ground import Ground, Hits
 from orograph.picture.kernels import compose
@@ -48,13 +48,12 @@ class Shader:
         a, h = math.radians(scene.sun.azimuth), math.radians(scene.sun.altitude)
         self.to_sun = np.array([math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)])
         sun, sky = sun_colour(scene.sun.altitude), sky_colour(scene.sun.altitude)
-        # Exposure is set once, for level ground under a sun at 45°, then follows the sun's strength as an eye would.
-        level = max(self.to_sun[2], 0.08)
-        self.sunlight = ((1 - AMBIENT) / level * sun).astype(np.float32)
+        # Exposure is set for level ground under a sun at 45° and opens for lower ones, but by half only: evening is darker.
+        high = math.sin(math.radians(45))
+        self.sunlight = ((1 - AMBIENT) / high * (high / max(self.to_sun[2], 0.03)) ** 0.55 * sun).astype(np.float32)
         self.skylight = (AMBIENT * sky).astype(np.float32)
         self.maps = MapGrid(scene, ground, depth, progress)
-        self.span = height_span(scene.terrain)
-        self.table = colour_table(scene.colormap)
+        self.tint = tint_of(scene.terrain, scene.colormap)
         self.air = None
         if scene.sky:
             from orograph.picture.sky import Atmosphere
@@ -68,7 +67,7 @@ class Shader:
         self.strength = scene.relief if scene.relief is not None else self.maps.strength
         self.lower_limb = math.tan(math.radians(max(scene.sun.altitude - scene.sun.diameter / 2, -89.0))) * (1 + 1e-9)
         self.facts["relief"] = self.strength
-        self.facts["height_span"] = self.span
+        self.facts["tint_from_to_m"] = [self.tint.low, self.tint.high]
         self.facts["water_fraction"] = self.maps.water_fraction
 
     def colour(self, hits: Hits, px: Array, py: Array) -> Colours:
@@ -102,8 +101,8 @@ class Shader:
         drape = NOTHING if self.drape is None else self.drape_colours(hits)
         maps = self.maps
         compose(
-            hits.points, cosine, tilt, sunlit, maps.sky_view, maps.water, maps.scale, maps.row0, maps.col0, self.table,
-            *self.span, drape, WATER, self.sunlight, self.skylight, BOUNCE, out,
+            hits.points, cosine, tilt, sunlit, maps.sky_view, maps.water, maps.scale, maps.row0, maps.col0, self.tint.land,
+            self.tint.low, self.tint.high, self.tint.sea, self.tint.floor, drape, WATER, self.sunlight, self.skylight, BOUNCE, out,
         )  # fmt: skip
         if self.air is not None:
             met = np.flatnonzero(~np.isnan(hits.t))
