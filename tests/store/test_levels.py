@@ -82,3 +82,15 @@ def test_levels_whose_cells_outgrow_a_shard_have_a_bound_too(tmp_path, hole):
         np.testing.assert_array_equal(terrain.read(level, 0, h, 0, w), nested(heights, level))
         h, w = terrain.mean_shape(level)
         np.testing.assert_array_equal(terrain.read_mean(level, 0, h, 0, w), whole.read_mean(level, 0, h, 0, w))
+
+
+def test_a_spike_in_a_hole_of_the_level_below_is_not_lost(tmp_path):
+    """The nested sum is blind there: level 4 has no triangle under the spike, level 5 has one."""
+    heights = np.zeros((40, 4200), np.float32)
+    heights[16, 4016] = np.nan
+    heights[24, 4026] = 1000
+    terrain = store.build(source(heights), tmp_path / "s.oro", shard=16, chunk=8)
+    assert terrain.levels == 6
+    assert surface(heights, 5, 24.0, 4026.0) == 0 and np.isnan(surface(heights, 4, 24.0, 4026.0))
+    assert terrain.tiles(4).error[0, 0] == 0
+    assert terrain.tiles(5).error[0, 0] >= 1000

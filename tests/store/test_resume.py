@@ -30,7 +30,10 @@ def files(folder):
 def whole(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "s"
     store.build(source(HEIGHTS), path, **SIZES)
-    return files(path)
+    found = files(path)
+    assert {name.split("/")[0] for name in found} == {"zarr.json", "heights", "mean", "tiles"}
+    assert not [name for name in found if name.endswith(".writing")]
+    return found
 
 
 class Stop(BaseException):

@@ -123,8 +123,18 @@ class MemoryTerrain(Terrain):
         def make() -> list[Heights]:
             from orograph.store.levels import BoxMeans
 
-            means = BoxMeans(self.heights)
-            return [_frozen(means.next()) for _ in range(1, self.levels)]
+            made = [np.empty(self.mean_shape(level), np.float32) for level in range(1, self.levels)]
+            height = max(1 << (self.levels - 1), TILE)  # blocks of no level straddle such strips
+
+            def strip(row: int) -> None:
+                means = BoxMeans(self.heights[row : row + height])
+                for level, whole in enumerate(made, 1):
+                    part = means.next()
+                    whole[row >> level : (row >> level) + len(part)] = part
+
+            for _ in map_ordered(strip, range(0, self.grid.rows, height)):
+                pass
+            return [_frozen(whole) for whole in made]
 
         return self._once("means", 0, make)
 
