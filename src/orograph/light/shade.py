@@ -44,7 +44,7 @@ def sun_colour(altitude: float) -> Array:
     colour = np.exp(-ZENITH_DEPTH * (air_mass(altitude) - air_mass(45.0)))
     strength = colour[1]
     night = min(max((altitude + 0.27) / 0.54, 0.0), 1.0)  # the disc sinks
-    return np.asarray(np.array([1.02, 1.0, 0.95]) * colour / strength * max(strength, 0.0) ** 0.25 * night)
+    return np.asarray(np.array([1.02, 1.0, 0.95]) * (colour / strength) ** 0.7 * strength**0.25 * night)
 
 
 def sky_colour(altitude: float) -> Array:

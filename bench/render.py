@@ -1,0 +1,94 @@
+"""Whole commands, from the raw file to the picture: seconds and peak memory, cold store and kept store.
+
+    python bench/render.py [--data ../shared/data] [--runs 3] [--big big.tif]
+
+Three inputs: a geographic tile of 1201², the 40 tiles of California (13201 × 4801, degrees), a projected float32 raster
+of 16385² (made by ``orograph synth`` if --big is not there). Kernels are compiled before the first timed run. "first":
+the cache of stores is empty; "again": it holds the store the first run made. Where pyvista is installed the tile is
+drawn by it too, after reprojection by GDAL, in the same run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+OROGRAPH = [sys.executable, "-m", "orograph", "--quiet"]
+
+PYVISTA = """
+import sys, numpy as np, rasterio, pyvista
+from rasterio.warp import calculate_default_transform, reproject, Resampling
+with rasterio.open(sys.argv[1]) as f:
+    t, w, h = calculate_default_transform(f.crs, "EPSG:32619", f.width, f.height, *f.bounds)
+    z = np.zeros((h, w), np.float32)
+    reproject(rasterio.band(f, 1), z, dst_transform=t, dst_crs="EPSG:32619", resampling=Resampling.bilinear)
+x, y = np.meshgrid(t.c + t.a * np.arange(w), t.f + t.e * np.arange(h))
+p = pyvista.Plotter(off_screen=True, window_size=(1280, 720))
+p.add_mesh(pyvista.StructuredGrid(x, y, z), scalars=z.ravel(order="F"), cmap="gist_earth", smooth_shading=True)
+p.enable_shadows()
+p.screenshot(sys.argv[2])
+"""
+
+
+def timed(command: list[str], cache: Path) -> tuple[float, float]:
+    """Wall seconds and peak resident MiB of one process."""
+    began = time.perf_counter()
+    child = subprocess.Popen(command, env={**os.environ, "OROGRAPH_CACHE": str(cache)}, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(child.pid, 0)
+    seconds = time.perf_counter() - began
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode:
+        raise SystemExit(f"failed ({child.returncode}): {' '.join(command)}")
+    return seconds, usage.ru_maxrss / 1024
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--big", type=Path, help="a projected raster of 16385 × 16385 samples")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        picture = str(work / "picture.png")
+        cases = []
+        if options.data.is_dir():
+            tile = str(options.data / "n44w072-hgt" / "N44W072.hgt")
+            cases.append(("tile 1201², degrees", [tile], []))
+            tiles = sorted(map(str, (options.data / "california-3s-tiles").glob("*.tif")))
+            cases.append(("40 tiles 13201 × 4801, degrees", tiles, ["--max-memory", "1GiB"]))
+        else:
+            print(f"{options.data} is not there: only the synthetic raster is drawn")
+        big = options.big or work / "big.tif"
+        if not big.exists():
+            timed([*OROGRAPH, "synth", "-o", str(big), "--size", "16385", "--seed", "7"], work)
+        cases.append(("16385² float32, metres", [str(big)], ["--max-memory", "1.5GiB"]))
+        timed([*OROGRAPH, "demo", "-o", str(work / "warm")], work / "none")
+        timed([*OROGRAPH, "render", *cases[0][1], "-o", picture], work / "none")
+        print("| input | first | again | peak memory, first | again |\n|---|---|---|---|---|")
+        for name, paths, extra in cases:
+            first, again = [], []
+            for _ in range(options.runs):
+                cache = work / "cache"
+                shutil.rmtree(cache, ignore_errors=True)
+                for results in (first, again):
+                    results.append(timed([*OROGRAPH, "render", *paths, "-o", picture, *extra], cache))
+            (s1, m1), (s2, m2) = (tuple(statistics.median(v) for v in zip(*r)) for r in (first, again))
+            print(f"| {name} | {s1:.1f} s | {s2:.1f} s | {m1:.0f} MiB | {m2:.0f} MiB |", flush=True)
+        if importlib.util.find_spec("pyvista") and options.data.is_dir():
+            command = [sys.executable, "-c", PYVISTA, cases[0][1][0], picture]
+            timed(command, work)
+            s, m = (statistics.median(v) for v in zip(*[timed(command, work) for _ in range(options.runs)]))
+            print(f"| tile, PyVista after reprojection by hand | {s:.1f} s | {s:.1f} s | {m:.0f} MiB | |")
+
+
+if __name__ == "__main__":
+    main()
