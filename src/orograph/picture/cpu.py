@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from orograph.errors import NothingInViewError
 from orograph.geovis.colour import linear_to_srgb
 from orograph.parallel import map_ordered
-from orograph.picture.ground import Ground
+from orograph.picture.ground import LEAST_MEMORY, Ground, fixed_memory
 from orograph.picture.result import Picture
 from orograph.picture.scene import Scene
 from orograph.picture.shading import Shader
@@ -53,6 +53,9 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
                 f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not fit "
                 "into --max-memory."
             )
+    least = fixed_memory(scene) + LEAST_MEMORY
+    if scene.max_memory is not None and scene.max_memory < least:
+        progress.warn(f"a picture of this size takes about {least >> 20} MiB, more than --max-memory allows.")
     lap("heights")
     with progress.task("Casting rays"):
         t, window, veil = ground.rays.first()

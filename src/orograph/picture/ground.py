@@ -25,6 +25,20 @@ from orograph.raycast.select import Rectangle, load, rectangles
 Array = NDArray[np.float64]
 
 
+FIXED_MEMORY = 300 << 20
+"""Bytes a picture takes whatever the terrain: the interpreter and its libraries, maps of light, blocks of samples."""
+
+BYTES_PER_PIXEL = 50
+
+LEAST_MEMORY = 24 << 20
+"""Bytes of heights that are loaded even where --max-memory leaves no room for them."""
+
+
+def fixed_memory(scene: Scene) -> int:
+    """Bytes that drawing a scene takes besides its heights."""
+    return FIXED_MEMORY + BYTES_PER_PIXEL * scene.view.width * scene.view.height
+
+
 @dataclass(frozen=True, slots=True)
 class Hits:
     """Samples of a picture (n,), NaN where no ground was met.
@@ -142,9 +156,9 @@ class Ground:
         terrain = scene.terrain
         rows, cols = terrain.grid.shape
         tolerance = scene.pixel_tolerance
-        # Heights 4 bytes and their pyramids 5/12 of that, the relief's means 4/3, reading on the way.
-        bytes_per_sample = 4 * (1 + 5 / 12) + 4
-        budget = math.inf if scene.max_memory is None else max(scene.max_memory - 250 * 2**20, scene.max_memory // 4)
+        # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together, the relief's means.
+        bytes_per_sample = 4 * (1 + 5 / 12) + 4 + 4
+        budget = math.inf if scene.max_memory is None else max(scene.max_memory - fixed_memory(scene), LEAST_MEMORY)
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
             return cls(scene, [Rectangle(0, 0, rows, 0, cols)], 0.0)
         tolerance = tolerance or 0.05

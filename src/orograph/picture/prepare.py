@@ -29,6 +29,11 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "orograph"
 
 
+def cache_bytes(max_memory: int | None) -> int:
+    """What a store may cache while a picture is drawn from it: a picture reads each tile once or twice."""
+    return (64 << 20) if max_memory is None else min(64 << 20, max_memory // 16)
+
+
 def prepare(
     paths: list[str], *, max_memory: int | None = None, jobs: int | None = None, progress: Progress = SILENT, **options: Any
 ) -> Terrain:
@@ -48,7 +53,7 @@ def prepare(
         given = {k: v for k, v in options.items() if v is not None}
         if given:
             raise UsageError(f"{', '.join(sorted(given))}: a store is already built; such options are for DEM files.")
-        return store.open(paths[0])
+        return store.open(paths[0], cache_bytes=cache_bytes(max_memory))
     from orograph.dem.mosaic import Mosaic
 
     mosaic = Mosaic.open(paths, progress=progress, **{k: v for k, v in options.items() if v is not None})
@@ -60,7 +65,7 @@ def prepare(
     kept = cache_folder() / f"{mosaic.fingerprint()[:20]}.oro"
     if kept.exists():
         try:
-            terrain = store.open(kept)
+            terrain = store.open(kept, cache_bytes=cache_bytes(max_memory))
         except OrographError as error:
             progress.warn(f"the kept store cannot be used and is built again ({error})")
         else:
