@@ -150,7 +150,7 @@ def test_palettes_alpha_and_missing_pixels(tmp_path, grid):
     far = drape.sample(*grid.xy([150.0], [100.0]), np.array([240.0]))
     np.testing.assert_allclose(far, [[0.5, 0.5, 0, 2 / 3]], atol=0.06)
     rgba = noise(200, 300, 4)
-    path = write(tmp_path / "r.tif", rgba, crs=UTM, transform=grid.transform, photometric="rgb", alpha="unassociated")
+    path = write(tmp_path / "r.tif", rgba, crs=UTM, transform=grid.transform, photometric="rgb", alpha="yes")
     got = Drape.open(path, grid).sample(*grid.xy([7], [9]), np.ones(1))
     assert got[0, 3] == pytest.approx(rgba[9, 7, 3] / 255)
     blank = noise(200, 300)
