@@ -22,7 +22,7 @@ from scipy.ndimage import map_coordinates
 from orograph.dem import mosaic as mosaic_module
 from orograph.dem.mosaic import Mosaic
 from orograph.errors import ReadError, UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 
 WGS84 = CRS.from_epsg(4326)
 UTM11 = CRS.from_epsg(32611)
@@ -174,7 +174,7 @@ def test_sea_stays_at_zero_and_constants_constant() -> None:
 @pytest.mark.parametrize("resolution", [7.0, 10.0, 33.0, 100.0])
 def test_a_plane_comes_out_as_a_plane(method: str, resolution: float) -> None:
     """Slanted sampling, shrinking (with averaging) and growing all keep a plane."""
-    transform = Affine.translation(500_000, 4_000_000) * Affine.rotation(13) * Affine.scale(10, -10)
+    transform = compose(Affine.translation(500_000, 4_000_000), Affine.rotation(13), Affine.scale(10, -10))
     grid = Grid((300, 280), transform, UTM11)
     x, y = grid.xy(*np.meshgrid(np.arange(280), np.arange(300)))
     plane = lambda x, y: 0.3 * (x - 500_000) - 0.2 * (y - 4_000_000) + 50  # noqa: E731
@@ -197,7 +197,7 @@ def test_coarser_resolution_does_not_alias() -> None:
 def test_projected_is_kept_to_the_bit_and_rotated_too() -> None:
     for transform in (
         Affine(30, 0, 500_000.5, 0, -30, 4e6),
-        Affine.translation(5e5, 4e6) * Affine.rotation(20) * Affine.scale(5, -5),
+        compose(Affine.translation(5e5, 4e6), Affine.rotation(20), Affine.scale(5, -5)),
     ):
         source = held(hills(90, 70), transform, UTM11)
         source.heights[4:9, 3:8] = np.nan
@@ -248,7 +248,7 @@ def test_first_file_with_a_valid_sample_wins() -> None:
     transform = Affine(30, 0, 5e5, 0, -30, 4e6)
     one, two = np.full((20, 20), 1.0), np.full((20, 20), 2.0)
     one[5:10, 12:] = np.nan
-    sources = [held(one, transform, UTM11), held(two, transform * Affine.translation(10, 0), UTM11)]
+    sources = [held(one, transform, UTM11), held(two, compose(transform, Affine.translation(10, 0)), UTM11)]
     got = everything(Mosaic(sources))
     want = np.full((20, 30), 2.0, np.float32)
     want[:, :20] = 1

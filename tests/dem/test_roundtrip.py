@@ -17,6 +17,7 @@ from hypothesis.extra import numpy as hnp
 from pyproj import CRS
 
 from orograph.dem import Source, read
+from orograph.geo.grid import compose
 
 DTYPES = ("uint8", "int8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
 CRSES = (None, "EPSG:4326", "EPSG:32611", "EPSG:3857", "EPSG:2225", "EPSG:32633+5773", "EPSG:3413")
@@ -55,7 +56,7 @@ def rasters(draw: st.DrawFn) -> dict[str, Any]:
         "south-up": Affine(dx, 0, x, 0, dy, y),
         "east-first": Affine(-dx, 0, x, 0, -dy, y),
         "turned round": Affine(-dx, 0, x, 0, dy, y),
-        "rotated": Affine.translation(x, y) * Affine.rotation(draw(st.floats(5, 85))) * Affine.scale(dx, -dy),
+        "rotated": compose(Affine.translation(x, y), Affine.rotation(draw(st.floats(5, 85))), Affine.scale(dx, -dy)),
     }[kind]
     return {
         "numbers": numbers,

@@ -14,7 +14,7 @@ from orograph.dem.lattice import group
 from orograph.dem.projection import flat_crs, geodetic_base, horizontal, in_metres, scale_error, unwrapped, utm_crs
 from orograph.dem.target import Target, choose, ground_spacing, parse_crs
 from orograph.errors import ReadError, UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 
 WGS84 = CRS.from_epsg(4326)
 
@@ -200,7 +200,7 @@ def test_extent_covers_every_source_sample_and_little_more(box: tuple[float, ...
 def test_a_projected_raster_is_kept_rotated_or_not() -> None:
     for transform in (
         Affine(30, 0, 500_000.5, 0, -30, 4_000_000),
-        Affine.translation(5e5, 4e6) * Affine.rotation(20) * Affine.scale(5, -5),
+        compose(Affine.translation(5e5, 4e6), Affine.rotation(20), Affine.scale(5, -5)),
     ):
         grid = Grid((30, 40), transform, CRS.from_epsg(32611))
         got = target(grid)

@@ -17,7 +17,6 @@ from typing import Any
 import click
 
 from orograph.cli.options import jobs_option, progress_of, source_options
-from orograph.errors import ReadError
 from orograph.progress import Progress
 
 Facts = dict[str, Any]
@@ -56,23 +55,9 @@ def command(
 
 def facts_of(path: str, *, progress: Progress, exact: bool | None, jobs: int | None, **options: Any) -> Facts:
     """The JSON object of one path (keys that begin with "_" are for people only)."""
+    from orograph.store.detect import is_store
+
     return _store_facts(path) if is_store(path) else _dem_facts(path, progress, exact, jobs, options)
-
-
-def is_store(path: str) -> bool:
-    """Whether a folder or URL is a Zarr group (a store) rather than a raster file."""
-    if "://" not in path:
-        return (Path(path) / "zarr.json").is_file()
-    last = path.rstrip("/").rpartition("/")[2].partition("?")[0]
-    if Path(last).suffix not in ("", ".oro", ".zarr"):
-        return False
-    import fsspec
-
-    try:
-        filesystem, root = fsspec.url_to_fs(path)
-        return bool(filesystem.exists(f"{root.rstrip('/')}/zarr.json"))
-    except (OSError, ValueError, ImportError) as error:
-        raise ReadError(f"It cannot be reached: {error}.", path=path, remedy="Check the address.") from None
 
 
 def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | None, options: Facts) -> Facts:

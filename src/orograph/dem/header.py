@@ -59,8 +59,6 @@ def place_of(
         warnings.append("It says where its samples lie, so --spacing is not used for it.")
     if full is None:
         full = assumed
-        if full is None:
-            warnings.append(_nameless(transform, shape))
     elif assumed is not None and assumed != full:
         warnings.append("It names its own CRS, so --assume-crs is not used for it.")
     a, b, c, d, e, f = transform[:6]
@@ -76,6 +74,8 @@ def place_of(
         raise ReadError(
             f"{str(error).capitalize()}.", path=dataset.name, remedy="Mend it with gdal_edit -a_ullr."
         ) from None
+    if full is None:
+        warnings.append(_nameless(grid))
     return Place(grid, flip_rows, flip_cols, True), full
 
 
@@ -105,10 +105,9 @@ def _local(
     return Grid(shape, Affine(step, 0, 0, 0, -step, shape[0] * step), None)
 
 
-def _nameless(transform: Affine, shape: tuple[int, int]) -> str:
-    corners = [transform * p for p in ((0, 0), (shape[1], 0), (0, shape[0]), (shape[1], shape[0]))]
-    degrees = all(abs(x) <= 360.5 and abs(y) <= 90.5 for x, y in corners) and abs(transform.determinant) < 1
-    if degrees:
+def _nameless(grid: Grid) -> str:
+    west, south, east, north = grid.bounds()
+    if max(-west, east) <= 360.5 and max(-south, north) <= 90.5 and abs(grid.transform.determinant) < 1:
         return "It has no CRS; its coordinates look like degrees (give --assume-crs EPSG:4326 if they are)."
     return "It has no CRS; its coordinates are taken to be metres (give --assume-crs CODE)."
 

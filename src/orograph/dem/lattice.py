@@ -17,7 +17,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, apply, compose
 
 SPACING_TOLERANCE = 1e-6
 OFFSET_TOLERANCE = 1e-3
@@ -82,7 +82,7 @@ def _offset(of: Affine, onto: Affine) -> tuple[int, int] | None:
         for p, q in zip((of.a, of.b, of.d, of.e), (onto.a, onto.b, onto.d, onto.e))
     ):
         return None
-    col, row = ~onto * (of.c, of.f)
+    col, row = (float(v) for v in apply(~onto, of.c, of.f))
     if abs(col - round(col)) > OFFSET_TOLERANCE or abs(row - round(row)) > OFFSET_TOLERANCE:
         return None
     return round(row), round(col)
@@ -118,7 +118,7 @@ def _lattice(first: Grid, members: list[Raster], grids: list[Grid], offsets: lis
     top, left = int(corners[:, 0].min()), int(corners[:, 2].min())
     corners -= np.array([top, top, left, left])
     shape = (int(corners[:, 1].max()), int(corners[:, 3].max()))
-    whole = Grid(shape, first.transform * Affine.translation(left, top), first.crs)
+    whole = Grid(shape, compose(first.transform, Affine.translation(left, top)), first.crs)
     return Lattice(whole, members, corners, _around(whole))
 
 

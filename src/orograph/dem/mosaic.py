@@ -29,7 +29,7 @@ from orograph.dem.projection import horizontal, in_metres, unwrapped
 from orograph.dem.resample import METHODS, box_means, sample
 from orograph.dem.target import choose, ground_spacing, parse_crs
 from orograph.errors import ReadError, UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 from orograph.progress import SILENT, Progress
 
 COARSER = 1.5  # from this ratio of spacings on, sources are averaged before they are sampled
@@ -282,7 +282,7 @@ def _placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Gri
             f"Its CRS ({crs.name}) is neither projected nor geographic.", path=path, remedy="Give --assume-crs."
         )
     crs, unit = in_metres(crs)
-    return Grid(grid.shape, Affine.scale(unit) * grid.transform if unit != 1 else grid.transform, crs)
+    return Grid(grid.shape, compose(Affine.scale(unit), grid.transform) if unit != 1 else grid.transform, crs)
 
 
 def _turned(grids: list[Grid]) -> list[Grid]:
@@ -296,7 +296,9 @@ def _turned(grids: list[Grid]) -> list[Grid]:
     out = list(grids)
     for i, turns, full in zip(which, np.round((wanted - middle) / turn), turn):
         if turns:
-            out[i] = Grid(grids[i].shape, Affine.translation(turns * full, 0) * grids[i].transform, grids[i].crs)
+            out[i] = Grid(
+                grids[i].shape, compose(Affine.translation(turns * full, 0), grids[i].transform), grids[i].crs
+            )
     return out
 
 

@@ -16,6 +16,32 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
 
+def compose(*maps: Affine) -> Affine:
+    """The affine map that applies ``maps`` from the last to the first, as matrices are multiplied.
+
+    Written out because affine 3 deprecates its ``*`` for ``@``, which affine 2 does not have.
+    """
+    a, b, c, d, e, f = maps[0][:6]
+    for other in maps[1:]:
+        g, h, i, j, k, m = other[:6]
+        a, b, c, d, e, f = (
+            a * g + b * j,
+            a * h + b * k,
+            a * i + b * m + c,
+            d * g + e * j,
+            d * h + e * k,
+            d * i + e * m + f,
+        )
+    return Affine(a, b, c, d, e, f)
+
+
+def apply(transform: Affine, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The points to which an affine map takes points (x, y): two float64 arrays of the broadcast shape."""
+    a, b, c, d, e, f = transform[:6]
+    x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    return a * x + b * y + c, d * x + e * y + f
+
+
 @dataclass(frozen=True, slots=True)
 class Grid:
     """The placement of a raster of samples.
@@ -48,7 +74,7 @@ class Grid:
     @property
     def samples(self) -> Affine:
         """Affine map from *sample* indices (col, row) to CRS coordinates: ``transform`` moved by half a cell."""
-        return self.transform * Affine.translation(0.5, 0.5)
+        return compose(self.transform, Affine.translation(0.5, 0.5))
 
     @property
     def spacing(self) -> tuple[float, float]:
@@ -58,22 +84,17 @@ class Grid:
 
     def xy(self, col: ArrayLike, row: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """CRS coordinates of sample positions (fractions allowed), float64, of the broadcast shape."""
-        a, b, c, d, e, f = self.samples[:6]
-        col, row = np.asarray(col, np.float64), np.asarray(row, np.float64)
-        return a * col + b * row + c, d * col + e * row + f
+        return apply(self.samples, col, row)
 
     def index(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Sample positions (col, row), fractional, of CRS coordinates: the inverse of ``xy``."""
-        a, b, c, d, e, f = (~self.samples)[:6]
-        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
-        return a * x + b * y + c, d * x + e * y + f
+        return apply(~self.samples, x, y)
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Grid:
         """The grid of samples ``[row0, row1) × [col0, col1)`` of this one (may reach beyond it)."""
-        return Grid((row1 - row0, col1 - col0), self.transform * Affine.translation(col0, row0), self.crs)
+        return Grid((row1 - row0, col1 - col0), compose(self.transform, Affine.translation(col0, row0)), self.crs)
 
     def bounds(self) -> tuple[float, float, float, float]:
         """(west, south, east, north) of the sample *areas* in CRS coordinates, whatever the rotation."""
-        corners = [self.transform * p for p in ((0, 0), (self.cols, 0), (0, self.rows), (self.cols, self.rows))]
-        xs, ys = [p[0] for p in corners], [p[1] for p in corners]
-        return min(xs), min(ys), max(xs), max(ys)
+        xs, ys = apply(self.transform, [0, self.cols, 0, self.cols], [0, 0, self.rows, self.rows])
+        return float(xs.min()), float(ys.min()), float(xs.max()), float(ys.max())

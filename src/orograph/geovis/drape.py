@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import kernel
 from orograph.errors import UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 from orograph.geo.transform import transformer
 from orograph.geovis.image import LINEAR, Image
 
@@ -114,7 +114,7 @@ class Drape:
         image = Image(path, max(LEAST, min(LARGEST, (max_bytes or 4 * LARGEST) // 4)))
         rows, cols = image.shape
         if image.transform == Affine.identity():
-            to_pixels = Affine.scale(cols / grid.cols, rows / grid.rows) * ~grid.transform
+            to_pixels = compose(Affine.scale(cols / grid.cols, rows / grid.rows), ~grid.transform)
             drape = cls(image, grid, lambda x, y: _moved(to_pixels, x, y))
         else:
             project = transformer(grid.crs, image.crs) if image.crs and grid.crs else None

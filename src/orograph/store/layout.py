@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from orograph.errors import StoreError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 from orograph.store.arrays import ArraySpec, crc32c
 from orograph.store.terrain import Shape, level_count, level_shape, mean_shape, tile_shape
 
@@ -181,8 +181,8 @@ def level_transform(grid: Grid, level: int, mean: bool) -> Affine:
     """The geotransform of a level: blocks for means; for nested heights cells centred on the samples they keep."""
     scale = Affine.scale(1 << level)
     if mean:
-        return grid.transform * scale
-    return grid.transform * Affine.translation(0.5, 0.5) * scale * Affine.translation(-0.5, -0.5)
+        return compose(grid.transform, scale)
+    return compose(grid.transform, Affine.translation(0.5, 0.5), scale, Affine.translation(-0.5, -0.5))
 
 
 def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
