@@ -66,6 +66,12 @@ def test_json(tmp_path):
         assert 50e6 < told["peak_memory_bytes"] < 512 << 20
 
 
+def test_too_little_memory_is_said_beforehand(tmp_path):
+    dem = write(tmp_path / "dem.tif", HEIGHTS)
+    ran = orograph("build", dem, "-o", tmp_path / "area.oro", "--max-memory", "100MiB")
+    assert ran.returncode == 0 and "100 MiB is less than a build needs" in ran.stderr
+
+
 def test_degrees_become_metres(tmp_path):
     dem = write(tmp_path / "dem.tif", HEIGHTS, crs="EPSG:4326")
     ran = CliRunner().invoke(command, [str(dem), "-o", str(tmp_path / "a.oro"), "--json"], obj={"quiet": True})

@@ -148,7 +148,9 @@ def test_what_zarr_and_tensorstore_write_is_read(tmp_path):
         np.testing.assert_array_equal(ours.read(0, *HEIGHTS.shape[:1], 0, HEIGHTS.shape[1]), HEIGHTS)
 
 
-def test_many_readers_at_once(built):
+@pytest.mark.parametrize("open_files", [2, 128])
+def test_many_readers_at_once(built, monkeypatch, open_files):
+    monkeypatch.setattr("orograph.store.storage.OPEN_FILES", open_files)
     terrain = store.open(built, cache_bytes=40_000)
     rng = np.random.default_rng(0)
     corners = rng.integers(0, 400, (400, 2))

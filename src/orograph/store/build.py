@@ -78,6 +78,12 @@ def build(
     done = is_store(final)
     begun = storage.exists(PLAN) or (not final.remote and storage.exists(ROOT))
     shard, jobs = _sizes(raster.grid.shape, max_memory, jobs, shard)
+    needed = _memory(raster.grid.shape, shard, jobs)
+    if needed > max_memory:
+        progress.warn(
+            f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
+            f"{needed >> 20} MiB."
+        )
     plan = _plan(raster, shard, chunk)
 
     if resume and begun:

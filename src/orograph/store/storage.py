@@ -123,7 +123,8 @@ class FolderStorage(Storage):
         found = []
         for key, start, stop in wanted:
             try:
-                found.append(_pread(self._file(key).fd, stop - start, start))
+                file = self._file(key)  # held by name: another thread may drop it from the cache meanwhile
+                found.append(_pread(file.fd, stop - start, start))
             except FileNotFoundError:
                 found.append(b"")
             except OSError as error:
