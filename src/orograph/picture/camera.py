@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError, UsageError
-from orograph.store.terrain import Terrain
+from orograph.store.terrain import TILE, Terrain
 from orograph.view import View
 
 Array = NDArray[np.float64]
@@ -22,7 +22,10 @@ MARGIN = 0.93
 
 
 def outline(terrain: Terrain) -> Array:
-    """Positions (n, 3) in the terrain's CRS whose box holds all valid ground: samples of a coarse level, extremes kept.
+    """Positions (n, 3) in the terrain's CRS, float64 metres, around which all valid ground lies.
+
+    They are the samples of the coarsest level, raised and lowered by what that level may be off; and the corners of
+    blocks whose sample is missing there though ground is valid between the samples.
 
     Raises:
         NothingInViewError: no sample is valid.
@@ -30,42 +33,37 @@ def outline(terrain: Terrain) -> Array:
     level = terrain.levels - 1
     table = terrain.tiles(level)
     rows, cols = terrain.shape(level)
-    heights = terrain.read(level, 0, rows, 0, cols)
-    step = max(1, max(rows, cols) // 128)
-    chosen = np.zeros(heights.shape, bool)
-    chosen[::step, ::step] = chosen[-1, ::step] = chosen[::step, -1] = True
-    r, c = np.nonzero(chosen & np.isfinite(heights))
-    if len(r) == 0:
-        r, c = np.nonzero(np.isfinite(heights))
-    if len(r) == 0:
-        if not np.isfinite(table.maximum).any():
-            raise NothingInViewError(
-                "None of the samples is valid, so there is nothing to draw.",
-                path=terrain.name,
-                remedy="See what the file holds with orograph info; a wrong --nodata or --band hides everything.",
-            )
-        # What is valid lies between the samples of this level: its tiles' corners bound it.
-        i, j = np.nonzero(np.isfinite(table.maximum))
-        r, c = np.concatenate([i, i + 1]) * 256, np.concatenate([j, j + 1]) * 256
-        z = np.concatenate([table.minimum[i, j], table.maximum[i, j]]).astype(np.float64)
-    else:
-        z = heights[r, c].astype(np.float64)
+    heights = terrain.read(level, 0, rows, 0, cols).astype(np.float64)
+    if not np.isfinite(table.maximum).any():
+        raise NothingInViewError(
+            "None of the samples is valid, so there is nothing to draw.",
+            path=terrain.name,
+            remedy="See what the file holds with orograph info; a wrong --nodata or --band hides everything.",
+        )
+    r, c = np.nonzero(np.isfinite(heights))
+    tile = np.minimum(r // TILE, table.error.shape[0] - 1), np.minimum(c // TILE, table.error.shape[1] - 1)
+    z, error = heights[r, c], np.nan_to_num(table.error[tile].astype(np.float64))
+    up, down = np.fmin(z + error, table.maximum[tile]), np.fmax(z - error, table.minimum[tile])
     scale = 2**level
-    col = np.minimum(c * scale, terrain.grid.cols - 1)
-    row = np.minimum(r * scale, terrain.grid.rows - 1)
-    x, y = terrain.grid.xy(col, row)
-    points = np.stack([x, y, z], 1)
-    low, high = terrain.height_range
-    top = points[np.argmax(z)].copy()
-    top[2] = high
-    base = points[np.argmin(z)].copy()
-    base[2] = low
-    return np.concatenate([points, [top, base]])
+    col, row, height = [c * scale, c * scale], [r * scale, r * scale], [np.maximum(up, z), np.minimum(down, z)]
+    if level:
+        means = terrain.read_mean(level, 0, terrain.mean_shape(level)[0], 0, terrain.mean_shape(level)[1])
+        i, j = np.nonzero(np.isfinite(means) & np.isnan(heights[: means.shape[0], : means.shape[1]]))
+        for di, dj in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            col.append((j + dj) * scale - dj)
+            row.append((i + di) * scale - di)
+            height.append(means[i, j].astype(np.float64))
+    x, y = terrain.grid.xy(
+        np.minimum(np.concatenate(col), terrain.grid.cols - 1), np.minimum(np.concatenate(row), terrain.grid.rows - 1)
+    )
+    return np.stack([x, y, np.concatenate(height)], 1)
 
 
 def direction(azimuth: float, pitch: float) -> Array:
-    """The unit viewing direction of an eye that stands at ``azimuth`` (degrees clockwise from north) of what it looks at,
-    ``pitch`` degrees above it."""
+    """The unit viewing direction (3,) of an eye that stands at ``azimuth`` of what it looks at, ``pitch`` above it.
+
+    Both in degrees; azimuth is clockwise from north.
+    """
     a, p = math.radians(azimuth), math.radians(pitch)
     return np.array([-math.sin(a) * math.cos(p), -math.cos(a) * math.cos(p), -math.sin(p)])
 
@@ -103,7 +101,7 @@ def fit(points: Array, forward: Array, fov_y: float, size: tuple[int, int], exag
         tuple(target / stretch),
         fov_y=fov_y,
         width=width,
-        height=height,  # type: ignore[arg-type]
+        height=height,
     )
 
 
@@ -117,7 +115,7 @@ def whole(
     exaggeration: float = 1.0,
 ) -> View:
     """A view that shows the whole terrain well: from the south, obliquely, with a long lens."""
-    return fit(outline(terrain), direction(azimuth, pitch) * [1.0, 1.0, 1.0], fov_y, size, exaggeration)
+    return fit(outline(terrain), direction(azimuth, pitch), fov_y, size, exaggeration)
 
 
 def around(
@@ -130,18 +128,26 @@ def around(
     fov_y: float = 30.0,
     exaggeration: float = 1.0,
 ) -> View:
-    """A view from ``azimuth`` and ``pitch`` at ``distance`` metres of the terrain's middle (None: all of it in the picture)."""
+    """A view from ``azimuth`` and ``pitch`` at ``distance`` of the terrain's middle (None: all of it in the picture).
+
+    Pitch (degrees) and distance (metres) are those of the picture: of the ground as it is stretched there.
+
+    Raises:
+        UsageError: a number is out of its range. NothingInViewError: no sample is valid.
+    """
+    if not math.isfinite(azimuth):
+        raise UsageError(f"--from is a direction in degrees clockwise from north, not {azimuth:g}.")
     if not -90 <= pitch <= 90:
         raise UsageError(f"--pitch is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
     if distance is None:
         return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration)
-    if not distance > 0:
+    if not 0 < distance < math.inf:
         raise UsageError(f"--distance is in metres, more than 0, not {distance:g}.")
     points = outline(terrain)
     middle = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     target = np.array([*middle, ground(terrain, middle[0], middle[1], default=float(np.median(points[:, 2])))])
     eye = target - direction(azimuth, pitch) * distance / np.array([1.0, 1.0, exaggeration])
-    return View(tuple(eye), tuple(target), fov_y=fov_y, width=size[0], height=size[1])  # type: ignore[arg-type]
+    return View(tuple(eye), tuple(target), fov_y=fov_y, width=size[0], height=size[1])
 
 
 def standing(
@@ -155,36 +161,50 @@ def standing(
     """A view from (longitude, latitude, height) towards the ground at (longitude, latitude), or the terrain's middle.
 
     Raises:
-        UsageError: the terrain has no CRS, or the place cannot be brought to it.
+        UsageError: the terrain has no CRS, or a place cannot be brought to it.
     """
     from orograph.geo.transform import transformer
 
     move = transformer("EPSG:4326", terrain.grid.crs)
-    x, y = (float(v) for v in move(eye[0], eye[1]))
-    if not (math.isfinite(x) and math.isfinite(y)):
-        raise UsageError(f"Longitude {eye[0]:g}, latitude {eye[1]:g} cannot be brought to the terrain's projection.")
+
+    def place(lon: float, lat: float) -> tuple[float, float]:
+        x, y = (float(v) for v in move(lon, lat))
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise UsageError(f"Longitude {lon:g}, latitude {lat:g} cannot be brought to the terrain's projection.")
+        return x, y
+
+    x, y = place(eye[0], eye[1])
     points = outline(terrain)
     if look_at is None:
         tx, ty = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     else:
-        tx, ty = (float(v) for v in move(*look_at))
+        tx, ty = place(*look_at)
     z = ground(terrain, tx, ty, default=float(np.median(points[:, 2])))
     return View((x, y, eye[2]), (tx, ty, z), fov_y=fov_y, width=size[0], height=size[1])
 
 
-def plan(terrain: Terrain, size: tuple[int, int]) -> View:
-    """The map view: straight down, north up, the whole terrain, its outline filling the picture to the margin."""
+def plan(terrain: Terrain, size: tuple[int, int], *, azimuth: float = 180.0) -> View:
+    """The map view: straight down, the whole terrain, its outline filling the picture to the margin.
+
+    Args:
+        azimuth: the side that lies at the foot of the picture, degrees clockwise from north; 180 has north up.
+
+    Raises:
+        UsageError: the azimuth is no angle. NothingInViewError: no sample is valid.
+    """
+    if not math.isfinite(azimuth):
+        raise UsageError(f"--from is a direction in degrees clockwise from north, not {azimuth:g}.")
     points = outline(terrain)
-    west, south = points[:, :2].min(0)
-    east, north = points[:, :2].max(0)
-    metres = max((east - west) / size[0], (north - south) / size[1], 1e-6) / MARGIN * size[1]
-    x, y = (west + east) / 2, (south + north) / 2
-    high = float(points[:, 2].max())
+    up = direction(azimuth, 0.0)
+    right = np.array([up[1], -up[0], 0.0])
+    across, along = points @ right, points @ up
+    metres = max(np.ptp(across) / size[0], np.ptp(along) / size[1], 1e-6) / MARGIN * size[1]
+    x, y, _ = right * (across.min() + across.max()) / 2 + up * (along.min() + along.max()) / 2
     fov_y = 30.0
     distance = metres / 2 / math.tan(math.radians(fov_y) / 2)
     # The eye is above the highest summit; the target lies as far below it as makes a pixel the wanted size.
-    eye = high + max(10.0, 0.1 * distance)
-    return View((x, y, eye), (x, y, eye - distance), (0.0, 1.0, 0.0), fov_y, size[0], size[1], projection="plan")
+    eye = terrain.height_range[1] + max(10.0, 0.1 * distance)
+    return View((x, y, eye), (x, y, eye - distance), tuple(up), fov_y, size[0], size[1], projection="plan")
 
 
 def ground(terrain: Terrain, x: float, y: float, default: float) -> float:
