@@ -132,10 +132,13 @@ def find_edges(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def pattern(n: int) -> Array:
-    """n positions in a pixel (n, 2), evenly spread: the R2 sequence (Roberts 2018), the same for every pixel."""
+    """n positions in a pixel (n, 2), evenly spread around its centre: the R2 sequence (Roberts 2018), the same for all.
+
+    Steps are counted from the middle of the sequence, so that positions are symmetric and edges stay where they are.
+    """
     g = 1.32471795724474602596
-    k = np.arange(1, n + 1)[:, None]
-    return (0.5 + k * np.array([1 / g, 1 / g**2])) % 1.0
+    k = (np.arange(n) - (n - 1) / 2)[:, None]
+    return np.asarray((0.5 + k * np.array([1 / g, 1 / g**2])) % 1.0)
 
 
 def _why_empty(scene: Scene) -> str:

@@ -24,6 +24,9 @@ from orograph.raycast.select import Rectangle, load, rectangles
 
 Array = NDArray[np.float64]
 
+COARSEST = 1000.0
+"""Pixels of tolerance beyond which nothing is left to be gained."""
+
 
 FIXED_MEMORY = 300 << 20
 """Bytes a picture takes whatever the terrain: the interpreter and its libraries, maps of light, blocks of samples."""
@@ -144,7 +147,8 @@ class Ground:
             terrain, rectangles(terrain, scene.view, scene.exaggeration, 1.0, by="spacing"), scene.jobs
         )
         veiled = patches(self.caster.stack.windows, terrain.grid.shape) if terrain.valid_fraction < 1 else None
-        self.rays = Rays(scene, self.caster, veiled and Caster(veiled, terrain.grid.shape, scene.jobs))
+        over = Caster(veiled, terrain.grid.shape, scene.jobs) if veiled else None
+        self.rays = Rays(scene, self.caster, over)
         grid = terrain.grid
         linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
         self.to_world = np.linalg.inv(linear).T  # gradients per sample → gradients per metre
@@ -164,7 +168,9 @@ class Ground:
         tolerance = tolerance or 0.05
         while True:
             chosen = rectangles(terrain, scene.view, scene.exaggeration, tolerance)
-            if sum(r.samples for r in chosen) * bytes_per_sample <= budget or len(chosen) == 1:
+            fits = sum(r.samples for r in chosen) * bytes_per_sample <= budget
+            # Ground about the eye is wanted exactly at any tolerance; that much is drawn whatever the budget.
+            if fits or tolerance > COARSEST or chosen[-1].level == terrain.levels - 1:
                 return cls(scene, chosen, tolerance)
             tolerance *= 1.25
 
