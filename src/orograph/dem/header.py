@@ -1,7 +1,8 @@
 """What a raster's header says of itself, brought to one convention: where its samples lie, in what unit, above what.
 
 - *North-west first.* South-up and east-first rasters are flipped as they are read, so that sample (0, 0) is the
-  north-west one; a rotated or sheared geotransform is kept as it is.
+  north-west one; a rotated or sheared geotransform is kept as it is, only never mirrored. East and north are those of
+  the ground, also where the CRS's coordinates grow westwards or southwards (``axes``).
 - *Pixel-is-point.* GDAL already shifts such files (GeoTIFF's GTRasterTypeGeoKey, SRTM .hgt, DTED) by half a cell, so
   that the centre of its pixel is the sample: nothing is left to do, and the tests hold it to that.
 - *No place.* GDAL's identity geotransform means that the file has none (a PNG, a file with control points only): rows
@@ -21,9 +22,10 @@ from affine import Affine
 from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
+from orograph.dem.axes import east_north
 from orograph.dem.units import METRES, metres_per
 from orograph.errors import ReadError, UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 
 ELLIPSOIDAL = "ellipsoidal height"
 
@@ -62,12 +64,15 @@ def place_of(
     elif assumed is not None and assumed != full:
         warnings.append("It names its own CRS, so --assume-crs is not used for it.")
     a, b, c, d, e, f = transform[:6]
-    flip_rows = flip_cols = False
-    if b == 0 and d == 0:
-        if e > 0:
-            flip_rows, e, f = True, -e, f + e * shape[0]
-        if a < 0:
-            flip_cols, a, c = True, -a, c + a * shape[1]
+    turned = compose(_to_east_north(full), transform)
+    if turned.b == 0 and turned.d == 0:
+        flip_rows, flip_cols = turned.e > 0, turned.a < 0
+    else:
+        flip_rows, flip_cols = turned.determinant > 0, False
+    if flip_rows:
+        b, c, e, f = 0.0 - b, c + b * shape[0], -e, f + e * shape[0]
+    if flip_cols:
+        a, c, d, f = -a, c + a * shape[1], 0.0 - d, f + d * shape[1]
     try:
         grid = Grid(shape, Affine(a, b, c, d, e, f), horizontal(full))
     except ValueError as error:
@@ -77,6 +82,11 @@ def place_of(
     if full is None:
         warnings.append(_nameless(grid))
     return Place(grid, flip_rows, flip_cols, True), full
+
+
+def _to_east_north(crs: CRS | None) -> Affine:
+    flat = horizontal(crs)
+    return Affine.identity() if flat is None else east_north(flat)[1]
 
 
 def _local(

@@ -23,6 +23,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS, Proj
 
+from orograph.dem.axes import east_north
 from orograph.dem.coordinates import Coordinates, Mesh
 from orograph.dem.lattice import Lattice, Raster, full_turn, group, offset_between
 from orograph.dem.projection import horizontal, in_metres, unwrapped
@@ -247,7 +248,7 @@ class Mosaic:
 
 
 def _placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Grid:
-    """A source's grid in a horizontal CRS, with metres if it is projected.
+    """A source's grid in a horizontal CRS; if it is projected, in metres east and north.
 
     Raises:
         ReadError: the file does not say where or how large it is.
@@ -281,8 +282,10 @@ def _placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Gri
         raise ReadError(
             f"Its CRS ({crs.name}) is neither projected nor geographic.", path=path, remedy="Give --assume-crs."
         )
+    crs, turn = east_north(crs)
     crs, unit = in_metres(crs)
-    return Grid(grid.shape, compose(Affine.scale(unit), grid.transform) if unit != 1 else grid.transform, crs)
+    plain = unit == 1 and turn.is_identity
+    return Grid(grid.shape, grid.transform if plain else compose(Affine.scale(unit), turn, grid.transform), crs)
 
 
 def _turned(grids: list[Grid]) -> list[Grid]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError
 
+from orograph.dem.axes import east_north
 from orograph.dem.lattice import Lattice
 from orograph.dem.projection import flat_crs, geodetic_base, horizontal, in_metres
 from orograph.errors import ReadError, UsageError
@@ -54,7 +55,7 @@ def parse_crs(text: str | CRS) -> CRS:
             f"{crs.name} is not a projected CRS, and a terrain is drawn in metres.",
             remedy="Give a projected one, e.g. a UTM zone (EPSG:32633), or leave --crs away to have one chosen.",
         )
-    return in_metres(crs)[0]
+    return in_metres(east_north(crs)[0])[0]
 
 
 def ground_spacing(grid: Grid) -> float:
