@@ -22,3 +22,11 @@ def kernel(function: Function) -> Function:
 def inlined(function: Function) -> Function:
     """Compile a helper that is always inlined into the kernels that call it."""
     return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")(function))
+
+
+def leaf(function: Function) -> Function:
+    """Compile a kernel that makes no arrays, slices included, without counting references to those it is given.
+
+    A small kernel that others call millions of times would spend most of its time on that.
+    """
+    return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy", _nrt=False)(function))

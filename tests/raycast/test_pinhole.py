@@ -14,7 +14,9 @@ from orograph.raycast.stack import Window
 Array = np.ndarray
 
 
-def basis(eye: Array, target: Array, size: tuple[int, int], fov: float, roll: float = 0.0) -> tuple[Array, Array, Array]:
+def basis(
+    eye: Array, target: Array, size: tuple[int, int], fov: float, roll: float = 0.0
+) -> tuple[Array, Array, Array]:
     """d0, du, dv in sample coordinates (rows run down, as north-up rasters have it)."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     up = np.array([0.0, 0.0, 1.0])
@@ -32,7 +34,9 @@ def pixels(d0: Array, du: Array, dv: Array, size: tuple[int, int]) -> Array:
     return (d0 + px[..., None] * du + py[..., None] * dv).reshape(-1, 3)
 
 
-def compare(h: Array, eye: Array, target: Array, fov: float, roll: float, near: float = 0.0, far: float = np.inf) -> int:
+def compare(
+    h: Array, eye: Array, target: Array, fov: float, roll: float, near: float = 0.0, far: float = np.inf
+) -> int:
     size = (21, 37)
     d0, du, dv = basis(eye, target, size, fov, roll)
     t, _ = Caster.of(h, 1).cast_pinhole(eye, d0, du, dv, size, near, far)
@@ -130,17 +134,16 @@ def hills() -> Array:
     return ((z - z.min()) / np.ptp(z) * 60).astype(np.float32)
 
 
-def embree(h: Array) -> object:
+def embree(h: Array) -> tuple[object, object]:
+    """A scene of Embree's, and its mesh, which must live as long."""
     mesh_construction = pytest.importorskip("embreex.mesh_construction")
     from embreex import rtcore_scene
 
-    tri = brute.triangles(h) if h.size < 2000 else fast_triangles(h)
     scene = rtcore_scene.EmbreeScene()
-    scene.mesh = mesh_construction.TriangleMesh(scene, tri.astype(np.float32))
-    return scene
+    return scene, mesh_construction.TriangleMesh(scene, triangles(h).astype(np.float32))
 
 
-def fast_triangles(h: Array) -> Array:
+def triangles(h: Array) -> Array:
     rows, cols = h.shape
     y, x = np.mgrid[0:rows, 0:cols].astype(float)
     p = np.stack([x, y, h], -1)
@@ -158,7 +161,7 @@ def test_agrees_with_embree(hills: Array, roll: float, holes: bool) -> None:
     h = hills.copy()
     if holes:
         h[np.random.default_rng(1).random(h.shape) < 0.01] = np.nan
-    scene = embree(h)
+    scene, _mesh = embree(h)
     size = (120, 200)
     views = {
         "oblique": ((-80, 400, 170), (150, 128, 20)),

@@ -67,7 +67,9 @@ class Caster:
         t, which = np.empty(len(origins)), np.empty(len(origins), np.int8)
         s = self.stack
         self._blocks(
-            lambda a, b: cast_rays(*self._scene(), s.low, s.high, origins, directions, near, far, t, which, a, b),
+            lambda a, b: cast_rays(
+                s.scene, s.ints, s.floats, s.low, s.high, origins, directions, near, far, t, which, a, b
+            ),
             len(origins),
             16384,
         )
@@ -90,12 +92,13 @@ class Caster:
         height, width = size
         t, which = np.empty(size), np.empty(size, np.int8)
         s = self.stack
+        camera = tuple(np.ascontiguousarray(v, np.float64) for v in (eye, d0, du, dv))
         end = min(far, self._reach(eye, d0, du, dv, size))
         ground = self.surface(eye[0], eye[1])
-        clear = not (eye[2] <= ground) and near == 0.0  # also true outside, where ground is NaN
+        clear = not (eye[2] <= ground)  # also true outside, where ground is NaN
         self._blocks(
             lambda a, b: cast_pinhole(
-                *self._scene(), s.low, s.high, eye, d0, du, dv, near, end, clear, 0, width, a, b, t, which
+                s.scene, s.ints, s.floats, s.low, s.high, *camera, near, end, clear, 0, width, a, b, t, which
             ),
             height,
             16,

@@ -5,35 +5,42 @@ A ray is cut by their borders into at most 2·W − 1 stretches, each on the fin
 through them in order. Where two levels disagree at a border, the change of side is a hit on the border: no crack can be
 seen through.
 
-What a pinhole camera and a height field give beyond a general ray tracer: the rays of a block of pixels lie in one thin
-pyramid, which is marched first (`beam`): as long as the pyramid's lower side stays above the maximum of the ground
-below it, none of its rays hits, and all begin their own walk there, a cell or two before the surface. Blocks hand their
-start down to the smaller blocks in them (Amanatides 1984, *Ray tracing with cones*, is the ancestor).
+What a pinhole camera and a height field give beyond a general ray tracer: the rays of a block of pixels lie over a thin
+*wedge* of the plan. A front is pushed outward along it as long as the lowest of the rays stays above the maximum of the
+ground in the wedge's next stretch (`advance`); no ray hits anything before. A higher row of pixels sees over everything
+that the row below it has passed, so rows are taken upward and each begins where its neighbour's front stopped. Wide
+wedges hand their front to the narrow ones in them, and a ray walks only the last few cells by itself. (Anderson 1982,
+*Hidden line elimination in projected grid surfaces*, carries a horizon through a picture in the same way; Amanatides
+1984, *Ray tracing with cones*, is the beams' ancestor.)
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import kernel
-from orograph.raycast.traverse import cast, clip, highest, march_block
+from orograph._numba import inlined, kernel, leaf
+from orograph.raycast.traverse import ABOVE, BELOW, UNKNOWN, cast, clip, highest, march_row
 
 # Columns of the windows' tables (see stack.py): integers and floats of each window.
 BASE, STRIDE, CELLS_X, CELLS_Y, MIP_FIRST, MIP_COUNT = range(6)
 ORIGIN_X, ORIGIN_Y, SCALE, WEST, NORTH, EAST, SOUTH = range(7)
 
+INF = np.inf
+
 
 @kernel
-def ray(pool, maxima, minima, mips, ints, floats, low, high, ox, oy, oz, dx, dy, dz, t0, t1, clear):
+def ray(scene, ints, floats, low, high, ox, oy, oz, dx, dy, dz, t0, t1, side, level, spans):
     """The first hit of one ray with the stack: (t, window), t = inf if there is none.
 
-    ``clear``: known to be above the ground at t0.
+    ``side``: of the surface at t0 if the ray is over the terrain there (0 unknown). ``level``: where in the pyramids to
+    begin. ``spans`` (W, 2): scratch.
     """
+    pool, maxima, minima, mips = scene
     a, b = clip(oz, dz, low, high, t0, t1)
-    from_above = a > t0 and dz < 0.0
+    if a > t0:
+        side = 1 if dz < 0.0 else -1
     began = a
     windows = ints.shape[0]
-    enter, leave = np.empty(windows), np.empty(windows)
     inner = 0
     for w in range(windows):
         f = floats[w]
@@ -41,16 +48,17 @@ def ray(pool, maxima, minima, mips, ints, floats, low, high, ox, oy, oz, dx, dy,
         a, b = clip(oy, dy, f[NORTH], f[SOUTH], a, b)
         if a > b:
             break
-        enter[w], leave[w] = a, b
+        spans[w, 0], spans[w, 1] = a, b
         inner = w + 1
-    # A ray that comes in through a side wall may run below the surface; one through the ceiling, or clear, runs above.
-    side = 1 if inner > 0 and enter[0] == began and (clear or from_above) else 0
+    # A ray that comes in through a side wall may run above or below the surface.
+    if inner > 0 and spans[0, 0] > began:
+        side = 0
     for stretch in range(2 * inner - 1):
         w = stretch if stretch < inner else 2 * inner - 2 - stretch
         if stretch < inner:
-            a, b = enter[w], (enter[w + 1] if w + 1 < inner else leave[w])
+            a, b = spans[w, 0], (spans[w + 1, 0] if w + 1 < inner else spans[w, 1])
         else:
-            a, b = leave[w + 1], leave[w]
+            a, b = spans[w + 1, 1], spans[w, 1]
         if a >= b and windows > 1:
             continue
         f, n = floats[w], ints[w]
@@ -76,176 +84,300 @@ def ray(pool, maxima, minima, mips, ints, floats, low, high, ox, oy, oz, dx, dy,
             a,
             b,
             side,
-            2 if clear else 6,
+            level,
         )
-        if t < np.inf:
+        if t < INF:
             return t, w
-    return np.inf, -1
+    return INF, -1
 
 
 @kernel
-def cast_rays(
-    pool, maxima, minima, mips, ints, floats, low, high, origins, directions, t0, t1, out, which, first, last
-):
+def cast_rays(scene, ints, floats, low, high, origins, directions, t0, t1, out, which, first, last):
     """Rays [first, last) of arrays (n, 3); ``out`` float64 (n,): t (NaN: none), ``which`` int8 (n,): the window hit."""
+    spans = np.empty((ints.shape[0], 2))
     for i in range(first, last):
         o, d = origins[i], directions[i]
-        t, w = ray(
-            pool, maxima, minima, mips, ints, floats, low, high, o[0], o[1], o[2], d[0], d[1], d[2], t0, t1, False
-        )
-        out[i] = t if t < np.inf else np.nan
+        t, w = ray(scene, ints, floats, low, high, o[0], o[1], o[2], d[0], d[1], d[2], t0, t1, 0, 6, spans)
+        out[i] = t if t < INF else np.nan
         which[i] = w
 
 
-@kernel
-def beam(maxima, mips, ints, floats, high, o, corners, t, t1, first):
-    """How far a pyramid of rays o + t·d, d spanned by four ``corners`` (4, 3), stays above the ground.
+@leaf
+def ground_below(scene, ints, floats, x0, x1, y0, y1):
+    """(An upper bound of the stack's surface over a rectangle, −inf beside it; the scale of the finest window there)."""
+    _, maxima, _, mips = scene
+    ground, scale = -INF, 0.0
+    for w in range(ints.shape[0] - 1, -1, -1):
+        west, north, east, south = floats[w, WEST], floats[w, NORTH], floats[w, EAST], floats[w, SOUTH]
+        if x1 < west or x0 > east or y1 < north or y0 > south:
+            continue
+        k = 1.0 / floats[w, SCALE]
+        m0, m1 = ints[w, MIP_FIRST], ints[w, MIP_FIRST] + ints[w, MIP_COUNT]
+        u0, u1 = (max(x0, west) - floats[w, ORIGIN_X]) * k, (min(x1, east) - floats[w, ORIGIN_X]) * k
+        v0, v1 = (max(y0, north) - floats[w, ORIGIN_Y]) * k, (min(y1, south) - floats[w, ORIGIN_Y]) * k
+        here = highest(maxima, mips, m0, m1, ints[w, CELLS_X], ints[w, CELLS_Y], u0, u1, v0, v1)
+        ground = max(ground, here)
+        if scale == 0.0:
+            scale = floats[w, SCALE]
+        if x0 >= west and x1 <= east and y0 >= north and y1 <= south:
+            break  # nothing of the coarser windows is seen here
+    return ground, scale
 
-    The answer is at most the first hit of any of its rays.
+
+@leaf
+def advance(scene, ints, floats, high, o, xa, xb, ya, yb, slope, s, end, step):
+    """Push the front of a beam outward from ``s``.
+
+    The beam holds the rays o + s·(x, y, z) with x in [xa, xb], y in [ya, yb], z ≥ ``slope``, s ≤ ``end``; they are known
+    to be above the ground up to ``s``.
+
+    Returns:
+        (s, step, ground): rays are above the ground up to the new s; in the ``step`` beyond it the ground may reach
+        ``ground`` (−inf: s has come to ``end``).
     """
-    windows = ints.shape[0]
-    finest = floats[windows - 1, SCALE]
-    speed = 1e-300
-    for c in range(4):
-        speed = max(speed, max(abs(corners[c, 0]), abs(corners[c, 1])))
-    lowest = min(min(corners[0, 2], corners[1, 2]), min(corners[2, 2], corners[3, 2]))
-    if lowest < 0.0 and o[2] > high:  # all of it is in the air above the highest summit until then
-        t = max(t, (high - o[2]) / lowest)
-    step = first * finest / speed
-    while t < t1:
-        end = min(t + step, t1)
-        x0, x1, y0, y1, z = np.inf, -np.inf, np.inf, -np.inf, np.inf
-        wide = 0.0
-        for c in range(4):
-            for s in (t, end):
-                x, y = o[0] + s * corners[c, 0], o[1] + s * corners[c, 1]
-                x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
-                z = min(z, o[2] + s * corners[c, 2])
-            wide = max(wide, max(abs(corners[c, 0] - corners[0, 0]), abs(corners[c, 1] - corners[0, 1])))
-        ground = -np.inf
-        for w in range(windows):
-            f, n = floats[w], ints[w]
-            if x1 < f[WEST] or x0 > f[EAST] or y1 < f[NORTH] or y0 > f[SOUTH]:
-                continue
-            k = 1.0 / f[SCALE]
-            m0, m1 = n[MIP_FIRST], n[MIP_FIRST] + n[MIP_COUNT]
-            u0, u1 = max(x0, f[WEST]), min(x1, f[EAST])
-            v0, v1 = max(y0, f[NORTH]), min(y1, f[SOUTH])
-            ground = max(
-                ground,
-                highest(
-                    maxima,
-                    mips[0, m0:m1],
-                    mips[2, m0:m1],
-                    n[CELLS_X],
-                    n[CELLS_Y],
-                    (u0 - f[ORIGIN_X]) * k,
-                    (u1 - f[ORIGIN_X]) * k,
-                    (v0 - f[ORIGIN_Y]) * k,
-                    (v1 - f[ORIGIN_Y]) * k,
-                ),
-            )
+    width = max(xb - xa, yb - ya)
+    speed = max(max(abs(xa), abs(xb)), max(abs(ya), abs(yb))) + 1e-300
+    ox, oy, oz = o[0], o[1], o[2]
+    while s < end:
+        if oz + s * slope > high:  # above every summit until it comes down to them
+            if slope >= 0.0:
+                return end, step, -INF
+            s = max(s, (high - oz) / slope)
+        to = s + step
+        z = oz + (s if slope >= 0.0 else to) * slope
+        x0, x1 = ox + min(s * xa, to * xa), ox + max(s * xb, to * xb)
+        y0, y1 = oy + min(s * ya, to * ya), oy + max(s * yb, to * yb)
+        ground, cell = ground_below(scene, ints, floats, x0, x1, y0, y1)
         if z > ground:
-            t = end
+            s = to
             step *= 2.0
         else:
-            step *= 0.5
-            if step * speed < max(0.5 * finest, 0.125 * wide * t):
-                break
-    return t
+            least = max(LEAST_CELLS * cell, LEAST_WIDTH * width * s) / speed
+            if step <= least:
+                return s, step, ground
+            step = max(0.5 * step, least)
+    return end, step, -INF
+
+
+LEAST_CELLS, LEAST_WIDTH = 0.5, 0.25
+"""The shortest stretch that ``advance`` tries: in cells of the finest window, and in widths of the beam."""
+
+BLOCK_X, BLOCK_Y, STRIP, LOW = 64, 16, 16, 4
+"""Pixels: a block; a strip of its columns; and how many of a strip's rows make a beam of their own without a wedge."""
+
+
+@leaf
+def directions(d0, du, dv, x0, x1, y0, y1):
+    """The range of a block's rays for ``advance`` where s is their parameter: (xa, xb, ya, yb, least z)."""
+    xa, xb, ya, yb, slope = INF, -INF, INF, -INF, INF
+    for py in (y0, y1 - 1):
+        for px in (x0, x1 - 1):
+            dx, dy = d0[0] + px * du[0] + py * dv[0], d0[1] + px * du[1] + py * dv[1]
+            xa, xb, ya, yb = min(xa, dx), max(xb, dx), min(ya, dy), max(yb, dy)
+            slope = min(slope, d0[2] + px * du[2] + py * dv[2])
+    return xa, xb, ya, yb, slope
+
+
+@leaf
+def wedge(d0, du, dv, gx, gy, x0, x1, y0, y1):
+    """The range of a block's rays for ``advance`` where s is the distance in the plan along g: (xa, xb, ya, yb, slope).
+
+    Ratios of linear functions over a positive denominator are extreme at corners. xa > xb: there is no wedge, the plan
+    directions turn more than STEEPEST from g.
+    """
+    k0, k1, slope = INF, -INF, INF
+    for py in (y0, y1 - 1):
+        for px in (x0, x1 - 1):
+            dx, dy = d0[0] + px * du[0] + py * dv[0], d0[1] + px * du[1] + py * dv[1]
+            q, lateral = dx * gx + dy * gy, dy * gx - dx * gy
+            if not abs(lateral) <= TURN * q or q == 0.0:
+                return 1.0, 0.0, 0.0, 0.0, 0.0
+            k0, k1 = min(k0, lateral / q), max(k1, lateral / q)
+            slope = min(slope, (d0[2] + px * du[2] + py * dv[2]) / q)
+    ax, bx, ay, by = gx - k0 * gy, gx - k1 * gy, gy + k0 * gx, gy + k1 * gx
+    return min(ax, bx), max(ax, bx), min(ay, by), max(ay, by), slope
+
+
+TURN = 2.0
+"""The largest tangent of the angle between g and a ray's plan direction in a wedge."""
+
+
+@leaf
+def grazes(d0, du, dv, gx, gy, x0, x1, y0, y1):
+    """Whether the rays are so flat that on level ground rows of pixels lie GRAZING times as far apart as columns."""
+    if y1 - y0 < 2:
+        return False
+    upper, q = row_slope(d0, du, dv, gx, gy, x0, x1, y0)
+    lower, _ = row_slope(d0, du, dv, gx, gy, x0, x1, y1 - 1)
+    apart = np.hypot(du[0], du[1]) / q
+    return upper * lower <= 0.0 or abs(upper - lower) > GRAZING * apart * (y1 - 1 - y0) * min(abs(upper), abs(lower))
+
+
+GRAZING = 3.0
+
+
+@leaf
+def row_slope(d0, du, dv, gx, gy, x0, x1, py):
+    """(Least slope, largest plan speed along g) of one row of pixels."""
+    q0 = (d0[0] + x0 * du[0] + py * dv[0]) * gx + (d0[1] + x0 * du[1] + py * dv[1]) * gy
+    q1 = (d0[0] + (x1 - 1) * du[0] + py * dv[0]) * gx + (d0[1] + (x1 - 1) * du[1] + py * dv[1]) * gy
+    z0, z1 = d0[2] + x0 * du[2] + py * dv[2], d0[2] + (x1 - 1) * du[2] + py * dv[2]
+    return min(z0 / q0, z1 / q1), max(q0, q1)
 
 
 @kernel
-def block_corners(d0, du, dv, x0, x1, y0, y1, out):
-    """Directions through the outer pixel centres of a block."""
-    for k in range(3):
-        out[0, k] = d0[k] + x0 * du[k] + y0 * dv[k]
-        out[1, k] = d0[k] + (x1 - 1) * du[k] + y0 * dv[k]
-        out[2, k] = d0[k] + x0 * du[k] + (y1 - 1) * dv[k]
-        out[3, k] = d0[k] + (x1 - 1) * du[k] + (y1 - 1) * dv[k]
-
-
-FIRST_OUTER, FIRST_INNER = 64.0, 4.0
-OUTER_X, OUTER_Y, INNER_X, INNER_Y = 64, 16, 16, 4
+def finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, y0, y1, out, which, spans):
+    """Cast the rays that ``march_row`` left."""
+    for py in range(y0, y1):
+        for px in range(x0, x1):
+            w = which[py, px]
+            if w > ABOVE:
+                continue
+            side = 1 if w == ABOVE else -1 if w == BELOW else 0
+            t, w = ray(
+                scene,
+                ints,
+                floats,
+                low,
+                high,
+                o[0],
+                o[1],
+                o[2],
+                d0[0] + px * du[0] + py * dv[0],
+                d0[1] + px * du[1] + py * dv[1],
+                d0[2] + px * du[2] + py * dv[2],
+                max(t0, out[py, px]),
+                t1,
+                side,
+                2,
+                spans,
+            )
+            out[py, px] = t if t < INF else np.nan
+            which[py, px] = w
 
 
 @kernel
-def cast_pinhole(
-    pool, maxima, minima, mips, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x0, x1, y0, y1, out, which
-):
+def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x0, x1, y0, y1, out, which):
     """Pixels [x0, x1) × [y0, y1) of a pinhole camera at ``o``: direction d0 + px·du + py·dv through pixel (px, py).
 
-    ``clear``: the eye is known to be above the surface (or outside it), so beams may be marched.
+    ``clear``: the eye is known to be above the surface (or beside it), so that fronts may be pushed from there.
     """
-    corners = np.empty((4, 3))
-    # One window at full resolution (it ends where the terrain does): its own loop, in its own coordinates.
-    f, n = floats[0], ints[0]
-    single = ints.shape[0] == 1 and f[SCALE] == 1.0
-    local = np.array([o[0] - f[ORIGIN_X], o[1] - f[ORIGIN_Y], o[2]])
-    for by in range(y0, y1, OUTER_Y):
-        for bx in range(x0, x1, OUTER_X):
-            ey, ex = min(by + OUTER_Y, y1), min(bx + OUTER_X, x1)
-            start = t0
-            if clear:
-                block_corners(d0, du, dv, bx, ex, by, ey, corners)
-                start = beam(maxima, mips, ints, floats, high, o, corners, t0, t1, FIRST_OUTER)
-            for sy in range(by, ey, INNER_Y):
-                for sx in range(bx, ex, INNER_X):
-                    fy, fx = min(sy + INNER_Y, ey), min(sx + INNER_X, ex)
-                    near = start
-                    if clear and start < t1:
-                        block_corners(d0, du, dv, sx, fx, sy, fy, corners)
-                        near = beam(maxima, mips, ints, floats, high, o, corners, start, t1, FIRST_INNER)
-                    if near >= t1:
-                        out[sy:fy, sx:fx] = np.nan
-                        which[sy:fy, sx:fx] = -1
-                    elif single:
-                        march_block(
-                            pool,
-                            n[BASE],
-                            n[STRIDE],
-                            n[CELLS_X],
-                            n[CELLS_Y],
-                            maxima,
-                            mips[0],
-                            minima,
-                            mips[1],
-                            mips[2],
-                            local,
-                            d0,
-                            du,
-                            dv,
-                            sx,
-                            fx,
-                            sy,
-                            fy,
-                            near,
-                            t1,
-                            clear,
-                            out,
-                            which,
+    windows = ints.shape[0]
+    spans = np.empty((windows, 2))
+    starts = np.empty(STRIP)
+    # Beyond its farthest corner no ray is over the terrain.
+    edge_x = max(abs(o[0] - floats[0, WEST]), abs(o[0] - floats[0, EAST]))
+    edge_y = max(abs(o[1] - floats[0, NORTH]), abs(o[1] - floats[0, SOUTH]))
+    edge = np.hypot(edge_x, edge_y) * (1.0 + 1e-9) + 1e-9
+    # Along this direction the slope of an upright camera's rays is the same all along a row.
+    length = np.hypot(du[0], du[1])
+    gx, gy = (-du[1] / length, du[0] / length) if length > 0.0 else (1.0, 0.0)
+    if gx * (d0[0] + x1 * du[0] + y0 * dv[0]) + gy * (d0[1] + x1 * du[1] + y0 * dv[1]) < 0.0:
+        gx, gy = -gx, -gy
+    for by in range(y0, y1, BLOCK_Y):
+        for bx in range(x0, x1, BLOCK_X):
+            ey, ex = min(by + BLOCK_Y, y1), min(bx + BLOCK_X, x1)
+            if not clear:
+                out[by:ey, bx:ex] = t0
+                which[by:ey, bx:ex] = UNKNOWN
+                finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, bx, ex, by, ey, out, which, spans)
+                continue
+            xa, xb, ya, yb, slope = wedge(d0, du, dv, gx, gy, bx, ex, by, ey)
+            wedged = xa <= xb and grazes(d0, du, dv, gx, gy, bx, ex, by, ey)
+            if wedged:
+                end, speed = edge, 1.0
+            else:
+                xa, xb, ya, yb, slope = directions(d0, du, dv, bx, ex, by, ey)
+                end, speed = t1, max(max(abs(xa), abs(xb)), max(abs(ya), abs(yb))) + 1e-300
+            finest = floats[windows - 1, SCALE]
+            first, step, _ = advance(
+                scene, ints, floats, high, o, xa, xb, ya, yb, slope, 0.0, end, 16.0 * finest / speed
+            )
+            if first >= end:
+                out[by:ey, bx:ex] = np.nan
+                which[by:ey, bx:ex] = -1
+                continue
+            for sx in range(bx, ex, STRIP):
+                fx = min(sx + STRIP, ex)
+                front, tried, ground = first, step, -INF
+                upward = False
+                lowest = -INF
+                if wedged:
+                    xa, xb, ya, yb, _ = wedge(d0, du, dv, gx, gy, sx, fx, by, ey)
+                    upper, _ = row_slope(d0, du, dv, gx, gy, sx, fx, by)
+                    lower, _ = row_slope(d0, du, dv, gx, gy, sx, fx, ey - 1)
+                    upward = upper >= lower
+                for row in range(ey - by):
+                    py = ey - 1 - row if upward else by + row
+                    if wedged:
+                        slope, fastest = row_slope(d0, du, dv, gx, gy, sx, fx, py)
+                        if slope < lowest:  # a turned camera: this row does not see over the one before
+                            front, tried, ground = first, step, -INF
+                        lowest = slope
+                        if o[2] + (front if slope >= 0.0 else front + tried) * slope > ground:
+                            front, tried, ground = advance(
+                                scene, ints, floats, high, o, xa, xb, ya, yb, slope, front, end, tried
+                            )
+                        starts[:] = front / fastest
+                    elif row % LOW == 0:
+                        upto = min(py + LOW, ey)
+                        xa, xb, ya, yb, slope = directions(d0, du, dv, sx, fx, py, upto)
+                        front, tried, ground = advance(
+                            scene, ints, floats, high, o, xa, xb, ya, yb, slope, first, end, step
                         )
-                    else:
-                        for py in range(sy, fy):
-                            for px in range(sx, fx):
-                                t, w = ray(
-                                    pool,
-                                    maxima,
-                                    minima,
-                                    mips,
-                                    ints,
-                                    floats,
-                                    low,
-                                    high,
-                                    o[0],
-                                    o[1],
-                                    o[2],
-                                    d0[0] + px * du[0] + py * dv[0],
-                                    d0[1] + px * du[1] + py * dv[1],
-                                    d0[2] + px * du[2] + py * dv[2],
-                                    near,
-                                    t1,
-                                    clear,
-                                )
-                                out[py, px] = t if t < np.inf else np.nan
-                                which[py, px] = w
+                        starts[:] = front
+                    if front >= end:
+                        out[py, sx:fx] = np.nan
+                        which[py, sx:fx] = -1
+                        continue
+                    # The finest window that holds the middle of the row where it begins.
+                    x, y = o[0] + 0.5 * front * (xa + xb), o[1] + 0.5 * front * (ya + yb)
+                    w = 0
+                    while w + 1 < windows and holds(floats, w + 1, x, y):
+                        w += 1
+                    march_row(
+                        scene,
+                        (w, ints[w, BASE], ints[w, STRIDE], ints[w, CELLS_X], ints[w, CELLS_Y], ints[w, MIP_FIRST]),
+                        local_rectangle(floats, w, w),
+                        local_rectangle(floats, w + 1, w) if w + 1 < windows else (1.0, 1.0, 0.0, 0.0),
+                        local(floats, w, o[0] - floats[w, ORIGIN_X], o[1] - floats[w, ORIGIN_Y], o[2]),
+                        local(floats, w, d0[0], d0[1], d0[2]),
+                        local(floats, w, du[0], du[1], du[2]),
+                        local(floats, w, dv[0], dv[1], dv[2]),
+                        py,
+                        sx,
+                        fx,
+                        starts,
+                        (xb - xa) * front < 8.0 * floats[w, SCALE],
+                        t0,
+                        t1,
+                        out,
+                        which,
+                    )
+                finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, sx, fx, by, ey, out, which, spans)
+
+
+@inlined
+def holds(floats, w, x, y):
+    """Whether a window's rectangle holds a place."""
+    return floats[w, WEST] <= x and x <= floats[w, EAST] and floats[w, NORTH] <= y and y <= floats[w, SOUTH]
+
+
+@inlined
+def local(floats, w, x, y, z):
+    """A vector in a window's own samples."""
+    k = 1.0 / floats[w, SCALE]
+    return x * k, y * k, z
+
+
+@inlined
+def local_rectangle(floats, w, v):
+    """(west, north, east, south) of window ``w`` in the samples of window ``v``."""
+    k = 1.0 / floats[v, SCALE]
+    x, y = floats[v, ORIGIN_X], floats[v, ORIGIN_Y]
+    return (
+        (floats[w, WEST] - x) * k,
+        (floats[w, NORTH] - y) * k,
+        (floats[w, EAST] - x) * k,
+        (floats[w, SOUTH] - y) * k,
+    )

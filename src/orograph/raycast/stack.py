@@ -55,6 +55,11 @@ class Stack:
     low: float
     high: float
 
+    @property
+    def scene(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+        """(pool, maxima, minima, mips), as the kernels take them."""
+        return self.pool, self.maxima, self.minima, self.mips
+
     @classmethod
     def build(cls, windows: list[Window], shape: tuple[int, int], jobs: int | None = None) -> Stack:
         """Flatten ``windows``; ``shape`` is the terrain's (rows, cols) at full resolution: nothing is hit beyond it."""

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, kernel, leaf
 
 INF = np.inf
 
@@ -35,7 +35,7 @@ def plane_height(a, b, c, d, u, v, even, first):
     return d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d)
 
 
-@kernel
+@leaf
 def clip(o, d, low, high, t0, t1):
     """The part of [t0, t1] on which o + t·d lies in [low, high]; empty if t0 > t1."""
     if d == 0.0:
@@ -44,13 +44,42 @@ def clip(o, d, low, high, t0, t1):
     return max(t0, min(a, b)), min(t1, max(a, b))
 
 
-@kernel
+@inlined
+def inverse(d):
+    """(d, 1/d); (0, inf) for a component so small that its inverse overflows."""
+    if abs(d) < 1e-150:
+        return 0.0, INF
+    return d, 1.0 / d
+
+
+@leaf
 def cell_hit(a, b, c, d, even, u0, v0, z0, u1, v1, z1, side):
     """Intersect the ray's passage (u0, v0, z0) → (u1, v1, z1) through a cell with its two triangles.
 
     Returns (s, side): the fraction of the passage at the hit (−1: none) and the side after it: +1 above, −1 below,
     0 unknown (after a hole).
     """
+    whole = a + b + c + d
+    if side > 0 and whole == whole:
+        # The usual case without branches that a processor cannot foresee: mirrored where the diagonal runs b–c, the
+        # surface is a + min(u, v)·(d − a) + |u − v|·(b − a or c − a).
+        if not even:
+            u0, u1 = 1.0 - u0, 1.0 - u1
+            a, b, c, d = b, a, d, c
+        w0, w1 = u0 - v0, u1 - v1
+        ad, ab, ac = d - a, b - a, c - a
+        f1 = z1 - (a + min(u1, v1) * ad + abs(w1) * (ab if w1 > 0.0 else ac))
+        if w0 * w1 < 0.0:
+            cut = w0 / (w0 - w1)
+            fm = z0 + cut * (z1 - z0) - (a + (u0 + cut * (u1 - u0)) * ad)
+            if fm > 0.0:
+                return (-1.0 if f1 > 0.0 else cut + (1.0 - cut) * (fm / (fm - f1))), side
+            f0 = z0 - (a + min(u0, v0) * ad + abs(w0) * (ab if w0 > 0.0 else ac))
+            return (cut * (f0 / (f0 - fm)) if f0 > 0.0 else 0.0), side
+        if f1 > 0.0:
+            return -1.0, side
+        f0 = z0 - (a + min(u0, v0) * ad + abs(w0) * (ab if w0 > 0.0 else ac))
+        return (f0 / (f0 - f1) if f0 > 0.0 else 0.0), side
     g0 = u0 - v0 if even else 1.0 - u0 - v0
     g1 = u1 - v1 if even else 1.0 - u1 - v1
     cut = 1.0
@@ -64,18 +93,17 @@ def cell_hit(a, b, c, d, even, u0, v0, z0, u1, v1, z1, side):
     for part in range(parts):
         s1 = cut if part + 1 < parts else 1.0
         f1 = z0 + s1 * (z1 - z0) - plane_height(a, b, c, d, u0 + s1 * (u1 - u0), v0 + s1 * (v1 - v0), even, first)
-        if not (side > 0 and f1 > 0.0):  # else: above at both ends of a straight piece over a plane
-            f0 = z0 + s0 * (z1 - z0) - plane_height(a, b, c, d, u0 + s0 * (u1 - u0), v0 + s0 * (v1 - v0), even, first)
-            if f0 != f0 or f1 != f1:
-                side = 0
-            else:
-                if side == 0:
-                    side = 1 if (f0 > 0.0 or (f0 == 0.0 and f1 > 0.0)) else -1
-                if (side > 0 and f1 <= 0.0) or (side < 0 and f1 >= 0.0):
-                    span = f0 - f1
-                    if f0 * side <= 0.0 or span == 0.0:
-                        return s0, side
-                    return s0 + (s1 - s0) * (f0 / span), side
+        f0 = z0 + s0 * (z1 - z0) - plane_height(a, b, c, d, u0 + s0 * (u1 - u0), v0 + s0 * (v1 - v0), even, first)
+        if f0 != f0 or f1 != f1:
+            side = 0
+        else:
+            if side == 0:
+                side = 1 if (f0 > 0.0 or (f0 == 0.0 and f1 > 0.0)) else -1
+            if (side > 0 and f1 <= 0.0) or (side < 0 and f1 >= 0.0):
+                span = f0 - f1
+                if f0 * side <= 0.0 or span == 0.0:
+                    return s0, side
+                return s0 + (s1 - s0) * (f0 / span), side
         s0 = s1
         first = not first
     return -1.0, side
@@ -118,8 +146,8 @@ def cast(
     """
     top = mip_cols.shape[0] - 1
     level = min(level, top)
-    ix = 1.0 / dx if dx != 0.0 else 0.0
-    iy = 1.0 / dy if dy != 0.0 else 0.0
+    dx, ix = inverse(dx)
+    dy, iy = inverse(dy)
     right, down = dx > 0.0, dy > 0.0
     t = t0
     cx = min(max(np.int64(np.floor(ox + t * dx)), 0), nc - 1)
@@ -132,11 +160,13 @@ def cast(
         za, zb = oz + t * dz, oz + te * dz
         free = False
         if level >= 1:
+            # Free, unless that would be the other side: then the ray has come through the step between two windows.
             node = jy * mip_cols[level] + jx
-            if min(za, zb) > maxima[max_offset[level] + node]:
-                side = 1
+            highest = maxima[max_offset[level] + node]
+            if min(za, zb) > highest and (side >= 0 or highest == -INF):
+                side = 1 if highest > -INF else 0
                 free = True
-            elif level >= 2 and max(za, zb) < minima[min_offset[level] + node]:
+            elif level >= 2 and side <= 0 and max(za, zb) < minima[min_offset[level] + node]:
                 side = -1
                 free = True
             else:
@@ -180,86 +210,128 @@ def cast(
 
 
 MARCH_LEVEL = 2
-"""The fixed level of ``march``: nodes of 4 × 4 cells."""
+"""The fixed level of ``march_row``: nodes of 4 × 4 cells."""
 
-PATIENCE = 24
-"""Nodes that ``march`` may find free before it leaves the ray to ``cast``, which climbs."""
+CELLS, NODES = 4, 24
+"""Steps from cell to cell before ``march_row`` goes over to nodes, and from node to node before it calls ``cast``."""
+
+ABOVE, BELOW, UNKNOWN = -2, -3, -4
+"""``which`` of a ray that ``march_row`` has not finished: the side of the surface on which it runs."""
 
 
-@kernel
-def march_block(
-    pool,
-    base,
-    stride,
-    nc,
-    nr,
-    maxima,
-    max_offset,
-    minima,
-    min_offset,
-    mip_cols,
-    o,
-    d0,
-    du,
-    dv,
-    px0,
-    px1,
-    py0,
-    py1,
-    near,
-    far,
-    clear,
-    out,
-    which,
-):
-    """``cast`` for a block of a pinhole camera's rays that begin (at ``near``) close above the surface of one window.
+@leaf
+def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, few, near, far, out, which):
+    """Walk rays of one row of a pinhole camera's pixels through one window, from close above the surface.
 
-    Steps of fixed size (Amanatides & Woo 1987) on two levels: where ``cast`` climbs and descends, a long chain of
-    dependent operations for each step, this adds a constant to one of two parameters. After ``PATIENCE`` free nodes a
-    ray is left to ``cast``. Coordinates are the window's; ``clear``: the rays run above the surface at ``near`` if they
-    are over the window there. ``out`` receives t or NaN, ``which`` 0 or −1.
+    Steps of fixed size (Amanatides & Woo 1987), first on cells, then on nodes of one level: where ``cast`` climbs and
+    descends, a long chain of dependent operations for each step, this adds a constant to one of two parameters.
+
+    Args:
+        scene: (pool, maxima, minima, mips) of the stack.
+        window: (number, base, stride, nc, nr, first column of ``mips``).
+        rect, inner: (west, north, east, south) of the window and of the finer one in it (west > east: none).
+        o, d0, du, dv: the camera in the window's coordinates.
+        starts: the t up to which the rays of pixels px0 … px1 − 1 are above the surface, if they are over the window.
+        few: whether the hits are likely to be only a few cells beyond.
+        near, far: the range of t that counts.
+        out, which: t and the window's number; NaN and −1; or where the ray got to and a side: a ray that begins
+            beside the window, enters the finer one or leaves for the coarser one.
     """
-    offset, per_row = max_offset[MARCH_LEVEL], mip_cols[MARCH_LEVEL]
+    pool, maxima, minima, mips = scene
+    number, base, stride, nc, nr, m0 = window
+    offset, per_row = mips[0, m0 + MARCH_LEVEL], mips[2, m0 + MARCH_LEVEL]
     size = 1 << MARCH_LEVEL
     last_x, last_y = (nc - 1) >> MARCH_LEVEL, (nr - 1) >> MARCH_LEVEL
-    ox, oy, oz = o[0], o[1], o[2]
-    for py in range(py0, py1):
-        for px in range(px0, px1):
-            dx = d0[0] + px * du[0] + py * dv[0]
-            dy = d0[1] + px * du[1] + py * dv[1]
-            dz = d0[2] + px * du[2] + py * dv[2]
-            t, t1, side = near, far, 1
-            x, y = ox + t * dx, oy + t * dy
-            hit = INF
-            if not (clear and 0.0 <= x <= nc and 0.0 <= y <= nr):
-                t, t1 = clip(ox, dx, 0.0, np.float64(nc), t, t1)
-                t, t1 = clip(oy, dy, 0.0, np.float64(nr), t, t1)
-                side = 0
-                if t > t1:
-                    out[py, px], which[py, px] = np.nan, -1
-                    continue
-                x, y = ox + t * dx, oy + t * dy
-            ix = 1.0 / dx if dx != 0.0 else INF
-            iy = 1.0 / dy if dy != 0.0 else INF
-            gx, gy = (1 if dx > 0.0 else 0), (1 if dy > 0.0 else 0)
-            sx, sy = 2 * gx - 1, 2 * gy - 1
-            ax, ay = abs(ix), abs(iy)
-            cx, cy = min(max(np.int64(x), 0), nc - 1), min(max(np.int64(y), 0), nr - 1)
+    west, north, east, south = rect
+    west1, north1, east1, south1 = inner
+    nested = west1 < east1
+    ox, oy, oz = o
+    for px in range(px0, px1):
+        dx, ix = inverse(d0[0] + px * du[0] + py * dv[0])
+        dy, iy = inverse(d0[1] + px * du[1] + py * dv[1])
+        dz = d0[2] + px * du[2] + py * dv[2]
+        t = starts[px - px0]
+        if t >= far:
+            out[py, px], which[py, px] = np.nan, -1
+            continue
+        x, y = ox + t * dx, oy + t * dy
+        begins = west <= x and x <= east and north <= y and y <= south
+        if nested and west1 <= x and x <= east1 and north1 <= y and y <= south1:
+            begins = False
+        if not begins or t < near:
+            out[py, px], which[py, px] = t, UNKNOWN
+            continue
+        right, down = dx > 0.0, dy > 0.0
+        # Where the ray leaves the window, for good (to the outside or a coarser window) or for the finer one.
+        t1 = far
+        if dx != 0.0:
+            t1 = min(t1, ((east if right else west) - ox) * ix)
+        if dy != 0.0:
+            t1 = min(t1, ((south if down else north) - oy) * iy)
+        leaves = number > 0 and t1 < far
+        if nested:
+            a, b = clip(ox, dx, west1, east1, t, t1)
+            a, b = clip(oy, dy, north1, south1, a, b)
+            if a <= b:
+                t1, leaves = a, True
+        t1 = max(t, t1)
+        gx1, gy1 = (1 if right else 0), (1 if down else 0)
+        sx, sy = 2 * gx1 - 1, 2 * gy1 - 1
+        ax, ay = abs(ix), abs(iy)
+        cx, cy = min(max(np.int64(x), 0), nc - 1), min(max(np.int64(y), 0), nr - 1)
+        ux = INF if dx == 0.0 else ((cx + gx1) - ox) * ix
+        uy = INF if dy == 0.0 else ((cy + gy1) - oy) * iy
+        za = oz + t * dz
+        side = 1
+        hit = INF
+        over = False
+        i = base + cy * stride + cx
+        stepy = sy * stride
+        for _ in range(CELLS if few else 0):
+            ue = max(min(min(ux, uy), t1), t)
+            zb = oz + ue * dz
+            a, b = np.float64(pool[i]), np.float64(pool[i + 1])
+            c, d = np.float64(pool[i + stride]), np.float64(pool[i + stride + 1])
+            least = min(za, zb)
+            if side >= 0 and least > a and least > b and least > c and least > d:
+                side = 1
+            else:
+                u0, v0 = ox + t * dx - cx, oy + t * dy - cy
+                u1, v1 = ox + ue * dx - cx, oy + ue * dy - cy
+                s, side = cell_hit(a, b, c, d, ((cx + cy) & 1) == 0, u0, v0, za, u1, v1, zb, side)
+                if s >= 0.0:
+                    hit = t + s * (ue - t)
+                    over = True
+                    break
+            t, za = ue, zb
+            if ue >= t1:
+                over = True
+                break
+            if ux <= uy:
+                cx += sx
+                ux += ax
+                i += sx
+            else:
+                cy += sy
+                uy += ay
+                i += stepy
+            if cx < 0 or cx >= nc or cy < 0 or cy >= nr:
+                over = True
+                break
+        if not over:
             jx, jy = cx >> MARCH_LEVEL, cy >> MARCH_LEVEL
-            tx = INF if dx == 0.0 else (((jx + gx) << MARCH_LEVEL) - ox) * ix
-            ty = INF if dy == 0.0 else (((jy + gy) << MARCH_LEVEL) - oy) * iy
-            za = oz + t * dz
-            over = False
-            for _ in range(PATIENCE):
+            tx = INF if dx == 0.0 else (((jx + gx1) << MARCH_LEVEL) - ox) * ix
+            ty = INF if dy == 0.0 else (((jy + gy1) << MARCH_LEVEL) - oy) * iy
+            for _ in range(NODES):
                 te = max(min(min(tx, ty), t1), t)
                 zb = oz + te * dz
-                if min(za, zb) > maxima[offset + jy * per_row + jx]:
+                if side >= 0 and min(za, zb) > maxima[offset + jy * per_row + jx]:
                     side = 1
                 else:
                     cx = min(max(np.int64(ox + t * dx), jx * size), min(jx * size + size, nc) - 1)
                     cy = min(max(np.int64(oy + t * dy), jy * size), min(jy * size + size, nr) - 1)
-                    ux = INF if dx == 0.0 else ((cx + gx) - ox) * ix
-                    uy = INF if dy == 0.0 else ((cy + gy) - oy) * iy
+                    ux = INF if dx == 0.0 else ((cx + gx1) - ox) * ix
+                    uy = INF if dy == 0.0 else ((cy + gy1) - oy) * iy
                     zc = za
                     while True:
                         ue = max(min(min(ux, uy), te), t)
@@ -268,23 +340,12 @@ def march_block(
                         a, b = np.float64(pool[i]), np.float64(pool[i + 1])
                         c, d = np.float64(pool[i + stride]), np.float64(pool[i + stride + 1])
                         least = min(zc, zd)
-                        if least > a and least > b and least > c and least > d:
+                        if side >= 0 and least > a and least > b and least > c and least > d:
                             side = 1
                         else:
-                            s, side = cell_hit(
-                                a,
-                                b,
-                                c,
-                                d,
-                                ((cx + cy) & 1) == 0,
-                                ox + t * dx - cx,
-                                oy + t * dy - cy,
-                                zc,
-                                ox + ue * dx - cx,
-                                oy + ue * dy - cy,
-                                zd,
-                                side,
-                            )
+                            u0, v0 = ox + t * dx - cx, oy + t * dy - cy
+                            u1, v1 = ox + ue * dx - cx, oy + ue * dy - cy
+                            s, side = cell_hit(a, b, c, d, ((cx + cy) & 1) == 0, u0, v0, zc, u1, v1, zd, side)
                             if s >= 0.0:
                                 hit = t + s * (ue - t)
                                 over = True
@@ -304,10 +365,10 @@ def march_block(
                                 break
                     if over:
                         break
+                t, za = te, zb
                 if te >= t1:
                     over = True
                     break
-                t, za = te, zb
                 if tx <= ty:
                     jx += sx
                     tx += ax * size
@@ -320,46 +381,27 @@ def march_block(
                     if jy < 0 or jy > last_y:
                         over = True
                         break
-            if not over:
-                hit, side = cast(
-                    pool,
-                    base,
-                    stride,
-                    nc,
-                    nr,
-                    maxima,
-                    max_offset,
-                    minima,
-                    min_offset,
-                    mip_cols,
-                    ox,
-                    oy,
-                    oz,
-                    dx,
-                    dy,
-                    dz,
-                    t,
-                    t1,
-                    side,
-                    MARCH_LEVEL,
-                )
-            out[py, px] = hit if hit < INF else np.nan
-            which[py, px] = 0 if hit < INF else -1
+        if hit < INF:
+            out[py, px], which[py, px] = hit, number
+        elif over and not leaves:
+            out[py, px], which[py, px] = np.nan, -1
+        else:
+            out[py, px] = min(t, t1)
+            which[py, px] = ABOVE if side > 0 else BELOW if side < 0 else UNKNOWN
 
 
-@kernel
-def highest(maxima, max_offset, mip_cols, nc, nr, x0, x1, y0, y1):
-    """An upper bound of the surface over [x0, x1] × [y0, y1], clipped to the cells: at most four nodes are read."""
-    top = mip_cols.shape[0] - 1
-    i0 = min(max(np.int64(np.floor(x0)), 0), nc - 1)
-    i1 = min(max(np.int64(np.floor(x1)), 0), nc - 1)
-    j0 = min(max(np.int64(np.floor(y0)), 0), nr - 1)
-    j1 = min(max(np.int64(np.floor(y1)), 0), nr - 1)
-    level = 1
-    while level < top and (((i1 >> level) - (i0 >> level)) > 1 or ((j1 >> level) - (j0 >> level)) > 1):
+@leaf
+def highest(maxima, mips, m0, m1, nc, nr, x0, x1, y0, y1):
+    """An upper bound of the surface over [x0, x1] × [y0, y1], clipped to the cells: four nodes, or fewer."""
+    i0 = min(max(np.int64(x0), 0), nc - 1)  # rounding towards zero is clipped anyway
+    i1 = min(max(np.int64(x1), 0), nc - 1)
+    j0 = min(max(np.int64(y0), 0), nr - 1)
+    j1 = min(max(np.int64(y1), 0), nr - 1)
+    span = max(i1 - i0, j1 - j0)
+    level, top = 1, m1 - m0 - 1
+    while level < top and (1 << level) < span:
         level += 1
-    m = np.float32(-np.inf)
-    for j in range(j0 >> level, (j1 >> level) + 1):
-        for i in range(i0 >> level, (i1 >> level) + 1):
-            m = max(m, maxima[max_offset[level] + j * mip_cols[level] + i])
-    return np.float64(m)
+    first, per_row = mips[0, m0 + level], mips[2, m0 + level]
+    i0, i1 = i0 >> level, i1 >> level
+    j0, j1 = first + (j0 >> level) * per_row, first + (j1 >> level) * per_row
+    return np.float64(max(max(maxima[j0 + i0], maxima[j0 + i1]), max(maxima[j1 + i0], maxima[j1 + i1])))
