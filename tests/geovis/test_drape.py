@@ -1,212 +1,255 @@
-"""Draped images: registration against rasterio and pyproj point by point, filtering box means in linear light."""
+"""Draped images against rasterio, pyproj and plain means: where they lie, how they are averaged, where they are not."""
 
 from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
 from affine import Affine
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pyproj import CRS, Transformer
+from rasterio.enums import ColorInterp
+from rasterio.warp import transform_bounds
 
 from orograph.errors import ReadError, UsageError
-from orograph.geo.grid import Grid
-from orograph.geovis.colour import linear_to_srgb, srgb_to_linear
+from orograph.geo.grid import Grid, apply
+from orograph.geovis import mipmap
+from orograph.geovis.colour import srgb_to_linear
 from orograph.geovis.drape import Drape
-from orograph.geovis.image import TILE, Image
+from orograph.geovis.placement import TOLERANCE
 
-UTM = CRS.from_epsg(32645)
+UTM = CRS("EPSG:32633")
+GRID = Grid((400, 400), Affine(30, 0, 500_000, 0, -30, 6_700_000), UTM)  # 60° N
+COVER = Affine(120, 0, 500_000, 0, -120, 6_700_000)  # 100 × 100 pixels over GRID
+LINEAR = srgb_to_linear(np.arange(256) / 255)
 
 
-def write(path, pixels, *, crs=None, transform=None, **options):
-    """pixels (rows, cols, bands) → a GeoTIFF at ``path``."""
-    rows, cols, bands = pixels.shape
-    placed = {"crs": crs, "transform": transform} if transform is not None else {}
-    profile = {
-        "driver": "GTiff",
-        "height": rows,
-        "width": cols,
-        "count": bands,
-        "dtype": pixels.dtype,
-        **placed,
-        **options,
-    }
-    colormap = profile.pop("colormap", None)
-    with rasterio.open(path, "w", **profile) as out:
-        out.write(np.moveaxis(pixels, -1, 0))
-        if colormap:
-            out.write_colormap(1, colormap)
+def places(grid: Grid, n: int = 4000, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    west, south, east, north = grid.bounds()
+    u, v = np.random.default_rng(seed).uniform(size=(2, n))
+    return west + u * (east - west), south + v * (north - south)
+
+
+def write(path: Path, pixels: np.ndarray, transform: Affine = COVER, crs: Any = UTM, **profile: Any) -> Path:
+    """pixels (rows, cols) or (rows, cols, bands) as a GeoTIFF."""
+    bands = np.moveaxis(pixels.reshape(*pixels.shape[:2], -1), -1, 0)
+    tags = profile.pop("colorinterp", None), profile.pop("colormap", None)
+    shape = {"count": len(bands), "height": bands.shape[1], "width": bands.shape[2], "dtype": bands.dtype}
+    with rasterio.open(
+        path, "w", driver="GTiff", transform=transform, crs=crs and CRS(crs).to_wkt(), **shape, **profile
+    ) as file:
+        file.write(bands)
+        if tags[0]:
+            file.colorinterp = tags[0]
+        if tags[1]:
+            file.write_colormap(1, tags[1])
     return path
 
 
-def noise(rows, cols, bands=3, seed=0):
-    return np.random.default_rng(seed).integers(0, 256, (rows, cols, bands), np.uint8)
-
-
-@pytest.fixture
-def grid() -> Grid:
-    return Grid((200, 300), Affine(30, 0, 478000, 0, -30, 3108140), UTM)
-
-
-def test_pixel_centres_are_exact_in_the_same_crs(tmp_path, grid):
-    pixels = noise(200, 300)
-    drape = Drape.open(write(tmp_path / "a.tif", pixels, crs=UTM, transform=grid.transform), grid)
-    rows, cols = (a.ravel() for a in np.indices((200, 300)))
-    got = drape.sample(*grid.xy(cols, rows), np.full(rows.size, 1.0))
-    assert (got[:, 3] == 1).all()
-    assert drape.pixels_per_metre == pytest.approx(1 / 30)
-    np.testing.assert_array_equal(np.round(linear_to_srgb(got[:, :3]) * 255), pixels.reshape(-1, 3))
-
-
-def test_between_pixels_light_is_bilinear_and_outside_there_is_nothing(tmp_path, grid):
-    pixels = noise(200, 300)
-    drape = Drape.open(write(tmp_path / "a.tif", pixels, crs=UTM, transform=grid.transform), grid)
-    x, y = grid.xy([10.25, -0.49, -0.51, 299.51, np.nan], [20.5, 0, 0, 0, 3])
-    got = drape.sample(x, y, np.full(5, 1.0))
-    light = srgb_to_linear(pixels / 255.0)
-    expected = (light[20, 10] + light[21, 10]) * 0.375 + (light[20, 11] + light[21, 11]) * 0.125
-    np.testing.assert_allclose(got[0, :3], expected, atol=1e-5)
-    np.testing.assert_array_equal(got[:, 3], [1, 1, 0, 0, 0])
+def board(rows: int, cols: int) -> np.ndarray:
+    """A checkerboard of black and white pixels (rows, cols, 3)."""
+    return np.repeat((np.indices((rows, cols)).sum(0) % 2 * 255).astype(np.uint8)[..., None], 3, 2)
 
 
 @pytest.mark.parametrize(
-    ("image", "dem"),
+    ("image", "terrain", "grow"),
     [
-        ("everest-landsat7-rgb/LE71400412000304SGS00_RGB.tif", "osgearth-srtm90m-volcano-voids/mt_everest_90m.tif"),
-        ("whitney-usgs-topo-map/whitney_rgb_z15_epsg3857.tif", "california-3s-tiles/N36W119.tif"),
+        ("everest-landsat7-rgb/LE71400412000304SGS00_RGB.tif", "EPSG:32644", 0.3),
+        ("everest-landsat7-rgb/LE71400412000304SGS00_RGB.tif", "EPSG:4326", 0.3),
+        ("whitney-usgs-topo-map/whitney_rgb_z15_epsg3857.tif", "EPSG:32611", 0.1),
+        ("fortbragg-1m-dem-ortho/naip_2014_rgb.tif", "EPSG:3358", 0.0),
     ],
 )
-def test_registration_of_real_images_in_other_crs(shared_data, image, dem):
-    """Where pyproj puts the centre of a pixel, the drape has that pixel's colour (moved by less than its tolerance)."""
-    with rasterio.open(shared_data / dem) as d:
-        terrain = Grid(d.shape, d.transform, CRS.from_user_input(d.crs))
-    drape = Drape.open(shared_data / image, terrain)
-    rng = np.random.default_rng(2)
-    with rasterio.open(shared_data / image) as picture:
-        row, col = rng.integers(0, picture.height, 4000), rng.integers(0, picture.width, 4000)
-        x, y = picture.transform * np.stack([col + 0.5, row + 0.5])
-        here = Transformer.from_crs(picture.crs, terrain.crs, always_xy=True).transform(x, y)
-        truth = np.array(list(picture.sample(zip(x, y))))
-    c, r = terrain.index(*here)
-    on = (c >= 0) & (c <= terrain.cols - 1) & (r >= 0) & (r <= terrain.rows - 1)
-    u, v = drape._find(*(a[on] for a in here))
-    assert np.abs(np.stack([u - col[on], v - row[on]])).max() < 0.05
-    got = drape.sample(here[0][on], here[1][on], np.zeros(on.sum()))
-    assert on.sum() > 1000 and got[:, 3].min() > 0.9999
-    step = np.abs(linear_to_srgb(got[:, :3]) * 255 - truth[on])
-    assert np.median(step) <= 1 and step.mean() < 3
+def test_lies_where_pyproj_and_rasterio_say(shared_data: Path, image: str, terrain: str, grow: float) -> None:
+    with rasterio.open(shared_data / image) as file:
+        west, south, east, north = transform_bounds(file.crs, terrain, *file.bounds)
+        band, transform, crs = file.read([1, 2, 3]), file.transform, CRS(file.crs.to_wkt())
+    cell = (east - west) * (1 + 2 * grow) / 500
+    corner = Affine(cell, 0, west - grow * (east - west), 0, -cell, north + grow * (north - south))
+    grid = Grid((round((north - south) * (1 + 2 * grow) / cell), 500), corner, CRS(terrain))
+    drape = Drape.open(shared_data / image, grid)
+    x, y = places(grid)
+    u, v = apply(~transform, *Transformer.from_crs(terrain, crs, always_xy=True).transform(x, y))
+    ours = drape.positions(x, y)
+    assert np.abs(np.stack(ours[:2]) - [u, v]).max() < 0.05
+    rows, cols = band.shape[1:]
+    border = np.minimum(np.minimum(u, cols - u), np.minimum(v, rows - v))
+    got = drape.sample(x, y, np.full(len(x), 1e-6))
+    assert (got[border > 0.1, 3] == 1).all() and (got[border < -0.1, 3] == 0).all()
+    assert (border < -0.1).any() == (grow > 0)
+    inside = border > 1
+    u, v = u[inside] - 0.5, v[inside] - 0.5
+    j, i = u.astype(int), v.astype(int)
+    fx, fy = u - j, v - i
+    light = LINEAR[band]
+    truth = (light[:, i, j] * (1 - fx) + light[:, i, j + 1] * fx) * (1 - fy)
+    truth += (light[:, i + 1, j] * (1 - fx) + light[:, i + 1, j + 1] * fx) * fy
+    np.testing.assert_allclose(got[inside, :3], truth.T, atol=2.5 * TOLERANCE, rtol=0)
+    assert np.abs(got[inside, :3] - truth.T).mean() < 2e-3
 
 
-def test_far_pixels_are_means_of_light(tmp_path, grid):
-    """A checkerboard of black and white seen from afar is half the light: sRGB 188, not 128; and nothing sparkles."""
-    board = np.where(np.indices((800, 1200)).sum(0) % 2, 255, 0).astype(np.uint8)[..., None].repeat(3, 2)
-    fine = Affine(7.5, 0, 478000, 0, -7.5, 3108140)
-    drape = Drape.open(write(tmp_path / "b.tif", board, crs=UTM, transform=fine), grid)
-    x, y = grid.xy(*np.random.default_rng(1).uniform(5, 190, (2, 500)))
-    got = drape.sample(x, y, np.full(500, 30.0))
-    np.testing.assert_allclose(got[:, :3], 0.5, atol=0.005)
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 2**32 - 1))
+def test_levels_are_means_of_light(rows: int, cols: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    picture = rng.integers(0, 256, (rows, cols, 4), dtype=np.uint8)
+    pool, levels = mipmap.pool_for(rows, cols)
+    pool[: rows * cols] = picture.reshape(-1, 4)
+    mipmap.fill(pool, levels, 1)
+    weight = picture[..., 3:].astype(float)
+    for k, (base, r, c) in enumerate(levels):
+        size = 2**k
+        for i, j in {(0, 0), (r - 1, c - 1), (r // 2, c // 2)}:
+            block = slice(i * size, (i + 1) * size), slice(j * size, (j + 1) * size)
+            opacity = weight[block].mean()
+            got = pool[base + i * c + j]
+            assert abs(got[3] - opacity) <= 0.5 * k + 1e-6  # every level rounds once
+            if opacity > 20:
+                light = (LINEAR[picture[block][..., :3]] * weight[block]).sum((0, 1)) / weight[block].sum()
+                np.testing.assert_allclose(LINEAR[got[:3]], light, atol=0.005 * k + 1e-6 + 0.1 * k / opacity)
 
 
-def test_pyramid_is_the_box_mean_over_tiles_and_odd_edges(tmp_path):
-    pixels = noise(TILE + 77, TILE * 2 + 3, seed=4)
-    image = Image(write(tmp_path / "c.tif", pixels))
-    assert image.levels == 12 and image.size(2) == (148, 257) and image.size(11) == (1, 1)
-    light = np.pad(srgb_to_linear(pixels / 255.0), ((0, 3), (0, 1), (0, 0)), mode="edge")
-    whole = light.reshape(148, 4, 257, 4, 3).mean((1, 3))
-    got = image.window(2, 0, 148, 0, 257)
-    assert np.abs(got[:147, :256, :3] - linear_to_srgb(whole)[:147, :256] * 255).max() < 1.6  # rounded twice to bytes
+def test_no_checkerboard_survives_from_afar(tmp_path: Path) -> None:
+    """In degrees at 60° N a pixel is half as wide as high: both ways must be averaged."""
+    path = write(tmp_path / "a.tif", board(2000, 4000), Affine(1e-4, 0, 14.95, 0, -1e-4, 60.5), "EPSG:4326")
+    drape = Drape.open(path, GRID)
+    x, y = places(GRID.window(10, 390, 10, 390))
+    for footprint in (11.5, 30.0, 200.0):
+        got = drape.sample(x, y, np.full(len(x), footprint))
+        np.testing.assert_allclose(got[:, :3], 0.5, atol=0.02)
+    assert drape.sample(x, y, np.full(len(x), 1e-3))[:, 0].std() > 0.15  # but near by it is seen
 
 
-def test_file_overviews_are_used(tmp_path):
-    pixels = noise(2048, 2048)
-    path = write(tmp_path / "o.tif", pixels, tiled=True)
-    with rasterio.open(path, "r+") as dataset:
-        dataset.build_overviews([2, 4], rasterio.enums.Resampling.average)
-        expected = dataset.read(out_shape=(3, 512, 512))
-    image = Image(path)
-    got = image.window(2, 0, 512, 0, 512)
-    np.testing.assert_array_equal(np.moveaxis(got[..., :3], -1, 0), expected)
-    assert set(image._tiles) == {(2, 0, 0)}  # nothing finer was read
+@pytest.mark.parametrize("overviews", [False, True])
+def test_memory_and_the_picture_decide_how_much_is_read(tmp_path: Path, overviews: bool) -> None:
+    fine = Affine(6, 0, 500_000, 0, -6, 6_700_000)
+    path = write(tmp_path / "a.tif", board(2000, 2000), fine, tiled=True)
+    if overviews:
+        with rasterio.open(path, "r+") as file:
+            file.build_overviews([2, 4], rasterio.enums.Resampling.average)
+    x, y = places(GRID)
+    small = Drape.open(path, GRID, max_memory=8 << 20)
+    assert small._pool.nbytes <= 2 << 20
+    assert len(small.warnings) == 1 and "times coarser" in small.warnings[0]
+    far = Drape.open(path, GRID, metres=30.0)
+    assert far._pool.nbytes < 2000 * 2000 * 4 / 3 and not far.warnings
+    assert 12 <= far.pixel <= 30
+    grey = 0.5 if not overviews else LINEAR[127:129].mean()  # the file's own means are of its bytes
+    for drape in (small, far):
+        np.testing.assert_allclose(drape.sample(x, y, np.full(len(x), 30.0))[:, :3], grey, atol=0.01)
 
 
-def test_budget_of_bytes_is_kept(tmp_path):
-    path = write(tmp_path / "m.tif", noise(3000, 3000))
-    image = Image(path, max_bytes=6 << 20)
-    image.window(0, 0, 3000, 0, 3000)
-    image.window(3, 0, 375, 0, 375)
-    assert image._bytes == sum(t.nbytes for t in image._tiles.values()) <= 6 << 20
+def test_reduced_windows_stay_in_register(tmp_path: Path) -> None:
+    ramp = np.linspace(0, 255, 1999)
+    picture = np.stack(np.broadcast_arrays(ramp[None, :], ramp[:, None], 0), -1).round().astype(np.uint8)
+    fine = Affine(6, 0, 500_003, 0, -6, 6_699_991)
+    path = write(tmp_path / "a.tif", picture, fine)
+    x, y = places(GRID.window(10, 390, 10, 390))
+    full, less = Drape.open(path, GRID), Drape.open(path, GRID, max_memory=3 << 20)
+    assert less._pool.nbytes < full._pool.nbytes / 10
+    a, b = (d.sample(x, y, np.full(len(x), 60.0)) for d in (full, less))
+    np.testing.assert_allclose(a, b, atol=0.012)  # bytes are up to 0.009 apart
+    assert np.abs((a - b).mean(0)).max() < 0.002  # half a texel would make 0.004
 
 
-def test_palettes_alpha_and_missing_pixels(tmp_path, grid):
-    from PIL import Image as Pillow
-
-    index = (np.arange(200 * 300).reshape(200, 300) % 3).astype(np.uint8)
-    picture = Pillow.fromarray(index, "P")
-    picture.putpalette([255, 0, 0, 255, 0, 255, 0, 255, 0, 0, 255, 0], "RGBA")
-    picture.save(tmp_path / "p.png")
-    drape = Drape.open(tmp_path / "p.png", grid)
-    got = drape.sample(*grid.xy([0, 1, 2], [0, 0, 0]), np.ones(3))
-    np.testing.assert_allclose(got, [[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 0, 0]])
-    # From afar the transparent blue does not bleed into what is seen of red and green.
-    far = drape.sample(*grid.xy([150.0], [100.0]), np.array([240.0]))
-    np.testing.assert_allclose(far, [[0.5, 0.5, 0, 2 / 3]], atol=0.06)
-    rgba = noise(200, 300, 4)
-    path = write(tmp_path / "r.tif", rgba, crs=UTM, transform=grid.transform, photometric="rgb", alpha="yes")
-    got = Drape.open(path, grid).sample(*grid.xy([7], [9]), np.ones(1))
-    assert got[0, 3] == pytest.approx(rgba[9, 7, 3] / 255)
-    blank = noise(200, 300)
-    blank[9, 7] = 0
-    path = write(tmp_path / "n.tif", blank, crs=UTM, transform=grid.transform, nodata=0)
-    assert Drape.open(path, grid).sample(*grid.xy([7], [9]), np.ones(1))[0, 3] < 1e-6
+def test_transparent_pixels_lend_no_colour(tmp_path: Path) -> None:
+    picture = np.zeros((100, 100, 4), np.uint8)
+    picture[:, :50] = 255, 0, 0, 255
+    picture[:, 50:] = 0, 0, 255, 0
+    names = [ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha]
+    drape = Drape.open(write(tmp_path / "a.tif", picture, colorinterp=names), GRID)
+    x, y = places(GRID)
+    for footprint in (1.0, 500.0):
+        got = drape.sample(x, y, np.full(len(x), footprint))
+        seen = got[:, 3] > 0.01
+        np.testing.assert_allclose(got[seen, :3], np.broadcast_to([1, 0, 0], (seen.sum(), 3)), atol=1e-5)
+    partly = (got[:, 3] > 0.1) & (got[:, 3] < 0.9)
+    assert partly.any() and np.abs(x[partly] - 506_000).max() < 1000
+    # Nodata and a mask do the same.
+    marked = picture[..., :3].copy()
+    marked[:, 50:] = 7
+    other = Drape.open(write(tmp_path / "b.tif", marked, nodata=7), GRID)
+    np.testing.assert_allclose(other.sample(x, y, np.full(len(x), 500.0))[:, 3], got[:, 3], atol=1e-6)
 
 
-def test_sixteen_bits_are_stretched(tmp_path, grid):
-    values = np.linspace(4000, 9000, 200 * 300).reshape(200, 300, 1).astype(np.uint16)
-    drape = Drape.open(write(tmp_path / "s.tif", values, crs=UTM, transform=grid.transform), grid)
-    got = linear_to_srgb(drape.sample(*grid.xy([0, 150, 299], [0, 100, 199]), np.ones(3))[:, :3])
-    np.testing.assert_allclose(got, np.array([0, 0.5, 1])[:, None].repeat(3, 1), atol=0.02)
+def test_palettes_grey_and_wide_types(tmp_path: Path) -> None:
+    x, y = places(GRID)
+    one = np.full(len(x), 1.0)
+    index = board(100, 100)[..., 0] // 255
+    colours = {0: (255, 0, 0, 255), 1: (0, 0, 255, 255)}
+    drape = Drape.open(write(tmp_path / "p.tif", index, colormap=colours), GRID)
+    np.testing.assert_allclose(drape.sample(x, y, 2000 * one)[:, :3], [[0.5, 0, 0.5]] * len(x), atol=0.02)
+    ramp = np.linspace(200, 3000, 10_000).reshape(100, 100)
+    for kind in (np.uint16, np.float32, np.uint8):
+        values = (ramp if kind != np.uint8 else ramp / 40 + 20).astype(kind)
+        got = Drape.open(write(tmp_path / f"{np.dtype(kind)}.tif", values), GRID).sample(x, y, one)
+        assert got[:, 0].min() < 0.01 and got[:, 0].max() > 0.9 and np.ptp(got[:, :3], axis=1).max() == 0
+    ramp[40:60] = np.nan
+    holes = Drape.open(write(tmp_path / "nan.tif", ramp.astype(np.float32)), GRID).sample(x, y, one)
+    assert np.isfinite(holes).all() and 0.1 < (holes[:, 3] < 0.5).mean() < 0.3
 
 
-@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-def test_without_georeference_it_is_stretched_over_the_terrain(tmp_path, grid):
-    pixels = noise(100, 150)
-    drape = Drape.open(write(tmp_path / "u.png", pixels, driver="PNG"), grid)
-    x, y = grid.transform * np.array([[(30 + 0.5) * 2], [(40 + 0.5) * 2]])  # the middle of image pixel (40, 30)
-    got = drape.sample(x, y, np.ones(1))
-    np.testing.assert_array_equal(np.round(linear_to_srgb(got[0, :3]) * 255), pixels[40, 30])
+def test_without_georeference_it_is_stretched_north_up(tmp_path: Path) -> None:
+    from PIL import Image
+
+    picture = np.zeros((50, 200, 3), np.uint8)
+    picture[:25, :100] = 255  # white in the north-west
+    Image.fromarray(picture).save(tmp_path / "a.png")
+    drape = Drape.open(tmp_path / "a.png", GRID)
+    assert "stretched" in drape.warnings[0] and str(tmp_path / "a.png") in drape.warnings[0]
+    x, y = places(GRID)
+    got = drape.sample(x, y, np.full(len(x), 1.0))
+    assert (got[:, 3] == 1).all()
+    west, north = x < 505_900, y > 6_694_200
+    assert (got[west & north, 0] > 0.9).all() and got[(x > 506_100) | (y < 6_693_800), 0].max() == 0
 
 
-def test_world_images_in_degrees_wrap(shared_data, grid):
-    path = shared_data / "bluemarble-720x360" / "bl_mrbl_ng_jul2004_rgb_720x360.tif"
-    west = Grid((50, 50), Affine(2000, 0, -17600000, 0, -2000, 100000), CRS.from_epsg(3857))
-    drape = Drape.open(path, west)
-    with rasterio.open(path) as picture:
-        truth = picture.read()[:, 179, 43]
-    x, y = Transformer.from_crs(4326, 3857, always_xy=True).transform([-158.25], [0.25])
-    u, v = drape._find(np.array(x), np.array(y))
-    assert (u[0], v[0]) == pytest.approx((43, 179), abs=0.05)
-    got = drape.sample(np.array(x), np.array(y), np.zeros(1))
-    assert np.abs(linear_to_srgb(got[0, :3]) * 255 - truth).max() < 3 or got[0, 3] == 0
+def test_across_the_antimeridian(tmp_path: Path) -> None:
+    """A picture of the whole world whose red tells the distance from the antimeridian, the terrain being there."""
+    lon = np.arange(-179.5, 180)
+    picture = np.zeros((180, 360, 3), np.uint8)
+    picture[..., 0] = np.round(255 - np.minimum(180 - np.abs(lon), 30) * 8)
+    path = write(tmp_path / "a.tif", picture, Affine(1, 0, -180, 0, -1, 90), "EPSG:4326")
+    grid = Grid((200, 400), Affine(1000, 0, 500_000, 0, -1000, 8_200_000), CRS("EPSG:32760"))
+    x, y = places(grid)
+    got = Drape.open(path, grid).sample(x, y, np.full(len(x), 1.0))
+    lon, _ = Transformer.from_crs(grid.crs, 4326, always_xy=True).transform(x, y)
+    assert lon.min() < -179 and lon.max() > 179
+    far = np.clip(180 - np.abs(lon), 0.5, 30)
+    np.testing.assert_allclose(got[:, 0], srgb_to_linear((255 - far * 8) / 255), atol=0.01)
+    assert (got[:, 3] == 1).all()
 
 
-def test_an_image_of_elsewhere_is_refused(tmp_path, grid):
-    away = Affine(30, 0, 100000, 0, -30, 1000000)
-    path = write(tmp_path / "e.tif", noise(20, 20), crs=UTM, transform=away)
-    with pytest.raises(UsageError, match="do not meet"):
-        Drape.open(path, grid)
-    (tmp_path / "t.tif").write_text("no image")
-    with pytest.raises(ReadError):
-        Drape.open(tmp_path / "t.tif", grid)
+def test_what_cannot_be_draped(tmp_path: Path) -> None:
+    picture = np.full((100, 100, 3), 9, np.uint8)
+    with pytest.raises(ReadError, match="no such file"):
+        Drape.open(tmp_path / "none.tif", GRID)
+    with pytest.raises(ReadError, match=r"does not overlap.*500000 to 512000"):
+        Drape.open(write(tmp_path / "a.tif", picture, Affine(120, 0, 560_000, 0, -120, 6_700_000)), GRID)
+    with pytest.raises(UsageError, match=r"m\.tif.*celestial body.*same body"):
+        Drape.open(write(tmp_path / "m.tif", picture, Affine(1, 0, 10, 0, -1, 65), "IAU_2015:30100"), GRID)
+    with pytest.raises(ReadError, match="no valid pixel"):
+        Drape.open(write(tmp_path / "n.tif", picture, nodata=9), GRID)
+    with pytest.raises(ReadError, match="complex"):
+        Drape.open(write(tmp_path / "c.tif", picture[..., 0].astype(np.complex64)), GRID)
+    path = write(tmp_path / "t.tif", np.random.default_rng(0).integers(0, 255, (400, 400, 3), dtype=np.uint8))
+    path.write_bytes(path.read_bytes()[:60_000])
+    with pytest.raises(ReadError, match="cannot be read"):
+        Drape.open(path, GRID)
 
 
-def test_threads_and_blocks_do_not_matter(tmp_path, grid):
-    from orograph.parallel import map_ordered
-
-    path = write(tmp_path / "a.tif", noise(1000, 1500), crs=UTM, transform=Affine(6, 0, 478000, 0, -6, 3108140))
-    x, y = grid.xy(*np.random.default_rng(1).uniform(0, 199, (2, 4000)))
-    width = np.random.default_rng(2).uniform(1, 100, 4000)
-    whole = Drape.open(path, grid).sample(x, y, width)
-    drape = Drape.open(path, grid, max_bytes=8 << 20)
-    parts = map_ordered(
-        lambda k: drape.sample(x[k : k + 100], y[k : k + 100], width[k : k + 100]), range(0, 4000, 100), 4
-    )
-    np.testing.assert_array_equal(np.concatenate(list(parts)), whole)
+def test_threads_agree_and_nowhere_is_transparent(tmp_path: Path) -> None:
+    drape = Drape.open(write(tmp_path / "a.tif", board(100, 100), Affine(2e-3, 0, 15, 0, -1e-3, 60.43), 4326), GRID)
+    x, y = places(GRID, 40_000)
+    x[7], footprint = np.nan, np.full(len(x), 40.0)
+    alone = drape.sample(x, y, footprint)
+    assert (alone[7] == 0).all() and np.isfinite(alone).all()
+    with ThreadPoolExecutor(4) as pool:
+        for got in pool.map(lambda _: drape.sample(x, y, footprint), range(8)):
+            np.testing.assert_array_equal(got, alone)
+    assert drape.sample(x[:0], y[:0], footprint[:0]).shape == (0, 4)
