@@ -1,10 +1,11 @@
 """Water, found by what only water is: exactly level over a large connected area.
 
-Elevation models are given lakes and seas of one value. Plains of integer heights have level patches too, but small and
-ragged ones, as often above their surroundings as below: a level area is water if it is large, much of it lies well
-inside, and its surroundings are banks. Resampling and averaging keep constant
-areas exactly constant, so equality is the test. Heights are metres; sizes are in samples, for what cannot be seen cannot
-be told apart either.
+Elevation models are given lakes and seas of one value. Plains of whole metres have level patches too, but small and
+ragged ones, as often above their surroundings as below. So a level area is water if it is large, much of it lies well
+inside, and its surroundings are banks; and away from the sea, if its level is a whole number of metres (which is where
+plains are level), its banks must soon rise by more than the metre that rounding makes. Dry lake beds and salt pans that
+lie beneath steep slopes are still taken for lakes. Resampling and averaging keep constant areas exactly constant, so
+equality is the test. Heights are metres; sizes are in samples, for what cannot be seen cannot be told apart either.
 """
 
 from __future__ import annotations
@@ -23,9 +24,28 @@ LEAST_INSIDE = 0.4
 BANKS = 3.0
 """Ground around it must be higher this many times as often as lower: a plateau or a step of a plain is no lake."""
 
+RISE, REACH, RISING = 1.5, 400.0, 0.5
+"""Of the ground ``REACH`` metres around water that may be a plain, at least ``RISING`` is ``RISE`` metres higher."""
+
 
 @kernel
-def _flood(heights, level, inner, least, inside, banks, water):
+def _rises(heights, inner, area, reach):
+    """Part of the ground ``reach`` samples from the rim of ``area`` (flat indices) that is ``RISE`` metres above it."""
+    rows, cols = heights.shape
+    around = high = 0
+    for k in range(len(area)):
+        r, c = area[k] // cols, area[k] % cols
+        if inner[r, c]:
+            continue
+        for i in range(max(r - reach, 0), min(r + reach + 1, rows), reach):
+            for j in range(max(c - reach, 0), min(c + reach + 1, cols), reach):
+                around += heights[i, j] == heights[i, j] and heights[i, j] != heights[r, c]
+                high += heights[i, j] > heights[r, c] + RISE
+    return high / max(around, 1)
+
+
+@kernel
+def _flood(heights, level, inner, least, inside, banks, reach, water):
     """Mark in ``water`` the connected level areas that pass; ``level`` is used up."""
     rows, cols = heights.shape
     stack = np.empty(rows * cols, np.int64)
@@ -52,6 +72,10 @@ def _flood(heights, level, inner, least, inside, banks, water):
                         stack[size] = i * cols + j
                         size += 1
         if size >= least and deep >= inside * size and higher >= banks * lower:
+            height = heights[seed // cols, seed % cols]
+            plain = height != 0.0 and height == np.round(height)
+            if plain and _rises(heights, inner, stack[:size], reach) < RISING:
+                continue
             for k in range(size):
                 r, c = stack[k] // cols, stack[k] % cols
                 for i in range(max(r - 1, 0), min(r + 2, rows)):  # out to the shore, whose samples are level too
@@ -60,12 +84,18 @@ def _flood(heights, level, inner, least, inside, banks, water):
                             water[i, j] = True
 
 
-def find_water(heights: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Samples (rows, cols) of ``heights`` (float32 metres, NaN where missing) that are water."""
+def find_water(heights: NDArray[np.float32], spacing: float = 100.0) -> NDArray[np.bool_]:
+    """Samples that are water.
+
+    Args:
+        heights: (rows, cols) float32 metres, NaN where missing. spacing: metres between samples.
+    """
     level = _same(heights, np.isfinite(heights))
     water = np.zeros(heights.shape, bool)
     if level.any():
-        _flood(np.ascontiguousarray(heights), level, _same(heights, level), LEAST_SAMPLES, LEAST_INSIDE, BANKS, water)
+        reach = min(max(round(REACH / spacing) + 1, 4), 8)  # from the rim, one sample inside the shore
+        inner = _same(heights, level)
+        _flood(np.ascontiguousarray(heights), level, inner, LEAST_SAMPLES, LEAST_INSIDE, BANKS, reach, water)
     return water
 
 

@@ -73,7 +73,7 @@ class MapGrid:
             if scene.water == "auto":
                 from orograph.geovis.water import find_water
 
-                found = find_water(heights)
+                found = find_water(heights, math.sqrt(abs(terrain.grid.transform.determinant)) * self.scale)
             else:
                 found = heights <= np.float32(scene.water)
             if found.any():
