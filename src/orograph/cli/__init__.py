@@ -67,9 +67,8 @@ def main(argv: list[str] | None = None) -> None:
     """Run the command line; turns every expected error into one paragraph on stderr and its exit code."""
     args = sys.argv[1:] if argv is None else argv
     debug = "--debug" in args or bool(os.environ.get("OROGRAPH_DEBUG"))
-    args = [a for a in args if a != "--debug"]  # allowed anywhere on the line
-    if debug:
-        args = ["--debug", *args]
+    general = [a for a in args if a in ("--debug", "--quiet", "-q")]  # allowed anywhere on the line
+    args = [*general, *(a for a in args if a not in general)]
     _spare_imports(args)
     try:
         code = cli.main(args=args, prog_name="orograph", standalone_mode=False)
