@@ -27,7 +27,7 @@ def spread(points, view, exaggeration=1.0):
     return np.abs(pixels / [view.width / 2, view.height / 2] - 1)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     azimuth=st.floats(-360, 360),
     pitch=st.floats(-90, 90),
@@ -45,7 +45,7 @@ def test_fit_holds_every_point_and_fills_the_picture(azimuth, pitch, exaggeratio
     close = view.axes(exaggeration)[2]
     depths = (points - view.eye) * [1, 1, exaggeration] @ close
     # Full on one axis, unless the nearest point is at the lens already.
-    assert reach.max() >= 0.98 * MARGIN or depths.min() < 2e-3 * np.ptp(depths)
+    assert reach.max() >= 0.98 * MARGIN or depths.min() < 2e-3 * np.linalg.norm(np.ptp(points, axis=0) * [1, 1, exaggeration])
 
 
 @settings(max_examples=60, deadline=None)

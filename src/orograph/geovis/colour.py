@@ -43,7 +43,7 @@ def srgb_to_linear(colour: NDArray[Any]) -> Colours:
 
 
 def linear_to_srgb(colour: NDArray[Any]) -> Colours:
-    """Linear light → sRGB, clipped to [0, 1]."""
+    """Linear light → sRGB, both in [0, 1]; what lies outside is clipped."""
     x = np.clip(np.asarray(colour, np.float32), 0.0, 1.0)
     power = np.power(np.maximum(x, 0.0031308), np.float32(1 / 2.4))
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * power - 0.055).astype(np.float32)
@@ -65,7 +65,8 @@ def colour_table(name: str | None = None, n: int = 1024) -> Colours:
         lab = np.cbrt(srgb_to_linear(stops).astype(np.float64) @ _M1.T) @ _M2.T
         x = np.linspace(0, 1, n)
         smooth = np.stack([np.interp(x, at, lab[:, k]) for k in range(3)], 1)
-        return np.clip(((smooth @ np.linalg.inv(_M2).T) ** 3) @ np.linalg.inv(_M1).T, 0, 1).astype(np.float32)
+        linear: Colours = (((smooth @ np.linalg.inv(_M2).T) ** 3) @ np.linalg.inv(_M1).T).astype(np.float32)
+        return np.clip(linear, 0, 1)
     import cmap
 
     try:
@@ -106,17 +107,28 @@ class Tint:
         return self.floor, self.high, np.where((z < 0)[:, None], self.sea[sea.astype(int)], self.land[land.astype(int)])
 
 
+def _radius(terrain: Terrain) -> float | None:
+    """The planet's equatorial radius, metres; None where no CRS tells."""
+    crs = terrain.grid.crs
+    ellipsoid = None if crs is None else crs.ellipsoid
+    return None if ellipsoid is None else float(ellipsoid.semi_major_metre)
+
+
 def tint_of(terrain: Terrain, name: str | None = None, sea: bool | None = None) -> Tint:
     """The tint a terrain is drawn with.
 
-    The ends stand for all heights but the outer two hundredths, so that a spike or a pit does not wash out the rest; they
-    are taken on the coarsest level and never coincide.
+    The ends leave out the lowest and the highest half hundredth of the heights, so that a spike or a pit does not wash
+    out the rest; they are taken on the coarsest level and never coincide.
 
     Args:
-        name: see ``colour_table``.
+        name: see ``colour_table``; None: the default tint, or one for the planet.
         sea: whether ground below 0 m is the floor of a sea. None: it is, if at least a tenth of the ground lies deeper
-            than 2 m and some higher (a basin on land, like Death Valley, is less of its surroundings).
+            than 2 m and some higher (a basin on land, like Death Valley, is less of its surroundings), and the planet
+            is the Earth.
     """
+    radius = _radius(terrain)
+    if name is None and radius is not None and not 6.3e6 < radius < 6.4e6:
+        name, sea = "mars" if 3.3e6 < radius < 3.5e6 else "grey", False
     level = terrain.levels - 1
     rows, cols = terrain.shape(level)
     heights = terrain.read(level, 0, rows, 0, cols)

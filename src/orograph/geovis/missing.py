@@ -46,7 +46,7 @@ def _spread(missing, outside):
 
 @kernel
 def _relax(heights, holes, count):
-    """Gauss-Seidel steps of Laplace's equation on ``holes``; a neighbour beyond the raster or without height is left out."""
+    """Gauss-Seidel steps of Laplace's equation on ``holes``; neighbours without height are left out."""
     rows, cols = heights.shape
     for _ in range(count):
         for r in range(rows):
@@ -137,16 +137,18 @@ def patches(windows: tuple[Window, ...], shape: tuple[int, int]) -> list[Window]
             grown[tuple(a)] |= rim[tuple(b)]
             grown[tuple(b)] |= rim[tuple(a)]
             rim = grown
-        found.append(Window(w.level, w.col0, w.row0, np.where(rim, fill(w.heights, holes), np.float32(np.nan))))
-        if not holes.any():
-            found[-1] = Window(w.level, w.col0, w.row0, np.full(w.heights.shape, np.nan, np.float32))
+        patch = np.full(w.heights.shape, np.nan, np.float32)
+        if holes.any():
+            patch = np.where(rim, fill(w.heights, holes), patch)
+        found.append(Window(w.level, w.col0, w.row0, patch))
     return found if some else None
 
 
-def _from_around(around: _Known, w: Window, edge: tuple[object, object]) -> Flags:
+def _from_around(around: _Known, w: Window, edge: tuple[int | slice, int | slice]) -> Flags:
     """Whether the samples on an edge of ``w`` lie outside, looked up in the window around it."""
-    rows, cols = np.indices(w.heights.shape, sparse=True)
+    rows, cols = w.heights.shape
+    last_row, last_col = around.outside.shape[0] - 1, around.outside.shape[1] - 1
     k = 2 ** (around.window.level - w.level)
-    i = np.clip((np.broadcast_to(rows, w.heights.shape)[edge] + w.row0) // k - around.window.row0, 0, around.outside.shape[0] - 1)  # type: ignore[index]
-    j = np.clip((np.broadcast_to(cols, w.heights.shape)[edge] + w.col0) // k - around.window.col0, 0, around.outside.shape[1] - 1)  # type: ignore[index]
+    i = np.clip((np.arange(rows)[edge[0]] + w.row0) // k - around.window.row0, 0, last_row)
+    j = np.clip((np.arange(cols)[edge[1]] + w.col0) // k - around.window.col0, 0, last_col)
     return np.asarray(around.outside[i, j])

@@ -22,8 +22,11 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def _gradient(pool, base, rows, cols, u, v):
-    """d/du, d/dv of the raster at fractional position (u, v), and whether the ground there is exactly level."""
+def _gradient(pool, base, rows, cols, u, v, short_u, short_v):
+    """d/du, d/dv of the raster at fractional position (u, v), in blocks.
+
+    The terrain's last block covers fewer samples than the others: its middle is nearer by ``short_u``, ``short_v``.
+    """
     j0 = min(max(np.int64(np.floor(u)), 0), max(cols - 2, 0))
     i0 = min(max(np.int64(np.floor(v)), 0), max(rows - 2, 0))
     fu, fv = min(max(u - j0, 0.0), 1.0), min(max(v - i0, 0.0), 1.0)
@@ -35,22 +38,24 @@ def _gradient(pool, base, rows, cols, u, v):
             here = np.float64(pool[base + i * cols + j])
             if here != here or w == 0.0:
                 continue
+            last_u = short_u if j == cols - 1 else 0.0
+            last_v = short_v if i == rows - 1 else 0.0
             a, b, du = here, here, 0.0
             if j > 0 and pool[base + i * cols + j - 1] == pool[base + i * cols + j - 1]:
                 a = np.float64(pool[base + i * cols + j - 1])
-                du += 1.0
+                du += 1.0 - last_u
             if j + 1 < cols and pool[base + i * cols + j + 1] == pool[base + i * cols + j + 1]:
                 b = np.float64(pool[base + i * cols + j + 1])
-                du += 1.0
+                du += 1.0 - (short_u if j + 1 == cols - 1 else 0.0)
             c, d, dv = here, here, 0.0
             if i > 0 and pool[base + (i - 1) * cols + j] == pool[base + (i - 1) * cols + j]:
                 c = np.float64(pool[base + (i - 1) * cols + j])
-                dv += 1.0
+                dv += 1.0 - last_v
             if i + 1 < rows and pool[base + (i + 1) * cols + j] == pool[base + (i + 1) * cols + j]:
                 d = np.float64(pool[base + (i + 1) * cols + j])
-                dv += 1.0
-            gu += w * (b - a) / max(du, 1.0)
-            gv += w * (d - c) / max(dv, 1.0)
+                dv += 1.0 - (short_v if i + 1 == rows - 1 else 0.0)
+            gu += w * (b - a) / (du if du > 0.0 else 1.0)
+            gv += w * (d - c) / (dv if dv > 0.0 else 1.0)
             weight += w
     if weight > 0.0:
         return gu / weight, gv / weight
@@ -86,7 +91,9 @@ def _gradients(pool, ints, floats, points, footprint, out, first, last):
             s = floats[chosen, 0]
             u = (x + 0.5) / s - 0.5 - floats[chosen, 5]
             v = (y + 0.5) / s - 0.5 - floats[chosen, 6]
-            a, b = _gradient(pool, ints[chosen, 0], ints[chosen, 1], ints[chosen, 2], u, v)
+            a, b = _gradient(
+                pool, ints[chosen, 0], ints[chosen, 1], ints[chosen, 2], u, v, floats[chosen, 7], floats[chosen, 8]
+            )
             gx += share * a / s
             gy += share * b / s
         out[k, 0], out[k, 1] = gx, gy
@@ -97,8 +104,9 @@ class Relief:
     """Box means of the heights over nested windows; ``gradient`` looks them up.
 
     Attributes:
-        pool: float32, all windows, flat. ints (W, 4): offset, rows, cols, level. floats (W, 7): 2^level, then the west,
-            east, north and south limits of the window in sample coordinates, its first column and row.
+        pool: float32, all windows, flat. ints (W, 4): offset, rows, cols, level. floats (W, 9): 2^level, then the west,
+            east, north and south limits of the window in sample coordinates, its first column and row, and by how much
+            of a block the middles of its last column and row are nearer than a block's (at the terrain's border).
     """
 
     pool: NDArray[np.float32]
@@ -126,21 +134,19 @@ class Relief:
                 )
             )
         arrays = list(map_ordered(lambda r: terrain.read_mean(r.level, r.row0, r.row1, r.col0, r.col1), clipped, jobs))
-        ints, floats = np.zeros((len(clipped), 4), np.int64), np.zeros((len(clipped), 7))
+        ints, floats = np.zeros((len(clipped), 4), np.int64), np.zeros((len(clipped), 9))
         base = 0
         for k, (r, a) in enumerate(zip(clipped, arrays)):
             s = 2.0**r.level
             ints[k] = base, *a.shape, r.level
-            margin = s if k else -np.inf  # differences reach one sample out; the outermost takes whatever comes
-            floats[k] = (
-                s,
-                r.col0 * s + margin,
-                r.col1 * s - margin,
-                r.row0 * s + margin,
-                r.row1 * s - margin,
-                r.col0,
-                r.row0,
-            )
+            rows, cols = terrain.mean_shape(r.level)
+            # Differences reach one block out, unless the terrain ends there; the outermost takes whatever comes.
+            west, north = (f * s + s if f and k else -np.inf for f in (r.col0, r.row0))
+            east = r.col1 * s - s if r.col1 < cols and k else np.inf
+            south = r.row1 * s - s if r.row1 < rows and k else np.inf
+            short_u = (cols - terrain.grid.cols / s) / 2 if r.col1 == cols else 0.0
+            short_v = (rows - terrain.grid.rows / s) / 2 if r.row1 == rows else 0.0
+            floats[k] = s, west, east, north, south, r.col0, r.row0, short_u, short_v
             base += a.size
         pool = arrays[0].ravel() if len(arrays) == 1 else np.concatenate([a.ravel() for a in arrays])
         return cls(np.ascontiguousarray(pool), ints, floats)

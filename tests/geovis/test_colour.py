@@ -1,0 +1,126 @@
+"""Colours: the sRGB curve's published points, OKLab's, and the spans of tints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from affine import Affine
+from pyproj import CRS
+
+from orograph.errors import UsageError
+from orograph.geo.grid import Grid
+from orograph.geovis import colour
+from orograph.geovis.colour import TINTS, colour_table, linear_to_srgb, srgb_to_linear, tint_of
+from orograph.store import MemoryTerrain
+
+
+def terrain(heights, crs="EPSG:32611"):
+    heights = np.asarray(heights, np.float32)
+    grid = Grid(heights.shape, Affine(30, 0, 0, 0, -30, 0), None if crs is None else CRS.from_user_input(crs))
+    return MemoryTerrain(heights, grid, "made up")
+
+
+def test_the_srgb_curve():
+    """IEC 61966-2-1: 0.04045 ↔ 0.0031308, mid grey 0.5 → 0.21404, 18 % grey → 0.46136."""
+    np.testing.assert_allclose(srgb_to_linear(np.array([0, 0.04045, 0.5, 1])), [0, 0.0031308, 0.214041, 1], rtol=1e-4)
+    np.testing.assert_allclose(linear_to_srgb(np.array([0.18, 0.0031308])), [0.461356, 0.04045], rtol=1e-4)
+    x = np.linspace(0, 1, 1001)
+    np.testing.assert_allclose(linear_to_srgb(srgb_to_linear(x)), x, atol=2e-6)
+    np.testing.assert_allclose(linear_to_srgb(np.array([-1.0, 2.0])), [0, 1], atol=1e-6)
+
+
+def test_oklab_matrices_are_ottossons():
+    """His published pairs: XYZ (0.950, 1, 1.089), white, is L = 1, a = b = 0; and sRGB red."""
+
+    def lab(rgb):
+        return colour._M2 @ np.cbrt(colour._M1 @ rgb)
+
+    np.testing.assert_allclose(lab(np.ones(3)), [1, 0, 0], atol=1e-4)
+    np.testing.assert_allclose(lab(np.array([1.0, 0, 0])), [0.62796, 0.22486, 0.12585], atol=1e-4)
+    np.testing.assert_allclose(lab(np.array([0, 0, 1.0])), [0.45201, -0.03246, -0.31153], atol=1e-4)
+
+
+@pytest.mark.parametrize("name", sorted(TINTS))
+def test_tints_pass_through_their_stops(name):
+    table = linear_to_srgb(colour_table(name, 1001)) * 255
+    for at, code in TINTS[name]:
+        expected = [int(code[i : i + 2], 16) for i in (1, 3, 5)]
+        np.testing.assert_allclose(table[round(at * 1000)], expected, atol=1.0)
+    assert np.abs(np.diff(table, axis=0)).max() < 3  # no jumps
+
+
+def test_names_of_the_catalogue():
+    for name in ("viridis", "cmocean:topo", "matplotlib:gist_earth"):
+        table = colour_table(name, 256)
+        assert table.shape == (256, 3) and table.dtype == np.float32 and table.min() >= 0 and table.max() <= 1
+    first = np.round(linear_to_srgb(colour_table("viridis", 256)[0]) * 255)
+    np.testing.assert_allclose(first, [68, 1, 84], atol=1)  # matplotlib's viridis begins with #440154
+
+
+@pytest.mark.parametrize(("wrong", "meant"), [("virids", "viridis"), ("alpin", "alpine"), ("gist_eart", "gist_earth")])
+def test_unknown_names_are_answered_with_similar_ones(wrong, meant):
+    with pytest.raises(UsageError, match=f"no colour map '{wrong}'.*{meant}"):
+        colour_table(wrong)
+
+
+def test_a_name_like_nothing():
+    with pytest.raises(UsageError, match="Try alpine"):
+        colour_table("zzzzqqq")
+
+
+def test_spikes_do_not_wash_out_the_rest():
+    heights = np.linspace(200, 800, 10_000).reshape(100, 100)
+    heights[3, 3], heights[60, 60] = 9000, -500
+    tint = tint_of(terrain(heights))
+    assert tint.low == pytest.approx(203, abs=5) and tint.high == pytest.approx(797, abs=5) and not len(tint.sea)
+
+
+def test_flat_ground_has_a_span_too():
+    tint = tint_of(terrain(np.full((9, 9), 42.0)))
+    assert tint.low < 42 < tint.high
+    heights = np.full((9, 9), np.nan)
+    heights[4, 4] = 7
+    tint = tint_of(terrain(heights))
+    assert tint.low < 7 < tint.high
+
+
+def basin(part, depth=-80.0):
+    heights = np.linspace(10, 2000, 10_000)
+    heights[: int(part * 10_000)] = np.linspace(depth, -5, int(part * 10_000))
+    return heights.reshape(100, 100)
+
+
+def test_sea_floors_have_their_own_tint():
+    """Death Valley lies 86 m below the sea in a few hundredths of its surroundings; an ocean takes more of a map."""
+    assert not len(tint_of(terrain(basin(0.05))).sea)
+    tint = tint_of(terrain(basin(0.5, -4000)))
+    assert len(tint.sea) and tint.low == 0 and tint.floor == pytest.approx(-3960, abs=20)
+    assert len(tint_of(terrain(basin(0.05)), sea=True).sea)
+    assert not len(tint_of(terrain(basin(0.5)), sea=False).sea)
+    assert not len(tint_of(terrain(basin(0.5)), "viridis").sea)
+    assert not len(tint_of(terrain(basin(0.5) - 4000)).sea)  # all of it below: who knows of what
+
+
+def test_other_planets_have_no_sea():
+    mars = tint_of(terrain(basin(0.5, -4000), "+proj=eqc +R=3396190 +units=m"))
+    assert not len(mars.sea)
+    np.testing.assert_array_equal(mars.land, colour_table("mars"))
+    moon = tint_of(terrain(basin(0.5, -4000), "+proj=eqc +R=1737400 +units=m"))
+    np.testing.assert_array_equal(moon.land, colour_table("grey"))
+    np.testing.assert_array_equal(tint_of(terrain(basin(0), None)).land, colour_table("alpine"))
+
+
+def test_the_legend_shows_both_tables():
+    tint = tint_of(terrain(basin(0.5, -4000)))
+    low, high, table = tint.scale(1001)
+    assert (low, high) == (tint.floor, tint.high)
+    z = np.linspace(low, high, 1001)
+    shore = np.searchsorted(z, 0.0)
+    np.testing.assert_array_equal(table[0], tint.sea[0])
+    np.testing.assert_allclose(table[shore - 1], tint.sea[-1], atol=0.02)
+    np.testing.assert_array_equal(table[shore], tint.land[0])
+    np.testing.assert_allclose(table[-1], tint.land[-1], atol=0.01)
+    plain = tint_of(terrain(basin(0)))
+    low, high, table = plain.scale()
+    assert (low, high) == (plain.low, plain.high)
+    np.testing.assert_array_equal(table, plain.land)
