@@ -1,7 +1,7 @@
-"""Horizon sweeps: samples times azimuths per second, on one thread and on two, and beside topocalc where it is installed.
+"""Horizon sweeps: samples times azimuths per second, on one thread and two, and beside topocalc where it is installed.
 
-Run: ``python bench/horizon.py [DEM] [--size 2048]``. Without a DEM the terrain is a fractal. Rates on one thread are per
-second of processor time (other work on the machine does not count), on more threads per second of the clock.
+Run: ``python bench/horizon.py [DEM] [--size 2048]``. Without a DEM the terrain is a fractal. Rates on one thread are
+per second of processor time (other work on the machine does not count), on more threads per second of the clock.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from a push-pull pyramid (Gortler et al. 1996, *The lumigraph*, §3.4) and relax
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,11 +145,12 @@ def patches(windows: tuple[Window, ...], shape: tuple[int, int]) -> list[Window]
     return found if some else None
 
 
-def _from_around(around: _Known, w: Window, edge: tuple[int | slice, int | slice]) -> Flags:
+def _from_around(around: _Known, w: Window, edge: Any) -> Flags:
     """Whether the samples on an edge of ``w`` lie outside, looked up in the window around it."""
-    rows, cols = w.heights.shape
-    last_row, last_col = around.outside.shape[0] - 1, around.outside.shape[1] - 1
+    shape, coarse = w.heights.shape, around.outside.shape
+    rows = np.broadcast_to(np.arange(shape[0])[:, None], shape)[edge] + w.row0
+    cols = np.broadcast_to(np.arange(shape[1])[None, :], shape)[edge] + w.col0
     k = 2 ** (around.window.level - w.level)
-    i = np.clip((np.arange(rows)[edge[0]] + w.row0) // k - around.window.row0, 0, last_row)
-    j = np.clip((np.arange(cols)[edge[1]] + w.col0) // k - around.window.col0, 0, last_col)
+    i = np.clip(rows // k - around.window.row0, 0, coarse[0] - 1)
+    j = np.clip(cols // k - around.window.col0, 0, coarse[1] - 1)
     return np.asarray(around.outside[i, j])

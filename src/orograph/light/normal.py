@@ -1,8 +1,8 @@
 """The inclination of every sample: gradients by central differences over cells of any affine shape, and unit normals.
 
 A sample's two differences (along its row and its column) are taken between its neighbours, or one-sided where one of
-them is missing or beyond the border, and turned into metres per metre east and north by the inverse of the cells' linear
-map, so that rectangular, rotated and south-up rasters are right alike. Second order inside, exact on planes.
+them is missing or beyond the border, and turned into metres per metre east and north by the inverse of the cells'
+linear map, so that rectangular, rotated and south-up rasters are right alike. Second order inside, exact on planes.
 """
 
 from __future__ import annotations

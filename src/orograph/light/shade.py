@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 ZENITH_DEPTH = np.array([0.085, 0.145, 0.275])
-"""Optical depth of a clear atmosphere straight up, red, green and blue: Rayleigh and thin haze (Bird & Hulstrom 1981)."""
+"""Optical depth of a clear atmosphere straight up, per colour: Rayleigh and thin haze (Bird & Hulstrom 1981)."""
 
 
 def disc_fraction(horizon: ArrayLike, altitude: float, diameter: float) -> Array:
@@ -36,7 +36,7 @@ def disc_fraction(horizon: ArrayLike, altitude: float, diameter: float) -> Array
 def air_mass(altitude: float) -> float:
     """Air a sunbeam crosses, relative to the zenith (Kasten & Young 1989); below the horizon that of the horizon."""
     h = max(altitude, 0.0)
-    return 1.0 / (math.sin(math.radians(h)) + 0.50572 * (h + 6.07995) ** -1.6364)
+    return 1.0 / (math.sin(math.radians(h)) + 0.50572 * math.pow(h + 6.07995, -1.6364))
 
 
 def sun_colour(altitude: float) -> Array:
@@ -58,4 +58,4 @@ def shoulder(colour: NDArray[np.float32], start: float = 0.82) -> NDArray[np.flo
     """Bend what is brighter than ``start`` smoothly towards 1, so that sunlit snow keeps its relief; linear below."""
     room = np.float32(1.0 - start)
     over = np.maximum(colour - np.float32(start), 0)
-    return np.minimum(colour, np.float32(start)) + room * (1 - np.exp(-over / room))
+    return np.asarray(np.minimum(colour, np.float32(start)) + room * (1 - np.exp(-over / room)), np.float32)
