@@ -180,10 +180,25 @@ def test_sound_dems_raise_no_suspicion(shared_data: Path, name: str) -> None:
         ("nasty-gdal/sstgeo.tif", "longitudes or latitudes"),
         ("nasty-gdal/rotated_pole.nc", "'Celsius'"),
         ("spdatalarge-zion-nz-ecuador/zion_nlcd2011.tif", "colour table"),
+        ("egm96-grid/egm96_15.gtx", "geoid grid"),
     ],
 )
 def test_real_files_that_deserve_a_warning(shared_data: Path, name: str, says: str) -> None:
     assert any(says in w for w in info(shared_data / name)["warnings"])
+
+
+def test_geoids_and_plains_are_not_in_kilometres(shared_data: Path, tmp_path: Path) -> None:
+    for path in (
+        shared_data / "egm96-grid" / "egm96_15.gtx",
+        shared_data / "swiss-alps-geoids" / "us_nga_egm2008_1_clipAlps.tif",
+        write(tmp_path / "plain.tif", hills(low=310, high=318), transform=Affine(1000, 0, 5e5, 0, -1000, 4e6)),
+        write(tmp_path / "ground.tif", hills(low=-30, high=30), transform=Affine(50000, 0, 0, 0, -50000, 0), crs=None),
+    ):
+        assert not any("kilometres" in w for w in info(path)["warnings"]), path
+    described = write(tmp_path / "a.tif", hills(low=-30, high=30))
+    with rasterio.open(described, "r+") as dataset:
+        dataset.set_band_description(1, "geoid_undulation")
+    assert any("geoid grid" in w for w in info(described)["warnings"])
 
 
 def test_very_large_rasters_are_sampled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

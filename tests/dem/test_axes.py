@@ -55,8 +55,10 @@ def places(path: Path) -> dict[float, tuple[float, float]]:
 @pytest.mark.parametrize("code", PLACES)
 @pytest.mark.parametrize(
     "a,b,d,e",
-    [(25, 0, 0, -25), (-25, 0, 0, 25), (25, 0, 0, 25), (-25, 0, 0, -25), (0, 25, 25, 0), (0, -25, 25, 0)]
-    + [(20, 15, 15, -20)],
+    [
+        (25, 0, 0, -25), (-25, 0, 0, 25), (25, 0, 0, 25), (-25, 0, 0, -25), (0, 25, 25, 0), (0, -25, 25, 0),
+        (20, 15, 15, -20),
+    ],
 )  # fmt: skip
 def test_samples_are_kept_where_gdal_has_them(tmp_path: Path, code: int, a: int, b: int, d: int, e: int) -> None:
     x, y = PLACES[code]

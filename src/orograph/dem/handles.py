@@ -156,6 +156,9 @@ def _member(file: Path) -> str:
     )
 
 
+_OPENING = threading.Lock()  # catch_warnings is not safe in threads: it may leave another's filters behind
+
+
 def open_dataset(location: str) -> Any:
     """A rasterio dataset open for reading.
 
@@ -166,7 +169,7 @@ def open_dataset(location: str) -> Any:
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
     try:
-        with warnings.catch_warnings():
+        with _OPENING, warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(location)
     except (RasterioError, OSError, ValueError) as error:

@@ -20,6 +20,8 @@ from orograph.geo.grid import Grid
 
 _USUAL_NODATA = (-32768, -32767, -9999, -99999, -999, -9998, -10000, 32767, 65535, 9999, 99999, -2147483648, 4294967295)
 _HIGHEST, _DEEPEST = 8850.0, -11000.0  # Everest (8849 m, 2020) and Challenger Deep (10 935 m), of Earth's solid surface
+_FLOOR_KM, _TOP_KM = -12.0, 25.0  # of solid surfaces, kilometres: Earth's trenches, Olympus Mons
+_GEOID_FORMATS = frozenset({"GTX", "BYN", "NGSGEOID"})
 _NOT_HEIGHTS = frozenset(
     {"slope", "aspect", "hillshade", "shade", "curvature", "skyview", "roughness", "landcover", "landform", "landforms"}
     | {"nlcd", "temperature", "theta", "latitude", "longitude", "lat", "lon", "red", "green", "blue", "intensity"}
@@ -137,6 +139,8 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
             f"Its heights ({low:,.0f} to {high:,.0f} m) look like radii, distances from the centre of the body (radius "
             f"{radius:,.0f} m), not heights above its surface."
         ]
+    if source.driver in _GEOID_FORMATS or {"geoid", "undulation"} & set(_words(source.description)):
+        return ["It is a geoid grid: heights of a geoid above the ellipsoid (for --geoid), not of the ground."]
     said: list[str] = []
     word = next((w for w in _words(source.name) if w in _UNIT_WORDS), None)
     if word is not None and source.unit_factor == 1 and not source.unit:
@@ -161,7 +165,7 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
             "landscape: the spacing or the unit of the heights is not what it says"
             + ("." if source.georeferenced else " (give --spacing METRES).")
         )
-    elif 0 < high - low < 1e-4 * extent and extent > 1000:
+    elif 0 < high - low < 1e-4 * extent and extent > 1000 and _FLOOR_KM < low and high < _TOP_KM:
         said.append(
             f"Its heights span only {high - low:.3g} m over {extent / 1000:,.3g} km: are they in kilometres or degrees?"
         )
