@@ -2,8 +2,8 @@
 
 Triangles are intersected as Möller & Trumbore (1997) do it; the diagonals come from the definition of the surface (they
 join (even, even) and (odd, odd) corners), not from the caster. At exact ties (a ray along an edge, through a vertex, in
-the plane of a facet) whether a triangle is hit is a matter of rounding, so a hit is *sure* only where the ray changes its
-side of the surface with room to spare.
+the plane of a facet) whether a triangle is hit is a matter of rounding, so a hit is *sure* only where the ray changes
+its side of the surface with room to spare.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def check(
 ) -> NDArray[np.bool_]:
     """Assert that ``t`` (n,) are the first hits; returns which rays meet the surface without any tie.
 
-    A hit lies on the surface; nothing that is surely hit was passed; where something is surely hit, something was found.
+    A hit lies on the surface; nothing that is surely hit was passed, and where something is, something was found.
     """
     tri = triangles(heights)
     scale = 1.0 + np.nanmax(np.abs(np.where(np.isfinite(heights), heights, 0)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from affine import Affine
@@ -48,7 +50,7 @@ def view_of(name: str, terrain: MemoryTerrain, **more: object) -> View:
 def test_the_tolerance_is_kept(terrain: MemoryTerrain, name: str, tolerance: float, exaggeration: float) -> None:
     view = view_of(name, terrain)
     found = rectangles(terrain, view, exaggeration, tolerance)
-    for outer, inner in zip(found[:-1], found[1:], strict=True):
+    for outer, inner in pairwise(found):
         assert inner.level < outer.level
         scale = 2 ** (outer.level - inner.level)
         assert inner.row0 >= outer.row0 * scale and inner.col0 >= outer.col0 * scale

@@ -104,7 +104,7 @@ def cast_rays(scene, ints, floats, low, high, origins, directions, t0, t1, out, 
 
 @leaf
 def ground_below(scene, ints, floats, x0, x1, y0, y1):
-    """(An upper bound of the stack's surface over a rectangle, −inf beside it; the scale of the finest window there)."""
+    """(Upper bound of the surface over a rectangle, −inf beside it; scale of the finest window there)."""
     _, maxima, _, mips = scene
     ground, scale = -INF, 0.0
     for w in range(ints.shape[0] - 1, -1, -1):
@@ -128,8 +128,8 @@ def ground_below(scene, ints, floats, x0, x1, y0, y1):
 def advance(scene, ints, floats, high, o, xa, xb, ya, yb, slope, s, end, step):
     """Push the front of a beam outward from ``s``.
 
-    The beam holds the rays o + s·(x, y, z) with x in [xa, xb], y in [ya, yb], z ≥ ``slope``, s ≤ ``end``; they are known
-    to be above the ground up to ``s``.
+    The beam holds the rays o + s·(x, y, z) with x in [xa, xb], y in [ya, yb], z ≥ ``slope``, s ≤ ``end``; they are
+    known to be above the ground up to ``s``.
 
     Returns:
         (s, step, ground): rays are above the ground up to the new s; in the ``step`` beyond it the ground may reach

@@ -88,10 +88,11 @@ def steepest(
                     slope = max_slope(
                         slope, plane_height(a, b, c, d, u0, v0, even, g0 > 0.0 or (g0 == 0.0 and g1 > 0.0)) - oz, s
                     )
-                if g0 * g1 < 0.0:
+                if g0 * g1 < 0.0:  # at the diagonal, on either triangle: the other may be missing
                     f = g0 / (g0 - g1)
-                    u, v = u0 + f * (u1 - u0), v0 + f * (v1 - v0)
-                    slope = max_slope(slope, plane_height(a, b, c, d, u, v, even, g0 > 0.0) - oz, s + f * (se - s))
+                    u, v, at = u0 + f * (u1 - u0), v0 + f * (v1 - v0), s + f * (se - s)
+                    slope = max_slope(slope, plane_height(a, b, c, d, u, v, even, True) - oz, at)
+                    slope = max_slope(slope, plane_height(a, b, c, d, u, v, even, False) - oz, at)
                 slope = max_slope(
                     slope, plane_height(a, b, c, d, u1, v1, even, g1 > 0.0 or (g1 == 0.0 and g0 > 0.0)) - oz, se
                 )

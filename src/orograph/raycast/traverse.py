@@ -237,7 +237,7 @@ def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, f
         out, which: t and the window's number; NaN and −1; or where the ray got to and a side: a ray that begins
             beside the window, enters the finer one or leaves for the coarser one.
     """
-    pool, maxima, minima, mips = scene
+    pool, maxima, _, mips = scene
     number, base, stride, nc, nr, m0 = window
     offset, per_row = mips[0, m0 + MARCH_LEVEL], mips[2, m0 + MARCH_LEVEL]
     size = 1 << MARCH_LEVEL
