@@ -11,8 +11,14 @@ from orograph.cli.options import progress_of
 
 
 @click.command("demo")
-@click.option("--output", "-o", type=click.Path(file_okay=False, path_type=Path), default="orograph-demo", show_default=True,
-              help="Folder for the sample and its picture; made if it is not there.")
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(file_okay=False, path_type=Path),
+    default="orograph-demo",
+    show_default=True,
+    help="Folder for the sample and its picture; made if it is not there.",
+)
 @click.pass_context
 def command(ctx: click.Context, /, output: Path) -> None:
     """Draw the built-in sample (Jacksboro fault, Tennessee), say how long each step took and what to try next.
@@ -61,7 +67,7 @@ def command(ctx: click.Context, /, output: Path) -> None:
         "Try next:\n"
         f"  orograph info {dem}\n"
         f"  orograph render {dem} -o map.png --projection plan --furniture\n"
-        f"  orograph render {dem} -o dusk.png --from 225 --pitch 15 --sun 280,8 --sky --exaggeration 1.5\n"
+        f"  orograph render {dem} -o dusk.png --from 140 --pitch 18 --distance 14000 --sun 270,20 --sky --exaggeration 1.5\n"
         f"  orograph build {dem} -o jacksboro.oro\n"
         "and the same with your own DEM in its place."
     )
