@@ -20,7 +20,7 @@ def test_a_tile_to_ellipsoidal_heights_is_what_proj_says(shared_data: Path) -> N
     dem = read(shared_data / "n44w072-hgt" / "N44W072.hgt")
     path = shared_data / "egm96-grid" / "egm96_15.gtx"
     converted = to_ellipsoidal(dem, path)
-    assert converted.vertical == "ellipsoidal height" and converted.grid == dem.grid
+    assert converted.vertical == "ellipsoidal height (WGS 84)" and converted.grid == dem.grid
     proj = Transformer.from_pipeline(
         "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
         f"+step +proj=vgridshift +grids={path} +multiplier=1 +step +proj=unitconvert +xy_in=rad +xy_out=deg"

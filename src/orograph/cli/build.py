@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.options import jobs_option, memory_option, progress_of, source_options
+from orograph.cli.options import jobs_option, memory_option, progress_of, source_options, vertical_options
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     help="How samples are found where they have to be brought to another grid.",
 )
 @source_options
+@vertical_options
 @memory_option
 @jobs_option
 @click.option(
@@ -62,6 +63,7 @@ def command(
       orograph build dem.tif -o area.oro
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
+      orograph build N44W072.hgt -o area.oro --to-vertical ellipsoidal --geoid egm96_15.gtx
     """
     from orograph.store.build import as_source, build
 

@@ -1,8 +1,9 @@
 """Options that several verbs share, each declared once.
 
 ``@source_options`` gives a verb the options of ``orograph.dem.Source.open`` as keyword arguments ``band``, ``nodata``,
-``spacing``, ``assume_crs``, ``encoding`` and ``vertical_unit``; ``@memory_option`` gives ``max_memory`` (bytes, int),
-``@jobs_option`` ``jobs`` (int or None: all processors).
+``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``; ``@vertical_options`` gives
+``to_vertical`` and ``geoid``, ``@memory_option`` ``max_memory`` (bytes, int), ``@jobs_option`` ``jobs`` (int or None:
+all processors).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 DEFAULT_MEMORY = "1GiB"
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
+_VERTICALS = ("ellipsoidal", "orthometric")  # orograph.dem.undulation.DIRECTIONS
 _ENCODINGS = ("mapbox", "terrarium")  # orograph.dem.encode.ENCODINGS, without importing NumPy for --help
 
 
@@ -97,7 +99,31 @@ def source_options(function: F) -> F:
                 metavar="UNIT",
                 help="The unit of the heights (m, ft, us-ft, cm…), instead of the one the file declares.",
             ),
+            click.option(
+                "--assume-vertical",
+                metavar="DATUM",
+                help="The vertical datum of files that name none: EGM96, EGM2008, ellipsoidal, EPSG:5703…",
+            ),
         ]
+    ):
+        function = option(function)
+    return function
+
+
+def vertical_options(function: F) -> F:
+    """Give a verb the options that convert heights to another vertical datum, on request only."""
+    for option in (
+        click.option(
+            "--geoid",
+            metavar="GRID",
+            help="The geoid grid to convert heights with (egm96_15.gtx, us_nga_egm08_25.tif… from cdn.proj.org).",
+        ),
+        click.option(
+            "--to-vertical",
+            type=click.Choice(_VERTICALS),
+            help="Convert heights above the geoid to heights above the ellipsoid, or back; needs --geoid.  "
+            "[default: heights stay as they are]",
+        ),
     ):
         function = option(function)
     return function

@@ -2,7 +2,7 @@
 
 Map projections are smooth, so the exact transformation (pyproj) is evaluated on a sparse mesh of target samples, every
 ``step``-th one counted from the target's *first* sample, and interpolated bilinearly between. The step is the largest
-power of two for which the interpolation stays within ``TOLERANCE`` source samples on probes over the whole grid. Cells
+power of two for which the interpolation stays within a tolerance (source samples) on probes over the whole grid. Cells
 of the mesh that bend more than that (around a pole, across the antimeridian, at the rim of a projection) are found by
 the second differences of the mesh and evaluated sample by sample. Mesh, step and decision depend on the two grids
 alone, never on the window asked for: coordinates are the same to the bit however a raster is cut into windows. Units:
@@ -73,8 +73,8 @@ class Mesh:
 class Coordinates:
     """The map from target samples to fractional (col, row) samples of a source grid."""
 
-    def __init__(self, target: Grid, source: Grid) -> None:
-        self.target, self.source = target, source
+    def __init__(self, target: Grid, source: Grid, tolerance: float = TOLERANCE) -> None:
+        self.target, self.source, self.tolerance = target, source, tolerance
         same = target.crs is None or source.crs is None or target.crs == source.crs
         self._transformer = None if same else Transformer.from_crs(target.crs, source.crs, always_xy=True)
         self._turn = full_turn(source) if not same and source.crs is not None and source.crs.is_geographic else 0.0
@@ -104,7 +104,7 @@ class Coordinates:
         u, v = self.exact(cols, rows)
         patches = []
         if self._transformer is not None:
-            for j, i in np.argwhere(_bend(u, v) > TOLERANCE / 2):
+            for j, i in np.argwhere(_bend(u, v) > self.tolerance / 2):
                 r0, c0 = (top + 1 + int(j)) * s, (left + 1 + int(i)) * s
                 a, b, c, d = max(r0, row0), min(r0 + s, row1), max(c0, col0), min(c0 + s, col1)
                 cols, rows = np.meshgrid(np.arange(c, d, dtype=float), np.arange(a, b, dtype=float))
@@ -124,7 +124,7 @@ class Coordinates:
                 for dr, dc in ((0, 0), (0, 1), (1, 0), (1, 1), (0.5, 0.5))
             ]
             error = np.abs((cells[0] + cells[1] + cells[2] + cells[3]) / 4 - cells[4]).max(axis=0)
-            if np.mean(error <= TOLERANCE / 16) >= 0.9:
+            if np.mean(error <= self.tolerance / 16) >= 0.9:
                 return s
         return 1
 

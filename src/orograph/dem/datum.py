@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from orograph.dem.header import ELLIPSOIDAL
+from orograph.dem.projection import geodetic_base
 from orograph.dem.raster import Dem
 from orograph.errors import ReadError, UsageError
-from orograph.geo.vertical import Geoid
+from orograph.geo.vertical import ELLIPSOIDAL, Geoid, known_datum
 
 _ROWS = 256  # converted at once
 
@@ -32,14 +32,15 @@ def to_ellipsoidal(dem: Dem, geoid: Geoid | str | os.PathLike[str]) -> Dem:
         ReadError: the grid is missing or does not cover the DEM, or the DEM has no CRS.
     """
     grid = geoid if isinstance(geoid, Geoid) else Geoid.open(geoid)
-    if dem.vertical == ELLIPSOIDAL:
+    found = None if dem.vertical is None else known_datum(dem.vertical)
+    if found == ELLIPSOIDAL:
         raise UsageError(f"The heights of {dem.name} are ellipsoidal already.")
-    if dem.vertical not in (None, grid.datum):
+    if found not in (None, grid.datum):
         raise UsageError(
             f"The heights of {dem.name} are {dem.vertical!r}, but the geoid grid {grid.path} is of {grid.datum!r}.",
             remedy="Name the grid of that datum.",
         )
-    return _converted(dem, grid, 1.0, ELLIPSOIDAL)
+    return _converted(dem, grid, 1.0, grid.ellipsoidal_datum)
 
 
 def to_orthometric(dem: Dem, geoid: Geoid | str | os.PathLike[str]) -> Dem:
@@ -50,7 +51,7 @@ def to_orthometric(dem: Dem, geoid: Geoid | str | os.PathLike[str]) -> Dem:
         ReadError: as ``to_ellipsoidal``.
     """
     grid = geoid if isinstance(geoid, Geoid) else Geoid.open(geoid)
-    if dem.vertical not in (None, ELLIPSOIDAL):
+    if dem.vertical is not None and known_datum(dem.vertical) != ELLIPSOIDAL:
         raise UsageError(f"The heights of {dem.name} are {dem.vertical!r}, not above the ellipsoid.")
     return _converted(dem, grid, -1.0, grid.datum)
 
@@ -61,7 +62,7 @@ def _converted(dem: Dem, geoid: Geoid, sign: float, vertical: str) -> Dem:
         raise ReadError(
             f"{dem.name} has no CRS, so its longitudes and latitudes are unknown.", remedy="Give it one: assume_crs."
         )
-    there = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True, allow_ballpark=False)
+    there = Transformer.from_crs(crs, geodetic_base(crs), always_xy=True, allow_ballpark=False)
     heights: NDArray[np.float32] = np.empty_like(dem.heights)
     cols = np.arange(dem.grid.cols)
     for row in range(0, dem.grid.rows, _ROWS):

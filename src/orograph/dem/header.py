@@ -26,8 +26,7 @@ from orograph.dem.axes import east_north
 from orograph.dem.units import METRES, metres_per
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
-
-ELLIPSOIDAL = "ellipsoidal height"
+from orograph.geo.vertical import ELLIPSOIDAL, KNOWN_DATUMS, known_datum
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +172,27 @@ def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
     if dataset.driver == "DTED":  # MIL-PRF-89020B, DSI record: MSL (mean sea level) or E96 (EGM96)
         return {"MSL": "mean sea level", "E96": "EGM96 height"}.get(dataset.tags().get("DTED_VerticalDatum", ""))
     return None
+
+
+def assumed_vertical(text: str) -> str:
+    """The name of a vertical datum that a user states: a known geoid, the ellipsoid, or a vertical CRS of PROJ's.
+
+    Raises:
+        UsageError: there is none of that name.
+    """
+    name = known_datum(text.strip())
+    if name in KNOWN_DATUMS:
+        return name
+    try:
+        crs = CRS.from_user_input(text)
+        if crs.is_vertical and not crs.is_compound:
+            return str(crs.name)
+    except CRSError:
+        pass
+    raise UsageError(
+        f"{text!r} is not a vertical datum that is known here.",
+        remedy="Give EGM96, EGM2008, ellipsoidal, or a vertical CRS such as EPSG:5703 (NAVD88 height).",
+    )
 
 
 def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warnings: list[str]) -> float:

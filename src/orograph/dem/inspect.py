@@ -165,7 +165,7 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
             "landscape: the spacing or the unit of the heights is not what it says"
             + ("." if source.georeferenced else " (give --spacing METRES).")
         )
-    elif 0 < high - low < 1e-4 * extent and extent > 1000 and _FLOOR_KM < low and high < _TOP_KM:
+    elif 0 < high - low < 1e-4 * extent and extent > 1000 and low > _FLOOR_KM and high < _TOP_KM:
         said.append(
             f"Its heights span only {high - low:.3g} m over {extent / 1000:,.3g} km: are they in kilometres or degrees?"
         )

@@ -29,8 +29,10 @@ from orograph.dem.lattice import Lattice, Raster, full_turn, group, offset_betwe
 from orograph.dem.projection import horizontal, in_metres, unwrapped
 from orograph.dem.resample import METHODS, box_means, sample
 from orograph.dem.target import choose, ground_spacing, parse_crs
+from orograph.dem.undulation import Direction, Undulation, check_datums, check_request
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
+from orograph.geo.vertical import Geoid
 from orograph.progress import SILENT, Progress
 
 COARSER = 1.5  # from this ratio of spacings on, sources are averaged before they are sampled
@@ -66,6 +68,7 @@ class Mosaic:
         projection: why the grid has its CRS ("UTM zone 11N", "as the source").
         lossless: whether every sample is a source's own, none interpolated.
         resampling: "nearest", "bilinear" or "cubic".
+        undulation: the conversion of heights that was asked for, or None.
         dtypes: the stored types of the sources, e.g. ("int16",).
     """
 
@@ -76,12 +79,15 @@ class Mosaic:
         crs: str | CRS | None = None,
         resolution: float | None = None,
         resampling: str = "bilinear",
+        to_vertical: Direction | None = None,
+        geoid: Geoid | str | os.PathLike[str] | None = None,
         options: dict[str, Any] | None = None,
     ) -> None:
         if resampling not in METHODS:
             raise UsageError(f"The resampling must be one of {', '.join(METHODS)}, not {resampling!r}.")
         if not sources:
             raise UsageError("There is no file to read.")
+        check_request(to_vertical, geoid)
         wanted = None if crs is None else parse_crs(crs)
         self.sources: tuple[Raster, ...] = tuple(sources)
         self.resampling = resampling
@@ -108,9 +114,16 @@ class Mosaic:
         self.height_source = [Path(getattr(s, "path", s.name)).name for s in self.sources]
         self.dtypes = tuple(sorted({str(getattr(s, "dtype", "float32")) for s in self.sources}))
         self.vertical = self._one_datum()
+        self.undulation: Undulation | None = None
+        if to_vertical is not None and geoid is not None:
+            grid = geoid if isinstance(geoid, Geoid) else Geoid.open(geoid)
+            check_datums(self.sources, to_vertical, grid)
+            self.undulation = Undulation(grid, to_vertical, self.grid, lattices)
+            self.vertical = self.undulation.vertical
         self._options = {
             "crs": None if wanted is None else wanted.to_wkt(),
             "resolution": resolution,
+            "to_vertical": to_vertical,
             **(options or {}),
         }
         self._gather_warnings()
@@ -123,6 +136,8 @@ class Mosaic:
         crs: str | CRS | None = None,
         resolution: float | None = None,
         resampling: str = "bilinear",
+        to_vertical: Direction | None = None,
+        geoid: Geoid | str | os.PathLike[str] | None = None,
         progress: Progress = SILENT,
         **options: Any,
     ) -> Mosaic:
@@ -133,11 +148,14 @@ class Mosaic:
             crs: projected CRS of the terrain; one in feet is used with metre axes.
             resolution: metres between samples of the terrain.
             resampling: "nearest", "bilinear" or "cubic"; has no effect where samples are kept.
+            to_vertical: "ellipsoidal" or "orthometric": convert heights to those above the ellipsoid, or the geoid.
+            geoid: the geoid grid, or its file, by which to convert.
             options: those of ``Source.open``.
 
         Raises:
-            ReadError: a file cannot be read or placed, or the area cannot be shown flat.
-            UsageError: options that cannot be understood.
+            ReadError: a file cannot be read or placed, the area cannot be shown flat, or the geoid grid is missing or
+                does not cover it.
+            UsageError: options that cannot be understood, or heights of another datum than a conversion starts from.
         """
         from orograph.dem.source import Source
 
@@ -147,7 +165,15 @@ class Mosaic:
             for path in names:
                 sources.append(Source.open(path, **options))
                 task.advance()
-        return cls(sources, crs=crs, resolution=resolution, resampling=resampling, options=options)
+        return cls(
+            sources,
+            crs=crs,
+            resolution=resolution,
+            resampling=resampling,
+            to_vertical=to_vertical,
+            geoid=geoid,
+            options=options,
+        )
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
         """Heights of a half-open window inside the grid: (row1-row0, col1-col0) float32 metres, NaN where missing.
@@ -169,14 +195,18 @@ class Mosaic:
                 part = out[a - row0 : b - row0, c - col0 : d - col0]
                 if i == 0 or np.isnan(part).any():
                     self._fill(layer, a, b, c, d, part)
+        if self.undulation is not None:
+            self.undulation.apply(row0, col0, out)
         return out
 
     def fingerprint(self) -> str:
         """A hash of the files (absolute path, size, time of change) and all options: if equal, so are the samples."""
         said: list[str] = [repr(sorted(self._options.items(), key=str)), self.resampling, repr(self.grid.transform[:6])]
         said += [repr(self.grid.shape), "" if self.grid.crs is None else self.grid.crs.to_wkt()]
-        for source in self.sources:
-            path = Path(getattr(source, "path", source.name))
+        paths = [getattr(source, "path", source.name) for source in self.sources]
+        if self.undulation is not None:
+            paths.append(self.undulation.geoid.path)
+        for path in map(Path, paths):
             said.append(str(path.absolute()))
             if path.exists():
                 found = path.stat()

@@ -33,11 +33,12 @@ from orograph.dem.bands import (
 )
 from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, cause_of, locate
-from orograph.dem.header import place_of, unit_of, vertical_of
+from orograph.dem.header import assumed_vertical, place_of, unit_of, vertical_of
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
+from orograph.geo.vertical import known_datum
 
 MAX_READ_BYTES = 2 << 30
 """``read`` holds at most this many bytes of heights (float32: 536 million samples, e.g. 23170²)."""
@@ -108,6 +109,7 @@ class Source:
         assume_crs: str | None = None,
         encoding: str | None = None,
         vertical_unit: str | None = None,
+        assume_vertical: str | None = None,
     ) -> Source:
         """Read the header of a raster (no samples).
 
@@ -119,6 +121,7 @@ class Source:
             assume_crs: the CRS of files that name none.
             encoding: "mapbox" or "terrarium" for terrain-RGB pictures.
             vertical_unit: the unit of the heights ("ft", "cm"…), instead of the declared one.
+            assume_vertical: the vertical datum of files that name none ("EGM96", "ellipsoidal", "EPSG:5703"…).
 
         Raises:
             ReadError: the file is missing, broken, or not of real numbers.
@@ -150,7 +153,7 @@ class Source:
                 location=location,
                 name=_stem(path),
                 grid=place.grid,
-                vertical=vertical_of(dataset, crs),
+                vertical=_vertical(vertical_of(dataset, crs), assume_vertical, warnings),
                 dtype=dtype,
                 band=band,
                 bands=dataset.count,
@@ -310,6 +313,17 @@ class Source:
             self.undeclared.add(float(finite[0]))
 
 
+def _vertical(declared: str | None, assumed: str | None, warnings: list[str]) -> str | None:
+    if assumed is None:
+        return declared
+    name = assumed_vertical(assumed)
+    if declared is None:
+        return name
+    if known_datum(declared) != name:
+        warnings.append(f"It names its own vertical datum ({declared}), so --assume-vertical is not used for it.")
+    return declared
+
+
 def _stem(path: str | os.PathLike[str]) -> str:
     name = os.fspath(path).rstrip("/").replace("\\", "/").rpartition("/")[2].partition("?")[0]
     if name.lower().endswith((".zip", ".gz")):
@@ -327,6 +341,7 @@ def read(
     assume_crs: str | None = None,
     encoding: str | None = None,
     vertical_unit: str | None = None,
+    assume_vertical: str | None = None,
     max_bytes: int = MAX_READ_BYTES,
 ) -> Dem:
     """Read a whole raster as a ``Dem``. The options are those of ``Source.open``.
@@ -346,6 +361,7 @@ def read(
         assume_crs=assume_crs,
         encoding=encoding,
         vertical_unit=vertical_unit,
+        assume_vertical=assume_vertical,
     )
     rows, cols = source.shape
     if rows * cols * 4 > max_bytes:

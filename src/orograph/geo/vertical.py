@@ -22,12 +22,25 @@ from orograph.geo.grid import Grid
 
 F64 = NDArray[np.float64]
 
+ELLIPSOIDAL = "ellipsoidal height"
+
 _KNOWN = (
     ("egm96", "EGM96 height"),
     ("egm2008", "EGM2008 height"),
     ("egm08", "EGM2008 height"),
     ("egm84", "EGM84 height"),
 )
+
+
+KNOWN_DATUMS = frozenset({ELLIPSOIDAL, *(name for _, name in _KNOWN)})
+
+
+def known_datum(name: str) -> str:
+    """One spelling of a vertical datum's name: "EGM96 height" of "egm96", "ellipsoidal height" of "… (WGS 84)"."""
+    plain = name.lower().replace(" ", "").replace("-", "")
+    if plain.startswith("ellipsoid"):
+        return ELLIPSOIDAL
+    return next((known for key, known in _KNOWN if key in plain), name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +58,12 @@ class Geoid:
     values: F64
     grid: Grid
     datum: str
+
+    @property
+    def ellipsoidal_datum(self) -> str:
+        """What heights above the grid's ellipsoid are called: "ellipsoidal height (WGS 84)"."""
+        crs = self.grid.crs
+        return f"{ELLIPSOIDAL} ({'WGS 84' if crs is None else crs.name})"
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Geoid:
@@ -75,7 +94,7 @@ class Geoid:
                 "A geoid grid must be geographic and north up, which this is not.", path=text, remedy=remedy
             )
         stem = Path(text).stem
-        datum = next((name for key, name in _KNOWN if key in stem.lower()), f"height above {stem}")
+        datum = known_datum(f"height above {stem}")
         return cls(text, values, Grid((values.shape[0], values.shape[1]), transform, crs), datum)
 
     def undulation(self, lon: ArrayLike, lat: ArrayLike) -> F64:
