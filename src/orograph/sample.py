@@ -48,7 +48,9 @@ def jacksboro() -> Dem:
     """
     found = importlib.util.find_spec("matplotlib")
     if found is None or found.origin is None:
-        raise ReadError("The sample comes with matplotlib, which is not installed.", remedy="pip install 'orograph[sample]'")
+        raise ReadError(
+            "The sample comes with matplotlib, which is not installed.", remedy="pip install 'orograph[sample]'"
+        )
     path = Path(found.origin).parent / "mpl-data" / "sample_data" / "jacksboro_fault_dem.npz"
     if not path.is_file():
         raise ReadError("This matplotlib has no elevation sample.", path=path, remedy="Install a full matplotlib.")
@@ -58,4 +60,6 @@ def jacksboro() -> Dem:
         south, north = sorted(float(data[k]) for k in ("ymin", "ymax"))  # the file has the two the other way round
     rows, cols = heights.shape
     transform = Affine((east - west) / cols, 0.0, west, 0.0, (south - north) / rows, north)
-    return Dem(heights, Grid((rows, cols), transform, CRS.from_epsg(4326)), "EGM96 height", "Jacksboro fault, Tennessee")
+    return Dem(
+        heights, Grid((rows, cols), transform, CRS.from_epsg(4326)), "EGM96 height", "Jacksboro fault, Tennessee"
+    )

@@ -56,6 +56,8 @@ class View:
             if len(value) != 3 or not all(map(math.isfinite, value)):
                 raise UsageError(f"The view's {name} must be three finite numbers, not {getattr(self, name)!r}.")
             object.__setattr__(self, name, value)
+        if self.up == (0.0, 0.0, 0.0):
+            raise UsageError("The view's up has no direction: all three of its numbers are 0.")
         if self.eye == self.target:
             raise UsageError("The view's eye and target are the same point, so it has no direction.")
         if not 0 < self.fov_y < 180:
@@ -95,6 +97,8 @@ class View:
             for name in ("eye", "target", "up"):
                 if name in given:
                     given[name] = tuple(float(v) for v in given[name])
+                    if len(given[name]) != 3:
+                        raise ValueError(name)
             for name in ("fov_y", "near", "far"):
                 if name in given:
                     given[name] = float(given[name])
@@ -103,7 +107,7 @@ class View:
                     if float(given[name]) != int(given[name]):
                         raise ValueError(name)
                     given[name] = int(given[name])
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise UsageError(
                 f"The view's {name} is not a number, or not three of them: {values.get(name)!r}."
             ) from error
@@ -112,13 +116,22 @@ class View:
 
             move = transformer(values["crs"], crs)
             for name in ("eye", "target"):
-                x, y = move(given[name][0], given[name][1])
-                given[name] = (float(x), float(y), given[name][2])
+                x, y = (float(v) for v in move(given[name][0], given[name][1]))
+                if not (math.isfinite(x) and math.isfinite(y)):
+                    raise UsageError(
+                        f"The view's {name}, {values[name]!r} in {values['crs']}, cannot be brought to the terrain's "
+                        "CRS."
+                    )
+                given[name] = (x, y, given[name][2])
         return cls(**given)
 
     @classmethod
     def load(cls, path: str | Path, *, crs: Any = None) -> Self:
-        """Read a VIEW.json (see ``from_dict``)."""
+        """Read a VIEW.json.
+
+        Raises:
+            ReadError: the file cannot be read, or is no JSON object. UsageError: as ``from_dict``, naming the file.
+        """
         try:
             values = json.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
@@ -127,7 +140,10 @@ class View:
             raise ReadError(f"This is not JSON: {error}.", path=path) from error
         if not isinstance(values, dict):
             raise ReadError("A view is a JSON object with eye, target, fov_y, width and height.", path=path)
-        return cls.from_dict(values, crs=crs)
+        try:
+            return cls.from_dict(values, crs=crs)
+        except UsageError as error:
+            raise UsageError(error.what, path=path, remedy=error.remedy) from error
 
     def to_dict(self) -> dict[str, Any]:
         """What ``from_dict`` reads; an unlimited ``far`` is left out (JSON knows no infinity)."""
@@ -150,7 +166,7 @@ class View:
         up = np.array(self.up)
         if self.projection == "plan":
             heading = up - up[2] * np.array([0.0, 0.0, 1.0])
-            if np.linalg.norm(heading) < 1e-9 * max(1.0, np.linalg.norm(up)):
+            if np.linalg.norm(heading) < 1e-9 * max(1.0, float(np.linalg.norm(up))):
                 heading = forward * np.array([1.0, 1.0, 0.0])
             if np.linalg.norm(heading) < 1e-9:
                 heading = np.array([0.0, 1.0, 0.0])

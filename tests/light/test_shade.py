@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orograph.light.shade import air_mass, disc_fraction, shoulder, sky_colour, sun_colour
+from orograph.light.shade import air_mass, disc_fraction, sky_colour, sun_colour
 
 
 def test_disc_fraction_is_the_area_above_the_horizon():
@@ -50,12 +50,3 @@ def test_the_sky_is_blue_and_fades():
     assert sky_colour(45)[2] > sky_colour(45)[0]
     series = np.array([sky_colour(a).sum() for a in np.linspace(-20, 90, 200)])
     assert (np.diff(series) >= -1e-12).all() and series[0] > 0
-
-
-def test_the_shoulder_is_smooth_and_stays_below_one():
-    x = np.linspace(0, 5, 5001).astype(np.float32)
-    y = shoulder(x)
-    np.testing.assert_allclose(y[x < 0.82], x[x < 0.82], atol=1e-7)
-    assert (np.diff(y) >= 0).all() and y.max() <= 1
-    slope = np.diff(y.astype(np.float64)) / np.diff(x)
-    assert np.abs(np.diff(slope)).max() < 0.01  # no kink where it begins

@@ -13,6 +13,7 @@ from orograph import store
 from orograph.errors import NothingInViewError
 from orograph.geovis.colour import TINTS, colour_table, linear_to_srgb, srgb_to_linear
 from orograph.picture import camera, cpu
+from orograph.picture.kernels import _shoulder
 from orograph.picture.scene import Scene, Sun
 from orograph.view import View
 
@@ -457,3 +458,12 @@ def test_a_sky_is_drawn_where_no_ground_is():
     assert len(np.unique(paper.pixels[:5][empty[:5]], axis=0)) == 1
     above = sky.pixels[:5][empty[:5]].astype(int)
     assert (above[:, 2] > above[:, 0]).mean() > 0.9
+
+
+def test_the_shoulder_is_smooth_and_stays_below_one():
+    x = np.linspace(0, 5, 5001).astype(np.float64)
+    y = np.array([_shoulder(v) for v in x])
+    np.testing.assert_allclose(y[x < 0.82], x[x < 0.82], atol=1e-7)
+    assert (np.diff(y) >= 0).all() and y.max() <= 1
+    slope = np.diff(y.astype(np.float64)) / np.diff(x)
+    assert np.abs(np.diff(slope)).max() < 0.01  # no kink where it begins

@@ -6,6 +6,7 @@ import importlib
 import importlib.abc
 import os
 import sys
+import traceback
 
 import click
 
@@ -64,7 +65,10 @@ def cli(ctx: click.Context, debug: bool, quiet: bool) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run the command line; turns every expected error into one paragraph on stderr and its exit code."""
+    """Run the command line; turns every expected error into one paragraph on stderr and its exit code.
+
+    With --debug a traceback takes the paragraph's place; the exit code stays the same.
+    """
     args = sys.argv[1:] if argv is None else argv
     debug = "--debug" in args or bool(os.environ.get("OROGRAPH_DEBUG"))
     general = [a for a in args if a in ("--debug", "--quiet", "-q")]  # allowed anywhere on the line
@@ -83,20 +87,22 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(error.exit_code)
     except OrographError as error:
         if debug:
-            raise
-        click.echo(f"orograph: {error}", err=True)
+            traceback.print_exc()
+        else:
+            click.echo(f"orograph: {error}", err=True)
         _leave(error.exit_code)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except Exception as error:
         if debug:
-            raise
-        click.echo(
-            f"orograph: {type(error).__name__}: {error} This is a fault of Orograph itself; "
-            "run it again with --debug to see where, and please report it.",
-            err=True,
-        )
+            traceback.print_exc()
+        else:
+            click.echo(
+                f"orograph: {type(error).__name__}: {error} This is a fault of Orograph itself; "
+                "run it again with --debug to see where, and please report it.",
+                err=True,
+            )
         _leave(1)
 
 

@@ -1,4 +1,4 @@
-"""Light: how much of the sun's disc is seen over a horizon, what colour sun and sky have, how bright pictures are bent.
+"""Light: how much of the sun's disc is seen over a horizon, what colour sun and sky have.
 
 Angles in degrees; colours are linear RGB, relative to the same light at a sun 45° high; pure functions on arrays.
 """
@@ -52,10 +52,3 @@ def sky_colour(altitude: float) -> Array:
     high = min(max((altitude + 6.0) / 51.0, 0.0), 1.0)
     blue, dusk = np.array([0.86, 0.97, 1.20]), np.array([0.80, 0.90, 1.25])
     return np.asarray((blue * high + dusk * (1 - high)) * (0.25 + 0.75 * high**0.5))
-
-
-def shoulder(colour: NDArray[np.float32], start: float = 0.82) -> NDArray[np.float32]:
-    """Bend what is brighter than ``start`` smoothly towards 1, so that sunlit snow keeps its relief; linear below."""
-    room = np.float32(1.0 - start)
-    over = np.maximum(colour - np.float32(start), 0)
-    return np.asarray(np.minimum(colour, np.float32(start)) + room * (1 - np.exp(-over / room)), np.float32)

@@ -47,7 +47,9 @@ def render(
     if isinstance(terrain, (str, os.PathLike)):
         from orograph.picture.prepare import prepare
 
-        terrain = prepare([os.fspath(terrain)], max_memory=options.get("max_memory"), progress=progress)
+        terrain = prepare(
+            [os.fspath(terrain)], max_memory=options.get("max_memory"), jobs=options.get("jobs"), progress=progress
+        )
     elif isinstance(terrain, Dem):
         from orograph.store import terrain as in_memory
 

@@ -50,8 +50,8 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
         ground = Ground.load(scene)
         if ground.tolerance > scene.pixel_tolerance:
             progress.warn(
-                f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not fit "
-                "into --max-memory."
+                f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not "
+                "fit into --max-memory."
             )
     least = fixed_memory(scene) + LEAST_MEMORY
     if scene.max_memory is not None and scene.max_memory < least:
@@ -61,7 +61,9 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
         t, window, veil = ground.rays.first()
     lap("rays")
     if not np.isfinite(t).any():
-        raise NothingInViewError(_why_empty(scene), path=scene.terrain.name, remedy="Leave the camera options away to see all of it.")
+        raise NothingInViewError(
+            _why_empty(scene), path=scene.terrain.name, remedy="Leave the camera options away to see all of it."
+        )
     facts["windows"] = [{"level": r.level, "rows": r.row1 - r.row0, "cols": r.col1 - r.col0} for r in ground.windows]
     facts["tolerance_px"] = ground.tolerance
     facts["hit_fraction"] = float(np.isfinite(t).mean())
@@ -74,7 +76,7 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
 
         def block(start: int) -> int:
             i = np.arange(start, min(start + BLOCK, len(ft)))
-            px, py = i % view.width + 0.5, i // view.width + 0.5
+            px, py = (a.astype(np.float64) + 0.5 for a in (i % view.width, i // view.width))
             flat[i] = shader.colour(ground.rays.meet(px, py, ft[i], fw[i], fv[i]), px, py)
             return len(i)
 
@@ -111,7 +113,7 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
 def encode(linear: Colours) -> NDArray[np.uint8]:
     """Linear light → sRGB in bytes, by a table of 2^14 steps (a quarter of a byte at the darkest)."""
     steps = np.clip(linear * np.float32(len(_ENCODED) - 1) + np.float32(0.5), 0, len(_ENCODED) - 1).astype(np.uint16)
-    return _ENCODED[steps]
+    return np.asarray(_ENCODED[steps])
 
 
 _ENCODED = np.round(linear_to_srgb(np.linspace(0, 1, 1 << 14)) * 255).astype(np.uint8)
@@ -147,6 +149,6 @@ def _why_empty(scene: Scene) -> str:
     inside = 0 <= col <= terrain.grid.cols - 1 and 0 <= row <= terrain.grid.rows - 1
     place = "above or under its area" if inside else "outside its area"
     return (
-        f"Nothing of the terrain is in view: the eye at ({view.eye[0]:.0f}, {view.eye[1]:.0f}, {view.eye[2]:.0f}) is {place} "
-        f"and looks towards ({view.target[0]:.0f}, {view.target[1]:.0f}, {view.target[2]:.0f})."
+        f"Nothing of the terrain is in view: the eye at ({view.eye[0]:.0f}, {view.eye[1]:.0f}, {view.eye[2]:.0f}) is "
+        f"{place} and looks towards ({view.target[0]:.0f}, {view.target[1]:.0f}, {view.target[2]:.0f})."
     )

@@ -1,4 +1,4 @@
-"""What is known at the points where rays meet the ground: position, slope at the pixel's scale, light that reaches them.
+"""What is known at the points where rays meet the ground: position, slope at the pixel's scale, light there.
 
 Everything here is asked by blocks of samples from several threads. Positions are kept twice: in sample coordinates (for
 the caster and the rasters) and in the terrain's CRS (for drapes). Slopes and normals are those of the stretched ground,
@@ -102,8 +102,8 @@ class Rays:
         o0, _, _, d0, du, dv = self.basis
         if view.projection == "perspective":
             return caster.cast_pinhole(
-                self.linear @ o0 + self.offset, self.linear @ (d0 + 0.5 * (du + dv)), self.linear @ du, self.linear @ dv,
-                size, view.near, self.far,
+                self.linear @ o0 + self.offset, self.linear @ (d0 + 0.5 * (du + dv)), self.linear @ du,
+                self.linear @ dv, size, view.near, self.far,
             )  # fmt: skip
         t, window = np.empty(size), np.empty(size, np.int8)
         px = np.arange(view.width) + 0.5
@@ -160,7 +160,7 @@ class Ground:
         terrain = scene.terrain
         rows, cols = terrain.grid.shape
         tolerance = scene.pixel_tolerance
-        # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together, the relief's means.
+        # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together, the means.
         bytes_per_sample = 4 * (1 + 5 / 12) + 4 + 4
         budget = math.inf if scene.max_memory is None else max(scene.max_memory - fixed_memory(scene), LEAST_MEMORY)
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
@@ -193,7 +193,7 @@ class Ground:
         a = math.radians(sun.azimuth)
         step = self.to_samples @ [math.sin(a), math.cos(a)]
         scale = 2.0 ** np.array([w.level for w in self.caster.stack.windows])
-        # Next to the point its own facet would shade it: there the normal decides. A pixel is the other limit of detail.
+        # Next to the point its own facet would shade it: there the normal decides. A pixel limits detail as well.
         skip = np.maximum(scale[hits.window[which]], np.minimum(hits.width[which], 4.0)) * self.rays.spacing
         x = self.scene.exaggeration
         return self.rays.single.skyline(hits.points[which], (step[0], step[1]), skip, low / x, high / x) * x

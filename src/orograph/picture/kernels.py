@@ -12,7 +12,9 @@ from orograph._numba import kernel
 
 
 @kernel
-def ends(px, py, t, o0, ou, ov, d0, du, dv, linear, offset, exaggeration, metres, parallel, spacing, points, rays, width):
+def ends(
+    px, py, t, o0, ou, ov, d0, du, dv, linear, offset, exaggeration, metres, parallel, spacing, points, rays, width
+):
     """Ends of rays: ``points`` (n, 3) in sample coordinates, unit ``rays`` (n, 3) stretched, ``width`` (n,) of a pixel
     on the ground in samples. ``metres``: a pixel at unit depth, or (``parallel``) anywhere.
 
@@ -36,7 +38,7 @@ def ends(px, py, t, o0, ou, ov, d0, du, dv, linear, offset, exaggeration, metres
 
 @kernel
 def incidence(gradient, to_world, stretch, sun, cosine, tilt):
-    """Cosine of the light's angle to the normal (not below 0) and upward part of the normal of ``stretch``-ed slopes."""
+    """Cosine of the light's angle to the normal (not below 0), upward part of the normal, of ``stretch``-ed slopes."""
     for i in range(len(gradient)):
         a, b = gradient[i, 0], gradient[i, 1]
         gx = (to_world[0, 0] * a + to_world[0, 1] * b) * stretch
@@ -60,14 +62,32 @@ def _bilinear(field, u, v):
 
 @kernel
 def _shoulder(x):
-    """Bend what is brighter than 0.82 smoothly towards 1 (``light.shade.shoulder``)."""
+    """Bend what is brighter than 0.82 smoothly towards 1, so that sunlit snow keeps its relief; linear below."""
     return x if x < 0.82 else 0.82 + 0.18 * (1.0 - np.exp((0.82 - x) / 0.18))
 
 
 @kernel
 def compose(
-    points, cosine, tilt, sunlit, sky_map, water_map, scale, row0, col0, land, low, high, sea, floor, drape, water, sunlight,
-    skylight, bounce, out,
+    points,
+    cosine,
+    tilt,
+    sunlit,
+    sky_map,
+    water_map,
+    scale,
+    row0,
+    col0,
+    land,
+    low,
+    high,
+    sea,
+    floor,
+    drape,
+    water,
+    sunlight,
+    skylight,
+    bounce,
+    out,
 ):
     """Colours (n, 3) of lit ground.
 

@@ -51,11 +51,11 @@ def _title(name: str) -> str:
 
 
 def north_on_screen(scene: Scene) -> float | None:
-    """Direction of grid north at the target, degrees clockwise from the picture's up; None where it points at the eye."""
+    """Direction of grid north at the target, degrees clockwise from the picture's up; None if it points at the eye."""
     view: Any = scene.view
     here = np.array(view.target)
     step = max(view.distance * 1e-4, 1e-3)
-    (a, b), _ = view.project(np.array([here, here + [0.0, step, 0.0]]), scene.exaggeration)
+    (a, b), _ = view.project(np.stack([here, here + np.array([0.0, step, 0.0])]), scene.exaggeration)
     dx, dy = b - a
     if not (math.isfinite(dx) and math.isfinite(dy)) or math.hypot(dx, dy) < 1e-6:
         return None

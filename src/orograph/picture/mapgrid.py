@@ -33,20 +33,21 @@ class MapGrid:
     """Sky-view factor and water, bilinear.
 
     Attributes:
-        sky_view, water: (rows, cols) float32 over samples of 2^level = ``scale``, first (row0, col0); water may be empty.
+        sky_view, water: (rows, cols) float32, samples of 2^level = ``scale``, first (row0, col0); water may be empty.
         strength: by how much slopes are strengthened for shading unless the scene says.
         visible_range: metres from the nearest to the farthest ground in view.
         water_fraction: of the working grid.
     """
 
     def __init__(self, scene: Scene, ground: Ground, depth: Array, progress: Progress = SILENT) -> None:
-        terrain, view = scene.terrain, scene.view
+        terrain = scene.terrain
         step = max(1, int(math.sqrt(depth.size / 40_000)))
         rows, cols = np.nonzero(np.isfinite(depth[::step, ::step]))
         rows, cols = rows * step, cols * step
         if len(rows) == 0:
             rows, cols = np.nonzero(np.isfinite(depth))
-        seen = ground.rays.meet(cols + 0.5, rows + 0.5, depth[rows, cols], np.zeros(len(rows), np.int8), depth[rows, cols])
+        px, py, depths = (np.asarray(a, np.float64) for a in (cols + 0.5, rows + 0.5, depth[rows, cols]))
+        seen = ground.rays.meet(px, py, depths, np.zeros(len(depths), np.int8), depths)
         self.visible_range = (float(seen.t.min()), float(seen.t.max()))
         west, north = np.maximum(seen.points[:, :2].min(0) - 8, 0)
         east, south = seen.points[:, :2].max(0) + 8

@@ -35,7 +35,12 @@ def cache_bytes(max_memory: int | None) -> int:
 
 
 def prepare(
-    paths: list[str], *, max_memory: int | None = None, jobs: int | None = None, progress: Progress = SILENT, **options: Any
+    paths: list[str],
+    *,
+    max_memory: int | None = None,
+    jobs: int | None = None,
+    progress: Progress = SILENT,
+    **options: Any,
 ) -> Terrain:
     """The terrain of a store, of one DEM or of many.
 
@@ -52,7 +57,12 @@ def prepare(
     if len(paths) == 1 and is_store(paths[0]):
         given = {k: v for k, v in options.items() if v is not None}
         if given:
-            raise UsageError(f"{', '.join(sorted(given))}: a store is already built; such options are for DEM files.")
+            names = ", ".join("--" + k.replace("_", "-") for k in sorted(given))
+            raise UsageError(
+                f"{names} cannot be used: a store is built already, and says itself what it is.",
+                path=paths[0],
+                remedy="Give such options to orograph build, or render the DEM files.",
+            )
         return store.open(paths[0], cache_bytes=cache_bytes(max_memory))
     from orograph.dem.mosaic import Mosaic
 
@@ -78,7 +88,7 @@ def prepare(
             f"The cache folder cannot be made: {error.strerror}.", path=kept.parent,
             remedy="Set OROGRAPH_CACHE to a folder with room, or use orograph build and render the store.",
         ) from error  # fmt: skip
-    memory = {} if max_memory is None else {"max_memory": max_memory}
+    memory: dict[str, Any] = {} if max_memory is None else {"max_memory": max_memory}
     terrain = store.build(mosaic, kept, resume=True, jobs=jobs, progress=progress, **memory)
     size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())
     progress.note(f"the store made of it is kept at {kept} ({size / 1e6:.0f} MB); the next picture starts from there")

@@ -39,19 +39,19 @@ class Picture:
         from PIL import Image
 
         out = Path(path)
-        Image.init()
-        if out.suffix.lower() not in Image.registered_extensions():
-            raise OutputError(
-                f"Pictures cannot be written as {out.suffix or 'a file without ending'}.", path=path, remedy="Use .png, .jpg, .webp or .tif."
-            )
-        kind = Image.registered_extensions()[out.suffix.lower()]
-        options: dict[str, Any] = {"PNG": {"compress_level": 4}, "JPEG": {"quality": 92, "subsampling": 0}}.get(kind, {})
-        with _beside(out) as part:
-            Image.fromarray(self.pixels).save(part, format=kind, **options)
+        kind = picture_format(out)
+        every: dict[str, dict[str, Any]] = {
+            "PNG": {"compress_level": 4},
+            "JPEG": {"quality": 92, "subsampling": 0},
+            "WEBP": {"lossless": True},
+            "TIFF": {"compression": "tiff_deflate"},
+        }
+        with Beside(out) as part:
+            Image.fromarray(self.pixels).save(part, format=kind, **every[kind])
         return out
 
     def save_depth(self, path: str | os.PathLike[str]) -> Path:
-        """Write the depth as a float32 GeoTIFF-readable TIFF without georeference, NaN where nothing is hit.
+        """Write the depth as a float32 TIFF without georeference, metres, NaN where nothing is hit.
 
         Raises:
             OutputError: the file cannot be written.
@@ -67,7 +67,7 @@ class Picture:
             "driver": "GTiff", "width": cols, "height": rows, "count": 1, "dtype": "float32", "nodata": float("nan"),
             "compress": "deflate", "predictor": 3,
         }  # fmt: skip
-        with _beside(out) as part, warnings.catch_warnings():
+        with Beside(out) as part, warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             try:
                 with rasterio.open(part, "w", **profile) as file:
@@ -78,7 +78,32 @@ class Picture:
         return out
 
 
-class _beside:
+FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
+
+
+def picture_format(path: Path) -> str:
+    """Pillow's name of the format that a path's ending stands for.
+
+    Raises:
+        OutputError: pictures are not written with such an ending.
+    """
+    kind = FORMATS.get(path.suffix.lower())
+    if kind is None:
+        raise OutputError(
+            f"Pictures cannot be written as {path.suffix or 'a file without ending'}.",
+            path=path,
+            remedy="Use .png, .jpg, .webp or .tif.",
+        )
+    return kind
+
+
+def check_folder(path: Path) -> None:
+    """Raise OutputError unless there is a folder to write ``path`` into."""
+    if not path.parent.is_dir():
+        raise OutputError(f"There is no folder {path.parent} to write to.", path=path, remedy="Make it first.")
+
+
+class Beside:
     """A temporary path beside ``out`` that becomes ``out`` on success and vanishes on failure."""
 
     def __init__(self, out: Path) -> None:
@@ -86,8 +111,7 @@ class _beside:
         self.part = out.with_name(f".{out.name}.{os.getpid()}.part")
 
     def __enter__(self) -> Path:
-        if not self.out.parent.is_dir():
-            raise OutputError(f"There is no folder {self.out.parent} to write to.", path=self.out, remedy="Make it first.")
+        check_folder(self.out)
         return self.part
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:

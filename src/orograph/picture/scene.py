@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass, field
 from typing import Literal
 
-from orograph.errors import UsageError
+from orograph.errors import ReadError, UsageError
 from orograph.store.terrain import Terrain
 from orograph.view import View
 
@@ -33,7 +33,9 @@ class Sun:
     diameter: float = 0.53
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.azimuth) and -90 <= self.altitude <= 90):
+        if not math.isfinite(self.azimuth):
+            raise UsageError(f"The sun's azimuth is an angle in degrees, not {self.azimuth:g}.")
+        if not -90 <= self.altitude <= 90:
             raise UsageError(f"The sun's altitude lies between −90 and 90 degrees, not {self.altitude:g}.")
         if not 0 <= self.diameter < 90:
             raise UsageError(f"The sun's diameter is an angle in degrees, not {self.diameter:g}.")
@@ -57,6 +59,10 @@ class Scene:
         furniture: title, colour bar, north arrow, scale bar; ``title``: None takes the terrain's name.
         max_memory: bytes that heights and pictures may take; None: no limit.
         jobs: threads; None: all processors.
+
+    Raises:
+        UsageError: a number is out of its range.
+        ReadError: the terrain has fewer than two rows or columns.
     """
 
     terrain: Terrain
@@ -79,14 +85,19 @@ class Scene:
     def __post_init__(self) -> None:
         if not 0 < self.exaggeration < math.inf:
             raise UsageError(f"The exaggeration is a factor greater than 0, not {self.exaggeration:g}.")
+        if self.relief is not None and not 0 <= self.relief < math.inf:
+            raise UsageError(f"The relief is a factor, 0 or more, not {self.relief:g}.")
+        if isinstance(self.water, float) and not math.isfinite(self.water):
+            raise UsageError(f"A water level is a height in metres, not {self.water:g}.")
         if self.samples < 1:
             raise UsageError(f"A pixel needs at least one sample, not {self.samples}.")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {self.tolerance:g}.")
         if min(self.terrain.grid.shape) < 2:
-            raise UsageError(
-                f"The raster has {self.terrain.grid.rows} row(s) and {self.terrain.grid.cols} column(s); a surface needs "
-                "at least two of each."
+            raise ReadError(
+                f"The raster has {self.terrain.grid.rows} row(s) and {self.terrain.grid.cols} column(s); a surface "
+                "needs at least two of each.",
+                path=self.terrain.name,
             )
 
     @property

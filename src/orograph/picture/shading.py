@@ -2,7 +2,8 @@
 
 Light is a warm disc of sun, cut by the skyline (soft shadows), and blue light from as much of the sky as the place sees
 (sky-view factor by horizon sweeps). Level ground in full sun shows the map's own colour: tints can be read off the
-legend there (but for the brightest, which ``_shoulder`` in ``kernels`` bends). Water, missing data and background are each told apart. Colours are linear light throughout.
+legend there (but for the brightest, which ``_shoulder`` in ``kernels`` bends). Water, missing data and background are
+each told apart. Colours are linear light throughout.
 """
 
 from __future__ import annotations
@@ -48,10 +49,14 @@ class Shader:
         a, h = math.radians(scene.sun.azimuth), math.radians(scene.sun.altitude)
         self.to_sun = np.array([math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)])
         sun, sky = sun_colour(scene.sun.altitude), sky_colour(scene.sun.altitude)
-        # Exposure is set for level ground under a sun at 45° and opens for lower ones, but by half only: evening is darker.
+        # Exposure is set for level ground under a sun at 45° and opens for lower ones, by half only: evening is darker.
         high = math.sin(math.radians(45))
-        white = (1 - AMBIENT) * sun_colour(45.0) + AMBIENT * sky_colour(45.0)  # on level ground, which shows its own colour
-        self.sunlight = ((1 - AMBIENT) / high * (high / max(self.to_sun[2], 0.03)) ** 0.55 * sun / white).astype(np.float32)
+        white = (1 - AMBIENT) * sun_colour(45.0) + AMBIENT * sky_colour(
+            45.0
+        )  # on level ground, which shows its own colour
+        self.sunlight = ((1 - AMBIENT) / high * (high / max(self.to_sun[2], 0.03)) ** 0.55 * sun / white).astype(
+            np.float32
+        )
         self.skylight = (AMBIENT * sky / white).astype(np.float32)
         self.maps = MapGrid(scene, ground, depth, progress)
         self.tint = tint_of(scene.terrain, scene.colormap, sea=None if scene.water is not None else False)
@@ -102,8 +107,9 @@ class Shader:
         drape = NOTHING if self.drape is None else self.drape_colours(hits)
         maps = self.maps
         compose(
-            hits.points, cosine, tilt, sunlit, maps.sky_view, maps.water, maps.scale, maps.row0, maps.col0, self.tint.land,
-            self.tint.low, self.tint.high, self.tint.sea, self.tint.floor, drape, WATER, self.sunlight, self.skylight, BOUNCE, out,
+            hits.points, cosine, tilt, sunlit, maps.sky_view, maps.water, maps.scale, maps.row0, maps.col0,
+            self.tint.land, self.tint.low, self.tint.high, self.tint.sea, self.tint.floor, drape, WATER, self.sunlight,
+            self.skylight, BOUNCE, out,
         )  # fmt: skip
         if self.air is not None:
             met = np.flatnonzero(~np.isnan(hits.t))
