@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError, UsageError
+from orograph.picture.scene import check_exaggeration
 from orograph.store.terrain import TILE, Terrain
 from orograph.view import View
 
@@ -73,7 +74,11 @@ def fit(points: Array, forward: Array, fov_y: float, size: tuple[int, int], exag
 
     In camera axes (right a, up b, forward c) a point lies within the left and right sides seen from eye e if
     |a − e_a| ≤ t·(c − e_c): two half-spaces in (e_a, e_c), whose nearest common point is the eye; likewise up and down.
+
+    Raises:
+        UsageError: the exaggeration is no factor greater than 0.
     """
+    check_exaggeration(exaggeration)
     width, height = size
     stretch = np.array([1.0, 1.0, exaggeration])
     drawn = points * stretch
@@ -141,6 +146,7 @@ def around(
         raise UsageError(f"--pitch is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
     if distance is None:
         return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration)
+    check_exaggeration(exaggeration)
     if not 0 < distance < math.inf:
         raise UsageError(f"--distance is in metres, more than 0, not {distance:g}.")
     points = outline(terrain)

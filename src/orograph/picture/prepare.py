@@ -8,6 +8,7 @@ the reading options: the next picture of it opens that store at once.
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,9 @@ def prepare(
         try:
             terrain = store.open(kept, cache_bytes=cache_bytes(max_memory))
         except OrographError as error:
+            # Stores take their place when they are complete: this one was damaged since, and is a copy.
             progress.warn(f"the kept store cannot be used and is built again ({error})")
+            shutil.rmtree(kept, ignore_errors=True)
         else:
             progress.note(f"drawn from the store kept at {kept}")
             return terrain

@@ -18,6 +18,12 @@ DEFAULT_TOLERANCE = 0.5
 """Pixels: what larger terrains may be displaced by on the screen."""
 
 
+def check_exaggeration(factor: float) -> None:
+    """Raise UsageError unless heights can be stretched by ``factor``."""
+    if not 0 < factor < math.inf:
+        raise UsageError(f"The exaggeration is a factor greater than 0, not {factor:g}.")
+
+
 @dataclass(frozen=True, slots=True)
 class Sun:
     """A distant disc of light.
@@ -83,8 +89,7 @@ class Scene:
     jobs: int | None = None
 
     def __post_init__(self) -> None:
-        if not 0 < self.exaggeration < math.inf:
-            raise UsageError(f"The exaggeration is a factor greater than 0, not {self.exaggeration:g}.")
+        check_exaggeration(self.exaggeration)
         if self.relief is not None and not 0 <= self.relief < math.inf:
             raise UsageError(f"The relief is a factor, 0 or more, not {self.relief:g}.")
         if isinstance(self.water, float) and not math.isfinite(self.water):

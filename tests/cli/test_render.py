@@ -1,0 +1,360 @@
+"""``orograph render`` as people use it: files in, pictures out, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+from PIL import Image
+from pyproj import CRS, Transformer
+
+from orograph import store
+from orograph.cli import main
+from orograph.geo.grid import Grid
+
+PLACE = Affine(30, 0, 500_000, 0, -30, 4_000_000)
+SMALL = ("--size", "160x90", "--quiet")
+
+
+def hills(rows=80, cols=100):
+    y, x = np.mgrid[:rows, :cols]
+    return (500 + 200 * np.sin(x / 9) * np.cos(y / 7)).astype(np.float32)
+
+
+def write(path, heights=None, transform=PLACE, crs="EPSG:32611", **profile):
+    heights = hills() if heights is None else heights
+    rows, cols = heights.shape
+    with rasterio.open(path, "w", driver="GTiff", height=rows, width=cols, count=1, dtype=heights.dtype, crs=crs,
+                       transform=transform, **profile) as file:  # fmt: skip
+        file.write(heights, 1)
+    return path
+
+
+@pytest.fixture
+def dem(tmp_path):
+    return write(tmp_path / "dem.tif")
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """The command line in this process: exit code, stdout, stderr."""
+
+    def leave(code):
+        raise SystemExit(code)
+
+    monkeypatch.setattr("orograph.cli._leave", leave)
+    monkeypatch.setattr("orograph.cli._spare_imports", lambda args: None)
+
+    def call(*args):
+        with pytest.raises(SystemExit) as stop:
+            main([str(a) for a in args])
+        said = capsys.readouterr()
+        return stop.value.code, said.out, said.err
+
+    return call
+
+
+def refused(said, code, *words):
+    """One paragraph on stderr, nothing on stdout, the right exit code."""
+    assert said[0] == code, said
+    assert said[1] == ""
+    assert "Traceback" not in said[2]
+    assert len(said[2].strip().splitlines()) == 1, said[2]
+    for word in words:
+        assert word in said[2], said[2]
+
+
+# ---- pictures --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("ending", "kind"), [("png", "PNG"), ("jpg", "JPEG"), ("webp", "WEBP"), ("tif", "TIFF")])
+def test_formats(run, dem, tmp_path, ending, kind):
+    out = tmp_path / f"a.{ending}"
+    code, said, _ = run("render", dem, "-o", out, *SMALL)
+    assert code == 0 and str(out) in said and "160 × 90" in said
+    with Image.open(out) as image:
+        assert image.format == kind and image.size == (160, 90) and image.mode == "RGB"
+        assert len(np.unique(np.asarray(image).reshape(-1, 3), axis=0)) > 200
+    assert not list(tmp_path.glob(".*")) and not list(tmp_path.glob("*.part"))
+
+
+@pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
+def test_json_depth_and_the_camera_again(run, dem, tmp_path):
+    out, depth, view = tmp_path / "a.png", tmp_path / "d.tif", tmp_path / "v.json"
+    code, said, err = run("render", dem, "-o", out, "--from", 120, "--pitch", 20, "--depth", depth, "--save-view", view,
+                          "--json", *SMALL)  # fmt: skip
+    assert code == 0 and err == ""
+    told = json.loads(said)
+    for key in ("picture", "depth", "width", "height", "seconds_in_all", "seconds", "crs", "view", "windows",
+                "tolerance_px", "hit_fraction", "edge_fraction", "shader"):  # fmt: skip
+        assert key in told
+    assert told["picture"] == str(out) and told["crs"] == "EPSG:32611" and told["view"]["width"] == 160
+    with rasterio.open(depth) as file:
+        assert file.dtypes == ("float32",) and file.shape == (90, 160)
+        z = file.read(1)
+    assert np.isnan(z).any() and np.isfinite(z).mean() == pytest.approx(told["hit_fraction"])
+    assert 100 < np.nanmin(z) < np.nanmax(z) < 20_000
+
+    again = tmp_path / "b.png"
+    assert run("render", dem, "-o", again, "--view", view, "--quiet")[0] == 0
+    assert again.read_bytes() == out.read_bytes()
+
+
+@pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
+def test_a_view_in_degrees(run, dem, tmp_path):
+    first, view = tmp_path / "a.png", tmp_path / "v.json"
+    assert run("render", dem, "-o", first, "--depth", tmp_path / "a.tif", "--save-view", view, *SMALL)[0] == 0
+    camera = json.loads(view.read_text())
+    move = Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True)
+    for name in ("eye", "target"):
+        camera[name] = [*move.transform(*camera[name][:2]), camera[name][2]]
+    camera["crs"] = "EPSG:4326"
+    view.write_text(json.dumps(camera))
+    second = tmp_path / "b.png"
+    assert run("render", dem, "-o", second, "--depth", tmp_path / "b.tif", "--view", view, "--quiet")[0] == 0
+    a, b = (rasterio.open(tmp_path / f"{n}.tif").read(1) for n in "ab")
+    np.testing.assert_allclose(a, b, rtol=1e-5)
+
+
+def test_standing_somewhere(run, dem, tmp_path):
+    move = Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True)
+    lon, lat = move.transform(501_500, 3_996_000)
+    code, said, _ = run("render", dem, "-o", tmp_path / "a.png", "--lonlat", f"{lon},{lat},1500", "--json", *SMALL)
+    assert code == 0
+    np.testing.assert_allclose(json.loads(said)["view"]["eye"], [501_500, 3_996_000, 1500], atol=0.01)
+
+
+def test_several_tiles_are_one_terrain(run, tmp_path):
+    heights = hills(80, 101)
+    west = write(tmp_path / "w.tif", heights[:, :51])
+    east = write(tmp_path / "e.tif", heights[:, 50:], Affine(30, 0, 500_000 + 50 * 30, 0, -30, 4_000_000))
+    whole = write(tmp_path / "whole.tif", heights)
+    options = ("--title", "same", *SMALL)
+    assert run("render", west, east, "-o", tmp_path / "two.png", *options)[0] == 0
+    assert run("render", whole, "-o", tmp_path / "one.png", *options)[0] == 0
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_degrees_and_plans_and_everything_on(run, tmp_path):
+    dem = write(tmp_path / "deg.tif", hills(), Affine(0.001, 0, 8, 0, -0.001, 47), "EPSG:4326")
+    code, _, _ = run("render", dem, "-o", tmp_path / "a.png", "--projection", "plan", "--from", 90, "--furniture",
+                     "--title", "Ein Titel", "--sky", "--size", "400x300", "--quiet")  # fmt: skip
+    assert code == 0
+
+
+def test_a_picture_as_heights(run, tmp_path):
+    Image.fromarray((hills() / 4).astype(np.uint8)).save(tmp_path / "h.png")
+    code, said, _ = run("render", tmp_path / "h.png", "-o", tmp_path / "a.png", "--spacing", 30, "--json", *SMALL)
+    assert code == 0 and json.loads(said)["crs"] is None
+
+
+# ---- what it refuses -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--from", 10, "--lonlat", "8,47,1000"), ("one camera",)),
+        (("--view", "v.json", "--pitch", 3), ("one camera",)),
+        (("--look-at", "8,47"), ("--lonlat",)),
+        (("--projection", "plan", "--pitch", 10), ("--pitch", "plan")),
+        (("--projection", "plan", "--lonlat", "8,47,1000"), ("--lonlat", "plan")),
+        (("--pitch", 100), ("--pitch",)),
+        (("--from", "nan"), ("--from",)),
+        (("--distance", -1), ("--distance",)),
+        (("--exaggeration", 0), ("exaggeration",)),
+        (("--relief", -1), ("relief",)),
+        (("--tolerance", -1), ("tolerance",)),
+        (("--sun", "10,100"), ("altitude",)),
+        (("--sun", "nan,10"), ("azimuth",)),
+        (("--water", "nan"), ("water",)),
+        (("--colormap", "virids"), ("no colour map 'virids'", "viridis")),
+    ],
+)
+def test_wrong_options(run, dem, tmp_path, options, words):
+    refused(run("render", dem, "-o", tmp_path / "a.png", *options, *SMALL), 2, *words)
+    assert not (tmp_path / "a.png").exists()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [("--size", "12"), ("--size", "0x5"), ("--sun", "1"), ("--lonlat", "1,2"), ("--fov", "0"), ("--water", "wet"),
+     ("--samples", "0"), ("--projection", "map"), ("--nope",)],
+)  # fmt: skip
+def test_wrong_words(run, dem, tmp_path, options):
+    code, out, err = run("render", dem, "-o", tmp_path / "a.png", *options)
+    assert code == 2 and out == "" and "Usage:" in err and options[0] in err and "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "words"),
+    [
+        ("{", 3, ("not JSON",)),
+        ("[1]", 3, ("JSON object",)),
+        ('{"eye": [1, 2, 3]}', 2, ("target",)),
+        ('{"eye": [1, 2], "target": [1, 2, 3], "crs": "EPSG:4326"}', 2, ("eye",)),
+        ('{"eye": [1, 2, 3], "target": [1, 2, 3]}', 2, ("same point",)),
+        ('{"eye": [1, 2, 3], "target": [1, 2, 4], "eyes": 2}', 2, ("eyes",)),
+        ('{"eye": [1, 2, 3], "target": [1, 2, 4], "width": 1e999}', 2, ("width",)),
+        ('{"eye": [1, 2, 3], "target": [1, 2, 4], "up": [0, 0, 0]}', 2, ("up",)),
+        ('{"eye": [1, 2, 3], "target": [1, 2, 4], "crs": "EPSG:nope"}', 2, ("nope",)),
+        ('{"eye": [500, 95, 3], "target": [1, 2, 4], "crs": "EPSG:4326"}', 2, ("eye",)),
+    ],
+)
+def test_wrong_views(run, dem, tmp_path, text, code, words):
+    (tmp_path / "v.json").write_text(text)
+    refused(run("render", dem, "-o", tmp_path / "a.png", "--view", tmp_path / "v.json", *SMALL), code, "v.json", *words)
+    refused(run("render", dem, "-o", tmp_path / "a.png", "--view", tmp_path / "none.json", *SMALL), 3, "none.json")
+
+
+def test_outputs_that_cannot_be_written_are_said_first(run, tmp_path):
+    """Even where the input is wrong as well: nothing is drawn for nothing."""
+    none = tmp_path / "none.tif"
+    refused(run("render", none, "-o", tmp_path / "no" / "a.png", *SMALL), 4, "There is no folder", "a.png")
+    refused(run("render", none, "-o", tmp_path / "a.xyz", *SMALL), 4, ".xyz", ".png")
+    refused(run("render", none, "-o", tmp_path / "a", *SMALL), 4, "without ending")
+    for option in ("--depth", "--save-view"):
+        refused(run("render", none, "-o", tmp_path / "a.png", option, tmp_path / "no" / "b", *SMALL), 4, "no folder")
+
+
+def test_inputs_that_are_none(run, tmp_path):
+    refused(run("render", tmp_path / "none.tif", "-o", tmp_path / "a.png", *SMALL), 3, "none.tif")
+    (tmp_path / "text.tif").write_text("no raster at all")
+    refused(run("render", tmp_path / "text.tif", "-o", tmp_path / "a.png", *SMALL), 3, "text.tif")
+    for shape in ((1, 50), (50, 1)):
+        row = write(tmp_path / "row.tif", np.ones(shape, np.float32))
+        refused(run("render", row, "-o", tmp_path / "a.png", *SMALL), 3, "row", "at least two")
+
+
+def test_nothing_in_view(run, dem, tmp_path):
+    empty = write(tmp_path / "empty.tif", np.full((50, 60), -9999, np.float32), nodata=-9999)
+    refused(run("render", empty, "-o", tmp_path / "a.png", *SMALL), 5, "None of the samples is valid")
+    (tmp_path / "v.json").write_text('{"eye": [501500, 3998000, 3000], "target": [501500, 3998000, 9000]}')
+    refused(
+        run("render", dem, "-o", tmp_path / "a.png", "--view", tmp_path / "v.json", *SMALL), 5, "Nothing of the terrain"
+    )
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_debug_shows_where(run, tmp_path):
+    code, out, err = run("render", tmp_path / "none.tif", "-o", tmp_path / "a.png", "--debug")
+    assert code == 3 and out == "" and "Traceback" in err and "none.tif" in err
+
+
+# ---- stores and the cache --------------------------------------------------------------------------------------------
+
+
+def built(path, heights):
+    source = store.ArraySource(heights, Grid(heights.shape, PLACE, CRS.from_epsg(32611)), "built")
+    store.build(source, path).close()
+    return path
+
+
+def test_a_store(run, tmp_path):
+    area = built(tmp_path / "a.oro", hills(300, 300))
+    assert run("render", area, "-o", tmp_path / "a.png", *SMALL)[0] == 0
+    refused(run("render", area, "-o", tmp_path / "b.png", "--assume-crs", "EPSG:4326", "--nodata", 0, *SMALL), 2,
+            "--assume-crs, --nodata", "a.oro")  # fmt: skip
+
+
+def damage(area):
+    """Flip bytes in the middle of the finest heights."""
+    files = [f for f in (area / "heights" / "0").rglob("*") if f.is_file() and f.name != "zarr.json"]
+    largest = max(files, key=lambda f: f.stat().st_size)
+    data = bytearray(largest.read_bytes())
+    for k in range(len(data) // 4, len(data) // 2):
+        data[k] ^= 0xFF
+    largest.write_bytes(bytes(data))
+
+
+def test_a_damaged_store_is_never_drawn(run, tmp_path):
+    area = built(tmp_path / "a.oro", hills(600, 600))
+    damage(area)
+    refused(run("render", area, "-o", tmp_path / "a.png", *SMALL), 4, "a.oro", "heights/0", "damaged", "--overwrite")
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_large_dems_are_kept(run, tmp_path, monkeypatch):
+    for place in ("orograph.picture.prepare.EXACT_SAMPLES", "orograph.picture.scene.EXACT_SAMPLES"):
+        monkeypatch.setattr(place, 10_000)
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("OROGRAPH_CACHE", str(cache))
+    dem = write(tmp_path / "dem.tif", hills(300, 400))
+    options = ("--size", "160x90", "--title", "x", "--tolerance", 0.25)
+    code, out, err = run("render", dem, "-o", tmp_path / "a.png", *options)
+    assert code == 0 and str(cache) not in out and "is kept at" in err and str(cache) in err
+    (kept,) = cache.glob("*.oro")
+    stamp = (kept / "zarr.json").stat().st_mtime_ns
+    code, _, err = run("render", dem, "-o", tmp_path / "b.png", *options)
+    assert code == 0 and "drawn from the store kept at" in err and str(kept) in err
+    assert (kept / "zarr.json").stat().st_mtime_ns == stamp
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+    damage(kept)
+    said = run("render", dem, "-o", tmp_path / "c.png", "--tolerance", 0, *SMALL)
+    assert said[0] == 4 and "delete it" in said[2] and str(kept) in said[2] and not (tmp_path / "c.png").exists()
+
+    (kept / "zarr.json").write_text("{")  # what cannot be opened is made again
+    code, _, err = run("render", dem, "-o", tmp_path / "d.png", *options)
+    assert code == 0 and "built again" in err
+    assert (tmp_path / "d.png").read_bytes() == (tmp_path / "a.png").read_bytes()
+
+    os.utime(dem, (1, 1))  # another file now, as far as one can tell
+    assert "is kept at" in run("render", dem, "-o", tmp_path / "e.png", *options)[2]
+    assert len(list(cache.glob("*.oro"))) == 2
+
+
+def test_a_cache_that_cannot_be(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("orograph.picture.prepare.EXACT_SAMPLES", 10_000)
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path / "file" / "cache"))
+    dem = write(tmp_path / "dem.tif", hills(300, 400))
+    refused(run("render", dem, "-o", tmp_path / "a.png", *SMALL), 4, "OROGRAPH_CACHE")
+
+
+# ---- as a process ----------------------------------------------------------------------------------------------------
+
+
+def process(*args, **kwargs):
+    return [sys.executable, "-m", "orograph", *map(str, args)], {"text": True, "cwd": kwargs.pop("cwd", None), **kwargs}
+
+
+def test_results_and_progress_keep_apart(dem, tmp_path):
+    line, options = process("render", dem, "-o", "a.png", "--size", "160x90", "--json", cwd=tmp_path)
+    ran = subprocess.run(line, capture_output=True, timeout=120, **options)
+    assert ran.returncode == 0, ran.stderr
+    assert json.loads(ran.stdout)["picture"] == "a.png" and (tmp_path / "a.png").stat().st_size > 1000
+    ran = subprocess.run(process("render", dem, "-o", "no/a.png")[0], capture_output=True, timeout=120, **options)
+    assert ran.returncode == 4 and ran.stdout == "" and "Traceback" not in ran.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_ctrl_c(tmp_path):
+    heights = np.random.default_rng(0).normal(500, 100, (1500, 1500)).astype(np.float32)
+    dem = write(tmp_path / "dem.tif", heights)
+    line, options = process("render", dem, "-o", tmp_path / "a.png", "--size", "4000x4000", "--samples", "200")
+    child = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
+    time.sleep(2.5)  # at work: the picture would take a minute
+    child.send_signal(signal.SIGINT)
+    out, err = child.communicate(timeout=60)
+    assert child.returncode == 130 and "interrupted" in err and out == "" and "Traceback" not in err
+    assert [f.name for f in tmp_path.iterdir()] == ["dem.tif"]
+
+
+def test_the_shared_california_tiles(run, shared_data, tmp_path, monkeypatch):
+    """Two real tiles in degrees, one of them mostly ocean."""
+    tiles = sorted(Path(shared_data / "california-3s-tiles").glob("*.tif"))[:2]
+    monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path / "cache"))
+    code, said, _ = run("render", *tiles, "-o", tmp_path / "a.png", "--json", *SMALL)
+    assert code == 0 and json.loads(said)["hit_fraction"] > 0.2
+    shutil.rmtree(tmp_path / "cache", ignore_errors=True)
