@@ -32,6 +32,7 @@ from orograph.dem.target import choose, ground_spacing, parse_crs
 from orograph.dem.undulation import Direction, Undulation, check_datums, check_request
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
+from orograph.geo.operations import approximation
 from orograph.geo.vertical import Geoid
 from orograph.progress import SILENT, Progress
 
@@ -127,6 +128,7 @@ class Mosaic:
             **(options or {}),
         }
         self._gather_warnings()
+        self._warn_of_datums(lattices)
 
     @classmethod
     def open(
@@ -275,6 +277,17 @@ class Mosaic:
                 f"A metre of {self.grid.crs.name} is {1 / scale:.3g} m on the ground here, so slopes come out wrong by "
                 "that factor; the samples are kept as they are (give --crs, e.g. the UTM zone, for true proportions)."
             )
+
+    def _warn_of_datums(self, lattices: Sequence[Lattice]) -> None:
+        """Say where positions come from another datum by less than the best way there is, if that could be seen."""
+        said: dict[str, str] = {}
+        for lattice in lattices:
+            if lattice.grid.crs is not None and self.grid.crs is not None:
+                text = approximation(lattice.grid.crs, self.grid.crs, lattice.grid.bounds(), min(self.grid.spacing) / 2)
+                if text is not None:
+                    said.setdefault(text, lattice.members[0].name)
+        several = len(lattices) > 1
+        self.warnings.extend(f"{name}: {text}" if several else text for text, name in said.items())
 
 
 def _placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Grid:
