@@ -67,7 +67,8 @@ def command(ctx: click.Context, /, output: Path) -> None:
         "Try next:\n"
         f"  orograph info {dem}\n"
         f"  orograph render {dem} -o map.png --projection plan --furniture\n"
-        f"  orograph render {dem} -o dusk.png --from 140 --pitch 18 --distance 14000 --sun 270,20 --sky --exaggeration 1.5\n"
+        f"  orograph render {dem} -o dusk.png --from 140 --pitch 18 --distance 14000 --sun 270,20 --sky "
+        "--exaggeration 1.5\n"
         f"  orograph build {dem} -o jacksboro.oro\n"
         "and the same with your own DEM in its place."
     )
