@@ -73,6 +73,17 @@ def test_samples_of_the_grid_are_met_and_halves_are_means(egm96: Geoid) -> None:
         )
 
 
+def test_rows_that_are_needed_are_as_the_whole(egm96: Geoid, egm96_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    for south, north in ((-90, -60), (35.1, 35.2), (70, 90), (-12.5, 13)):
+        part = Geoid.open(egm96_path, latitudes=(south, north))
+        assert part.grid.rows <= (north - south) * 4 + 7 and part.grid.cols == 1440
+        lon, lat = rng.uniform(-180, 180, 300), rng.uniform(south, north, 300)
+        np.testing.assert_allclose(part.undulation(lon, lat), egm96.undulation(lon, lat), rtol=0, atol=1e-9)
+    with pytest.raises(ReadError, match="lies off the geoid grid"):
+        Geoid.open(egm96_path, latitudes=(10, 20)).undulation(0, 30)
+
+
 def test_another_grid_gives_another_height(tmp_path: Path) -> None:
     at = Affine(1, 0, 6.5, 0, -1, 48.5)  # samples at 7…11° E, 48…45° N
     flat = Geoid.open(write_grid(tmp_path / "flat.tif", np.full((4, 5), 100.0), at))

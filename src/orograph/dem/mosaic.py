@@ -29,7 +29,7 @@ from orograph.dem.lattice import Lattice, Raster, full_turn, group, offset_betwe
 from orograph.dem.projection import horizontal, in_metres, unwrapped
 from orograph.dem.resample import METHODS, box_means, sample
 from orograph.dem.target import choose, ground_spacing, parse_crs
-from orograph.dem.undulation import Direction, Undulation, check_datums, check_request
+from orograph.dem.undulation import Direction, Undulation, check_datums, check_request, latitudes_of
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
 from orograph.geo.operations import approximation
@@ -117,7 +117,7 @@ class Mosaic:
         self.vertical = self._one_datum()
         self.undulation: Undulation | None = None
         if to_vertical is not None and geoid is not None:
-            grid = geoid if isinstance(geoid, Geoid) else Geoid.open(geoid)
+            grid = geoid if isinstance(geoid, Geoid) else Geoid.open(geoid, latitudes=latitudes_of(lattices))
             check_datums(self.sources, to_vertical, grid)
             self.undulation = Undulation(grid, to_vertical, self.grid, lattices)
             self.vertical = self.undulation.vertical

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 
 from orograph._numba import kernel
 from orograph.dem.coordinates import Coordinates
@@ -88,15 +88,7 @@ class Undulation:
 
     def _check(self, lattice: Lattice, geoid: Grid) -> None:
         """The borders of every member of a lattice, half a sample beyond its outermost samples, lie on the grid."""
-        dense = np.linspace(0, 1, 33 if len(lattice.members) < 256 else 5)
-        zero = np.zeros_like(dense)
-        along, down = np.concatenate([dense, dense, zero, zero + 1]), np.concatenate([zero, zero + 1, dense, dense])
-        r0, r1, c0, c1 = (lattice.corners[:, i, None].astype(np.float64) for i in range(4))
-        lon, lat = lattice.grid.xy(c0 - 0.5 + along * (c1 - c0), r0 - 0.5 + down * (r1 - r0))
-        if lattice.grid.crs != geoid.crs:
-            lon, lat = Transformer.from_crs(lattice.grid.crs, geoid.crs, always_xy=True).transform(lon, lat)
-        known = np.isfinite(lon) & np.isfinite(lat)
-        lon, lat = lon[known], np.clip(lat[known], -90, 90)
+        lon, lat = _rims(lattice, geoid.crs)
         u, v = geoid.index(lon, lat)
         u = u - self._around * np.floor((u + SLACK) / self._around)
         off = (v < -SLACK) | (v > geoid.rows - 1 + SLACK)
@@ -114,6 +106,35 @@ class Undulation:
             path=self.geoid.path,
             remedy="Use a geoid grid that covers the terrain.",
         )
+
+
+def latitudes_of(lattices: Sequence[Lattice]) -> tuple[float, float] | None:
+    """The southernmost and northernmost latitude of a terrain's sources; None if they have no CRS."""
+    lats = []
+    for lattice in lattices:
+        if lattice.grid.crs is None:
+            return None
+        lats.append(_rims(lattice, geodetic_base(lattice.grid.crs))[1])
+    every = np.concatenate(lats)
+    if not len(every):
+        return None
+    # A pole that a raster surrounds is not on its border; nor does the straight border of one follow a parallel.
+    south, north = float(every.min()), float(every.max())
+    margin = 0.1 * (north - south) + 0.1
+    return (-90.0 if south < -60 else south - margin), (90.0 if north > 60 else north + margin)
+
+
+def _rims(lattice: Lattice, crs: CRS | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Longitudes and latitudes along the borders of all members, half a sample beyond their outermost samples."""
+    dense = np.linspace(0, 1, 33 if len(lattice.members) < 256 else 5)
+    zero = np.zeros_like(dense)
+    along, down = np.concatenate([dense, dense, zero, zero + 1]), np.concatenate([zero, zero + 1, dense, dense])
+    r0, r1, c0, c1 = (lattice.corners[:, i, None].astype(np.float64) for i in range(4))
+    lon, lat = lattice.grid.xy(c0 - 0.5 + along * (c1 - c0), r0 - 0.5 + down * (r1 - r0))
+    if lattice.grid.crs != crs:
+        lon, lat = Transformer.from_crs(lattice.grid.crs, crs, always_xy=True).transform(lon, lat)
+    known = np.isfinite(lon) & np.isfinite(lat)
+    return lon[known], np.clip(lat[known], -90, 90)
 
 
 def check_request(to: str | None, geoid: object | None) -> None:

@@ -9,6 +9,7 @@ point beyond it and a hole in it are errors. Units: degrees and metres, float64.
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,8 +67,11 @@ class Geoid:
         return f"{ELLIPSOIDAL} ({'WGS 84' if crs is None else crs.name})"
 
     @classmethod
-    def open(cls, path: str | os.PathLike[str]) -> Geoid:
-        """Read a geoid grid whole (EGM2008 at 1′: 1.8 GB; at 2.5′: 0.3 GB).
+    def open(cls, path: str | os.PathLike[str], *, latitudes: tuple[float, float] | None = None) -> Geoid:
+        """Read a geoid grid.
+
+        Args:
+            latitudes: south and north of what is needed (degrees); None reads the whole (EGM2008 at 1′: 1.8 GB).
 
         Raises:
             ReadError: the file is missing or broken, or is not a north-up geographic grid.
@@ -81,11 +85,16 @@ class Geoid:
             raise ReadError("There is no such geoid grid.", path=text, remedy=remedy)
         try:
             with rasterio.open(text) as dataset:
-                values = dataset.read(1).astype(np.float64)
+                transform = dataset.transform
+                first, last = 0, dataset.height
+                if latitudes is not None and transform.e < 0:
+                    rows = [(lat - transform.f) / transform.e for lat in latitudes]
+                    first = min(max(math.floor(min(rows)) - 2, 0), last - 1)
+                    last = max(min(math.ceil(max(rows)) + 3, last), first + 1)
+                values = dataset.read(1, window=((first, last), (0, dataset.width))).astype(np.float64)
                 if dataset.nodata is not None:
                     values[values == np.float64(np.float32(dataset.nodata))] = np.nan
                     values[values == dataset.nodata] = np.nan
-                transform = dataset.transform
                 crs = None if not dataset.crs else CRS.from_wkt(dataset.crs.to_wkt())
         except RasterioError as error:
             raise ReadError(f"The geoid grid cannot be read: {error}", path=text, remedy=remedy) from None
@@ -95,7 +104,12 @@ class Geoid:
             )
         stem = Path(text).stem
         datum = known_datum(f"height above {stem}")
-        return cls(text, values, Grid((values.shape[0], values.shape[1]), transform, crs), datum)
+        return cls(
+            text,
+            values,
+            Grid((dataset.height, dataset.width), transform, crs).window(first, last, 0, dataset.width),
+            datum,
+        )
 
     def undulation(self, lon: ArrayLike, lat: ArrayLike) -> F64:
         """N in metres at longitudes and latitudes in degrees, bilinear, of the broadcast shape; NaN where those are
