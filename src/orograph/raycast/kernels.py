@@ -23,7 +23,7 @@ from orograph.raycast.traverse import ABOVE, BELOW, UNKNOWN, cast, clip, highest
 
 # Columns of the windows' tables (see stack.py): integers and floats of each window.
 BASE, STRIDE, CELLS_X, CELLS_Y, MIP_FIRST, MIP_COUNT = range(6)
-ORIGIN_X, ORIGIN_Y, SCALE, WEST, NORTH, EAST, SOUTH = range(7)
+ORIGIN_X, ORIGIN_Y, SCALE, WEST, NORTH, EAST, SOUTH, INVERSE = range(8)
 
 INF = np.inf
 
@@ -62,7 +62,7 @@ def ray(scene, ints, floats, low, high, ox, oy, oz, dx, dy, dz, t0, t1, side, le
         if a >= b and windows > 1:
             continue
         f, n = floats[w], ints[w]
-        k = 1.0 / f[SCALE]
+        k = f[INVERSE]
         m0, m1 = n[MIP_FIRST], n[MIP_FIRST] + n[MIP_COUNT]
         t, side = cast(
             pool,
@@ -102,7 +102,7 @@ def cast_rays(scene, ints, floats, low, high, origins, directions, t0, t1, out, 
         which[i] = w
 
 
-@leaf
+@inlined
 def ground_below(scene, ints, floats, x0, x1, y0, y1):
     """(Upper bound of the surface over a rectangle, −inf beside it; scale of the finest window there)."""
     _, maxima, _, mips = scene
@@ -111,7 +111,7 @@ def ground_below(scene, ints, floats, x0, x1, y0, y1):
         west, north, east, south = floats[w, WEST], floats[w, NORTH], floats[w, EAST], floats[w, SOUTH]
         if x1 < west or x0 > east or y1 < north or y0 > south:
             continue
-        k = 1.0 / floats[w, SCALE]
+        k = floats[w, INVERSE]
         m0, m1 = ints[w, MIP_FIRST], ints[w, MIP_FIRST] + ints[w, MIP_COUNT]
         u0, u1 = (max(x0, west) - floats[w, ORIGIN_X]) * k, (min(x1, east) - floats[w, ORIGIN_X]) * k
         v0, v1 = (max(y0, north) - floats[w, ORIGIN_Y]) * k, (min(y1, south) - floats[w, ORIGIN_Y]) * k
@@ -138,6 +138,7 @@ def advance(scene, ints, floats, high, o, xa, xb, ya, yb, slope, s, end, step):
     width = max(xb - xa, yb - ya)
     speed = max(max(abs(xa), abs(xb)), max(abs(ya), abs(yb))) + 1e-300
     ox, oy, oz = o[0], o[1], o[2]
+    passed = False
     while s < end:
         if oz + s * slope > high:  # above every summit until it comes down to them
             if slope >= 0.0:
@@ -150,8 +151,11 @@ def advance(scene, ints, floats, high, o, xa, xb, ya, yb, slope, s, end, step):
         ground, cell = ground_below(scene, ints, floats, x0, x1, y0, y1)
         if z > ground:
             s = to
-            step *= 2.0
+            if passed:  # a single step forward is what a row usually gains on the one below
+                step *= 2.0
+            passed = True
         else:
+            passed = False
             least = max(LEAST_CELLS * cell, LEAST_WIDTH * width * s) / speed
             if step <= least:
                 return s, step, ground
@@ -162,8 +166,9 @@ def advance(scene, ints, floats, high, o, xa, xb, ya, yb, slope, s, end, step):
 LEAST_CELLS, LEAST_WIDTH = 0.5, 0.25
 """The shortest stretch that ``advance`` tries: in cells of the finest window, and in widths of the beam."""
 
-BLOCK_X, BLOCK_Y, STRIP, LOW = 64, 16, 16, 4
-"""Pixels: a block; a strip of its columns; and how many of a strip's rows make a beam of their own without a wedge."""
+BLOCK_X, BLOCK_Y, STRIP, THIN, LOW = 64, 16, 16, 8, 4
+"""Pixels: a block; the strips of columns in it; the thin strips in those; and how many rows of a strip without a wedge
+share a beam."""
 
 
 @leaf
@@ -265,6 +270,7 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
     windows = ints.shape[0]
     spans = np.empty((windows, 2))
     starts = np.empty(STRIP)
+    thin = np.empty((STRIP // THIN, 7))  # xa, xb, ya, yb, front, step, ground
     # Beyond its farthest corner no ray is over the terrain.
     edge_x = max(abs(o[0] - floats[0, WEST]), abs(o[0] - floats[0, EAST]))
     edge_y = max(abs(o[1] - floats[0, NORTH]), abs(o[1] - floats[0, SOUTH]))
@@ -304,6 +310,11 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
                 lowest = -INF
                 if wedged:
                     xa, xb, ya, yb, _ = wedge(d0, du, dv, gx, gy, sx, fx, by, ey)
+                    for j in range((fx - sx + THIN - 1) // THIN):
+                        a = sx + j * THIN
+                        b = min(a + THIN, fx)
+                        thin[j, 0], thin[j, 1], thin[j, 2], thin[j, 3], _ = wedge(d0, du, dv, gx, gy, a, b, by, ey)
+                    thin[:, 4], thin[:, 5], thin[:, 6] = first, step, -INF
                     upper, _ = row_slope(d0, du, dv, gx, gy, sx, fx, by)
                     lower, _ = row_slope(d0, du, dv, gx, gy, sx, fx, ey - 1)
                     upward = upper >= lower
@@ -313,12 +324,34 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
                         slope, fastest = row_slope(d0, du, dv, gx, gy, sx, fx, py)
                         if slope < lowest:  # a turned camera: this row does not see over the one before
                             front, tried, ground = first, step, -INF
+                            thin[:, 4], thin[:, 5], thin[:, 6] = first, step, -INF
                         lowest = slope
                         if o[2] + (front if slope >= 0.0 else front + tried) * slope > ground:
                             front, tried, ground = advance(
                                 scene, ints, floats, high, o, xa, xb, ya, yb, slope, front, end, tried
                             )
-                        starts[:] = front / fastest
+                        for j in range((fx - sx + THIN - 1) // THIN if front < end else 0):
+                            if front > thin[j, 4]:
+                                thin[j, 4], thin[j, 5], thin[j, 6] = front, tried, -INF
+                            s = thin[j, 4]
+                            if o[2] + (s if slope >= 0.0 else s + thin[j, 5]) * slope > thin[j, 6]:
+                                thin[j, 4], thin[j, 5], thin[j, 6] = advance(
+                                    scene,
+                                    ints,
+                                    floats,
+                                    high,
+                                    o,
+                                    thin[j, 0],
+                                    thin[j, 1],
+                                    thin[j, 2],
+                                    thin[j, 3],
+                                    slope,
+                                    s,
+                                    end,
+                                    thin[j, 5],
+                                )
+                            for i in range(j * THIN, (j + 1) * THIN):
+                                starts[i] = thin[j, 4] / fastest
                     elif row % LOW == 0:
                         upto = min(py + LOW, ey)
                         xa, xb, ya, yb, slope = directions(d0, du, dv, sx, fx, py, upto)
@@ -366,14 +399,14 @@ def holds(floats, w, x, y):
 @inlined
 def local(floats, w, x, y, z):
     """A vector in a window's own samples."""
-    k = 1.0 / floats[w, SCALE]
+    k = floats[w, INVERSE]
     return x * k, y * k, z
 
 
 @inlined
 def local_rectangle(floats, w, v):
     """(west, north, east, south) of window ``w`` in the samples of window ``v``."""
-    k = 1.0 / floats[v, SCALE]
+    k = floats[v, INVERSE]
     x, y = floats[v, ORIGIN_X], floats[v, ORIGIN_Y]
     return (
         (floats[w, WEST] - x) * k,

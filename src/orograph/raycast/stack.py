@@ -41,7 +41,7 @@ class Stack:
         pool: all heights, float32, flat; no copy if there is one window.
         maxima, minima: all their pyramids, flat.
         mips: (3, levels of all windows) int64: offset of the maxima, of the minima, nodes per row.
-        ints (W, 6) int64, floats (W, 7) float64: see ``kernels.BASE`` and following.
+        ints (W, 6) int64, floats (W, 8) float64: see ``kernels.BASE`` and following.
         low, high: the slab that holds every height, metres.
     """
 
@@ -65,7 +65,7 @@ class Stack:
         """Flatten ``windows``; ``shape`` is the terrain's (rows, cols) at full resolution: nothing is hit beyond it."""
         pyramids: list[Mips] = [build_mips(w.heights, jobs) for w in windows]
         ints = np.zeros((len(windows), 6), np.int64)
-        floats = np.zeros((len(windows), 7), np.float64)
+        floats = np.zeros((len(windows), 8), np.float64)
         base = mip = max_base = min_base = 0
         tables = []
         for k, (w, m) in enumerate(zip(windows, pyramids)):
@@ -74,7 +74,8 @@ class Stack:
             ints[k] = base, cols, cols - 1, rows - 1, mip, m.levels
             west, north = w.col0 * scale, w.row0 * scale
             east, south = west + (cols - 1) * scale, north + (rows - 1) * scale
-            floats[k] = west, north, scale, west, north, min(east, shape[1] - 1.0), min(south, shape[0] - 1.0)
+            east, south = min(east, shape[1] - 1.0), min(south, shape[0] - 1.0)
+            floats[k] = west, north, scale, west, north, east, south, 1.0 / scale
             tables.append(np.stack([m.max_offset + max_base, m.min_offset + min_base, m.cols]))
             base += w.heights.size
             mip += m.levels
