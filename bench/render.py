@@ -52,7 +52,7 @@ def timed(command: list[str], cache: Path) -> tuple[float, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--big", type=Path, help="a projected raster of 16385 × 16385 samples")
     options = parser.parse_args()

@@ -86,12 +86,13 @@ class Geoid:
         try:
             with rasterio.open(text) as dataset:
                 transform = dataset.transform
-                first, last = 0, dataset.height
+                height, width = dataset.shape
+                first, last = 0, height
                 if latitudes is not None and transform.e < 0:
                     rows = [(lat - transform.f) / transform.e for lat in latitudes]
                     first = min(max(math.floor(min(rows)) - 2, 0), last - 1)
                     last = max(min(math.ceil(max(rows)) + 3, last), first + 1)
-                values = dataset.read(1, window=((first, last), (0, dataset.width))).astype(np.float64)
+                values = dataset.read(1, window=((first, last), (0, width))).astype(np.float64)
                 if dataset.nodata is not None:
                     values[values == np.float64(np.float32(dataset.nodata))] = np.nan
                     values[values == dataset.nodata] = np.nan
@@ -104,12 +105,8 @@ class Geoid:
             )
         stem = Path(text).stem
         datum = known_datum(f"height above {stem}")
-        return cls(
-            text,
-            values,
-            Grid((dataset.height, dataset.width), transform, crs).window(first, last, 0, dataset.width),
-            datum,
-        )
+        grid = Grid((height, width), transform, crs).window(first, last, 0, width)
+        return cls(text, values, grid, datum)
 
     def undulation(self, lon: ArrayLike, lat: ArrayLike) -> F64:
         """N in metres at longitudes and latitudes in degrees, bilinear, of the broadcast shape; NaN where those are
