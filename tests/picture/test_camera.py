@@ -45,7 +45,9 @@ def test_fit_holds_every_point_and_fills_the_picture(azimuth, pitch, exaggeratio
     close = view.axes(exaggeration)[2]
     depths = (points - view.eye) * [1, 1, exaggeration] @ close
     # Full on one axis, unless the nearest point is at the lens already.
-    assert reach.max() >= 0.98 * MARGIN or depths.min() < 2e-3 * np.linalg.norm(np.ptp(points, axis=0) * [1, 1, exaggeration])
+    assert reach.max() >= 0.98 * MARGIN or depths.min() < 2e-3 * np.linalg.norm(
+        np.ptp(points, axis=0) * [1, 1, exaggeration]
+    )
 
 
 @settings(max_examples=60, deadline=None)
