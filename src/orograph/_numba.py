@@ -29,4 +29,5 @@ def leaf(function: Function) -> Function:
 
     A small kernel that others call millions of times would spend most of its time on that.
     """
-    return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy", _nrt=False)(function))
+    options: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False}
+    return cast(Function, numba.njit(**options)(function))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from affine import Affine
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pyproj import CRS
 from surfaces import box_means, grid_of, largest_distances, nested, rough
 
 from orograph import store
 from orograph.dem.raster import Dem
 from orograph.errors import UsageError
+from orograph.geo.grid import Grid
 from orograph.store.terrain import exponent, level_count, level_shape, mean_shape, tile_shape
 
 sides = st.integers(1, 5000)
@@ -95,10 +98,27 @@ def test_what_is_read_cannot_be_changed_by_mistake():
 
 
 @pytest.mark.parametrize(("crs", "word"), [("EPSG:4326", "degrees"), ("EPSG:2229", "foot")])
-def test_degrees_and_feet_are_refused(crs, word):
-    heights = rough((5, 5))
+def test_degrees_and_feet_are_refused_as_they_are(crs, word):
     with pytest.raises(UsageError, match=word):
-        store.terrain(Dem(heights, grid_of((5, 5), crs), None, "tile"))
+        store.MemoryTerrain(rough((5, 5)), grid_of((5, 5), crs), "tile")
+
+
+def test_a_dem_in_degrees_is_brought_to_metres():
+    grid = Grid((60, 40), Affine(1 / 1200, 0, 7.0, 0, -1 / 1200, 46.0), CRS.from_epsg(4326))
+    terrain = store.terrain(Dem(np.full((60, 40), 250, np.float32), grid, None, "tile"))
+    assert terrain.grid.crs.to_epsg() == 32632
+    heights = terrain.heights
+    assert set(np.unique(heights[np.isfinite(heights)])) == {250}
+    # 60 rows of 3 arc-seconds are 5.56 km; the cells are square, of the same area as the source's at 46° N.
+    metres = 1 / 1200 * 111_147 * (np.cos(np.radians(46)) * 111_320 / 111_147) ** 0.5
+    assert terrain.grid.spacing == pytest.approx((metres, metres), rel=0.01)
+
+
+def test_a_dem_in_feet_keeps_its_samples():
+    heights = rough((30, 20))
+    terrain = store.terrain(Dem(heights, grid_of((30, 20), "EPSG:2229"), None, "tile"))
+    np.testing.assert_array_equal(terrain.heights, heights)
+    assert terrain.grid.spacing[0] == pytest.approx(grid_of((30, 20)).spacing[0] * 1200 / 3937)
 
 
 def test_a_source_is_read_into_memory_as_a_whole():

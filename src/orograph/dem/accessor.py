@@ -108,11 +108,9 @@ class OrographAccessor:
 
     def to_terrain(self, *, crs: str | CRS | None = None, name: str | None = None) -> Terrain:
         """The array as a terrain in memory, brought to a projected metric CRS if it is not in one (``Mosaic``)."""
-        from orograph.dem.mosaic import Mosaic
-        from orograph.store import ArraySource, terrain
+        from orograph.store import terrain
 
-        dem = self.to_dem(crs=crs, name=name)
-        return terrain(Mosaic([ArraySource(dem.heights, dem.grid, dem.name, dem.vertical)]))
+        return terrain(self.to_dem(crs=crs, name=name))
 
     def render(self, view: Any = None, *, crs: str | CRS | None = None, name: str | None = None, **options: Any) -> Any:
         """A picture of the array: ``orograph.render(terrain, view, **options)``."""

@@ -105,29 +105,6 @@ class Caster:
         )
         return t, which
 
-    def cast_bundles(
-        self, eye: Array, directions: Array, bundle: int, near: float = 0.0, far: float = np.inf
-    ) -> tuple[Array, NDArray[np.int8]]:
-        """``cast`` for rays from one eye of which each ``bundle`` consecutive ones are close together.
-
-        Args:
-            eye: (3,). directions: (n, 3) float64, n a multiple of ``bundle``.
-        """
-        if eye[2] <= self.surface(eye[0], eye[1]):  # no front can be pushed from beneath the ground
-            return self.cast(np.broadcast_to(eye, directions.shape), directions, near, far)
-        from orograph.raycast.bundles import cast_bundles
-
-        t, which = np.empty(len(directions)), np.empty(len(directions), np.int8)
-        s = self.stack
-        self._blocks(
-            lambda a, b: cast_bundles(
-                s.scene, s.ints, s.floats, s.low, s.high, eye, directions, bundle, near, far, t, which, a, b
-            ),
-            len(directions) // bundle,
-            4096,
-        )
-        return t, which
-
     def skyline(self, points: Array, direction: tuple[float, float], skip: Array, lower: float, enough: float) -> Array:
         """The steepest slope from each point to any ground in one direction (see ``skyline.py``).
 

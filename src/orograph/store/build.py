@@ -21,7 +21,7 @@ from orograph.errors import StoreError, UsageError
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.layout import CHUNK, FORMAT, PARTS, PLAN, ROOT, Record, dumps, metadata
-from orograph.store.memory import MemoryTerrain, check_metric
+from orograph.store.memory import MemoryTerrain, check_metric, is_metric
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, is_store, open, partial, read_record
@@ -126,13 +126,17 @@ def build(
 
 
 def terrain(source: HeightSource | Dem, progress: Progress = SILENT) -> MemoryTerrain:
-    """A terrain in memory: of a Dem (its array is shared), or of anything that reads windows, read as a whole.
+    """A terrain in memory: of a Dem, or of anything that reads windows, read as a whole.
+
+    A Dem in metres is shared, sample for sample; one in degrees or feet is brought to a metric CRS (see ``Mosaic``).
 
     Raises:
-        UsageError: it is not in a metric CRS.
+        UsageError: it cannot be brought to a metric CRS.
     """
     if not isinstance(source, HeightSource):
-        return MemoryTerrain.from_dem(source, progress)
+        source = as_source(source, progress)
+    if isinstance(source, ArraySource):
+        return MemoryTerrain(source.heights, source.grid, source.name, source.vertical)
     rows, cols = source.grid.shape
     check_metric(source.grid, source.name)
     heights = np.empty((rows, cols), np.float32)
@@ -158,7 +162,12 @@ def as_source(source: HeightSource | Dem | Path_ | Sequence[Path_], progress: Pr
         raise UsageError(f"{', '.join(options)}: such options are for files, not for heights already read.")
     if isinstance(source, HeightSource):
         return source
-    return ArraySource(source.heights, source.grid, source.name, source.vertical)
+    array = ArraySource(source.heights, source.grid, source.name, source.vertical)
+    if is_metric(source.grid):
+        return array
+    from orograph.dem.mosaic import Mosaic
+
+    return Mosaic([array])
 
 
 def _sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None) -> tuple[int, int]:

@@ -15,13 +15,18 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.parallel import map_ordered
-from orograph.progress import SILENT, Progress
 from orograph.store.terrain import TILE, Heights, Terrain, TileTable, tile_shape
 
 if TYPE_CHECKING:
-    from orograph.dem import Dem
+    pass
 
 T = TypeVar("T")
+
+
+def is_metric(grid: Grid) -> bool:
+    """Whether a grid is projected and in metres, as the heights are, or has no CRS."""
+    crs = grid.crs
+    return crs is None or (crs.is_projected and {a.unit_conversion_factor for a in crs.axis_info[:2]} == {1.0})
 
 
 def check_metric(grid: Grid, name: str) -> None:
@@ -65,15 +70,6 @@ class MemoryTerrain(Terrain):
         self.heights.flags.writeable = False
         self._lock = threading.RLock()
         self._made: dict[tuple[str, int], object] = {}
-
-    @classmethod
-    def from_dem(cls, dem: Dem, progress: Progress = SILENT) -> MemoryTerrain:
-        """The terrain of a DEM in a projected CRS in metres (or without CRS); its array is shared, not copied.
-
-        Raises:
-            UsageError: the DEM is in degrees, or in feet.
-        """
-        return cls(dem.heights, dem.grid, dem.name, dem.vertical)
 
     @property
     def height_range(self) -> tuple[float, float]:
