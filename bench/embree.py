@@ -14,6 +14,7 @@ import argparse
 import math
 import multiprocessing
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +139,7 @@ def embree_pair(embree: Any, origins: Any, directions: Any, query: str, repeat: 
 
 def compare(name: str, heights: NDArray[np.float32], spacing: float, repeat: int) -> None:
     scale = np.array([1 / spacing, 1 / spacing, 1.0])
-    build = min(best(lambda: Caster.of(heights, 1), repeat, time.thread_time), 1e9) * 1e3
+    build = best(lambda: Caster.of(heights, 1), repeat + 1, time.thread_time) * 1e3
     casters = {jobs: Caster.of(heights, jobs) for jobs in (1, 2)}
     stack = casters[1].stack
     memory = (heights.nbytes + stack.maxima.nbytes + stack.minima.nbytes + stack.mips.nbytes) / heights.nbytes
@@ -168,14 +169,13 @@ def compare(name: str, heights: NDArray[np.float32], spacing: float, repeat: int
         same = hit == np.isfinite(t.ravel())
         both = hit & np.isfinite(t.ravel())
         close = np.abs(distance[both] - t.ravel()[both]) <= 1e-4 * t.ravel()[both]
-        query = min(
-            ("DISTANCE", "INTERSECT"), key=lambda q: best(lambda: embree.run(o, d, query=q), 2, time.thread_time)
-        )
+        theirs = {q: partial(embree.run, o, d, query=q) for q in ("DISTANCE", "INTERSECT")}
+        query = min(theirs, key=lambda q: best(theirs[q], 2, time.thread_time))
         for jobs in (1, 2):
             clock = time.thread_time if jobs == 1 else time.perf_counter
-            mine = best(lambda: casters[jobs].cast_pinhole(*ours, (HEIGHT, WIDTH)), repeat, clock)
+            mine = best(partial(casters[jobs].cast_pinhole, *ours, (HEIGHT, WIDTH)), repeat, clock)
             if jobs == 1:
-                other = best(lambda: embree.run(o, d, query=query), repeat, clock)
+                other = best(theirs[query], repeat, clock)
             else:
                 other = embree_pair(embree, o, d, query, repeat)
             rays = len(d) / 1e6

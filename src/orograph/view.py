@@ -199,6 +199,8 @@ class View:
         """World (stretched) → camera, (4, 4): x right, y up, z *towards* the eye (right-handed, as OpenGL has it)."""
         right, up, forward = self.axes(exaggeration)
         eye = np.array(self.eye) * [1.0, 1.0, exaggeration]
+        if self.projection == "plan":  # seen from straight above the target
+            eye[:2] = self.target[:2]
         matrix = np.eye(4)
         for row, axis in enumerate((right, up, -forward)):
             matrix[row, :3] = axis

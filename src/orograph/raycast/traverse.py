@@ -52,7 +52,7 @@ def inverse(d):
     return d, 1.0 / d
 
 
-@inlined
+@leaf
 def cell_hit(a, b, c, d, even, u0, v0, z0, u1, v1, z1, side):
     """Intersect the ray's passage (u0, v0, z0) → (u1, v1, z1) through a cell with its two triangles.
 
@@ -61,8 +61,8 @@ def cell_hit(a, b, c, d, even, u0, v0, z0, u1, v1, z1, side):
     """
     whole = a + b + c + d
     if side > 0 and whole == whole:
-        # The usual case, with the fewest branches and divisions. Mirrored where the diagonal runs b–c, the triangles are
-        # the planes a + v·(d − a) + w·(b − a) where w = u − v ≥ 0, and a + u·(d − a) − w·(c − a) where w ≤ 0.
+        # The usual case, with the fewest branches and divisions. Mirrored where the diagonal runs b–c, the triangles
+        # lie in a + v·(d − a) + w·(b − a) where w = u − v ≥ 0, and in a + u·(d − a) − w·(c − a) where w ≤ 0.
         if not even:
             u0, u1 = 1.0 - u0, 1.0 - u1
             a, b, c, d = b, a, d, c
@@ -294,7 +294,7 @@ def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, f
             a, b = np.float64(pool[i]), np.float64(pool[i + 1])
             c, d = np.float64(pool[i + stride]), np.float64(pool[i + stride + 1])
             least = min(za, zb)
-            if side >= 0 and least > a and least > b and least > c and least > d:
+            if side >= 0 and (least > a) & (least > b) & (least > c) & (least > d):
                 side = 1
             else:
                 u0, v0 = ox + t * dx - cx, oy + t * dy - cy
@@ -308,15 +308,13 @@ def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, f
             if ue >= t1:
                 over = True
                 break
-            if ux <= uy:
-                cx += sx
-                ux += ax
-                i += sx
-            else:
-                cy += sy
-                uy += ay
-                i += stepy
-            if cx < 0 or cx >= nc or cy < 0 or cy >= nr:
+            across = ux <= uy  # which border comes first is a toss: selects instead of branches
+            cx += sx if across else 0
+            cy += 0 if across else sy
+            ux += ax if across else 0.0
+            uy += 0.0 if across else ay
+            i += sx if across else stepy
+            if (cx < 0) | (cx >= nc) | (cy < 0) | (cy >= nr):
                 over = True
                 break
         if not over:
@@ -341,7 +339,7 @@ def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, f
                         a, b = np.float64(pool[i]), np.float64(pool[i + 1])
                         c, d = np.float64(pool[i + stride]), np.float64(pool[i + stride + 1])
                         least = min(zc, zd)
-                        if side >= 0 and least > a and least > b and least > c and least > d:
+                        if side >= 0 and (least > a) & (least > b) & (least > c) & (least > d):
                             side = 1
                         else:
                             u0, v0 = ox + t * dx - cx, oy + t * dy - cy
@@ -354,34 +352,27 @@ def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, f
                         t, zc = ue, zd
                         if ue >= te:
                             break
-                        if ux <= uy:
-                            cx += sx
-                            ux += ax
-                            if (cx >> MARCH_LEVEL) != jx or cx >= nc:
-                                break
-                        else:
-                            cy += sy
-                            uy += ay
-                            if (cy >> MARCH_LEVEL) != jy or cy >= nr:
-                                break
+                        across = ux <= uy
+                        cx += sx if across else 0
+                        cy += 0 if across else sy
+                        ux += ax if across else 0.0
+                        uy += 0.0 if across else ay
+                        if ((cx >> MARCH_LEVEL) != jx) | ((cy >> MARCH_LEVEL) != jy) | (cx >= nc) | (cy >= nr):
+                            break
                     if over:
                         break
                 t, za = te, zb
                 if te >= t1:
                     over = True
                     break
-                if tx <= ty:
-                    jx += sx
-                    tx += ax * size
-                    if jx < 0 or jx > last_x:
-                        over = True
-                        break
-                else:
-                    jy += sy
-                    ty += ay * size
-                    if jy < 0 or jy > last_y:
-                        over = True
-                        break
+                across = tx <= ty
+                jx += sx if across else 0
+                jy += 0 if across else sy
+                tx += ax * size if across else 0.0
+                ty += 0.0 if across else ay * size
+                if (jx < 0) | (jx > last_x) | (jy < 0) | (jy > last_y):
+                    over = True
+                    break
         if hit < INF:
             out[py, px], which[py, px] = hit, number
         elif over and not leaves:
