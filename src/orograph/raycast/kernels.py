@@ -218,7 +218,7 @@ def grazes(d0, du, dv, gx, gy, x0, x1, y0, y1):
     return upper * lower <= 0.0 or abs(upper - lower) > GRAZING * apart * (y1 - 1 - y0) * min(abs(upper), abs(lower))
 
 
-GRAZING = 3.0
+GRAZING = 2.0
 
 
 @leaf
@@ -381,7 +381,7 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
                         sx,
                         fx,
                         starts,
-                        (xb - xa) * front < 8.0 * floats[w, SCALE],
+                        (xb - xa) * front < 16.0 * floats[w, SCALE],
                         t0,
                         t1,
                         out,
