@@ -131,6 +131,23 @@ def test_around_a_pole(box: tuple[float, float, float, float]) -> None:
     assert np.abs(got - want)[inside & (90 - np.abs(lat) > step)].max() < 0.1
 
 
+@pytest.mark.parametrize("west", [-180.0, 0.0])
+@pytest.mark.parametrize("code", ["EPSG:8857", "ESRI:54009"])  # Equal Earth, Mollweide: equal-area, curved rims
+def test_beyond_the_rim_of_a_world_map_there_is_nothing(code: str, west: float) -> None:
+    lon = west + 0.5 + np.arange(360)
+    turned = (lon + 180) % 360 - 180
+    world = held(np.broadcast_to(turned, (180, 360)), Affine(1, 0, west, 0, -1, 90), WGS84)
+    m = Mosaic([world], crs=code, resolution=50_000, resampling="nearest")
+    found = everything(m)
+    area = np.isfinite(found).sum() * 50_000.0**2
+    assert area == pytest.approx(510.066e12, rel=0.004)  # of the WGS 84 ellipsoid
+    assert found.size * 50_000.0**2 > 1.1 * area
+    x = np.broadcast_to(m.grid.xy(np.arange(m.grid.cols), 0)[0], found.shape)
+    known = np.isfinite(found) & (np.abs(x) > 200_000)
+    assert (np.sign(found[known]) == np.sign(x[known])).all()  # west is left, east is right
+    assert same(m.read(20, 45, 3, 600), found[20:45, 3:600])
+
+
 def test_against_gdal_on_a_real_tile(shared_data: Path) -> None:
     """GDAL interpolates positions along its rows (rasterio gives no way to have them exact), so its pixels depend on
     the window: 8 m off in one of the whole tile, right in one of 16². Finer than the source it does not widen its

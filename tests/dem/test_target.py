@@ -150,6 +150,12 @@ def test_what_cannot_be_flat_is_refused_with_a_way_out(box: tuple[float, ...]) -
     assert target(degrees(*box, n=360), crs=parse_crs("EPSG:8857")).grid.crs == CRS.from_epsg(8857)
 
 
+@pytest.mark.parametrize("west", [-180, 0])
+def test_a_whole_world_is_said_to_be_one(west: float) -> None:
+    with pytest.raises(ReadError, match=r"360° of longitude by 180° of latitude"):
+        target(degrees(west, -90, west + 360, 90, n=1440))
+
+
 @pytest.mark.parametrize("code", ["IAU_2015:49900", "IAU_2015:30100"])
 def test_other_bodies_get_a_projection_on_their_own_ellipsoid(code: str) -> None:
     crs = CRS.from_user_input(code)

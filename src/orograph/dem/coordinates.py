@@ -4,9 +4,10 @@ Map projections are smooth, so the exact transformation (pyproj) is evaluated on
 ``step``-th one counted from the target's *first* sample, and interpolated bilinearly between. The step is the largest
 power of two for which the interpolation stays within a tolerance (source samples) on probes over the whole grid. Cells
 of the mesh that bend more than that (around a pole, across the antimeridian, at the rim of a projection) are found by
-the second differences of the mesh and evaluated sample by sample. Mesh, step and decision depend on the two grids
-alone, never on the window asked for: coordinates are the same to the bit however a raster is cut into windows. Units:
-samples.
+the second differences of the mesh and evaluated sample by sample. Many inverse projections answer beyond the rim of the
+map too, with positions that belong elsewhere; where the target reaches beyond it, a sample counts only if its position
+projects back to it. Mesh, step and decision depend on the two grids alone, never on the window asked for: coordinates
+are the same to the bit however a raster is cut into windows. Units: samples.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from orograph.geo.grid import Grid
 
 TOLERANCE = 0.01
 STEPS = (64, 32, 16, 8, 4, 2)
+RETURN = 1.0  # samples, and metres: what a position may miss by when it is projected back
+PROBES = 65  # a side: of the target, to see whether it reaches beyond the projection's rim
 
 Floats = NDArray[np.float64]
 
@@ -79,6 +82,15 @@ class Coordinates:
         self._transformer = None if same else Transformer.from_crs(target.crs, source.crs, always_xy=True)
         self._turn = full_turn(source) if not same and source.crs is not None and source.crs.is_geographic else 0.0
         self._middle = float(source.xy(*((n - 1) / 2 for n in (source.cols, source.rows)))[0])
+        self._projection: Transformer | None = None
+        if not same and target.crs is not None and target.crs.is_projected:
+            # The target's projection alone: shifts of datum do not return exactly, and have no rim.
+            projection = Transformer.from_crs(target.crs, target.crs.geodetic_crs, always_xy=True)
+            probes = np.meshgrid(
+                np.linspace(-0.5, target.cols - 0.5, PROBES), np.linspace(-0.5, target.rows - 0.5, PROBES)
+            )
+            if _beyond_rim(projection, target, probes[0], probes[1]).any():
+                self._projection = projection
         self.step = STEPS[0] if same else self._choose_step()
 
     def exact(self, col: Floats, row: Floats) -> tuple[Floats, Floats]:
@@ -86,6 +98,8 @@ class Coordinates:
         x, y = self.target.xy(col, row)
         if self._transformer is not None:
             x, y = self._transformer.transform(x, y)
+            if self._projection is not None:
+                x = np.where(_beyond_rim(self._projection, self.target, col, row), np.nan, x)
             if self._turn:
                 x = x + self._turn * np.round((self._middle - x) / self._turn)
             x, y = np.where(np.isfinite(x), x, np.nan), np.where(np.isfinite(y), y, np.nan)
@@ -127,6 +141,14 @@ class Coordinates:
             if np.mean(error <= self.tolerance / 16) >= 0.9:
                 return s
         return 1
+
+
+def _beyond_rim(projection: Transformer, grid: Grid, col: Floats, row: Floats) -> NDArray[np.bool_]:
+    """Samples outside of the map that a projection draws: their longitude and latitude do not project back to them."""
+    x, y = projection.transform(*projection.transform(*grid.xy(col, row)), direction="INVERSE")
+    back_col, back_row = grid.index(np.where(np.isfinite(x), x, np.nan), np.where(np.isfinite(y), y, np.nan))
+    allowed = max(RETURN, RETURN / min(grid.spacing))
+    return ~(np.hypot(back_col - col, back_row - row) <= allowed)  # and where either way is undefined
 
 
 def _bend(u: Floats, v: Floats) -> Floats:

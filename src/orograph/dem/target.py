@@ -167,8 +167,9 @@ def _rims(lattice: Lattice) -> tuple[Floats, Floats]:
     inner = np.linspace(0, 1, 33 if n < 32 else 3)
     s, t = np.meshgrid(inner, inner)
     zero = np.zeros_like(dense)
-    along = np.concatenate([dense, dense, zero, zero + 1, s.ravel()])
-    down = np.concatenate([zero, zero + 1, dense, dense, t.ravel()])
+    # The middle row too: those along the poles have no longitude.
+    along = np.concatenate([dense, dense, zero, zero + 1, dense, s.ravel()])
+    down = np.concatenate([zero, zero + 1, dense, dense, zero + 0.5, t.ravel()])
     r0, r1, c0, c1 = (lattice.corners[:, i, None].astype(np.float64) for i in range(4))
     x, y = lattice.grid.xy(c0 + along * (c1 - 1 - c0), r0 + down * (r1 - 1 - r0))
     return x.ravel(), y.ravel()
