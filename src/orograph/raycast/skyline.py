@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import kernel
-from orograph.raycast.kernels import (
+from orograph.raycast.tables import (
     BASE,
     CELLS_X,
     CELLS_Y,

@@ -41,7 +41,7 @@ class Stack:
         pool: all heights, float32, flat; no copy if there is one window.
         maxima, minima: all their pyramids, flat.
         mips: (3, levels of all windows) int64: offset of the maxima, of the minima, nodes per row.
-        ints (W, 6) int64, floats (W, 8) float64: see ``kernels.BASE`` and following.
+        ints (W, 6) int64, floats (W, 8) float64: see ``tables.BASE`` and following.
         low, high: the slab that holds every height, metres.
     """
 
