@@ -34,7 +34,7 @@ def command(ctx: click.Context, /, output: Path) -> None:
         nonlocal clock
         steps.append((name, time.perf_counter() - clock))
         clock = time.perf_counter()
-        click.echo(f"{name:<58} {steps[-1][1]:6.2f} s", err=True)
+        progress.note(f"{name:<58} {steps[-1][1]:6.2f} s")
 
     from orograph.errors import OutputError
     from orograph.sample import write_jacksboro
