@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from orograph.geovis.water import LEAST_SAMPLES, find_water
+from orograph.geovis.water import LEAST_SAMPLES, find_water, judge, shore, water_in
 
 
 def level_areas(heights):
@@ -87,3 +87,83 @@ def test_heights_are_left_alone_and_none_is_none():
     assert not find_water(np.full((40, 40), np.nan, np.float32)).any()
     assert not find_water(slope()).any()
     assert find_water(np.zeros((2, 2), np.float32)).shape == (2, 2)
+
+
+class Pyramid:
+    """Box means of heights, one level after the other."""
+
+    def __init__(self, heights, levels):
+        self.means = [heights]
+        for _ in range(levels - 1):
+            rows, cols = ((n + 1) // 2 for n in self.means[-1].shape)
+            padded = np.full((2 * rows, 2 * cols), np.nan, np.float32)
+            padded[: self.means[-1].shape[0], : self.means[-1].shape[1]] = self.means[-1]
+            self.means.append(np.nanmean(padded.reshape(rows, 2, cols, 2), axis=(1, 3)).astype(np.float32))
+        self.levels = levels
+
+    def mean_shape(self, level):
+        return self.means[level].shape
+
+    def read_mean(self, level, row0, row1, col0, col1):
+        assert 0 <= row0 < row1 <= self.means[level].shape[0] and 0 <= col0 < col1 <= self.means[level].shape[1]
+        return self.means[level][row0:row1, col0:col1].copy()
+
+
+def lake_and_pan():
+    """A lake in a valley, and a pan that is a plateau but for a wall at its western end; both 240 samples wide."""
+    y, x = np.mgrid[:400, :640].astype(np.float32)
+    heights = 300 - 0.31 * x - 0.17 * y
+    heights[60:160, 200:440] = 20.5  # beneath everything around it
+    heights[240:340, 200:440] = 330.5  # above everything but the wall
+    heights[230:350, 160:200] += 300
+    return heights.astype(np.float32)
+
+
+@pytest.mark.parametrize("col0", [0, 150, 230, 300, 390])
+def test_where_a_view_cuts_an_area_does_not_matter(col0):
+    heights = lake_and_pan()
+    terrain = Pyramid(heights, 3)
+    expected = np.zeros(heights.shape, bool)
+    expected[60:160, 200:440] = True
+    np.testing.assert_array_equal(find_water(heights, 30.0), expected)
+    window = (slice(0, 400), slice(col0, col0 + 120))
+    found = water_in(terrain, 30.0, 0, 0, col0, heights[window].copy())
+    np.testing.assert_array_equal(found, expected[window])
+    inside = (slice(70, 330), slice(210, 420))  # neither has a bank in it that tells
+    np.testing.assert_array_equal(water_in(terrain, 30.0, 0, 70, 210, heights[inside].copy()), expected[inside])
+
+
+def test_what_only_looks_like_a_lake_in_part_is_none():
+    heights = lake_and_pan()
+    part = heights[:, 150:215].copy()  # the wall's end of the pan
+    cut = (False, False, True, True)
+    verdict, open_area, verdicts = judge(part, 30.0, cut)
+    assert (verdict == 0).all() and open_area.max() == 2
+    assert (open_area[61:159, 51:] == 1).all() and (open_area[241:339, 51:] == 2).all()
+    assert list(verdicts) == [0, 1, 1]  # by what is seen of it, a lake
+    assert not water_in(Pyramid(heights, 3), 30.0, 0, 0, 150, part)[200:].any()
+
+
+def test_a_river_too_narrow_for_coarser_levels_stays():
+    heights = (np.abs(np.arange(900.0)[:, None] - 450) + np.zeros(700)).astype(np.float32) * 4 + 10.5
+    heights[445:456] = 0.5
+    window = (slice(380, 520), slice(300, 400))
+    found = water_in(Pyramid(heights, 4), 30.0, 0, 380, 300, heights[window].copy())
+    assert found[66:75].all() and not found[:64].any() and not found[77:].any()
+
+
+def test_the_smoothed_shore_stays_within_a_sample_of_a_circle():
+    y, x = np.mgrid[:81, :81] - 40.0
+    for radius in (6.3, 20.0, 33.7):
+        field = shore(np.hypot(x, y) < radius)
+        angle = np.linspace(0, 2 * np.pi, 720)
+        radii = np.linspace(0, 38, 3801)
+        at = [40 + np.sin(angle)[:, None] * radii, 40 + np.cos(angle)[:, None] * radii]
+        along = ndimage.map_coordinates(field, at, order=1)
+        found = radii[(along < 0.5).argmax(1)]
+        np.testing.assert_allclose(found, radius, atol=0.75)
+        mask = ndimage.map_coordinates((np.hypot(x, y) < radius).astype(float), at, order=1)
+        steps = radii[(mask < 0.5).argmax(1)]
+        assert np.abs(np.diff(found)).max() < 0.5 * np.abs(np.diff(steps)).max()
+    level = np.ones((5, 7), bool)
+    np.testing.assert_array_equal(shore(level), 1.0)

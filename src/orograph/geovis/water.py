@@ -6,9 +6,14 @@ inside, and its surroundings are banks; and away from the sea, if its level is a
 plains are level), its banks must soon rise by more than the metre that rounding makes. Dry lake beds and salt pans that
 lie beneath steep slopes are still taken for lakes. Resampling and averaging keep constant areas exactly constant, so
 equality is the test. Heights are metres; sizes are in samples, for what cannot be seen cannot be told apart either.
+
+A raster that is a part cut out of a larger one shows some areas in part only. ``judge`` tells these apart, for the
+caller to judge them where they are whole.
 """
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,20 +50,25 @@ def _rises(heights, inner, area, reach):
 
 
 @kernel
-def _flood(heights, level, inner, least, inside, banks, reach, water):
-    """Mark in ``water`` the connected level areas that pass; ``level`` is used up."""
+def _flood(heights, level, inner, least, inside, banks, reach, cut, verdict, open_area):
+    """Judge the connected level areas (see ``judge``); ``level`` is used up. Returns the verdicts on open areas."""
     rows, cols = heights.shape
     stack = np.empty(rows * cols, np.int64)
+    verdicts = [np.int8(0)]
     for seed in range(rows * cols):
         if not level[seed // cols, seed % cols]:
             continue
         level[seed // cols, seed % cols] = False
         stack[0] = seed
         size, read, deep, higher, lower = 1, 0, 0, 0, 0
+        is_open = False
         while read < size:  # what was pushed stays: it is the area
             at = stack[read]
             read += 1
             r, c = at // cols, at % cols
+            is_open |= (
+                (cut[0] and r == 0) or (cut[1] and r == rows - 1) or (cut[2] and c == 0) or (cut[3] and c == cols - 1)
+            )
             deep += inner[r, c]
             if not inner[r, c]:  # near the shore: what lies behind it?
                 for i in range(max(r - 2, 0), min(r + 3, rows)):
@@ -71,17 +81,54 @@ def _flood(heights, level, inner, least, inside, banks, reach, water):
                         level[i, j] = False
                         stack[size] = i * cols + j
                         size += 1
-        if size >= least and deep >= inside * size and higher >= banks * lower:
+        is_open = is_open and 8 * size >= least  # less than that is out of sight, beyond the edge of the picture
+        found = np.int8(0)
+        if size >= least and deep >= inside * size:
             height = heights[seed // cols, seed % cols]
             plain = height != 0.0 and height == np.round(height)
-            if plain and _rises(heights, inner, stack[:size], reach) < RISING:
-                continue
-            for k in range(size):
-                r, c = stack[k] // cols, stack[k] % cols
-                for i in range(max(r - 1, 0), min(r + 2, rows)):  # out to the shore, whose samples are level too
-                    for j in range(max(c - 1, 0), min(c + 2, cols)):
-                        if heights[i, j] == heights[r, c]:
-                            water[i, j] = True
+            wet = higher >= banks * lower and not (plain and _rises(heights, inner, stack[:size], reach) < RISING)
+            found = np.int8(1 if wet else -1)
+        if is_open:
+            verdicts.append(found)
+        elif found == 0:
+            continue
+        for k in range(size):
+            r, c = stack[k] // cols, stack[k] % cols
+            for i in range(max(r - 1, 0), min(r + 2, rows)):  # out to the shore, whose samples are level too
+                for j in range(max(c - 1, 0), min(c + 2, cols)):
+                    if heights[i, j] == heights[r, c]:
+                        if is_open:
+                            open_area[i, j] = len(verdicts) - 1
+                        else:
+                            verdict[i, j] = found
+    return np.array(verdicts)
+
+
+def judge(
+    heights: NDArray[np.float32], spacing: float, cut: tuple[bool, bool, bool, bool]
+) -> tuple[NDArray[np.int8], NDArray[np.int32], NDArray[np.int8]]:
+    """What the level areas are.
+
+    Args:
+        heights: (rows, cols) float32 metres, NaN where missing. spacing: metres between samples.
+        cut: whether the raster's top, bottom, left and right are not those of the whole.
+
+    Returns:
+        verdict: (rows, cols) 1 water, −1 a level area that is none, 0 neither or too small to tell.
+        open_area: (rows, cols) numbers from 1 of the areas that reach a cut, 0 elsewhere; their verdict is left at 0.
+        verdicts: (number + 1,) how the open areas look, as far as they can be seen.
+    """
+    level = _same(heights, np.isfinite(heights))
+    verdict, open_area = np.zeros(heights.shape, np.int8), np.zeros(heights.shape, np.int32)
+    verdicts = np.zeros(1, np.int8)
+    if level.any():
+        reach = min(max(round(REACH / spacing) + 1, 4), 8)  # from the rim, one sample inside the shore
+        inner = _same(heights, level)
+        verdicts = _flood(
+            np.ascontiguousarray(heights), level, inner, LEAST_SAMPLES, LEAST_INSIDE, BANKS, reach, cut, verdict,
+            open_area,
+        )  # fmt: skip
+    return verdict, open_area, verdicts
 
 
 def find_water(heights: NDArray[np.float32], spacing: float = 100.0) -> NDArray[np.bool_]:
@@ -90,13 +137,70 @@ def find_water(heights: NDArray[np.float32], spacing: float = 100.0) -> NDArray[
     Args:
         heights: (rows, cols) float32 metres, NaN where missing. spacing: metres between samples.
     """
-    level = _same(heights, np.isfinite(heights))
-    water = np.zeros(heights.shape, bool)
-    if level.any():
-        reach = min(max(round(REACH / spacing) + 1, 4), 8)  # from the rim, one sample inside the shore
-        inner = _same(heights, level)
-        _flood(np.ascontiguousarray(heights), level, inner, LEAST_SAMPLES, LEAST_INSIDE, BANKS, reach, water)
-    return water
+    return judge(heights, spacing, (False, False, False, False))[0] > 0
+
+
+class Means(Protocol):
+    """A terrain's pyramid of box means (``store.Terrain``)."""
+
+    @property
+    def levels(self) -> int: ...
+
+    def mean_shape(self, level: int) -> tuple[int, int]: ...
+
+    def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.float32]: ...
+
+
+def water_in(
+    terrain: Means, spacing: float, level: int, row0: int, col0: int, heights: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Water in a window of a level of a terrain's means, judged beyond the window where it goes on.
+
+    Args:
+        spacing: metres between the terrain's samples.
+        heights: (rows, cols) of the window, whose first sample is (row0, col0).
+    """
+    return _judged(terrain, spacing, level, row0, col0, heights) > 0
+
+
+def _judged(
+    terrain: Means, spacing: float, level: int, row0: int, col0: int, heights: NDArray[np.float32]
+) -> NDArray[np.int8]:
+    """Verdicts (see ``judge``) on a window. What reaches its border is what it is in a window of the next coarser level
+    that is about twice as large and so on, up to the whole terrain; what is too small there is as it looks here."""
+    rows, cols = heights.shape
+    all_rows, all_cols = terrain.mean_shape(level)
+    row1, col1 = row0 + rows, col0 + cols
+    cut = (row0 > 0, row1 < all_rows, col0 > 0, col1 < all_cols)
+    verdict, open_area, verdicts = judge(heights, spacing * 2.0**level, cut)
+    if len(verdicts) == 1:
+        return verdict
+    last = terrain.levels - 1
+    above = min(level + 1, last)
+    step = 2 ** (above - level)
+    r0, c0, (r1, c1) = 0, 0, terrain.mean_shape(above)
+    if level < last:
+        r0, c0 = max((row0 - rows // 2) // step, 0), max((col0 - cols // 2) // step, 0)
+        r1, c1 = min((row1 + rows // 2) // step + 1, r1), min((col1 + cols // 2) // step + 1, c1)
+    around = _judged(terrain, spacing, above, r0, c0, terrain.read_mean(above, r0, r1, c0, c1))
+    r, c = np.nonzero(open_area)
+    number = open_area[r, c]
+    votes = np.bincount(number, around[(r + row0) // step - r0, (c + col0) // step - c0], len(verdicts))
+    verdicts = np.where(votes == 0, verdicts, np.sign(votes)).astype(np.int8)
+    return np.where(open_area > 0, verdicts[open_area], verdict)
+
+
+def shore(water: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """A field (rows, cols) whose contour at 0.5, interpolated, is the shore with the steps of samples smoothed out.
+
+    It is the mask under the binomial filter 1 4 6 4 1 each way, the border repeated.
+    """
+    field = np.pad(water.astype(np.float32), 2, mode="edge")
+    for axis in (0, 1):
+        n = water.shape[axis]
+        a, b, c, d, e = (field[(slice(None),) * axis + (slice(k, k + n),)] for k in range(5))
+        field = (a + e + 4 * (b + d) + 6 * c) / np.float32(16)
+    return np.asarray(field, np.float32)
 
 
 def _same(heights: NDArray[np.float32], where: NDArray[np.bool_]) -> NDArray[np.bool_]:

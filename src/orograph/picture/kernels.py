@@ -10,6 +10,9 @@ import numpy as np
 
 from orograph._numba import kernel
 
+SHORE = 0.04
+"""The field of water goes from dry to wet within 0.5 ± this: a crisp shore, however large its samples are."""
+
 
 @kernel
 def ends(
@@ -93,7 +96,7 @@ def compose(
 
     Args:
         sunlit: (n,) part of the sun seen. sky_map, water_map: fields over samples of 2^level = ``scale``, first
-            (row0, col0); water_map may have no samples.
+            (row0, col0); water_map is 0.5 on the shore and may have no samples.
         land: (k, 3) tint from height ``low`` to ``high``; sea: (m, 3) from ``floor`` to 0 m, or (0, 3).
         drape: (n, 4) colour and opacity over the tint, or (0, 4).
         water, sunlight, skylight: (3,) colours; bounce: part of all light that ground sees instead of hidden sky.
@@ -114,7 +117,10 @@ def compose(
         z = min(max(z * last, 0.0), last - 1e-6)
         k = np.int64(z)
         f = z - k
-        wet = _bilinear(water_map, u, v) if wet_map else 0.0
+        wet = 0.0
+        if wet_map:
+            wet = min(max((_bilinear(water_map, u, v) - (0.5 - SHORE)) / (2.0 * SHORE), 0.0), 1.0)
+            wet = wet * wet * (3.0 - 2.0 * wet)
         alpha = drape[i, 3] if draped else 0.0
         lit = cosine[i] * sunlit[i]
         # Light from the sky comes from around the zenith: what leans away sees less of it besides its horizon.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from orograph.light.horizon import sky_view
 from orograph.picture.ground import Ground
+from orograph.picture.kernels import SHORE
 from orograph.picture.scene import Scene
 from orograph.progress import SILENT, Progress
 
@@ -34,6 +35,7 @@ class MapGrid:
 
     Attributes:
         sky_view, water: (rows, cols) float32, samples of 2^level = ``scale``, first (row0, col0); water may be empty.
+            Water is where the water field, interpolated, is above 0.5.
         strength: by how much slopes are strengthened for shading unless the scene says.
         visible_range: metres from the nearest to the farthest ground in view.
         water_fraction: of the working grid.
@@ -70,16 +72,20 @@ class MapGrid:
         linear = np.array([[t.a, t.b], [t.d, t.e]]) * self.scale
         self.sky_view = sky_view(heights * np.float32(scene.exaggeration), linear, AZIMUTHS, jobs=scene.jobs)
         self.water = np.empty((0, 0), np.float32)
+        self.water_fraction = 0.0
         if scene.water is not None:
-            if scene.water == "auto":
-                from orograph.geovis.water import find_water
+            from orograph.geovis.water import shore, water_in
 
-                found = find_water(heights, math.sqrt(abs(terrain.grid.transform.determinant)) * self.scale)
+            if scene.water == "auto":
+                found = water_in(terrain, ground.rays.spacing, level, r0, c0, heights)
+                field = shore(found) if found.any() else self.water
             else:
                 found = heights <= np.float32(scene.water)
+                # Linear in height, so that its contour is that of the ground; what has just this height is water.
+                field = np.where(np.isfinite(heights), np.float32(scene.water + 0.5 + SHORE) - heights, 0)
             if found.any():
-                self.water = found.astype(np.float32)
-        self.water_fraction = float(self.water.mean()) if self.water.size else 0.0
+                self.water = field.astype(np.float32)
+                self.water_fraction = float(found.mean())
         self.strength = self._strength(heights, linear, scene.exaggeration)
 
     @staticmethod
