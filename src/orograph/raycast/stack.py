@@ -81,18 +81,28 @@ class Stack:
             mip += m.levels
             max_base += m.maxima.size
             min_base += m.minima.size
-        one = len(windows) == 1
         ranges = [m.height_range for m in pyramids]
+        pool = _joined([w.heights for w in windows])
+        # The windows become views of the pool, so that heights are held once.
+        views = [
+            Window(w.level, w.col0, w.row0, pool[n[0] : n[0] + w.heights.size].reshape(w.heights.shape))
+            for w, n in zip(windows, ints)
+        ]
         return cls(
-            tuple(windows),
-            np.ascontiguousarray(windows[0].heights).ravel()
-            if one
-            else np.concatenate([w.heights.ravel() for w in windows]),
-            pyramids[0].maxima if one else np.concatenate([m.maxima for m in pyramids]),
-            pyramids[0].minima if one else np.concatenate([m.minima for m in pyramids]),
+            tuple(views),
+            pool,
+            _joined([m.maxima for m in pyramids]),
+            _joined([m.minima for m in pyramids]),
             np.ascontiguousarray(np.concatenate(tables, axis=1)),
             ints,
             floats,
             min(r[0] for r in ranges) - MARGIN,
             max(r[1] for r in ranges) + MARGIN,
         )
+
+
+def _joined(arrays: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """The arrays flat, one after the other; a single one is not copied."""
+    if len(arrays) == 1:
+        return np.ascontiguousarray(arrays[0]).ravel()
+    return np.concatenate([a.ravel() for a in arrays])
