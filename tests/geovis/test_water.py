@@ -79,6 +79,29 @@ def test_plains_of_whole_metres_are_no_lakes():
     assert not find_water(steps, 30.0).any()
 
 
+@pytest.mark.parametrize(("banks", "is_lake"), [(1.0, True), (0.85, True), (0.58, False)])
+def test_a_small_level_area_of_a_plain_needs_banks_on_most_sides(banks, is_lake):
+    """A round area of a whole metre, 15 samples across, of whose surroundings a sector rises less than rounding."""
+    y, x = np.mgrid[:120, :120] - 60.0
+    distance, angle = np.hypot(x, y), np.arctan2(y, x) / (2 * np.pi) + 0.5
+    rise = np.where(angle < banks, 0.7, 0.1)
+    heights = (1084 + np.maximum(distance - 8, 0) * rise).astype(np.float32)
+    assert find_water(heights, 80.0).any() == is_lake
+    assert find_water(np.where(heights == 1084, np.float32(1083.75), heights), 80.0).any()  # no plain's height
+
+
+def test_dry_owens_lake_is_dry_and_reservoirs_are_not(shared_data):
+    from orograph.dem.mosaic import Mosaic
+
+    paths = [shared_data / "california-3s-tiles" / f"{name}.tif" for name in ("N36W118", "N36W119")]
+    if not all(p.exists() for p in paths):
+        pytest.skip("the tiles are not here")
+    mosaic = Mosaic.open(paths)
+    heights = mosaic.read(0, mosaic.grid.rows, 0, mosaic.grid.cols)
+    levels = np.unique(heights[find_water(heights, mosaic.grid.spacing[0])])
+    assert set(levels) == {199.0, 212.0, 1142.0}  # Lake Success, Lake Kaweah, Haiwee Reservoir
+
+
 def test_heights_are_left_alone_and_none_is_none():
     heights = np.zeros((40, 40), np.float32)
     before = heights.copy()
