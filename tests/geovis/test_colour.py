@@ -124,3 +124,39 @@ def test_the_legend_shows_both_tables():
     low, high, table = plain.scale()
     assert (low, high) == (plain.low, plain.high)
     np.testing.assert_array_equal(table, plain.land)
+
+
+@pytest.mark.parametrize("name", ["cmocean:topo", "oleron", "crameri:bukavu", "fes"])
+def test_maps_with_a_shore_have_it_at_zero(name):
+    """Their sea half for the sea, and none of it inland, whatever the range of heights."""
+    cmap = pytest.importorskip("cmap")
+    published = srgb_to_linear(np.asarray(cmap.Colormap(name)([0.0, 0.49, 0.51, 1.0]))[:, :3])
+    coast = tint_of(terrain(basin(0.3, -500)), name)
+    assert coast.low == 0 and coast.floor == pytest.approx(-495, abs=10)
+    np.testing.assert_allclose(coast.sea[[0, -3]], published[:2], atol=0.02)
+    np.testing.assert_allclose(coast.land[[2, -1]], published[2:], atol=0.02)
+    for inland in (tint_of(terrain(basin(0) + 105), name), tint_of(terrain(basin(0.3, -500)), name, sea=False)):
+        assert not len(inland.sea)
+        np.testing.assert_array_equal(inland.land, coast.land)
+    assert tint_of(terrain(basin(0) + 105), name).low > 100
+
+
+def test_what_is_no_land_and_sea_has_no_sea():
+    assert not len(tint_of(terrain(basin(0.5, -15))).sea)  # a polder
+    flat = basin(0.5, -80)
+    assert not len(tint_of(terrain(np.where(flat > 0, flat / 200, flat))).sea)
+    for name, sea in (("egm96_15", False), ("us_geoid18", False), ("legmont", True)):
+        heights = np.asarray(basin(0.5, -80), np.float32)
+        grid = Grid(heights.shape, Affine(30, 0, 0, 0, -30, 0), CRS.from_user_input("EPSG:32611"))
+        assert bool(len(tint_of(MemoryTerrain(heights, grid, name)).sea)) == sea
+
+
+def test_clipped_ends_are_told():
+    heights = np.linspace(200, 800, 10_000).reshape(100, 100)
+    plain = tint_of(terrain(heights))
+    assert not plain.below and not plain.above  # half a hundredth of the span: nobody sees it
+    heights[3, 3] = 9000
+    spiked = tint_of(terrain(heights))
+    assert spiked.above and not spiked.below
+    heights[9, 9] = -500
+    assert tint_of(terrain(heights)).below

@@ -202,3 +202,34 @@ def test_flat_and_tiny_terrain_can_be_looked_at():
             view = camera.whole(ground, SIZE, pitch=pitch)
             assert np.isfinite(view.eye).all() and view.distance > 0
         assert camera.plan(ground, SIZE).pixel_metres > 0
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    insets=st.tuples(*[st.floats(0, 0.4)] * 4),
+    azimuth=st.floats(0, 360),
+    pitch=st.floats(1, 90),
+    exaggeration=st.floats(0.2, 10),
+    size=st.tuples(st.integers(50, 2000), st.integers(50, 2000)),
+)
+def test_insets_are_left_free(insets, azimuth, pitch, exaggeration, size):
+    left, right, top, bottom = (max(part, (1 - MARGIN) / 2) for part in insets)
+    view = camera.fit(CLOUD, camera.direction(azimuth, pitch), 30, size, exaggeration, insets)
+    u, v = (view.project(CLOUD, exaggeration)[0] / size).T
+    room = np.array([u.min() - left, 1 - right - u.max(), v.min() - top, 1 - bottom - v.max()])
+    assert room.min() >= -1e-6
+    assert min(room[:2].max(), room[2:].max()) < 1e-6  # one axis is full to both its sides
+
+    ground = terrain(hills(200, 300))
+    plan = camera.plan(ground, size, azimuth=azimuth, insets=insets)
+    points = camera.outline(ground)
+    u, v = (plan.project(points)[0] / size).T
+    room = np.array([u.min() - left, 1 - right - u.max(), v.min() - top, 1 - bottom - v.max()])
+    assert room.min() >= -1e-6 and min(room[:2].max(), room[2:].max()) < 1e-6
+    np.testing.assert_allclose(room[::2], room[1::2], atol=1e-6)  # and the other centred in what is free
+
+
+def test_insets_that_leave_nothing():
+    for wrong in ((0.5, 0, 0, 0), (0, 0, -0.1, 0), (0, math.nan, 0, 0)):
+        with pytest.raises(UsageError, match="Insets"):
+            camera.plan(terrain(hills()), SIZE, insets=wrong)

@@ -61,7 +61,9 @@ def test_any_size_and_words(width: int, height: int, words: str, scale: float) -
 def test_pieces_never_meet(size: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
     boxes: list[tuple[int, int, int, int]] = []
     paint = furniture._paint
-    monkeypatch.setattr(furniture, "_paint", lambda s, p, box, style: (boxes.append(box), paint(s, p, box, style)))
+    monkeypatch.setattr(
+        furniture, "_paint", lambda s, p, box, style, framed: (boxes.append(box), paint(s, p, box, style))
+    )
     after = furnish(blank(*size), **{**ALL, "title": "A title that is far too long " * 3})
     cover = np.zeros(size[::-1], int)
     for x0, y0, x1, y1 in boxes:
@@ -154,3 +156,70 @@ def test_signs_without_a_glyph_get_a_plain_form(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.undo()
     assert lettering.Style.of((1280, 720), "Río").text("Río") == "Río"
     lettering._face.cache_clear()
+
+
+def shown_at(width: int, height: int, ground: np.ndarray, **pieces: Any) -> list[tuple[int, int, int, int]]:
+    """The boxes of what is drawn over ``ground``, and that they hide as little of it as their framing says."""
+    boxes: list[tuple[int, int, int, int]] = []
+    with pytest.MonkeyPatch.context() as patch:
+        paint = furniture._paint
+        patch.setattr(furniture, "_paint", lambda s, p, b, st, framed: (boxes.append(b), paint(s, p, b, st, framed)))
+        furnish(blank(width, height), ground=ground, **pieces)
+    return boxes
+
+
+def test_insets_are_where_the_pieces_stand() -> None:
+    for width, height in ((1280, 720), (900, 600), (2000, 2000), (700, 1000)):
+        left, right, top, bottom = furniture.insets((width, height))
+        free = np.zeros((height, width), bool)
+        free[round(top * height) : round((1 - bottom) * height), round(left * width) : round((1 - right) * width)] = (
+            True
+        )
+        pieces = {**ALL, "subtitle": None}
+        sheet = np.empty((height, width, 3), np.uint8)
+        sheet[:] = furniture.PAPER
+        after = furnish(sheet, ground=free, paper=True, **pieces)
+        assert not (after != furniture.PAPER).any(2)[free].any()
+        assert not (after == furniture.EDGE).all(2).any()  # nothing is hidden, so no slips
+        assert (furnish(sheet, ground=~free, paper=True, **pieces) == furniture.EDGE).all(2).any()
+        assert (furnish(sheet, ground=free, paper=False, **pieces) == furniture.EDGE).all(2).any()
+    assert max(furniture.insets((60, 40))) <= furniture.MOST_INSET
+
+
+def test_pieces_go_where_less_ground_is() -> None:
+    ground = np.zeros((720, 1280), bool)
+    ground[360:, 640:] = True  # at the legend's usual corner
+    (x0, y0, x1, y1), *_ = shown_at(1280, 720, ground, legend=LEGEND)
+    assert not ground[y0:y1, x0:x1].any()
+    ((x0, *_),) = shown_at(1280, 720, np.ones_like(ground), legend=LEGEND)
+    assert x0 > 640  # no corner is better: it stays
+    ((_, y0, *_),) = shown_at(1280, 720, np.arange(720)[:, None].repeat(1280, 1) < 360, title="A")
+    assert y0 < 360  # a title is read first
+
+
+def test_ends_of_the_ramp_tell_of_ground_beyond() -> None:
+    def reach(**more: bool) -> tuple[int, int]:
+        after = furnish(blank(1280, 720), legend=Legend(12.0, 4392.0, RAMP, **more)).astype(int)
+        return tuple(int((np.abs(after - np.round(RAMP[i] * 255)).sum(2) < 4).sum()) for i in (-1, 0))  # type: ignore[return-value]
+
+    high, low = reach()
+    assert reach(above=True)[0] > high + 40 and reach(above=True)[1] <= low + 5
+    assert reach(below=True)[1] > low + 40 and reach(below=True)[0] <= high + 5
+
+
+def test_patterns_are_drawn_pixel_by_pixel() -> None:
+    tile = np.zeros((7, 7, 3), np.uint8)
+    tile[..., 0], tile[..., 1] = np.arange(7)[:, None] + 201, np.arange(7) + 11
+    after = furnish(blank(1280, 720), legend=Legend(0, 1, None, missing=tile)).astype(int)
+    rows, cols = np.nonzero((after[..., 2] == 0) & (after[..., 0] >= 201))
+    assert len(rows) > 150
+    swatch = after[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]
+    np.testing.assert_array_equal(
+        swatch[..., 0], ((np.arange(len(swatch)) % 7) + 201)[:, None].repeat(swatch.shape[1], 1)
+    )
+    assert (swatch[0, :, 1] - 11 == np.arange(swatch.shape[1]) % 7).all()
+
+
+def test_grid_north_is_named() -> None:
+    plain, named = (touched(1280, 720, north=0.0, grid_north=grid) for grid in (False, True))
+    assert named.sum() > plain.sum() and np.nonzero(named)[0].max() > np.nonzero(plain)[0].max() + 8

@@ -8,6 +8,7 @@ Tables are linear RGB, ready to be lit. Our own tints are given by a few stops i
 from __future__ import annotations
 
 import difflib
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,17 @@ TINTS: dict[str, list[tuple[float, str]]] = {
 }  # fmt: skip
 
 DEFAULT = "alpine"
+
+SHORED = frozenset({"cmocean:topo", "crameri:oleron", "crameri:bukavu", "crameri:fes"})
+"""Colour maps of the catalogue made of a sea half and a land half that meet at a shore: their break, at one half, is
+pinned to 0 m. All others are stretched linearly over the land's heights."""
+
+SEA_DEPTH, SEA_COAST = -20.0, 20.0
+"""Metres that the sea's floor must reach down to and the land up to for heights to be those of land and sea. What
+stays within is a shallow polder, a lagoon, or no height of ground at all."""
+
+NO_GROUND = re.compile(r"geoid|undulation|(^|[^a-z])(egm|eigen|xgm)[-_]?\d\d", re.IGNORECASE)
+"""Names of rasters that hold no heights of ground: geoid models, whose 0 m is no shore."""
 
 _M1 = np.array([[0.4122214708, 0.5363325363, 0.0514459929], [0.2119034982, 0.6806995451, 0.1073969566],
                 [0.0883024619, 0.2817188376, 0.6299787005]])  # fmt: skip
@@ -67,17 +79,36 @@ def colour_table(name: str | None = None, n: int = 1024) -> Colours:
         smooth = np.stack([np.interp(x, at, lab[:, k]) for k in range(3)], 1)
         linear: Colours = (((smooth @ np.linalg.inv(_M2).T) ** 3) @ np.linalg.inv(_M1).T).astype(np.float32)
         return np.clip(linear, 0, 1)
+    return srgb_to_linear(np.asarray(_catalogued(name)(np.linspace(0, 1, n)))[:, :3])
+
+
+def _catalogued(name: str) -> Any:
+    """The colour map of this name in the ``cmap`` catalogue."""
     import cmap
 
     try:
-        found = cmap.Colormap(name)
+        return cmap.Colormap(name)
     except (ValueError, TypeError, KeyError) as error:
         known = [*TINTS, *(str(k) for k in cmap.Colormap.catalog().unique_keys())]
         short = {k.split(":")[-1]: k for k in known}
         close = [short[m] for m in difflib.get_close_matches(name.split(":")[-1], list(short), 4)]
         hint = f"Did you mean {', '.join(close)}?" if close else "Try alpine, viridis, gist_earth or cmocean:topo."
         raise UsageError(f"There is no colour map {name!r}.", remedy=hint) from error
-    return srgb_to_linear(np.asarray(found(np.linspace(0, 1, n)))[:, :3])
+
+
+def shored_tables(name: str | None) -> tuple[Colours, Colours] | None:
+    """The sea half (128, 3), ending at the shore, and the land half (128, 3) of a map in ``SHORED``; None for others.
+
+    Raises:
+        UsageError: there is no such colour map.
+    """
+    if name is None or name in TINTS:
+        return None
+    found = _catalogued(name)
+    if found.name not in SHORED:
+        return None
+    table = srgb_to_linear(np.asarray(found((np.arange(256) + 0.5) / 256))[:, :3])
+    return table[:128], table[128:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +120,7 @@ class Tint:
         land: (n, 3) float32 linear colours.
         floor: metres at the deep end of ``sea``; its other end is 0 m.
         sea: (m, 3), or (0, 3) where what lies below 0 m is land like any other.
+        below, above: whether some ground lies visibly beyond the lower or upper end of ``scale`` and has its colour.
     """
 
     low: float
@@ -96,6 +128,8 @@ class Tint:
     land: Colours
     floor: float
     sea: Colours
+    below: bool = False
+    above: bool = False
 
     def scale(self, n: int = 256) -> tuple[float, float, Colours]:
         """Both ends and one table (n, 3) of colours for a legend."""
@@ -123,10 +157,13 @@ def tint_of(terrain: Terrain, name: str | None = None, sea: bool | None = None) 
     Args:
         name: see ``colour_table``; None: the default tint, or one for the planet.
         sea: whether ground below 0 m is the floor of a sea. None: it is, if at least a tenth of the ground lies deeper
-            than 2 m and some higher (a basin on land, like Death Valley, is less of its surroundings), and the planet
-            is the Earth.
+            than 2 m and some higher (a basin on land, like Death Valley, is less of its surroundings), it reaches
+            ``SEA_DEPTH`` and the land ``SEA_COAST``, the name is not a geoid's (``NO_GROUND``), and the planet is the
+            Earth. With a map in ``SHORED``: it is, if more than half a hundredth reaches ``SEA_DEPTH``; where there is
+            no sea, the land half alone is stretched over the land.
     """
     radius = _radius(terrain)
+    halves = shored_tables(name)
     if name is None and radius is not None and not 6.3e6 < radius < 6.4e6:
         name, sea = "mars" if 3.3e6 < radius < 3.5e6 else "grey", False
     level = terrain.levels - 1
@@ -135,9 +172,14 @@ def tint_of(terrain: Terrain, name: str | None = None, sea: bool | None = None) 
     valid = heights[np.isfinite(heights)]
     if valid.size == 0:
         valid = np.array(terrain.height_range, np.float32)
-    deep = float((valid < -2).mean())
     if sea is None:
-        sea = name is None and deep >= 0.1 and float((valid > 2).mean()) >= 0.01
+        bottom, top = (float(v) for v in np.percentile(valid, [0.5, 99.5]))
+        if halves is not None:
+            sea = bottom <= SEA_DEPTH
+        else:
+            split = float((valid < -2).mean()) >= 0.1 and float((valid > 2).mean()) >= 0.01
+            sea = name is None and split and bottom <= SEA_DEPTH and top >= SEA_COAST
+            sea = sea and NO_GROUND.search(terrain.name) is None
     floor = float(np.percentile(valid[valid < 0], 1)) if sea and (valid < 0).any() else -1.0
     land = valid[valid >= 0] if sea and (valid >= 0).any() else valid
     low, high = (float(v) for v in np.percentile(land, [0.5, 99.5]))
@@ -145,4 +187,12 @@ def tint_of(terrain: Terrain, name: str | None = None, sea: bool | None = None) 
         low = 0.0
     if not high - low > 1e-6:
         low, high = low - 0.5, high + 0.5
-    return Tint(low, high, colour_table(name), floor, colour_table("sea", 256) if sea else np.empty((0, 3), np.float32))
+    table = halves[1] if halves is not None else colour_table(name)
+    floors = np.empty((0, 3), np.float32)
+    if sea:
+        floors = halves[0] if halves is not None else colour_table("sea", 256)
+    # What differs by less than a step of a printed scale is not worth a sign.
+    least, most = terrain.height_range
+    end = floor if sea else low
+    slight = 0.01 * (high - end)
+    return Tint(low, high, table, floor, floors, below=least < end - slight, above=most > high + slight)

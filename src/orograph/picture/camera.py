@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError, UsageError
+from orograph.geo.grid import Grid
 from orograph.picture.scene import check_exaggeration
 from orograph.store.terrain import TILE, Terrain
 from orograph.view import View
@@ -20,6 +21,19 @@ Array = NDArray[np.float64]
 
 MARGIN = 0.93
 """The part of the picture's half-width and half-height that the fitted terrain may fill."""
+
+Insets = tuple[float, float, float, float]
+"""Parts of the picture's width (left, right) and height (top, bottom) that the terrain leaves free, each below 0.5."""
+
+NO_INSETS: Insets = (0.0, 0.0, 0.0, 0.0)
+
+
+def _reach(insets: Insets) -> Insets:
+    """How far from the picture's middle the terrain may reach to the left, right, top and bottom; the border is 1."""
+    if not all(0 <= part < 0.5 for part in insets):
+        raise UsageError(f"Insets are parts of the picture, at least 0 and below one half, not {insets}.")
+    left, right, top, bottom = (min(MARGIN, 1 - 2 * part) for part in insets)
+    return left, right, top, bottom
 
 
 def outline(terrain: Terrain) -> Array:
@@ -69,14 +83,22 @@ def direction(azimuth: float, pitch: float) -> Array:
     return np.array([-math.sin(a) * math.cos(p), -math.cos(a) * math.cos(p), -math.sin(p)])
 
 
-def fit(points: Array, forward: Array, fov_y: float, size: tuple[int, int], exaggeration: float = 1.0) -> View:
+def fit(
+    points: Array,
+    forward: Array,
+    fov_y: float,
+    size: tuple[int, int],
+    exaggeration: float = 1.0,
+    insets: Insets = NO_INSETS,
+) -> View:
     """The perspective view along ``forward`` that holds all ``points`` (n, 3) from as near as possible.
 
     In camera axes (right a, up b, forward c) a point lies within the left and right sides seen from eye e if
-    |a − e_a| ≤ t·(c − e_c): two half-spaces in (e_a, e_c), whose nearest common point is the eye; likewise up and down.
+    −l·(c − e_c) ≤ a − e_a ≤ r·(c − e_c), with the tangents l, r of how far each side reaches: two half-spaces in
+    (e_a, e_c), whose nearest common point is the eye; likewise up and down.
 
     Raises:
-        UsageError: the exaggeration is no factor greater than 0.
+        UsageError: the exaggeration is no factor greater than 0, or an inset is not in [0, 0.5).
     """
     check_exaggeration(exaggeration)
     width, height = size
@@ -87,18 +109,21 @@ def fit(points: Array, forward: Array, fov_y: float, size: tuple[int, int], exag
     right = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(right) < 1e-9 else right / np.linalg.norm(right)
     up = np.cross(right, forward)
     a, b, c = drawn @ right, drawn @ up, drawn @ forward
-    ty = math.tan(math.radians(fov_y) / 2) * MARGIN
+    ty = math.tan(math.radians(fov_y) / 2)
     tx = ty * width / height
-    eye = []
+    left, right_side, top, bottom = _reach(insets)
+    bounds = []
     depth = []
-    for across, t in ((a, tx), (b, ty)):
-        plus, minus = (c - across / t).min(), (c + across / t).min()
-        eye.append(t * (minus - plus) / 2)
-        depth.append((plus + minus) / 2)
+    for across, less, more in ((a, left * tx, right_side * tx), (b, bottom * ty, top * ty)):
+        # e_a − more·e_c is at least ``least``; e_a + less·e_c is at most ``most``.
+        least, most = (across - more * c).max(), (across + less * c).min()
+        bounds.append((least, most, less, more))
+        depth.append((most - least) / (less + more))
     back = min(depth)
-    # Where one direction leaves room, its points are centred in it, at the depth the other demands.
     span = max(float(np.ptp(a)), float(np.ptp(b)), float(np.ptp(c)), 1.0)
     back = min(back, float(c.min()) - 1e-3 * span)
+    # Where one direction leaves room, its points are centred in it, at the depth the other demands.
+    eye = [((least + more * back) + (most - less * back)) / 2 for least, most, less, more in bounds]
     position = right * eye[0] + up * eye[1] + forward * back
     target = position + forward * (float((c.min() + c.max()) / 2) - back)
     return View(
@@ -118,9 +143,13 @@ def whole(
     pitch: float = 42.0,
     fov_y: float = 30.0,
     exaggeration: float = 1.0,
+    insets: Insets = NO_INSETS,
 ) -> View:
-    """A view that shows the whole terrain well: from the south, obliquely, with a long lens."""
-    return fit(outline(terrain), direction(azimuth, pitch), fov_y, size, exaggeration)
+    """A view that shows the whole terrain well: from the south, obliquely, with a long lens.
+
+    ``insets`` are parts of the picture to leave free, such as ``furniture.insets``.
+    """
+    return fit(outline(terrain), direction(azimuth, pitch), fov_y, size, exaggeration, insets)
 
 
 def around(
@@ -132,10 +161,12 @@ def around(
     distance: float | None,
     fov_y: float = 30.0,
     exaggeration: float = 1.0,
+    insets: Insets = NO_INSETS,
 ) -> View:
     """A view from ``azimuth`` and ``pitch`` at ``distance`` of the terrain's middle (None: all of it in the picture).
 
-    Pitch (degrees) and distance (metres) are those of the picture: of the ground as it is stretched there.
+    Pitch (degrees) and distance (metres) are those of the picture: of the ground as it is stretched there. ``insets``
+    are parts of the picture to leave free where the distance is not given.
 
     Raises:
         UsageError: a number is out of its range. NothingInViewError: no sample is valid.
@@ -145,7 +176,7 @@ def around(
     if not -90 <= pitch <= 90:
         raise UsageError(f"--pitch is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
     if distance is None:
-        return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration)
+        return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration, insets=insets)
     check_exaggeration(exaggeration)
     if not 0 < distance < math.inf:
         raise UsageError(f"--distance is in metres, more than 0, not {distance:g}.")
@@ -166,15 +197,31 @@ def standing(
 ) -> View:
     """A view from (longitude, latitude, height) towards the ground at (longitude, latitude), or the terrain's middle.
 
+    Args:
+        size: (width, height) in pixels.
+        eye: degrees of longitude and latitude (WGS 84), metres above the heights' own zero.
+        look_at: degrees of longitude and latitude; None: the terrain's middle.
+        fov_y: vertical field of view, degrees.
+
     Raises:
-        UsageError: the terrain has no CRS, or a place cannot be brought to it.
+        UsageError: the terrain has no CRS, a place cannot be brought to it, or its two numbers seem to be swapped.
     """
     from orograph.geo.transform import transformer
 
     move = transformer("EPSG:4326", terrain.grid.crs)
 
+    def inside(lon: float, lat: float) -> bool:
+        x, y = (float(v) for v in move(lon, lat))
+        return not far_outside(terrain.grid, x, y, 0.0)
+
     def place(lon: float, lat: float) -> tuple[float, float]:
         x, y = (float(v) for v in move(lon, lat))
+        if far_outside(terrain.grid, x, y) and inside(lat, lon):
+            raise UsageError(
+                f"Longitude {lon:g}, latitude {lat:g} lies far outside the terrain, and {lat:g}, {lon:g} within it: "
+                "were the two swapped?",
+                remedy=f"Give the longitude first: {lat:g},{lon:g}.",
+            )
         if not (math.isfinite(x) and math.isfinite(y)):
             raise UsageError(f"Longitude {lon:g}, latitude {lat:g} cannot be brought to the terrain's projection.")
         return x, y
@@ -189,14 +236,14 @@ def standing(
     return View((x, y, eye[2]), (tx, ty, z), fov_y=fov_y, width=size[0], height=size[1])
 
 
-def plan(terrain: Terrain, size: tuple[int, int], *, azimuth: float = 180.0) -> View:
-    """The map view: straight down, the whole terrain, its outline filling the picture to the margin.
+def plan(terrain: Terrain, size: tuple[int, int], *, azimuth: float = 180.0, insets: Insets = NO_INSETS) -> View:
+    """The map view: straight down, the whole terrain, its outline filling the picture to the margin or the insets.
 
     Args:
         azimuth: the side that lies at the foot of the picture, degrees clockwise from north; 180 has north up.
 
     Raises:
-        UsageError: the azimuth is no angle. NothingInViewError: no sample is valid.
+        UsageError: the azimuth is no angle, an inset not in [0, 0.5). NothingInViewError: no sample is valid.
     """
     if not math.isfinite(azimuth):
         raise UsageError(f"--from is a direction in degrees clockwise from north, not {azimuth:g}.")
@@ -204,13 +251,28 @@ def plan(terrain: Terrain, size: tuple[int, int], *, azimuth: float = 180.0) -> 
     up = direction(azimuth, 0.0)
     right = np.array([up[1], -up[0], 0.0])
     across, along = points @ right, points @ up
-    metres = max(np.ptp(across) / size[0], np.ptp(along) / size[1], 1e-6) / MARGIN * size[1]
-    x, y, _ = right * (across.min() + across.max()) / 2 + up * (along.min() + along.max()) / 2
+    left, right_side, top, bottom = _reach(insets)
+    wide, tall = size[0] * (left + right_side) / 2, size[1] * (top + bottom) / 2
+    metres = max(np.ptp(across) / wide, np.ptp(along) / tall, 1e-6) * size[1]
+    # The terrain's middle goes to the middle of the free area.
+    aside = metres / 2 * size[0] / size[1] * (right_side - left) / 2
+    above = metres / 2 * (top - bottom) / 2
+    middle = right * ((across.min() + across.max()) / 2 - aside) + up * ((along.min() + along.max()) / 2 - above)
+    x, y, _ = middle
     fov_y = 30.0
     distance = metres / 2 / math.tan(math.radians(fov_y) / 2)
     # The eye is above the highest summit; the target lies as far below it as makes a pixel the wanted size.
     eye = terrain.height_range[1] + max(10.0, 0.1 * distance)
     return View((x, y, eye), (x, y, eye - distance), tuple(up), fov_y, size[0], size[1], projection="plan")
+
+
+def far_outside(grid: Grid, x: float, y: float, beyond: float = 1.0) -> bool:
+    """Whether a place in the grid's CRS lies more than ``beyond`` of its width or height outside of it (or nowhere)."""
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return True
+    col, row = grid.index(x, y)
+    across, down = (float(col) + 0.5) / grid.cols, (float(row) + 0.5) / grid.rows
+    return not (-beyond <= across <= 1 + beyond and -beyond <= down <= 1 + beyond)
 
 
 def ground(terrain: Terrain, x: float, y: float, default: float) -> float:

@@ -1,18 +1,19 @@
 """A map's furniture drawn over a finished picture: title, legend of heights, scale bar, north arrow, note.
 
-Every piece stands on a slip of paper in its own corner (title top left, north top right, scale and note bottom left,
-legend bottom right), translucent, of the colour the background has where no sky is drawn. All lengths are multiples of
-one unit, the size of plain type, which follows the picture's size. Shapes are drawn three times too large and averaged;
-type is drawn at its size. Where pieces would meet or crowd the picture they shrink, then go, the last first:
-title, legend, scale bar, north arrow, note, subtitle. Units: pixels; colours sRGB.
+Every piece has its own corner: title top left, north top right, scale and note bottom left, legend bottom right. A
+camera that keeps ``insets`` leaves these places free, and the pieces stand on the picture's own paper. Where ground (or
+sky) lies under one of them, all stand on framed slips of opaque paper and exchange corners so that they hide the least
+ground. All lengths are multiples of one unit, the size of plain type, which follows the picture's size. Shapes are
+drawn three times too large and averaged; type is drawn at its size. Where pieces would meet or crowd the picture they
+shrink, then go, the last first: title, legend, scale bar, north arrow, note, subtitle. Units: pixels; colours sRGB.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any, Literal
+from itertools import pairwise, permutations
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,15 @@ from numpy.typing import NDArray
 from orograph.picture.lettering import Colour, Style, cut, length, set_type
 
 Pixels = NDArray[np.uint8]
+Box = tuple[int, int, int, int]
 Corner = Literal["top left", "top right", "bottom left", "bottom right"]
+CORNERS: tuple[Corner, ...] = get_args(Corner)
 
 PAPER: Colour = (246, 244, 239)
 INK: Colour = (36, 40, 46)
 GREY: Colour = (92, 96, 102)
-OPACITY = 0.84
-"""Of the paper under the pieces."""
+EDGE: Colour = (168, 166, 160)
+"""The line around paper that lies on something else."""
 
 OVERSIZE = 3
 COVER = 0.36
@@ -35,6 +38,12 @@ COVER = 0.36
 TALL = 0.56
 """The part of the picture's height that the legend may take."""
 
+MOVED = 0.01
+"""The part of the picture of which ground must be saved to move a piece out of its usual corner."""
+
+MOST_INSET = 0.22
+"""The part of the picture's width or height that one side leaves free at most: tiny pictures are for the terrain."""
+
 
 @dataclass(frozen=True, slots=True)
 class Legend:
@@ -42,18 +51,37 @@ class Legend:
 
     Attributes:
         low, high: heights at the ends of the colour table.
-        colours: (n, 3), from low to high, sRGB: uint8, or float in [0, 1].
+        colours: (n, 3), from low to high, sRGB: uint8, or float in [0, 1]; None: heights have no colours.
         unit: of the heights; ``label``: what the colours show.
-        water, missing: sRGB colours (uint8 or float) of water and of ground without data, None if there is none.
+        water, missing: sRGB colours (uint8 or float) of water and of ground without data, None if there is none; a tile
+            (rows, cols, 3) is a pattern, repeated pixel by pixel.
+        below, above: whether there is ground beyond an end of the table, in the end's colour: a triangle says so.
     """
 
     low: float
     high: float
-    colours: NDArray[Any]
+    colours: NDArray[Any] | None
     unit: str = "m"
     label: str = "Height"
     water: Any = None
     missing: Any = None
+    below: bool = False
+    above: bool = False
+
+
+def insets(size: tuple[int, int]) -> tuple[float, float, float, float]:
+    """Parts of a picture of ``size`` (width, height) to leave free for furniture: left, right, top, bottom.
+
+    The right side holds the legend and the north arrow; titles and notes run along the top and the foot.
+    """
+    style = Style.of(size, "")
+    far = 100 * max(size)
+    heading, foot = _heading("A", None, style, far), _foot(1.0, "A", style, far, 1.0)
+    column = _legend(Legend(-5000.0, 5000.0, np.zeros((2, 3)), water=(0, 0, 0), missing=(0, 0, 0)), style, 6.5, True)
+    edge = style.margin + style.gap
+    right = (column.width + edge) / size[0]
+    top, bottom = ((piece.height + edge) / size[1] if piece else 0.0 for piece in (heading, foot))
+    return 0.0, min(right, MOST_INSET), min(top, MOST_INSET), min(bottom, MOST_INSET)
 
 
 def furnish(
@@ -65,6 +93,9 @@ def furnish(
     north: float | None = None,
     metres_per_pixel: float | None = None,
     note: str | None = None,
+    grid_north: bool = False,
+    ground: NDArray[np.bool_] | None = None,
+    paper: bool = False,
 ) -> Pixels:
     """The picture with furniture drawn over it.
 
@@ -75,6 +106,9 @@ def furnish(
         north: direction of north on the screen, degrees clockwise from up.
         metres_per_pixel: for the scale bar; None (a perspective has no one scale) leaves it out.
         note: a line of small type, such as "Light from 315°, 45° · heights ×2".
+        grid_north: whether the arrow must say that it is the grid's north.
+        ground: (height, width), what should not be hidden; None: everywhere alike.
+        paper: whether all the rest is bare paper, on which pieces need none of their own.
 
     Returns:
         (height, width, 3) uint8. What does not fit is left out; see the module's text for the order.
@@ -85,8 +119,7 @@ def furnish(
     words = " ".join(t for t in (title, subtitle, note, legend.label + legend.unit if legend else None) if t)
     style = Style.of(sheet.size, words)
     inner = sheet.width - 2 * style.margin
-    taken: list[tuple[int, int, int, int]] = []
-    chosen: dict[Corner, tuple[Piece, tuple[int, int, int, int]]] = {}
+    chosen: dict[Corner, tuple[Piece, Box]] = {}
 
     def put(corner: Corner, piece: Piece | None) -> bool:
         """Place a piece, in the stead of what that corner held, if it fits."""
@@ -110,17 +143,48 @@ def furnish(
     if metres_per_pixel is not None:
         any(put("bottom left", _foot(metres_per_pixel, None, style, inner, share)) for share in (0.24, 0.4))
     if north is not None:
-        put("top right", _arrow(north, style))
+        put("top right", _arrow(north, style, grid_north))
     if note:
         held = "bottom left" in chosen
         scale = metres_per_pixel if held else None
-        any(put("bottom left", _foot(scale, note, style, inner, share)) for share in (0.24, 0.4))
+        beside = inner - (math.ceil(chosen["bottom right"][0].width) + style.gap if "bottom right" in chosen else 0)
+        rooms = [(room, share) for room in (inner, beside) for share in (0.24, 0.4)]
+        any(put("bottom left", _foot(scale, note, style, inner, share, room)) for room, share in rooms)
     if subtitle and (not title or "top left" in chosen):
         put("top left", _heading(title or "", subtitle, style, inner))
-    for piece, box in chosen.values():
-        _paint(sheet, piece, box, style)
-        taken.append(box)
+    placed = list(chosen.items())
+    boxes = [box for _, (_, box) in placed]
+    free = False
+    if ground is not None:
+        slips = {corner: piece for corner, (piece, _) in placed}
+        boxes = _arrange(slips, ground, sheet.size, style)
+        free = paper and not any(_under(ground, box) for box in boxes)
+    for (_, (piece, _)), box in zip(placed, boxes):
+        _paint(sheet, piece, box, style, framed=not free)
     return np.asarray(sheet, np.uint8).copy()
+
+
+def _under(ground: NDArray[np.bool_], box: Box) -> int:
+    """Pixels of ground under a box."""
+    return int(np.count_nonzero(ground[box[1] : box[3], box[0] : box[2]]))
+
+
+def _arrange(pieces: dict[Corner, Piece], ground: NDArray[np.bool_], size: tuple[int, int], style: Style) -> list[Box]:
+    """A box for each piece: the corners, each for one, where they hide the least ground. What is at the top or at the
+    foot because one reads it first or last stays there: titles and notes change sides only."""
+    usual = list(pieces)
+    best, least = [_box(pieces[c], c, size, style.margin) for c in usual], math.inf
+    for corners in permutations(CORNERS, len(usual)):
+        if any(c.split()[0] != u.split()[0] for c, u in zip(corners, usual) if u in ("top left", "bottom left")):
+            continue
+        boxes = [_box(pieces[u], c, size, style.margin) for c, u in zip(corners, usual)]
+        if any(_meet(a, b, style.gap) for i, a in enumerate(boxes) for b in boxes[:i]):
+            continue
+        moved = sum(c != u for c, u in zip(corners, usual))
+        cost = sum(_under(ground, box) for box in boxes) + MOVED * moved * ground.size
+        if cost < least:
+            best, least = boxes, cost
+    return best
 
 
 # ---- pieces --------------------------------------------------------------------------------------------------------
@@ -135,6 +199,7 @@ class Piece:
     polygons: list[tuple[list[tuple[float, float]], Colour]] = field(default_factory=list)
     texts: list[tuple[float, float, str, Any, Colour, str]] = field(default_factory=list)
     ramp: tuple[float, float, float, float, NDArray[np.uint8]] | None = None
+    patterns: list[tuple[float, float, float, float, NDArray[np.uint8]]] = field(default_factory=list)
 
     def box(self, x0: float, y0: float, x1: float, y1: float, colour: Colour) -> None:
         self.polygons.append(([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], colour))
@@ -171,33 +236,49 @@ def _legend(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
     """The ramp with its ticks, ``size`` units high; below it the swatches, if ``extras``."""
     u, pad, small = style.unit, style.pad, style.font(0.9)
     label = style.text(f"{legend.label} ({legend.unit})" if legend.unit else legend.label)
+    if legend.colours is None:
+        label, size = "", 0.0
     rows = [(style.text("Water"), legend.water), (style.text("No data"), legend.missing)]
     rows = [(words, colour) for words, colour in rows if colour is not None and extras]
-    top = pad + 1.35 * u
-    bar, tall = round(1.15 * u), round(size * u)
+    bar, tall, tip = round(1.15 * u), round(size * u), 0.8 * u
+    top = pad + (1.35 * u if label else 0.0) + (tip if legend.above and label else 0.0)
     span = legend.high - legend.low
-    values = ticks(legend.low, legend.high, max(2, int(tall / (1.9 * u))))
+    values = ticks(legend.low, legend.high, max(2, int(tall / (1.9 * u)))) if label else []
     names = [number(v, values) for v in values]
     reach = max([length(small, n) for n in names], default=0.0)
     width = max(bar + 0.8 * u + reach, length(small, label), *(bar + 0.6 * u + length(small, w) for w, _ in rows), 0)
-    piece = Piece(width + 2 * pad, top + tall + pad + (0.25 * u + len(rows) * 1.5 * u if rows else 0.25 * u))
-    piece.texts.append((pad, pad + 0.72 * u, label, small, GREY, "ls"))
-    table = _bytes(legend.colours)
-    piece.ramp = pad, top, pad + bar, top + tall, table
+    foot = top + tall + (tip if legend.below and label else 0.0)
+    lead = 0.75 * u if label else 0.15 * u
+    piece = Piece(width + 2 * pad, foot + pad + (lead - 0.5 * u + len(rows) * 1.5 * u if rows else 0.25 * u))
+    if legend.colours is not None:
+        piece.texts.append((pad, pad + 0.72 * u, label, small, GREY, "ls"))
+        table = _bytes(legend.colours)
+        piece.ramp = pad, top, pad + bar, top + tall, table
+        line = style.hair / 2
+        ends = ((legend.above, top, -1, table[-1]), (legend.below, top + tall, 1, table[0]))
+        for _, y, way, colour in (end for end in ends if end[0]):
+            for grow, ink in ((line, INK), (-line, _colour(colour))):
+                left, right, point = pad - grow, pad + bar + grow, y + way * (tip + 1.6 * grow)
+                piece.polygons.append(([(left, y), (right, y), ((left + right) / 2, point)], ink))
     for value, name in zip(values, names):
         y = top + tall * (1 - (value - legend.low) / span) if span > 0 else top + tall / 2
         piece.box(pad + bar, y - style.hair / 2, pad + bar + 0.35 * u, y + style.hair / 2, INK)
         piece.texts.append((pad + bar + 0.65 * u, y + 0.31 * u, name, small, INK, "ls"))
-    y = top + tall + 0.75 * u
+    y, high = float(round(foot + lead)), round(0.95 * u)  # whole pixels, for patterns
     for words, colour in rows:
-        piece.framed(pad, y, pad + bar, y + 0.95 * u, _colour(colour), style.hair / 2)
+        sample = _bytes(colour)
+        piece.framed(pad, y, pad + bar, y + high, _colour(sample.reshape(-1, 3)[0]), style.hair / 2)
+        if sample.ndim == 3:
+            piece.patterns.append((pad, y, pad + bar, y + high, sample))
         piece.texts.append((pad + bar + 0.65 * u, y + 0.78 * u, words, small, INK, "ls"))
-        y += 1.5 * u
+        y = round(y + 1.5 * u)
     return piece
 
 
-def _foot(metres_per_pixel: float | None, note: str | None, style: Style, inner: int, share: float) -> Piece | None:
-    """Scale bar of at most ``share`` of the width, and the note beneath it."""
+def _foot(
+    metres_per_pixel: float | None, note: str | None, style: Style, inner: int, share: float, room_for_note: int = 0
+) -> Piece | None:
+    """Scale bar of at most ``share`` of the width, and the note beneath it (in ``inner`` or the room it has)."""
     u, pad, small, tiny = style.unit, style.pad, style.font(0.9), style.font(0.78)
     piece = Piece(0, float(pad))
     if metres_per_pixel is not None:
@@ -223,7 +304,7 @@ def _foot(metres_per_pixel: float | None, note: str | None, style: Style, inner:
         piece.width = max(x0 + pixels, end + length(small, name)) + pad
         piece.height = y0 + thick + 0.15 * u
     if note:
-        words = cut(style.text(note), tiny, inner - 2 * pad, style)
+        words = cut(style.text(note), tiny, (room_for_note or inner) - 2 * pad, style)
         if not words:
             return None
         if metres_per_pixel is not None:
@@ -235,8 +316,8 @@ def _foot(metres_per_pixel: float | None, note: str | None, style: Style, inner:
     return piece
 
 
-def _arrow(north: float, style: Style) -> Piece | None:
-    """A slim needle, its western half dark, with an N at its tip that stays upright."""
+def _arrow(north: float, style: Style, grid: bool = False) -> Piece | None:
+    """A slim needle, its western half dark, with an N at its tip that stays upright; below it "grid north", if so."""
     if not math.isfinite(north):
         return None
     u, font = style.unit, style.font(1.05)
@@ -256,6 +337,9 @@ def _arrow(north: float, style: Style) -> Piece | None:
     piece.polygons.append(([at(0.9, 0), at(-1.4, 0), at(-2.0, 0.78)], PAPER))
     x, y = at(1.68, 0)
     piece.texts.append((x, y + 0.36 * 1.05 * u, "N", font, INK, "ms"))
+    if grid:
+        piece.texts.append((side / 2, side + 0.35 * u, "grid north", style.font(0.78), GREY, "ms"))
+        piece.height += 0.9 * u
     return piece
 
 
@@ -310,26 +394,29 @@ def _colour(colour: Any) -> Colour:
     return r, g, b
 
 
-def _box(piece: Piece, corner: Corner, size: tuple[int, int], margin: int) -> tuple[int, int, int, int]:
+def _box(piece: Piece, corner: Corner, size: tuple[int, int], margin: int) -> Box:
     w, h = math.ceil(piece.width), math.ceil(piece.height)
     x = margin if "left" in corner else size[0] - margin - w
     y = margin if "top" in corner else size[1] - margin - h
     return x, y, x + w, y + h
 
 
-def _meet(a: tuple[int, int, int, int], b: tuple[int, int, int, int], gap: int) -> bool:
+def _meet(a: Box, b: Box, gap: int) -> bool:
     return a[0] < b[2] + gap and b[0] < a[2] + gap and a[1] < b[3] + gap and b[1] < a[3] + gap
 
 
-def _paint(sheet: Any, piece: Piece, box: tuple[int, int, int, int], style: Style) -> None:
-    """Lay the piece's paper, shapes and type onto the sheet."""
+def _paint(sheet: Any, piece: Piece, box: Box, style: Style, framed: bool = True) -> None:
+    """Lay the piece's paper (if ``framed``), shapes and type onto the sheet."""
     from PIL import Image, ImageDraw
 
     s = OVERSIZE
     w, h = box[2] - box[0], box[3] - box[1]
     layer = Image.new("RGBA", (w * s, h * s), (*PAPER, 0))
     pen = ImageDraw.Draw(layer)
-    pen.rounded_rectangle((0, 0, w * s - 1, h * s - 1), 0.3 * style.unit * s, (*PAPER, round(255 * OPACITY)))
+    if framed:
+        line = max(s, round(style.hair * s))
+        whole = 0, 0, w * s - 1, h * s - 1
+        pen.rounded_rectangle(whole, 0.3 * style.unit * s, (*PAPER, 255), outline=(*EDGE, 255), width=line)
     if piece.ramp is not None:
         x0, y0, x1, y1 = (round(v) for v in piece.ramp[:4])
         line = max(1, round(style.hair * s / 2))
@@ -346,5 +433,9 @@ def _paint(sheet: Any, piece: Piece, box: tuple[int, int, int, int], style: Styl
         pen.polygon([(x * s - 0.5, y * s - 0.5) for x, y in points], (*colour, 255))
     layer = layer.resize((w, h), Image.Resampling.BOX)
     sheet.paste(layer, box[:2], layer)
+    for left, top, right, bottom, tile in piece.patterns:
+        x0, y0, x1, y1 = math.ceil(left), math.ceil(top), math.floor(right), math.floor(bottom)
+        rows, cols = np.arange(max(y1 - y0, 1)) % tile.shape[0], np.arange(max(x1 - x0, 1)) % tile.shape[1]
+        sheet.paste(Image.fromarray(np.ascontiguousarray(tile[np.ix_(rows, cols)])), (box[0] + x0, box[1] + y0))
     for x, y, words, font, colour, anchor in piece.texts:
         set_type(sheet, (box[0] + x, box[1] + y), words, font, colour, anchor)

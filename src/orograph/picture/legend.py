@@ -11,39 +11,92 @@ from numpy.typing import NDArray
 from orograph.geovis.colour import linear_to_srgb
 from orograph.picture.furniture import Legend, furnish
 from orograph.picture.scene import Scene
-from orograph.picture.shading import MISSING, WATER, Shader
+from orograph.picture.shading import HATCH, VISIBLE, WATER, Shader, hatching
 
 Array = NDArray[np.float64]
 
+DRAPED = 0.98
+"""The part of the ground in the picture under an image from which on the colours of heights are not explained."""
 
-def decorate(pixels: NDArray[np.uint8], scene: Scene, shader: Shader, depth: Array, veiled: bool) -> NDArray[np.uint8]:
+ONE_SCALE = 3.0
+"""A perspective whose ground is up to this many times farther here than there has a scale bar, for its middle."""
+
+CONVERGENCE = 3.0
+"""Degrees between grid north and true north from which on the arrow, which shows the grid's, says so."""
+
+NAMELESS = ("unknown", "unnamed", "undefined", "undetermined", "none")
+"""How the names of CRS begin that are none."""
+
+
+def decorate(
+    pixels: NDArray[np.uint8], scene: Scene, shader: Shader, depth: Array, veiled: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
     """The picture (height, width, 3) with its furniture.
 
     Args:
         depth: (height, width) view-space depth, NaN where no ground is.
-        veiled: whether missing data is shown.
+        veiled: (height, width), where missing data is shown.
     """
     view, terrain = scene.view, scene.terrain
-    low, high, colours = shader.tint.scale()
-    water = shader.maps.water_fraction > 0.002
-    legend = None
-    if scene.drape is None:
-        legend = Legend(
-            low, high, linear_to_srgb(colours),
-            water=linear_to_srgb(WATER) if water else None, missing=linear_to_srgb(MISSING) if veiled else None,
-        )  # fmt: skip
-    crs = terrain.grid.crs
+    metres = _scale(scene, depth)
     parts = [f"Light from {scene.sun.azimuth:g}°, {scene.sun.altitude:g}° high"]
     if scene.exaggeration != 1:
         parts.append(f"heights ×{scene.exaggeration:g}")
-    if view.projection == "perspective":
+    if view.projection == "perspective" and metres is not None:
         parts.append("scale at the picture's middle")
-    if crs is not None:
-        parts.append(crs.name)
+    if crs := _crs_name(terrain.grid.crs):
+        parts.append(crs)
     return furnish(
-        pixels, title=scene.title if scene.title is not None else _title(terrain.name), legend=legend,
-        north=north_on_screen(scene), metres_per_pixel=_scale(scene, depth), note=" · ".join(parts),
+        pixels, title=scene.title if scene.title is not None else _title(terrain.name), legend=_legend(shader),
+        north=north_on_screen(scene), metres_per_pixel=metres, note=" · ".join(parts),
+        grid_north=abs(convergence(scene)) > CONVERGENCE, ground=np.isfinite(depth) | veiled, paper=not scene.sky,
     )  # fmt: skip
+
+
+def _legend(shader: Shader) -> Legend | None:
+    """What the colours mean that were drawn: of heights unless an image covers (nearly) all, of water, of no data."""
+    shown, tint = shader.shown, shader.tint
+    low, high, colours = tint.scale()
+    dry = shown["ground"] - shown["water"]
+    tinted = shader.drape is None or shown["draped"] < DRAPED * dry
+    wet, missing = (shown[what] >= VISIBLE for what in ("water", "missing"))
+    if not (tinted or wet or missing):
+        return None
+    y, x = np.mgrid[:HATCH, :HATCH].reshape(2, -1) + 0.5
+    return Legend(
+        low, high, linear_to_srgb(colours) if tinted else None,
+        water=linear_to_srgb(WATER) if wet else None,
+        missing=linear_to_srgb(hatching(x, y)).reshape(HATCH, HATCH, 3) if missing else None,
+        below=tint.below, above=tint.above,
+    )  # fmt: skip
+
+
+def _crs_name(crs: Any) -> str | None:
+    """What to call a CRS: its name, else its projection method's, None if neither is known."""
+    if crs is None:
+        return None
+    method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
+    for name in (crs.name, method):
+        if name and not name.strip().lower().startswith(NAMELESS):
+            return str(name)
+    return None
+
+
+def convergence(scene: Scene) -> float:
+    """Degrees from true north to grid north at what the view looks at; 0 where the CRS does not tell."""
+    crs = scene.terrain.grid.crs
+    if crs is None or not crs.is_projected:
+        return 0.0
+    from pyproj import Proj
+    from pyproj.exceptions import ProjError
+
+    try:
+        projection = Proj(crs)
+        lon, lat = projection(scene.view.target[0], scene.view.target[1], inverse=True)
+        angle = float(projection.get_factors(lon, lat).meridian_convergence)
+    except ProjError:
+        return 0.0
+    return angle if math.isfinite(angle) else 0.0
 
 
 def _title(name: str) -> str:
@@ -63,10 +116,14 @@ def north_on_screen(scene: Scene) -> float | None:
 
 
 def _scale(scene: Scene, depth: Array) -> float | None:
-    """Metres across a pixel: anywhere in a plan, at the ground nearest the picture's middle in perspective."""
+    """Metres across a pixel: anywhere in a plan, at the ground nearest the picture's middle in perspective; None where
+    depths differ so much (see ``ONE_SCALE``) that one scale would mislead."""
     view = scene.view
     if view.projection == "plan":
         return view.pixel_metres
+    near, far = np.percentile(depth[np.isfinite(depth)], [1, 99])
+    if far > ONE_SCALE * near:
+        return None
     column = depth[:, view.width // 2]
     seen = np.flatnonzero(np.isfinite(column))
     if len(seen) == 0:

@@ -9,6 +9,7 @@ each told apart. Colours are linear light throughout.
 from __future__ import annotations
 
 import math
+import threading
 from typing import Any
 
 import numpy as np
@@ -26,9 +27,15 @@ Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
 
 PAPER = srgb_to_linear(np.array([0.965, 0.958, 0.937], np.float32))
-MISSING = srgb_to_linear(np.array([0.62, 0.62, 0.62], np.float32))
-HATCH = 7.0
-"""Pixels from stripe to stripe of the hatching over missing data."""
+MISSING = srgb_to_linear(np.array([[0.83, 0.845, 0.87], [0.50, 0.52, 0.56]], np.float32))
+"""Ground and lines of the hatching over missing data: lighter and cooler than shadow, since the smallest voids are all
+ground, and darker than snow and paper, since the largest are seen as a whole."""
+
+HATCH, LINE = 7, 2.0
+"""Pixels from line to line of the hatching (across the picture, not the line), and of a line's width."""
+
+VISIBLE = 9
+"""Samples of water or of missing data that can be seen as such: a spot of three by three."""
 
 WATER = srgb_to_linear(np.array([0.44, 0.60, 0.70], np.float32))
 AMBIENT = 0.27
@@ -40,12 +47,25 @@ BOUNCE = 0.10
 NOTHING = np.empty((0, 4), np.float32)
 
 
+def hatching(px: Array, py: Array) -> Colours:
+    """Linear colours (n, 3) over missing data at pixel positions: lines at 45°, the cartographer's sign for what is not
+    known."""
+    return MISSING[((px + py) % HATCH < LINE).astype(np.intp)]
+
+
 class Shader:
-    """Colours samples of one scene."""
+    """Colours samples of one scene.
+
+    Attributes:
+        shown: samples coloured so far: "ground", of it "water" and "draped" (mostly covered by the image, and not
+            water), and "missing".
+    """
 
     def __init__(self, scene: Scene, ground: Ground, depth: Array, progress: Progress = SILENT) -> None:
         self.scene, self.ground = scene, ground
         self.facts: dict[str, Any] = {}
+        self.shown = {"ground": 0, "water": 0, "draped": 0, "missing": 0}
+        self._lock = threading.Lock()
         a, h = math.radians(scene.sun.azimuth), math.radians(scene.sun.altitude)
         self.to_sun = np.array([math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)])
         sun, sky = sun_colour(scene.sun.altitude), sky_colour(scene.sun.altitude)
@@ -86,9 +106,8 @@ class Shader:
             self._lit(hits, out)
         veiled = np.flatnonzero(~np.isnan(hits.veil))
         if len(veiled):
-            # Grey hatching at 45°, the cartographer's sign for what is not known.
-            stripe = (px[veiled] + py[veiled]) % HATCH < HATCH / 2
-            out[veiled] = MISSING * np.where(stripe, 1.0, 0.8).astype(np.float32)[:, None]
+            self._count(missing=len(veiled))
+            out[veiled] = hatching(px[veiled], py[veiled])
             if self.air is not None:
                 out[veiled] = self.air.haze(out[veiled], hits.rays[veiled], hits.veil[veiled])
         return out
@@ -111,9 +130,29 @@ class Shader:
             self.tint.land, self.tint.low, self.tint.high, self.tint.sea, self.tint.floor, drape, WATER, self.sunlight,
             self.skylight, BOUNCE, out,
         )  # fmt: skip
+        met = np.flatnonzero(~np.isnan(hits.t))
+        bare = met[np.isnan(hits.veil[met])]
+        wet = self._wet(hits.points[bare])
+        covered = 0 if self.drape is None else int(((drape[bare, 3] > 0.5) & ~wet).sum())
+        self._count(ground=len(bare), water=int(wet.sum()), draped=covered)
         if self.air is not None:
-            met = np.flatnonzero(~np.isnan(hits.t))
             out[met] = self.air.haze(out[met], hits.rays[met], hits.t[met])
+
+    def _wet(self, points: Array) -> NDArray[np.bool_]:
+        """Which points (n, 3) lie on samples of water."""
+        maps = self.maps
+        if not maps.water.size:
+            return np.zeros(len(points), bool)
+        c = np.rint((points[:, 0] + 0.5) / maps.scale - 0.5 - maps.col0).astype(np.intp)
+        r = np.rint((points[:, 1] + 0.5) / maps.scale - 0.5 - maps.row0).astype(np.intp)
+        rows, cols = maps.water.shape
+        return maps.water[np.clip(r, 0, rows - 1), np.clip(c, 0, cols - 1)] > 0.5
+
+    def _count(self, **samples: int) -> None:
+        """Add to ``shown``, from any thread."""
+        with self._lock:
+            for name, n in samples.items():
+                self.shown[name] += n
 
     def drape_colours(self, hits: Hits) -> Colours:
         """Colour and opacity (n, 4) of the draped image."""
