@@ -5,6 +5,8 @@
 >>> terrain = orograph.build(["tiles/n36.tif", "tiles/n37.tif"], "area.oro")  # doctest: +SKIP
 >>> picture = orograph.render(terrain)                                   # doctest: +SKIP
 >>> picture.save("relief.png")                                           # doctest: +SKIP
+>>> view = orograph.camera.around(terrain, (1280, 720), azimuth=225, pitch=30, distance=None)  # doctest: +SKIP
+>>> orograph.render(terrain, view, sky=True, exaggeration=1.5)           # doctest: +SKIP
 
 Names are imported when they are first used, so that ``import orograph`` costs nothing.
 """
@@ -18,19 +20,21 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from orograph.dem import Dem, read
     from orograph.geo import Grid
-    from orograph.picture import Picture, render
+    from orograph.picture import Picture, Sun, camera, render
     from orograph.store import Terrain, build, open, terrain
     from orograph.view import View
 
-__all__ = ["Dem", "Grid", "Picture", "Terrain", "View", "build", "open", "read", "render", "terrain"]
+__all__ = ["Dem", "Grid", "Picture", "Sun", "Terrain", "View", "build", "camera", "open", "read", "render", "terrain"]
 
 _HOMES = {
     "Dem": "orograph.dem",
     "Grid": "orograph.geo",
     "Picture": "orograph.picture",
+    "Sun": "orograph.picture",
     "Terrain": "orograph.store",
     "View": "orograph.view",
     "build": "orograph.store",
+    "camera": "orograph.picture",
     "open": "orograph.store",
     "read": "orograph.dem",
     "render": "orograph.picture",

@@ -46,8 +46,23 @@ def test_version_and_wrong_verbs():
     assert ran.returncode == 0 and "orograph" in ran.stdout and "0." in ran.stdout
     ran = orograph("rendr")
     assert ran.returncode == 2 and "rendr" in ran.stderr and ran.stdout == "" and "Traceback" not in ran.stderr
+    assert "Did you mean render" in ran.stderr
+    ran = orograph("xyzzy")
+    assert ran.returncode == 2 and "info" in ran.stderr and "Did you mean" not in ran.stderr
     assert orograph("render").returncode == 2
     assert orograph().returncode == 2
+
+
+def test_synth_replaces_nothing(tmp_path):
+    out = tmp_path / "a.tif"
+    assert orograph("synth", "-o", out, "--size", "40x50").returncode == 0
+    first = out.read_bytes()
+    ran = orograph("synth", "-o", out, "--size", "40x50", "--seed", 2)
+    assert ran.returncode == 2 and "--overwrite" in ran.stderr and out.read_bytes() == first
+    assert orograph("synth", "-o", out, "--size", "40x50", "--seed", 2, "--overwrite").returncode == 0
+    assert out.read_bytes() != first
+    ran = orograph("synth", "-o", tmp_path / "a.oro", "--size", "40x50")
+    assert ran.returncode == 2 and ".tif" in ran.stderr and not (tmp_path / "a.oro").exists()
 
 
 def test_the_demo(tmp_path):

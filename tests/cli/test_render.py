@@ -221,10 +221,143 @@ def test_outputs_that_cannot_be_written_are_said_first(run, tmp_path):
     """Even where the input is wrong as well: nothing is drawn for nothing."""
     none = tmp_path / "none.tif"
     refused(run("render", none, "-o", tmp_path / "no" / "a.png", *SMALL), 4, "There is no folder", "a.png")
-    refused(run("render", none, "-o", tmp_path / "a.xyz", *SMALL), 4, ".xyz", ".png")
-    refused(run("render", none, "-o", tmp_path / "a", *SMALL), 4, "without ending")
+    refused(run("render", none, "-o", tmp_path / "a.xyz", *SMALL), 2, ".xyz", ".png")
+    refused(run("render", none, "-o", tmp_path / "a", *SMALL), 2, "without ending")
+    refused(run("render", none, "-o", tmp_path / "a.png", "--depth", "d.png", *SMALL), 2, "--depth", ".png", ".tif")
     for option in ("--depth", "--save-view"):
-        refused(run("render", none, "-o", tmp_path / "a.png", option, tmp_path / "no" / "b", *SMALL), 4, "no folder")
+        there = tmp_path / "no" / "b.tif"
+        refused(run("render", none, "-o", tmp_path / "a.png", option, there, *SMALL), 4, "no folder")
+
+
+def test_nothing_overwrites_what_it_is_made_of(run, dem, tmp_path):
+    before = dem.read_bytes()
+    view, image, link = tmp_path / "v.json", tmp_path / "i.png", tmp_path / "link.tif"
+    view.write_text('{"eye": [1, 2, 3], "target": [1, 2, 4]}')
+    image.write_bytes(b"an image")
+    link.symlink_to(dem)
+    other = write(tmp_path / "other.tif")
+    refused(run("render", dem, "-o", dem, *SMALL), 2, "--output would overwrite the input")
+    refused(run("render", other, dem, "-o", link, *SMALL), 2, "--output would overwrite the input")
+    refused(run("render", link, "-o", tmp_path / ".." / tmp_path.name / "dem.tif", *SMALL), 2, "would overwrite")
+    refused(run("render", dem, "-o", tmp_path / "a.png", "--depth", dem, *SMALL), 2, "--depth would overwrite")
+    refused(run("render", dem, "-o", tmp_path / "a.png", "--save-view", dem, *SMALL), 2, "--save-view would overwrite")
+    refused(run("render", dem, "-o", tmp_path / "a.png", "--view", view, "--save-view", view, *SMALL), 2, "--view")
+    refused(run("render", dem, "-o", image, "--drape", image, *SMALL), 2, "--drape")
+    refused(
+        run("render", dem, "-o", tmp_path / "a.tif", "--depth", tmp_path / "a.tif", *SMALL), 2, "--output and --depth"
+    )
+    geoid = write(tmp_path / "geoid.tif")
+    refused(run("render", dem, "-o", geoid, "--to-vertical", "ellipsoidal", "--geoid", geoid, *SMALL), 2, "--geoid")
+    area = built(tmp_path / "a.oro", hills())
+    refused(run("render", area, "-o", area / "heights" / "a.png", *SMALL), 2, "lies within the input")
+    assert (
+        dem.read_bytes() == before and image.read_bytes() == b"an image" and view.read_text().startswith('{"eye": [1')
+    )
+
+
+def test_what_is_said_about_a_camera(run, dem, tmp_path):
+    """The eye 1000 m under the ground: drawn, and said."""
+    move = Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True)
+    lon, lat = move.transform(501_500, 3_999_000)
+    options = ("-o", tmp_path / "a.png", "--size", "160x90")
+    code, _, err = run("render", dem, "--lonlat", f"{lon},{lat},-500", *options)
+    assert code in (0, 5) and "m below the ground there" in err
+    refused(run("render", dem, "--lonlat", f"{lat},{lon},2000", *options, "--quiet"), 2, "swapped")
+    refused(
+        run("render", dem, "--lonlat", f"{lon},{lat},2000", "--look-at", f"{lat},{lon}", *options, "--quiet"), 2,
+        "swapped",
+    )  # fmt: skip
+    (tmp_path / "v.json").write_text(json.dumps({"eye": [lon, lat, 2000], "target": [lon, lat + 0.01, 500]}))
+    said = run("render", dem, "--view", tmp_path / "v.json", *options, "--quiet")
+    refused(said, 5, '"crs": "EPSG:4326"')
+    code, _, err = run("render", dem, "--sun", "100,-20", *options)
+    assert code == 0 and "below the horizon" in err and "the ground there" not in err
+    code, _, err = run("render", dem, "--title", "x", *options)
+    assert code == 0 and "--furniture" in err
+
+
+def test_pictures_that_do_not_fit_into_memory(run, dem, tmp_path):
+    for size, words in (("100000x100000", "466 GiB of memory"), ("3000000x30000", "4.093 TiB of memory")):
+        refused(run("render", dem, "-o", tmp_path / "a.png", "--size", size, "--quiet"), 2, words)
+    allowed = ("--size", "2000x2000", "--max-memory", "150MiB", "--quiet")
+    refused(run("render", dem, "-o", tmp_path / "a.png", *allowed), 2, "191 MiB", "--max-memory")
+    code, _, err = run("render", dem, "-o", tmp_path / "a.png", "--max-memory", "10")
+    assert code == 2 and "64MiB" in err and not (tmp_path / "a.png").exists()
+
+
+MOON = "+proj=eqc +a=1737400 +b=1737400 +units=m +no_defs"
+
+
+def test_rasters_of_different_bodies(run, dem, tmp_path):
+    moon = write(
+        tmp_path / "moon.tif", None, Affine(30, 0, 500_000, 0, -30, 1_000_000), CRS.from_user_input(MOON).to_wkt()
+    )
+    options = ("-o", tmp_path / "a.png", *SMALL)
+    refused(run("render", dem, moon, *options), 3, "moon.tif", "another planet or moon")
+    refused(run("render", moon, "--crs", "EPSG:32633", *options), 2, "moon.tif", "another planet or moon", "--crs")
+    refused(run("render", dem, "--drape", moon, *options), 2, "moon.tif", "same body")
+    assert run("render", moon, *options)[0] == 0
+
+
+def test_what_info_doubts_is_said_by_render_as_well(run, tmp_path):
+    options = ("-o", tmp_path / "a.png", "--size", "80x45")
+    radii = write(tmp_path / "radii.tif", hills() + 6_371_000)
+    shades = write(tmp_path / "shades.tif", (hills() / 4).astype(np.uint8))
+    world = Affine(400_000, 0, -20_000_000, 0, -400_000, 20_000_000)
+    mercator = write(tmp_path / "mercator.tif", hills(100, 100), world, "EPSG:3857")
+    for dem, words in ((radii, "look like radii"), (shades, "8 bits"), (mercator, "Pseudo-Mercator")):
+        code, _, err = run("render", dem, *options)
+        assert code == 0 and words in err, err
+        lines = [line for line in err.splitlines() if line.startswith("warning:")]
+        assert len(set(lines)) == len(lines)
+        assert words in run("info", dem)[1] or dem == mercator
+    assert "Web Mercator" in run("info", mercator)[1]
+    code, _, err = run("render", shades, shades, *options)
+    assert err.count("8 bits") == 1
+
+
+def test_an_unfinished_store(run, tmp_path):
+    heights = hills(300, 300)
+    source = store.ArraySource(heights, Grid(heights.shape, PLACE, CRS.from_epsg(32611)), "built")
+
+    class Stopped(store.ArraySource):
+        def read(self, *window):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        store.build(Stopped(heights, source.grid, "built"), tmp_path / "a.oro")
+    assert (tmp_path / "a.oro.partial").is_dir()
+    for name in ("a.oro.partial", "a.oro"):
+        refused(run("render", tmp_path / name, "-o", tmp_path / "a.png", *SMALL), 4, name, "incomplete", "--resume")
+        refused(run("info", tmp_path / name), 4, name, "incomplete", "--resume")
+
+
+def test_the_place_of_a_plan(run, dem, tmp_path):
+    depth = tmp_path / "d.tif"
+    options = ("-o", tmp_path / "a.tif", "--depth", depth, "--projection", "plan", "--size", "200x160", "--quiet")
+    assert run("render", dem, *options)[0] == 0
+    with rasterio.open(dem) as ground, rasterio.open(depth) as plan, rasterio.open(tmp_path / "a.tif") as picture:
+        assert plan.crs == ground.crs == picture.crs and plan.transform == picture.transform
+        heights, z = ground.read(1), plan.read(1)
+        rows, cols = np.mgrid[5:75:7, 5:95:9]
+        x, y = ground.xy(rows.ravel(), cols.ravel())
+        found = np.array([z[plan.index(a, b)] for a, b in zip(x, y)])
+        known = heights[rows.ravel(), cols.ravel()]
+        total = found + known  # depth is the eye's height less the ground's: the same sum everywhere
+        assert np.ptp(known) > 200 and np.ptp(total) < 25
+
+
+@pytest.mark.parametrize("azimuth", [None, 45])
+def test_nothing_in_view_advises_what_applies(run, tmp_path, monkeypatch, azimuth):
+    from orograph.errors import NothingInViewError
+
+    def fail(scene, progress):
+        raise NothingInViewError("Nothing.", path="x", remedy="Leave the camera options away to see all of it.")
+
+    monkeypatch.setattr("orograph.picture.cpu.draw", fail)
+    options = () if azimuth is None else ("--from", azimuth)
+    code, _, err = run("render", write(tmp_path / "dem.tif"), "-o", tmp_path / "a.png", *options, *SMALL)
+    assert code == 5 and ("camera options" in err) == (azimuth is not None)
 
 
 def test_inputs_that_are_none(run, tmp_path):

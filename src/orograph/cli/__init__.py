@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import importlib.abc
 import os
@@ -36,6 +37,16 @@ class Verbs(click.Group):
             return None
         command: click.Command = importlib.import_module(f"orograph.cli.{cmd_name}").command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if name not in VERBS and not name.startswith("-"):
+            close = difflib.get_close_matches(name, VERBS, 2, 0.5)
+            remedy = f"Did you mean {' or '.join(close)}?" if close else f"There are {', '.join(sorted(VERBS))}."
+            ctx.fail(f"There is no verb {name!r}. {remedy}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Verbs"):

@@ -24,6 +24,7 @@ else:
 F = TypeVar("F", bound=Callable[..., Any])
 
 DEFAULT_MEMORY = "1GiB"
+LEAST_MEMORY = 64 << 20
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _VERTICALS = ("ellipsoidal", "orthometric")  # orograph.dem.undulation.DIRECTIONS
 _ENCODINGS = ("mapbox", "terrarium")  # orograph.dem.encode.ENCODINGS, without importing NumPy for --help
@@ -51,9 +52,12 @@ class Bytes(ParamType):
         if isinstance(value, int):
             return value
         try:
-            return parse_bytes(str(value))
+            size = parse_bytes(str(value))
         except ValueError as error:
             self.fail(f"{error}.", param, ctx)
+        if size < LEAST_MEMORY:
+            self.fail(f"{value!r} is less than 64MiB, in which no work can be done (write it like 1GiB).", param, ctx)
+        return size
 
 
 class Nodata(ParamType):

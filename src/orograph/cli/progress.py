@@ -71,6 +71,7 @@ class LineProgress(Progress):
         self.live = self.console.is_terminal and not quiet
         self.least = least
         self.opened = 0
+        self.warned: set[str] = set()
         self.timings: list[tuple[str, float]] = []
         self.bar = Bar(
             TextColumn("{task.description}"),
@@ -85,6 +86,9 @@ class LineProgress(Progress):
         return LineTask(self, what, total)
 
     def warn(self, text: str) -> None:
+        if text in self.warned:
+            return
+        self.warned.add(text)
         self.console.print(f"warning: {text}", style="yellow", highlight=False, markup=False, soft_wrap=True)
         sys.stderr.flush()
 

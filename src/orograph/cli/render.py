@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
+from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import ParamType, jobs_option, memory_option, progress_of, source_options, vertical_options
 
 if TYPE_CHECKING:
@@ -70,6 +72,8 @@ SCENE = ("shadows", "exaggeration", "colormap", "drape", "sky", "relief", "sampl
 OWN = {*SCENE, "azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov", "projection", "size", "sun",
        "water", "backend"}  # fmt: skip
 """What is said about the picture; all other options are about reading."""
+
+CAMERA = ("azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov")
 
 
 @click.command("render")
@@ -202,13 +206,21 @@ def command(
     began = time.perf_counter()
     progress = progress_of(ctx)
     _check_camera(options)
+    check_outputs(
+        {"--output": output, "--depth": depth, "--save-view": save_view},
+        {"the input": paths, "the image of --drape": [options["drape"]], "the camera of --view": [options["view_path"]],
+         "the grid of --geoid": [options["geoid"]]},
+    )  # fmt: skip
+    if depth:
+        check_ending("--depth", depth)
     source = {k: v for k, v in options.items() if k not in OWN}
     if source["band"] == 1:
         source["band"] = None
     with progress.task("Loading Orograph"):
-        from orograph.errors import DamagedChunkError
+        from orograph.errors import DamagedChunkError, NothingInViewError
         from orograph.geovis.colour import colour_table
         from orograph.picture.cpu import draw
+        from orograph.picture.memory import check_memory
         from orograph.picture.prepare import cache_folder, prepare
         from orograph.picture.result import Beside, check_folder, picture_format
         from orograph.picture.scene import Scene, Sun
@@ -219,8 +231,14 @@ def command(
         check_folder(Path(file))
     colour_table(options["colormap"])
     sun = Sun(*options["sun"])
+    if options["title"] is not None and not options["furniture"]:
+        progress.warn("--title is drawn with --furniture only.")
+    said = ctx.get_parameter_source("max_memory") is not ParameterSource.DEFAULT
+    if options["size"] is not None:
+        check_memory(options["size"], max_memory if said else None)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
     view = _view(terrain, options)
+    check_memory((view.width, view.height), max_memory if said else None)
     scene = Scene(
         terrain, view, sun, water=None if options["water"] == "none" else options["water"],
         max_memory=max_memory, jobs=jobs,
@@ -231,6 +249,10 @@ def command(
     except DamagedChunkError as error:
         if error.path is not None and Path(error.path).parent == cache_folder():
             error.remedy = "It is a copy that was kept: delete it, and the next picture builds it again."
+        raise
+    except NothingInViewError as error:
+        if not any(options[name] is not None for name in CAMERA):
+            error.remedy = "See what the file holds with orograph info."
         raise
     picture.save(output)
     if depth:
@@ -288,11 +310,16 @@ def _view(terrain: Terrain, options: Mapping[str, Any]) -> View:
             view = replace(view, projection="plan")
         return replace(view, fov_y=given("fov", view.fov_y))
     azimuth = given("azimuth", 180.0)
+    insets = camera.NO_INSETS
+    if options["furniture"]:
+        from orograph.picture import furniture
+
+        insets = furniture.insets(size)
     if options["projection"] == "plan":
-        return camera.plan(terrain, size, azimuth=azimuth)
+        return camera.plan(terrain, size, azimuth=azimuth, insets=insets)
     if options["lonlat"] is not None:
         return camera.standing(terrain, size, options["lonlat"], options["look_at"], fov_y=given("fov", 45.0))
     return camera.around(
         terrain, size, azimuth=azimuth, pitch=given("pitch", 42.0), distance=options["distance"],
-        fov_y=given("fov", 30.0), exaggeration=options["exaggeration"],
+        fov_y=given("fov", 30.0), exaggeration=options["exaggeration"], insets=insets,
     )  # fmt: skip

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import click
 
+from orograph.cli.files import check_ending
 from orograph.cli.options import jobs_option, progress_of
+from orograph.errors import UsageError
 
 
 @click.command("synth")
@@ -38,6 +40,7 @@ from orograph.cli.options import jobs_option, progress_of
     show_default=True,
     help="Compression of the file: zstd takes a third of the space of none, and is read half as fast from memory.",
 )
+@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
 @jobs_option
 @click.pass_context
 def command(
@@ -50,6 +53,7 @@ def command(
     relief: float | None,
     roughness: float,
     compress: str,
+    overwrite: bool,
     jobs: int | None,
 ) -> None:
     """Make a fractal terrain of any size: plains, and ranges carved by rivers.
@@ -63,6 +67,9 @@ def command(
       orograph synth -o large.tif --size 16385 --seed 7        1 GiB: 35 s on two processors
       orograph synth -o strip.tif --size 2049x8193 --relief 800 --spacing 10
     """
+    check_ending("--output", str(output))
+    if output.exists() and not overwrite:
+        raise UsageError("Something is there already.", path=output, remedy="Replace it with --overwrite.")
     from orograph.dem.synth import Synth, parse_size
     from orograph.dem.target import parse_crs
 

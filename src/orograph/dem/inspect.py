@@ -64,6 +64,11 @@ def suspicions(source: Source, found: Statistics) -> list[str]:
     return [*source.warnings, *_about_place(source), *_about_heights(source, found)]
 
 
+def doubtful_heights(source: Source, low: float, high: float) -> list[str]:
+    """``suspicions`` about the heights alone, where only the lowest and the highest are known (metres)."""
+    return _about_heights(source, Statistics(low, high, 1.0, math.nan, True))
+
+
 def _about_place(source: Source) -> list[str]:
     grid, crs = source.grid, source.grid.crs
     if crs is None:
@@ -93,8 +98,8 @@ def _about_place(source: Source) -> list[str]:
         stretch = _mercator_stretch(grid)
         if stretch > 1.02:
             said.append(
-                f"It is in Web Mercator, whose metres are {stretch:.2f} times too long here: distances and relief are "
-                "distorted (give --crs of a UTM zone to build or render)."
+                f"It is in Web Mercator, whose metres are up to {stretch:.2f} times too long here: distances and "
+                "relief are distorted (give --crs of a UTM zone to build or render)."
             )
     return said
 
@@ -221,12 +226,14 @@ def _unit(crs: CRS) -> float:
 
 
 def _mercator_stretch(grid: Grid) -> float:
+    """How many times too long the metres are at most, over the raster's height."""
     if grid.crs is None or grid.crs.geodetic_crs is None:
         return 1.0
     try:
         there = Transformer.from_crs(grid.crs, grid.crs.geodetic_crs, always_xy=True)
-        x, y = grid.xy((grid.cols - 1) / 2, (grid.rows - 1) / 2)
-        lat = float(there.transform(float(x), float(y))[1])
+        col, row = np.meshgrid([0.0, grid.cols - 1], np.linspace(0, grid.rows - 1, 5))
+        lat = np.abs(np.asarray(there.transform(*grid.xy(col.ravel(), row.ravel()))[1]))
     except ProjError:
         return 1.0
-    return 1 / math.cos(math.radians(lat)) if abs(lat) < 89.9 else 1.0
+    lat = lat[lat < 89.9]
+    return 1 / math.cos(math.radians(float(lat.max()))) if lat.size else 1.0

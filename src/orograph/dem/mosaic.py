@@ -32,7 +32,7 @@ from orograph.dem.target import choose, ground_spacing, parse_crs
 from orograph.dem.undulation import Direction, Undulation, check_datums, check_request, latitudes_of
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
-from orograph.geo.operations import approximation
+from orograph.geo.operations import approximation, same_body
 from orograph.geo.vertical import Geoid
 from orograph.progress import SILENT, Progress
 
@@ -40,6 +40,7 @@ COARSER = 1.5  # from this ratio of spacings on, sources are averaged before the
 PIECE = 1 << 22  # target samples resampled at once
 BUDGET = 3 << 23  # source samples held at once (float32: 96 MiB)
 STRIP = 256  # rows whose coordinates are held at once
+UNEVEN = 1.1  # ratio of scales within a kept projection that is worth one, too
 FALSE_SCALE = 0.01  # scale error of a kept projection from which on it is worth a warning
 
 Heights = NDArray[np.float32]
@@ -105,6 +106,7 @@ class Mosaic:
             raise UsageError(
                 "The files have no CRS, so they cannot be brought to another.", remedy="Give theirs: --assume-crs."
             )
+        self._check_bodies(grids, wanted)
         lattices = sorted(group(self.sources, grids), key=lambda g: float(f"{ground_spacing(g.grid):.4g}"))
         target = choose(lattices, crs=wanted, resolution=resolution)
         self.grid = target.grid
@@ -252,6 +254,27 @@ class Mosaic:
                 u, v = (u - (k_cols - 1) / 2) / k_cols, (v - (k_rows - 1) / 2) / k_rows
             sample(self.resampling, window, reach[0], reach[2], u, v, out[r - row0 : end - row0])
 
+    def _check_bodies(self, grids: Sequence[Grid], wanted: CRS | None) -> None:
+        """Raise ReadError or UsageError unless everything lies on one planet or moon."""
+        for source, grid in zip(self.sources, grids):
+            if grid.crs is None:
+                continue
+            path = getattr(source, "path", source.name)
+            first = grids[0].crs
+            if first is not None and not same_body(grid.crs, first):
+                raise ReadError(
+                    f"It is of another planet or moon ({grid.crs.name}) than {self.sources[0].name} ({first.name}): "
+                    "they cannot be put together.",
+                    path=path,
+                    remedy="Name files of one body.",
+                )
+            if wanted is not None and not same_body(grid.crs, wanted):
+                raise UsageError(
+                    f"It is of another planet or moon ({grid.crs.name}) than the CRS asked for ({wanted.name}).",
+                    path=path,
+                    remedy="Leave --crs away, or give a projected CRS of that body.",
+                )
+
     def _one_datum(self) -> str | None:
         datums = {s.vertical for s in self.sources}
         if len(datums - {None}) > 1:
@@ -271,10 +294,15 @@ class Mosaic:
                     seen.add(text)
                     self.warnings.append(text if len(self.sources) == 1 else f"{source.name}: {text}")
         scale = _scale_at_centre(self.grid)
-        if abs(scale - 1) > FALSE_SCALE and self.projection != "as asked for":
+        if self.projection == "as asked for":
+            return
+        least, most = _scales(self.grid)
+        if abs(scale - 1) > FALSE_SCALE or most > UNEVEN * least:
             assert self.grid.crs is not None
+            uneven = most > UNEVEN * least
+            true = f"{1 / most:.3g} to {1 / least:.3g}" if uneven else f"{1 / scale:.3g}"
             self.warnings.append(
-                f"A metre of {self.grid.crs.name} is {1 / scale:.3g} m on the ground here, so slopes come out wrong by "
+                f"A metre of {self.grid.crs.name} is {true} m on the ground here, so slopes come out wrong by "
                 "that factor; the samples are kept as they are (give --crs, e.g. the UTM zone, for true proportions)."
             )
 
@@ -420,12 +448,26 @@ def _reach(layer: _Layer, mesh: Mesh) -> tuple[int, int, int, int] | None:
 
 def _scale_at_centre(grid: Grid) -> float:
     """Map metres per ground metre at the centre of a projected grid; 1 where that is not defined."""
+    scale = _scale(grid, np.array([(grid.cols - 1) / 2]), np.array([(grid.rows - 1) / 2]))
+    return float(scale[0]) if scale.size else 1.0
+
+
+def _scales(grid: Grid) -> tuple[float, float]:
+    """The smallest and the largest map metres per ground metre over a projected grid; 1, 1 where none are defined."""
+    col, row = np.meshgrid(np.linspace(0, grid.cols - 1, 5), np.linspace(0, grid.rows - 1, 9))
+    scale = _scale(grid, col.ravel(), row.ravel())
+    return (float(scale.min()), float(scale.max())) if scale.size else (1.0, 1.0)
+
+
+def _scale(grid: Grid, col: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Map metres per ground metre at those samples where that is defined."""
     if grid.crs is None or not grid.crs.is_projected:
-        return 1.0
+        return np.ones(0)
     proj = Proj(grid.crs)
-    lon, lat = proj(*grid.xy((grid.cols - 1) / 2, (grid.rows - 1) / 2), inverse=True)
-    if not (math.isfinite(lon) and math.isfinite(lat)) or abs(lat) > 89.9:
-        return 1.0
-    factors = proj.get_factors(lon, lat)
-    scale = math.sqrt(abs(factors.areal_scale))
-    return scale if math.isfinite(scale) and scale > 0 else 1.0
+    lon, lat = proj(*grid.xy(col, row), inverse=True)
+    known = np.isfinite(lon) & np.isfinite(lat) & (np.abs(lat) <= 89.9)
+    if not known.any():
+        return np.ones(0)
+    factors = proj.get_factors(lon[known], lat[known])
+    scale = np.sqrt(np.abs(np.asarray(factors.areal_scale)))
+    return np.asarray(scale[np.isfinite(scale) & (scale > 0)])

@@ -61,6 +61,17 @@ def approximation(
     )
 
 
+def same_body(a: CRS, b: CRS) -> bool:
+    """Whether two CRSs may be of one planet or moon: their ellipsoids' radii differ by less than one in a hundred.
+
+    The ellipsoids in use for Earth differ by one in ten thousand; Venus, the body most like it, by one in twenty.
+    """
+    one, other = a.ellipsoid, b.ellipsoid
+    if one is None or other is None:
+        return True
+    return abs(one.semi_major_metre / other.semi_major_metre - 1) < 0.01
+
+
 def _datum(crs: CRS) -> str:
     geodetic = crs.geodetic_crs
     return crs.name if geodetic is None else geodetic.name

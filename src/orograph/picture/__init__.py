@@ -1,7 +1,8 @@
 """Pictures: what is drawn (``Scene``), from where (``camera``), and the CPU backend that draws it (``cpu``)."""
 
+from orograph.picture import camera
 from orograph.picture.api import render
 from orograph.picture.result import Picture
 from orograph.picture.scene import Scene, Sun
 
-__all__ = ["Picture", "Scene", "Sun", "render"]
+__all__ = ["Picture", "Scene", "Sun", "camera", "render"]

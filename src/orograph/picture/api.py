@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import os
 from typing import Any, Literal
 
 from orograph.dem.raster import Dem
 from orograph.errors import UsageError
+from orograph.picture.memory import check_memory
 from orograph.picture.result import Picture
 from orograph.picture.scene import Scene, Sun
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
 from orograph.view import View
+
+CAMERA = ("azimuth", "pitch", "distance", "lonlat", "look_at", "fov", "fov_y", "projection", "eye", "target")
+"""What the command line has options for, and here a view."""
 
 
 def render(
@@ -20,46 +26,98 @@ def render(
     *,
     size: tuple[int, int] = (1280, 720),
     sun: Sun | tuple[float, float] = (315.0, 45.0),
+    shadows: bool = True,
+    exaggeration: float = 1.0,
+    relief: float | None = None,
+    colormap: str | None = None,
+    drape: str | os.PathLike[str] | None = None,
+    water: Literal["auto"] | float | None = "auto",
+    sky: bool = False,
+    furniture: bool = False,
+    title: str | None = None,
+    samples: int = 4,
+    tolerance: float | None = None,
+    max_memory: int | None = None,
+    jobs: int | None = None,
     backend: Literal["cpu"] = "cpu",
     progress: Progress = SILENT,
-    **options: Any,
+    **unknown: Any,
 ) -> Picture:
     """Draw a relief picture.
 
     Args:
-        terrain: an opened terrain, a DEM in memory, or the path of either.
-        view: the camera; None shows all of the terrain.
-        size: (width, height) in pixels where there is no view.
-        sun: a ``Sun`` or (azimuth, altitude) in degrees.
+        terrain: an opened terrain, a DEM in memory, or the path of a DEM or a store.
+        view: the camera, made with ``orograph.View(eye, target)`` in the terrain's CRS, or for a terrain by
+            ``orograph.camera`` (the module ``orograph.picture.camera``): ``whole(terrain, size)``,
+            ``around(terrain, size, azimuth=225, pitch=30, distance=None)``, ``standing(terrain, size, (lon, lat,
+            height), (lon, lat))`` or ``plan(terrain, size)``. None: all of the terrain, from the south.
+        size: (width, height) in pixels where there is no view; with one, the view's own count. Default 1280 × 720.
+        sun: a ``Sun`` or (azimuth, altitude): degrees clockwise from north, degrees above the horizon. Default 315, 45.
+        shadows: whether the ground casts shadows. Default True.
+        exaggeration: factor by which heights are stretched on the screen. Default 1.
+        relief: factor on slopes for shading only; 1 is nature. Default None: 1 to 6, more for gentle land.
+        colormap: colours of heights: alpine, mars, grey or any name of the cmap catalogue. Default None: alpine.
+        drape: an image file laid over the ground, in any CRS. Default None.
+        water: "auto" finds lakes and seas by their flatness, a number is a water level in metres, None draws none.
+            Default "auto".
+        sky: draw sky and haze instead of paper. Default False.
+        furniture: add a title, a colour bar, a north arrow and a scale bar. Default False.
+        title: the title of the furniture. Default None: the terrain's name.
+        samples: rays per pixel where the picture has edges; 1 leaves them jagged. Default 4.
+        tolerance: pixels by which the ground may be displaced; 0 draws every sample. Default None: 0 up to 16.8 million
+            samples, else 0.5.
+        max_memory: bytes to keep within. Default None: no limit.
+        jobs: threads. Default None: all processors.
         backend: "cpu".
-        **options: the other attributes of ``Scene``.
+        progress: hears of what is being done, and of warnings. Default: nothing is said.
 
     Returns:
-        a ``Picture``: ``save(path)``, ``pixels`` (height, width, 3) uint8, ``depth`` float32 metres.
+        a ``Picture``: ``save(path)``, ``pixels`` (height, width, 3) uint8, ``depth`` (height, width) float32 metres.
 
     Raises:
         ReadError, StoreError: the path cannot be read.
-        UsageError: an option makes no sense.
+        UsageError: an option is unknown or makes no sense, or the picture does not fit into memory.
         NothingInViewError: the picture would be empty.
     """
+    if unknown:
+        raise _unknown(next(iter(unknown)))
     if backend != "cpu":
         raise UsageError(f"There is no backend {backend!r}; there is 'cpu'.")
+    light = sun if isinstance(sun, Sun) else Sun(*sun)
+    check_memory((view.width, view.height) if view is not None else size, max_memory)
     if isinstance(terrain, (str, os.PathLike)):
         from orograph.picture.prepare import prepare
 
-        terrain = prepare(
-            [os.fspath(terrain)], max_memory=options.get("max_memory"), jobs=options.get("jobs"), progress=progress
-        )
+        terrain = prepare([os.fspath(terrain)], max_memory=max_memory, jobs=jobs, progress=progress)
     elif isinstance(terrain, Dem):
         from orograph.store import terrain as in_memory
 
         terrain = in_memory(terrain)
     if view is None:
-        from orograph.picture.camera import whole
+        from orograph.picture.camera import NO_INSETS, whole
+        from orograph.picture.furniture import insets
 
-        view = whole(terrain, size, exaggeration=options.get("exaggeration", 1.0))
-    light = sun if isinstance(sun, Sun) else Sun(*sun)
+        view = whole(terrain, size, exaggeration=exaggeration, insets=insets(size) if furniture else NO_INSETS)
+    scene = Scene(
+        terrain, view, light, shadows=shadows, exaggeration=exaggeration, colormap=colormap, drape=drape, sky=sky,
+        water=water, relief=relief, samples=samples, tolerance=tolerance, furniture=furniture, title=title,
+        max_memory=max_memory, jobs=jobs,
+    )  # fmt: skip
 
     from orograph.picture.cpu import draw
 
-    return draw(Scene(terrain, view, light, **options), progress)
+    return draw(scene, progress)
+
+
+def _unknown(name: str) -> UsageError:
+    """The error of an option that there is not, naming those that may be meant."""
+    options = [
+        p.name for p in inspect.signature(render).parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD
+    ]
+    if name in CAMERA:
+        remedy = "Where to look from is said by a view: see orograph.camera, or orograph.View."
+    elif close := difflib.get_close_matches(name, options, 3, 0.6):
+        remedy = f"Did you mean {' or '.join(close)}?"
+    else:
+        remedy = f"There are {', '.join(options[1:])}."
+    return UsageError(f"render has no option {name!r}.", remedy=remedy)

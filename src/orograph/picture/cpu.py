@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from orograph.errors import NothingInViewError
 from orograph.geovis.colour import linear_to_srgb
 from orograph.parallel import map_ordered
+from orograph.picture.doubts import doubts, looks_like_degrees
 from orograph.picture.ground import LEAST_MEMORY, Ground, fixed_memory
-from orograph.picture.result import Picture
+from orograph.picture.memory import check_memory
+from orograph.picture.result import Picture, plan_grid
 from orograph.picture.scene import Scene
 from orograph.picture.shading import Shader
 from orograph.progress import SILENT, Progress
@@ -37,6 +39,7 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
 
     Raises:
         NothingInViewError: no valid terrain is in view; the message says what to change.
+        UsageError: the picture's own arrays do not fit into memory.
         DamagedChunkError: a chunk that is needed fails its checksum.
     """
     clock = [time.perf_counter()]
@@ -46,6 +49,9 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
         clock.append(time.perf_counter())
         facts.setdefault("seconds", {})[name] = round(clock[-1] - clock[-2], 4)
 
+    check_memory((scene.view.width, scene.view.height))
+    for warning in doubts(scene):
+        progress.warn(warning)
     with progress.task("Reading heights"):
         ground = Ground.load(scene)
         if ground.tolerance > scene.pixel_tolerance:
@@ -61,9 +67,7 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
         t, window, veil = ground.rays.first()
     lap("rays")
     if not np.isfinite(t).any():
-        raise NothingInViewError(
-            _why_empty(scene), path=scene.terrain.name, remedy="Leave the camera options away to see all of it."
-        )
+        raise NothingInViewError(_why_empty(scene), path=scene.terrain.name, remedy=_remedy(scene))
     facts["windows"] = [{"level": r.level, "rows": r.row1 - r.row0, "cols": r.col1 - r.col0} for r in ground.windows]
     facts["tolerance_px"] = ground.tolerance
     facts["hit_fraction"] = float(np.isfinite(t).mean())
@@ -107,7 +111,7 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
         pixels = decorate(pixels, scene, shader, t, bool(np.isfinite(veil).any()))
         lap("furniture")
     facts["shader"] = shader.facts
-    return Picture(pixels, t.astype(np.float32), scene.view, facts)
+    return Picture(pixels, t.astype(np.float32), scene.view, facts, plan_grid(scene.view, scene.terrain.grid.crs))
 
 
 def encode(linear: Colours) -> NDArray[np.uint8]:
@@ -152,3 +156,9 @@ def _why_empty(scene: Scene) -> str:
         f"Nothing of the terrain is in view: the eye at ({view.eye[0]:.0f}, {view.eye[1]:.0f}, {view.eye[2]:.0f}) is "
         f"{place} and looks towards ({view.target[0]:.0f}, {view.target[1]:.0f}, {view.target[2]:.0f})."
     )
+
+
+def _remedy(scene: Scene) -> str:
+    if looks_like_degrees(scene):
+        return 'Do these numbers stand for longitude and latitude? Then add "crs": "EPSG:4326" to the view.'
+    return "Leave the camera options away to see all of it."

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from orograph.geovis.missing import patches
 from orograph.light.relief import Relief
 from orograph.picture.kernels import ends, incidence
+from orograph.picture.memory import BYTES_PER_PIXEL
 from orograph.picture.scene import Scene, Sun
 from orograph.raycast.caster import Caster
 from orograph.raycast.select import Rectangle, load, rectangles
@@ -30,8 +31,6 @@ COARSEST = 1000.0
 
 FIXED_MEMORY = 300 << 20
 """Bytes a picture takes whatever the terrain: the interpreter and its libraries, maps of light, blocks of samples."""
-
-BYTES_PER_PIXEL = 50
 
 LEAST_MEMORY = 24 << 20
 """Bytes of heights that are loaded even where --max-memory leaves no room for them."""

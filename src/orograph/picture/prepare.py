@@ -11,12 +11,15 @@ import os
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from orograph.errors import OrographError, StoreError, UsageError
 from orograph.picture.scene import EXACT_SAMPLES
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
+
+if TYPE_CHECKING:
+    from orograph.dem.mosaic import Mosaic
 
 
 def cache_folder() -> Path:
@@ -72,7 +75,7 @@ def prepare(
         progress.warn(warning)
     rows, cols = mosaic.grid.shape
     if rows * cols <= EXACT_SAMPLES and (max_memory is None or rows * cols * 12 <= max_memory):
-        return store.terrain(mosaic, progress)
+        return _told(mosaic, store.terrain(mosaic, progress), progress)
     kept = cache_folder() / f"{mosaic.fingerprint()[:20]}.oro"
     if kept.exists():
         try:
@@ -83,7 +86,7 @@ def prepare(
             shutil.rmtree(kept, ignore_errors=True)
         else:
             progress.note(f"drawn from the store kept at {kept}")
-            return terrain
+            return _told(mosaic, terrain, progress)
     try:
         kept.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -95,4 +98,21 @@ def prepare(
     terrain = store.build(mosaic, kept, resume=True, jobs=jobs, progress=progress, **memory)
     size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())
     progress.note(f"the store made of it is kept at {kept} ({size / 1e6:.0f} MB); the next picture starts from there")
+    return _told(mosaic, terrain, progress)
+
+
+def _told(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
+    """The terrain, after saying what is doubtful about the heights of its files."""
+    from orograph.dem.inspect import doubtful_heights
+    from orograph.dem.source import Source
+
+    low, high = terrain.height_range
+    said: set[str] = set()
+    for source in mosaic.sources:
+        if mosaic.undulation is not None or not isinstance(source, Source):
+            continue  # the heights are no longer those of the files
+        for text in doubtful_heights(source, low, high):
+            if text not in said:
+                said.add(text)
+                progress.warn(text if len(mosaic.sources) == 1 else f"{source.name}: {text}")
     return terrain

@@ -7,16 +7,22 @@ from pathlib import Path
 
 from orograph.errors import ReadError
 
+BEGUN = "build.json"
+"""What an unfinished build has in its folder (``layout.PLAN``)."""
+
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Whether a folder or URL holds a Zarr group.
+    """Whether a folder or URL holds a Zarr group, or the beginnings of a store (which ``store.open`` refuses).
 
     Raises:
         ReadError: a URL that could be a store cannot be looked at.
     """
     text = os.fspath(path)
     if "://" not in text:
-        return (Path(text) / "zarr.json").is_file()
+        folder = Path(text)
+        if (folder / "zarr.json").is_file() or (folder / BEGUN).is_file():
+            return True
+        return not folder.exists() and Path(f"{text.rstrip('/')}.partial", BEGUN).is_file()
     last = text.rstrip("/").rpartition("/")[2].partition("?")[0]
     if Path(last).suffix not in ("", ".oro", ".zarr"):
         return False

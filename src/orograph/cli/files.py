@@ -1,0 +1,59 @@
+"""Whether a verb may write where it was told to: said before any work, lest a result replace what it is made of.
+
+Paths are compared as the file system sees them (links, ``..`` and the case of letters included), so another spelling of
+an input is that input.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from orograph.errors import UsageError
+
+TIFF = (".tif", ".tiff")
+
+
+def check_outputs(outputs: Mapping[str, str | None], inputs: Mapping[str, Sequence[str | None]]) -> None:
+    """Raise UsageError where an output would replace an input, lie in a store that is read, or be another output.
+
+    Args:
+        outputs: the option's name → its path, or None.
+        inputs: what the files are to the user ("the input", "--drape") → their paths, or None.
+    """
+    written = [(option, path) for option, path in outputs.items() if path is not None]
+    for i, (option, path) in enumerate(written):
+        for what, files in inputs.items():
+            for file in filter(None, files):
+                if same_file(path, file):
+                    raise UsageError(
+                        f"{option} would overwrite {what}.", path=path, remedy="Choose another place to write to."
+                    )
+                if Path(file).is_dir() and Path(file).resolve() in Path(path).resolve().parents:
+                    raise UsageError(
+                        f"{option} lies within {what} {file}, which would damage it.", path=path,
+                        remedy="Choose another place to write to.",
+                    )  # fmt: skip
+        for other, another in written[:i]:
+            if same_file(path, another):
+                raise UsageError(f"{other} and {option} are the same file.", path=path, remedy="Give them two names.")
+
+
+def check_ending(option: str, path: str, endings: Sequence[str] = TIFF) -> None:
+    """Raise UsageError unless the path has one of the endings."""
+    suffix = Path(path).suffix
+    if suffix.lower() not in endings:
+        raise UsageError(
+            f"{option} is a GeoTIFF, which is not written as {suffix or 'a file without ending'}.",
+            path=path,
+            remedy=f"Use {endings[0]}.",
+        )
+
+
+def same_file(a: str, b: str) -> bool:
+    """Whether two paths are one file, or will be once both exist."""
+    try:
+        return Path(a).samefile(b)
+    except (OSError, ValueError):
+        return os.path.normcase(os.path.realpath(a)) == os.path.normcase(os.path.realpath(b))

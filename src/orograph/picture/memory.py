@@ -1,0 +1,61 @@
+"""Whether a picture's own arrays fit into memory: asked before any work, for a process that is killed says nothing.
+
+Units: bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+from orograph.errors import UsageError
+
+BYTES_PER_PIXEL = 50
+"""Of a picture while it is drawn: depth, window, veil, linear light, bytes and masks."""
+
+
+def check_memory(size: tuple[int, int], max_memory: int | None = None) -> None:
+    """Raise UsageError where a picture of so many pixels cannot be drawn within what is allowed, or available.
+
+    Args:
+        size: (width, height).
+        max_memory: bytes; None: whatever the machine has free.
+    """
+    needed = BYTES_PER_PIXEL * size[0] * size[1]
+    free = available()
+    if free is not None and needed > free:
+        limit, whose = free, "are free on this machine"
+    elif max_memory is not None and needed > max_memory:
+        limit, whose = max_memory, "may be used (--max-memory)"
+    else:
+        return
+    raise UsageError(
+        f"A picture of {size[0]} × {size[1]} pixels takes {amount(needed)} of memory while it is drawn, and "
+        f"{amount(limit)} {whose}.",
+        remedy="Make it smaller, or draw it in parts.",
+    )
+
+
+def amount(size: int) -> str:
+    """Bytes as a person reads them: "1.5 GiB"."""
+    value = float(size)
+    for unit in ("bytes", "KiB", "MiB", "GiB"):
+        if value < 1024:
+            return f"{value:.3g} {unit}"
+        value /= 1024
+    return f"{value:,.4g} TiB"
+
+
+def available() -> int | None:
+    """Bytes that a process may still take: what is free, or the limit of its control group; None if unknown."""
+    found: list[int] = []
+    with contextlib.suppress(OSError, ValueError):
+        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                found.append(int(line.split()[1]) * 1024)
+    with contextlib.suppress(OSError, ValueError):  # "max" is no number
+        found.append(int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
+    if not found and hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return min(found, default=None)
