@@ -152,8 +152,10 @@ def test_what_cannot_be_flat_is_refused_with_a_way_out(box: tuple[float, ...]) -
 
 @pytest.mark.parametrize("west", [-180, 0])
 def test_a_whole_world_is_said_to_be_one(west: float) -> None:
-    with pytest.raises(ReadError, match=r"360° of longitude by 180° of latitude"):
-        target(degrees(west, -90, west + 360, 90, n=1440))
+    at_points = Grid((721, 1440), Affine(0.25, 0, west - 0.125, 0, -0.25, 90.125), WGS84)  # rows at the poles
+    for grid in (at_points, degrees(west, -90, west + 360, 90, n=1440)):
+        with pytest.raises(ReadError, match=r"360° of longitude by 180° of latitude"):
+            target(grid)
 
 
 @pytest.mark.parametrize("code", ["IAU_2015:49900", "IAU_2015:30100"])
