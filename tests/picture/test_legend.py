@@ -103,3 +103,33 @@ def test_grid_north_is_named_where_it_differs():
         assert (abs(angle) > legend.CONVERGENCE) == named
     nowhere = terrain(hills(), crs=None)
     assert legend.convergence(Scene(nowhere, camera.plan(nowhere, SIZE))) == 0
+
+
+@pytest.mark.parametrize("projection", ["perspective", "plan"])
+def test_automatic_framing_leaves_room(projection, tmp_path):
+    """From the command line and from Python: no piece needs a slip, since none lies over ground."""
+    import rasterio
+    from click.testing import CliRunner
+    from PIL import Image
+
+    import orograph
+    from orograph.cli.render import command
+    from orograph.picture.furniture import EDGE
+
+    heights = hills(120, 200)
+    dem, out = tmp_path / "dem.tif", tmp_path / "out.png"
+    with rasterio.open(dem, "w", driver="GTiff", width=200, height=120, count=1, dtype="float32", crs="EPSG:32611",
+                       transform=NORTH_UP) as file:  # fmt: skip
+        file.write(heights, 1)
+    arguments = [str(dem), "-o", str(out), "--furniture", "--samples", "1", "--size", "640x400"]
+    done = CliRunner().invoke(command, [*arguments, "--projection", projection], obj={})
+    assert done.exit_code == 0, done.output
+    pictures = [np.asarray(Image.open(out))]
+    ground = terrain(heights)
+    if projection == "perspective":
+        pictures.append(orograph.render(ground, size=(640, 400), furniture=True, samples=1).pixels)
+    for pixels in pictures:
+        assert not (pixels == EDGE).all(2).any()
+    close = camera.whole(ground, (640, 400))
+    covered = orograph.render(ground, close, furniture=True, samples=1).pixels
+    assert (covered == EDGE).all(2).any()

@@ -41,7 +41,7 @@ TALL = 0.56
 MOVED = 0.01
 """The part of the picture of which ground must be saved to move a piece out of its usual corner."""
 
-MOST_INSET = 0.22
+MOST_INSET = 0.3
 """The part of the picture's width or height that one side leaves free at most: tiny pictures are for the terrain."""
 
 
