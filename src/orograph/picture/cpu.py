@@ -108,7 +108,7 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
     if scene.furniture:
         from orograph.picture.legend import decorate
 
-        pixels = decorate(pixels, scene, shader, t, bool(np.isfinite(veil).any()))
+        pixels = decorate(pixels, scene, shader, t, np.isfinite(veil))
         lap("furniture")
     facts["shader"] = shader.facts
     return Picture(pixels, t.astype(np.float32), scene.view, facts, plan_grid(scene.view, scene.terrain.grid.crs))
