@@ -83,6 +83,18 @@ def test_one_scale_where_there_is_one(monkeypatch):
     assert level["metres_per_pixel"] is None and "scale" not in level["note"]
 
 
+def test_scale_is_that_of_the_ground(monkeypatch):
+    """Web Mercator is stretched by 1 / cos φ: very nearly, for its sphere has the ellipsoid's larger radius."""
+    from pyproj import Transformer
+
+    x, y = Transformer.from_crs("EPSG:4326", "EPSG:3857", always_xy=True).transform(10.0, 60.0)
+    ground = terrain(hills(), Affine(30, 0, x, 0, -30, y), "EPSG:3857")
+    scene = plan(ground)
+    assert told(monkeypatch, scene)["metres_per_pixel"] == pytest.approx(scene.view.pixel_metres / 2, rel=0.005)
+    utm = plan(terrain(hills()))
+    assert told(monkeypatch, utm)["metres_per_pixel"] == pytest.approx(utm.view.pixel_metres, rel=0.001)
+
+
 def test_names_that_are_none():
     assert legend._crs_name(CRS("EPSG:32611")) == "WGS 84 / UTM zone 11N"
     assert legend._crs_name(CRS("+proj=laea +lat_0=45 +lon_0=7 +type=crs")) == "Lambert Azimuthal Equal Area"

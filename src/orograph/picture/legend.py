@@ -39,6 +39,8 @@ def decorate(
     """
     view, terrain = scene.view, scene.terrain
     metres = _scale(scene, depth)
+    if metres is not None:
+        metres /= stretch(scene)
     parts = [f"Light from {scene.sun.azimuth:g}°, {scene.sun.altitude:g}° high"]
     if scene.exaggeration != 1:
         parts.append(f"heights ×{scene.exaggeration:g}")
@@ -82,21 +84,34 @@ def _crs_name(crs: Any) -> str | None:
     return None
 
 
-def convergence(scene: Scene) -> float:
-    """Degrees from true north to grid north at what the view looks at; 0 where the CRS does not tell."""
+def _factors(scene: Scene) -> Any:
+    """The projection's distortions (``pyproj`` factors) at what the view looks at; None where the CRS does not tell."""
     crs = scene.terrain.grid.crs
     if crs is None or not crs.is_projected:
-        return 0.0
+        return None
     from pyproj import Proj
     from pyproj.exceptions import ProjError
 
     try:
         projection = Proj(crs)
         lon, lat = projection(scene.view.target[0], scene.view.target[1], inverse=True)
-        angle = float(projection.get_factors(lon, lat).meridian_convergence)
+        return projection.get_factors(lon, lat)
     except ProjError:
-        return 0.0
+        return None
+
+
+def convergence(scene: Scene) -> float:
+    """Degrees between true north and grid north at what the view looks at; 0 where the CRS does not tell."""
+    found = _factors(scene)
+    angle = 0.0 if found is None else float(found.meridian_convergence)
     return angle if math.isfinite(angle) else 0.0
+
+
+def stretch(scene: Scene) -> float:
+    """Metres of the grid to a metre on the ground, at what the view looks at: 2 at 60° N in Web Mercator."""
+    found = _factors(scene)
+    area = 1.0 if found is None else float(found.areal_scale)
+    return math.sqrt(area) if math.isfinite(area) and area > 0 else 1.0
 
 
 def _title(name: str) -> str:
