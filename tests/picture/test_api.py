@@ -119,6 +119,7 @@ def test_an_eye_below_the_ground(ground):
     heard = Heard()
     orograph.render(ground, low.resized(*SIZE), progress=heard, **PLAIN)
     assert said in heard.warnings
+    assert orograph.render(ground, low.resized(*SIZE), **PLAIN).facts["warnings"] == [said]
     plan = orograph.camera.plan(ground, SIZE)
     assert doubts(Scene(ground, plan)) == []
     sunk = View((*plan.eye[:2], ground.height_range[1] - 50), (*plan.target[:2], -1e4), projection="plan")
@@ -178,3 +179,7 @@ def test_an_array_gives_its_name_to_the_title():
             coords={"y": origin[1] - step * np.arange(40), "x": origin[0] + step * np.arange(50)},
         )  # fmt: skip
         assert array.orograph.to_terrain().name == "mont_blanc"
+    nameless = array.rename(None)
+    assert nameless.orograph.to_dem().name == "terrain"
+    nameless.encoding["source"] = "dems/n44w072.tif"
+    assert nameless.orograph.to_dem().name == "n44w072"

@@ -9,6 +9,7 @@ file). Units: the ``units`` attribute, metres if there is none.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,12 +33,13 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     Args:
         array: heights with evenly spaced coordinates along its last two dimensions (rows, columns).
         crs: the CRS, if the array does not say it.
+        name: what to call it. Default: the array's own name, else that of its file.
 
     Raises:
         ReadError: coordinates that are missing or uneven, values that are not real numbers, or a unit not of length.
         UsageError: more than two dimensions longer than 1.
     """
-    called = name or str(array.name or "terrain")
+    called = name or str(array.name or _file_name(array) or "terrain")
     lead = array.dims[:-2]
     if array.ndim < 2 or any(array.sizes[d] != 1 for d in lead):
         raise UsageError(
@@ -64,6 +66,12 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     transform = Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2)
     grid = Grid((heights.shape[0], heights.shape[1]), transform, _crs_of(array, crs))
     return Dem(np.ascontiguousarray(heights * factor, dtype=np.float32), grid, None, called)
+
+
+def _file_name(array: xr.DataArray) -> str:
+    """The stem of the file an array was read from, if it says so."""
+    source = array.encoding.get("source")
+    return Path(source).stem if isinstance(source, str) else ""
 
 
 def _axis(array: xr.DataArray, dim: Any, called: str) -> tuple[float, float]:

@@ -300,10 +300,11 @@ class Mosaic:
         if abs(scale - 1) > FALSE_SCALE or most > UNEVEN * least:
             assert self.grid.crs is not None
             uneven = most > UNEVEN * least
+            remedy = "draw a smaller area, in a --crs made for it," if uneven else "give --crs, e.g. the UTM zone,"
             true = f"{1 / most:.3g} to {1 / least:.3g}" if uneven else f"{1 / scale:.3g}"
             self.warnings.append(
                 f"A metre of {self.grid.crs.name} is {true} m on the ground here, so slopes come out wrong by "
-                "that factor; the samples are kept as they are (give --crs, e.g. the UTM zone, for true proportions)."
+                f"that factor; the samples are kept as they are ({remedy} for true proportions)."
             )
 
     def _warn_of_datums(self, lattices: Sequence[Lattice]) -> None:

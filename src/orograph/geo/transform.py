@@ -11,6 +11,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from orograph.errors import UsageError
+from orograph.geo.operations import same_body
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,8 @@ def transformer(source: Any, target: Any) -> Callable[[ArrayLike, ArrayLike], tu
     a, b = crs_of(source), crs_of(target)
     if a == b:
         return lambda x, y: (np.asarray(x, np.float64), np.asarray(y, np.float64))
+    if not same_body(a, b):
+        raise UsageError(f"There is no way from {a.name} to {b.name}: they are not of the same celestial body.")
     try:
         operation = Transformer.from_crs(a, b, always_xy=True)
     except ProjError as error:

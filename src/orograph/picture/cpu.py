@@ -50,7 +50,8 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
         facts.setdefault("seconds", {})[name] = round(clock[-1] - clock[-2], 4)
 
     check_memory((scene.view.width, scene.view.height))
-    for warning in doubts(scene):
+    facts["warnings"] = doubts(scene)
+    for warning in facts["warnings"]:
         progress.warn(warning)
     with progress.task("Reading heights"):
         ground = Ground.load(scene)

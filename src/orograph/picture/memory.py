@@ -25,15 +25,16 @@ def check_memory(size: tuple[int, int], max_memory: int | None = None) -> None:
     needed = BYTES_PER_PIXEL * size[0] * size[1]
     free = available()
     if free is not None and needed > free:
-        limit, whose = free, "are free on this machine"
+        limit, whose, remedy = free, "are free on this machine", "Make it smaller."
     elif max_memory is not None and needed > max_memory:
         limit, whose = max_memory, "may be used (--max-memory)"
+        remedy = "Allow more, or make it smaller."
     else:
         return
     raise UsageError(
         f"A picture of {size[0]} × {size[1]} pixels takes {amount(needed)} of memory while it is drawn, and "
         f"{amount(limit)} {whose}.",
-        remedy="Make it smaller, or draw it in parts.",
+        remedy=remedy,
     )
 
 

@@ -25,7 +25,7 @@ class Picture:
         pixels: (height, width, 3) uint8, sRGB.
         depth: (height, width) float32, view-space depth in metres at pixel centres, NaN where nothing is hit.
         view: the camera.
-        facts: what was measured while drawing (windows, rays, seconds by stage).
+        facts: what was measured while drawing (windows, rays, seconds by stage), and "warnings": sentences.
         grid: where the pixels of a plan lie, in the terrain's CRS; None in perspective.
     """
 
