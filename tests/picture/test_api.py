@@ -100,6 +100,10 @@ def test_a_plan_knows_where_it_lies(tmp_path, place, azimuth):
         place_of_all = [ground.grid.index(*file.xy(a, b)) for a, b in zip(r[::97], c[::97])]
         cols, rows = np.array(place_of_all).T
         assert cols.min() > -0.5 and cols.max() < 60.5 and rows.min() > -0.5 and rows.max() < 40.5
+        # and pixel centres are where the camera sees them, which must not be half a pixel beside
+        for a, b in ((0, 0), (17, 211), (239, 299)):
+            at, _ = view.project([*file.xy(a, b), 100.0])
+            np.testing.assert_allclose(at, [b + 0.5, a + 0.5], atol=1e-3)
     with rasterio.open(tmp_path / "p.tif") as file:
         assert file.count == 3 and file.crs.to_epsg() == 32611
         with rasterio.open(tmp_path / "d.tif") as other:
