@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orograph.picture import furniture, lettering
-from orograph.picture.furniture import Legend, bar_length, furnish, number, ticks
+from orograph.picture.furniture import furnish
+from orograph.picture.pieces import Legend, bar_length, number, ticks
 
 RAMP = np.linspace([0.1, 0.4, 0.2], [1.0, 0.9, 0.9], 256)
 LEGEND = Legend(12.0, 4392.0, RAMP, water=(112, 153, 178), missing=(0.6, 0.6, 0.6))

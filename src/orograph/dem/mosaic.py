@@ -11,10 +11,8 @@ who reads them: results are the same to the bit. Units: metres; samples.
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +22,10 @@ from numpy.typing import NDArray
 from pyproj import CRS, Proj
 
 from orograph.dem.axes import east_north
-from orograph.dem.coordinates import Coordinates, Mesh
-from orograph.dem.lattice import Lattice, Raster, full_turn, group, offset_between
+from orograph.dem.lattice import Lattice, Raster, full_turn, group
+from orograph.dem.layers import BUDGET, Layer, averaged, layer_of, needed
 from orograph.dem.projection import horizontal, in_metres, unwrapped
-from orograph.dem.resample import METHODS, box_means, sample
+from orograph.dem.resample import METHODS, sample
 from orograph.dem.target import choose, ground_spacing, parse_crs
 from orograph.dem.undulation import Direction, Undulation, check_datums, check_request, latitudes_of
 from orograph.errors import ReadError, UsageError
@@ -36,25 +34,12 @@ from orograph.geo.operations import approximation, same_body
 from orograph.geo.vertical import Geoid
 from orograph.progress import SILENT, Progress
 
-COARSER = 1.5  # from this ratio of spacings on, sources are averaged before they are sampled
 PIECE = 1 << 22  # target samples resampled at once
-BUDGET = 3 << 23  # source samples held at once (float32: 96 MiB)
 STRIP = 256  # rows whose coordinates are held at once
 UNEVEN = 1.1  # ratio of scales within a kept projection that is worth one, too
 FALSE_SCALE = 0.01  # scale error of a kept projection from which on it is worth a warning
 
 Heights = NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True)
-class _Layer:
-    """A lattice and how to take it to the target grid: by a whole offset, or by coordinates (and averaging before)."""
-
-    lattice: Lattice
-    offset: tuple[int, int] | None  # (row, col) of the target's first sample in the lattice
-    coordinates: Coordinates | None
-    means: tuple[int, int]  # rows, cols of the blocks averaged first
-    box: tuple[int, int, int, int]  # target rows and columns it can reach
 
 
 class Mosaic:
@@ -111,7 +96,7 @@ class Mosaic:
         target = choose(lattices, crs=wanted, resolution=resolution)
         self.grid = target.grid
         self.projection = target.reason
-        self._layers = [_layer(lattice, target.grid, resampling) for lattice in lattices]
+        self._layers = [layer_of(lattice, target.grid, resampling) for lattice in lattices]
         self.lossless = all(layer.offset is not None for layer in self._layers)
         self.name = self.sources[0].name + (f" and {len(sources) - 1} more" if len(sources) > 1 else "")
         self.height_source = [Path(getattr(s, "path", s.name)).name for s in self.sources]
@@ -217,7 +202,7 @@ class Mosaic:
                 said.append(f"{found.st_size} {found.st_mtime_ns}")
         return hashlib.sha256("\n".join(said).encode()).hexdigest()
 
-    def _fill(self, layer: _Layer, row0: int, row1: int, col0: int, col1: int, out: Heights) -> None:
+    def _fill(self, layer: Layer, row0: int, row1: int, col0: int, col1: int, out: Heights) -> None:
         """Give the missing samples of ``out`` (that window) the values of one lattice."""
         if layer.offset is not None:
             r, c = layer.offset
@@ -228,7 +213,7 @@ class Mosaic:
         reach = mesh = None
         if (row1 - row0) * (col1 - col0) <= PIECE:
             mesh = layer.coordinates.mesh(row0, row1, col0, col1)
-            reach = _reach(layer, mesh)
+            reach = needed(layer, mesh)
             if reach is None:
                 return
         if (
@@ -245,7 +230,7 @@ class Mosaic:
                 self._fill(layer, row0, row1, col0, middle, out[:, : middle - col0])
                 self._fill(layer, row0, row1, middle, col1, out[:, middle - col0 :])
             return
-        window = _averaged(layer, *reach)
+        window = averaged(layer, *reach)
         k_rows, k_cols = layer.means
         for r in range(row0, row1, STRIP):
             end = min(r + STRIP, row1)
@@ -375,76 +360,6 @@ def _turned(grids: list[Grid]) -> list[Grid]:
                 grids[i].shape, compose(Affine.translation(turns * full, 0), grids[i].transform), grids[i].crs
             )
     return out
-
-
-def _layer(lattice: Lattice, target: Grid, resampling: str) -> _Layer:
-    everything = (0, target.rows, 0, target.cols)
-    offset = offset_between(target, lattice.grid)
-    if offset is not None:
-        return _Layer(lattice, offset, None, (1, 1), everything)
-    coordinates = Coordinates(target, lattice.grid)
-    means = (1, 1) if resampling == "nearest" else _blocks(coordinates, lattice.grid)
-    return _Layer(lattice, None, coordinates, means, _box(lattice.grid, target))
-
-
-def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
-    """(rows, cols) of source samples to average: how many lie between target samples, at the source's centre."""
-    back = Coordinates(grid, coordinates.target)
-    col, row = back.exact(np.array([(grid.cols - 1) / 2]), np.array([(grid.rows - 1) / 2]))
-    if not np.isfinite(col + row).all():
-        return 1, 1
-    at = np.array([[-0.5, 0.5, 0, 0], [0, 0, -0.5, 0.5]])
-    u, v = coordinates.exact(col + at[0], row + at[1])
-    across, down = math.hypot(u[1] - u[0], u[3] - u[2]), math.hypot(v[1] - v[0], v[3] - v[2])
-    if not math.isfinite(across + down):
-        return 1, 1
-    return (round(down) if down >= COARSER else 1), (round(across) if across >= COARSER else 1)
-
-
-def _box(grid: Grid, target: Grid) -> tuple[int, int, int, int]:
-    """Target rows and columns that may lie within a source grid, generously: beyond it need not be looked at."""
-    t = np.linspace(-0.5, 0.5, 65)
-    s, d = np.meshgrid(t, t)
-    back = Coordinates(grid, target)
-    col, row = back.exact((grid.cols - 1) / 2 + s * (grid.cols + 1), (grid.rows - 1) / 2 + d * (grid.rows + 1))
-    if not np.isfinite(col + row).all():
-        return 0, target.rows, 0, target.cols
-    slack_r, slack_c = 4 + 0.05 * np.ptp(row), 4 + 0.05 * np.ptp(col)
-    r0, r1 = math.floor(row.min() - slack_r), math.ceil(row.max() + slack_r)
-    c0, c1 = math.floor(col.min() - slack_c), math.ceil(col.max() + slack_c)
-    return max(0, r0), min(target.rows, r1), max(0, c0), min(target.cols, c1)
-
-
-def _averaged(layer: _Layer, row0: int, row1: int, col0: int, col1: int) -> Heights:
-    """A window of the lattice, or of its block means, whose blocks are counted from the lattice's first sample."""
-    k_rows, k_cols = layer.means
-    if layer.means == (1, 1):
-        return layer.lattice.read(row0, row1, col0, col1)
-    out = np.empty((row1 - row0, col1 - col0), np.float32)
-    tall = max(1, BUDGET // (k_rows * k_cols * (col1 - col0)))
-    wide = max(1, min(col1 - col0, BUDGET // (k_rows * k_cols)))
-    for r in range(row0, row1, tall):
-        for c in range(col0, col1, wide):
-            end_r, end_c = min(r + tall, row1), min(c + wide, col1)
-            window = layer.lattice.read(r * k_rows, end_r * k_rows, c * k_cols, end_c * k_cols)
-            part = np.empty((end_r - r, end_c - c), np.float32)
-            box_means(window, k_rows, k_cols, part)
-            out[r - row0 : end_r - row0, c - col0 : end_c - col0] = part
-    return out
-
-
-def _reach(layer: _Layer, mesh: Mesh) -> tuple[int, int, int, int] | None:
-    """Rows and columns of the (averaged) lattice that a window needs, with what the kernels look at around them."""
-    bounds = mesh.bounds()
-    if bounds is None:
-        return None
-    u0, u1, v0, v1 = bounds
-    k_rows, k_cols = layer.means
-    rows, cols = -(-layer.lattice.grid.rows // k_rows), -(-layer.lattice.grid.cols // k_cols)
-    j0, j1 = math.floor((v0 - (k_rows - 1) / 2) / k_rows) - 1, math.floor((v1 - (k_rows - 1) / 2) / k_rows) + 3
-    i0, i1 = math.floor((u0 - (k_cols - 1) / 2) / k_cols) - 1, math.floor((u1 - (k_cols - 1) / 2) / k_cols) + 3
-    j0, j1, i0, i1 = max(j0, -2), min(j1, rows + 2), max(i0, -2), min(i1, cols + 2)
-    return (j0, j1, i0, i1) if j0 < j1 and i0 < i1 else None
 
 
 def _scale_at_centre(grid: Grid) -> float:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.colour import linear_to_srgb
-from orograph.picture.furniture import Legend, furnish
+from orograph.picture.furniture import furnish
+from orograph.picture.pieces import Legend
 from orograph.picture.scene import Scene
 from orograph.picture.shading import HATCH, VISIBLE, WATER, Shader, hatching
 

@@ -1,0 +1,105 @@
+"""One lattice of sources as a layer of a mosaic: how it is taken to the target grid, and how much of it a window needs.
+
+A lattice whose samples are the target's is copied at a whole offset; any other is resampled at exact coordinates, after
+blocks of its samples have been averaged where the target is coarser. Units: samples.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.dem.coordinates import Coordinates, Mesh
+from orograph.dem.lattice import Lattice, offset_between
+from orograph.dem.resample import box_means
+from orograph.geo.grid import Grid
+
+COARSER = 1.5  # from this ratio of spacings on, sources are averaged before they are sampled
+BUDGET = 3 << 23  # source samples held at once (float32: 96 MiB)
+
+Heights = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """A lattice and how to take it to the target grid: by a whole offset, or by coordinates (and averaging before)."""
+
+    lattice: Lattice
+    offset: tuple[int, int] | None  # (row, col) of the target's first sample in the lattice
+    coordinates: Coordinates | None
+    means: tuple[int, int]  # rows, cols of the blocks averaged first
+    box: tuple[int, int, int, int]  # target rows and columns it can reach
+
+
+def layer_of(lattice: Lattice, target: Grid, resampling: str) -> Layer:
+    """How ``lattice`` is taken to ``target``."""
+    everything = (0, target.rows, 0, target.cols)
+    offset = offset_between(target, lattice.grid)
+    if offset is not None:
+        return Layer(lattice, offset, None, (1, 1), everything)
+    coordinates = Coordinates(target, lattice.grid)
+    means = (1, 1) if resampling == "nearest" else _blocks(coordinates, lattice.grid)
+    return Layer(lattice, None, coordinates, means, _box(lattice.grid, target))
+
+
+def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
+    """(rows, cols) of source samples to average: how many lie between target samples, at the source's centre."""
+    back = Coordinates(grid, coordinates.target)
+    col, row = back.exact(np.array([(grid.cols - 1) / 2]), np.array([(grid.rows - 1) / 2]))
+    if not np.isfinite(col + row).all():
+        return 1, 1
+    at = np.array([[-0.5, 0.5, 0, 0], [0, 0, -0.5, 0.5]])
+    u, v = coordinates.exact(col + at[0], row + at[1])
+    across, down = math.hypot(u[1] - u[0], u[3] - u[2]), math.hypot(v[1] - v[0], v[3] - v[2])
+    if not math.isfinite(across + down):
+        return 1, 1
+    return (round(down) if down >= COARSER else 1), (round(across) if across >= COARSER else 1)
+
+
+def _box(grid: Grid, target: Grid) -> tuple[int, int, int, int]:
+    """Target rows and columns that may lie within a source grid, generously: beyond it need not be looked at."""
+    t = np.linspace(-0.5, 0.5, 65)
+    s, d = np.meshgrid(t, t)
+    back = Coordinates(grid, target)
+    col, row = back.exact((grid.cols - 1) / 2 + s * (grid.cols + 1), (grid.rows - 1) / 2 + d * (grid.rows + 1))
+    if not np.isfinite(col + row).all():
+        return 0, target.rows, 0, target.cols
+    slack_r, slack_c = 4 + 0.05 * np.ptp(row), 4 + 0.05 * np.ptp(col)
+    r0, r1 = math.floor(row.min() - slack_r), math.ceil(row.max() + slack_r)
+    c0, c1 = math.floor(col.min() - slack_c), math.ceil(col.max() + slack_c)
+    return max(0, r0), min(target.rows, r1), max(0, c0), min(target.cols, c1)
+
+
+def averaged(layer: Layer, row0: int, row1: int, col0: int, col1: int) -> Heights:
+    """A window of the lattice, or of its block means, whose blocks are counted from the lattice's first sample."""
+    k_rows, k_cols = layer.means
+    if layer.means == (1, 1):
+        return layer.lattice.read(row0, row1, col0, col1)
+    out = np.empty((row1 - row0, col1 - col0), np.float32)
+    tall = max(1, BUDGET // (k_rows * k_cols * (col1 - col0)))
+    wide = max(1, min(col1 - col0, BUDGET // (k_rows * k_cols)))
+    for r in range(row0, row1, tall):
+        for c in range(col0, col1, wide):
+            end_r, end_c = min(r + tall, row1), min(c + wide, col1)
+            window = layer.lattice.read(r * k_rows, end_r * k_rows, c * k_cols, end_c * k_cols)
+            part = np.empty((end_r - r, end_c - c), np.float32)
+            box_means(window, k_rows, k_cols, part)
+            out[r - row0 : end_r - row0, c - col0 : end_c - col0] = part
+    return out
+
+
+def needed(layer: Layer, mesh: Mesh) -> tuple[int, int, int, int] | None:
+    """Rows and columns of the (averaged) lattice that a window needs, with what the kernels look at around them."""
+    bounds = mesh.bounds()
+    if bounds is None:
+        return None
+    u0, u1, v0, v1 = bounds
+    k_rows, k_cols = layer.means
+    rows, cols = -(-layer.lattice.grid.rows // k_rows), -(-layer.lattice.grid.cols // k_cols)
+    j0, j1 = math.floor((v0 - (k_rows - 1) / 2) / k_rows) - 1, math.floor((v1 - (k_rows - 1) / 2) / k_rows) + 3
+    i0, i1 = math.floor((u0 - (k_cols - 1) / 2) / k_cols) - 1, math.floor((u1 - (k_cols - 1) / 2) / k_cols) + 3
+    j0, j1, i0, i1 = max(j0, -2), min(j1, rows + 2), max(i0, -2), min(i1, cols + 2)
+    return (j0, j1, i0, i1) if j0 < j1 and i0 < i1 else None
