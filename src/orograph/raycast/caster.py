@@ -42,6 +42,9 @@ class Caster:
 
     def _blocks(self, work: Callable[[int, int], None], n: int, block: int) -> None:
         spans = [(a, min(a + block, n)) for a in range(0, n, block)]
+        if len(spans) == 1:
+            work(*spans[0])
+            return
         for _ in map_ordered(lambda span: work(*span), spans, self.jobs):
             pass
 

@@ -94,7 +94,7 @@ def advance(scene, ints, floats, high, o, xa, xb, ya, yb, slope, s, end, step):
     return end, step, -INF
 
 
-LEAST_CELLS, LEAST_WIDTH = 0.5, 0.25
+LEAST_CELLS, LEAST_WIDTH = 0.5, 0.125
 """The shortest stretch that ``advance`` tries: in cells of the finest window, and in widths of the beam."""
 
 

@@ -20,6 +20,9 @@ from orograph.parallel import cpu_count, map_ordered
 MAX_LEVEL0 = 1
 MIN_LEVEL0 = 2
 
+LEAST_ROOT = 3
+"""Every pyramid reaches this level, the one that ``traverse.march_row`` walks on, however small the field."""
+
 
 @kernel
 def _max_of_samples(heights, out, row0, row1):
@@ -114,7 +117,7 @@ def build_mips(heights: NDArray[np.float32], jobs: int | None = None) -> Mips:
     while True:
         nodes = (-(-(rows - 1) // 2**level), -(-(cols - 1) // 2**level))
         shapes.append(nodes)
-        if nodes == (1, 1) and level >= MIN_LEVEL0:
+        if nodes == (1, 1) and level >= LEAST_ROOT:
             break
         level += 1
     jobs = jobs or cpu_count()

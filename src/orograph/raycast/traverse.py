@@ -210,10 +210,10 @@ def cast(
             level += 1
 
 
-MARCH_LEVEL = 2
-"""The fixed level of ``march_row``: nodes of 4 × 4 cells."""
+MARCH_LEVEL = 3
+"""The fixed level of ``march_row``: nodes of 8 × 8 cells (``mips.LEAST_ROOT`` makes sure that it is there)."""
 
-CELLS, NODES = 8, 24
+CELLS, NODES = 24, 64
 """Steps from cell to cell before ``march_row`` goes over to nodes, and from node to node before it calls ``cast``."""
 
 ABOVE, BELOW, UNKNOWN = -2, -3, -4
