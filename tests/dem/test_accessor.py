@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ from orograph.dem import read
 from orograph.errors import ReadError, UsageError
 
 xr = pytest.importorskip("xarray")
-accessor = pytest.importorskip("orograph.dem.accessor")
+accessor = importlib.import_module("orograph.dem.accessor")
 
 
 def made(values: np.ndarray, x: list[float], y: list[float], **attrs: object) -> xr.DataArray:

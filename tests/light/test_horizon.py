@@ -107,7 +107,8 @@ def test_missing_ground_is_transparent():
 
 
 def test_near_a_dense_search_of_the_true_surface(shared_data):
-    rasterio = pytest.importorskip("rasterio")
+    import rasterio
+
     with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as dem:
         h = dem.read(1)[100:400, 100:400].astype(np.float32)
     from scipy.ndimage import map_coordinates
@@ -193,7 +194,8 @@ def test_threads_do_not_change_the_result():
 
 def test_published_sky_view(shared_data):
     """GRASS r.skyview: 1 − mean sin h over 16 directions."""
-    rasterio = pytest.importorskip("rasterio")
+    import rasterio
+
     with rasterio.open(shared_data / "fortbragg-1m-dem-ortho" / "elevation_2016.tif") as dem:
         h = dem.read(1)
     with rasterio.open(shared_data / "fortbragg-1m-dem-ortho" / "skyview_2016.tif") as published:
