@@ -219,10 +219,11 @@ def command(
     with progress.task("Loading Orograph"):
         from orograph.errors import DamagedChunkError, NothingInViewError
         from orograph.geovis.colour import colour_table
+        from orograph.output import Beside, check_folder
         from orograph.picture.cpu import draw
         from orograph.picture.memory import check_memory
         from orograph.picture.prepare import cache_folder, prepare
-        from orograph.picture.result import Beside, check_folder, picture_format
+        from orograph.picture.result import picture_format
         from orograph.picture.scene import Scene, Sun
 
     # What is wrong with the command line is said before any work is done.

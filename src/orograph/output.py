@@ -1,0 +1,41 @@
+"""Files appear whole or not at all: results are written beside their place and moved there when they are finished."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from orograph.errors import OutputError
+
+
+def check_folder(path: Path) -> None:
+    """Raise OutputError unless there is a folder to write ``path`` into."""
+    if not path.parent.is_dir():
+        raise OutputError(f"There is no folder {path.parent} to write to.", path=path, remedy="Make it first.")
+
+
+class Beside:
+    """A temporary path beside ``out`` that becomes ``out`` on success and vanishes on failure."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self.part = out.with_name(f".{out.name}.{os.getpid()}.part")
+
+    def __enter__(self) -> Path:
+        check_folder(self.out)
+        return self.part
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        if kind is None:
+            try:
+                self.part.replace(self.out)
+            except OSError as cause:
+                self.part.unlink(missing_ok=True)
+                raise OutputError(f"The file cannot be written: {cause.strerror}.", path=self.out) from cause
+            return
+        self.part.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise OutputError(
+                f"The file cannot be written: {error.strerror or error}.", path=self.out,
+                remedy="See that the disk has room and the folder is yours to write in.",
+            ) from error  # fmt: skip
