@@ -14,26 +14,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
-from orograph.error import octaves
+from orograph.error import ErrorKind, octaves
 from orograph.error.deviation import triangle
 from orograph.parallel import map_ordered
 
-Kind = Literal["exact", "wedgie", "midpoint"]
 Floats = NDArray[np.float32]
 Shape = tuple[int, int]
 Read = Callable[[int, int, int, int], Floats]
 
-KINDS: dict[Kind, int] = {"midpoint": octaves.MIDPOINT, "wedgie": octaves.WEDGIE, "exact": octaves.EXACT}
+KINDS: dict[ErrorKind, int] = {"midpoint": octaves.MIDPOINT, "wedgie": octaves.WEDGIE, "exact": octaves.EXACT}
 SMALL = 5
 """Octaves that blocks finish themselves."""
 MARGIN = 64
 BLOCK = 1024
+NOTHING = np.float32(-1e-30)
+"""The radius of an empty diamond whose sphere would be a point."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +54,17 @@ class Surface:
 
     @property
     def n(self) -> int:
+        """The exponent of the enclosing square's side, 2^n + 1 samples."""
         return max(max(self.shape) - 2, 0).bit_length()
 
+    @property
+    def squeezed(self) -> bool:
+        """Whether the raster is less than the whole square."""
+        side = (1 << self.n) + 1
+        return self.shape != (side, side)
+
     def octave_shape(self, k: int) -> Shape:
+        """Entries of an octave's arrays: the vertices whose diamonds reach into the raster."""
         rows, cols = self.shape
         return -((1 - rows) >> k) + 1, -((1 - cols) >> k) + 1
 
@@ -66,8 +74,9 @@ class Surface:
         if not gaps.any():
             return heights
         i, j = np.nonzero(gaps)
-        rows, cols = (np.minimum(at + (index << k), side - 1) for at, index, side in
-                      zip((row0, col0), (i, j), self.shape))
+        rows, cols = (
+            np.minimum(at + (index << k), side - 1) for at, index, side in zip((row0, col0), (i, j), self.shape)
+        )
         table = np.where(np.isnan(self.minimum), np.float32(self.lowest), self.minimum)
         result = heights.copy()
         result[i, j] = table[np.minimum(rows >> 8, table.shape[0] - 1), np.minimum(cols >> 8, table.shape[1] - 1)]
@@ -81,14 +90,14 @@ class Part:
     Attributes:
         octave, i, j: where.
         errors: kind to float32 (height, width).
-        radii: float32, the same shape; negative where empty.
+        radii: float32, the same shape; negative where empty. None if they were not asked for.
     """
 
     octave: int
     i: int
     j: int
-    errors: dict[Kind, Floats]
-    radii: Floats
+    errors: dict[ErrorKind, Floats]
+    radii: Floats | None
 
 
 @dataclass(slots=True)
@@ -105,8 +114,9 @@ def diamonds(
     read: Read,
     nested: Floats,
     surface: Surface,
-    kinds: tuple[Kind, ...] = ("exact",),
+    kinds: tuple[ErrorKind, ...] = ("exact",),
     *,
+    radii: bool = True,
     block: int = BLOCK,
     jobs: int | None = None,
     order: list[tuple[int, int]] | None = None,
@@ -118,14 +128,15 @@ def diamonds(
         nested: every 16th sample, the heights of level 4 (the last ones repeated at the raster's end).
         surface: see there.
         kinds: which errors.
+        radii: whether to make the nested spheres, too.
         block: samples along the side of a block, a power of two ≥ 64.
         order: the blocks' (row, col) indices in the order wanted (default: row by row).
     """
     rows, cols = surface.shape
     n = surface.n
-    coarse = _Coarse(nested, surface, kinds)
+    coarse = _Coarse(nested, surface, kinds, radii)
     spots = order or [(i, j) for i in range(-(-rows // block)) for j in range(-(-cols // block))]
-    work = _Block(read, surface, kinds, block, coarse.heights)
+    work = _Block(read, surface, kinds, radii, block, coarse.heights)
     for spot, found in zip(spots, map_ordered(work, spots, jobs)):
         coarse.add(spot[0] * block, spot[1] * block, found)
         yield from found.parts
@@ -179,78 +190,136 @@ def _overlap(z, row0, col0, coarse, k, rows, cols, i0, j0, raw):
             raw[di, dj] = octaves.round_up(worst)
 
 
+class _Climb:
+    """Goes up octave after octave over a window, and keeps what the next one needs.
+
+    Args:
+        surface, kinds: as in ``diamonds``.
+        row0, col0: the window's first sample.
+        errors, sums, states, radii, filled: of the octave below the first (none: it begins with octave 0). ``sums`` are
+            kept only for wedgies, ``states`` only where there may be holes, ``radii`` only where they are wanted.
+    """
+
+    def __init__(
+        self,
+        surface: Surface,
+        kinds: tuple[ErrorKind, ...],
+        row0: int,
+        col0: int,
+        errors: dict[ErrorKind, Floats],
+        sums: Floats | None,
+        states: NDArray[np.uint8] | None,
+        radii: Floats | None,
+        filled: Floats,
+    ) -> None:
+        self.surface, self.kinds, self.row0, self.col0 = surface, kinds, row0, col0
+        self.errors, self.sums, self.states, self.radii, self.filled = errors, sums, states, radii, filled
+        self.empty: NDArray[np.bool_] | None = None
+
+    def step(self, k: int, fine: Floats, z: Floats, exact: Floats | None = None) -> None:
+        """Find octave k's values.
+
+        Args:
+            fine: the window's samples (what it holds matters for k = 0 and for ``exact`` errors).
+            z: its heights at spacing 2^k.
+            exact: the octave's deviations, if they are known already.
+        """
+        (rows, cols), at = self.surface.shape, (self.row0, self.col0, k)
+        if self.states is not None:
+            states = np.zeros((*z.shape, 2), np.uint8)
+            octaves.states(fine, self.states, *at, states)
+            self.states, self.empty = states, np.zeros(z.shape, np.bool_)
+        below, self.errors = self.errors, {}
+        for kind in self.kinds:
+            if kind == "exact" and exact is not None:
+                e = exact
+            else:
+                e = np.zeros(z.shape, np.float32)
+                octaves.local_errors(fine, z, *at, rows, cols, KINDS[kind], e)
+            if kind == "wedgie" and self.sums is not None:
+                sums = np.zeros((*z.shape, 2), np.float32)
+                octaves.wedgie_sums(self.sums, *at, rows, cols, sums, e)
+                self.sums = sums
+            if self.states is not None:
+                octaves.mark(self.states, *at, e, self.empty)
+            octaves.close(below[kind], *at, e)
+            self.errors[kind] = e
+        if self.radii is not None:
+            filled = self.surface.filled(z, self.row0, self.col0, k) if self.states is not None else z
+            radii = np.zeros(z.shape, np.float32)
+            octaves.spheres(filled, self.filled, self.radii, *at, rows, cols, self.surface.metric, radii)
+            self.radii, self.filled = radii, filled
+
+    def part(self, k: int, i: int, j: int, area: tuple[slice, slice]) -> Part:
+        """What has been found of octave k in an ``area`` whose first entry is (i, j)."""
+        radii = self.radii
+        if radii is not None:
+            radii = radii[area]
+            if self.empty is not None:
+                radii = np.where(self.empty[area], np.minimum(-radii, NOTHING), radii)
+        return Part(k, i, j, {kind: e[area] for kind, e in self.errors.items()}, radii)
+
+
 class _Block:
     """The work on one block."""
 
     def __init__(
-        self, read: Read, surface: Surface, kinds: tuple[Kind, ...], block: int, coarse: list[Floats]
+        self, read: Read, surface: Surface, kinds: tuple[ErrorKind, ...], radii: bool, size: int, coarse: list[Floats]
     ) -> None:
-        self.read, self.surface, self.kinds, self.block, self.coarse = read, surface, kinds, block, coarse
+        self.read, self.surface, self.kinds, self.radii, self.size, self.coarse = (
+            read,
+            surface,
+            kinds,
+            radii,
+            size,
+            coarse,
+        )
 
     def __call__(self, spot: tuple[int, int]) -> _Found:
-        (rows, cols), size, n = self.surface.shape, self.block, self.surface.n
+        (rows, cols), size, n = self.surface.shape, self.size, self.surface.n
         row, col = spot[0] * size, spot[1] * size
         row0, col0 = max(row - MARGIN, 0), max(col - MARGIN, 0)
         row1, col1 = min(row + size + MARGIN + 1, rows), min(col + size + MARGIN + 1, cols)
         fine = np.ascontiguousarray(self.read(row0, row1, col0, col1), np.float32)
         end = row1 == rows, col1 == cols
-        gaps = bool(np.isnan(fine).any())
-        own = [
-            tuple(
-                slice((at >> k) - (first >> k), (whole if at + size >= side else (at + size) >> k) - (first >> k))
-                for at, first, whole, side in zip(
-                    (row, col), (row0, col0), self.surface.octave_shape(k), self.surface.shape
-                )
-            )
-            for k in range(min(SMALL, n))
-        ]
-        found = _Found([], None, None, [])
-        z = fine
-        below = {kind: np.zeros((0, 0), np.float32) for kind in self.kinds}
-        sums, state = np.zeros((0, 0, 2), np.float32), np.zeros((0, 0, 2), np.uint8)
-        filled_below, radii_below = z, np.zeros((0, 0), np.float32)
+        # At a squeezed border diamonds may lie beyond the surface; elsewhere only missing samples make holes.
+        holes = (self.surface.squeezed and any(end)) or bool(np.isnan(fine).any())
+        none = np.zeros((0, 0), np.float32)
+        climb = _Climb(
+            self.surface,
+            self.kinds,
+            row0,
+            col0,
+            dict.fromkeys(self.kinds, none),
+            np.zeros((0, 0, 2), np.float32) if "wedgie" in self.kinds else None,
+            np.zeros((0, 0, 2), np.uint8) if holes else None,
+            none if self.radii else None,
+            none,
+        )
+        parts = []
+        z, area = fine, (slice(0), slice(0))
         for k in range(min(SMALL, n)):
             z = halve(z, end) if k else fine
-            empty = np.zeros(z.shape, np.uint8)
-            if gaps:
-                new = np.zeros((*z.shape, 2), np.uint8)
-                octaves.states(fine, state, row0, col0, k, new)
-                state = new
-            errors = {}
-            for kind in self.kinds:
-                e = errors[kind] = np.zeros(z.shape, np.float32)
-                octaves.local_errors(fine, z, row0, col0, k, rows, cols, KINDS[kind], e)
-                if kind == "wedgie":
-                    new_sums = np.zeros((*z.shape, 2), np.float32)
-                    octaves.wedgie_sums(sums, row0, col0, k, rows, cols, new_sums, e)
-                    sums = new_sums
-                if gaps:
-                    octaves.mark(state, row0, col0, k, e, empty)
-                octaves.close(below[kind], row0, col0, k, e)
-            filled = self.surface.filled(z, row0, col0, k) if gaps else z
-            radii = np.zeros(z.shape, np.float32)
-            octaves.spheres(
-                filled, filled_below, radii_below, row0, col0, k, rows, cols, self.surface.metric, radii
-            )
-            below, filled_below, radii_below = errors, filled, radii
-            area = own[k]
-            found.parts.append(
-                Part(k, row >> k, col >> k, {kind: e[area] for kind, e in errors.items()},
-                     _signed(radii[area], empty[area]))
-            )
+            climb.step(k, fine, z)
+            shape = self.surface.octave_shape(k)
+            first = (row >> k) - (row0 >> k), (col >> k) - (col0 >> k)
+            # The last block of a row or column has the entries beyond the raster's end, too.
+            last_row = shape[0] if row + size >= rows else (row + size) >> k
+            last_col = shape[1] if col + size >= cols else (col + size) >> k
+            area = slice(first[0], last_row - (row0 >> k)), slice(first[1], last_col - (col0 >> k))
+            parts.append(climb.part(k, row >> k, col >> k, area))
+        found = _Found(parts, None, None, [])
         if n > SMALL:
-            area = own[-1]
-            found.sums = sums[area] if "wedgie" in self.kinds else None
-            found.states = state[area] if gaps else None
+            found.sums = None if climb.sums is None else climb.sums[area]
+            found.states = None if climb.states is None else climb.states[area]
             if "exact" in self.kinds:
                 ours = fine[row - row0 : row - row0 + size, col - col0 : col - col0 + size]
-                found.raw = self._larger(ours, row, col)
+                found.raw = self._larger(np.ascontiguousarray(ours), row, col)
         return found
 
     def _larger(self, ours: Floats, row: int, col: int) -> list[tuple[int, int, int, Floats]]:
         """For each larger octave: (octave, i, j, deviations of this block's samples)."""
         found = []
-        ours = np.ascontiguousarray(ours)
         for k in range(SMALL, self.surface.n):
             # Diamonds reach one step to each side.
             i0, j0 = max((row >> k) - 1, 0), max((col >> k) - 1, 0)
@@ -263,83 +332,62 @@ class _Block:
         return found
 
 
-def halve(heights: Floats, end: tuple[bool, bool]) -> Floats:
-    """Every second sample each way, the last one repeated where the step leads beyond an ``end`` of the raster."""
-    rows, cols = heights.shape
-    i, j = (
-        np.minimum(np.arange(0, side + (side + 1) % 2 * at_end, 2), side - 1) for side, at_end in zip((rows, cols), end)
-    )
-    return np.ascontiguousarray(heights[np.ix_(i, j)])
-
-
-def _signed(radii: Floats, empty: NDArray[np.uint8]) -> Floats:
-    """Radii, negative where the diamond is empty."""
-    return np.where(empty == 1, -np.maximum(radii, np.float32(1e-30)), radii)
+def halve(heights: Floats, end: tuple[bool, bool] = (True, True)) -> Floats:
+    """Every second sample each way; where an axis is at the raster's ``end`` its last sample closes the row. A copy."""
+    rows, cols = ((side + at_end + 1) // 2 for side, at_end in zip(heights.shape, end, strict=True))
+    kept = heights[::2, ::2]
+    result = np.empty((rows, cols), np.float32)
+    result[: kept.shape[0], : kept.shape[1]] = kept
+    if cols > kept.shape[1]:
+        result[: kept.shape[0], -1] = heights[::2, -1]
+    if rows > kept.shape[0]:
+        result[-1, : kept.shape[1]] = heights[-1, ::2]
+        if cols > kept.shape[1]:
+            result[-1, -1] = heights[-1, -1]
+    return result
 
 
 class _Coarse:
     """The diamonds of the octaves from SMALL on, put together from what the blocks found."""
 
-    def __init__(self, nested: Floats, surface: Surface, kinds: tuple[Kind, ...]) -> None:
+    def __init__(self, nested: Floats, surface: Surface, kinds: tuple[ErrorKind, ...], radii: bool) -> None:
         self.surface, self.kinds = surface, kinds
         self.nested = np.ascontiguousarray(nested, np.float32)
         self.heights: list[Floats] = []
         for _ in range(SMALL, surface.n):
-            self.heights.append(halve(self.heights[-1] if self.heights else self.nested, (True, True)))
+            self.heights.append(halve(self.heights[-1] if self.heights else self.nested))
         shape = surface.octave_shape(SMALL - 1)
         self.errors = {kind: np.zeros(shape, np.float32) for kind in kinds}
-        self.radii = np.zeros(shape, np.float32)
-        self.sums = np.zeros((*shape, 2) if "wedgie" in kinds else (0, 0, 2), np.float32)
+        self.radii = np.zeros(shape, np.float32) if radii else None
+        self.sums = np.zeros((*shape, 2), np.float32) if "wedgie" in kinds else None
         self.states: NDArray[np.uint8] | None = None
         self.raw = [np.zeros(surface.octave_shape(k), np.float32) for k in range(SMALL, surface.n)]
 
     def add(self, row: int, col: int, found: _Found) -> None:
         """Take over what a block found (from one thread)."""
-        if not found.parts or self.surface.n <= SMALL:
+        if self.surface.n <= SMALL:
             return
         part = found.parts[-1]
-        area = slice(part.i, part.i + part.radii.shape[0]), slice(part.j, part.j + part.radii.shape[1])
+        rows, cols = next(iter(part.errors.values())).shape
+        area = slice(part.i, part.i + rows), slice(part.j, part.j + cols)
         for kind in self.kinds:
             self.errors[kind][area] = part.errors[kind]
-        self.radii[area] = np.abs(part.radii)
-        if found.sums is not None:
+        if self.radii is not None and part.radii is not None:
+            self.radii[area] = np.abs(part.radii)
+        if self.sums is not None:
             self.sums[area] = found.sums
         if found.states is not None:
             if self.states is None:  # so far everything was whole
-                self.states = np.full((*self.radii.shape, 2), octaves.WHOLE, np.uint8)
+                self.states = np.full((*self.surface.octave_shape(SMALL - 1), 2), octaves.WHOLE, np.uint8)
             self.states[area] = found.states
         for k, i, j, raw in found.raw:
             whole = self.raw[k - SMALL][i : i + raw.shape[0], j : j + raw.shape[1]]
             np.maximum(whole, raw, out=whole)
 
     def finish(self) -> Iterator[Part]:
-        (rows, cols), surface = self.surface.shape, self.surface
-        below, sums, state = self.errors, self.sums, self.states
-        radii_below, fine_filled = self.radii, surface.filled(self.nested, 0, 0, SMALL - 1)
-        for k in range(SMALL, surface.n):
+        filled = self.surface.filled(self.nested, 0, 0, SMALL - 1)
+        climb = _Climb(self.surface, self.kinds, 0, 0, self.errors, self.sums, self.states, self.radii, filled)
+        for k in range(SMALL, self.surface.n):
             z = self.heights[k - SMALL]
-            empty = np.zeros(z.shape, np.uint8)
-            if state is not None:
-                new = np.zeros((*z.shape, 2), np.uint8)
-                octaves.states(z, state, 0, 0, k, new)
-                state = new
-            errors = {}
-            for kind in self.kinds:
-                if kind == "exact":
-                    e = self.raw[k - SMALL]
-                else:
-                    e = np.zeros(z.shape, np.float32)
-                    octaves.local_errors(z, z, 0, 0, k, rows, cols, KINDS[kind], e)
-                if kind == "wedgie":
-                    new_sums = np.zeros((*z.shape, 2), np.float32)
-                    octaves.wedgie_sums(sums, 0, 0, k, rows, cols, new_sums, e)
-                    sums = new_sums
-                if state is not None:
-                    octaves.mark(state, 0, 0, k, e, empty)
-                octaves.close(below[kind], 0, 0, k, e)
-                errors[kind] = e
-            filled = surface.filled(z, 0, 0, k)
-            radii = np.zeros(z.shape, np.float32)
-            octaves.spheres(filled, fine_filled, radii_below, 0, 0, k, rows, cols, surface.metric, radii)
-            below, radii_below, fine_filled = errors, radii, filled
-            yield Part(k, 0, 0, dict(errors), _signed(radii, empty))
+            climb.step(k, z, z, self.raw[k - SMALL])
+            yield climb.part(k, 0, 0, (slice(None), slice(None)))

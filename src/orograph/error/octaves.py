@@ -85,9 +85,7 @@ def _squeezed(fine, fine_row, fine_col, z, i, j, row, col, s, rows, cols, across
         one = triangle(fine, fine_row, fine_col, ay, ax, a, by, bx, b, py, px, p)
         two = triangle(fine, fine_row, fine_col, ay, ax, a, by, bx, b, qy, qx, q)
         return max(one, two)
-    d = split_distance(
-        ay, ax, a, by, bx, b, py, px, p, qy, qx, q, my, mx, np.float64(z[i, j]), kind == MIDPOINT
-    )
+    d = split_distance(ay, ax, a, by, bx, b, py, px, p, qy, qx, q, my, mx, np.float64(z[i, j]), kind == MIDPOINT)
     return d if d == d else 0.0
 
 
@@ -374,14 +372,38 @@ def spheres(z, fine_z, below, row0, col0, k, rows, cols, metric, radii):
                     else:
                         di, dj = 0, 1
                     # On the sides: children of a square diamond, corners of an edge one.
-                    r = max(r, _reach(z, radii, both, i + di, j + dj, row + di * s, col + dj * s, m, rows, cols,
-                                      metric, mx, my))
+                    r = max(
+                        r,
+                        _reach(
+                            z, radii, both, i + di, j + dj, row + di * s, col + dj * s, m, rows, cols, metric, mx, my
+                        ),
+                    )
                     di, dj = di - dj, di + dj
                     # On the diagonals: corners of a square diamond, children of an edge one.
                     if both:
-                        r = max(r, _reach(z, radii, 0, i + di, j + dj, row + di * s, col + dj * s, m, rows, cols,
-                                          metric, mx, my))
+                        r = max(
+                            r,
+                            _reach(
+                                z, radii, 0, i + di, j + dj, row + di * s, col + dj * s, m, rows, cols, metric, mx, my
+                            ),
+                        )
                     elif k:
-                        r = max(r, _reach(fine_z, below, 1, 2 * i + di, 2 * j + dj, row + di * h, col + dj * h, m, rows, cols,
-                                          metric, mx, my))
+                        r = max(
+                            r,
+                            _reach(
+                                fine_z,
+                                below,
+                                1,
+                                2 * i + di,
+                                2 * j + dj,
+                                row + di * h,
+                                col + dj * h,
+                                m,
+                                rows,
+                                cols,
+                                metric,
+                                mx,
+                                my,
+                            ),
+                        )
                 radii[i, j] = np.float32(r * (1.0 + 2.0**-22))

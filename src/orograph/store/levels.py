@@ -23,25 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
+from orograph.error.diamonds import halve
 from orograph.store.terrain import TILE, Heights, Shape
 
 F64 = NDArray[np.float64]
 Counts = NDArray[np.int32]
-
-
-def halve(heights: Heights, end: tuple[bool, bool] = (True, True)) -> Heights:
-    """Every second sample each way; where an axis is at the raster's ``end`` its last sample closes the row. A copy."""
-    rows, cols = ((side + at_end + 1) // 2 for side, at_end in zip(heights.shape, end, strict=True))
-    kept = heights[::2, ::2]
-    result = np.empty((rows, cols), np.float32)
-    result[: kept.shape[0], : kept.shape[1]] = kept
-    if cols > kept.shape[1]:
-        result[: kept.shape[0], -1] = heights[::2, -1]
-    if rows > kept.shape[0]:
-        result[-1, : kept.shape[1]] = heights[-1, ::2]
-        if cols > kept.shape[1]:
-            result[-1, -1] = heights[-1, -1]
-    return result
 
 
 def subsample(heights: Heights, level: int, end: tuple[bool, bool] = (True, True)) -> Heights:

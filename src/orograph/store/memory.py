@@ -7,18 +7,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.error import KINDS, ErrorKind
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.parallel import map_ordered
 from orograph.store.terrain import TILE, Heights, Terrain, TileTable, tile_shape
-
-if TYPE_CHECKING:
-    pass
 
 T = TypeVar("T")
 
@@ -98,6 +96,15 @@ class MemoryTerrain(Terrain):
         self._check(level)
         return self._once("tiles", level, lambda: self._tiles(level))
 
+    def diamonds(
+        self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int
+    ) -> tuple[Heights, Heights]:
+        if kind not in KINDS:
+            raise UsageError(f"There is no error called {kind!r}; there are {', '.join(KINDS)}.")
+        self._inside(self.diamond_shape(level), row0, row1, col0, col1)
+        errors, radii = self._diamonds(kind)
+        return errors[level][row0:row1, col0:col1], radii[level][row0:row1, col0:col1]
+
     def _once(self, what: str, level: int, make: Callable[[], T]) -> T:
         """Make a thing on first use, in one thread."""
         with self._lock:
@@ -114,6 +121,30 @@ class MemoryTerrain(Terrain):
             return _frozen(subsample(fine, 1))
 
         return self._once("nested", level, make) if level else self.heights
+
+    def _diamonds(self, kind: ErrorKind) -> tuple[list[Heights], list[Heights]]:
+        """Errors of a kind, and the radii that all kinds share, per level."""
+
+        def make() -> tuple[list[Heights], list[Heights]]:
+            from orograph.error.diamonds import diamonds
+            from orograph.store.diamonds import NESTED, gather, surface
+            from orograph.store.levels import subsample
+
+            known = self._made.get(("radii", 0))
+            ground = surface(self.grid, self.tiles(0).minimum, self.height_range[0])
+            parts = diamonds(
+                lambda row0, row1, col0, col1: self.heights[row0:row1, col0:col1],
+                subsample(self.heights, NESTED),
+                ground,
+                (kind,),
+                radii=known is None,
+            )
+            errors, radii = gather(self.grid.shape, parts, kind)
+            for array in (*errors, *radii):
+                _frozen(array)
+            return errors, self._once("radii", 0, lambda: radii)
+
+        return self._once(kind, 0, make)
 
     def _means(self) -> list[Heights]:
         def make() -> list[Heights]:

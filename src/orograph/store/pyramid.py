@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.error.diamonds import halve
 from orograph.errors import DamagedChunkError, OrographError
 from orograph.store.arrays import ArraySpec, ShardedArray, Spot
 from orograph.store.cache import ChunkCache
@@ -29,7 +30,6 @@ from orograph.store.levels import (
     BoxMeans,
     divide,
     extrema,
-    halve,
     halve_sums,
     magnitude,
     quarter,

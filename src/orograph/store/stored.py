@@ -7,6 +7,7 @@ import os
 import threading
 from typing import Any
 
+from orograph.error import ErrorKind
 from orograph.errors import DamagedChunkError, StoreError
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
@@ -79,6 +80,15 @@ class StoredTerrain(Terrain):
                 columns[name] = values
             table = self._tables[level] = TileTable(**columns)
         return table
+
+    def diamonds(
+        self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int
+    ) -> tuple[Heights, Heights]:
+        raise StoreError(
+            f"This store has no {kind} errors.",
+            path=self.url,
+            remedy=f"Build it with them (orograph build --errors {kind}).",
+        )
 
     def close(self) -> None:
         self.cache.clear()

@@ -20,6 +20,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.error import ErrorKind
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 
@@ -144,6 +145,42 @@ class Terrain(ABC):
     @abstractmethod
     def tiles(self, level: int) -> TileTable:
         """The tile table of a level."""
+
+    def diamond_shape(self, level: int) -> Shape:
+        """(rows, cols) of the arrays of ``diamonds``: of ``shape(level)``, at the top level the whole padded square."""
+        from orograph.store.diamonds import diamond_shape
+
+        return diamond_shape(self.grid.shape, self._check(level))
+
+    @abstractmethod
+    def diamonds(
+        self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int
+    ) -> tuple[Heights, Heights]:
+        """Errors and radii of the diamonds whose vertices are the entries ``[row0, row1) × [col0, col1)`` of a level.
+
+        Entry (i, j) of level k belongs to the vertex (i·2^k, j·2^k). Where i or j is odd it is the diamond of octave k
+        at that vertex; where both are even it is 0 and means nothing, but for the top level (``levels`` − 1): its
+        arrays are the padded square of side 2^(n − top) + 1 and hold the octaves above as well, the diamond at (row,
+        col) in entry (row >> top, col >> top). The square's four corners are no diamonds (0).
+
+        Args:
+            kind: "exact" (a bound, the tightest), "wedgie" (ROAM's looser one) or "midpoint" (no bound).
+            level: a nested level.
+            row0, row1, col0, col1: a window inside ``diamond_shape(level)``.
+
+        Returns:
+            errors: float32, metres of height, no less than those of the diamond's children; +inf where the diamond is
+                *mixed* (part of its region is surface, part hole).
+            radii: float32, metres; the sphere of this radius around the vertex (squeezed, its height filled where it is
+                missing) holds the region's corners and the children's spheres. Negative where the diamond is *empty*
+                (no surface in its region, which may lie beyond the raster); then its size means nothing.
+            Both may be shared with a cache: they are read-only, copy them to change them.
+
+        Raises:
+            UsageError: there is no such kind or level, or the window is not inside it.
+            StoreError: the store was built without errors of that kind.
+            DamagedChunkError: a chunk of a store fails its checksum.
+        """
 
     def close(self) -> None:  # noqa: B027 (most terrains have nothing to close)
         """Let go of files and caches; the terrain cannot be read afterwards."""
