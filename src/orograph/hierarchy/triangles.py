@@ -71,7 +71,8 @@ def with_apex(x: Integers, y: Integers, L: Integers, omega: Integers) -> Triangl
 
 def root(k: Integers, n: Integers) -> Triangle:
     """Root triangle k of the square of side 2^n: 0 is the north-eastern (ω = 3), 1 the south-western one (ω = 7)."""
-    return (1 << n) >> 1, (1 << n) >> 1, 1 << n, 3 + 4 * k
+    N = (1 << n) + 0 * k  # of the shape of k
+    return N >> 1, N >> 1, N, 3 + 4 * k
 
 
 def level(L: Integers, omega: Integers, n: Integers) -> Integers:
@@ -210,13 +211,6 @@ FORMULAS = (
     *(inside, exists, or_none, sibling, left_neighbour, right_neighbour, node, from_node),
 )
 """What kernels may call (see ``orograph.hierarchy.kernels``)."""
-
-
-def children(x: IndexArray, y: IndexArray, L: IndexArray, omega: IndexArray) -> TriangleArrays:
-    """Both children of each of m triangles: four int64 arrays (2m,), left before right, in the order of the parents."""
-    left, right = child(x, y, L, omega, 0), child(x, y, L, omega, 1)
-    cx, cy, cL, turned = (np.stack([a, b], axis=1).ravel() for a, b in zip(left, right))
-    return cx, cy, cL, turned
 
 
 def of_level(n: int, level: int) -> TriangleArrays:
