@@ -22,7 +22,7 @@ def kernel(function: Function) -> Function:
 
 def inlined(function: Function) -> Function:
     """Compile a helper that is always inlined into the kernels that call it."""
-    return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy", inline="never")(function))
+    return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")(function))
 
 
 def leaf(function: Function) -> Function:
