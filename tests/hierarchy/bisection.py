@@ -81,14 +81,14 @@ INNER = np.array([(3, 1), (5, 3), (3, 5), (1, 3)])
 
 
 def points(n: int) -> np.ndarray:
-    """Four points in each cell, (cells · 4, 2), in sixths of a sample: one in each of the quarters its diagonals make."""
+    """Four points in each cell, (cells · 4, 2), in sixths of a sample: one between its diagonals on each side."""
     N = 1 << n
     corner = SCALE * np.stack(np.meshgrid(np.arange(N), np.arange(N)), -1).reshape(-1, 1, 2)
     return (corner + INNER).reshape(-1, 2)
 
 
 def covers(t, where: np.ndarray) -> np.ndarray:
-    """Which of the points (in sixths of a sample) lie in the triangle; none of them lies on an edge of the hierarchy."""
+    """Which of the points (in sixths of a sample) lie in the triangle; none may lie on an edge."""
     a, b, c = (tuple(SCALE * int(v) for v in p) for p in t)
     sides = [cross(p, q, where.T) for p, q in ((a, b), (b, c), (c, a))]
     assert all((side != 0).all() for side in sides)
@@ -108,5 +108,5 @@ def area(t) -> Fraction:
 def inside_edge(v: Point, a: Point, b: Point) -> bool:
     """Whether v lies on the segment ab, but not at an end."""
     on_line = (b[0] - a[0]) * (v[1] - a[1]) == (b[1] - a[1]) * (v[0] - a[0])
-    between = 0 < (v[0] - a[0]) * (b[0] - a[0]) + (v[1] - a[1]) * (b[1] - a[1]) < (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
-    return on_line and between
+    along = (v[0] - a[0]) * (b[0] - a[0]) + (v[1] - a[1]) * (b[1] - a[1])
+    return on_line and 0 < along < (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2

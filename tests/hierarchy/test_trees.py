@@ -31,7 +31,7 @@ def numbered(first: int, roots: int, bits: int, depth: int) -> list[tuple[int, i
 def test_every_node_of_small_forests(first: int, roots: int, bits: int) -> None:
     m = trees.offset(first, roots, bits)
     nodes = numbered(first, roots, bits, depth=6)
-    assert [node for node, *_ in nodes] == list(range(first, first + len(nodes)))  # no number is left out, none taken twice
+    assert [node for node, *_ in nodes] == list(range(first, first + len(nodes)))  # none left out, none given twice
     starts: dict[int, int] = {}
     for node, parent, k, level, tree in nodes:
         starts.setdefault(level, node)
@@ -56,7 +56,10 @@ def test_offsets_of_the_usual_layouts() -> None:
     assert [trees.child(p, k, -4, QUAD) for p in (2, 3) for k in range(4)] == list(range(4, 12))
 
 
-@given(st.integers(0, 100), st.integers(1, 100), st.sampled_from([BINARY, QUAD]), st.integers(0, 2**52), st.integers(0, 3))
+ARITY = st.sampled_from([BINARY, QUAD])
+
+
+@given(st.integers(0, 100), st.integers(1, 100), ARITY, st.integers(0, 2**52), st.integers(0, 3))
 def test_large_nodes(first: int, roots: int, bits: int, beyond: int, k: int) -> None:
     m, p, k = trees.offset(first, roots, bits), first + beyond, k & ((1 << bits) - 1)
     c = trees.child(p, k, m, bits)

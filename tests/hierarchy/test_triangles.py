@@ -118,7 +118,7 @@ def test_every_neighbour(n: int) -> None:
 
 @pytest.mark.parametrize("n", range(1, 6))
 def test_neighbours_of_other_levels(n: int) -> None:
-    """Across a leg: a child of the neighbour has it as hypotenuse. Across a hypotenuse: the sibling's parent has it as leg."""
+    """Across a leg, a child of the neighbour has it as hypotenuse; across a hypotenuse, the sibling's parent as leg."""
     for level in bisection.hierarchy(n):
         for node in level:
             t = name_of(node)
@@ -150,7 +150,8 @@ def test_exists_knows_exactly_the_triangles_of_the_square(n: int) -> None:
     tried = np.meshgrid(*(np.arange(-2, N + 3),) * 2, np.arange(-2, 2 * N + 2), np.arange(-2, 10), indexing="ij")
     x, y, L, omega = (v.ravel() for v in tried)
     found = triangles.exists(x, y, L, omega, n)
-    assert set(rows(v[found] for v in (x, y, L, omega))) == {name_of(t) for level in bisection.hierarchy(n) for t in level}
+    everything = {name_of(t) for level in bisection.hierarchy(n) for t in level}
+    assert set(rows(v[found] for v in (x, y, L, omega))) == everything
 
 
 @pytest.mark.parametrize("n", SMALL)
@@ -227,16 +228,16 @@ def test_the_children_printed_in_the_lecture_do_not_tile() -> None:
     def v(L, omega):
         return Fraction(triangles.wave(omega) * L, 2), Fraction(triangles.wave(omega - 2) * L, 2)
 
-    def plus(l, w, sign=1):
-        return l[0] + sign * w[0], l[1] + sign * w[1]
+    def plus(p, w, sign=1):
+        return p[0] + sign * w[0], p[1] + sign * w[1]
 
     for sign in (1, -1):
         for omega in range(8):
-            l, L = (Fraction(8), Fraction(8)), 8
-            whole = {plus(l, v(L, omega), sign), plus(l, v(L, omega + 2)), plus(l, v(L, omega - 2))}
+            middle, L = (Fraction(8), Fraction(8)), 8
+            whole = {plus(middle, v(L, omega), sign), plus(middle, v(L, omega + 2)), plus(middle, v(L, omega - 2))}
             for turn, shift in ((3, 4), (5, 6)):
                 smaller = L // 2 if omega % 2 else L
-                middle = plus(l, v(Fraction(L, 2), omega + shift))
+                point = plus(middle, v(Fraction(L, 2), omega + shift))
                 around = v(smaller, omega + turn + 2)
-                part = {plus(middle, v(smaller, omega + turn), sign), plus(middle, around), plus(middle, around, -1)}
+                part = {plus(point, v(smaller, omega + turn), sign), plus(point, around), plus(point, around, -1)}
                 assert len(part & whole) < 2  # a half would share two corners with the whole

@@ -2,7 +2,7 @@
 
 The two triangles on either side of a hypotenuse are the *top* of a diamond; splitting both inserts its vertex, the
 middle of the hypotenuse, and leaves up to four triangles around it, the *bottom* (lecture, *Diamond DAG*; Lindstrom &
-Pascucci 2001, *Visualization of Large Terrains Made Easy*, §3). Every vertex (row, col) of the square 0 … 2^n but its
+Pascucci 2001, *Visualization of Large Terrains Made Easy*). Every vertex (row, col) of the square 0 … 2^n but its
 four corners is the vertex of exactly one diamond. Let its octave k be the number of trailing zero bits of row | col,
 and s = 2^k.
 

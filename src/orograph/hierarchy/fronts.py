@@ -3,8 +3,8 @@
 A *front* has exactly one triangle on each path from a root to a leaf, so its triangles are a partition of the square. A
 front is *valid* (conforming) if two of its triangles meet in nothing, a corner or a whole edge: no vertex lies inside
 an edge (a T-junction; a *crack* opens where its height differs from the edge's). Any valid front leads to any other by
-splits and merges of diamonds (lecture, *Conditions for valid triangulation*); ``steps`` says which (Duchaineau et al.
-1997, §4).
+splits and merges of diamonds (Duchaineau et al. 1997, *ROAMing terrain*; lecture, *Conditions for valid
+triangulation*); ``steps`` says which.
 
 This is the model that engines are tested against: whole arrays, every step a new ``Front``, nothing incremental. Its
 cost is of the order of the front's size for each step. Coordinates are samples, heights metres; see ``triangles`` and

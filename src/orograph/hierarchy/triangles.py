@@ -2,7 +2,7 @@
 
 A square of N = 2^n cells a side is cut along north-west–south-east into two right triangles, each of these from its
 apex to the middle of its hypotenuse into two smaller ones, and so on, 2n times; the triangles of level 2n are halves
-of cells (Duchaineau et al. 1997, *ROAMing terrain*, §4; the numbers (l, L, ω) are those of the lecture *Terrain
+of cells (Duchaineau et al. 1997, *ROAMing terrain*; the numbers (l, L, ω) are those of the lecture *Terrain
 Visualization*, *Implementation – Triangle Representation*). Coordinates are sample coordinates: x is the column, y the
 row, rows run *downwards*. A triangle is
 
