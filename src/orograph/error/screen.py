@@ -110,7 +110,9 @@ def lens(
     if plan:
         eye[:2] = view.target[:2]
     # Columns: metres per column, per row, per metre of height; then the first sample, relative to the eye.
-    ground = np.array([[a, b, 0.0, c - eye[0]], [d, e, 0.0, f - eye[1]], [0.0, 0.0, exaggeration, -eye[2] * exaggeration]])
+    ground = np.array(
+        [[a, b, 0.0, c - eye[0]], [d, e, 0.0, f - eye[1]], [0.0, 0.0, exaggeration, -eye[2] * exaggeration]]
+    )
     matrix = axes @ ground
     result[MATRIX : MATRIX + 12] = matrix.ravel()
     result[FOCAL] = 0.0 if plan else 1.0 / view.pixel_slope

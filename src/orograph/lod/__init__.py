@@ -1,0 +1,1 @@
+"""Engines: one file per published method, all with the same face (``lod.engine.Engine``)."""

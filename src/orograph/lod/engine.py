@@ -1,0 +1,229 @@
+"""What every engine has in common: its arguments, what it promises, and the way from a refinement to a ``Tessellation``."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.error.screen import Metric, lens, metric_of
+from orograph.errors import UsageError
+from orograph.lod.field import ColorErrors, Field
+from orograph.parallel import cpu_count
+from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
+from orograph.view import View
+
+BOUNDS = ("exact", "wedgie")
+"""Object-space errors that bound every sample's."""
+
+
+@dataclass(slots=True)
+class Mesh:
+    """What a refinement leaves, before vertices are numbered.
+
+    Attributes:
+        keys: int64, ``row << 32 | col`` of the padded square: (k,) of a strip or (m, 3) of triangles.
+        heights: float32, the same shape, metres.
+        is_strip: whether keys are a generalised strip.
+        clockwise: how triangles (of a strip: the one at place 0) turn as the raster is drawn, rows downwards.
+        triangles: how many the engine made.
+        within: whether the tolerance asked for was reached.
+        stats: what else the engine says.
+    """
+
+    keys: NDArray[np.int64]
+    heights: NDArray[np.float32]
+    is_strip: bool
+    clockwise: bool
+    triangles: int
+    within: bool = True
+    tolerance: float | None = None
+    stats: dict[str, Any] = field(default_factory=dict)
+
+
+class Engine(ABC):
+    """A method of view-dependent refinement.
+
+    Args:
+        terrain: what is drawn.
+        error: object-space error: exact, wedgie, midpoint.
+        metric: screen-space metric, one of ``metrics`` (default: the first).
+        cull: leave out what is outside the frustum.
+        exaggeration: factor on heights on the way to the screen.
+        color: color errors (see ``error.color``), with color_tolerance γ in ΔE: a diamond is also split where coarser
+            triangles would change colours by more.
+        max_memory: bytes of tiles in memory.
+        jobs: threads (default: all processors).
+
+    Attributes:
+        field: the terrain's pages.
+
+    Raises:
+        UsageError: an option makes no sense, or the terrain has no surface.
+        StoreError: the store was built without this error.
+    """
+
+    name: ClassVar[str]
+    metrics: ClassVar[tuple[str, ...]]
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        *,
+        error: str = "exact",
+        metric: str | None = None,
+        cull: bool = True,
+        exaggeration: float = 1.0,
+        color: ColorErrors | None = None,
+        color_tolerance: float | None = None,
+        max_memory: int = 1 << 30,
+        jobs: int | None = None,
+    ) -> None:
+        if error not in ("exact", "wedgie", "midpoint"):
+            raise UsageError(f"There is no error {error!r}; there are exact, wedgie and midpoint.")
+        if not 0 < exaggeration < math.inf:
+            raise UsageError(f"The exaggeration is a factor greater than 0, not {exaggeration}.")
+        if color_tolerance is not None and not color_tolerance >= 0:
+            raise UsageError(f"The color tolerance is a difference of colours (ΔE), 0 or more, not {color_tolerance}.")
+        if color_tolerance is not None and color is None:
+            raise UsageError("A color tolerance needs colours.", remedy="Give an image with --drape.")
+        self.metric: Metric = metric_of(metric or self.metrics[0])
+        if self.metric.name not in self.metrics:
+            raise UsageError(
+                f"{self.name} cannot use the metric {self.metric.name!r}; it can use {', '.join(self.metrics)}."
+            )
+        self.terrain, self.error, self.cull, self.exaggeration = terrain, error, cull, exaggeration
+        self.color_tolerance = math.inf if color_tolerance is None else color_tolerance
+        self.jobs = jobs or cpu_count()
+        self.field = Field(terrain, error, color=color, max_memory=max_memory, jobs=self.jobs)
+
+    @property
+    def conservative(self) -> bool:
+        """Whether a tolerance is a promise for every full-resolution sample in view."""
+        return self.metric.conservative and self.error in BOUNDS
+
+    def refine(
+        self, view: View, *, tolerance: float | None = None, triangles: int | None = None, seconds: float | None = None
+    ) -> Tessellation:
+        """The mesh for a view.
+
+        Args:
+            tolerance: pixels (default 1 if nothing else is given).
+            triangles: instead: at most so many.
+            seconds: instead: what can be done in so much time.
+
+        Raises:
+            UsageError: more than one of the three, or one that makes no sense; or more tiles than memory allows.
+        """
+        mesh, took = self.mesh(view, tolerance=tolerance, triangles=triangles, seconds=seconds)
+        began = time.perf_counter()
+        stats: dict[str, Any] = {
+            "engine": self.name, "error": self.error, "metric": self.metric.name,
+            "tolerance": mesh.tolerance if tolerance is None and mesh.tolerance is not None else tolerance,
+            "conservative": self.conservative and mesh.within, "exaggeration": self.exaggeration,
+            "refine_ms": round(took * 1e3, 3), "tiles_read": self.field.tiles_read,
+            "tiles_resident": self.field.resident, **mesh.stats,
+        }  # fmt: skip
+        make = Tessellation.from_strip if mesh.is_strip else Tessellation.from_triangles
+        t = make(self.terrain.grid, mesh.keys, mesh.heights, clockwise=mesh.clockwise, stats=stats)
+        t.stats["triangles"] = len(t.triangles)
+        t.stats["index_ms"] = round((time.perf_counter() - began) * 1e3, 3)
+        return t
+
+    def mesh(
+        self, view: View, *, tolerance: float | None = None, triangles: int | None = None, seconds: float | None = None
+    ) -> tuple[Mesh, float]:
+        """What ``refine`` makes, before its vertices are numbered, and the seconds it took. For renderers and benches."""
+        given = [name for name, v in (("tolerance", tolerance), ("triangles", triangles), ("seconds", seconds)) if v]
+        if tolerance is None and not given:
+            tolerance = 1.0
+        if len(given) > 1:
+            raise UsageError(f"Give one goal: {' or '.join(given)}.")
+        if tolerance is not None and not 0 <= tolerance < math.inf:
+            raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance}.")
+        if triangles is not None and triangles < 2:
+            raise UsageError(f"A mesh has at least 2 triangles, so {triangles} is no budget.")
+        if seconds is not None and not seconds > 0:
+            raise UsageError(f"The time allowed is in seconds, more than 0, not {seconds}.")
+        began = time.perf_counter()
+        mesh = self._refine(view, tolerance, triangles, seconds)
+        if mesh.tolerance is None:
+            mesh.tolerance = tolerance
+        return mesh, time.perf_counter() - began
+
+    @abstractmethod
+    def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
+        """Refine until one of the three goals (exactly one is given)."""
+
+    def _lens(self, view: View, tolerance: float) -> NDArray[np.float64]:
+        return lens(
+            view, self.terrain.grid, exaggeration=self.exaggeration, tolerance=tolerance,
+            color_tolerance=self.color_tolerance,
+        )  # fmt: skip
+
+
+def by_tolerance(engine: Engine, view: View, triangles: int | None, seconds: float | None) -> Mesh:
+    """Reach a budget with an engine that knows only tolerances: bisect for the smallest tolerance that keeps it.
+
+    The result has at most ``triangles`` triangles (or 2, the coarsest mesh); with ``seconds`` the tolerance is halved
+    from coarse to fine while the next pass can be expected to fit.
+    """
+    began = time.perf_counter()
+    low, high = 0.0, 1024.0
+    best = engine._refine(view, high, None, None)
+    best.tolerance = high
+    if seconds is not None:
+        last = time.perf_counter() - began
+        while time.perf_counter() - began + 2.2 * last < seconds and best.tolerance > 1 / 64:
+            start = time.perf_counter()
+            finer = engine._refine(view, best.tolerance / 2, None, None)
+            finer.tolerance = best.tolerance / 2
+            last, best = time.perf_counter() - start, finer
+        return best
+    assert triangles is not None
+    if best.triangles > triangles:
+        best.within = False
+        return best
+    tolerance = 1.0
+    for _ in range(18):
+        mesh = engine._refine(view, tolerance, None, None)
+        mesh.tolerance = tolerance
+        if mesh.triangles <= triangles:
+            best, high = mesh, tolerance
+            if mesh.triangles > 0.98 * triangles:
+                break
+        else:
+            low = tolerance
+        tolerance = math.sqrt(low * high) if low > 0 else high / 4
+        if low == 0 and tolerance < 1e-4:
+            break
+    return best
+
+
+def join(
+    parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]],
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """One strip of several: degenerate triangles between them, each part beginning at an even place."""
+    keys: list[NDArray[np.int64]] = []
+    heights: list[NDArray[np.float32]] = []
+    length = 0
+    for k, z in parts:
+        if not len(k):
+            continue
+        if length:
+            repeat = 2 + length % 2
+            keys += [keys[-1][-1:], np.repeat(k[:1], repeat - 1)]
+            heights += [heights[-1][-1:], np.repeat(z[:1], repeat - 1)]
+            length += repeat
+        keys.append(k)
+        heights.append(z)
+        length += len(k)
+    if not keys:
+        return np.zeros(0, np.int64), np.zeros(0, np.float32)
+    return np.concatenate(keys), np.concatenate(heights)

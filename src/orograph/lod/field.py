@@ -1,0 +1,215 @@
+"""What engines refine: the vertices of the hierarchy with their diamonds' errors and spheres, in pages, out of core.
+
+A vertex (row, col) of octave k lives in one page of level min(k, top): a square of 256 × 256 entries of four float32,
+(height, error, radius, color error), so that one look-up brings all that decides about its diamond, and a coarse vertex
+shares its page with its like (the hierarchical layout of Lindstrom & Pascucci 2002, by tiles). Kernels look pages up in
+a table; one that is not resident is noted as a *miss* and its diamonds pass for accurate, and the engine reads the
+pages and refines again until nothing is missed. Memory is bounded: pages not used last leave first.
+
+In a page: height is filled where the sample is missing (spheres need one); error as in ``Terrain.diamonds`` (+inf mixed);
+radius negative if the diamond is empty; color error c as −1 − c if the vertex's own sample is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import inlined
+from orograph.errors import UsageError
+from orograph.parallel import map_ordered
+from orograph.store.terrain import Terrain, level_shape
+
+SHIFT = 8
+SIDE = 1 << SHIFT
+PAGE_BYTES = SIDE * SIDE * 16
+
+ColorErrors = Callable[[int, int, int, int, int], NDArray[np.float32]]
+
+
+class Pages(NamedTuple):
+    """What kernels get of a field.
+
+    Attributes:
+        data: float32 (slots, 256, 256, 4).
+        table: int32 (pages,), the slot of each page; −1 absent, −2 absent and asked for.
+        base: int64 (levels,), where each level's pages begin in the table.
+        width: int64 (levels,), pages across.
+        used: uint8 (slots,), set when a page is read.
+        misses: int32 (pages,), the pages asked for; count: int64 (1,), how many.
+        edge: int64 (3,): the raster's last row and column, and the top level.
+    """
+
+    data: NDArray[np.float32]
+    table: NDArray[np.int32]
+    base: NDArray[np.int64]
+    width: NDArray[np.int64]
+    used: NDArray[np.uint8]
+    misses: NDArray[np.int32]
+    count: NDArray[np.int64]
+    edge: NDArray[np.int64]
+
+
+@inlined
+def find(pages, row, col, octave):
+    """(slot, i, j) of a vertex of an octave; slot is negative if its page is absent, which is then asked for."""
+    level = min(octave, pages.edge[2])
+    i = row >> level
+    j = col >> level
+    at = pages.base[level] + (i >> 8) * pages.width[level] + (j >> 8)
+    slot = pages.table[at]
+    if slot < 0:
+        if slot == -1:
+            pages.table[at] = -2
+            pages.misses[pages.count[0]] = at
+            pages.count[0] += 1
+    else:
+        pages.used[slot] = 1
+    return slot, i & 255, j & 255
+
+
+class Field:
+    """The pages of a terrain, as many as memory allows.
+
+    Args:
+        terrain: what is refined.
+        kind: which error: exact, wedgie, midpoint.
+        color: ``color(level, row0, row1, col0, col1)``, color errors in the layout of ``Terrain.diamonds``.
+        max_memory: bytes of pages.
+        jobs: threads that read.
+
+    Attributes:
+        pages: for kernels.
+        tiles_read: how many pages were read so far.
+        corners: float32 (2, 2), heights of the square's corners (NaN where missing).
+
+    Raises:
+        UsageError: the terrain has no surface, or the memory does not suffice for the coarsest pages.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        kind: str = "exact",
+        *,
+        color: ColorErrors | None = None,
+        max_memory: int = 1 << 30,
+        jobs: int | None = None,
+    ) -> None:
+        rows, cols = terrain.grid.shape
+        if min(rows, cols) < 2:
+            raise UsageError(
+                f"{terrain.name} has {rows} row(s) and {cols} column(s); a surface needs at least two of each."
+            )
+        self.terrain, self.kind, self.color, self.jobs = terrain, kind, color, jobs
+        self.n, self.top = terrain.n, terrain.levels - 1
+        self.shapes = [level_shape(terrain.grid.shape, level) for level in range(self.top)]
+        side = (1 << (self.n - self.top)) + 1
+        self.shapes.append((side, side))
+        counts = [(-(-r // SIDE), -(-c // SIDE)) for r, c in self.shapes]
+        base = np.concatenate([[0], np.cumsum([r * c for r, c in counts])])
+        slots = int(min(base[-1], max(1, max_memory // PAGE_BYTES)))
+        if slots < counts[-1][0] * counts[-1][1]:
+            raise UsageError(f"{max_memory >> 20} MiB do not hold the coarsest tiles; allow at least 16 MiB.")
+        self.pages = Pages(
+            np.zeros((slots, SIDE, SIDE, 4), np.float32),
+            np.full(base[-1], -1, np.int32),
+            base[:-1].astype(np.int64),
+            np.array([c for _, c in counts], np.int64),
+            np.zeros(slots, np.uint8),
+            np.zeros(base[-1], np.int32),
+            np.zeros(1, np.int64),
+            np.array([rows - 1, cols - 1, self.top], np.int64),
+        )
+        self._holds = np.full(slots, -1, np.int64)
+        self._last = np.zeros(slots, np.int64)
+        self._round = 0
+        self.tiles_read = 0
+        tiles = terrain.tiles(0)
+        lowest = terrain.height_range[0]
+        self._fill = np.where(np.isnan(tiles.minimum), np.float32(0.0 if np.isnan(lowest) else lowest), tiles.minimum)
+        top = terrain.read(self.top, 0, *terrain.shape(self.top)[:1], 0, terrain.shape(self.top)[1])
+        self.corners = np.array([[top[0, 0], top[0, -1]], [top[-1, 0], top[-1, -1]]], np.float32)
+
+    @property
+    def resident(self) -> int:
+        """Pages in memory."""
+        return int((self._holds >= 0).sum())
+
+    def begin(self) -> None:
+        """A new round: nothing is used or asked for yet."""
+        self._round += 1
+        self.pages.used[:] = 0
+        self._forget_misses()
+
+    def _forget_misses(self) -> None:
+        count = int(self.pages.count[0])
+        asked = self.pages.misses[:count]
+        absent = asked[self.pages.table[asked] == -2]
+        self.pages.table[absent] = -1
+        self.pages.count[0] = 0
+
+    def fetch(self) -> bool:
+        """Read the pages that were missed since ``begin``; whether there were any.
+
+        Raises:
+            UsageError: the pages one refinement needs do not fit into the memory allowed.
+        """
+        count = int(self.pages.count[0])
+        self._last[self.pages.used == 1] = self._round
+        if count == 0:
+            return False
+        wanted = self.pages.misses[:count].copy()
+        self._forget_misses()
+        order = np.lexsort((np.arange(len(self._last)), self._last, self._holds >= 0))  # free ones, then oldest
+        order = order[(self._holds[order] < 0) | (self._last[order] < self._round)]
+        if len(order) < count:
+            raise UsageError(
+                f"One view needs more than the {len(self._last)} tiles that fit into "
+                f"{len(self._last) * PAGE_BYTES >> 20} MiB.",
+                remedy="Allow more memory (--max-memory), or a larger tolerance.",
+            )
+        slots = order[:count]
+        for slot in slots:
+            if self._holds[slot] >= 0:
+                self.pages.table[self._holds[slot]] = -1
+                self._holds[slot] = -1
+        for page, slot, _ in zip(wanted, slots, map_ordered(self._load, zip(wanted, slots), self.jobs), strict=True):
+            self.pages.table[page] = slot
+            self._holds[slot] = page
+            self._last[slot] = self._round
+        self.tiles_read += count
+        return True
+
+    def _load(self, what: tuple[int, int]) -> None:
+        page, slot = int(what[0]), int(what[1])
+        level = int(np.searchsorted(self.pages.base, page, side="right")) - 1
+        i, j = divmod(page - int(self.pages.base[level]), int(self.pages.width[level]))
+        rows, cols = self.shapes[level]
+        row0, col0 = i * SIDE, j * SIDE
+        row1, col1 = min(row0 + SIDE, rows), min(col0 + SIDE, cols)
+        data = self.pages.data[slot, : row1 - row0, : col1 - col0]
+        have = self.terrain.shape(level)
+        # The top level is a padded square: beyond the raster its last samples are repeated.
+        r0, c0 = min(row0, have[0] - 1), min(col0, have[1] - 1)
+        heights = self.terrain.read(level, r0, min(row1, have[0]), c0, min(col1, have[1]))
+        i_at = np.minimum(np.arange(row0, row1), have[0] - 1) - r0
+        j_at = np.minimum(np.arange(col0, col1), have[1] - 1) - c0
+        heights = heights[np.ix_(i_at, j_at)]
+        missing = np.isnan(heights)
+        if missing.any():
+            y, x = np.nonzero(missing)
+            shape = self.terrain.grid.shape
+            y_tile = np.minimum((y + row0) << level, shape[0] - 1) >> SHIFT
+            x_tile = np.minimum((x + col0) << level, shape[1] - 1) >> SHIFT
+            heights = heights.copy()
+            heights[y, x] = self._fill[
+                np.minimum(y_tile, self._fill.shape[0] - 1), np.minimum(x_tile, self._fill.shape[1] - 1)
+            ]
+        data[..., 0] = heights
+        data[..., 1], data[..., 2] = self.terrain.diamonds(self.kind, level, row0, row1, col0, col1)
+        color = 0.0 if self.color is None else self.color(level, row0, row1, col0, col1)
+        data[..., 3] = np.where(missing, -1.0 - color, color)
