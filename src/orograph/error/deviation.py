@@ -2,10 +2,11 @@
 
 A diamond's coarse drawing is its two top triangles, which share the hypotenuse. Its *deviation* is the largest vertical
 distance of a sample of its (closed) region from them; on the finest triangulation both surfaces are linear, so this is
-the distance of the surfaces too. Diamonds inside the raster are scanned row by row with constant steps; those that
-straddle the border of a raster that is not 2^n + 1 samples wide are *squeezed* (their outer vertices lie on the
-border), and a general scan of triangles with integer corners serves them, as it serves diamonds that are larger than
-the block of samples at hand.
+the distance of the surfaces too. Diamonds inside the raster are scanned row by row with constant steps, without the
+samples on their sides: a side is the hypotenuse of a child, whose deviation counts as well once errors are monotonic.
+Diamonds that straddle the border of a raster that is not 2^n + 1 samples wide are *squeezed* (their outer vertices lie
+on the border), and a general scan of triangles with integer corners serves them, as it serves diamonds that are larger
+than the block of samples at hand.
 
 Heights in metres, float32 in, float64 within; missing samples (NaN) do not count; indices are (row, col) of the window.
 """
@@ -16,84 +17,90 @@ import numpy as np
 
 from orograph._numba import inlined, leaf
 
+NOTHING = np.int64(0)
+"""The distance 0 as bits."""
+
 
 @inlined
-def _off_row(z, row, col0, col1, base, slope, worst):
-    """The larger of ``worst`` and the distances of ``z[row, col0..col1]`` from base + slope·(col − col0)."""
-    for u in range(col1 - col0 + 1):
-        d = abs(z[row, col0 + u] - (base + slope * u))
-        worst = d if d > worst else worst
+def bits(d):
+    """A distance ≥ 0 as an integer that sorts alike (0 for NaN): the compiler may take maxima of those in any order."""
+    return np.float64(d if d == d else 0.0).view(np.int64)
+
+
+@inlined
+def distance(worst):
+    """The distance whose ``bits`` are ``worst``."""
+    return np.int64(worst).view(np.float64)
+
+
+@inlined
+def _off_row(z, row, first, count, base, slope, worst):
+    """The larger of ``worst`` and the distances (as bits) of ``z[row, first + u]`` from base + slope·u, u < count."""
+    start = np.uint64(first)  # unsigned: no index counts from the end
+    for u in range(count):
+        worst = max(
+            worst, bits(abs(z[np.uint64(row), start + np.uint64(u)] - (base + slope * np.float64(np.int32(u)))))
+        )
     return worst
 
 
 @leaf
 def edge_across(z, row, col, s):
-    """Deviation of an edge diamond whose hypotenuse of length 2s runs along its row; one apex may be beyond ``z``."""
+    """Deviation of the samples inside an edge diamond whose hypotenuse of length 2s runs along its row."""
     a = np.float64(z[row, col - s])
     b = np.float64(z[row, col + s])
     middle = 0.5 * (a + b)
     slope = (b - a) / (2 * s)
-    worst = abs(z[row, col] - middle)
-    worst = worst if worst == worst else 0.0
-    if s == 1:
-        return worst
-    worst = _off_row(z, row, col - s, col + s, a, slope, worst)
-    if row - s >= 0:
-        up = (z[row - s, col] - middle) / s
-        for v in range(1, s):
-            worst = _off_row(z, row - v, col - s + v, col + s - v, a + slope * v + up * v, slope, worst)
-    if row + s < z.shape[0]:
-        down = (z[row + s, col] - middle) / s
-        for v in range(1, s):
-            worst = _off_row(z, row + v, col - s + v, col + s - v, a + slope * v + down * v, slope, worst)
-    return worst
+    up = (z[row - s, col] - middle) / s
+    down = (z[row + s, col] - middle) / s
+    worst = _off_row(z, row, col - s + 1, 2 * s - 1, a + slope, slope, NOTHING)
+    for v in range(1, s):
+        reach = s - v - 1
+        base = middle - slope * reach
+        worst = _off_row(z, row - v, col - reach, 2 * reach + 1, base + up * v, slope, worst)
+        worst = _off_row(z, row + v, col - reach, 2 * reach + 1, base + down * v, slope, worst)
+    return distance(worst)
 
 
 @leaf
 def edge_along(z, row, col, s):
-    """Deviation of an edge diamond whose hypotenuse of length 2s runs along its column."""
+    """Deviation of the samples inside an edge diamond whose hypotenuse of length 2s runs along its column."""
     a = np.float64(z[row - s, col])
     b = np.float64(z[row + s, col])
     middle = 0.5 * (a + b)
     slope = (b - a) / (2 * s)
-    worst = abs(z[row, col] - middle)
-    worst = worst if worst == worst else 0.0
-    if s == 1:
-        return worst
-    left = (z[row, col - s] - middle) / s if col - s >= 0 else np.nan
-    right = (z[row, col + s] - middle) / s if col + s < z.shape[1] else np.nan
+    left = (middle - z[row, col - s]) / s
+    right = (z[row, col + s] - middle) / s
+    worst = NOTHING
     for u in range(-s + 1, s):
-        reach = s - abs(u)
+        reach = s - abs(u) - 1
         base = middle + slope * u
-        if left == left:
-            worst = _off_row(z, row + u, col - reach, col, base + left * reach, -left, worst)
-        if right == right:
-            worst = _off_row(z, row + u, col, col + reach, base, right, worst)
-    return worst
+        worst = _off_row(z, row + u, col - reach, reach + 1, base - left * reach, left, worst)
+        worst = _off_row(z, row + u, col + 1, reach, base + right, right, worst)
+    return distance(worst)
 
 
 @leaf
 def square(z, row, col, s, falling):
-    """Deviation of a square diamond of half side s, cut from north-west to south-east if ``falling``."""
+    """Deviation of the samples inside a square diamond of half side s; ``falling``: cut from north-west to south-east."""
     nw = np.float64(z[row - s, col - s])
     ne = np.float64(z[row - s, col + s])
     sw = np.float64(z[row + s, col - s])
     se = np.float64(z[row + s, col + s])
     scale = 1.0 / (2 * s)
-    worst = 0.0
+    down = (sw - nw) * scale
     if falling:
-        for y in range(2 * s + 1):
-            left = nw + (sw - nw) * (y * scale)
-            diagonal = nw + (se - nw) * (y * scale)
-            worst = _off_row(z, row - s + y, col - s, col - s + y, left, (se - sw) * scale, worst)
-            worst = _off_row(z, row - s + y, col - s + y, col + s, diagonal, (ne - nw) * scale, worst)
+        lower, upper = (se - sw) * scale, (ne - nw) * scale
+        start, along = nw, (se - nw) * scale
     else:
-        for y in range(2 * s + 1):
-            left = nw + (sw - nw) * (y * scale)
-            diagonal = ne + (sw - ne) * (y * scale)
-            worst = _off_row(z, row - s + y, col - s, col + s - y, left, (ne - nw) * scale, worst)
-            worst = _off_row(z, row - s + y, col + s - y, col + s, diagonal, (se - sw) * scale, worst)
-    return worst
+        lower, upper = (ne - nw) * scale, (se - sw) * scale
+        start, along = ne, (sw - ne) * scale
+    worst = NOTHING
+    for y in range(1, 2 * s):
+        on = y if falling else 2 * s - y  # the column of the diagonal
+        worst = _off_row(z, row - s + y, col - s + 1, on, nw + down * y + lower, lower, worst)
+        worst = _off_row(z, row - s + y, col - s + on + 1, 2 * s - 1 - on, start + along * y + upper, upper, worst)
+    return distance(worst)
 
 
 @leaf
@@ -116,7 +123,7 @@ def triangle(z, row0, col0, ay, ax, az, by, bx, bz, cy, cx, cz):
     rows, cols = z.shape
     first = max(min(ay, by, cy), row0)
     last = min(max(ay, by, cy), row0 + rows - 1)
-    worst = 0.0
+    worst = NOTHING
     for y in range(first, last + 1):
         low = np.int64(col0)
         high = np.int64(col0 + cols - 1)
@@ -142,10 +149,8 @@ def triangle(z, row0, col0, ay, ax, az, by, bx, bz, cy, cx, cz):
             elif known < 0:
                 high = low - 1
         base = az + gy * (y - ay)
-        for x in range(low, high + 1):
-            d = abs(z[y - row0, x - col0] - (base + gx * (x - ax)))
-            worst = d if d > worst else worst
-    return worst
+        worst = _off_row(z, y - row0, low - col0, high + 1 - low, base + gx * (low - ax), gx, worst)
+    return distance(worst)
 
 
 @leaf

@@ -14,20 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel
-from orograph.error import ErrorKind, octaves
-from orograph.error.deviation import triangle
+from orograph.error import ErrorKind, holes, octaves
+from orograph.error.spheres import spheres
 from orograph.parallel import map_ordered
 
 Floats = NDArray[np.float32]
 Shape = tuple[int, int]
 Read = Callable[[int, int, int, int], Floats]
 
-KINDS: dict[ErrorKind, int] = {"midpoint": octaves.MIDPOINT, "wedgie": octaves.WEDGIE, "exact": octaves.EXACT}
 SMALL = 5
 """Octaves that blocks finish themselves."""
 MARGIN = 64
@@ -144,52 +143,6 @@ def diamonds(
         yield from coarse.finish()
 
 
-@inlined
-def _vertex(coarse, i, j, s, last_row, last_col):
-    """Row, column and height of a squeezed vertex."""
-    height = np.float64(coarse[min(i, coarse.shape[0] - 1), min(j, coarse.shape[1] - 1)])
-    return min(i * s, last_row), min(j * s, last_col), height
-
-
-@kernel
-def _overlap(z, row0, col0, coarse, k, rows, cols, i0, j0, raw):
-    """The deviation of a block's samples from the coarse triangles of octave k's diamonds that overlap it.
-
-    Args:
-        z: the block, its first sample (row0, col0).
-        coarse: the raster's heights at octave k's spacing.
-        i0, j0: the entry that ``raw[0, 0]`` belongs to.
-    """
-    s = np.int64(1) << k
-    y = np.int64(rows - 1)
-    x = np.int64(cols - 1)
-    for di in range(raw.shape[0]):
-        for dj in range(raw.shape[1]):
-            i, j = i0 + di, j0 + dj
-            if not (i | j) & 1:
-                continue
-            row, col = i * s, j * s
-            if i & 1 and j & 1:
-                if octaves.is_falling(row, col, s):
-                    ai, aj, bi, bj, pi, pj, qi, qj = i - 1, j - 1, i + 1, j + 1, i - 1, j + 1, i + 1, j - 1
-                else:
-                    ai, aj, bi, bj, pi, pj, qi, qj = i - 1, j + 1, i + 1, j - 1, i - 1, j - 1, i + 1, j + 1
-            elif j & 1:
-                ai, aj, bi, bj, pi, pj, qi, qj = i, j - 1, i, j + 1, i - 1, j, i + 1, j
-            else:
-                ai, aj, bi, bj, pi, pj, qi, qj = i - 1, j, i + 1, j, i, j - 1, i, j + 1
-            worst = 0.0
-            ay, ax, a = _vertex(coarse, ai, aj, s, y, x)
-            by, bx, b = _vertex(coarse, bi, bj, s, y, x)
-            if pi >= 0 and pj >= 0:
-                py, px, p = _vertex(coarse, pi, pj, s, y, x)
-                worst = max(worst, triangle(z, row0, col0, ay, ax, a, by, bx, b, py, px, p))
-            if qi >= 0 and qj >= 0:
-                qy, qx, q = _vertex(coarse, qi, qj, s, y, x)
-                worst = max(worst, triangle(z, row0, col0, ay, ax, a, by, bx, b, qy, qx, q))
-            raw[di, dj] = octaves.round_up(worst)
-
-
 class _Climb:
     """Goes up octave after octave over a window, and keeps what the next one needs.
 
@@ -214,7 +167,7 @@ class _Climb:
     ) -> None:
         self.surface, self.kinds, self.row0, self.col0 = surface, kinds, row0, col0
         self.errors, self.sums, self.states, self.radii, self.filled = errors, sums, states, radii, filled
-        self.empty: NDArray[np.bool_] | None = None
+        self.found: NDArray[np.uint8] | None = None
 
     def step(self, k: int, fine: Floats, z: Floats, exact: Floats | None = None) -> None:
         """Find octave k's values.
@@ -224,30 +177,32 @@ class _Climb:
             z: its heights at spacing 2^k.
             exact: the octave's deviations, if they are known already.
         """
-        (rows, cols), at = self.surface.shape, (self.row0, self.col0, k)
+        at = self.row0, self.col0, k, *self.surface.shape
+        half = z.shape[0] // 2, z.shape[1] // 2
         if self.states is not None:
-            states = np.zeros((*z.shape, 2), np.uint8)
-            octaves.states(fine, self.states, *at, states)
-            self.states, self.empty = states, np.zeros(z.shape, np.bool_)
-        below, self.errors = self.errors, {}
+            below, self.states = self.states, np.zeros((2, *half), np.uint8)
+            self.found = np.full(z.shape, holes.WHOLE, np.uint8)
+            holes.states(fine, below, k, self.states, self.found)
+        finer, self.errors = self.errors, {}
         for kind in self.kinds:
-            if kind == "exact" and exact is not None:
-                e = exact
-            else:
-                e = np.zeros(z.shape, np.float32)
-                octaves.local_errors(fine, z, *at, rows, cols, KINDS[kind], e)
-            if kind == "wedgie" and self.sums is not None:
-                sums = np.zeros((*z.shape, 2), np.float32)
-                octaves.wedgie_sums(self.sums, *at, rows, cols, sums, e)
+            e = exact if kind == "exact" and exact is not None else np.zeros(z.shape, np.float32)
+            if kind == "midpoint":
+                octaves.midpoints(z, *at, octaves.MIDPOINT, e)
+            elif kind == "wedgie":
+                octaves.midpoints(z, *at, octaves.WEDGIE, e)
+                sums = np.zeros((2, *half), np.float32)
+                octaves.wedgie_sums(self.sums, *at, sums, e)
                 self.sums = sums
-            if self.states is not None:
-                octaves.mark(self.states, *at, e, self.empty)
-            octaves.close(below[kind], *at, e)
+            elif exact is None:
+                octaves.deviations(fine, z, *at, e)
+            if self.found is not None:
+                holes.mark(self.found, e)
+            octaves.close(finer[kind], k, e)
             self.errors[kind] = e
         if self.radii is not None:
-            filled = self.surface.filled(z, self.row0, self.col0, k) if self.states is not None else z
-            radii = np.zeros(z.shape, np.float32)
-            octaves.spheres(filled, self.filled, self.radii, *at, rows, cols, self.surface.metric, radii)
+            filled = self.surface.filled(z, self.row0, self.col0, k) if self.found is not None else z
+            radii = np.empty(z.shape, np.float32)
+            spheres(filled, self.filled, self.radii, *at, self.surface.metric, radii)
             self.radii, self.filled = radii, filled
 
     def part(self, k: int, i: int, j: int, area: tuple[slice, slice]) -> Part:
@@ -255,8 +210,9 @@ class _Climb:
         radii = self.radii
         if radii is not None:
             radii = radii[area]
-            if self.empty is not None:
-                radii = np.where(self.empty[area], np.minimum(-radii, NOTHING), radii)
+            if self.found is not None:
+                empty = (self.found[area] != holes.WHOLE) & (self.found[area] != holes.MIXED)
+                radii = np.where(empty, np.minimum(-radii, NOTHING), radii)
         return Part(k, i, j, {kind: e[area] for kind, e in self.errors.items()}, radii)
 
 
@@ -283,7 +239,7 @@ class _Block:
         fine = np.ascontiguousarray(self.read(row0, row1, col0, col1), np.float32)
         end = row1 == rows, col1 == cols
         # At a squeezed border diamonds may lie beyond the surface; elsewhere only missing samples make holes.
-        holes = (self.surface.squeezed and any(end)) or bool(np.isnan(fine).any())
+        gaps = (self.surface.squeezed and any(end)) or bool(np.isnan(fine).any())
         none = np.zeros((0, 0), np.float32)
         climb = _Climb(
             self.surface,
@@ -291,8 +247,8 @@ class _Block:
             row0,
             col0,
             dict.fromkeys(self.kinds, none),
-            np.zeros((0, 0, 2), np.float32) if "wedgie" in self.kinds else None,
-            np.zeros((0, 0, 2), np.uint8) if holes else None,
+            np.zeros((2, 0, 0), np.float32) if "wedgie" in self.kinds else None,
+            np.zeros((2, 0, 0), np.uint8) if gaps else None,
             none if self.radii else None,
             none,
         )
@@ -310,8 +266,9 @@ class _Block:
             parts.append(climb.part(k, row >> k, col >> k, area))
         found = _Found(parts, None, None, [])
         if n > SMALL:
-            found.sums = None if climb.sums is None else climb.sums[area]
-            found.states = None if climb.states is None else climb.states[area]
+            squares = (slice(None), *(slice(s.start >> 1, s.stop >> 1) for s in area))
+            found.sums = None if climb.sums is None else climb.sums[squares]
+            found.states = None if climb.states is None else climb.states[squares]
             if "exact" in self.kinds:
                 ours = fine[row - row0 : row - row0 + size, col - col0 : col - col0 + size]
                 found.raw = self._larger(np.ascontiguousarray(ours), row, col)
@@ -327,7 +284,7 @@ class _Block:
             i1 = min(((row + ours.shape[0] - 1) >> k) + 2, shape[0] - 1)
             j1 = min(((col + ours.shape[1] - 1) >> k) + 2, shape[1] - 1)
             raw = np.zeros((i1 - i0 + 1, j1 - j0 + 1), np.float32)
-            _overlap(ours, row, col, self.coarse[k - SMALL], k, *self.surface.shape, i0, j0, raw)
+            octaves.overlap(ours, row, col, self.coarse[k - SMALL], k, *self.surface.shape, i0, j0, raw)
             found.append((k, i0, j0, raw))
         return found
 
@@ -359,7 +316,8 @@ class _Coarse:
         shape = surface.octave_shape(SMALL - 1)
         self.errors = {kind: np.zeros(shape, np.float32) for kind in kinds}
         self.radii = np.zeros(shape, np.float32) if radii else None
-        self.sums = np.zeros((*shape, 2), np.float32) if "wedgie" in kinds else None
+        self.squares = 2, shape[0] // 2, shape[1] // 2
+        self.sums = np.zeros(self.squares, np.float32) if "wedgie" in kinds else None
         self.states: NDArray[np.uint8] | None = None
         self.raw = [np.zeros(surface.octave_shape(k), np.float32) for k in range(SMALL, surface.n)]
 
@@ -374,15 +332,21 @@ class _Coarse:
             self.errors[kind][area] = part.errors[kind]
         if self.radii is not None and part.radii is not None:
             self.radii[area] = np.abs(part.radii)
-        if self.sums is not None:
-            self.sums[area] = found.sums
+        if found.sums is not None and self.sums is not None:
+            self._put(self.sums, part, found.sums)
         if found.states is not None:
             if self.states is None:  # so far everything was whole
-                self.states = np.full((*self.surface.octave_shape(SMALL - 1), 2), octaves.WHOLE, np.uint8)
-            self.states[area] = found.states
+                self.states = np.full(self.squares, holes.WHOLE, np.uint8)
+            self._put(self.states, part, found.states)
         for k, i, j, raw in found.raw:
             whole = self.raw[k - SMALL][i : i + raw.shape[0], j : j + raw.shape[1]]
             np.maximum(whole, raw, out=whole)
+
+    @staticmethod
+    def _put(whole: NDArray[Any], part: Part, squares: NDArray[Any]) -> None:
+        """What was found of a part's square diamonds."""
+        i, j = part.i >> 1, part.j >> 1
+        whole[:, i : i + squares.shape[1], j : j + squares.shape[2]] = squares
 
     def finish(self) -> Iterator[Part]:
         filled = self.surface.filled(self.nested, 0, 0, SMALL - 1)

@@ -1,20 +1,23 @@
-"""Errors and radii of the diamonds of one octave, from the heights at its spacing and the octave below.
+"""Errors of the diamonds of one octave, from the heights at its spacing and the octave below.
 
 An octave holds the diamonds whose vertex is a multiple of s = 2^k samples and of no more: the *square* ones (row/s and
-col/s odd) and the *edge* ones (exactly one odd). Arrays are windows of level k: entry (i, j) belongs to sample
-(row0 + i·s, col0 + j·s). The children of a square diamond are the edge diamonds on its four sides, those of an edge
-diamond the square diamonds of the octave below around it: within an octave edges come first, and the octave below is
-complete before.
+col/s odd) and the *edge* ones (exactly one odd). The children of a square diamond are the edge diamonds on its four
+sides, those of an edge diamond the square diamonds of the octave below around it: within an octave edges come first,
+and the octave below is complete before.
+
+Arrays are windows of level k: entry (i, j) belongs to sample (row0 + i·s, col0 + j·s), where row0 and col0 are
+multiples of 4·s, so that the parities of i and j tell what a diamond is. Rows 0 < i < ``inner`` and columns likewise
+are wholly inside window and raster and take a fast path without branches; the others are on the *rim*. Neighbours
+beyond the window are treated as absent, as beyond the square's border; whoever works on a part of a raster gives it a
+margin and drops it afterwards.
 
 * ``midpoint``: height of the vertex above the middle of the hypotenuse (Lindstrom & Pascucci 2001, Blow 2000).
 * ``wedgie``: the nested sum of Duchaineau et al. 1997, sec. 6: of each top triangle, its own local error plus the
   larger of its two children's sums; a diamond has the larger of its two triangles'.
 * ``exact``: the largest deviation of any full-resolution sample (``deviation``).
 
-All are then made monotonic: no less than the children's (``close``). Neighbours beyond the window are treated as
-absent, as beyond the square's border; whoever works on a part gives it a margin and drops it afterwards.
-
-Heights and errors in metres; arithmetic in float64; results are rounded up to float32.
+All are then made monotonic: no less than the children's (``close``). Heights and errors in metres; arithmetic in
+float64; results are rounded up to float32.
 """
 
 from __future__ import annotations
@@ -34,138 +37,252 @@ def round_up(value):
 
 
 @inlined
-def is_falling(row, col, s):
-    """Whether the square diamond at (row, col) is cut from north-west to south-east."""
-    return ((row - s) // (2 * s) + (col - s) // (2 * s)) & 1 == 0
-
-
-@leaf
-def _corner(z, i, j, di, dj):
-    """Height of a neighbour: NaN before the window, the last one beyond its end (there the border squeezes)."""
-    y = i + di
-    x = j + dj
-    if y < 0 or x < 0:
-        return np.nan
-    return np.float64(z[min(y, z.shape[0] - 1), min(x, z.shape[1] - 1)])
-
-
-@leaf
-def _squeezed(fine, fine_row, fine_col, z, i, j, row, col, s, rows, cols, across, falling, kind):
-    """The local error (MIDPOINT, WEDGIE) or deviation (EXACT) of a diamond that straddles the raster's border.
+def inner(first, k, side, count):
+    """The end of a window's entries, along one axis, whose diamonds lie inside the raster and the window.
 
     Args:
-        fine, fine_row, fine_col: the full-resolution window and its first sample (used for EXACT).
-        z: heights at this octave's spacing; (i, j) the diamond's entry, (row, col) its sample, s its spacing.
-        rows, cols: of the raster.
-        across: 1 for an edge diamond with its hypotenuse along the row, 0 along the column, 2 for a square one.
-        falling: how a square one is cut.
+        first: sample of entry 0. side: samples of the raster. count: entries of the window.
     """
-    # a, b: ends of the hypotenuse; p, q: apexes.
-    if across == 1:
-        ai, aj, bi, bj, pi, pj, qi, qj = 0, -1, 0, 1, -1, 0, 1, 0
-    elif across == 0:
-        ai, aj, bi, bj, pi, pj, qi, qj = -1, 0, 1, 0, 0, -1, 0, 1
-    elif falling:
-        ai, aj, bi, bj, pi, pj, qi, qj = -1, -1, 1, 1, -1, 1, 1, -1
-    else:
-        ai, aj, bi, bj, pi, pj, qi, qj = -1, 1, 1, -1, -1, -1, 1, 1
-    a = _corner(z, i, j, ai, aj)
-    b = _corner(z, i, j, bi, bj)
-    p = _corner(z, i, j, pi, pj)
-    q = _corner(z, i, j, qi, qj)
+    return max(min((side - 1 - first) >> k, count - 1), 1)
+
+
+@leaf
+def corners(i, j):
+    """Entries of a diamond's corners: the ends of its hypotenuse, then its apexes, first the upper or left one."""
+    if i & 1 == 0:
+        return i, j - 1, i, j + 1, i - 1, j, i + 1, j
+    if j & 1 == 0:
+        return i - 1, j, i + 1, j, i, j - 1, i, j + 1
+    if (i >> 1) + (j >> 1) & 1 == 0:  # cut from north-west to south-east
+        return i - 1, j - 1, i + 1, j + 1, i - 1, j + 1, i + 1, j - 1
+    return i - 1, j + 1, i + 1, j - 1, i - 1, j - 1, i + 1, j + 1
+
+
+@leaf
+def _height(z, i, j):
+    """Height of an entry: NaN before the window, the last one beyond its end (there the border squeezes)."""
+    if i < 0 or j < 0:
+        return np.nan
+    return np.float64(z[min(i, z.shape[0] - 1), min(j, z.shape[1] - 1)])
+
+
+@leaf
+def _on_rim(fine, z, row0, col0, k, rows, cols, i, j, kind):
+    """The local error (MIDPOINT, WEDGIE) or deviation (EXACT) of any diamond, squeezed or not."""
+    s = np.int64(1) << k
     y = np.int64(rows - 1)
     x = np.int64(cols - 1)
-    ay, ax = min(row + ai * s, y), min(col + aj * s, x)
-    by, bx = min(row + bi * s, y), min(col + bj * s, x)
-    py, px = min(row + pi * s, y), min(col + pj * s, x)
-    qy, qx = min(row + qi * s, y), min(col + qj * s, x)
-    my, mx = min(row, y), min(col, x)
+    cut_north = (i == 0 and row0 > 0) or (i + 1 >= z.shape[0] and row0 + (i + 1) * s <= y)
+    cut_west = (j == 0 and col0 > 0) or (j + 1 >= z.shape[1] and col0 + (j + 1) * s <= x)
+    if cut_north or cut_west:
+        return 0.0  # the window ends in the diamond, the raster does not: it is in the margin
+    ai, aj, bi, bj, pi, pj, qi, qj = corners(i, j)
+    ay, ax, a = min(row0 + ai * s, y), min(col0 + aj * s, x), _height(z, ai, aj)
+    by, bx, b = min(row0 + bi * s, y), min(col0 + bj * s, x), _height(z, bi, bj)
+    py, px, p = min(row0 + pi * s, y), min(col0 + pj * s, x), _height(z, pi, pj)
+    qy, qx, q = min(row0 + qi * s, y), min(col0 + qj * s, x), _height(z, qi, qj)
     if kind == EXACT:
         # An apex that is not there (the square's border) makes its triangle's heights NaN: no distance.
-        one = triangle(fine, fine_row, fine_col, ay, ax, a, by, bx, b, py, px, p)
-        two = triangle(fine, fine_row, fine_col, ay, ax, a, by, bx, b, qy, qx, q)
+        one = triangle(fine, row0, col0, ay, ax, a, by, bx, b, py, px, p)
+        two = triangle(fine, row0, col0, ay, ax, a, by, bx, b, qy, qx, q)
         return max(one, two)
-    d = split_distance(ay, ax, a, by, bx, b, py, px, p, qy, qx, q, my, mx, np.float64(z[i, j]), kind == MIDPOINT)
+    my, mx = min(row0 + i * s, y), min(col0 + j * s, x)
+    m = np.float64(z[i, j])
+    d = split_distance(ay, ax, a, by, bx, b, py, px, p, qy, qx, q, my, mx, m, kind == MIDPOINT)
     return d if d == d else 0.0
 
 
 @kernel
-def local_errors(fine, z, row0, col0, k, rows, cols, kind, errors):
-    """The raw error of every diamond of octave k in a window: MIDPOINT's or WEDGIE's local one, or EXACT's deviation.
-
-    Args:
-        fine: the full-resolution window (float32) that begins at sample (row0, col0).
-        z: the heights at octave k's spacing, the same window.
-        rows, cols: of the raster.
-        errors: the result, float32 with z's shape; entries that are no diamonds of this octave are not touched.
-    """
-    s = np.int64(1) << k
+def _rim_errors(fine, z, row0, col0, k, rows, cols, kind, errors):
+    """``local_errors`` on the rim."""
     height, width = z.shape
+    i_end, j_end = inner(row0, k, rows, height), inner(col0, k, cols, width)
     for i in range(height):
-        row = row0 + i * s
-        odd_row = (row >> k) & 1
-        first = 0 if odd_row else 1 - ((col0 >> k) & 1)
-        step = 1 if odd_row else 2
-        for j in range(first, width, step):
-            col = col0 + j * s
-            odd_col = (col >> k) & 1
-            across = 2 if odd_row and odd_col else (1 if odd_col else 0)
-            down = across != 1
-            right = across != 0
-            falling = across == 2 and is_falling(row, col, s)
-            if row + s > rows - 1 or col + s > cols - 1:
-                e = _squeezed(fine, row0, col0, z, i, j, row, col, s, rows, cols, across, falling, kind)
-                errors[i, j] = round_up(e)
+        all_of_them = i == 0 or i >= i_end
+        for j in range(width):
+            if not all_of_them and 0 < j < j_end:
                 continue
-            if (down and (i == 0 or i + 1 >= height)) or (right and (j == 0 or j + 1 >= width)):
-                errors[i, j] = 0.0  # in the margin: the hypotenuse is not in the window
-                continue
-            if kind == EXACT:
-                if across == 2:
-                    e = square(fine, i * s, j * s, s, falling)
-                elif across == 1:
-                    e = edge_across(fine, i * s, j * s, s)
-                else:
-                    e = edge_along(fine, i * s, j * s, s)
-            else:
-                if across == 2:
-                    if falling:
-                        e = abs(z[i, j] - 0.5 * (np.float64(z[i - 1, j - 1]) + np.float64(z[i + 1, j + 1])))
-                    else:
-                        e = abs(z[i, j] - 0.5 * (np.float64(z[i - 1, j + 1]) + np.float64(z[i + 1, j - 1])))
-                elif across == 1:
-                    e = abs(z[i, j] - 0.5 * (np.float64(z[i, j - 1]) + np.float64(z[i, j + 1])))
-                else:
-                    e = abs(z[i, j] - 0.5 * (np.float64(z[i - 1, j]) + np.float64(z[i + 1, j])))
-                e = e if e == e else 0.0
-            errors[i, j] = round_up(e)
-
-
-# ---- what passes from triangle to triangle: two per diamond, first the upper or left one, second the lower or right --
-
-
-@leaf
-def _half(halves, i, j, which):
-    """A triangle's value in a window; 0 beyond it."""
-    if i < 0 or j < 0 or i >= halves.shape[0] or j >= halves.shape[1]:
-        return halves.dtype.type(0)
-    return halves[i, j, which]
+            if (i | j) & 1:
+                errors[i, j] = round_up(_on_rim(fine, z, row0, col0, k, rows, cols, i, j, kind))
 
 
 @inlined
-def _children(same, below, i, j, is_square, odd_col, falling):
-    """Values of the children of a diamond's two triangles: (two of the first, two of the second)."""
-    if is_square:
-        north, south = _half(same, i - 1, j, 1), _half(same, i + 1, j, 0)
-        west, east = _half(same, i, j - 1, 1), _half(same, i, j + 1, 0)
-        if falling:
-            return north, east, west, south
-        return north, west, south, east
-    nw, ne = _half(below, 2 * i - 1, 2 * j - 1, 1), _half(below, 2 * i - 1, 2 * j + 1, 1)
-    sw, se = _half(below, 2 * i + 1, 2 * j - 1, 0), _half(below, 2 * i + 1, 2 * j + 1, 0)
-    if odd_col:
-        return nw, ne, sw, se
-    return nw, sw, ne, se
+def _off_middle(a, m, b):
+    """Distance of a height m from the middle of a and b, rounded up; 0 if one is missing."""
+    d = abs(m - 0.5 * (np.float64(a) + np.float64(b)))
+    return round_up(d if d == d else 0.0)
+
+
+@kernel
+def midpoints(z, row0, col0, k, rows, cols, kind, errors):
+    """The local error of every diamond of an octave. MIDPOINT, WEDGIE and EXACT differ in squeezed diamonds only.
+
+    Args:
+        z: float32, the window's heights at the octave's spacing. rows, cols: of the raster.
+        errors: the result, float32 with z's shape; entries that are no diamonds of this octave are not touched.
+    """
+    height, width = z.shape
+    i_end, j_end = inner(row0, k, rows, height), inner(col0, k, cols, width)
+    for i in range(1, i_end):
+        above, here, below, e = z[i - 1], z[i], z[i + 1], errors[i]
+        # Two neighbours at a time, the unused entries too: stores without gaps are what the compiler makes vectors of.
+        for u in range(j_end >> 1):
+            j = 2 * u + 1
+            if i & 1 == 0:
+                e[j] = _off_middle(here[j - 1], here[j], here[j + 1])
+                e[j + 1] = 0.0
+            else:
+                falling = (i >> 1) + u & 1 == 0
+                nw, ne, sw, se = above[j - 1], above[j + 1], below[j - 1], below[j + 1]
+                e[j] = _off_middle(nw if falling else ne, here[j], se if falling else sw)
+                e[j + 1] = _off_middle(ne, here[j + 1], se)
+    _rim_errors(z, z, row0, col0, k, rows, cols, kind, errors)
+
+
+@kernel
+def deviations(fine, z, row0, col0, k, rows, cols, errors):
+    """The deviation of the samples inside every diamond of an octave (``deviation``).
+
+    Args:
+        fine: float32, the full-resolution samples of the window. z: its heights at the octave's spacing.
+        errors: as in ``midpoints``.
+    """
+    if k == 0:  # the centre is the only sample inside
+        midpoints(z, row0, col0, k, rows, cols, EXACT, errors)
+        return
+    s = np.int64(1) << k
+    height, width = z.shape
+    i_end, j_end = inner(row0, k, rows, height), inner(col0, k, cols, width)
+    _rim_errors(fine, z, row0, col0, k, rows, cols, EXACT, errors)
+    for i in range(1, i_end):
+        if i & 1 == 0:
+            for j in range(1, j_end, 2):
+                errors[i, j] = round_up(edge_across(fine, i * s, j * s, s))
+            continue
+        for j in range(2, j_end, 2):
+            errors[i, j] = round_up(edge_along(fine, i * s, j * s, s))
+        for j in range(1, j_end, 2):
+            errors[i, j] = round_up(square(fine, i * s, j * s, s, (i >> 1) + (j >> 1) & 1 == 0))
+
+
+@inlined
+def _vertex(coarse, i, j, s, last_row, last_col):
+    """Row, column and height of a squeezed vertex."""
+    height = np.float64(coarse[min(i, coarse.shape[0] - 1), min(j, coarse.shape[1] - 1)])
+    return min(i * s, last_row), min(j * s, last_col), height
+
+
+@kernel
+def overlap(z, row0, col0, coarse, k, rows, cols, i0, j0, raw):
+    """The deviation of a block's samples from the coarse triangles of octave k's diamonds that overlap it.
+
+    Args:
+        z: the block, its first sample (row0, col0).
+        coarse: the raster's heights at octave k's spacing.
+        i0, j0: the entry that ``raw[0, 0]`` belongs to.
+        raw: float32, the result.
+    """
+    s = np.int64(1) << k
+    y = np.int64(rows - 1)
+    x = np.int64(cols - 1)
+    for di in range(raw.shape[0]):
+        for dj in range(raw.shape[1]):
+            i, j = i0 + di, j0 + dj
+            if not (i | j) & 1:
+                continue
+            ai, aj, bi, bj, pi, pj, qi, qj = corners(i, j)
+            worst = 0.0
+            ay, ax, a = _vertex(coarse, ai, aj, s, y, x)
+            by, bx, b = _vertex(coarse, bi, bj, s, y, x)
+            if pi >= 0 and pj >= 0:
+                py, px, p = _vertex(coarse, pi, pj, s, y, x)
+                worst = max(worst, triangle(z, row0, col0, ay, ax, a, by, bx, b, py, px, p))
+            if qi >= 0 and qj >= 0:
+                qy, qx, q = _vertex(coarse, qi, qj, s, y, x)
+                worst = max(worst, triangle(z, row0, col0, ay, ax, a, by, bx, b, qy, qx, q))
+            raw[di, dj] = round_up(worst)
+
+
+# ---- ROAM's nested sums: one for each of a diamond's two triangles, first the upper or left one ----------------------
+
+
+@inlined
+def children_of_square(north, south, west, east, falling):
+    """The values of a square diamond's four children (two halves each), as they belong to its first, second triangle.
+
+    Args:
+        north, south, west, east: the value of that half of the child on this side which lies within the square.
+    """
+    a = east if falling else west
+    b = west if falling else east
+    return north, a, b, south
+
+
+@leaf
+def entry(values, which, i, j):
+    """An entry of an array of halves (2, height, width); 0 beyond it."""
+    if i < 0 or j < 0 or i >= values.shape[1] or j >= values.shape[2]:
+        return values.dtype.type(0)
+    return values[which, i, j]
+
+
+@kernel
+def _edge_sums(below, row0, col0, k, rows, cols, i, errors, row):
+    """The sums of the edge diamonds of row i, into ``row`` (2, width); ``errors`` become the larger ones."""
+    s = np.int64(1) << k
+    height, width = errors.shape
+    j_end = inner(col0, k, cols, width)
+    inside = 0 < i < inner(row0, k, rows, height)
+    first, second, e = row[0], row[1], errors[i]
+    odd = 1 - (i & 1)
+    if k == 0:
+        for j in range(width):
+            first[j] = second[j] = e[j]
+        return
+    for j in range(odd, width, 2):
+        if inside and 0 < j < j_end:
+            nw, ne, sw, se = below[1, i - 1, j - 1], below[1, i - 1, j], below[0, i, j - 1], below[0, i, j]
+        else:
+            nw, ne = entry(below, 1, i - 1, j - 1), entry(below, 1, i - 1, j)
+            sw, se = entry(below, 0, i, j - 1), entry(below, 0, i, j)
+        one = max(nw, ne if odd else sw)
+        two = max(se, sw if odd else ne)
+        if row0 + (i + 1) * s >= rows or col0 + (j + 1) * s >= cols:
+            one = two = max(one, two)  # squeezed: children need not lie in their parent
+        local = np.float64(e[j])
+        first[j] = round_up(local + one)
+        second[j] = round_up(local + two)
+        e[j] = max(first[j], second[j])
+
+
+@kernel
+def _square_sums(row0, col0, k, rows, cols, i, north, here, south, sums, errors):
+    """The sums of the square diamonds of row i, from those of the edge diamonds on their sides."""
+    s = np.int64(1) << k
+    width = errors.shape[1]
+    one, two, e = sums[0, i >> 1], sums[1, i >> 1], errors[i]
+    to_north, to_south, to_west, to_east = north[1], south[0], here[1], here[0]
+    parity = i >> 1
+    for u in range((width - 1) >> 1):
+        j = 2 * u + 1
+        falling = parity + u & 1 == 0
+        a, b, c, d = children_of_square(to_north[j], to_south[j], to_west[j - 1], to_east[j + 1], falling)
+        local = np.float64(e[j])
+        first, second = round_up(local + max(a, b)), round_up(local + max(c, d))
+        one[u] = first
+        two[u] = second
+        e[j] = max(first, second)
+    if width & 1 == 0:  # the last one has no eastern neighbour
+        j = width - 1
+        u = j >> 1
+        a, b, c, d = children_of_square(to_north[j], to_south[j], to_west[j - 1], np.float32(0), parity + u & 1 == 0)
+        one[u] = round_up(np.float64(e[j]) + max(a, b))
+        two[u] = round_up(np.float64(e[j]) + max(c, d))
+        e[j] = max(one[u], two[u])
+    squeezed = row0 + (i + 1) * s >= rows
+    for u in range(0 if squeezed else inner(col0, k, cols, width) >> 1, width >> 1):
+        if squeezed or col0 + (2 * u + 2) * s >= cols:
+            one[u] = two[u] = e[2 * u + 1]  # children need not lie in their parent
 
 
 @kernel
@@ -173,102 +290,35 @@ def wedgie_sums(below, row0, col0, k, rows, cols, sums, errors):
     """ROAM's nested sums of the diamonds of octave k.
 
     Args:
-        below: float32 (2·height, 2·width, 2) sums of the octave below, in a window that begins at the same sample.
+        below: float32 (2, height, width): the sums of the square diamonds of the octave below (nothing for k = 0).
         row0, col0: the window's first sample. rows, cols: of the raster.
-        sums: float32 (height, width, 2), the result.
+        sums: float32 (2, height // 2, width // 2), the result for this octave's square diamonds: of their first
+            triangles and of their second ones. Entry [:, i >> 1, j >> 1] belongs to the diamond (i, j).
         errors: float32 (height, width); in: local errors; out: the larger of a diamond's two sums.
     """
-    s = np.int64(1) << k
     height, width = errors.shape
-    for both in range(2):  # edge diamonds, then square ones
-        for i in range(height):
-            row = row0 + i * s
-            odd_row = (row >> k) & 1
-            for j in range(width):
-                col = col0 + j * s
-                odd_col = (col >> k) & 1
-                if (odd_row & odd_col) != both or not (odd_row | odd_col):
-                    continue
-                local = np.float64(errors[i, j])
-                one = 0.0
-                two = 0.0
-                if k or both:
-                    a, b, c, d = _children(sums, below, i, j, both, odd_col, both and is_falling(row, col, s))
-                    one, two = np.float64(max(a, b)), np.float64(max(c, d))
-                    if row + s > rows - 1 or col + s > cols - 1:  # squeezed: children need not lie in their parent
-                        one = two = max(one, two)
-                sums[i, j, 0] = round_up(local + one)
-                sums[i, j, 1] = round_up(local + two)
-                errors[i, j] = max(sums[i, j, 0], sums[i, j, 1])
+    recent = np.zeros((3, 2, width), np.float32)  # edge diamonds of rows i − 2, i − 1, i
+    for i in range(height + 1):
+        if i < height:
+            _edge_sums(below, row0, col0, k, rows, cols, i, errors, recent[i % 3])
+        else:
+            recent[i % 3] = 0
+        if i and i & 1 == 0:
+            north, here, south = recent[(i - 2) % 3], recent[(i - 1) % 3], recent[i % 3]
+            _square_sums(row0, col0, k, rows, cols, i - 1, north, here, south, sums, errors)
 
 
-NONE, WHOLE, HOLE, MIXED = 0, 1, 2, 3
-"""Whether the unit triangles under a triangle exist: bits that are or-ed upwards (NONE: beyond the raster)."""
+# ---- monotony -------------------------------------------------------------------------------------------------------
+
+
+@inlined
+def _largest(e, a, b, c, d):
+    """The largest of five errors."""
+    return max(e, max(max(a, b), max(c, d)))
 
 
 @leaf
-def _unit(z, ai, aj, bi, bj, ci, cj):
-    """The state of a unit triangle by its corners."""
-    height, width = z.shape
-    if min(ai, bi, ci) < 0 or min(aj, bj, cj) < 0 or max(ai, bi, ci) >= height or max(aj, bj, cj) >= width:
-        return NONE
-    total = z[ai, aj] + z[bi, bj] + z[ci, cj]
-    return WHOLE if total == total else HOLE
-
-
-@kernel
-def states(z, below, row0, col0, k, out):
-    """Which triangles of octave k's diamonds are NONE, WHOLE, HOLE or MIXED.
-
-    Args:
-        z: the full-resolution window (used for k = 0).
-        below: uint8 (2·height, 2·width, 2), the states of the octave below.
-        out: uint8 (height, width, 2), the result; 0 where there is no diamond of this octave.
-    """
-    s = np.int64(1) << k
-    height, width = out.shape[:2]
-    for both in range(2):
-        for i in range(height):
-            row = row0 + i * s
-            odd_row = (row >> k) & 1
-            for j in range(width):
-                col = col0 + j * s
-                odd_col = (col >> k) & 1
-                if (odd_row & odd_col) != both or not (odd_row | odd_col):
-                    continue
-                if k or both:
-                    a, b, c, d = _children(out, below, i, j, both, odd_col, both and is_falling(row, col, s))
-                    out[i, j, 0] = a | b
-                    out[i, j, 1] = c | d
-                elif odd_col:
-                    out[i, j, 0] = _unit(z, i, j - 1, i, j, i - 1, j) | _unit(z, i, j, i, j + 1, i - 1, j)
-                    out[i, j, 1] = _unit(z, i, j - 1, i, j, i + 1, j) | _unit(z, i, j, i, j + 1, i + 1, j)
-                else:
-                    out[i, j, 0] = _unit(z, i - 1, j, i, j, i, j - 1) | _unit(z, i, j, i + 1, j, i, j - 1)
-                    out[i, j, 1] = _unit(z, i - 1, j, i, j, i, j + 1) | _unit(z, i, j, i + 1, j, i, j + 1)
-
-
-@kernel
-def mark(state, row0, col0, k, errors, empty):
-    """Give mixed diamonds an infinite error, empty ones 0 and ``empty`` = 1."""
-    height, width = errors.shape
-    for i in range(height):
-        odd_row = ((row0 >> k) + i) & 1
-        for j in range(width):
-            if odd_row or ((col0 >> k) + j) & 1:
-                both = state[i, j, 0] | state[i, j, 1]
-                if both == MIXED:
-                    errors[i, j] = np.inf
-                elif both != WHOLE:
-                    errors[i, j] = 0.0
-                    empty[i, j] = 1
-
-
-# ---- monotony and spheres -------------------------------------------------------------------------------------------
-
-
-@leaf
-def _of(values, i, j):
+def value(values, i, j):
     """An entry of a window, 0 beyond it."""
     if i < 0 or j < 0 or i >= values.shape[0] or j >= values.shape[1]:
         return values.dtype.type(0)
@@ -276,7 +326,7 @@ def _of(values, i, j):
 
 
 @kernel
-def close(below, row0, col0, k, errors):
+def close(below, k, errors):
     """Make errors monotonic: each no less than its children's.
 
     Args:
@@ -284,126 +334,23 @@ def close(below, row0, col0, k, errors):
         errors: float32 (height, width), changed in place.
     """
     height, width = errors.shape
-    for both in range(2):
+    if k:
         for i in range(height):
-            odd_row = ((row0 >> k) + i) & 1
-            if both and not odd_row:
-                continue
-            first = (1 - ((col0 >> k) & 1)) if both or not odd_row else (col0 >> k) & 1
-            for j in range(first, width, 2):
-                e = errors[i, j]
-                if both:
-                    if 0 < i < height - 1 and 0 < j < width - 1:
-                        e = max(
-                            e, max(max(errors[i - 1, j], errors[i + 1, j]), max(errors[i, j - 1], errors[i, j + 1]))
-                        )
-                    else:
-                        e = max(e, max(_of(errors, i - 1, j), _of(errors, i + 1, j)))
-                        e = max(e, max(_of(errors, i, j - 1), _of(errors, i, j + 1)))
-                elif k:
-                    y = 2 * i
-                    x = 2 * j
-                    if y > 0 and x > 0 and y + 1 < below.shape[0] and x + 1 < below.shape[1]:
-                        e = max(
-                            e,
-                            max(
-                                max(below[y - 1, x - 1], below[y - 1, x + 1]),
-                                max(below[y + 1, x - 1], below[y + 1, x + 1]),
-                            ),
-                        )
-                    else:
-                        e = max(e, max(_of(below, y - 1, x - 1), _of(below, y - 1, x + 1)))
-                        e = max(e, max(_of(below, y + 1, x - 1), _of(below, y + 1, x + 1)))
-                errors[i, j] = e
-
-
-@leaf
-def _reach(z, radii, nested, i, j, row, col, height, rows, cols, metric, mx, my):
-    """Distance from a diamond's centre (mx, my, height) to the vertex of entry (i, j), plus its radius if ``nested``."""
-    if i < 0 or j < 0 or (nested and (i >= z.shape[0] or j >= z.shape[1])):
-        return 0.0
-    y = min(row, rows - 1)
-    x = min(col, cols - 1)
-    dx = metric[0, 0] * (x - mx) + metric[0, 1] * (y - my)
-    dy = metric[1, 0] * (x - mx) + metric[1, 1] * (y - my)
-    dz = z[min(i, z.shape[0] - 1), min(j, z.shape[1] - 1)] - height
-    r = np.sqrt(dx * dx + dy * dy + dz * dz)
-    if nested:
-        r += radii[i, j]
-    return r
-
-
-@kernel
-def spheres(z, fine_z, below, row0, col0, k, rows, cols, metric, radii):
-    """Radii of the nested spheres: around the corners of the region and the children's spheres.
-
-    After Lindstrom & Pascucci 2001, sec. 3.2, except that a finest sphere has the corners of its region inside, so that
-    whatever is drawn of the region, fine or coarse, lies within (frustum culling relies on it).
-
-    Args:
-        z, fine_z: heights without gaps at the spacings of octave k and k − 1, windows that begin at the same sample.
-        below: float32, radii of the octave below (z's window of spacing k − 1).
-        rows, cols: of the raster. metric: float64 (2, 2), metres of easting and northing per column and row.
-        radii: float32, the result.
-    """
-    s = np.int64(1) << k
-    h = s >> 1
-    height, width = radii.shape
-    for both in range(2):
-        for i in range(height):
-            row = row0 + i * s
-            odd_row = (row >> k) & 1
-            for j in range(width):
-                col = col0 + j * s
-                odd_col = (col >> k) & 1
-                if (odd_row & odd_col) != both or not (odd_row | odd_col):
-                    continue
-                my = min(row, rows - 1)
-                mx = min(col, cols - 1)
-                m = np.float64(z[i, j])
-                r = 0.0
-                for side in range(4):
-                    if side == 0:
-                        di, dj = -1, 0
-                    elif side == 1:
-                        di, dj = 1, 0
-                    elif side == 2:
-                        di, dj = 0, -1
-                    else:
-                        di, dj = 0, 1
-                    # On the sides: children of a square diamond, corners of an edge one.
-                    r = max(
-                        r,
-                        _reach(
-                            z, radii, both, i + di, j + dj, row + di * s, col + dj * s, m, rows, cols, metric, mx, my
-                        ),
-                    )
-                    di, dj = di - dj, di + dj
-                    # On the diagonals: corners of a square diamond, children of an edge one.
-                    if both:
-                        r = max(
-                            r,
-                            _reach(
-                                z, radii, 0, i + di, j + dj, row + di * s, col + dj * s, m, rows, cols, metric, mx, my
-                            ),
-                        )
-                    elif k:
-                        r = max(
-                            r,
-                            _reach(
-                                fine_z,
-                                below,
-                                1,
-                                2 * i + di,
-                                2 * j + dj,
-                                row + di * h,
-                                col + dj * h,
-                                m,
-                                rows,
-                                cols,
-                                metric,
-                                mx,
-                                my,
-                            ),
-                        )
-                radii[i, j] = np.float32(r * (1.0 + 2.0**-22))
+            inside = i > 0 and 2 * i + 1 < below.shape[0]
+            for j in range(1 - (i & 1), width, 2):
+                y = 2 * i
+                x = 2 * j
+                if inside and j > 0 and x + 1 < below.shape[1]:
+                    nw, ne, sw, se = below[y - 1, x - 1], below[y - 1, x + 1], below[y + 1, x - 1], below[y + 1, x + 1]
+                else:
+                    nw, ne = value(below, y - 1, x - 1), value(below, y - 1, x + 1)
+                    sw, se = value(below, y + 1, x - 1), value(below, y + 1, x + 1)
+                errors[i, j] = _largest(errors[i, j], nw, ne, sw, se)
+    for i in range(1, height, 2):
+        for j in range(1, width, 2):
+            if i + 1 < height and j + 1 < width:
+                north, south, west, east = errors[i - 1, j], errors[i + 1, j], errors[i, j - 1], errors[i, j + 1]
+            else:
+                north, south = errors[i - 1, j], value(errors, i + 1, j)
+                west, east = errors[i, j - 1], value(errors, i, j + 1)
+            errors[i, j] = _largest(errors[i, j], north, south, west, east)

@@ -1,0 +1,84 @@
+"""Where the surface has holes: whether the unit triangles under a diamond exist, none of them, or some.
+
+A unit triangle (half a cell of the raster) with a missing corner is a hole. What a diamond's two triangles cover is
+known from their children, as bits that are or-ed upwards; arrays are windows of an octave as in ``octaves``. A diamond
+over existing triangles and holes is *mixed*: no bound of its error means anything until it is split. One over no
+existing triangle is *empty*.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import kernel, leaf
+from orograph.error.octaves import children_of_square, entry
+
+NONE, WHOLE, HOLE, MIXED = 0, 1, 2, 3
+"""Nothing (beyond the raster), existing triangles only, holes only, both."""
+
+
+@leaf
+def _unit(z, ai, aj, bi, bj, ci, cj):
+    """The state of a unit triangle by its corners, which may lie beyond the window."""
+    height, width = z.shape
+    if min(ai, bi, ci) < 0 or min(aj, bj, cj) < 0 or max(ai, bi, ci) >= height or max(aj, bj, cj) >= width:
+        return NONE
+    total = z[ai, aj] + z[bi, bj] + z[ci, cj]
+    return WHOLE if total == total else HOLE
+
+
+@leaf
+def _two_units(z, i, j, di, dj, pi, pj):
+    """The state of half a finest edge diamond: the unit triangles of its centre, its apex (pi, pj) and either end."""
+    return _unit(z, i, j, i - di, j - dj, pi, pj) | _unit(z, i, j, i + di, j + dj, pi, pj)
+
+
+@kernel
+def states(z, below, k, squares, found):
+    """What octave k's diamonds cover.
+
+    Args:
+        z: the full-resolution window (used for k = 0).
+        below: uint8 (2, height, width), ``squares`` of the octave below (nothing for k = 0).
+        squares: uint8 (2, height // 2, width // 2), the result for the first and second triangles of square diamonds;
+            entry [:, i >> 1, j >> 1] belongs to the diamond (i, j).
+        found: uint8 (height, width), the result for all diamonds; entries that are none are 0.
+    """
+    height, width = found.shape
+    edges = np.zeros((2, height, width), np.uint8)
+    for i in range(height):
+        across = 1 - (i & 1)
+        down = i & 1
+        for j in range(across, width, 2):
+            if k:
+                nw, ne = entry(below, 1, i - 1, j - 1), entry(below, 1, i - 1, j)
+                sw, se = entry(below, 0, i, j - 1), entry(below, 0, i, j)
+                one = nw | (ne if across else sw)
+                two = se | (sw if across else ne)
+            else:
+                one = np.uint8(_two_units(z, i, j, down, across, i - across, j - down))
+                two = np.uint8(_two_units(z, i, j, down, across, i + across, j + down))
+            edges[0, i, j] = one
+            edges[1, i, j] = two
+            found[i, j] = one | two
+    for i in range(1, height, 2):
+        for j in range(1, width, 2):
+            south = entry(edges, 0, i + 1, j)
+            east = entry(edges, 0, i, j + 1)
+            falling = (i >> 1) + (j >> 1) & 1 == 0
+            a, b, c, d = children_of_square(edges[1, i - 1, j], south, edges[1, i, j - 1], east, falling)
+            squares[0, i >> 1, j >> 1] = a | b
+            squares[1, i >> 1, j >> 1] = c | d
+            found[i, j] = a | b | c | d
+
+
+@kernel
+def mark(found, errors):
+    """Give mixed diamonds an infinite error and empty ones 0."""
+    height, width = errors.shape
+    for i in range(height):
+        for j in range(width):
+            if found[i, j] == MIXED:
+                errors[i, j] = np.inf
+            elif found[i, j] != WHOLE:
+                errors[i, j] = 0.0
