@@ -1,0 +1,200 @@
+"""How much coarser triangles change colours: a bound in ΔE for every diamond, for engines' γ.
+
+A mesh that carries colours at its vertices (a drape, a tint, light on the slopes) shows between them what it
+interpolates. The error of a diamond is a bound of the largest distance, in CIELAB (ΔE*ab, CIE 1976), between the colour
+of any full-resolution sample of its region and the colour interpolated over its two coarse triangles; it is made
+monotonic like a geometric error and computed by the same blocks, once per channel: with eL, ea, eb the largest
+differences of the three channels, no colour is off by more than sqrt(eL² + ea² + eb²). About 2.3 is a just noticeable
+difference.
+
+The light is Lambert's on full-resolution slopes under one sun, over a constant sky: enough to say where light changes.
+Values are kept in a byte each, as square roots rounded up: (code / 15.9)², so that ΔE ≤ 257.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from concurrent.futures import Future
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.error.diamonds import diamonds
+from orograph.geovis.colour import tint_of
+from orograph.light.normal import gradient
+from orograph.progress import SILENT, Progress
+from orograph.store.diamonds import NESTED, diamond_shape, place, surface
+from orograph.store.terrain import Terrain
+
+if TYPE_CHECKING:
+    from orograph.geovis.drape import Drape
+
+Floats = NDArray[np.float32]
+
+CODE = 15.9
+SKY = 0.35
+"""The part of the light that comes from everywhere."""
+
+_XYZ = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+_WHITE = _XYZ.sum(axis=1)
+
+
+def lab(linear: NDArray[np.floating]) -> Floats:
+    """CIELAB (…, 3), D65, of linear sRGB (…, 3) in 0 to 1 (CIE 15:2004, sec. 8.2.1)."""
+    t = np.asarray(linear, np.float64) @ _XYZ.T / _WHITE
+    f = np.where(t > (6 / 29) ** 3, np.cbrt(t), t * (29 / 6) ** 2 / 3 + 4 / 29)
+    return np.stack([116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], -1).astype(
+        np.float32
+    )
+
+
+class ColorErrors:
+    """Color errors of a terrain's diamonds, called as engines want them: ``(level, row0, row1, col0, col1) → float32``.
+
+    Args:
+        terrain: whose samples are coloured.
+        drape: an image file laid over it, in any CRS; None: the hypsometric tint.
+        colormap: of the tint (see ``geovis.colour``).
+        sun: (azimuth, altitude) in degrees of the light on the slopes; None: no light, the colours alone.
+        relief: factor on slopes for the light.
+        max_memory: bytes for the image.
+        jobs: threads.
+        progress: hears of the work.
+
+    Raises:
+        ReadError: the image cannot be read, or lies elsewhere.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        *,
+        drape: str | os.PathLike[str] | None = None,
+        colormap: str | None = None,
+        sun: tuple[float, float] | None = (315.0, 45.0),
+        relief: float = 1.0,
+        max_memory: int | None = None,
+        jobs: int | None = None,
+        progress: Progress = SILENT,
+    ) -> None:
+        self.terrain, self.relief = terrain, relief
+        self._image: Drape | None = None
+        if drape is not None:
+            from orograph.geovis.drape import Drape
+
+            self._image = Drape.open(drape, terrain.grid, max_memory, metres=min(terrain.grid.spacing))
+            for warning in self._image.warnings:
+                progress.warn(warning)
+        self._tint = tint_of(terrain, colormap)
+        self._light = None
+        if sun is not None:
+            azimuth, altitude = (math.radians(v) for v in sun)
+            self._light = np.array(
+                [math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude)]
+            )
+        self._lock = threading.Lock()
+        self._waiting: dict[tuple[int, ...], tuple[Future[Floats], list[int]]] = {}
+        self._codes = self._all(jobs, progress)
+
+    def __call__(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Floats:
+        codes = self._codes[level][row0:row1, col0:col1].astype(np.float32)
+        return (codes / np.float32(CODE)) ** 2
+
+    @property
+    def size_bytes(self) -> int:
+        """What is kept, one byte per diamond."""
+        return sum(codes.nbytes for codes in self._codes)
+
+    def colors(self, row0: int, row1: int, col0: int, col1: int) -> Floats:
+        """CIELAB colours (rows, cols, 3) of a window's samples, NaN where heights are missing."""
+        rows, cols = self.terrain.grid.shape
+        r0, r1, c0, c1 = max(row0 - 1, 0), min(row1 + 1, rows), max(col0 - 1, 0), min(col1 + 1, cols)
+        heights = self.terrain.read(0, r0, r1, c0, c1)
+        inner = slice(row0 - r0, row1 - r0), slice(col0 - c0, col1 - c0)
+        here = heights[inner]
+        albedo = self._albedo(here, row0, col0)
+        if self._light is not None:
+            a, b, _, d, e, _ = self.terrain.grid.samples[:6]
+            east, north = (g[inner] * self.relief for g in gradient(heights, [[a, b], [d, e]], 1))
+            x, y, z = self._light
+            facing = (z - x * east - y * north) / np.sqrt(1 + east * east + north * north)
+            albedo = albedo * (SKY + (1 - SKY) * np.maximum(facing, 0))[..., None]
+        result = lab(albedo)
+        result[np.isnan(here)] = np.nan
+        return result
+
+    def _albedo(self, heights: Floats, row0: int, col0: int) -> Floats:
+        """Linear colours of samples without light."""
+        tint = self._tint
+        z = np.nan_to_num(heights, nan=tint.low)
+        at = np.clip((z - tint.low) / (tint.high - tint.low) * (len(tint.land) - 1), 0, len(tint.land) - 1)
+        result = tint.land[at.astype(np.intp)]
+        if len(tint.sea):
+            at = np.clip((1 - z / tint.floor) * (len(tint.sea) - 1), 0, len(tint.sea) - 1)
+            result = np.where((z < 0)[..., None], tint.sea[at.astype(np.intp)], result)
+        if self._image is not None:
+            rows, cols = np.mgrid[row0 : row0 + heights.shape[0], col0 : col0 + heights.shape[1]]
+            x, y = self.terrain.grid.xy(cols.ravel(), rows.ravel())
+            found = self._image.sample(x, y, np.float64(min(self.terrain.grid.spacing))).reshape(*heights.shape, 4)
+            result = np.where(found[..., 3:] > 0.5, found[..., :3], result)
+        return result.astype(np.float32)
+
+    def _all(self, jobs: int | None, progress: Progress) -> list[NDArray[np.uint8]]:
+        terrain = self.terrain
+        shape = terrain.grid.shape
+        top = terrain.levels - 1
+        codes = [np.zeros(diamond_shape(shape, level), np.uint8) for level in range(terrain.levels)]
+        blank = surface(terrain.grid, np.zeros((1, 1), np.float32), 0.0)
+        blocks = -(-shape[0] // 1024) * -(-shape[1] // 1024)
+        with progress.task("Color errors", total=blocks) as task:
+            nested = self._nested()
+            # One channel after the other in lock step: their parts come in the same order.
+            channels = [
+                diamonds(
+                    lambda r0, r1, c0, c1, k=k: np.ascontiguousarray(self._once(r0, r1, c0, c1)[..., k]),
+                    np.ascontiguousarray(nested[..., k]), blank, ("exact",), radii=False, jobs=jobs,
+                )
+                for k in range(3)
+            ]  # fmt: skip
+            for parts in zip(*channels, strict=True):
+                total = np.sqrt(sum(part.errors["exact"].astype(np.float64) ** 2 for part in parts))
+                # Mixed diamonds are split anyway.
+                code = np.where(np.isfinite(total), np.minimum(np.ceil(np.sqrt(total) * CODE), 255), 0)
+                level = min(parts[0].octave, top)
+                place(codes[level], code.astype(np.uint8), parts[0], level)
+                if parts[0].octave == 0:
+                    task.advance()
+        return codes
+
+    def _once(self, *window: int) -> Floats:
+        """``colors`` of a window that all three channels ask for, made by the first of them."""
+        with self._lock:
+            entry = self._waiting.get(window)
+            first = entry is None
+            if entry is None:
+                entry = self._waiting[window] = (Future(), [3])
+        future, left = entry
+        if first:
+            try:
+                future.set_result(self.colors(*window))
+            except BaseException as error:
+                future.set_exception(error)
+        result = future.result()
+        with self._lock:
+            left[0] -= 1
+            if not left[0]:
+                del self._waiting[window]
+        return result
+
+    def _nested(self) -> Floats:
+        """The colours of every 16th sample, the last ones repeated where the step leads beyond the raster."""
+        rows, cols = self.terrain.grid.shape
+        step = 1 << NESTED
+        columns = np.minimum(np.arange(0, cols - 1 + step, step), cols - 1)
+        lines = np.minimum(np.arange(0, rows - 1 + step, step), rows - 1)
+        return np.stack([self.colors(int(row), int(row) + 1, 0, cols)[0, columns] for row in lines])
