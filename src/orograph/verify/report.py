@@ -1,0 +1,112 @@
+"""What the referee says: numbers, where the worst of each is, and whether the promise holds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+Sample = tuple[int, int]
+
+ROUNDING = 1e-7
+"""Relative excess over a tolerance that is put down to rounding: 1e-11 m, a metre before the eye, are 1e-8 pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The verdict on a tessellation of a terrain in a view.
+
+    Attributes:
+        triangles, vertices: of the mesh.
+        samples: full-resolution samples in view: inside the frustum, and on at least one unit triangle that exists.
+        largest, rms: distance in pixels between a sample in view and the mesh on its vertical, over those covered.
+        worst: (column, row) of the largest; None if no sample in view is covered.
+        uncovered: samples in view that lie on no triangle.
+        holes: unit triangles of the full-resolution surface, at least partly in view, that the mesh leaves uncovered
+            wholly or in part.
+        bridged: missing unit triangles that the mesh covers wholly or in part.
+        t_junctions: vertices that lie inside an edge of a triangle.
+        overlaps: triangles found to share area with another; 0 iff there are none (of several
+            on one another not each may be found).
+        crowded: edges of more than two triangles.
+        reversed: triangles that turn clockwise from above in map orientation.
+        flat: triangles without area.
+        duplicates: vertices at a sample that another vertex has already.
+        wrong_heights: vertices whose height is not exactly the raster's.
+        border, rim_of_missing, rim_of_culled: open edges (with one triangle) that ought to be there: at the raster's
+            border, beside missing ground, beside ground that is out of view.
+        inner: the other open edges: ground in view lies beyond them, or another triangle that does not share the edge.
+        places: (column, row) of the first of each kind of defect that was found.
+    """
+
+    triangles: int
+    vertices: int
+    samples: int
+    largest: float
+    rms: float
+    worst: Sample | None
+    uncovered: int
+    holes: int
+    bridged: int
+    t_junctions: int
+    overlaps: int
+    crowded: int
+    reversed: int
+    flat: int
+    duplicates: int
+    wrong_heights: int
+    inner: int
+    border: int
+    rim_of_missing: int
+    rim_of_culled: int
+    places: dict[str, Sample] = field(default_factory=dict)
+
+    @property
+    def defects(self) -> dict[str, int]:
+        """What is wrong with the mesh, whatever the tolerance; empty for a sound one."""
+        return {name: getattr(self, name) for name in DEFECTS if getattr(self, name)}
+
+    def ok(self, tolerance: float = math.inf) -> bool:
+        """Whether the mesh has no defect, and no sample in view is more than ``tolerance`` pixels from it."""
+        return not self.defects and self.largest <= tolerance * (1 + ROUNDING)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as JSON has it; an infinite distance is None."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name in ("largest", "rms"):
+            if not math.isfinite(values[name]):
+                values[name] = None
+        values["worst"] = None if self.worst is None else list(self.worst)
+        values["places"] = {name: list(place) for name, place in self.places.items()}
+        return values
+
+    def __str__(self) -> str:
+        at = "" if self.worst is None else f" at column {self.worst[0]}, row {self.worst[1]}"
+        lines = [
+            f"{self.triangles:,} triangles, {self.vertices:,} vertices; {self.samples:,} samples in view",
+            f"error: {self.largest:.4g} px at most{at}, {self.rms:.4g} px rms",
+            f"open edges: {self.border:,} at the border, {self.rim_of_missing:,} beside missing ground, "
+            f"{self.rim_of_culled:,} beside ground out of view",
+        ]
+        for name, count in self.defects.items():
+            column, row = self.places[name]
+            lines.append(f"DEFECT: {count:,} {DEFECTS[name]} (the first at column {column}, row {row})")
+        if not self.defects:
+            lines.append("no defects")
+        return "\n".join(lines)
+
+
+DEFECTS = {
+    "uncovered": "samples in view not covered",
+    "holes": "unit triangles in view not wholly covered",
+    "bridged": "missing unit triangles covered",
+    "t_junctions": "T-junctions",
+    "overlaps": "overlapping triangles",
+    "crowded": "edges of more than two triangles",
+    "reversed": "triangles that turn clockwise",
+    "flat": "triangles without area",
+    "duplicates": "vertices at the place of another",
+    "wrong_heights": "vertices not at the raster's height",
+    "inner": "open edges inside the mesh",
+}
+"""The counts that should be 0, and how they are called."""
