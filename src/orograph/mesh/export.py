@@ -1,0 +1,173 @@
+"""A tessellation in a file: .npz (everything, for NumPy), .ply, .obj, .glb (geometry, for other programs).
+
+All lengths are metres. PLY (binary, float64) and OBJ (text, micrometres) are in the terrain's CRS as it is: easting,
+northing, height, z up; many viewers hold positions in float32 and need them moved to the origin first. GLB is float32
+by its standard (glTF 2.0, §3.6.2.2), so there positions are relative to an origin near the middle of the mesh, which is
+the node's translation; y is up, z points south (§3.4). The node's ``extras`` say ``origin`` (easting, northing, height)
+and ``crs`` (WKT): a position is (origin[0] + x, origin[1] − z, origin[2] + y). Faces turn counter-clockwise from above
+in all of them.
+
+Sources: Turk 1994 (*The PLY polygon file format*), Wavefront's *Advanced Visualizer* manual, appendix B1 (OBJ; colours
+after the coordinates, as MeshLab and others have them), Khronos glTF 2.0.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orograph.errors import NothingInViewError, UsageError
+from orograph.geo.grid import Grid
+from orograph.output import Beside
+from orograph.tessellation import Tessellation
+
+Colors = NDArray[np.uint8]
+
+FORMATS = (".npz", ".ply", ".obj", ".glb")
+"""Endings of mesh files."""
+
+LINES = 100_000
+"""Lines of text that are formatted at once."""
+
+
+def mesh_format(path: str | os.PathLike[str]) -> str:
+    """The ending of a mesh file, in lower case.
+
+    Raises:
+        UsageError: meshes are not written with such an ending, or what writes it is not installed.
+    """
+    ending = Path(path).suffix.lower()
+    if ending not in FORMATS:
+        raise UsageError(
+            f"Meshes cannot be written as {ending or 'a file without ending'}.",
+            path=path,
+            remedy=f"Use {', '.join(FORMATS[:-1])} or {FORMATS[-1]}.",
+        )
+    if ending == ".glb":
+        _trimesh(path)
+    return ending
+
+
+def write(
+    tessellation: Tessellation, grid: Grid, path: str | os.PathLike[str], *, colors: ArrayLike | None = None
+) -> Path:
+    """Write a tessellation; the format follows the ending.
+
+    Args:
+        tessellation: the mesh.
+        grid: the full-resolution grid its columns and rows count on.
+        path: a file ending in .npz, .ply, .obj or .glb; it appears when it is complete.
+        colors: (n, 3) uint8, sRGB by vertex (not in .npz).
+
+    Raises:
+        UsageError: the ending is unknown, the colours have another shape or type or cannot be held, or .glb is asked
+            for without its extra (``mesh``). NothingInViewError: a .glb of no triangles, which there cannot be.
+        OutputError: the file cannot be written.
+    """
+    out = Path(path)
+    ending = mesh_format(out)
+    tint: Colors | None = None
+    if colors is not None:
+        tint = np.asarray(colors)
+        if tint.dtype != np.uint8 or tint.shape != (len(tessellation.vertices), 3):
+            raise UsageError(
+                f"Colours of vertices must be uint8 ({len(tessellation.vertices)}, 3), not {tint.dtype} {tint.shape}."
+            )
+    if ending == ".npz":
+        if tint is not None:
+            raise UsageError("An .npz holds no colours.", path=out, remedy="Use .ply, .obj or .glb.")
+        return tessellation.save(out, grid)
+    positions = tessellation.positions(grid)
+    crs = "" if grid.crs is None else " ".join(grid.crs.to_wkt().split())
+    if ending == ".glb":
+        if len(tessellation.triangles) == 0:
+            raise NothingInViewError("The mesh has no triangles, and a .glb cannot hold none.", path=out)
+        content = _glb(positions, tessellation.triangles, tint, crs, _trimesh(out))
+        with Beside(out) as part:
+            part.write_bytes(content)
+        return out
+    with Beside(out) as part:
+        (_write_ply if ending == ".ply" else _write_obj)(part, positions, tessellation.triangles, tint, crs)
+    return out
+
+
+def _write_ply(
+    part: Path, positions: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None, crs: str
+) -> None:
+    """Binary, little endian, float64 positions."""
+    vertex: list[Any] = [("position", "<f8", 3)]
+    header = ["ply", "format binary_little_endian 1.0", "comment metres; x east, y north, z up"]
+    if crs:
+        header.append(f"comment crs {crs}")
+    header += [f"element vertex {len(positions)}", *(f"property double {axis}" for axis in "xyz")]
+    if colors is not None:
+        vertex.append(("color", "u1", 3))
+        header += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    header += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header"]
+    vertices = np.empty(len(positions), vertex)
+    vertices["position"] = positions
+    if colors is not None:
+        vertices["color"] = colors
+    faces = np.empty(len(triangles), [("count", "u1"), ("indices", "<i4", 3)])
+    faces["count"], faces["indices"] = 3, triangles
+    with part.open("wb") as file:
+        file.write(("\n".join(header) + "\n").encode())
+        file.write(vertices.tobytes())
+        file.write(faces.tobytes())
+
+
+def _write_obj(
+    part: Path, positions: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None, crs: str
+) -> None:
+    """Text; micrometres, indices from 1, colours from 0 to 1 after the coordinates."""
+    with part.open("w", encoding="utf-8", newline="\n") as file:
+        file.write("# metres; x east, y north, z up\n" + (f"# crs {crs}\n" if crs else ""))
+        rows = positions if colors is None else np.hstack([positions, colors / 255.0])
+        pattern = "v %.6f %.6f %.6f" + ("" if colors is None else " %.4f %.4f %.4f")
+        for first in range(0, len(rows), LINES):
+            block = rows[first : first + LINES]
+            file.write("".join([pattern + "\n"] * len(block)) % tuple(block.ravel().tolist()))
+        for first in range(0, len(triangles), LINES):
+            corners = triangles[first : first + LINES].astype(np.int64) + 1
+            file.write("f %d %d %d\n" * len(corners) % tuple(corners.ravel().tolist()))
+
+
+def _glb(
+    positions: NDArray[np.float64], triangles: NDArray[np.int32], colors: Colors | None, crs: str, trimesh: Any
+) -> bytes:
+    """One node, translated to the origin, with one mesh; no normals."""
+    origin = np.round((positions.min(0) + positions.max(0)) / 2)
+    east, north, up = (positions - origin).T
+    mesh = trimesh.Trimesh(
+        vertices=np.stack([east, up, -north], -1), faces=triangles, vertex_colors=colors, process=False, validate=False
+    )
+    place = np.eye(4)
+    place[:3, 3] = origin[0], origin[2], -origin[1]
+    extras = {"origin": [float(v) for v in origin], "crs": crs}
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, node_name="terrain", geom_name="terrain", transform=place, metadata=extras)
+
+    def translate(tree: dict[str, Any]) -> None:
+        """A translation instead of a matrix: readers that know no matrices keep the place."""
+        (node,) = (node for node in tree["nodes"] if "mesh" in node)
+        node.pop("matrix", None)
+        node["translation"] = place[:3, 3].tolist()
+        tree["asset"]["generator"] = "Orograph"
+
+    content: bytes = trimesh.exchange.gltf.export_glb(scene, include_normals=False, tree_postprocessor=translate)
+    return content
+
+
+def _trimesh(path: str | os.PathLike[str]) -> Any:
+    """The library that writes .glb."""
+    try:
+        import trimesh
+    except ImportError as error:
+        raise UsageError(
+            "A .glb needs trimesh, which is not installed.", path=path, remedy="Run pip install 'orograph[mesh]'."
+        ) from error
+    return trimesh
