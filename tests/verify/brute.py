@@ -147,7 +147,7 @@ def judge(mesh: Tessellation, terrain: MemoryTerrain, view: View, exaggeration: 
                         here = "inner" if seen else "rim_of_culled" if exists else "rim_of_missing"
                         kind = max(kind, here, key=["border", "rim_of_missing", "rim_of_culled", "inner"].index)
             kinds[kind] += 1
-    used = {int(i) for t in mesh.triangles for i in t}
+    used = {int(i) for k in solid for i in mesh.triangles[k]}
     junctions = set()
     for v in used:
         for k in solid:

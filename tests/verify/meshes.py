@@ -162,4 +162,10 @@ def split_one_side(mesh: list[Triangle], rng: np.random.Generator, last: Corner)
     return [*mesh[:k], (a, m, c), (m, b, c), *mesh[k + 1 :]]
 
 
-BREAKS: list[Break] = [remove, repeat, stray, split_one_side]
+def flatten(mesh: list[Triangle], rng: np.random.Generator, last: Corner) -> list[Triangle]:
+    """A triangle more, without area, along an edge of the mesh or from corner to corner of the raster."""
+    a, b, _ = mesh[int(rng.integers(len(mesh)))]
+    return [*mesh, (a, b, b) if rng.random() < 0.5 else ((0, 0), last, (0, 0))]
+
+
+BREAKS: list[Break] = [remove, repeat, stray, split_one_side, flatten]

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
+from fractions import Fraction
 
 import brute
 import meshes
@@ -16,7 +18,7 @@ from hypothesis import strategies as st
 
 from orograph.errors import UsageError
 from orograph.tessellation import Tessellation
-from orograph.verify import Report, judge
+from orograph.verify import Report, judge, strips
 from orograph.view import View
 
 SHAPES = [(5, 5), (6, 7), (4, 9), (7, 4), (3, 5), (2, 3), (2, 2)]
@@ -283,6 +285,90 @@ def test_only_what_is_in_view_is_read_and_all_of_it():
         report = judge(meshes.tessellation([], terrain), terrain, view, exaggeration=2.0)
         assert report.uncovered == report.samples == inside.sum() > 100
         assert terrain.read_samples < heights.size / 2
+
+
+def test_rims_on_the_seam_of_two_bands():
+    """A block of mesh that begins on a band's first row and ends on another's, in few columns."""
+    terrain = meshes.terrain_of(np.random.default_rng(3).normal(0, 3, (700, 600)))
+    block = terrain.heights.copy()
+    block[:, :100], block[:, 131:], block[:256], block[513:] = np.nan, np.nan, np.nan, np.nan
+    made = meshes.full(block[256:513, 100:131])
+    mesh = meshes.tessellation([tuple((c + 100, r + 256) for c, r in t) for t in made], terrain)
+    around = 2 * (30 + 256)
+    for at, name in (((500, 50), "rim_of_culled"), ((115, 384), "inner")):
+        x, y = (float(v) for v in terrain.grid.xy(*at))
+        view = View((x, y, 1000), (x, y, 0), fov_y=170 if name == "inner" else 20, width=500, height=500)
+        report = judge(mesh, terrain, view)
+        assert getattr(report, name) == around and report.border + report.rim_of_missing == 0
+        assert report.ok() == (name == "rim_of_culled" and report.samples == 0) and report.uncovered + around > around
+    holed = meshes.MemoryTerrain(block, terrain.grid, "block")
+    report = judge(mesh, holed, view)
+    assert report.rim_of_missing == around and report.ok()
+
+
+def test_thin_bands_and_wide_rasters(monkeypatch: pytest.MonkeyPatch):
+    """The fewest rows at once: the same report."""
+    rng = np.random.default_rng(6)
+    heights = rng.normal(0, 10, (40, 33)).astype(np.float32)
+    heights[rng.random(heights.shape) < 0.02] = np.nan
+    terrain = meshes.terrain_of(heights)
+    made = meshes.full(heights)
+    mesh = meshes.tessellation(made[:50] + made[51:], terrain)
+    view = view_of(terrain, rng, "outside")
+    whole = judge(mesh, terrain, view)
+    monkeypatch.setattr("orograph.verify.bands.BAND_BYTES", 1)
+    one, many = judge(mesh, terrain, view, jobs=1), judge(mesh, terrain, view, jobs=3)
+    assert one == many and one.rms == pytest.approx(whole.rms, rel=1e-12) and not whole.ok()
+    assert replace(one, rms=whole.rms) == whole
+
+
+def test_rasters_without_ground():
+    """A single row, a single sample, nothing but missing samples: no triangle, no sample of a surface, no defect."""
+    view = View((500100, 3999900, 100), (500000, 4000000, 0))
+    for heights in (np.zeros((1, 9)), np.zeros((9, 1)), np.zeros((1, 1)), np.full((9, 9), np.nan)):
+        terrain = meshes.terrain_of(heights)
+        report = judge(meshes.tessellation([], terrain), terrain, view)
+        assert report.ok(0.0) and report.samples == 0 and report.worst is None
+
+
+def test_vertices_at_missing_samples_are_wrong(whole):
+    terrain, view, made = whole
+    heights = terrain.heights.copy()
+    heights[0, 0] = np.nan
+    for value in (0.0, np.nan):
+        mesh = meshes.tessellation(made, terrain)
+        at = np.flatnonzero((mesh.vertices[:, :2] == 0).all(-1))
+        mesh.vertices[at, 2] = value
+        report = judge(mesh, meshes.terrain_of(heights), view)
+        assert report.wrong_heights == 1 and report.places["wrong_heights"] == (0, 0) and report.bridged > 0
+
+
+side = st.integers(1, 1 << 20)
+column = st.integers(0, (1 << 20) - 1)
+
+
+@settings(max_examples=300, deadline=None)
+@given(column, column, side, column, column, side, st.integers(0, 1), st.data())
+def test_fractions_are_exact_at_the_largest_rasters(a, b, d, e, f, g, half, data):
+    """Trapezoids between two edges of up to 2^20 rows, in one of their strips, against units near them."""
+    k, row = data.draw(st.integers(0, d - 1)), data.draw(st.integers(0, 1 << 20))
+    j = data.draw(st.integers(0, g - 1))
+    wn, wdx, wd = a * d + (b - a) * k, b - a, d
+    en, edx, ed = e * g + (f - e) * j, f - e, g
+    west = [Fraction(wn, wd), Fraction(wn + wdx, wd)]
+    east = [Fraction(en, ed), Fraction(en + edx, ed)]
+    if west[0] > east[0] or west[1] > east[1] or west == east:
+        west, east = east, west
+        wn, wdx, wd, en, edx, ed = en, edx, ed, wn, wdx, wd
+    if west[0] > east[0] or west[1] > east[1] or west == east:
+        return  # they cross: no trapezoid
+    near = [int(v) + o for v in (*west, *east) for o in (-1, 0, 1)]
+    for c in near:
+        (corners, _) = meshes.units(np.zeros((2, 3)))[(c + row) % 2, 0, half]
+        unit = [(x - (c + row) % 2 + c, y) for x, y in corners]
+        polygon = brute.clip([(west[0], 0), (east[0], 0), (east[1], 1), (west[1], 1)], tuple(unit))
+        twice = sum(p[0] * q[1] - q[0] * p[1] for p, q in zip(polygon, polygon[1:] + polygon[:1]))
+        assert strips.meets_unit(wn, wdx, wd, en, edx, ed, c, row, half) == (twice != 0)
 
 
 def test_what_cannot_be_judged_is_refused(whole):

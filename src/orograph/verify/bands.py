@@ -36,10 +36,10 @@ class Mesh:
         tessellation: as it came.
         columns, rows: (n,) int64 of the vertices.
         signs: (m,) int8: 1 for triangles that turn as they should, −1 for reversed ones, 0 without area.
-        used: (n,) uint8, 1 for vertices of triangles.
+        used: (n,) uint8, 1 for vertices of triangles with area.
         row_start, by_row: the used vertices by row: row r's are by_row[row_start[r]:row_start[r + 1]].
         size: rows in a band.
-        start, members: the triangles that touch each band.
+        start, members: the triangles that touch each band, or the row below it.
     """
 
     tessellation: Tessellation

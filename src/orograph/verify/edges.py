@@ -20,7 +20,8 @@ CROWDED, OPEN = range(2)
 
 @kernel
 def survey(triangles, columns, rows, turn):
-    """(signs (m,) int8, used (n,) uint8): +1 for triangles that turn as they should, 0 without area; used vertices."""
+    """(signs (m,) int8, used (n,) uint8): 1 for triangles that turn as they should, −1 for reversed ones, 0 for those
+    without area; 1 for vertices of triangles with area."""
     signs = np.empty(triangles.shape[0], np.int8)
     used = np.zeros(columns.shape[0], np.uint8)
     for t in range(triangles.shape[0]):
@@ -28,7 +29,8 @@ def survey(triangles, columns, rows, turn):
         area = (columns[b] - columns[a]) * (rows[c] - rows[a]) - (columns[c] - columns[a]) * (rows[b] - rows[a])
         area *= turn
         signs[t] = 1 if area > 0 else (-1 if area < 0 else 0)
-        used[a], used[b], used[c] = 1, 1, 1
+        if area != 0:
+            used[a], used[b], used[c] = 1, 1, 1
     return signs, used
 
 

@@ -26,7 +26,7 @@ OF_MISSING, OF_HIDDEN, OF_SEEN = range(3)
 
 @kernel
 def bucket(triangles, columns, rows, signs, size, bands):
-    """The triangles with area that touch each band of ``size`` rows, by their upper row and column.
+    """The triangles with area that touch each band of ``size`` rows or the row below it, by their upper row and column.
 
     Returns:
         (start (bands + 1,), members): band b's are ``members[start[b]:start[b + 1]]``, ordered by the row, then the
@@ -66,7 +66,7 @@ def bucket(triangles, columns, rows, signs, size, bands):
     start = np.zeros(bands + 1, np.int64)
     for t in range(m):
         if signs[t] != 0:
-            for b in range(top[t] // size, bottom[t] // size + 1):
+            for b in range(max(top[t] - 1, 0) // size, bottom[t] // size + 1):
                 start[b + 1] += 1
     for b in range(bands):
         start[b + 1] += start[b]
@@ -75,7 +75,7 @@ def bucket(triangles, columns, rows, signs, size, bands):
     for i in range(m):
         t = by_row[i]
         if signs[t] != 0:
-            for b in range(top[t] // size, bottom[t] // size + 1):
+            for b in range(max(top[t] - 1, 0) // size, bottom[t] // size + 1):
                 members[fill[b]] = t
                 fill[b] += 1
     return start, members
