@@ -1,4 +1,4 @@
-"""Makes ``brute`` and ``meshes`` importable for the tests beside them."""
+"""Makes ``exact_referee`` and ``broken_meshes`` importable for the tests beside them."""
 
 from __future__ import annotations
 

@@ -8,8 +8,8 @@ import math
 from dataclasses import replace
 from fractions import Fraction
 
-import brute
-import meshes
+import broken_meshes as meshes
+import exact_referee as brute
 import numpy as np
 import pytest
 from affine import Affine

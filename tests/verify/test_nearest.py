@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-import meshes
+import broken_meshes as meshes
 import numpy as np
 import pytest
 from affine import Affine

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from meshes import Corner, Triangle, area, share_area, units
+from broken_meshes import Corner, Triangle, area, share_area, units
 
 from orograph.store import MemoryTerrain
 from orograph.tessellation import Tessellation
