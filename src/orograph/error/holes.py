@@ -4,6 +4,10 @@ A unit triangle (half a cell of the raster) with a missing corner is a hole. Wha
 known from their children, as bits that are or-ed upwards; arrays are windows of an octave as in ``octaves``. A diamond
 over existing triangles and holes is *mixed*: no bound of its error means anything until it is split. One over no
 existing triangle is *empty*.
+
+At the border of a raster that is not 2^n + 1 samples wide the squeeze moves a diamond's triangles off the ground that
+their descendants cover. They stay within their boxes, though: those of a square diamond in its own region, half an edge
+diamond in the region of the square on that side, whose state counts there as well.
 """
 
 from __future__ import annotations
@@ -34,7 +38,7 @@ def _two_units(z, i, j, di, dj, pi, pj):
 
 
 @kernel
-def states(z, below, k, squares, found):
+def states(z, below, k, squares, found, squeezed_row=False, squeezed_col=False):
     """What octave k's diamonds cover.
 
     Args:
@@ -43,6 +47,7 @@ def states(z, below, k, squares, found):
         squares: uint8 (2, height // 2, width // 2), the result for the first and second triangles of square diamonds;
             entry [:, i >> 1, j >> 1] belongs to the diamond (i, j).
         found: uint8 (height, width), the result for all diamonds; entries that are none are 0.
+        squeezed_row, squeezed_col: whether the last row, column of entries lies beyond the raster's last samples.
     """
     height, width = found.shape
     edges = np.zeros((2, height, width), np.uint8)
@@ -70,6 +75,24 @@ def states(z, below, k, squares, found):
             squares[0, i >> 1, j >> 1] = a | b
             squares[1, i >> 1, j >> 1] = c | d
             found[i, j] = a | b | c | d
+    if squeezed_row:
+        for j in range(width):
+            _add_squares(found, height - 1, j)
+    if squeezed_col:
+        for i in range(height):
+            _add_squares(found, i, width - 1)
+
+
+@leaf
+def _add_squares(found, i, j):
+    """Add the states of the squares on both sides of an edge diamond; does nothing to others."""
+    if i + j & 1 == 0:
+        return
+    di, dj = 1 - (i & 1), 1 - (j & 1)
+    if i >= di and j >= dj:
+        found[i, j] |= found[i - di, j - dj]
+    if i + di < found.shape[0] and j + dj < found.shape[1]:
+        found[i, j] |= found[i + di, j + dj]
 
 
 @kernel
