@@ -15,6 +15,27 @@ from orograph.cli.options import jobs_option, memory_option, progress_of, source
 if TYPE_CHECKING:
     from pyproj import CRS
 
+    from orograph.error import ErrorKind
+
+
+class ErrorKinds(click.ParamType[tuple[str, ...]]):
+    """Kinds of errors with commas between, or "none"; a tuple of their names."""
+
+    name = "KINDS"
+
+    def convert(
+        self, value: str | tuple[str, ...], param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, ...]:
+        from orograph.error import KINDS
+
+        if not isinstance(value, str):
+            return value
+        wanted = () if value == "none" else tuple(word.strip() for word in value.split(","))
+        for word in wanted:
+            if word not in KINDS:
+                self.fail(f"{word!r} is none of {', '.join(KINDS)}, none.", param, ctx)
+        return wanted
+
 
 @click.command("build", short_help="Build a terrain store from DEM files.")
 @click.argument("dem", nargs=-1, required=True, type=click.Path())
@@ -27,6 +48,13 @@ if TYPE_CHECKING:
     default="bilinear",
     show_default=True,
     help="How samples are found where they have to be brought to another grid.",
+)
+@click.option(
+    "--errors",
+    type=ErrorKinds(),
+    default="exact",
+    show_default=True,
+    help="Which errors of its diamonds are stored: some of exact,wedgie,midpoint, or none.",
 )
 @source_options
 @vertical_options
@@ -47,6 +75,7 @@ def command(
     resume: bool,
     max_memory: int,
     jobs: int | None,
+    errors: tuple[ErrorKind, ...],
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -74,7 +103,14 @@ def command(
         progress.warn(warning)
     try:
         terrain = build(
-            source, store, overwrite=overwrite, resume=resume, max_memory=max_memory, jobs=jobs, progress=progress
+            source,
+            store,
+            overwrite=overwrite,
+            resume=resume,
+            max_memory=max_memory,
+            jobs=jobs,
+            errors=errors,
+            progress=progress,
         )
     except KeyboardInterrupt:
         click.echo(f"\n{store} is not complete; run the same command with --resume to finish it.", err=True)
@@ -92,6 +128,7 @@ def command(
         "spacing_m": list(grid.spacing),
         "height_range": [low, high] if known else None,
         "valid_fraction": terrain.valid_fraction,
+        "errors": list(terrain.errors),
         "vertical_datum": terrain.vertical,
         "seconds": round(time.perf_counter() - started, 3),
         "peak_memory_bytes": peak_memory(),

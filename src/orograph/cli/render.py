@@ -4,52 +4,25 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.core import ParameterSource
 
+from orograph.cli.camera import CAMERA, PLACES, Numbers, camera_options, camera_view, check_camera
+from orograph.cli.engines import engine_option
 from orograph.cli.files import check_ending, check_outputs
-from orograph.cli.options import ParamType, jobs_option, memory_option, progress_of, source_options, vertical_options
-
-if TYPE_CHECKING:
-    from orograph.store.terrain import Terrain
-    from orograph.view import View
-
-
-class Numbers(ParamType):
-    """Numbers separated by commas, so many of them."""
-
-    def __init__(self, *names: str, optional: int = 0) -> None:
-        self.names, self.optional = names, optional
-        self.name = ",".join(names)
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        if isinstance(value, tuple):
-            return value
-        try:
-            numbers = tuple(float(part) for part in str(value).split(","))
-        except ValueError:
-            numbers = ()
-        if not len(self.names) - self.optional <= len(numbers) <= len(self.names):
-            self.fail(f"{value!r} is not {self.name}: numbers separated by commas.", param, ctx)
-        return numbers
-
-
-class Size(ParamType):
-    """Pixels, WIDTHxHEIGHT."""
-
-    name = "WIDTHxHEIGHT"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        if isinstance(value, tuple):
-            return value
-        parts = str(value).lower().split("x")
-        if len(parts) != 2 or not all(p.strip().isdigit() and int(p) > 0 for p in parts):
-            self.fail(f"{value!r} is not a size such as 1280x720.", param, ctx)
-        return int(parts[0]), int(parts[1])
+from orograph.cli.options import (
+    FILE,
+    ParamType,
+    jobs_option,
+    memory_option,
+    progress_of,
+    source_options,
+    vertical_options,
+)
+from orograph.errors import UsageError
 
 
 class Water(ParamType):
@@ -66,64 +39,15 @@ class Water(ParamType):
             self.fail(f"{value!r} is neither auto, none nor a level in metres.", param, ctx)
 
 
-FILE = click.Path(dir_okay=False)
-
 SCENE = ("shadows", "exaggeration", "colormap", "drape", "sky", "relief", "samples", "tolerance", "furniture", "title")
-OWN = {*SCENE, "azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov", "projection", "size", "sun",
-       "water", "backend"}  # fmt: skip
+OWN = {*SCENE, *CAMERA, "sun", "water", "backend"}
 """What is said about the picture; all other options are about reading."""
-
-CAMERA = ("azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov")
 
 
 @click.command("render")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--output", "-o", required=True, type=FILE, help="The picture: .png, .jpg, .webp or .tif.")
-@click.option(
-    "--from",
-    "azimuth",
-    type=float,
-    metavar="AZIMUTH",
-    help="Look from this side, degrees clockwise from north.  [default: 180, the south]",
-)
-@click.option("--pitch", type=float, metavar="DEG", help="Look down by this angle; 90 is straight down.  [default: 42]")
-@click.option(
-    "--distance",
-    type=float,
-    metavar="M",
-    help="Metres from the ground in the terrain's middle.  [default: such that all of it is in view]",
-)
-@click.option(
-    "--lonlat", type=Numbers("LON", "LAT", "HEIGHT"), help="Stand here, HEIGHT metres above the heights' own zero."
-)
-@click.option(
-    "--look-at",
-    type=Numbers("LON", "LAT"),
-    help="With --lonlat: look at the ground here.  [default: the terrain's middle]",
-)
-@click.option(
-    "--view",
-    "view_path",
-    type=FILE,
-    metavar="VIEW.json",
-    help='The camera in a file: {"eye": [E, N, height], "target": […], "up": […], "fov_y": 40, "width": …, '
-    '"height": …, "near": …, "far": …}, in the terrain\'s CRS, or longitude, latitude and height with '
-    '"crs": "EPSG:4326".',
-)
-@click.option(
-    "--fov",
-    type=click.FloatRange(0, 180, min_open=True, max_open=True),
-    metavar="DEG",
-    help="Vertical field of view.  [default: 30; with --lonlat 45; with --view the view's]",
-)
-@click.option(
-    "--projection",
-    type=click.Choice(["perspective", "plan"]),
-    default="perspective",
-    show_default=True,
-    help="plan: a map, straight down with parallel rays; --from says which side is at its foot.",
-)
-@click.option("--size", type=Size(), help="The picture's size in pixels.  [default: 1280x720, or the view's]")
+@camera_options
 @click.option(
     "--sun",
     type=Numbers("AZ", "ALT"),
@@ -169,8 +93,10 @@ CAMERA = ("azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov
     type=float,
     metavar="PX",
     help="Pixels by which the ground may be displaced; 0 draws every sample.  "
-    "[default: 0 up to 16.8 million samples, else 0.5]",
+    "[default: 0 up to 16.8 million samples, else 0.5; with --engine 1]",
 )
+@engine_option(help="Draw the mesh that this engine makes within --tolerance, with light on its faces.")
+@click.option("--wireframe", is_flag=True, help="With --engine: draw its triangles' edges over the relief.")
 @click.option(
     "--depth",
     type=FILE,
@@ -189,7 +115,7 @@ CAMERA = ("azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, as_json: bool, depth: str | None, save_view: str | None,
-    max_memory: int, jobs: int | None, **options: Any,
+    max_memory: int, jobs: int | None, engine: str | None, wireframe: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Draw a relief picture of a DEM (one file or many) or of a store.
 
@@ -202,10 +128,13 @@ def command(
       orograph render tiles/*.tif -o area.png --from 225 --pitch 30 --sky
       orograph render dem.tif -o map.png --projection plan --furniture --size 2000x2000
       orograph render dem.tif -o summit.png --lonlat -71.3,44.2,2500 --look-at -71.303,44.270
+      orograph render dem.tif -o mesh.png --engine soar --wireframe --tolerance 2
     """
     began = time.perf_counter()
     progress = progress_of(ctx)
-    _check_camera(options)
+    check_camera(options)
+    if wireframe and engine is None:
+        raise UsageError("--wireframe shows what an engine made.", remedy="Choose one, such as --engine soar.")
     check_outputs(
         {"--output": output, "--depth": depth, "--save-view": save_view},
         {"the input": paths, "the image of --drape": [options["drape"]], "the camera of --view": [options["view_path"]],
@@ -238,21 +167,26 @@ def command(
     if options["size"] is not None:
         check_memory(options["size"], max_memory if said else None)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
-    view = _view(terrain, options)
+    view = camera_view(terrain, options)
     check_memory((view.width, view.height), max_memory if said else None)
     scene = Scene(
         terrain, view, sun, water=None if options["water"] == "none" else options["water"],
         max_memory=max_memory, jobs=jobs,
         **{k: options[k] for k in SCENE},
     )  # fmt: skip
+    stats: dict[str, Any] | None = None
     try:
+        if engine is not None:
+            from orograph.picture.surface import meshed
+
+            scene, stats = meshed(scene, engine, wireframe=wireframe, progress=progress)
         picture = draw(scene, progress)
     except DamagedChunkError as error:
         if error.path is not None and Path(error.path).parent == cache_folder():
             error.remedy = "It is a copy that was kept: delete it, and the next picture builds it again."
         raise
     except NothingInViewError as error:
-        if not any(options[name] is not None for name in CAMERA):
+        if not any(options[name] is not None for name in PLACES):
             error.remedy = "See what the file holds with orograph info."
         raise
     picture.save(output)
@@ -267,60 +201,9 @@ def command(
         told = {
             "picture": output, "depth": depth, "width": view.width, "height": view.height,
             "seconds_in_all": round(seconds, 3), "crs": crs.to_string() if crs else None, "view": view.to_dict(),
-            **picture.facts,
+            **picture.facts, **({} if stats is None else {"mesh": stats}),
         }  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))
     else:
-        click.echo(f"{output}  {view.width} × {view.height}  {seconds:.1f} s")
-
-
-def _check_camera(options: Mapping[str, Any]) -> None:
-    """Raise UsageError where the camera options contradict each other."""
-    from orograph.errors import UsageError
-
-    oblique = [f"--{k}" for k in ("from", "pitch", "distance") if options["azimuth" if k == "from" else k] is not None]
-    if options["look_at"] is not None and options["lonlat"] is None:
-        raise UsageError("--look-at needs --lonlat: the place to stand at.")
-    if sum([options["view_path"] is not None, bool(oblique), options["lonlat"] is not None]) > 1:
-        raise UsageError("Give one camera: --view, or --from, --pitch and --distance, or --lonlat and --look-at.")
-    if options["projection"] == "plan":
-        wrong = [o for o in oblique if o != "--from"] + (["--lonlat"] if options["lonlat"] is not None else [])
-        if wrong:
-            raise UsageError(
-                f"{wrong[0]} and --projection plan contradict each other: a plan is the whole terrain, straight down.",
-                remedy="Turn it with --from, or choose another extent with --view.",
-            )
-
-
-def _view(terrain: Terrain, options: Mapping[str, Any]) -> View:
-    """The camera that the options describe (see ``_check_camera``)."""
-    from dataclasses import replace
-
-    from orograph.picture import camera
-    from orograph.view import View
-
-    def given(name: str, default: float) -> float:
-        return default if options[name] is None else float(options[name])
-
-    size = options["size"] or (1280, 720)
-    if options["view_path"] is not None:
-        view = View.load(options["view_path"], crs=terrain.grid.crs)
-        if options["size"] is not None:
-            view = view.resized(*size)
-        if options["projection"] == "plan":
-            view = replace(view, projection="plan")
-        return replace(view, fov_y=given("fov", view.fov_y))
-    azimuth = given("azimuth", 180.0)
-    insets = camera.NO_INSETS
-    if options["furniture"]:
-        from orograph.picture import furniture
-
-        insets = furniture.insets(size)
-    if options["projection"] == "plan":
-        return camera.plan(terrain, size, azimuth=azimuth, insets=insets)
-    if options["lonlat"] is not None:
-        return camera.standing(terrain, size, options["lonlat"], options["look_at"], fov_y=given("fov", 45.0))
-    return camera.around(
-        terrain, size, azimuth=azimuth, pitch=given("pitch", 42.0), distance=options["distance"],
-        fov_y=given("fov", 30.0), exaggeration=options["exaggeration"], insets=insets,
-    )  # fmt: skip
+        mesh = "" if stats is None else f"  {stats['engine']}: {stats['triangles']:,} triangles"
+        click.echo(f"{output}  {view.width} × {view.height}{mesh}  {seconds:.1f} s")

@@ -37,6 +37,8 @@ def render(
     title: str | None = None,
     samples: int = 4,
     tolerance: float | None = None,
+    engine: str | None = None,
+    wireframe: bool = False,
     max_memory: int | None = None,
     jobs: int | None = None,
     backend: Literal["cpu"] = "cpu",
@@ -65,7 +67,10 @@ def render(
         title: the title of the furniture. Default None: the terrain's name.
         samples: rays per pixel where the picture has edges; 1 leaves them jagged. Default 4.
         tolerance: pixels by which the ground may be displaced; 0 draws every sample. Default None: 0 up to 16.8 million
-            samples, else 0.5.
+            samples, else 0.5. With an engine: what that is to keep. Default None: 1.
+        engine: draw the mesh that this engine makes, with light on its faces: soar, roam, … (see ``orograph.lod``).
+            Default None: the terrain itself.
+        wireframe: with an engine, draw its triangles' edges over the relief. Default False.
         max_memory: bytes to keep within. Default None: no limit.
         jobs: threads. Default None: all processors.
         backend: "cpu".
@@ -83,6 +88,8 @@ def render(
         raise _unknown(next(iter(unknown)))
     if backend != "cpu":
         raise UsageError(f"There is no backend {backend!r}; there is 'cpu'.")
+    if wireframe and engine is None:
+        raise UsageError("wireframe shows what an engine made.", remedy='Choose one, such as engine="soar".')
     light = sun if isinstance(sun, Sun) else Sun(*sun)
     check_memory((view.width, view.height) if view is not None else size, max_memory)
     if isinstance(terrain, (str, os.PathLike)):
@@ -106,7 +113,14 @@ def render(
 
     from orograph.picture.cpu import draw
 
-    return draw(scene, progress)
+    if engine is None:
+        return draw(scene, progress)
+    from orograph.picture.surface import meshed
+
+    scene, stats = meshed(scene, engine, wireframe=wireframe, progress=progress)
+    picture = draw(scene, progress)
+    picture.facts["mesh"] = stats
+    return picture
 
 
 def _unknown(name: str) -> UsageError:

@@ -105,6 +105,14 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
             for n in map_ordered(refine, range(0, len(edges), max(1, BLOCK // scene.samples)), scene.jobs):
                 task.advance(n * len(ft) / max(1, len(edges)))
             lap("antialiasing")
+    if scene.wires is not None:
+        from orograph.picture.wireframe import draw_edges
+
+        with progress.task("Drawing edges"):
+            draw_edges(
+                linear, t, scene.wires, scene.terrain.grid, view, exaggeration=scene.exaggeration, jobs=scene.jobs
+            )
+        lap("edges")
     pixels = encode(linear)
     if scene.furniture:
         from orograph.picture.legend import decorate

@@ -141,7 +141,7 @@ class Ground:
         terrain = scene.terrain
         self.scene, self.tolerance = scene, tolerance
         self.windows = windows
-        self.caster = Caster(load(terrain, windows, scene.jobs), terrain.grid.shape, scene.jobs)
+        self.caster = Caster(load(scene.surface or terrain, windows, scene.jobs), terrain.grid.shape, scene.jobs)
         self.relief = Relief.load(
             terrain, rectangles(terrain, scene.view, scene.exaggeration, 1.0, by="spacing"), scene.jobs
         )
@@ -156,7 +156,7 @@ class Ground:
     @classmethod
     def load(cls, scene: Scene) -> Ground:
         """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed."""
-        terrain = scene.terrain
+        terrain = scene.surface or scene.terrain
         rows, cols = terrain.grid.shape
         tolerance = scene.pixel_tolerance
         # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together, the means.

@@ -9,6 +9,7 @@ from typing import Literal
 
 from orograph.errors import ReadError, UsageError
 from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
 from orograph.view import View
 
 EXACT_SAMPLES = 4100 * 4100
@@ -63,6 +64,9 @@ class Scene:
         samples: rays per pixel where the picture has edges (1: no antialiasing).
         tolerance: pixels; 0 demands the exact surface, None decides by size (``EXACT_SAMPLES``, ``DEFAULT_TOLERANCE``).
         furniture: title, colour bar, north arrow, scale bar; ``title``: None takes the terrain's name.
+        surface: the ground that rays meet, where that is not the terrain itself (same grid, ``picture.surface``);
+            colours and relief stay the terrain's.
+        wires: a tessellation whose edges are drawn as lines.
         max_memory: bytes that heights and pictures may take; None: no limit.
         jobs: threads; None: all processors.
 
@@ -85,6 +89,8 @@ class Scene:
     tolerance: float | None = None
     furniture: bool = False
     title: str | None = None
+    surface: Terrain | None = None
+    wires: Tessellation | None = None
     max_memory: int | None = None
     jobs: int | None = None
 

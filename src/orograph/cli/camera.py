@@ -1,0 +1,174 @@
+"""The camera on the command line: the options that say where to look from, what of them contradicts, and the view.
+
+``@camera_options`` gives a verb ``azimuth``, ``pitch``, ``distance``, ``lonlat``, ``look_at``, ``view_path``, ``fov``,
+``projection`` and ``size`` (``CAMERA``); ``check_camera`` refuses what contradicts, before any work; ``camera_view``
+makes the view once the terrain is known. Verbs that use them have ``exaggeration``, and may have ``furniture``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orograph.cli.options import FILE, F, ParamType
+
+if TYPE_CHECKING:
+    from orograph.store.terrain import Terrain
+    from orograph.view import View
+
+PLACES = ("azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov")
+"""What moves the camera away from the view of the whole terrain."""
+
+CAMERA = (*PLACES, "projection", "size")
+"""All that ``camera_options`` gives."""
+
+
+class Numbers(ParamType):
+    """Numbers separated by commas, so many of them."""
+
+    def __init__(self, *names: str, optional: int = 0) -> None:
+        self.names, self.optional = names, optional
+        self.name = ",".join(names)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        if isinstance(value, tuple):
+            return value
+        try:
+            numbers = tuple(float(part) for part in str(value).split(","))
+        except ValueError:
+            numbers = ()
+        if not len(self.names) - self.optional <= len(numbers) <= len(self.names):
+            self.fail(f"{value!r} is not {self.name}: numbers separated by commas.", param, ctx)
+        return numbers
+
+
+class Size(ParamType):
+    """Pixels, WIDTHxHEIGHT."""
+
+    name = "WIDTHxHEIGHT"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        if isinstance(value, tuple):
+            return value
+        parts = str(value).lower().split("x")
+        if len(parts) != 2 or not all(p.strip().isdigit() and int(p) > 0 for p in parts):
+            self.fail(f"{value!r} is not a size such as 1280x720.", param, ctx)
+        return int(parts[0]), int(parts[1])
+
+
+def camera_options(function: F) -> F:
+    """Give a verb the options that say where to look from."""
+    for option in reversed(
+        [
+            click.option(
+                "--from",
+                "azimuth",
+                type=float,
+                metavar="AZIMUTH",
+                help="Look from this side, degrees clockwise from north.  [default: 180, the south]",
+            ),
+            click.option(
+                "--pitch",
+                type=float,
+                metavar="DEG",
+                help="Look down by this angle; 90 is straight down.  [default: 42]",
+            ),
+            click.option(
+                "--distance",
+                type=float,
+                metavar="M",
+                help="Metres from the ground in the terrain's middle.  [default: such that all of it is in view]",
+            ),
+            click.option(
+                "--lonlat",
+                type=Numbers("LON", "LAT", "HEIGHT"),
+                help="Stand here, HEIGHT metres above the heights' own zero.",
+            ),
+            click.option(
+                "--look-at",
+                type=Numbers("LON", "LAT"),
+                help="With --lonlat: look at the ground here.  [default: the terrain's middle]",
+            ),
+            click.option(
+                "--view",
+                "view_path",
+                type=FILE,
+                metavar="VIEW.json",
+                help='The camera in a file: {"eye": [E, N, height], "target": […], "up": […], "fov_y": 40, "width": …, '
+                '"height": …, "near": …, "far": …}, in the terrain\'s CRS, or longitude, latitude and height with '
+                '"crs": "EPSG:4326".',
+            ),
+            click.option(
+                "--fov",
+                type=click.FloatRange(0, 180, min_open=True, max_open=True),
+                metavar="DEG",
+                help="Vertical field of view.  [default: 30; with --lonlat 45; with --view the view's]",
+            ),
+            click.option(
+                "--projection",
+                type=click.Choice(["perspective", "plan"]),
+                default="perspective",
+                show_default=True,
+                help="plan: a map, straight down with parallel rays; --from says which side is at its foot.",
+            ),
+            click.option(
+                "--size", type=Size(), help="The picture's size in pixels.  [default: 1280x720, or the view's]"
+            ),
+        ]
+    ):
+        function = option(function)
+    return function
+
+
+def check_camera(options: Mapping[str, Any]) -> None:
+    """Raise UsageError where the camera options contradict each other."""
+    from orograph.errors import UsageError
+
+    oblique = [f"--{k}" for k in ("from", "pitch", "distance") if options["azimuth" if k == "from" else k] is not None]
+    if options["look_at"] is not None and options["lonlat"] is None:
+        raise UsageError("--look-at needs --lonlat: the place to stand at.")
+    if sum([options["view_path"] is not None, bool(oblique), options["lonlat"] is not None]) > 1:
+        raise UsageError("Give one camera: --view, or --from, --pitch and --distance, or --lonlat and --look-at.")
+    if options["projection"] == "plan":
+        wrong = [o for o in oblique if o != "--from"] + (["--lonlat"] if options["lonlat"] is not None else [])
+        if wrong:
+            raise UsageError(
+                f"{wrong[0]} and --projection plan contradict each other: a plan is the whole terrain, straight down.",
+                remedy="Turn it with --from, or choose another extent with --view.",
+            )
+
+
+def camera_view(terrain: Terrain, options: Mapping[str, Any]) -> View:
+    """The camera that the options describe (see ``check_camera``)."""
+    from dataclasses import replace
+
+    from orograph.picture import camera
+    from orograph.view import View
+
+    def given(name: str, default: float) -> float:
+        return default if options[name] is None else float(options[name])
+
+    size = options["size"] or (1280, 720)
+    if options["view_path"] is not None:
+        view = View.load(options["view_path"], crs=terrain.grid.crs)
+        if options["size"] is not None:
+            view = view.resized(*size)
+        if options["projection"] == "plan":
+            view = replace(view, projection="plan")
+        return replace(view, fov_y=given("fov", view.fov_y))
+    azimuth = given("azimuth", 180.0)
+    insets = camera.NO_INSETS
+    if options.get("furniture"):
+        from orograph.picture import furniture
+
+        insets = furniture.insets(size)
+    if options["projection"] == "plan":
+        return camera.plan(terrain, size, azimuth=azimuth, insets=insets)
+    if options["lonlat"] is not None:
+        return camera.standing(terrain, size, options["lonlat"], options["look_at"], fov_y=given("fov", 45.0))
+    return camera.around(
+        terrain, size, azimuth=azimuth, pitch=given("pitch", 42.0), distance=options["distance"],
+        fov_y=given("fov", 30.0), exaggeration=options["exaggeration"], insets=insets,
+    )  # fmt: skip

@@ -1,0 +1,125 @@
+"""A tessellation as ground: the terrain that an engine shows, so that all that draws terrain can draw it.
+
+The triangles of a hierarchy of right triangles are unions of the cells' own halves (``hierarchy``): a coarse triangle
+interpolated at every sample it covers, and drawn by the finest triangulation, is that coarse triangle again, exactly.
+So the surface of a mesh is a raster of the terrain's own size, and light, shadows and antialiasing need to know nothing
+of meshes. (Where the raster is not 2^n + 1 samples a side, triangles squeezed onto its last row and column have slanted
+edges, and these are true to a cell.)
+
+What no triangle covers keeps the terrain's heights: that is ground out of view, left out by the engine, which still
+casts its shadow into the picture; and holes stay holes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel
+from orograph.errors import UsageError
+from orograph.picture.memory import amount, available
+from orograph.picture.scene import Scene
+from orograph.progress import SILENT, Progress
+from orograph.store.memory import MemoryTerrain
+from orograph.store.terrain import Heights, Terrain
+from orograph.tessellation import Tessellation
+
+BYTES_PER_SAMPLE = 4 * (1 + 5 / 12) + 4
+"""Of a mesh's surface while it is drawn: heights and their pyramids."""
+
+
+TOLERANCE = 1.0
+"""Pixels: what an engine is asked to keep unless the scene says."""
+
+ENGINE_MEMORY = 1 << 30
+"""Bytes of tiles that an engine may hold where no limit is given."""
+
+
+def meshed(
+    scene: Scene, engine: str, *, wireframe: bool = False, progress: Progress = SILENT
+) -> tuple[Scene, dict[str, Any]]:
+    """The scene as an engine draws it, and what the engine says of its mesh.
+
+    The scene's tolerance is the engine's. With ``wireframe`` the mesh's edges are drawn over the mesh, which carries
+    the colours and the relief of the terrain; without, light falls on the mesh's own faces.
+
+    Raises:
+        UsageError: there is no such engine, or the raster does not fit into memory.
+        StoreError: the store was built without errors of diamonds.
+    """
+    from orograph.lod import engine_of
+
+    if scene.view.projection == "plan":
+        progress.warn("in a plan no height moves a pixel: the coarsest mesh is as good as any.")
+    make = engine_of(engine)
+    memory = ENGINE_MEMORY if scene.max_memory is None else scene.max_memory // 2
+    with progress.task(f"Refining ({engine})") as task:
+        mesh = make(scene.terrain, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs).refine(
+            scene.view, tolerance=TOLERANCE if scene.tolerance is None else scene.tolerance
+        )
+        task.note(f"{len(mesh.triangles):,} triangles")
+    with progress.task("The mesh's surface"):
+        surface = surface_of(mesh, scene.terrain, scene.max_memory)
+    if wireframe:
+        return replace(scene, surface=surface, wires=mesh, tolerance=0.0), mesh.stats
+    return replace(scene, terrain=surface, tolerance=0.0), mesh.stats
+
+
+def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | None = None) -> MemoryTerrain:
+    """The terrain as a tessellation of it shows it, at full resolution.
+
+    Args:
+        tessellation: triangles between samples of ``terrain``.
+        max_memory: bytes; None: whatever the machine has free.
+
+    Raises:
+        UsageError: the raster does not fit into memory. DamagedChunkError: as ``terrain.read``.
+    """
+    rows, cols = terrain.grid.shape
+    needed = int(rows * cols * BYTES_PER_SAMPLE)
+    limits = [limit for limit in (max_memory, available()) if limit is not None]
+    if limits and needed > min(limits):
+        raise UsageError(
+            f"The surface of a mesh of {cols} × {rows} samples takes {amount(needed)} of memory to draw, and "
+            f"{amount(min(limits))} may be used.",
+            path=terrain.name,
+            remedy="Allow more (--max-memory), or draw a part or a coarser resolution of it (--resolution).",
+        )
+    heights = np.array(terrain.read(0, 0, rows, 0, cols), np.float32)
+    fill_triangles(tessellation.vertices, tessellation.triangles, heights)
+    return MemoryTerrain(heights, terrain.grid, terrain.name, terrain.vertical)
+
+
+@kernel
+def fill_triangles(vertices: NDArray[np.float64], triangles: NDArray[np.int32], heights: Heights) -> None:
+    """Interpolate triangles at the samples they cover.
+
+    Args:
+        vertices: (n, 3) float64, column, row (whole numbers), height in metres.
+        triangles: (m, 3) int32.
+        heights: (rows, cols) float32, overwritten where a triangle is.
+    """
+    for k in range(len(triangles)):
+        a, b, c = vertices[triangles[k, 0]], vertices[triangles[k, 1]], vertices[triangles[k, 2]]
+        ax, ay, bx, by, cx, cy = int(a[0]), int(a[1]), int(b[0]), int(b[1]), int(c[0]), int(c[1])
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if area == 0:
+            continue
+        across = ((b[2] - a[2]) * (cy - ay) - (c[2] - a[2]) * (by - ay)) / area
+        down = ((c[2] - a[2]) * (bx - ax) - (b[2] - a[2]) * (cx - ax)) / area
+        turned = 1 if area > 0 else -1
+        for y in range(min(ay, by, cy), max(ay, by, cy) + 1):
+            for x in range(min(ax, bx, cx), max(ax, bx, cx) + 1):
+                if (
+                    turned * ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) >= 0
+                    and turned * ((cx - bx) * (y - by) - (x - bx) * (cy - by)) >= 0
+                    and turned * ((ax - cx) * (y - cy) - (x - cx) * (ay - cy)) >= 0
+                ):
+                    heights[y, x] = a[2] + across * (x - ax) + down * (y - ay)
+    for k in range(len(triangles)):  # to the bit
+        for corner in range(3):
+            v = vertices[triangles[k, corner]]
+            heights[int(v[1]), int(v[0])] = v[2]
