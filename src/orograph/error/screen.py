@@ -15,6 +15,7 @@ from above, or, the published ones, estimates it, for all points of a bounding v
   axis too: distance over depth.
 * ``wedgie``: over the prism of a triangle ± e. The numerator is convex and does not change along the vertical, depth is
   linear: both are extreme at the triangle's corners (ROAM's corner bound).
+* ``localised``: the wedgie's bound over the parts of a triangle, each with what is known of it (``lod.localise``).
 * ``isotropic-published``: λ·e / (d − r): right on the axis of view only.
 * ``anisotropic-published``: the lecture's λ·e·(1 − |cos|) / (d − r): smaller than the truth, sqrt(1 − cos²).
 
@@ -35,7 +36,7 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.view import View
 
-ANISOTROPIC, ISOTROPIC, WEDGIE, ISOTROPIC_PUBLISHED, ANISOTROPIC_PUBLISHED = 0, 1, 2, 3, 4
+ANISOTROPIC, ISOTROPIC, WEDGIE, ISOTROPIC_PUBLISHED, ANISOTROPIC_PUBLISHED, LOCALISED = 0, 1, 2, 3, 4, 5
 
 # What a lens holds: the camera as one float64 vector, for kernels.
 MATRIX, FOCAL, TOLERANCE, NEAR, STRETCH, UP, PLANES, COLOR, TEXEL, LENGTH = 0, 12, 13, 14, 15, 16, 20, 44, 45, 46
@@ -65,6 +66,7 @@ METRICS = {
         Metric("anisotropic", ANISOTROPIC, True, True),
         Metric("isotropic", ISOTROPIC, True, True),
         Metric("wedgie", WEDGIE, True, False),
+        Metric("localised", LOCALISED, True, False),
         Metric("isotropic-published", ISOTROPIC_PUBLISHED, False, True),
         Metric("anisotropic-published", ANISOTROPIC_PUBLISHED, False, True),
     )

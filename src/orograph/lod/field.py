@@ -152,8 +152,12 @@ class Field:
         self.pages.table[absent] = -1
         self.pages.count[0] = 0
 
-    def fetch(self) -> bool:
+    def fetch(self, *, resumes: bool = False) -> bool:
         """Read the pages that were missed since ``begin``; whether there were any.
+
+        Args:
+            resumes: the refinement goes on from where it missed them and asks again for what it still lacks, so any
+                other page may leave, and only as many are read as there is room for.
 
         Raises:
             UsageError: the pages one refinement needs do not fit into the memory allowed.
@@ -165,7 +169,11 @@ class Field:
         wanted = self.pages.misses[:count].copy()
         self._forget_misses()
         order = np.lexsort((np.arange(len(self._last)), self._last, self._holds >= 0))  # free ones, then oldest
-        order = order[(self._holds[order] < 0) | (self._last[order] < self._round)]
+        if resumes:
+            wanted = wanted[: len(order)]
+            count = len(wanted)
+        else:
+            order = order[(self._holds[order] < 0) | (self._last[order] < self._round)]
         if len(order) < count:
             raise UsageError(
                 f"One view needs more than the {len(self._last)} tiles that fit into "

@@ -1,0 +1,138 @@
+"""The metric ``localised``: the wedgie's bound taken apart, so that a large triangle is judged where its error is.
+
+A wedgie puts the largest error of a whole triangle at the corner from which it looks worst, though the sample that is
+off may lie at the other end, or out of view. Here a triangle T is judged by branch and bound over the triangles below
+it in the hierarchy. For a triangle t under T, every full-resolution sample in t lies within
+
+    min(e_T, e_t + max over t's corners of |z − T|)        metres of T on its vertical,
+
+e the stored errors (bounds, exact errors best): t's surface is linear, and so is T's. That length, projected from the
+part of T under t, bounds what the samples in t are displaced by; t is done if this is within the tolerance, or if the
+prism t ± e_t is out of view. Otherwise t is halved; the vertex in the middle of its hypotenuse is a sample, and if it is
+in view and *its* displacement exceeds the tolerance, T is inaccurate beyond doubt. At the depth allowed the bounds stand
+as they are. All of it is conservative; with no limit of depth it is exact: the largest displacement of T's samples.
+
+Not for triangles that straddle the border of a raster that is not 2^n + 1 samples wide (the squeeze takes their halves
+off their own ground), nor for published errors that are no bounds. Metres, pixels; coordinates as in ``error.screen``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import inlined
+from orograph.error.screen import to_camera, triangle_bound
+from orograph.lod.field import find
+
+STACK = 14
+"""Numbers that wait for each triangle: rows and columns, heights, heights of T, of three corners; error; depth."""
+
+
+@inlined
+def prism_outside(lens, ac, ar, az, bc, br, bz, cc, cr, cz, e):
+    """Whether all points within e (metres) of a triangle on their vertical lie beyond one plane of the frustum."""
+    for plane in range(6):
+        at = 20 + 4 * plane
+        p, q, v, d = lens[at], lens[at + 1], lens[at + 2], lens[at + 3]
+        farthest = max(p * ac + q * ar + v * az, max(p * bc + q * br + v * bz, p * cc + q * cr + v * cz)) + d
+        if farthest + e * abs(v) < 0.0:
+            return True
+    return False
+
+
+@inlined
+def localised_bound(
+    pages, lens, er, ec, ez, xr, xc, xz, ar, ac, az, level, leaf, e, mz, low, enough, cull, depth, todo
+):
+    """(a bound in pixels of what T displaces, whether a page is missing) for a triangle T inside the raster.
+
+    Args:
+        er, ec, ez…: row, column (int64) and height of the hypotenuse's ends and the apex.
+        level, leaf: T's and the finest level. e: T's error, finite. mz: height of T's middle.
+        low: displacements up to this do not matter. enough: one beyond this ends the search.
+        cull: whether what is out of view does not count.
+        depth: halvings.
+        todo: float64 (depth + 2, 14) for triangles that wait.
+    """
+    n = leaf >> 1
+    # T as a plane: height at (row, col) is base + down · row + across · col.
+    p1r, p1c, p2r, p2c = np.float64(xr - er), np.float64(xc - ec), np.float64(ar - er), np.float64(ac - ec)
+    area = p1r * p2c - p1c * p2r
+    z1, z2 = np.float64(xz) - np.float64(ez), np.float64(az) - np.float64(ez)
+    down = (z1 * p2c - z2 * p1c) / area
+    across = (z2 * p1r - z1 * p2r) / area
+    base = np.float64(ez) - down * er - across * ec
+    worst = 0.0
+    missed = False
+    top = 1
+    todo[0, 0], todo[0, 1], todo[0, 2] = er, ec, ez
+    todo[0, 3], todo[0, 4], todo[0, 5] = xr, xc, xz
+    todo[0, 6], todo[0, 7], todo[0, 8] = ar, ac, az
+    todo[0, 9], todo[0, 10], todo[0, 11] = mz, e, 0.0
+    first = True
+    while top > 0:
+        top -= 1
+        br, bc, bz = todo[top, 0], todo[top, 1], todo[top, 2]
+        dr, dc, dz = todo[top, 3], todo[top, 4], todo[top, 5]
+        fr, fc, fz = todo[top, 6], todo[top, 7], todo[top, 8]
+        at = np.int64(todo[top, 11])
+        if level + at == leaf:
+            continue  # no samples but its corners, which were looked at as middles
+        if first:
+            hz, known = todo[top, 9], todo[top, 10]
+        else:
+            slot, i, j = find(pages, np.int64(br + dr) >> 1, np.int64(bc + dc) >> 1, n - 1 - ((level + at) >> 1))
+            if slot < 0:
+                missed = True
+                continue
+            hz, known = np.float64(pages.data[slot, i, j, 0]), np.float64(pages.data[slot, i, j, 1])
+        if cull and not first and prism_outside(lens, bc, br, bz, dc, dr, dz, fc, fr, fz, known):
+            continue
+        tb = base + down * br + across * bc
+        td = base + down * dr + across * dc
+        tf = base + down * fr + across * fc
+        if not first:
+            # (1e-9: roundings of the plane's heights must not make the bound smaller)
+            off = max(abs(bz - tb), max(abs(dz - td), abs(fz - tf)))
+            length = min(e, (known + off) * (1.0 + 1e-9))
+            bx, by, bw = to_camera(lens, bc, br, tb)
+            dx, dy, dw = to_camera(lens, dc, dr, td)
+            fx, fy, fw = to_camera(lens, fc, fr, tf)
+            bound = triangle_bound(lens, bx, by, bw, dx, dy, dw, fx, fy, fw, length)
+            if bound <= max(low, worst):
+                continue
+            if at >= depth:
+                worst = bound
+                if worst > enough:
+                    break
+                continue
+        first = False
+        # The middle is a sample: what it is displaced by, if it is in view.
+        mr, mc = 0.5 * (br + dr), 0.5 * (bc + dc)
+        on = base + down * mr + across * mc
+        x, y, w = to_camera(lens, mc, mr, hz)
+        seen = w > 0.0
+        if cull:
+            for plane in range(6):
+                p = 20 + 4 * plane
+                seen = seen and lens[p] * mc + lens[p + 1] * mr + lens[p + 2] * hz + lens[p + 3] >= 0.0
+        if seen:
+            moved = w + (on - hz) * lens[10]
+            p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
+            if moved > 0.0:
+                worst = max(worst, lens[12] * abs(on - hz) * np.sqrt(p * p + q * q) / (w * moved))
+            else:
+                worst = np.inf
+            if worst > enough:
+                break
+        hm = hz
+        for half in range(2):
+            todo[top, 0], todo[top, 1], todo[top, 2] = fr, fc, fz
+            if half == 0:
+                todo[top, 3], todo[top, 4], todo[top, 5] = br, bc, bz
+            else:
+                todo[top, 3], todo[top, 4], todo[top, 5] = dr, dc, dz
+            todo[top, 6], todo[top, 7], todo[top, 8] = mr, mc, hm
+            todo[top, 11] = at + 1
+            top += 1
+    return worst, missed

@@ -1,0 +1,64 @@
+"""Queues of triangles for refinements: a binary heap in which the order is total, and what names a diamond in it.
+
+The heap (Williams 1964) is three parallel arrays: priority, code, slot. Larger priorities come first; among equals
+smaller codes. A *code* is level · 2^54 + i · 2^27 + j, with (i, j) the diamond's vertex in units of its octave's
+spacing: coarser diamonds come before finer ones, so parents before children, and the two top triangles of a diamond,
+which share its code, come one after the other. The slot is the caller's number of the triangle.
+
+A FIFO of the same triangles is a ring over two of the arrays (code and slot): see the kernels that use it. Everything is
+inlined into them; sizes are the callers' to keep.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import inlined
+
+LEVEL_SHIFT = 54
+ROW_SHIFT = 27
+LARGEST_N = 26
+"""The largest n for which a diamond's place fits into a code."""
+
+
+@inlined
+def code_of(key, level, n):
+    """The code of the diamond with vertex ``key`` (row << 32 | col), split by triangles of ``level`` < 2n."""
+    k = n - 1 - (level >> 1)
+    return (np.int64(level) << 54) | ((key >> 32 >> k) << 27) | ((key & 0xFFFFFFFF) >> k)
+
+
+@inlined
+def heap_push(priorities, codes, slots, size, priority, code, slot):
+    """Add an entry to a heap of ``size`` entries (the arrays have room for one more)."""
+    at = size
+    while at > 0:
+        above = (at - 1) >> 1
+        p = priorities[above]
+        if p > priority or (p == priority and codes[above] <= code):
+            break
+        priorities[at], codes[at], slots[at] = p, codes[above], slots[above]
+        at = above
+    priorities[at], codes[at], slots[at] = priority, code, slot
+
+
+@inlined
+def heap_pop(priorities, codes, slots, size):
+    """Take the first entry off a heap of ``size`` ≥ 1 entries; it is read from place 0 before."""
+    last = size - 1
+    priority, code, slot = priorities[last], codes[last], slots[last]
+    at = 0
+    while True:
+        below = 2 * at + 1
+        if below >= last:
+            break
+        if below + 1 < last:
+            p, q = priorities[below], priorities[below + 1]
+            if q > p or (q == p and codes[below + 1] < codes[below]):
+                below += 1
+        p = priorities[below]
+        if priority > p or (priority == p and code <= codes[below]):
+            break
+        priorities[at], codes[at], slots[at] = p, codes[below], slots[below]
+        at = below
+    priorities[at], codes[at], slots[at] = priority, code, slot

@@ -1,0 +1,207 @@
+"""Refinements without engines: whole arrays, NumPy, fronts of ``orograph.hierarchy``; and small terrains to refine.
+
+Nothing here is shared with ``orograph.lod`` or ``orograph.error.screen``: the camera is written down from ``View``'s axes,
+criteria from their formulas, and a mesh is made by splitting fronts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from affine import Affine
+
+from orograph.geo.grid import Grid
+from orograph.hierarchy import diamonds, fronts, triangles
+from orograph.store.memory import MemoryTerrain
+from orograph.view import View
+
+
+def rough(rng: np.random.Generator, shape, amplitude=80.0, hurst=0.8, gaps=0.0) -> np.ndarray:
+    """Fractal heights (rows, cols) float32; about ``gaps`` of them missing, in patches."""
+    z = np.zeros(shape)
+    holes = np.zeros(shape)
+    size = 2
+    while size < 2 * max(shape):
+        coarse = rng.normal(size=(size + 1, size + 1)), rng.normal(size=(size + 1, size + 1))
+        y, x = (np.linspace(0, size, side) for side in shape)
+        i, j = np.minimum(y.astype(int), size - 1), np.minimum(x.astype(int), size - 1)
+        v, u = (y - i)[:, None], (x - j)[None]
+        for total, c, power in ((z, coarse[0], hurst), (holes, coarse[1], 1.0)):
+            at = np.ix_(i, j), np.ix_(i, j + 1), np.ix_(i + 1, j), np.ix_(i + 1, j + 1)
+            total += size**-power * (
+                (1 - v) * ((1 - u) * c[at[0]] + u * c[at[1]]) + v * ((1 - u) * c[at[2]] + u * c[at[3]])
+            )
+        size *= 2
+    z = (amplitude * z).astype(np.float32)
+    if gaps:
+        z[holes > np.quantile(holes, 1 - gaps)] = np.nan
+    return z
+
+
+def terrain(heights, cell=30.0, angle=0.0, stretch=1.0) -> MemoryTerrain:
+    """Heights on a grid of that cell size (stretched from west to east), turned by ``angle`` degrees."""
+    transform = Affine.translation(5e5, 4e6) @ Affine.rotation(angle) @ Affine.scale(cell * stretch, -cell)
+    return MemoryTerrain(np.ascontiguousarray(heights), Grid(heights.shape, transform, None), "test")
+
+
+def random_view(rng: np.random.Generator, t: MemoryTerrain, **options) -> View:
+    """From anywhere over the terrain or beside it to anywhere on it: close, far, grazing, steep, narrow and wide."""
+    rows, cols = t.grid.shape
+    size = t.grid.transform
+    extent = max(rows, cols) * math.hypot(size.a, size.d)
+    low, high = t.height_range
+    eye = size @ (rng.uniform(-0.2, 1.2) * cols, rng.uniform(-0.2, 1.2) * rows)
+    target = size @ (rng.uniform(0, 1) * cols, rng.uniform(0, 1) * rows)
+    above = extent * 10 ** rng.uniform(-2.0, 0.0)
+    options = {"fov_y": float(rng.choice([15, 40, 60, 100])), "width": 320, "height": 200} | options
+    return View((*eye, high + above), (*target, float(rng.uniform(low, high))), **options)
+
+
+@dataclass
+class Camera:
+    """A perspective view in stretched metres."""
+
+    view: View
+    exaggeration: float = 1.0
+
+    def __post_init__(self):
+        self.axes = np.stack(self.view.axes(self.exaggeration))
+        self.focal = 1.0 / self.view.pixel_slope
+        self.up = self.axes[:, 2] * self.exaggeration  # camera coordinates of a metre of height
+
+    def to_camera(self, points):
+        """(…, 3) easting, northing, height → right, up, depth."""
+        return (np.asarray(points) - self.view.eye) * [1, 1, self.exaggeration] @ self.axes.T
+
+    def planes(self):
+        """(n, 4) of the frustum in camera coordinates, unit normals."""
+        ty = math.tan(math.radians(self.view.fov_y) / 2)
+        tx = ty * self.view.width / self.view.height
+        rows = [np.array([a * s, b * s, t]) / math.hypot(1, t) for a, b, t in ((1, 0, tx), (0, 1, ty)) for s in (1, -1)]
+        found = [[*row, 0.0] for row in rows] + [[0, 0, 1, -self.view.near]]
+        if math.isfinite(self.view.far):
+            found.append([0, 0, -1, self.view.far])
+        return np.array(found)
+
+    def stretch_of(self, p):
+        """|(a·w − c·x, b·w − c·y)| of camera points (…, 3)."""
+        a, b, c = self.up
+        x, y, w = np.moveaxis(p, -1, 0)
+        return np.hypot(a * w - c * x, b * w - c * y)
+
+
+class Plain:
+    """All vertices of a terrain's padded square as arrays (N + 1, N + 1): heights, errors, radii."""
+
+    def __init__(self, t: MemoryTerrain, error: str = "exact"):
+        self.t, self.n = t, t.n
+        side = t.side
+        rows, cols = t.grid.shape
+        self.row, self.col = np.meshgrid(*(np.arange(side),) * 2, indexing="ij")
+        self.i, self.j = np.minimum(self.row, rows - 1), np.minimum(self.col, cols - 1)
+        self.z = t.heights[self.i, self.j].astype(float)
+        tiles = t.tiles(0).minimum
+        fill = np.where(np.isnan(tiles), t.height_range[0], tiles)
+        k = (np.minimum(v >> 8, m - 1) for v, m in zip((self.i, self.j), tiles.shape))
+        self.filled = np.where(np.isnan(self.z), fill[tuple(k)], self.z)
+        x, y = t.grid.xy(self.j, self.i)
+        self.at = np.stack([x, y, self.filled], -1)
+        self.e, self.r = np.zeros((side, side)), np.zeros((side, side))
+        octave = np.array([[diamonds.octave(r, c) if r | c else 99 for c in range(side)] for r in range(side)])
+        for level in range(t.levels):
+            shape = t.diamond_shape(level)
+            errors, radii = t.diamonds(error, level, 0, shape[0], 0, shape[1])
+            mine = octave == level if level < t.levels - 1 else octave >= level
+            inside = mine & (self.row >> level < shape[0]) & (self.col >> level < shape[1])
+            self.e[inside] = errors[self.row[inside] >> level, self.col[inside] >> level]
+            self.r[inside] = radii[self.row[inside] >> level, self.col[inside] >> level]
+            self.r[mine & ~inside] = -1e-30  # beyond the raster: empty
+
+    def corners(self, front: fronts.Front):
+        """(m, 3) rows and columns of the corners: left end, right end, apex."""
+        parts = [f(*front.arrays) for f in (triangles.left_end, triangles.right_end, triangles.apex)]
+        return np.stack([y for _, y in parts], 1), np.stack([x for x, _ in parts], 1)
+
+    def outside(self, camera: Camera, points, reach):
+        """Whether all points (m, k, 3), each ± reach (m,) metres along the vertical, lie beyond one plane."""
+        planes = camera.planes()
+        d = camera.to_camera(points) @ planes[:, :3].T + planes[:, 3]
+        along = np.abs(planes[:, :3] @ camera.up)
+        with np.errstate(invalid="ignore"):
+            return (d.max(1) + np.where(np.isinf(reach), np.inf, reach)[:, None] * along < 0).any(1)
+
+    def spheres_outside(self, camera: Camera):
+        """(N + 1, N + 1): whether a diamond's sphere is beyond a plane."""
+        planes = camera.planes()
+        d = camera.to_camera(self.at) @ planes[:, :3].T + planes[:, 3]
+        return (d < -np.abs(self.r)[..., None] * max(1.0, camera.exaggeration)).any(-1)
+
+    def sphere_errors(self, camera: Camera):
+        """(N + 1, N + 1): the anisotropic bound over each sphere, pixels."""
+        p = camera.to_camera(self.at)
+        radius = np.abs(self.r) * max(1.0, camera.exaggeration)
+        near = np.maximum(p[..., 2] - radius, camera.view.near)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            moved = near - self.e * abs(camera.up[2])
+            size = camera.stretch_of(p) + radius * np.linalg.norm(camera.up)
+            bound = camera.focal * self.e * size / (near * moved)
+        return np.where(self.e <= 0, 0.0, np.where(moved > 0, bound, np.inf))
+
+    def judge(self, front: fronts.Front, camera: Camera, cull=True, metric="wedgie"):
+        """(errors in pixels, drawn) of a front's triangles, by corners and prisms, as top-down refinement has it."""
+        rows, cols = self.corners(front)
+        i, j = self.i[rows, cols], self.j[rows, cols]
+        has_area = (j[:, 1] - j[:, 0]) * (i[:, 2] - i[:, 0]) != (j[:, 2] - j[:, 0]) * (i[:, 1] - i[:, 0])
+        r, c = diamonds.of_triangle(*front.arrays)
+        finest = r < 0
+        e = np.where(finest, 0.0, self.e[r, c])
+        seen = has_area & (finest | (self.r[r, c] >= 0))
+        z = self.z[rows, cols]
+        points = np.concatenate([self.at[rows, cols][..., :2], z[..., None]], -1)
+        if cull:
+            safe = np.where(np.isnan(points), 0.0, points)
+            squeezed = (rows >= self.t.grid.rows).any(1) | (cols >= self.t.grid.cols).any(1)
+            seen &= ~self.outside(camera, safe, np.where(np.isnan(z).any(1) | squeezed, np.inf, e))
+            seen &= finest | ~self.spheres_outside(camera)[r, c]
+        if metric == "wedgie":
+            p = camera.to_camera(points)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                nearest = p[..., 2].min(1)
+                moved = nearest - e * abs(camera.up[2])
+                error = camera.focal * e * camera.stretch_of(p).max(1) / (nearest * moved)
+            error = np.where(e <= 0, 0.0, np.where((moved > 0) & (nearest > 0) & np.isfinite(e), error, np.inf))
+        else:
+            error = self.sphere_errors(camera)[r, c]
+        return np.where(seen & ~finest, error, -1.0), seen & ~np.isnan(z).any(1)
+
+    def forced(self, camera: Camera, tolerance: float, **options) -> fronts.Front:
+        """The coarsest valid front whose triangles are all accurate, found by forced splits."""
+        front = fronts.coarsest(self.n)
+        while True:
+            bad = self.judge(front, camera, **options)[0] > tolerance
+            if not bad.any():
+                return front
+            r, c = diamonds.of_triangle(*front.arrays)
+            front = fronts.split(front, r[bad], c[bad])
+
+    def triangle_set(self, front: fronts.Front, drawn) -> set:
+        """The squeezed corners (col, row) of the drawn triangles with area."""
+        rows, cols = self.corners(front)
+        return _set(self.j[rows, cols][drawn], self.i[rows, cols][drawn])
+
+
+def _set(cols, rows) -> set:
+    found = {frozenset((int(c), int(r)) for c, r in zip(*t)) for t in zip(cols, rows)}
+    return {t for t in found if len(t) == 3}
+
+
+def triangles_of(tessellation) -> set:
+    """The corners (col, row) of a tessellation's triangles."""
+    v = tessellation.vertices[tessellation.triangles]
+    return _set(v[..., 0], v[..., 1])
+
+
+SHAPES = [(17, 17), (33, 33), (20, 31), (33, 18), (9, 30), (2, 2), (3, 5)]
+"""Sizes of small rasters, with and without squeezed borders."""

@@ -1,0 +1,217 @@
+"""Top-down refinement against forced splits of fronts, budgets against validity, and the promise against the referee."""
+
+from __future__ import annotations
+
+import numpy as np
+import plain
+import pytest
+import rasterio
+
+from orograph import verify
+from orograph.errors import UsageError
+from orograph.hierarchy import diamonds, fronts
+from orograph.lod import engine_of
+from orograph.lod.top_down import TopDown
+
+
+@pytest.mark.parametrize("shape", plain.SHAPES)
+@pytest.mark.parametrize("gaps", [0.0, 0.15])
+def test_mesh_is_that_of_forced_splits(shape, gaps):
+    rng = np.random.default_rng([*shape, int(gaps * 100)])
+    for case in range(6):
+        z = plain.rough(rng, shape, gaps=gaps)
+        if np.isnan(z).all():
+            continue
+        t = plain.terrain(z, angle=float(rng.uniform(0, 360)), stretch=float(rng.choice([1, 2.5])))
+        p = plain.Plain(t)
+        exaggeration = float(rng.choice([1.0, 2.0]))
+        view = plain.random_view(rng, t)
+        tolerance = float(10 ** rng.uniform(-1, 1))
+        for metric in ("wedgie", "anisotropic"):
+            for cull in (True, False):
+                camera = plain.Camera(view, exaggeration)
+                front = p.forced(camera, tolerance, cull=cull, metric=metric)
+                expected = p.triangle_set(front, p.judge(front, camera, cull, metric)[1])
+                queue = "fifo" if case % 2 else "priority"
+                engine = TopDown(t, metric=metric, cull=cull, queue=queue, exaggeration=exaggeration)
+                assert plain.triangles_of(engine.refine(view, tolerance=tolerance)) == expected
+                assert engine.refine(view, tolerance=tolerance).stats["front"] == len(front)
+
+
+def true_errors(p, camera, front, cull=True):
+    """Largest displacement in pixels of any sample in view under each triangle of a front, by brute force."""
+    rows, cols = p.corners(front)
+    samples = camera.to_camera(p.at)
+    planes = camera.planes()
+    in_view = (samples @ planes[:, :3].T + planes[:, 3] >= 0).all(-1) if cull else np.ones(samples.shape[:2], bool)
+    found = np.zeros(len(rows))
+    for t, (r, c) in enumerate(zip(rows, cols)):
+        A = np.array([[r[0], c[0], 1], [r[1], c[1], 1], [r[2], c[2], 1]], float)
+        weights = np.stack([p.row, p.col, np.ones_like(p.row)], -1) @ np.linalg.inv(A)
+        mine = (weights > -1e-9).all(-1) & in_view
+        mesh = p.at.copy()
+        mesh[..., 2] = weights @ p.z[r, c]
+        q = camera.to_camera(mesh)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            gap = np.hypot(*np.moveaxis((samples / samples[..., 2:] - q / q[..., 2:])[..., :2], -1, 0)) * camera.focal
+        found[t] = np.where(q[..., 2] > 0, gap, np.inf)[mine].max(initial=0.0)
+    return found
+
+
+def test_localised_is_exact_without_a_limit_and_between_with_one():
+    rng = np.random.default_rng(5)
+    for _ in range(4):
+        t = plain.terrain(plain.rough(rng, (17, 17)))
+        p = plain.Plain(t)
+        view = plain.random_view(rng, t)
+        camera = plain.Camera(view)
+        for tolerance in (0.5, 2.0, 8.0):
+            front = fronts.coarsest(4)
+            while True:
+                r, c = diamonds.of_triangle(*front.arrays)
+                bad = (r >= 0) & (true_errors(p, camera, front) > tolerance)
+                if not bad.any():
+                    break
+                front = fronts.split(front, r[bad], c[bad])
+            counts = []
+            for depth in (64, 4, 1, 0):
+                engine = TopDown(t, metric="localised", depth=depth, queue="fifo")
+                found = engine.refine(view, tolerance=tolerance)
+                counts.append(found.stats["front"])
+                assert verify.judge(found, t, view).ok(tolerance)
+                if depth == 64:
+                    assert counts[0] == len(front)
+                    assert plain.triangles_of(found) <= p.triangle_set(front, np.ones(len(front), bool))
+            wedgie = TopDown(t, queue="fifo").refine(view, tolerance=tolerance).stats["front"]
+            assert counts == sorted(counts)
+            assert counts[-1] <= wedgie
+
+
+@pytest.mark.parametrize("shape", [(17, 17), (14, 19)])
+@pytest.mark.parametrize("metric", ["wedgie", "localised"])
+def test_every_budget_is_kept_by_a_valid_mesh(shape, metric):
+    rng = np.random.default_rng(shape)
+    t = plain.terrain(plain.rough(rng, shape))
+    view = plain.random_view(rng, t)
+    rows, cols = shape
+    everything = 2 * (rows - 1) * (cols - 1)
+    engine = TopDown(t, metric=metric, cull=False)
+    last, reached = 0, np.inf
+    for budget in range(2, everything + 1):
+        found = engine.refine(view, triangles=budget)
+        report = verify.judge(found, t, view)
+        assert not report.defects
+        assert budget - 2 < len(found.triangles) <= budget or found.stats["tolerance"] == 0.0 or shape != (17, 17)
+        assert len(found.triangles) >= last
+        last = len(found.triangles)
+        if found.stats["conservative"]:
+            assert report.ok(found.stats["tolerance"])
+            reached = found.stats["tolerance"]
+    assert reached == 0.0
+
+
+def test_budgets_with_holes_and_culling_keep_the_mesh_conforming():
+    rng = np.random.default_rng(8)
+    t = plain.terrain(plain.rough(rng, (33, 29), gaps=0.1))
+    view = plain.random_view(rng, t)
+    engine = TopDown(t)
+    for budget in range(2, 600, 7):
+        found = engine.refine(view, triangles=budget)
+        report = verify.judge(found, t, view)
+        assert len(found.triangles) <= budget
+        assert report.t_junctions == report.overlaps == report.crowded == report.reversed == report.wrong_heights == 0
+        if found.stats["conservative"]:
+            assert report.ok(found.stats["tolerance"])
+
+
+def test_fifo_reaches_a_budget_by_tolerance():
+    rng = np.random.default_rng(9)
+    t = plain.terrain(plain.rough(rng, (65, 65)))
+    view = plain.random_view(rng, t)
+    found = TopDown(t, queue="fifo").refine(view, triangles=500)
+    assert 250 < len(found.triangles) <= 500
+    assert verify.judge(found, t, view).ok(found.stats["tolerance"])
+
+
+def test_time_is_kept():
+    rng = np.random.default_rng(10)
+    t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=800))
+    view = plain.random_view(rng, t, fov_y=60.0)
+    engine = TopDown(t)
+    engine.refine(view, tolerance=0.01)  # compiled, and everything in memory
+    meshes = [engine.refine(view, seconds=s) for s in (0.002, 0.02, 0.1)]
+    counts = [len(m.triangles) for m in meshes]
+    assert counts == sorted(counts) and counts[0] < counts[-1]
+    for m, seconds in zip(meshes, (0.002, 0.02, 0.1)):
+        assert m.stats["refine_ms"] < 1e3 * seconds + 60
+        assert verify.judge(m, t, view).ok(m.stats["tolerance"] if m.stats["conservative"] else np.inf)
+
+
+def test_little_memory_gives_the_same_mesh():
+    rng = np.random.default_rng(11)
+    t = plain.terrain(plain.rough(rng, (1500, 1100), amplitude=800, gaps=0.02), cell=10)
+    view = plain.random_view(rng, t, fov_y=60.0)
+    for queue in ("fifo", "priority"):
+        for metric in ("wedgie", "localised"):
+            much = TopDown(t, queue=queue, metric=metric)
+            little = TopDown(t, queue=queue, metric=metric, max_memory=6 << 20)
+            expected = much.refine(view, tolerance=2.0)
+            found = little.refine(view, tolerance=2.0)
+            assert plain.triangles_of(found) == plain.triangles_of(expected)
+            assert little.field.resident <= 6 < much.field.resident
+            if queue == "priority":
+                a, b = (e.refine(view, triangles=5000) for e in (much, little))
+                assert plain.triangles_of(a) == plain.triangles_of(b)
+    assert verify.judge(found, t, view).ok(2.0)
+
+
+def test_colours_force_splits():
+    rng = np.random.default_rng(12)
+    t = plain.terrain(np.zeros((65, 65), np.float32))
+    view = plain.random_view(rng, t)
+
+    def color(level, row0, row1, col0, col1):
+        return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
+
+    flat = TopDown(t).refine(view, tolerance=1.0)
+    coarse = TopDown(t, color=color, color_tolerance=6.0).refine(view, tolerance=1.0)
+    fine = TopDown(t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
+    assert len(flat.triangles) == len(coarse.triangles) == 2
+    assert len(fine.triangles) > 2
+    assert verify.judge(fine, t, view).ok(0.0)
+
+
+def test_promise_on_mountains(shared_data):
+    with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
+        t = plain.terrain(file.read(1)[:500, :700].astype(np.float32))
+    rng = np.random.default_rng(13)
+    for metric in ("wedgie", "localised"):
+        engine = TopDown(t, metric=metric)
+        for _ in range(8):
+            view = plain.random_view(rng, t)
+            for tolerance in (0.5, 2.0, 8.0):
+                report = verify.judge(engine.refine(view, tolerance=tolerance), t, view)
+                assert report.ok(tolerance), report
+
+
+def test_plans_need_only_holes():
+    rng = np.random.default_rng(14)
+    whole, holes = (plain.terrain(plain.rough(rng, (65, 65), gaps=g)) for g in (0.0, 0.1))
+    for t in (whole, holes):
+        view = plain.random_view(rng, t, projection="plan", fov_y=170.0)
+        found = TopDown(t).refine(view, tolerance=1.0)
+        assert verify.judge(found, t, view).ok(0.0)
+        assert (len(found.triangles) <= 2) == (t is whole)
+
+
+def test_unusable_options_are_refused():
+    t = plain.terrain(np.zeros((5, 5), np.float32))
+    assert engine_of("top-down") is TopDown
+    for options in (
+        {"queue": "lifo"},
+        {"depth": -1},
+        {"metric": "nearest"},
+        {"metric": "localised", "error": "midpoint"},
+    ):
+        with pytest.raises(UsageError):
+            TopDown(t, **options)
