@@ -105,7 +105,7 @@ def test_ctrl_c_tells_how_to_resume(tmp_path):
     line = [sys.executable, "-m", "orograph", "build", dem, "-o", tmp_path / "a.oro", "--jobs", "1"]
     process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
     deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("a.oro.partial/parts/*.npz")):
+    while not list(tmp_path.glob("a.oro.partial/parts/*.part")):
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.005)
     process.send_signal(signal.SIGINT)

@@ -36,6 +36,7 @@ KEYS = {
     "dtype",
     "nodata",
     "vertical_datum",
+    "errors",
     "levels",
     "side",
     "size_bytes",

@@ -31,7 +31,7 @@ def whole(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "s"
     store.build(source(HEIGHTS), path, **SIZES)
     found = files(path)
-    assert {name.split("/")[0] for name in found} == {"zarr.json", "heights", "mean", "tiles"}
+    assert {name.split("/")[0] for name in found} == {"zarr.json", "heights", "mean", "tiles", "diamonds"}
     assert not [name for name in found if name.endswith(".writing")]
     return found
 
@@ -167,7 +167,7 @@ def test_a_finished_shard_that_was_damaged_meanwhile_is_made_again(tmp_path, mon
     content = bytearray(shard.read_bytes())
     content[100] ^= 255
     shard.write_bytes(content)
-    part = tmp_path / "s.partial/parts/0.1.npz"
+    part = tmp_path / "s.partial/parts/0.1.part"
     part.write_bytes(part.read_bytes()[:50])
     store.build(source(HEIGHTS), tmp_path / "s", resume=True, **SIZES)
     assert files(tmp_path / "s") == whole

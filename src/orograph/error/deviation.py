@@ -82,7 +82,7 @@ def edge_along(z, row, col, s):
 
 @leaf
 def square(z, row, col, s, falling):
-    """Deviation of the samples inside a square diamond of half side s; ``falling``: cut from north-west to south-east."""
+    """Deviation of the samples inside a square diamond of half side s, cut from north-west to south-east or not."""
     nw = np.float64(z[row - s, col - s])
     ne = np.float64(z[row - s, col + s])
     sw = np.float64(z[row + s, col - s])

@@ -1,9 +1,9 @@
 """Errors and nested spheres of every diamond of a raster, block by block: in memory or out of core, to the same bits.
 
-A block of full-resolution samples with a margin of 64 decides all diamonds of octaves 0 to 4 in it: they and all their
-descendants lie within 48 samples. Of the larger ones a block contributes what its samples say (the largest deviation
-from each coarse triangle that overlaps it); they are finished at the end, from arrays 1/1024 of the raster's size.
-Whatever the blocks and their order, every diamond's value is the maximum of the same numbers.
+A block of full-resolution samples with a margin around it decides all diamonds of octaves 0 to 4 in it: they and all
+their descendants lie within 48 samples. Of the larger ones a block contributes what its samples say (the largest
+deviation from each coarse triangle that overlaps it); they are finished at the end, from arrays 1/1024 of the raster's
+size. Whatever the blocks and their order, every diamond's value is the maximum of the same numbers.
 
 Per octave k the results are arrays of ``level_shape(shape, k)``: entry (i, j) belongs to the vertex (i·2^k, j·2^k) and
 counts where it is a diamond of that octave (i or j odd). Errors are metres, float32, rounded up, +inf for *mixed*
@@ -12,15 +12,17 @@ diamonds (part surface, part hole); radii metres, float32, negative for *empty* 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error import ErrorKind, holes, octaves
-from orograph.error.spheres import spheres
+from orograph.error import KINDS, ErrorKind, holes, octaves
+from orograph.error.encode import Encoder
+from orograph.error.spheres import edge_spheres, square_spheres
 from orograph.parallel import map_ordered
 
 Floats = NDArray[np.float32]
@@ -29,7 +31,10 @@ Read = Callable[[int, int, int, int], Floats]
 
 SMALL = 5
 """Octaves that blocks finish themselves."""
-MARGIN = 64
+REACH = 48
+"""Samples from a block's own to the farthest that decide its diamonds."""
+ALIGNED = 64
+"""Windows begin at multiples of this."""
 BLOCK = 1024
 NOTHING = np.float32(-1e-30)
 """The radius of an empty diamond whose sphere would be a point."""
@@ -99,14 +104,42 @@ class Part:
     radii: Floats | None
 
 
-@dataclass(slots=True)
-class _Found:
-    """What a block found: its parts, and what larger diamonds need of it."""
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """What larger diamonds need of a block.
 
-    parts: list[Part]
+    Attributes:
+        part: its diamonds of the last octave that blocks finish.
+        sums, states: of that octave's square diamonds (see ``octaves`` and ``holes``); None where they tell nothing.
+        raw: octave, first entry (i, j), deviations of the block's samples from the octave's coarse triangles.
+    """
+
+    part: Part
     sums: Floats | None
     states: NDArray[np.uint8] | None
     raw: list[tuple[int, int, int, Floats]]
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """All of it under names, to be kept."""
+        part = self.part
+        arrays: dict[str, NDArray[Any]] = {"at": np.array([part.octave, part.i, part.j])}
+        arrays.update({f"errors.{kind}": e for kind, e in part.errors.items()})
+        others = {"radii": part.radii, "sums": self.sums, "states": self.states}
+        arrays.update({name: array for name, array in others.items() if array is not None})
+        arrays.update({f"raw.{k}.{i}.{j}": raw for k, i, j, raw in self.raw})
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Rest:
+        """Back from ``to_arrays``."""
+        octave, i, j = (int(v) for v in arrays["at"])
+        errors = {kind: arrays[f"errors.{kind}"] for kind in KINDS if f"errors.{kind}" in arrays}
+        raw = []
+        for name, array in arrays.items():
+            if name.startswith("raw."):
+                k, a, b = (int(v) for v in name.split(".")[1:])
+                raw.append((k, a, b, array))
+        return cls(Part(octave, i, j, errors, arrays.get("radii")), arrays.get("sums"), arrays.get("states"), raw)
 
 
 def diamonds(
@@ -116,38 +149,175 @@ def diamonds(
     kinds: tuple[ErrorKind, ...] = ("exact",),
     *,
     radii: bool = True,
+    rounding: Encoder | None = None,
     block: int = BLOCK,
     jobs: int | None = None,
-    order: list[tuple[int, int]] | None = None,
+    order: list[Shape] | None = None,
 ) -> Iterator[Part]:
     """Yield the errors and radii of all diamonds, octaves 0 to n − 1.
 
     Args:
         read: ``read(row0, row1, col0, col1)``, full-resolution heights, NaN where missing; called from threads.
+        nested, surface, kinds, radii, rounding, block: see ``Survey``.
+        order: the blocks' (row, col) indices in the order wanted (default: row by row).
+    """
+    survey = Survey(nested, surface, kinds, radii=radii, rounding=rounding, block=block)
+    for parts, rest in map_ordered(lambda spot: survey.block(spot, read), order or survey.blocks(), jobs):
+        survey.add(rest)
+        yield from parts
+    yield from survey.finish()
+
+
+class Survey:
+    """The making of a raster's diamonds: first blocks, in any order and from any thread, then what is larger.
+
+    Args:
         nested: every 16th sample, the heights of level 4 (the last ones repeated at the raster's end).
         surface: see there.
         kinds: which errors.
         radii: whether to make the nested spheres, too.
-        block: samples along the side of a block, a power of two ≥ 64.
-        order: the blocks' (row, col) indices in the order wanted (default: row by row).
+        rounding: make them for these codes: each sphere around the rounded ones of its children, and rounded.
+        block: samples along the side of a block, a power of two ≥ 32.
     """
-    rows, cols = surface.shape
-    n = surface.n
-    coarse = _Coarse(nested, surface, kinds, radii)
-    spots = order or [(i, j) for i in range(-(-rows // block)) for j in range(-(-cols // block))]
-    work = _Block(read, surface, kinds, radii, block, coarse.heights)
-    for spot, found in zip(spots, map_ordered(work, spots, jobs)):
-        coarse.add(spot[0] * block, spot[1] * block, found)
-        yield from found.parts
-    if n > SMALL:
-        yield from coarse.finish()
+
+    def __init__(
+        self,
+        nested: Floats,
+        surface: Surface,
+        kinds: tuple[ErrorKind, ...],
+        *,
+        radii: bool = True,
+        rounding: Encoder | None = None,
+        block: int = BLOCK,
+    ) -> None:
+        self.surface, self.kinds, self.with_radii, self.rounding, self.size = surface, kinds, radii, rounding, block
+        self.nested = np.ascontiguousarray(nested, np.float32)
+        self.heights: list[Floats] = []  # of the octaves from SMALL on
+        for _ in range(SMALL, surface.n):
+            self.heights.append(halve(self.heights[-1] if self.heights else self.nested))
+        # Of the last octave that blocks finish:
+        shape = surface.octave_shape(SMALL - 1)
+        self.squares = 2, shape[0] // 2, shape[1] // 2
+        self.errors = {kind: np.zeros(shape, np.float32) for kind in kinds}
+        self.radii = np.zeros(shape, np.float32) if radii else None
+        self.sums = np.zeros(self.squares, np.float32) if "wedgie" in kinds else None
+        self.states: NDArray[np.uint8] | None = None
+        # Of the larger ones:
+        larger = range(SMALL, surface.n) if "exact" in kinds else ()
+        self.raw = [np.zeros(surface.octave_shape(k), np.float32) for k in larger]
+        self._lock = threading.Lock()
+
+    def blocks(self) -> list[Shape]:
+        """All blocks (row, col), row by row."""
+        rows, cols = (-(-side // self.size) for side in self.surface.shape)
+        return [(i, j) for i in range(rows) for j in range(cols)]
+
+    def block(self, spot: Shape, read: Read) -> tuple[list[Part], Rest | None]:
+        """Survey one block.
+
+        Args:
+            read: called once for the block and the samples around it that matter.
+
+        Returns:
+            its diamonds, an octave each, and what ``add`` must be told of it.
+        """
+        (rows, cols), size, n = self.surface.shape, self.size, self.surface.n
+        row, col = spot[0] * size, spot[1] * size
+        row0, col0 = (max((at - REACH) // ALIGNED * ALIGNED, 0) for at in (row, col))
+        row1, col1 = min(row + size + REACH + 1, rows), min(col + size + REACH + 1, cols)
+        fine = np.ascontiguousarray(read(row0, row1, col0, col1), np.float32)
+        end = row1 == rows, col1 == cols
+        # At a squeezed border diamonds may lie beyond the surface; elsewhere only missing samples make holes.
+        gaps = (self.surface.squeezed and any(end)) or bool(np.isnan(fine).any())
+        none = np.zeros((0, 0), np.float32)
+        climb = _Climb(
+            self.surface,
+            self.kinds,
+            self.rounding,
+            row0,
+            col0,
+            dict.fromkeys(self.kinds, none),
+            np.zeros((2, 0, 0), np.float32) if "wedgie" in self.kinds else None,
+            np.zeros((2, 0, 0), np.uint8) if gaps else None,
+            none if self.with_radii else None,
+            none,
+        )
+        parts = []
+        z, area = fine, (slice(0), slice(0))
+        for k in range(min(SMALL, n)):
+            z = halve(z, end) if k else fine
+            climb.step(k, fine, z)
+            shape = self.surface.octave_shape(k)
+            # The last block of a row or column has the entries beyond the raster's end, too.
+            last_row = shape[0] if row + size >= rows else (row + size) >> k
+            last_col = shape[1] if col + size >= cols else (col + size) >> k
+            i0, j0 = row0 >> k, col0 >> k
+            area = slice((row >> k) - i0, last_row - i0), slice((col >> k) - j0, last_col - j0)
+            parts.append(climb.part(k, row >> k, col >> k, area))
+        if n <= SMALL:
+            return parts, None
+        squares = (slice(None), *(slice(s.start >> 1, s.stop >> 1) for s in area))
+        sums = None if climb.sums is None else climb.sums[squares]
+        states = None if climb.states is None else climb.states[squares]
+        raw = []
+        if "exact" in self.kinds:
+            ours = fine[row - row0 : row - row0 + size, col - col0 : col - col0 + size]
+            raw = self._larger(np.ascontiguousarray(ours), row, col)
+        return parts, Rest(parts[-1], sums, states, raw)
+
+    def _larger(self, ours: Floats, row: int, col: int) -> list[tuple[int, int, int, Floats]]:
+        """For each larger octave: (octave, i, j, deviations of this block's samples)."""
+        found = []
+        for k in range(SMALL, self.surface.n):
+            # Diamonds reach one step to each side.
+            i0, j0 = max((row >> k) - 1, 0), max((col >> k) - 1, 0)
+            shape = self.surface.octave_shape(k)
+            i1 = min(((row + ours.shape[0] - 1) >> k) + 2, shape[0] - 1)
+            j1 = min(((col + ours.shape[1] - 1) >> k) + 2, shape[1] - 1)
+            raw = np.zeros((i1 - i0 + 1, j1 - j0 + 1), np.float32)
+            octaves.overlap(ours, row, col, self.heights[k - SMALL], k, *self.surface.shape, i0, j0, raw)
+            found.append((k, i0, j0, raw))
+        return found
+
+    def add(self, rest: Rest | None) -> None:
+        """Take over what a block found. Every block exactly once, in any order, from any thread."""
+        if rest is None:
+            return
+        part = rest.part
+        rows, cols = part.errors[self.kinds[0]].shape
+        area = slice(part.i, part.i + rows), slice(part.j, part.j + cols)
+        halves = slice(None), *(slice(s.start >> 1, s.stop >> 1) for s in area)
+        with self._lock:
+            for kind in self.kinds:
+                self.errors[kind][area] = part.errors[kind]
+            if self.radii is not None and part.radii is not None:
+                self.radii[area] = np.abs(part.radii)
+            if self.sums is not None and rest.sums is not None:
+                self.sums[halves] = rest.sums
+            if rest.states is not None:
+                if self.states is None:  # so far everything was whole
+                    self.states = np.full(self.squares, holes.WHOLE, np.uint8)
+                self.states[halves] = rest.states
+            for k, i, j, raw in rest.raw:
+                whole = self.raw[k - SMALL][i : i + raw.shape[0], j : j + raw.shape[1]]
+                np.maximum(whole, raw, out=whole)
+
+    def finish(self) -> Iterator[Part]:
+        """The diamonds of the octaves that no block finishes."""
+        filled = self.surface.filled(self.nested, 0, 0, SMALL - 1)
+        at = self.surface, self.kinds, self.rounding, 0, 0
+        climb = _Climb(*at, self.errors, self.sums, self.states, self.radii, filled)
+        for k in range(SMALL, self.surface.n):
+            z = self.heights[k - SMALL]
+            climb.step(k, z, z, self.raw[k - SMALL] if self.raw else None)
+            yield climb.part(k, 0, 0, (slice(None), slice(None)))
 
 
 class _Climb:
     """Goes up octave after octave over a window, and keeps what the next one needs.
 
     Args:
-        surface, kinds: as in ``diamonds``.
+        surface, kinds, rounding: as in ``Survey``.
         row0, col0: the window's first sample.
         errors, sums, states, radii, filled: of the octave below the first (none: it begins with octave 0). ``sums`` are
             kept only for wedgies, ``states`` only where there may be holes, ``radii`` only where they are wanted.
@@ -157,6 +327,7 @@ class _Climb:
         self,
         surface: Surface,
         kinds: tuple[ErrorKind, ...],
+        rounding: Encoder | None,
         row0: int,
         col0: int,
         errors: dict[ErrorKind, Floats],
@@ -165,7 +336,7 @@ class _Climb:
         radii: Floats | None,
         filled: Floats,
     ) -> None:
-        self.surface, self.kinds, self.row0, self.col0 = surface, kinds, row0, col0
+        self.surface, self.kinds, self.rounding, self.row0, self.col0 = surface, kinds, rounding, row0, col0
         self.errors, self.sums, self.states, self.radii, self.filled = errors, sums, states, radii, filled
         self.found: NDArray[np.uint8] | None = None
 
@@ -182,7 +353,8 @@ class _Climb:
         if self.states is not None:
             below, self.states = self.states, np.zeros((2, *half), np.uint8)
             self.found = np.full(z.shape, holes.WHOLE, np.uint8)
-            holes.states(fine, below, k, self.states, self.found)
+            beyond = (at[i] + ((z.shape[i] - 1) << k) >= self.surface.shape[i] for i in (0, 1))
+            holes.states(fine, below, k, self.states, self.found, *beyond)
         finer, self.errors = self.errors, {}
         for kind in self.kinds:
             e = exact if kind == "exact" and exact is not None else np.zeros(z.shape, np.float32)
@@ -202,7 +374,12 @@ class _Climb:
         if self.radii is not None:
             filled = self.surface.filled(z, self.row0, self.col0, k) if self.found is not None else z
             radii = np.empty(z.shape, np.float32)
-            spheres(filled, self.filled, self.radii, *at, self.surface.metric, radii)
+            edge_spheres(filled, self.filled, self.radii, *at, self.surface.metric, radii)
+            if self.rounding is not None:
+                self.rounding.round_up(radii, k, squares=False)
+            square_spheres(filled, *at, self.surface.metric, radii)
+            if self.rounding is not None:
+                self.rounding.round_up(radii, k, squares=True)
             self.radii, self.filled = radii, filled
 
     def part(self, k: int, i: int, j: int, area: tuple[slice, slice]) -> Part:
@@ -214,79 +391,6 @@ class _Climb:
                 empty = (self.found[area] != holes.WHOLE) & (self.found[area] != holes.MIXED)
                 radii = np.where(empty, np.minimum(-radii, NOTHING), radii)
         return Part(k, i, j, {kind: e[area] for kind, e in self.errors.items()}, radii)
-
-
-class _Block:
-    """The work on one block."""
-
-    def __init__(
-        self, read: Read, surface: Surface, kinds: tuple[ErrorKind, ...], radii: bool, size: int, coarse: list[Floats]
-    ) -> None:
-        self.read, self.surface, self.kinds, self.radii, self.size, self.coarse = (
-            read,
-            surface,
-            kinds,
-            radii,
-            size,
-            coarse,
-        )
-
-    def __call__(self, spot: tuple[int, int]) -> _Found:
-        (rows, cols), size, n = self.surface.shape, self.size, self.surface.n
-        row, col = spot[0] * size, spot[1] * size
-        row0, col0 = max(row - MARGIN, 0), max(col - MARGIN, 0)
-        row1, col1 = min(row + size + MARGIN + 1, rows), min(col + size + MARGIN + 1, cols)
-        fine = np.ascontiguousarray(self.read(row0, row1, col0, col1), np.float32)
-        end = row1 == rows, col1 == cols
-        # At a squeezed border diamonds may lie beyond the surface; elsewhere only missing samples make holes.
-        gaps = (self.surface.squeezed and any(end)) or bool(np.isnan(fine).any())
-        none = np.zeros((0, 0), np.float32)
-        climb = _Climb(
-            self.surface,
-            self.kinds,
-            row0,
-            col0,
-            dict.fromkeys(self.kinds, none),
-            np.zeros((2, 0, 0), np.float32) if "wedgie" in self.kinds else None,
-            np.zeros((2, 0, 0), np.uint8) if gaps else None,
-            none if self.radii else None,
-            none,
-        )
-        parts = []
-        z, area = fine, (slice(0), slice(0))
-        for k in range(min(SMALL, n)):
-            z = halve(z, end) if k else fine
-            climb.step(k, fine, z)
-            shape = self.surface.octave_shape(k)
-            first = (row >> k) - (row0 >> k), (col >> k) - (col0 >> k)
-            # The last block of a row or column has the entries beyond the raster's end, too.
-            last_row = shape[0] if row + size >= rows else (row + size) >> k
-            last_col = shape[1] if col + size >= cols else (col + size) >> k
-            area = slice(first[0], last_row - (row0 >> k)), slice(first[1], last_col - (col0 >> k))
-            parts.append(climb.part(k, row >> k, col >> k, area))
-        found = _Found(parts, None, None, [])
-        if n > SMALL:
-            squares = (slice(None), *(slice(s.start >> 1, s.stop >> 1) for s in area))
-            found.sums = None if climb.sums is None else climb.sums[squares]
-            found.states = None if climb.states is None else climb.states[squares]
-            if "exact" in self.kinds:
-                ours = fine[row - row0 : row - row0 + size, col - col0 : col - col0 + size]
-                found.raw = self._larger(np.ascontiguousarray(ours), row, col)
-        return found
-
-    def _larger(self, ours: Floats, row: int, col: int) -> list[tuple[int, int, int, Floats]]:
-        """For each larger octave: (octave, i, j, deviations of this block's samples)."""
-        found = []
-        for k in range(SMALL, self.surface.n):
-            # Diamonds reach one step to each side.
-            i0, j0 = max((row >> k) - 1, 0), max((col >> k) - 1, 0)
-            shape = self.surface.octave_shape(k)
-            i1 = min(((row + ours.shape[0] - 1) >> k) + 2, shape[0] - 1)
-            j1 = min(((col + ours.shape[1] - 1) >> k) + 2, shape[1] - 1)
-            raw = np.zeros((i1 - i0 + 1, j1 - j0 + 1), np.float32)
-            octaves.overlap(ours, row, col, self.coarse[k - SMALL], k, *self.surface.shape, i0, j0, raw)
-            found.append((k, i0, j0, raw))
-        return found
 
 
 def halve(heights: Floats, end: tuple[bool, bool] = (True, True)) -> Floats:
@@ -302,56 +406,3 @@ def halve(heights: Floats, end: tuple[bool, bool] = (True, True)) -> Floats:
         if cols > kept.shape[1]:
             result[-1, -1] = heights[-1, -1]
     return result
-
-
-class _Coarse:
-    """The diamonds of the octaves from SMALL on, put together from what the blocks found."""
-
-    def __init__(self, nested: Floats, surface: Surface, kinds: tuple[ErrorKind, ...], radii: bool) -> None:
-        self.surface, self.kinds = surface, kinds
-        self.nested = np.ascontiguousarray(nested, np.float32)
-        self.heights: list[Floats] = []
-        for _ in range(SMALL, surface.n):
-            self.heights.append(halve(self.heights[-1] if self.heights else self.nested))
-        shape = surface.octave_shape(SMALL - 1)
-        self.errors = {kind: np.zeros(shape, np.float32) for kind in kinds}
-        self.radii = np.zeros(shape, np.float32) if radii else None
-        self.squares = 2, shape[0] // 2, shape[1] // 2
-        self.sums = np.zeros(self.squares, np.float32) if "wedgie" in kinds else None
-        self.states: NDArray[np.uint8] | None = None
-        self.raw = [np.zeros(surface.octave_shape(k), np.float32) for k in range(SMALL, surface.n)]
-
-    def add(self, row: int, col: int, found: _Found) -> None:
-        """Take over what a block found (from one thread)."""
-        if self.surface.n <= SMALL:
-            return
-        part = found.parts[-1]
-        rows, cols = next(iter(part.errors.values())).shape
-        area = slice(part.i, part.i + rows), slice(part.j, part.j + cols)
-        for kind in self.kinds:
-            self.errors[kind][area] = part.errors[kind]
-        if self.radii is not None and part.radii is not None:
-            self.radii[area] = np.abs(part.radii)
-        if found.sums is not None and self.sums is not None:
-            self._put(self.sums, part, found.sums)
-        if found.states is not None:
-            if self.states is None:  # so far everything was whole
-                self.states = np.full(self.squares, holes.WHOLE, np.uint8)
-            self._put(self.states, part, found.states)
-        for k, i, j, raw in found.raw:
-            whole = self.raw[k - SMALL][i : i + raw.shape[0], j : j + raw.shape[1]]
-            np.maximum(whole, raw, out=whole)
-
-    @staticmethod
-    def _put(whole: NDArray[Any], part: Part, squares: NDArray[Any]) -> None:
-        """What was found of a part's square diamonds."""
-        i, j = part.i >> 1, part.j >> 1
-        whole[:, i : i + squares.shape[1], j : j + squares.shape[2]] = squares
-
-    def finish(self) -> Iterator[Part]:
-        filled = self.surface.filled(self.nested, 0, 0, SMALL - 1)
-        climb = _Climb(self.surface, self.kinds, 0, 0, self.errors, self.sums, self.states, self.radii, filled)
-        for k in range(SMALL, self.surface.n):
-            z = self.heights[k - SMALL]
-            climb.step(k, z, z, self.raw[k - SMALL])
-            yield climb.part(k, 0, 0, (slice(None), slice(None)))

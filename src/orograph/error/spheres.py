@@ -76,7 +76,7 @@ def _on_rim(z, fine, below, row0, col0, k, rows, cols, metric, radii, i, j):
 
 @kernel
 def _rim(z, fine, below, row0, col0, k, rows, cols, metric, radii, squares):
-    """``spheres`` on the rim: edge diamonds, or square ones."""
+    """The rim's edge diamonds, or its square ones."""
     height, width = radii.shape
     i_end, j_end = inner(row0, k, rows, height), inner(col0, k, cols, width)
     for i in range(squares, height, 1 + squares):
@@ -147,23 +147,30 @@ def _squares(z, radii, i, j_end, across, down, falling, rising, found):
         r_here[2 * u + 1] = found[u]
 
 
+@inlined
+def _steps(metric, k):
+    """Distances in the plane between neighbours of octave k: in a row, in a column, along either diagonal."""
+    s = np.float64(np.int64(1) << k)
+    across = s * np.hypot(metric[0, 0], metric[1, 0])
+    down = s * np.hypot(metric[0, 1], metric[1, 1])
+    falling = s * np.hypot(metric[0, 0] + metric[0, 1], metric[1, 0] + metric[1, 1])
+    rising = s * np.hypot(metric[0, 0] - metric[0, 1], metric[1, 0] - metric[1, 1])
+    return across, down, falling, rising
+
+
 @kernel
-def spheres(z, fine, below, row0, col0, k, rows, cols, metric, radii):
-    """Radii of the nested spheres of an octave.
+def edge_spheres(z, fine, below, row0, col0, k, rows, cols, metric, radii):
+    """Radii of the nested spheres of an octave's edge diamonds.
 
     Args:
         z, fine: heights without gaps at the spacings of octave k and k − 1, windows that begin at the same sample.
         below: float32, radii of the octave below (``fine``'s shape; nothing for k = 0).
         rows, cols: of the raster. metric: float64 (2, 2), metres of easting and northing per column and row.
-        radii: float32 with z's shape, the result; entries that are no diamonds of this octave are 0.
+        radii: float32 with z's shape, the result; other entries become 0.
     """
-    s = np.float64(np.int64(1) << k)
     height, width = radii.shape
     i_end, j_end = inner(row0, k, rows, height), inner(col0, k, cols, width)
-    across = s * np.hypot(metric[0, 0], metric[1, 0])
-    down = s * np.hypot(metric[0, 1], metric[1, 1])
-    falling = s * np.hypot(metric[0, 0] + metric[0, 1], metric[1, 0] + metric[1, 1])  # along the diagonals
-    rising = s * np.hypot(metric[0, 0] - metric[0, 1], metric[1, 0] - metric[1, 1])
+    across, down, falling, rising = _steps(metric, k)
     radii[:] = 0
     for i in range(1, i_end):
         if k:
@@ -171,7 +178,15 @@ def spheres(z, fine, below, row0, col0, k, rows, cols, metric, radii):
         else:
             _edges(z, i, j_end, across, down, radii[i])
     _rim(z, fine, below, row0, col0, k, rows, cols, metric, radii, 0)
+
+
+@kernel
+def square_spheres(z, row0, col0, k, rows, cols, metric, radii):
+    """Radii of the nested spheres of an octave's square diamonds, around those that ``edge_spheres`` has found."""
+    height, width = radii.shape
+    i_end, j_end = inner(row0, k, rows, height), inner(col0, k, cols, width)
+    across, down, falling, rising = _steps(metric, k)
     row = np.empty(width, np.float32)
     for i in range(1, i_end, 2):
         _squares(z, radii, i, j_end, across, down, falling, rising, row)
-    _rim(z, fine, below, row0, col0, k, rows, cols, metric, radii, 1)
+    _rim(z, z, radii, row0, col0, k, rows, cols, metric, radii, 1)

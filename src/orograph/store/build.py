@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
+from orograph.geo.grid import Grid
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.layout import CHUNK, FORMAT, PARTS, PLAN, ROOT, Record, dumps, metadata
@@ -25,10 +27,11 @@ from orograph.store.memory import MemoryTerrain, check_metric, is_metric
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, is_store, open, partial, read_record
-from orograph.store.terrain import Shape, level_count, level_shape
+from orograph.store.terrain import Shape, TileTable, level_count, level_shape
 
 if TYPE_CHECKING:
     from orograph.dem import Dem
+    from orograph.store.survey import Errors
 
 MEMORY = 1 << 30
 SHARDS = (2048, 1024, 512)
@@ -46,6 +49,7 @@ def build(
     resume: bool = False,
     max_memory: int = MEMORY,
     jobs: int | None = None,
+    errors: Sequence[ErrorKind] = ("exact",),
     progress: Progress = SILENT,
     storage_options: dict[str, Any] | None = None,
     shard: int | None = None,
@@ -61,6 +65,8 @@ def build(
         resume: finish an interrupted build of the same sources and options; begins one if there is none.
         max_memory: bytes the process should stay within; decides the size of shards and how many tasks run at once.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
+        errors: of which kinds the errors of all diamonds are stored (with their spheres), for engines that refine by
+            them; none for ().
         storage_options: for the fsspec file system.
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
         options: for ``Mosaic.open`` where ``source`` is files: ``crs``, ``resolution``, ``nodata``…
@@ -71,25 +77,29 @@ def build(
     """
     if overwrite and resume:
         raise UsageError("A build either resumes or overwrites, not both.")
+    kinds = tuple(kind for kind in KINDS if kind in errors)
+    if len(kinds) != len(set(errors)):
+        raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, errors))}.")
     raster = as_source(source, progress, **options)
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
     storage = final if final.remote else FolderStorage(partial(final.url))
     done = is_store(final)
     begun = storage.exists(PLAN) or (not final.remote and storage.exists(ROOT))
-    shard, jobs = _sizes(raster.grid.shape, max_memory, jobs, shard)
-    needed = _memory(raster.grid.shape, shard, jobs)
+    shard, jobs = _sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
+    needed = _memory(raster.grid.shape, shard, jobs, len(kinds))
     if needed > max_memory:
         progress.warn(
             f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
-    plan = _plan(raster, shard, chunk)
+    plan = _plan(raster, shard, chunk, kinds)
 
     if resume and begun:
         plan = _resumable(storage, plan)
     elif resume and done:
-        if read_record(final).source == plan["source"]:
+        record = read_record(final)
+        if record.source == plan["source"] and list(record.errors) == plan["errors"]:
             return open(url, storage_options=storage_options)
         raise StoreError(
             "A complete store of other sources or options is there.",
@@ -170,27 +180,30 @@ def as_source(source: HeightSource | Dem | Path_ | Sequence[Path_], progress: Pr
     return Mosaic([array])
 
 
-def _sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None) -> tuple[int, int]:
+def _sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None, kinds: int) -> tuple[int, int]:
     """Side of the shards and number of tasks at once that fit the memory allowed."""
     wanted = jobs or cpu_count()
     for side in SHARDS if shard is None else (shard,):
         for at_once in range(wanted, 0, -1):
-            if _memory(shape, side, at_once) <= max_memory:
+            if _memory(shape, side, at_once, kinds) <= max_memory:
                 return side, at_once
     return shard or SHARDS[-1], 1
 
 
-def _memory(shape: Shape, shard: int, jobs: int) -> int:
+def _memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
     """About what a build holds at once: its tasks, and the coarse shards that are open (two at level 1)."""
+    from orograph.store.survey import memory
+
     unit = 4 * shard * shard
     coarse = 0
     for level in range(1, level_count(shape)):
         rows, cols = level_shape(shape, level)
         coarse += 2 * (2 if level == 1 else 1) * min(unit, 4 * rows * cols)
-    return BASE + jobs * (4 * unit + READER) + coarse
+    heights = jobs * (4 * unit + READER) + coarse
+    return BASE + max(heights, READER + memory(shape, shard, jobs, kinds) if kinds else 0)
 
 
-def _plan(raster: HeightSource, shard: int, chunk: int) -> dict[str, Any]:
+def _plan(raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, ...]) -> dict[str, Any]:
     grid = raster.grid
     return {
         "format": FORMAT,
@@ -202,6 +215,7 @@ def _plan(raster: HeightSource, shard: int, chunk: int) -> dict[str, Any]:
         "crs": None if grid.crs is None else grid.crs.to_wkt(),
         "shard": shard,
         "chunk": chunk,
+        "errors": list(kinds),
     }
 
 
@@ -219,7 +233,7 @@ def _resumable(storage: Storage, plan: dict[str, Any]) -> dict[str, Any]:
     plan = {**plan, "shard": begun.get("shard"), "chunk": begun.get("chunk")}
     differing = [key for key in plan if plan[key] != begun.get(key)]
     if differing:
-        names = {"source": "sources or options", "format": "store format"}
+        names = {"source": "sources or options", "format": "store format", "errors": "kinds of errors"}
         what = ", ".join(names.get(key, key) for key in differing)
         raise StoreError(
             f"The interrupted build cannot be resumed: its {what} differ from these.",
@@ -235,12 +249,16 @@ def _fill(
     """Do all tasks and write all metadata, the root's last."""
     from orograph.store.pyramid import Pyramid, tasks
 
+    kinds = tuple(plan["errors"])
     pyramid = Pyramid(raster, storage, plan["shard"], plan["chunk"], resume)
     spots = tasks(raster.grid.shape, plan["shard"])
     with progress.task("Resuming the store" if resume else "Building the store", total=len(spots)) as task:
         for _ in map_ordered(pyramid.run, spots, jobs):
             task.advance()
     first = pyramid.finish()
+    valid_samples = pyramid.valid_samples
+    del pyramid
+    survey = _survey(raster.grid, storage, plan, first, jobs, resume, progress) if kinds else None
     seen = bool(first.valid.any())
     record = Record(
         grid=raster.grid,
@@ -249,13 +267,36 @@ def _fill(
         shard=plan["shard"],
         chunk=plan["chunk"],
         height_range=(float(np.nanmin(first.minimum)), float(np.nanmax(first.maximum))) if seen else (np.nan, np.nan),
-        valid_fraction=pyramid.valid_samples / (raster.grid.rows * raster.grid.cols),
+        valid_fraction=valid_samples / (raster.grid.rows * raster.grid.cols),
         source=plan["source"],
+        errors={} if survey is None else survey.codes,
+        radius=None if survey is None else survey.radius,
     )
     others, root = metadata(record)
     for objects in (others, root):
         for key, data in objects.items():
             storage.put(key, [data])
+
+
+def _survey(
+    grid: Grid,
+    storage: Storage,
+    plan: dict[str, Any],
+    first: TileTable,
+    jobs: int,
+    resume: bool,
+    progress: Progress,
+) -> Errors:
+    """The errors of all diamonds, from the heights that are there by now."""
+    from orograph.store.survey import Errors
+
+    survey = Errors(grid, storage, plan["shard"], plan["chunk"], first, tuple(plan["errors"]), resume)
+    spots = survey.tasks()
+    with progress.task("Finding errors", total=len(spots)) as task:
+        for _ in map_ordered(survey.run, spots, jobs):
+            task.advance()
+        survey.finish()
+    return survey
 
 
 def _occupied(final: Storage) -> bool:

@@ -9,24 +9,26 @@ own because a vertex belongs to one octave only. See ``Terrain.diamonds`` for wh
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
-from orograph.error import ErrorKind
-from orograph.error.diamonds import NOTHING, Part, Surface
 from orograph.geo.grid import Grid
-from orograph.store.terrain import Heights, Shape, exponent, level_count, level_shape
+from orograph.store.terrain import Heights, Shape, diamond_shape, level_count
+
+if TYPE_CHECKING:  # kernels are compiled only where diamonds are made
+    from orograph.error import ErrorKind
+    from orograph.error.diamonds import Part, Surface
 
 NESTED = 4
 """The level whose heights ``error.diamonds`` asks for: every 16th sample."""
 
 
-def diamond_shape(shape: Shape, level: int) -> Shape:
-    """(rows, cols) of a level's arrays."""
-    top = level_count(shape) - 1
-    side = (1 << (exponent(shape) - top)) + 1
-    return (side, side) if level == top else level_shape(shape, level)
+def metric(grid: Grid) -> NDArray[np.float64]:
+    """Metres of easting and northing per column and row, (2, 2)."""
+    a, b, _, d, e, _ = grid.samples[:6]
+    return np.array([[a, b], [d, e]])
 
 
 def surface(grid: Grid, minimum: Heights, lowest: float) -> Surface:
@@ -36,40 +38,45 @@ def surface(grid: Grid, minimum: Heights, lowest: float) -> Surface:
         minimum: of the tiles of level 0.
         lowest: height of the lowest sample, NaN if there is none.
     """
-    a, b, _, d, e, _ = grid.samples[:6]
-    metric = np.array([[a, b], [d, e]])
-    return Surface(grid.shape, metric, minimum, 0.0 if np.isnan(lowest) else lowest)
+    from orograph.error.diamonds import Surface
+
+    return Surface(grid.shape, metric(grid), minimum, 0.0 if np.isnan(lowest) else lowest)
 
 
-def blank_top(shape: Shape) -> tuple[Heights, Heights]:
-    """The top level's errors and radii before any part is known: what lies wholly beyond the raster is empty."""
-    side = diamond_shape(shape, level_count(shape) - 1)
-    radii = np.full(side, NOTHING, np.float32)
-    radii[:: side[0] - 1, :: side[1] - 1] = 0.0  # the square's corners are no diamonds
-    return np.zeros(side, np.float32), radii
+def blank_top(shape: Shape, dtype: DTypeLike, empty: float) -> NDArray[Any]:
+    """The top level before any part is known: what lies wholly beyond the raster stays ``empty``."""
+    side, _ = diamond_shape(shape, level_count(shape) - 1)
+    whole = np.full((side, side), empty, dtype)
+    whole[:: side - 1, :: side - 1] = 0  # the square's corners are no diamonds
+    return whole
 
 
-def place(whole: NDArray[np.float32], values: Heights, part: Part, level: int) -> None:
-    """Put a part's diamonds, and nothing else of it, into the array of ``level`` ≤ its octave."""
-    step = 1 << (part.octave - level)
+def place(whole: NDArray[Any], values: NDArray[Any], octave: int, i: int, j: int, level: int) -> None:
+    """Put an octave's diamonds, and nothing else, into the array of a ``level`` ≤ the octave.
+
+    Args:
+        values: a window of the octave whose first entry is (i, j).
+    """
+    step = 1 << (octave - level)
     rows, cols = values.shape
-    i, j = part.i * step, part.j * step
-    window = whole[i : i + (rows - 1) * step + 1 : step, j : j + (cols - 1) * step + 1 : step]
-    odd_row, odd_col = 1 - part.i % 2, 1 - part.j % 2
+    i0, j0 = i * step, j * step
+    window = whole[i0 : i0 + (rows - 1) * step + 1 : step, j0 : j0 + (cols - 1) * step + 1 : step]
+    odd_row, odd_col = 1 - i % 2, 1 - j % 2  # the first odd entries
     window[odd_row::2] = values[odd_row::2]
     window[1 - odd_row :: 2, odd_col::2] = values[1 - odd_row :: 2, odd_col::2]
 
 
 def gather(shape: Shape, parts: Iterable[Part], kind: ErrorKind) -> tuple[list[Heights], list[Heights]]:
     """The errors of a kind and the radii of every level from all parts (no radii worth having if those have none)."""
+    from orograph.error.diamonds import NOTHING
+
     top = level_count(shape) - 1
     shapes = [diamond_shape(shape, level) for level in range(top)]
-    last = blank_top(shape)
-    errors = [*(np.zeros(s, np.float32) for s in shapes), last[0]]
-    radii = [*(np.zeros(s, np.float32) for s in shapes), last[1]]
+    errors = [*(np.zeros(s, np.float32) for s in shapes), blank_top(shape, np.float32, 0)]
+    radii = [*(np.zeros(s, np.float32) for s in shapes), blank_top(shape, np.float32, float(NOTHING))]
     for part in parts:
         level = min(part.octave, top)
-        place(errors[level], part.errors[kind], part, level)
+        place(errors[level], part.errors[kind], part.octave, part.i, part.j, level)
         if part.radii is not None:
-            place(radii[level], part.radii, part, level)
+            place(radii[level], part.radii, part.octave, part.i, part.j, level)
     return errors, radii

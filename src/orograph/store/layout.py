@@ -7,6 +7,8 @@ A store is a Zarr v3 group::
     heights/{k}/x, y           sample coordinates (unless the grid is rotated); spatial_ref: the CRS, as CF has it
     mean/{k}/height            box means of 2^k × 2^k samples, k ≥ 1; x, y and spatial_ref as above
     tiles/{k}/minimum, maximum, error (float32), valid (uint8)
+    diamonds/{k}/radius        uint8, coded: spheres of the diamonds of octave k (see ``Terrain.diamonds``)
+    diamonds/{k}/exact…        uint8, coded: their errors, of each kind that was built
 
 so that ``xarray.open_zarr(store, group="heights/3")`` opens a level with its coordinates. The root carries the
 *multiscales*, *spatial* and *proj* conventions (versions below), and Orograph's own record with a checksum over itself.
@@ -17,7 +19,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,13 +27,16 @@ from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from orograph.error import ErrorKind
+from orograph.error.quantise import ErrorCode, RadiusCode, nominal_radii
 from orograph.errors import StoreError
 from orograph.geo.grid import Grid, compose
 from orograph.store.arrays import ArraySpec, crc32c
-from orograph.store.terrain import Shape, level_count, level_shape, mean_shape, tile_shape
+from orograph.store.diamonds import metric
+from orograph.store.terrain import Shape, diamond_shape, exponent, level_count, level_shape, mean_shape, tile_shape
 
-FORMAT = 1
-"""The version of this layout; a reader refuses newer ones."""
+FORMAT = 2
+"""The version of this layout; a reader refuses others."""
 
 CHUNK = 256
 ROOT = "zarr.json"
@@ -90,6 +95,11 @@ def table_spec(shape: Shape, level: int, name: str, shard: int, chunk: int) -> A
     return ArraySpec(f"tiles/{level}/{name}", tile_shape(shape, level), shard, chunk, dtype, fill, ("tile_y", "tile_x"))
 
 
+def diamond_spec(shape: Shape, level: int, name: str, shard: int, chunk: int) -> ArraySpec:
+    """The codes of a level's diamonds: of a kind of errors, or "radius"."""
+    return ArraySpec(f"diamonds/{level}/{name}", diamond_shape(shape, level), shard, chunk, "uint8", 0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class Record:
     """What a complete store says of itself under ``orograph``.
@@ -102,6 +112,8 @@ class Record:
         height_range: lowest and highest valid sample, nan if there is none.
         valid_fraction: of all samples.
         source: fingerprint of what it was built from.
+        errors: the kinds of errors it has of its diamonds, and how they are coded.
+        radius: how their radii are coded; None if it has no errors.
     """
 
     grid: Grid
@@ -112,6 +124,8 @@ class Record:
     height_range: tuple[float, float]
     valid_fraction: float
     source: str
+    errors: dict[ErrorKind, ErrorCode] = field(default_factory=dict)
+    radius: RadiusCode | None = None
 
     def to_json(self) -> dict[str, Any]:
         crs = self.grid.crs
@@ -130,6 +144,8 @@ class Record:
             "height_range": None if math.isnan(low) else [low, high],
             "valid_fraction": self.valid_fraction,
             "source": self.source,
+            "errors": {kind: code.to_json() for kind, code in self.errors.items()},
+            "radius": None if self.radius is None else self.radius.to_json(),
         }
         return {**record, "checksum": _checksum(record)}
 
@@ -138,13 +154,17 @@ class Record:
         """Read the record back.
 
         Raises:
-            StoreError: its format is newer than this reader, or it fails its checksum.
+            StoreError: it has another format than this reader, or it fails its checksum.
         """
-        if not isinstance(record.get("format"), int) or record["format"] > FORMAT:
+        number = record.get("format")
+        if number != FORMAT:
+            older = isinstance(number, int) and number < FORMAT
             raise StoreError(
-                f"It has store format {record.get('format')}, and this version reads formats up to {FORMAT}.",
+                f"It has store format {number}, and this version reads format {FORMAT}.",
                 path=url,
-                remedy="Update Orograph (pip install -U orograph).",
+                remedy="Build the store again (orograph build --overwrite)."
+                if older
+                else "Update Orograph (pip install -U orograph).",
             )
         said = record.get("checksum")
         if said != _checksum({key: value for key, value in record.items() if key != "checksum"}):
@@ -156,8 +176,10 @@ class Record:
         crs = None if record["crs"] is None else CRS.from_wkt(record["crs"])
         rows, cols = record["shape"]
         low, high = record["height_range"] or (math.nan, math.nan)
+        grid = Grid((rows, cols), Affine(*record["transform"]), crs)
+        radius = record["radius"]
         return cls(
-            Grid((rows, cols), Affine(*record["transform"]), crs),
+            grid,
             record["name"],
             record["vertical"],
             record["shard"],
@@ -165,6 +187,8 @@ class Record:
             (low, high),
             record["valid_fraction"],
             record["source"],
+            {kind: ErrorCode(**code) for kind, code in record["errors"].items()},
+            None if radius is None else RadiusCode(nominal_radii(metric(grid), exponent(grid.shape)), **radius),
         )
 
 
@@ -214,6 +238,15 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
         for name in TABLES_AND_VALID:
             spec = table_spec(grid.shape, level, name, shard, chunk)
             nodes[spec.path] = spec.metadata({"units": "m"} if name != "valid" else {"flag_values": [0, 1, 2]})
+    if record.radius is not None:
+        nodes["diamonds"] = _group()
+        codes: dict[str, dict[str, Any]] = {kind: code.to_json() for kind, code in record.errors.items()}
+        codes["radius"] = record.radius.to_json()
+        for level in range(levels):
+            nodes[f"diamonds/{level}"] = _group()
+            for diamond, code in codes.items():
+                spec = diamond_spec(grid.shape, level, diamond, shard, chunk)
+                nodes[spec.path] = spec.metadata({"long_name": f"{diamond} of diamonds, coded", "code": code})
     for path in [path for path, node in nodes.items() if node["node_type"] == "group"]:
         below = {p[len(path) + 1 :]: node for p, node in nodes.items() if p.startswith(path + "/")}
         nodes[path] = {**nodes[path], "consolidated_metadata": _consolidated(below)}

@@ -12,9 +12,7 @@ proves them by their checksums and gives the same samples, hence the same bytes,
 
 from __future__ import annotations
 
-import io
 import threading
-import zipfile
 from collections.abc import Callable
 from typing import Any
 
@@ -37,6 +35,7 @@ from orograph.store.levels import (
     round_up,
     tile_errors,
 )
+from orograph.store.parts import pack, unpack
 from orograph.store.source import HeightSource
 from orograph.store.storage import Storage
 from orograph.store.terrain import TILE, Heights, Shape, TileTable, level_count, level_shape, mean_shape, tile_shape
@@ -68,14 +67,14 @@ class Canvas:
     def __init__(self, spec: ArraySpec, storage: Storage, spans: tuple[list[Spot], list[Spot]]) -> None:
         self.spec, self.storage = spec, storage
         self._lock = threading.Lock()
-        self._open: dict[Spot, Heights] = {}
+        self._open: dict[Spot, NDArray[Any]] = {}
         rows, cols = (
             [sum(a < (s + 1) * spec.shard and b > s * spec.shard for a, b in axis) for s in range(count)]
             for axis, count in zip(spans, spec.shards, strict=True)
         )
         self._awaited = {(i, j): rows[i] * cols[j] for i in range(len(rows)) for j in range(len(cols))}
 
-    def add(self, row: int, col: int, part: Heights) -> None:
+    def add(self, row: int, col: int, part: NDArray[Any]) -> None:
         """Put a part in its place, and write the shards it completes."""
         size, shape = self.spec.shard, self.spec.shape
         for i in range(row // size, (row + part.shape[0] - 1) // size + 1):
@@ -84,7 +83,7 @@ class Canvas:
                     block = self._open.get((i, j))
                     if block is None:
                         side = min(size, shape[0] - i * size), min(size, shape[1] - j * size)
-                        block = self._open[i, j] = np.full(side, self.spec.fill, np.float32)
+                        block = self._open[i, j] = np.full(side, self.spec.fill, self.spec.dtype)
                 top, left = row - i * size, col - j * size
                 r, c = max(top, 0), max(left, 0)
                 piece = part[r - top : block.shape[0] - top, c - left : block.shape[1] - left]
@@ -129,15 +128,8 @@ class Pyramid:
         self.last_count = np.zeros(mean_shape(shape, self.direct), np.int64)
 
     def _canvas(self, kind: Kind, level: int) -> Canvas:
-        nested = kind is heights_spec
         spec = kind(self.shape, level, self.shard, self.chunk)
-        axes = []
-        for side, samples in zip(self.shape, spec.shape, strict=True):
-            blocks = -(-side // self.shard)
-            starts = [b * self.shard >> level for b in range(blocks)]
-            axes.append(list(zip(starts, [*starts[1:], samples], strict=True)))
-        assert nested or spec.shape == mean_shape(self.shape, level)
-        return Canvas(spec, self.storage, (axes[0], axes[1]))
+        return Canvas(spec, self.storage, spans(self.shape, self.shard, level, spec.shape))
 
     def run(self, spot: Spot) -> None:
         """Do one task, or take over what an interrupted build did of it."""
@@ -175,9 +167,7 @@ class Pyramid:
                 facts[f"worst{level}"] = np.zeros((1, 1))
             else:
                 facts[f"worst{level}"] = tile_errors(heights, level, (row, col))
-        packed = io.BytesIO()
-        np.savez(packed, **facts)  # type: ignore[arg-type]
-        self.storage.put(_part(spot), [packed.getvalue()])
+        self.storage.put(_part(spot), [pack(facts)])
         return own, facts
 
     def _finished(self, spot: Spot) -> tuple[Heights, Facts] | None:
@@ -188,11 +178,10 @@ class Pyramid:
         row, col = spot[0] * self.shard, spot[1] * self.shard
         array = ShardedArray(self.finest, self.storage, ChunkCache(0), 1)
         try:
-            with np.load(io.BytesIO(data)) as packed:
-                facts = dict(packed)
+            facts = unpack(data)
             rows, cols = min(row + self.shard, self.shape[0]), min(col + self.shard, self.shape[1])
             return array.read(row, rows, col, cols), facts
-        except (DamagedChunkError, zipfile.BadZipFile, OSError, ValueError, KeyError):
+        except (DamagedChunkError, ValueError):
             return None
 
     def _combine(self, row: int, col: int, facts: Facts) -> None:
@@ -247,20 +236,35 @@ class Pyramid:
     def _write_tables(self, level: int, table: TileTable) -> None:
         for name in TABLES_AND_VALID:
             spec = table_spec(self.shape, level, name, self.shard, self.chunk)
-            self._write(spec, getattr(table, name))
+            write(self.storage, spec, getattr(table, name))
 
     def _write_whole(self, kind: Kind, level: int, values: Heights) -> None:
-        self._write(kind(self.shape, level, self.shard, self.chunk), values)
+        write(self.storage, kind(self.shape, level, self.shard, self.chunk), values)
 
-    def _write(self, spec: ArraySpec, values: NDArray[Any]) -> None:
-        if values.shape != spec.shape:
-            raise OrographError(f"{spec.path} should be {spec.shape}, not {values.shape}.")
-        size = spec.shard
-        for i in range(spec.shards[0]):
-            for j in range(spec.shards[1]):
-                block = values[i * size : (i + 1) * size, j * size : (j + 1) * size]
-                self.storage.put(spec.key((i, j)), spec.encode(block))
+
+def spans(shape: Shape, area: int, level: int, samples: Shape) -> tuple[list[Spot], list[Spot]]:
+    """For each axis the extents, in samples of a level, of what tasks over areas of ``area`` samples make of it.
+
+    Args:
+        samples: of the level.
+    """
+    rows, cols = (
+        list(zip(starts, [*starts[1:], last], strict=True))
+        for starts, last in (([b * area >> level for b in range(-(-s // area))], n) for s, n in zip(shape, samples))
+    )
+    return rows, cols
+
+
+def write(storage: Storage, spec: ArraySpec, values: NDArray[Any]) -> None:
+    """Write a whole array."""
+    if values.shape != spec.shape:
+        raise OrographError(f"{spec.path} should be {spec.shape}, not {values.shape}.")
+    size = spec.shard
+    for i in range(spec.shards[0]):
+        for j in range(spec.shards[1]):
+            block = values[i * size : (i + 1) * size, j * size : (j + 1) * size]
+            storage.put(spec.key((i, j)), spec.encode(block))
 
 
 def _part(spot: Spot) -> str:
-    return f"{PARTS}/{spot[0]}.{spot[1]}.npz"
+    return f"{PARTS}/{spot[0]}.{spot[1]}.part"

@@ -139,6 +139,8 @@ class FolderStorage(Storage):
             try:
                 with beside.open("wb") as file:
                     file.writelines(parts)
+                with self._lock:
+                    self._open.pop(key, None)  # what was there before is not what is read from now on
                 beside.replace(path)
             except BaseException:
                 beside.unlink(missing_ok=True)

@@ -7,11 +7,24 @@ import os
 import threading
 from typing import Any
 
-from orograph.error import ErrorKind
-from orograph.errors import DamagedChunkError, StoreError
+import numpy as np
+
+from orograph.error import KINDS, ErrorKind
+from orograph.error.quantise import RadiusCode
+from orograph.errors import DamagedChunkError, StoreError, UsageError
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
-from orograph.store.layout import PLAN, ROOT, TABLES_AND_VALID, Record, heights_spec, mean_spec, table_spec
+from orograph.store.diamonds import place
+from orograph.store.layout import (
+    PLAN,
+    ROOT,
+    TABLES_AND_VALID,
+    Record,
+    diamond_spec,
+    heights_spec,
+    mean_spec,
+    table_spec,
+)
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.terrain import Heights, Terrain, TileTable
 
@@ -37,6 +50,7 @@ class StoredTerrain(Terrain):
         self._lock = threading.Lock()
         self._arrays: dict[tuple[str, int], ShardedArray] = {}
         self._tables: dict[int, TileTable] = {}
+        self._top: Heights | None = None
 
     @property
     def url(self) -> str:
@@ -50,6 +64,11 @@ class StoredTerrain(Terrain):
     @property
     def valid_fraction(self) -> float:
         return self.record.valid_fraction
+
+    @property
+    def errors(self) -> tuple[ErrorKind, ...]:
+        """The kinds of errors it has of its diamonds."""
+        return tuple(self.record.errors)
 
     @property
     def size_bytes(self) -> int | None:
@@ -84,11 +103,36 @@ class StoredTerrain(Terrain):
     def diamonds(
         self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int
     ) -> tuple[Heights, Heights]:
-        raise StoreError(
-            f"This store has no {kind} errors.",
-            path=self.url,
-            remedy=f"Build it with them (orograph build --errors {kind}).",
-        )
+        if kind not in KINDS:
+            raise UsageError(f"There is no error called {kind!r}; there are {', '.join(KINDS)}.")
+        self._inside(self.diamond_shape(level), row0, row1, col0, col1)
+        code, radius = self.record.errors.get(kind), self.record.radius
+        if code is None or radius is None:
+            wanted = ",".join([*self.record.errors, kind])
+            raise StoreError(
+                f"This store has no {kind} errors.",
+                path=self.url,
+                remedy=f"Build it again with them (orograph build --errors {wanted} --overwrite).",
+            )
+        window = row0, row1, col0, col1
+        errors = code.decode(self._array(kind, level).read(*window))
+        if level == self.levels - 1:
+            return errors, self._top_radii(radius)[row0:row1, col0:col1]
+        return errors, radius.decode(self._array("radius", level).read(*window), row0, col0, level)
+
+    def _top_radii(self, radius: RadiusCode) -> Heights:
+        """The decoded radii of the top level, several octaves."""
+        if self._top is None:
+            level = self.levels - 1
+            side, _ = self.diamond_shape(level)
+            codes = self._array("radius", level).read(0, side, 0, side)
+            radii = np.zeros((side, side), np.float32)
+            for octave in range(level, self.n):
+                step = 1 << (octave - level)
+                place(radii, radius.decode(codes[::step, ::step], 0, 0, octave), octave, 0, 0, level)
+            radii.flags.writeable = False
+            self._top = radii
+        return self._top
 
     def close(self) -> None:
         self.cache.clear()
@@ -98,8 +142,14 @@ class StoredTerrain(Terrain):
         found = self._arrays.get((kind, level))
         if found is None:
             self._check(level)
-            make = heights_spec if kind == "heights" else mean_spec
-            spec = make(self.grid.shape, level, self.record.shard, self.record.chunk)
+            at = self.grid.shape, level
+            sizes = self.record.shard, self.record.chunk
+            if kind == "heights":
+                spec = heights_spec(*at, *sizes)
+            elif kind == "mean":
+                spec = mean_spec(*at, *sizes)
+            else:
+                spec = diamond_spec(*at, kind, *sizes)
             with self._lock:
                 found = self._arrays.setdefault((kind, level), ShardedArray(spec, self.storage, self.cache, self._jobs))
         return found
@@ -107,8 +157,9 @@ class StoredTerrain(Terrain):
     def check(self) -> list[str]:
         """Read every chunk and return the keys of the damaged ones."""
         damaged = []
+        kinds = ["heights", "mean", *self.record.errors, *(["radius"] if self.record.radius else [])]
         for level in range(self.levels):
-            for kind in ("heights", "mean")[: 2 if level else 1]:
+            for kind in kinds if level else [k for k in kinds if k != "mean"]:
                 spec = self._array(kind, level).spec
                 array = ShardedArray(spec, self.storage, ChunkCache(0), self._jobs)
                 for row in range(0, spec.shape[0], spec.chunk):
@@ -142,7 +193,7 @@ def open(
         storage_options: for the fsspec file system (``endpoint_url``, ``anon``…).
 
     Raises:
-        StoreError: there is no store, its build is not finished, its format is newer than this reader, or its
+        StoreError: there is no store, its build is not finished, it has another format than this reader, or its
             metadata is damaged.
     """
     storage = storage_at(url, storage_options)

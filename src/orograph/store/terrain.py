@@ -47,6 +47,13 @@ def level_shape(shape: Shape, level: int) -> Shape:
     return -((1 - rows) >> level) + 1, -((1 - cols) >> level) + 1
 
 
+def diamond_shape(shape: Shape, level: int) -> Shape:
+    """Entries of a level's diamonds: as many as its samples, at the top level those of the whole padded square."""
+    top = level_count(shape) - 1
+    side = (1 << (exponent(shape) - top)) + 1
+    return (side, side) if level == top else level_shape(shape, level)
+
+
 def mean_shape(shape: Shape, level: int) -> Shape:
     """Blocks of 2^level × 2^level samples that cover the raster."""
     rows, cols = shape
@@ -148,8 +155,6 @@ class Terrain(ABC):
 
     def diamond_shape(self, level: int) -> Shape:
         """(rows, cols) of the arrays of ``diamonds``: of ``shape(level)``, at the top level the whole padded square."""
-        from orograph.store.diamonds import diamond_shape
-
         return diamond_shape(self.grid.shape, self._check(level))
 
     @abstractmethod

@@ -1,0 +1,230 @@
+"""The second stage of a build: errors and spheres of all diamonds, once the heights of every level are complete.
+
+One task per shard (or a few small ones): it reads the shard's heights and some around it back from the store, surveys
+its blocks (``error.diamonds``), writes its codes of octave 0, and hands on those of octaves 1 to 4 to the coarse shards
+that hold them, as the first stage does with heights. What larger diamonds need of it is kept in ``parts/`` until the
+build is complete, with its codes, so that a resumed build does not do it again. The larger octaves come at the end.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.error import ErrorKind
+from orograph.error.diamonds import ALIGNED, BLOCK, REACH, SMALL, Part, Rest, Survey
+from orograph.error.encode import Encoder
+from orograph.error.quantise import EMPTY, ErrorCode, RadiusCode
+from orograph.errors import DamagedChunkError
+from orograph.geo.grid import Grid
+from orograph.store.arrays import ArraySpec, ShardedArray, Spot
+from orograph.store.cache import ChunkCache
+from orograph.store.diamonds import NESTED, blank_top, metric, place, surface
+from orograph.store.layout import PARTS, diamond_spec, heights_spec
+from orograph.store.levels import subsample
+from orograph.store.parts import pack, unpack
+from orograph.store.pyramid import Canvas, spans, tasks, write
+from orograph.store.storage import Storage
+from orograph.store.terrain import Heights, Shape, TileTable, diamond_shape, exponent, level_count, level_shape
+
+Codes = dict[tuple[int, str], NDArray[np.uint8]]
+"""By octave and name (a kind of errors, or "radius")."""
+
+
+class Errors:
+    """The diamonds' arrays of a store under construction.
+
+    Args:
+        grid: of the heights.
+        storage: where the store is built; all heights are there.
+        shard, chunk: samples along their sides; powers of two.
+        first: the tile table of level 0.
+        kinds: which errors.
+        resume: use what an interrupted build left.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        storage: Storage,
+        shard: int,
+        chunk: int,
+        first: TileTable,
+        kinds: tuple[ErrorKind, ...],
+        resume: bool,
+    ) -> None:
+        self.shape, self.storage, self.sizes, self.resume = grid.shape, storage, (shard, chunk), resume
+        self.top, n = level_count(grid.shape) - 1, exponent(grid.shape)
+        self.area = max(shard, 32)
+        low, high = _range(first)
+        self.codes = {kind: ErrorCode.of(high - low, kind, n) for kind in kinds}
+        self.radius = RadiusCode.of(high - low, metric(grid), n)
+        self.encoder = Encoder(self.codes, self.radius)
+        self.names = [*kinds, "radius"]
+        self.survey = Survey(
+            self._nested(),
+            surface(grid, first.minimum, low),
+            kinds,
+            rounding=self.encoder,
+            block=min(BLOCK, self.area),
+        )
+        self.tops = {name: blank_top(grid.shape, np.uint8, EMPTY if name == "radius" else 0) for name in self.names}
+        self.canvases = {
+            (level, name): Canvas(
+                self._spec(level, name),
+                storage,
+                spans(grid.shape, self.area, level, diamond_shape(grid.shape, level)),
+            )
+            for level in range(min(SMALL, self.top))
+            for name in self.names
+        }
+
+    def tasks(self) -> list[Spot]:
+        """The areas (row, col) in Morton order."""
+        return tasks(self.shape, self.area)
+
+    def run(self, spot: Spot) -> None:
+        """Do one task, or take over what an interrupted build did of it."""
+        found = self._finished(spot) if self.resume else None
+        codes, rests = found or self._make(spot)
+        row, col = spot[0] * self.area, spot[1] * self.area
+        for (octave, name), values in codes.items():
+            if octave == 0 and self.top:
+                continue  # written already
+            if octave < self.top:
+                self.canvases[octave, name].add(row >> octave, col >> octave, values)
+            else:
+                place(self.tops[name], values, octave, row >> octave, col >> octave, self.top)
+        for rest in rests:
+            self.survey.add(rest)
+
+    def _make(self, spot: Spot) -> tuple[Codes, list[Rest]]:
+        """Survey an area, write its shards of octave 0, and keep the rest."""
+        rows, cols = self.shape
+        row, col = spot[0] * self.area, spot[1] * self.area
+        row0, col0 = (max((at - REACH) // ALIGNED * ALIGNED, 0) for at in (row, col))
+        row1, col1 = min(row + self.area + REACH + 1, rows), min(col + self.area + REACH + 1, cols)
+        heights = self._heights(0, row0, row1, col0, col1)
+
+        def read(a: int, b: int, c: int, d: int) -> Heights:
+            return heights[a - row0 : b - row0, c - col0 : d - col0]
+
+        codes: Codes = {}
+        rests = []
+        step = self.survey.size
+        for i in range(row // step, -(-min(row + self.area, rows) // step)):
+            for j in range(col // step, -(-min(col + self.area, cols) // step)):
+                parts, rest = self.survey.block((i, j), read)
+                for part in parts:
+                    self._encode(part, row, col, codes)
+                if rest is not None:
+                    rests.append(rest)
+        if self.top:
+            for name in self.names:
+                self.canvases[0, name].add(row, col, codes[0, name])
+        kept: dict[str, NDArray[Any]] = {
+            f"codes.{octave}.{name}": values for (octave, name), values in codes.items() if octave or not self.top
+        }
+        for index, rest in enumerate(rests):
+            kept.update({f"rest.{index}.{name}": array for name, array in rest.to_arrays().items()})
+        self.storage.put(_part(spot), [pack(kept)])
+        return codes, rests
+
+    def _encode(self, part: Part, row: int, col: int, codes: Codes) -> None:
+        """Put the codes of a block's part into those of its area, which begins with sample (row, col)."""
+        k = part.octave
+        shape = level_shape(self.shape, k)
+        first = row >> k, col >> k
+        area = tuple(
+            (whole if at + self.area >= side else (at + self.area) >> k) - start
+            for at, side, whole, start in zip((row, col), self.shape, shape, first, strict=True)
+        )
+        for name, array in self._coded(part).items():
+            if (k, name) not in codes:
+                codes[k, name] = np.zeros(area, np.uint8)
+            i, j = part.i - first[0], part.j - first[1]
+            codes[k, name][i : i + array.shape[0], j : j + array.shape[1]] = array
+
+    def _coded(self, part: Part) -> dict[str, NDArray[np.uint8]]:
+        """A part's codes by name."""
+        coded: dict[str, NDArray[np.uint8]] = {k: self.encoder.errors(k, e) for k, e in part.errors.items()}
+        if part.radii is not None:
+            coded["radius"] = self.encoder.radii(part.radii, part.i, part.j, part.octave)
+        return coded
+
+    def _finished(self, spot: Spot) -> tuple[Codes, list[Rest]] | None:
+        """What an interrupted build found in an area; None if it did not, or that is damaged."""
+        data = self.storage.get(_part(spot))
+        if data is None:
+            return None
+        codes: Codes = {}
+        kept: dict[int, dict[str, NDArray[Any]]] = {}
+        try:
+            for key, array in unpack(data).items():
+                what, number, name = key.split(".", 2)
+                if what == "codes":
+                    codes[int(number), name] = array
+                else:
+                    kept.setdefault(int(number), {})[name] = array
+            rests = [Rest.from_arrays(arrays) for _, arrays in sorted(kept.items())]
+            if self.top:
+                self._prove(spot)
+        except (DamagedChunkError, ValueError):
+            return None
+        return codes, rests
+
+    def _prove(self, spot: Spot) -> None:
+        """Read an area's shards of octave 0, which checks them."""
+        rows, cols = diamond_shape(self.shape, 0)
+        row, col = spot[0] * self.area, spot[1] * self.area
+        for name in self.names:
+            array = ShardedArray(self._spec(0, name), self.storage, ChunkCache(0), 1)
+            array.read(row, min(row + self.area, rows), col, min(col + self.area, cols))
+
+    def finish(self) -> None:
+        """Write what no task could make."""
+        for part in self.survey.finish():
+            for name, values in self._coded(part).items():
+                if part.octave < self.top:
+                    write(self.storage, self._spec(part.octave, name), values)
+                else:
+                    place(self.tops[name], values, part.octave, 0, 0, self.top)
+        for name, values in self.tops.items():
+            write(self.storage, self._spec(self.top, name), values)
+
+    def _spec(self, level: int, name: str) -> ArraySpec:
+        return diamond_spec(self.shape, level, name, *self.sizes)
+
+    def _heights(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        spec = heights_spec(self.shape, level, *self.sizes)
+        heights: Heights = ShardedArray(spec, self.storage, ChunkCache(0), 1).read(row0, row1, col0, col1)
+        return heights
+
+    def _nested(self) -> Heights:
+        """Every 16th sample."""
+        level = min(NESTED, self.top)
+        rows, cols = level_shape(self.shape, level)
+        return subsample(self._heights(level, 0, rows, 0, cols), NESTED - level)
+
+
+def _range(first: TileTable) -> tuple[float, float]:
+    """Lowest and highest height, NaN if nothing is valid."""
+    if not first.valid.any():
+        return float("nan"), float("nan")
+    return float(np.nanmin(first.minimum)), float(np.nanmax(first.maximum))
+
+
+def memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
+    """About what this stage holds at once: its tasks, open coarse shards, and the octaves that are made at the end."""
+    area = max(shard, 32)
+    window = min(area, shape[0]) * min(area, shape[1])
+    block = min(BLOCK + 2 * ALIGNED, shape[0]) * min(BLOCK + 2 * ALIGNED, shape[1])
+    task = window * (5 + 2 * (kinds + 1)) + block * (24 + 14 * kinds)
+    shards = sum(min(4 * shard * shard, shape[0] * shape[1] >> 2 * level) for level in range(1, SMALL))
+    return jobs * task + shards * (kinds + 1) + (shape[0] * shape[1] >> 2 * NESTED) * (16 + 8 * kinds)
+
+
+def _part(spot: Spot) -> str:
+    return f"{PARTS}/errors/{spot[0]}.{spot[1]}.part"
