@@ -18,8 +18,8 @@ VERBS = {
     "build": "Build a terrain store from DEM files.",
     "info": "Tell what a DEM or a store is, and what is suspicious about it.",
     "render": "Draw a relief picture of a DEM or a store.",
-    "tessellate": "Triangulate a DEM or a store for a view, within a tolerance in pixels.",
-    "compare": "Measure the engines side by side: triangles, time, error in pixels.",
+    "tessellate": "Triangulate a DEM or a store for a view.",
+    "compare": "Measure the engines side by side.",
     "synth": "Make a fractal terrain of any size.",
 }
 

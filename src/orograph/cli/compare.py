@@ -79,7 +79,14 @@ class Engines(ParamType):
     metavar="FILE",
     help='Frame by frame instead: {"fps": 60, "seconds": 5, "keys": [{"time": 0, "eye": …, "target": …}, …]}.',
 )
-@click.option("--engines", type=Engines(), default="all", show_default=True, help="Which, and by which metric.")
+@click.option(
+    "--engines",
+    type=Engines(),
+    default="all",
+    show_default=True,
+    metavar="NAMES",
+    help="Which, separated by commas; NAME:METRIC for another metric than its own.",
+)
 @refine_options
 @click.option(
     "--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
@@ -117,7 +124,7 @@ def command(
     Examples:
       orograph compare dem.tif
       orograph compare area.oro --flight flight.json --engines roam,soar --json -
-      orograph compare dem.tif --engines soar,soar:isotropic-published --triangles 5000 --picture meshes.png
+      orograph compare dem.tif --engines roam,soar,soar:isotropic --triangles 5000 --picture a.png
     """
     began = time.perf_counter()
     progress = progress_of(ctx)
@@ -252,20 +259,22 @@ def _draw(
     options: dict[str, Any], color: Any, max_memory: int, jobs: int | None, progress: Progress,
 ) -> None:  # fmt: skip
     """Refine for the panels of one sheet, judge, draw and write it."""
+    import numpy as np
+
     from orograph import verify
     from orograph.picture.comparison import Panel, caption, panel_view, sheet
     from orograph.picture.result import Picture
 
     view = panel_view(view, len(engines))
     panels = []
-    with progress.task("Drawing the meshes", total=2 * len(engines)) as task:
+    with progress.task("Drawing the meshes") as task:
         for name, metric in engines:
             engine = make_engine(name, terrain, options, color=color, max_memory=max_memory, jobs=jobs, metric=metric)
             mesh = engine.refine(view, **goal)
             report = verify.judge(mesh, terrain, view, exaggeration=options["exaggeration"], jobs=jobs)
             lines, alarm = caption(mesh.stats, report.largest)
             panels.append(Panel(f"{name}:{metric}" if metric else name, mesh, lines, alarm))
-            task.advance()
+            task.note(panels[-1].title)
         asked = f"tolerance {goal['tolerance']:g} px" if "tolerance" in goal else f"{goal['triangles']:,} triangles"
         rows, cols = terrain.grid.shape
         note = (
@@ -273,11 +282,10 @@ def _draw(
             f"{view.height} pixels ({asked}); errors are the referee's, over every full-resolution sample in view."
         )
         pixels = sheet(
-            terrain, view, panels, title=f"The same view by {len(panels)} engine{'s' * (len(panels) > 1)}, {asked}",
-            note=note, exaggeration=options["exaggeration"], jobs=jobs,
+            terrain, view, panels, title=f"The same view, {asked}", note=note,
+            exaggeration=options["exaggeration"], jobs=jobs,
         )  # fmt: skip
-    import numpy as np
-
+        task.note("")
     Picture(pixels, np.empty((0, 0), np.float32), view).save(out)
 
 

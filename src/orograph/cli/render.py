@@ -39,7 +39,8 @@ class Water(ParamType):
             self.fail(f"{value!r} is neither auto, none nor a level in metres.", param, ctx)
 
 
-SCENE = ("shadows", "exaggeration", "colormap", "drape", "sky", "relief", "samples", "tolerance", "furniture", "title")
+SCENE = ("shadows", "exaggeration", "colormap", "drape", "sky", "relief", "samples", "tolerance", "engine", "wireframe",
+         "furniture", "title")  # fmt: skip
 OWN = {*SCENE, *CAMERA, "sun", "water", "backend"}
 """What is said about the picture; all other options are about reading."""
 
@@ -115,7 +116,7 @@ OWN = {*SCENE, *CAMERA, "sun", "water", "backend"}
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, as_json: bool, depth: str | None, save_view: str | None,
-    max_memory: int, jobs: int | None, engine: str | None, wireframe: bool, **options: Any,
+    max_memory: int, jobs: int | None, **options: Any,
 ) -> None:  # fmt: skip
     """Draw a relief picture of a DEM (one file or many) or of a store.
 
@@ -133,7 +134,7 @@ def command(
     began = time.perf_counter()
     progress = progress_of(ctx)
     check_camera(options)
-    if wireframe and engine is None:
+    if options["wireframe"] and options["engine"] is None:
         raise UsageError("--wireframe shows what an engine made.", remedy="Choose one, such as --engine soar.")
     check_outputs(
         {"--output": output, "--depth": depth, "--save-view": save_view},
@@ -174,12 +175,7 @@ def command(
         max_memory=max_memory, jobs=jobs,
         **{k: options[k] for k in SCENE},
     )  # fmt: skip
-    stats: dict[str, Any] | None = None
     try:
-        if engine is not None:
-            from orograph.picture.surface import meshed
-
-            scene, stats = meshed(scene, engine, wireframe=wireframe, progress=progress)
         picture = draw(scene, progress)
     except DamagedChunkError as error:
         if error.path is not None and Path(error.path).parent == cache_folder():
@@ -201,9 +197,10 @@ def command(
         told = {
             "picture": output, "depth": depth, "width": view.width, "height": view.height,
             "seconds_in_all": round(seconds, 3), "crs": crs.to_string() if crs else None, "view": view.to_dict(),
-            **picture.facts, **({} if stats is None else {"mesh": stats}),
+            **picture.facts,
         }  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))
     else:
-        mesh = "" if stats is None else f"  {stats['engine']}: {stats['triangles']:,} triangles"
+        stats = picture.facts.get("mesh")
+        mesh = f"  {stats['engine']}: {stats['triangles']:,} triangles" if stats else ""
         click.echo(f"{output}  {view.width} × {view.height}{mesh}  {seconds:.1f} s")

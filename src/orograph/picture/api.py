@@ -88,8 +88,6 @@ def render(
         raise _unknown(next(iter(unknown)))
     if backend != "cpu":
         raise UsageError(f"There is no backend {backend!r}; there is 'cpu'.")
-    if wireframe and engine is None:
-        raise UsageError("wireframe shows what an engine made.", remedy='Choose one, such as engine="soar".')
     light = sun if isinstance(sun, Sun) else Sun(*sun)
     check_memory((view.width, view.height) if view is not None else size, max_memory)
     if isinstance(terrain, (str, os.PathLike)):
@@ -107,20 +105,13 @@ def render(
         view = whole(terrain, size, exaggeration=exaggeration, insets=insets(size) if furniture else NO_INSETS)
     scene = Scene(
         terrain, view, light, shadows=shadows, exaggeration=exaggeration, colormap=colormap, drape=drape, sky=sky,
-        water=water, relief=relief, samples=samples, tolerance=tolerance, furniture=furniture, title=title,
-        max_memory=max_memory, jobs=jobs,
+        water=water, relief=relief, samples=samples, tolerance=tolerance, engine=engine, wireframe=wireframe,
+        furniture=furniture, title=title, max_memory=max_memory, jobs=jobs,
     )  # fmt: skip
 
     from orograph.picture.cpu import draw
 
-    if engine is None:
-        return draw(scene, progress)
-    from orograph.picture.surface import meshed
-
-    scene, stats = meshed(scene, engine, wireframe=wireframe, progress=progress)
-    picture = draw(scene, progress)
-    picture.facts["mesh"] = stats
-    return picture
+    return draw(scene, progress)
 
 
 def _unknown(name: str) -> UsageError:

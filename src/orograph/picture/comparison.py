@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.parallel import cpu_count
 from orograph.picture.camera import direction, ground, outline, whole
 from orograph.picture.cpu import draw
 from orograph.picture.lettering import Style, cut, length, set_type
 from orograph.picture.scene import Scene, Sun
-from orograph.picture.surface import surface_of
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.view import View
@@ -153,11 +151,10 @@ def sheet(
 def _picture(terrain: Terrain, view: View, mesh: Tessellation | None, exaggeration: float, jobs: int | None) -> Pixels:
     """A mesh with its edges over the terrain's relief, or the terrain alone."""
     scene = Scene(
-        terrain, view, Sun(315.0, 50.0), shadows=False, exaggeration=exaggeration, jobs=jobs or cpu_count()
+        terrain, view, Sun(315.0, 50.0), shadows=False, exaggeration=exaggeration, jobs=jobs,
+        engine=None if mesh is None else mesh.stats["engine"], wireframe=mesh is not None,
     )  # fmt: skip
-    if mesh is not None:
-        scene = replace(scene, surface=surface_of(mesh, terrain), wires=mesh, tolerance=0.0)
-    return draw(scene).pixels
+    return draw(scene, mesh=mesh).pixels
 
 
 def caption(stats: dict[str, Any], largest: float) -> tuple[tuple[str, ...], bool]:

@@ -8,6 +8,7 @@ colour is linear light until the last step.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from orograph.picture.result import Picture, plan_grid
 from orograph.picture.scene import Scene
 from orograph.picture.shading import Shader
 from orograph.progress import SILENT, Progress
+from orograph.tessellation import Tessellation
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
@@ -34,8 +36,13 @@ BLOCK = 1 << 15
 """Samples shaded at a time by a thread."""
 
 
-def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
+def draw(scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None = None) -> Picture:
     """Draw ``scene``.
+
+    Args:
+        scene: what is drawn.
+        progress: hears of it.
+        mesh: a tessellation of the scene's terrain to draw, instead of having the scene's engine make one.
 
     Raises:
         NothingInViewError: no valid terrain is in view; the message says what to change.
@@ -53,8 +60,17 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
     facts["warnings"] = doubts(scene)
     for warning in facts["warnings"]:
         progress.warn(warning)
+    surface = None
+    if scene.engine is not None or mesh is not None:
+        from orograph.picture.surface import refined, surface_of
+
+        mesh = refined(scene, progress) if mesh is None else mesh
+        facts["mesh"] = mesh.stats
+        surface = surface_of(mesh, scene.terrain, scene.max_memory)
+        lap("mesh")
+        scene = replace(scene, tolerance=0.0, terrain=scene.terrain if scene.wireframe else surface)
     with progress.task("Reading heights"):
-        ground = Ground.load(scene)
+        ground = Ground.load(scene, surface)
         if ground.tolerance > scene.pixel_tolerance:
             progress.warn(
                 f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not "
@@ -105,13 +121,11 @@ def draw(scene: Scene, progress: Progress = SILENT) -> Picture:
             for n in map_ordered(refine, range(0, len(edges), max(1, BLOCK // scene.samples)), scene.jobs):
                 task.advance(n * len(ft) / max(1, len(edges)))
             lap("antialiasing")
-    if scene.wires is not None:
+    if mesh is not None and scene.wireframe:
         from orograph.picture.wireframe import draw_edges
 
         with progress.task("Drawing edges"):
-            draw_edges(
-                linear, t, scene.wires, scene.terrain.grid, view, exaggeration=scene.exaggeration, jobs=scene.jobs
-            )
+            draw_edges(linear, t, mesh, scene.terrain.grid, view, exaggeration=scene.exaggeration, jobs=scene.jobs)
         lap("edges")
     pixels = encode(linear)
     if scene.furniture:

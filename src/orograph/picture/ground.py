@@ -22,6 +22,7 @@ from orograph.picture.memory import BYTES_PER_PIXEL
 from orograph.picture.scene import Scene, Sun
 from orograph.raycast.caster import Caster
 from orograph.raycast.select import Rectangle, load, rectangles
+from orograph.store.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -137,11 +138,11 @@ class Rays:
 class Ground:
     """The caster and relief a scene needs, loaded within its budget of memory."""
 
-    def __init__(self, scene: Scene, windows: list[Rectangle], tolerance: float) -> None:
+    def __init__(self, scene: Scene, surface: Terrain, windows: list[Rectangle], tolerance: float) -> None:
         terrain = scene.terrain
         self.scene, self.tolerance = scene, tolerance
         self.windows = windows
-        self.caster = Caster(load(scene.surface or terrain, windows, scene.jobs), terrain.grid.shape, scene.jobs)
+        self.caster = Caster(load(surface, windows, scene.jobs), terrain.grid.shape, scene.jobs)
         self.relief = Relief.load(
             terrain, rectangles(terrain, scene.view, scene.exaggeration, 1.0, by="spacing"), scene.jobs
         )
@@ -154,23 +155,27 @@ class Ground:
         self.to_samples = np.linalg.inv(linear)
 
     @classmethod
-    def load(cls, scene: Scene) -> Ground:
-        """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed."""
-        terrain = scene.surface or scene.terrain
+    def load(cls, scene: Scene, surface: Terrain | None = None) -> Ground:
+        """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed.
+
+        Args:
+            surface: what rays meet, if not the terrain itself (on the same grid); light falls on the terrain's slopes.
+        """
+        terrain = scene.terrain if surface is None else surface
         rows, cols = terrain.grid.shape
         tolerance = scene.pixel_tolerance
         # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together, the means.
         bytes_per_sample = 4 * (1 + 5 / 12) + 4 + 4
         budget = math.inf if scene.max_memory is None else max(scene.max_memory - fixed_memory(scene), LEAST_MEMORY)
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
-            return cls(scene, [Rectangle(0, 0, rows, 0, cols)], 0.0)
+            return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0)
         tolerance = tolerance or 0.05
         while True:
             chosen = rectangles(terrain, scene.view, scene.exaggeration, tolerance)
             fits = sum(r.samples for r in chosen) * bytes_per_sample <= budget
             # Ground about the eye is wanted exactly at any tolerance; that much is drawn whatever the budget.
             if fits or tolerance > COARSEST or chosen[-1].level == terrain.levels - 1:
-                return cls(scene, chosen, tolerance)
+                return cls(scene, terrain, chosen, tolerance)
             tolerance *= 1.25
 
     def incidence(self, hits: Hits, to_sun: Array, strength: float) -> tuple[Array, Array]:

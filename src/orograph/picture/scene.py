@@ -9,7 +9,6 @@ from typing import Literal
 
 from orograph.errors import ReadError, UsageError
 from orograph.store.terrain import Terrain
-from orograph.tessellation import Tessellation
 from orograph.view import View
 
 EXACT_SAMPLES = 4100 * 4100
@@ -63,10 +62,9 @@ class Scene:
         relief: factor on slopes for shading only; None strengthens small scales and gentle land, 1 is nature.
         samples: rays per pixel where the picture has edges (1: no antialiasing).
         tolerance: pixels; 0 demands the exact surface, None decides by size (``EXACT_SAMPLES``, ``DEFAULT_TOLERANCE``).
+        engine: draw the mesh that this engine makes within ``tolerance`` (None: 1 pixel), with light on its faces; None
+            draws the terrain itself. ``wireframe``: draw its edges, over the terrain's own relief.
         furniture: title, colour bar, north arrow, scale bar; ``title``: None takes the terrain's name.
-        surface: the ground that rays meet, where that is not the terrain itself (same grid, ``picture.surface``);
-            colours and relief stay the terrain's.
-        wires: a tessellation whose edges are drawn as lines.
         max_memory: bytes that heights and pictures may take; None: no limit.
         jobs: threads; None: all processors.
 
@@ -87,10 +85,10 @@ class Scene:
     relief: float | None = None
     samples: int = 4
     tolerance: float | None = None
+    engine: str | None = None
+    wireframe: bool = False
     furniture: bool = False
     title: str | None = None
-    surface: Terrain | None = None
-    wires: Tessellation | None = None
     max_memory: int | None = None
     jobs: int | None = None
 
@@ -104,6 +102,8 @@ class Scene:
             raise UsageError(f"A pixel needs at least one sample, not {self.samples}.")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {self.tolerance:g}.")
+        if self.wireframe and self.engine is None:
+            raise UsageError("A wireframe shows what an engine made.", remedy="Choose an engine, such as soar.")
         if min(self.terrain.grid.shape) < 2:
             raise ReadError(
                 f"The raster has {self.terrain.grid.rows} row(s) and {self.terrain.grid.cols} column(s); a surface "

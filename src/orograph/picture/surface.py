@@ -12,9 +12,6 @@ casts its shadow into the picture; and holes stay holes.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,34 +35,22 @@ ENGINE_MEMORY = 1 << 30
 """Bytes of tiles that an engine may hold where no limit is given."""
 
 
-def meshed(
-    scene: Scene, engine: str, *, wireframe: bool = False, progress: Progress = SILENT
-) -> tuple[Scene, dict[str, Any]]:
-    """The scene as an engine draws it, and what the engine says of its mesh.
-
-    The scene's tolerance is the engine's. With ``wireframe`` the mesh's edges are drawn over the mesh, which carries
-    the colours and the relief of the terrain; without, light falls on the mesh's own faces.
+def refined(scene: Scene, progress: Progress = SILENT) -> Tessellation:
+    """What the scene's engine makes of its terrain for its view.
 
     Raises:
-        UsageError: there is no such engine, or the raster does not fit into memory.
-        StoreError: the store was built without errors of diamonds.
+        UsageError: there is no such engine. StoreError: the store was built without errors of diamonds.
     """
     from orograph.lod import engine_of
 
+    assert scene.engine is not None
     if scene.view.projection == "plan":
         progress.warn("in a plan no height moves a pixel: the coarsest mesh is as good as any.")
-    make = engine_of(engine)
+    make = engine_of(scene.engine)
     memory = ENGINE_MEMORY if scene.max_memory is None else scene.max_memory // 2
-    with progress.task(f"Refining ({engine})") as task:
-        mesh = make(scene.terrain, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs).refine(
-            scene.view, tolerance=TOLERANCE if scene.tolerance is None else scene.tolerance
-        )
-        task.note(f"{len(mesh.triangles):,} triangles")
-    with progress.task("The mesh's surface"):
-        surface = surface_of(mesh, scene.terrain, scene.max_memory)
-    if wireframe:
-        return replace(scene, surface=surface, wires=mesh, tolerance=0.0), mesh.stats
-    return replace(scene, terrain=surface, tolerance=0.0), mesh.stats
+    with progress.task(f"Refining ({scene.engine})"):
+        engine = make(scene.terrain, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs)
+        return engine.refine(scene.view, tolerance=TOLERANCE if scene.tolerance is None else scene.tolerance)
 
 
 def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | None = None) -> MemoryTerrain:
