@@ -1,0 +1,173 @@
+"""State-less refinement against closures of the criterion and against fronts; budgets, memory, promise."""
+
+from __future__ import annotations
+
+import numpy as np
+import plain
+import pytest
+import rasterio
+
+from orograph import verify
+from orograph.errors import UsageError
+from orograph.hierarchy import diamonds, fronts
+from orograph.lod import engine_of
+from orograph.lod.soar import Soar
+from orograph.lod.stateless import Stateless
+
+
+def plain_mesh(p, camera, tolerance, cull=True):
+    """(front, drawn) of all diamonds whose bound exceeds the tolerance and whose sphere is in view."""
+    out = p.spheres_outside(camera) if cull else np.zeros(p.z.shape, bool)
+    active = (p.sphere_errors(camera) > tolerance) & ~out
+    corners = np.ix_((0, -1), (0, -1))
+    active[corners] = out[corners] = False  # they are no diamonds
+    front = fronts.front_of(diamonds.closure(active))
+    rows, cols = p.corners(front)
+    r, c = diamonds.of_triangle(*front.arrays)
+    finest = r < 0
+    # a finest triangle goes with the diamond that it is part of
+    up = fronts.triangles.apex(*front.arrays)
+    drawn = np.where(finest, ~out[up[1], up[0]], ~out[r, c] & (p.r[r, c] >= 0))
+    # what hangs below a diamond out of view was not reached
+    return front, drawn & ~np.isnan(p.z[rows, cols]).any(1)
+
+
+@pytest.mark.parametrize("shape", plain.SHAPES)
+@pytest.mark.parametrize("gaps", [0.0, 0.15])
+def test_mesh_is_the_closure_of_the_criterion(shape, gaps):
+    rng = np.random.default_rng([*shape, int(gaps * 100), 1])
+    for case in range(8):
+        z = plain.rough(rng, shape, gaps=gaps)
+        if np.isnan(z).all():
+            continue
+        t = plain.terrain(z, angle=float(rng.uniform(0, 360)), stretch=float(rng.choice([1, 2.5])))
+        p = plain.Plain(t)
+        exaggeration = float(rng.choice([1.0, 2.0]))
+        view = plain.random_view(rng, t)
+        tolerance = float(10 ** rng.uniform(-1, 1))
+        camera = plain.Camera(view, exaggeration)
+        for cull in (True, False):
+            front, drawn = plain_mesh(p, camera, tolerance, cull)
+            queue = "fifo" if case % 2 else "priority"
+            engine = Stateless(t, cull=cull, queue=queue, exaggeration=exaggeration)
+            found = engine.refine(view, tolerance=tolerance)
+            assert plain.triangles_of(found) == p.triangle_set(front, drawn)
+            soar = Soar(t, cull=cull, exaggeration=exaggeration, jobs=1).refine(view, tolerance=tolerance)
+            assert plain.triangles_of(found) == plain.triangles_of(soar)
+
+
+@pytest.mark.parametrize("shape", [(17, 17), (14, 19)])
+def test_every_budget_is_kept_by_a_valid_mesh(shape):
+    rng = np.random.default_rng(shape)
+    t = plain.terrain(plain.rough(rng, shape))
+    for view in (plain.random_view(rng, t), plain.random_view(rng, t)):
+        engine = Stateless(t, cull=False)
+        last = 0
+        for budget in range(2, 2 * (shape[0] - 1) * (shape[1] - 1) + 1):
+            found = engine.refine(view, triangles=budget)
+            report = verify.judge(found, t, view)
+            assert not report.defects
+            assert last <= len(found.triangles) <= budget
+            assert shape != (17, 17) or len(found.triangles) > budget - 2 or found.stats["tolerance"] == 0.0
+            last = len(found.triangles)
+            if found.stats["conservative"]:
+                assert report.ok(found.stats["tolerance"])
+        assert found.stats["tolerance"] == 0.0
+
+
+def test_ties_are_closed_at_every_budget():
+    """On a regular surface seen from straight above its middle, whole orbits of diamonds have one priority."""
+    side = 17
+    y, x = np.mgrid[:side, :side]
+    t = plain.terrain(np.where((x + y) % 2 == 0, 10.0, 0.0).astype(np.float32), cell=1.0)
+    cx, cy = t.grid.xy(8, 8)
+    view = plain.View((cx, cy, 400.0), (cx, cy, 0.0), fov_y=20.0, width=100, height=100)
+    engine = Stateless(t, cull=False)
+    counts = set()
+    for budget in range(2, 2 * 16 * 16 + 1):
+        found = engine.refine(view, triangles=budget)
+        report = verify.judge(found, t, view)
+        assert not report.defects, budget
+        counts.add(len(found.triangles))
+    assert len(counts) > 200
+
+
+def test_budgets_with_holes_and_culling_keep_the_mesh_conforming():
+    rng = np.random.default_rng(8)
+    t = plain.terrain(plain.rough(rng, (33, 29), gaps=0.1))
+    view = plain.random_view(rng, t)
+    engine = Stateless(t)
+    for budget in range(2, 600, 7):
+        found = engine.refine(view, triangles=budget)
+        report = verify.judge(found, t, view)
+        assert len(found.triangles) <= budget
+        assert report.t_junctions == report.overlaps == report.crowded == report.reversed == report.wrong_heights == 0
+        if found.stats["conservative"]:
+            assert report.ok(found.stats["tolerance"])
+
+
+def test_time_is_kept_and_the_mesh_is_closed():
+    rng = np.random.default_rng(10)
+    t = plain.terrain(plain.rough(rng, (513, 513), amplitude=400))
+    view = plain.random_view(rng, t, fov_y=60.0)
+    engine = Stateless(t, cull=False)
+    engine.refine(view, tolerance=0.05)
+    counts = []
+    for seconds in (0.0005, 0.002, 0.004, 0.008, 0.016):
+        found = engine.refine(view, seconds=seconds)
+        counts.append(len(found.triangles))
+        assert not verify.judge(found, t, view).defects
+        assert found.stats["refine_ms"] < 1e3 * seconds + 60
+    assert counts[0] < counts[-1]
+
+
+def test_little_memory_gives_the_same_mesh():
+    rng = np.random.default_rng(11)
+    t = plain.terrain(plain.rough(rng, (1500, 1100), amplitude=800, gaps=0.02), cell=10)
+    view = plain.random_view(rng, t, fov_y=60.0)
+    for queue in ("fifo", "priority"):
+        much, little = Stateless(t, queue=queue), Stateless(t, queue=queue, max_memory=6 << 20)
+        found = little.refine(view, tolerance=2.0)
+        assert plain.triangles_of(found) == plain.triangles_of(much.refine(view, tolerance=2.0))
+        assert little.field.resident <= 6 < much.field.resident
+        assert verify.judge(found, t, view).ok(2.0)
+        if queue == "priority":
+            a, b = (e.refine(view, triangles=5000) for e in (much, little))
+            assert plain.triangles_of(a) == plain.triangles_of(b)
+
+
+def test_colours_force_splits():
+    rng = np.random.default_rng(12)
+    t = plain.terrain(np.zeros((65, 65), np.float32))
+    view = plain.random_view(rng, t)
+
+    def color(level, row0, row1, col0, col1):
+        return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
+
+    flat = Stateless(t).refine(view, tolerance=1.0)
+    coarse = Stateless(t, color=color, color_tolerance=6.0).refine(view, tolerance=1.0)
+    fine = Stateless(t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
+    assert len(flat.triangles) == len(coarse.triangles) == 2
+    assert len(fine.triangles) > 2
+    assert verify.judge(fine, t, view).ok(0.0)
+
+
+def test_promise_on_mountains(shared_data):
+    with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
+        t = plain.terrain(file.read(1)[:500, :700].astype(np.float32))
+    rng = np.random.default_rng(13)
+    for metric in ("anisotropic", "isotropic"):
+        engine = Stateless(t, metric=metric)
+        for _ in range(8):
+            view = plain.random_view(rng, t)
+            for tolerance in (0.5, 2.0, 8.0):
+                report = verify.judge(engine.refine(view, tolerance=tolerance), t, view)
+                assert report.ok(tolerance), report
+
+
+def test_unusable_options_are_refused():
+    t = plain.terrain(np.zeros((5, 5), np.float32))
+    assert engine_of("stateless") is Stateless
+    for options in ({"queue": "lifo"}, {"metric": "wedgie"}):
+        with pytest.raises(UsageError):
+            Stateless(t, **options)
