@@ -1,0 +1,247 @@
+"""The products of light, by name: rasters on a terrain's grid, each made by blocks within a memory limit.
+
+A ``Product`` says what its bands are called and in which unit they are, and has a function that makes it: given a
+``Context`` (terrain, options, threads, memory, progress, and the horizons as they are swept) it yields blocks
+``(row0, col0, values (bands, rows, cols) float32)``, in any order, that cover the raster once. A module that makes
+products lists them in its ``PRODUCTS``; it is imported when one of them is wanted (``_HOMES``).
+
+Whatever is made does not depend on blocks, threads or memory, to the bit.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.parallel import cpu_count, map_ordered
+from orograph.progress import SILENT, Progress
+from orograph.store.terrain import Heights, Terrain
+
+if TYPE_CHECKING:
+    from orograph.light.raster import Canvas
+    from orograph.light.sweep import Block
+
+Values = NDArray[np.float32]
+Blocks = Iterator[tuple[int, int, Values]]
+
+_HOMES = {
+    "normal": "orograph.light.surface",
+    "slope": "orograph.light.surface",
+    "aspect": "orograph.light.surface",
+    "hillshade": "orograph.light.surface",
+    "horizon": "orograph.light.sky",
+    "sky-view-factor": "orograph.light.sky",
+    "visible-sky": "orograph.light.sky",
+    "openness": "orograph.light.openness",
+    "openness-negative": "orograph.light.openness",
+}
+"""The module that has a product, by the product's name."""
+
+MEMORY = 1 << 30
+BASE = 320 << 20
+"""What the interpreter, its libraries, compiled kernels and a store's cache take."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What is asked of products; each uses what concerns it.
+
+    Attributes:
+        azimuths: how many directions horizons are swept in, evenly spread, the first in the north.
+        sun: (azimuth, altitude) of the light, degrees.
+        lights: several of them as (azimuth, altitude, weight), for hillshade; () for ``sun`` alone.
+        radius: metres beyond which nothing occludes; None: unlimited.
+        curvature: whether the Earth (or the CRS's body) is round, and the air refracts, for horizons.
+        refraction: coefficient k of terrestrial refraction: rays bend by k times the body's curvature.
+        exaggeration: heights are multiplied by this for hillshade only.
+        rays: per sample, for Monte Carlo products.
+        more: what other products need, by name.
+    """
+
+    azimuths: int = 32
+    sun: tuple[float, float] = (315.0, 45.0)
+    lights: tuple[tuple[float, float, float], ...] = ()
+    radius: float | None = None
+    curvature: bool = False
+    refraction: float = 0.13
+    exaggeration: float = 1.0
+    rays: int = 256
+    more: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.azimuths < 3:
+            raise UsageError(f"At least three azimuths are needed, not {self.azimuths}.")
+        if self.radius is not None and not (self.radius > 0 and math.isfinite(self.radius)):
+            raise UsageError(f"The radius must be a positive number of metres, not {self.radius}.")
+
+    def directions(self) -> NDArray[np.float64]:
+        """The azimuths (n,), degrees."""
+        return np.arange(self.azimuths) * (360.0 / self.azimuths)
+
+
+class Context:
+    """What a product is made from.
+
+    Args:
+        terrain: in metres.
+        max_memory: bytes the process should stay within.
+        jobs: threads; None: all processors.
+
+    Attributes:
+        shape: (rows, cols) of the terrain and of every product.
+        linear: (2, 2) metres east and north per column and per row.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        options: Options | None = None,
+        *,
+        jobs: int | None = None,
+        max_memory: int = MEMORY,
+        progress: Progress = SILENT,
+    ) -> None:
+        self.terrain, self.options = terrain, options or Options()
+        self.jobs, self.max_memory, self.progress = jobs or cpu_count(), max_memory, progress
+        self.shape = terrain.grid.shape
+        t = terrain.grid.transform
+        self.linear = np.array([[t.a, t.b], [t.d, t.e]])
+        self._canvases = 0
+
+    @property
+    def budget(self) -> int:
+        """Bytes that blocks may take: what is allowed less the process itself and the canvases in memory."""
+        return max(self.max_memory - BASE - self._canvases, 32 << 20)
+
+    def heights(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """Heights of a window, metres, NaN where missing; read-only."""
+        return self.terrain.read(0, row0, row1, col0, col1)
+
+    def gradient(self, row0: int, row1: int, col0: int, col1: int) -> tuple[Values, Values]:
+        """Rise per metre east and north of a window, as of the whole raster."""
+        from orograph.light.normal import gradient
+
+        r0, c0 = max(row0 - 1, 0), max(col0 - 1, 0)
+        r1, c1 = min(row1 + 1, self.shape[0]), min(col1 + 1, self.shape[1])
+        inner = np.s_[row0 - r0 : row1 - r0, col0 - c0 : col1 - c0]
+        east, north = gradient(self.heights(r0, r1, c0, c1), self.linear, 1)
+        return east[inner], north[inner]
+
+    def canvas(self, bands: int) -> Canvas:
+        """A canvas of so many bands; in memory if it takes no more than half of what is left."""
+        from orograph.light.raster import Canvas
+
+        size = 4 * bands * self.shape[0] * self.shape[1]
+        on_disk = 2 * size > self.budget
+        if not on_disk:
+            self._canvases += size
+        return Canvas(bands, self.shape, on_disk)
+
+    def horizons(
+        self,
+        azimuths: Sequence[float] | NDArray[np.float64] | None = None,
+        *,
+        lowest: float = 0.0,
+        below: bool = False,
+        what: str = "Sweeping horizons",
+    ) -> Iterator[Block]:
+        """The horizon in each azimuth at each sample, by bands of rows or of columns (see ``sweep.horizons``).
+
+        Args:
+            azimuths: degrees; None: those of the options.
+            lowest: slopes are at least this (0: a level horizon; -inf: what looks down stays so).
+            below: of the terrain turned upside down (for negative openness).
+
+        Yields:
+            blocks; each sample comes once with each azimuth, its azimuths always in the same order. A block's
+            ``slopes`` are used again for the next block. The radius, curvature and refraction are those of the options.
+        """
+        from orograph.light.sweep import curvature_of, horizons
+
+        options = self.options
+        bend = curvature_of(self.terrain.grid.crs, options.refraction) if options.curvature else 0.0
+        return horizons(
+            self.heights,
+            self.shape,
+            self.linear,
+            options.directions() if azimuths is None else np.asarray(azimuths, np.float64),
+            lowest=lowest,
+            below=below,
+            radius=options.radius,
+            curvature=bend,
+            jobs=self.jobs,
+            memory=self.budget,
+            progress=self.progress,
+            what=what,
+        )
+
+    def blocks(self, make: Callable[[int, int, int, int], Values], what: str, height: int = 256) -> Blocks:
+        """Make a product window by window, in threads, window by window of whole tiles of a store.
+
+        Args:
+            make: (row0, row1, col0, col1) → (bands, rows, cols) float32.
+            what: to call it on the progress line.
+        """
+        from orograph.light.raster import rectangles
+
+        width = max(256, (1 << 22) // height)
+        windows = list(rectangles(self.shape, height, width))
+        with self.progress.task(what, total=len(windows)) as task:
+            made = map_ordered(lambda w: (w[0], w[2], make(*w)), windows, self.jobs)
+            for block in made:
+                yield block
+                task.advance()
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """One product.
+
+    Attributes:
+        name: as on the command line.
+        bands: options → the names of its bands.
+        unit: of its values ("degrees", "1"…).
+        doc: one sentence that says what it is.
+        run: context → blocks (row0, col0, values (bands, rows, cols)), in any order, covering the raster once.
+        byte: the values that 8-bit files show as 1 and as 255 (0 is missing).
+    """
+
+    name: str
+    bands: Callable[[Options], list[str]]
+    unit: str
+    doc: str
+    run: Callable[[Context], Blocks]
+    byte: tuple[float, float] = (0.0, 1.0)
+
+
+def names() -> list[str]:
+    """The names of all products."""
+    return list(_HOMES)
+
+
+def product(name: str) -> Product:
+    """A product by its name.
+
+    Raises:
+        UsageError: there is none of that name.
+    """
+    if name not in _HOMES:
+        raise UsageError(f"There is no product {name!r}; there are {', '.join(_HOMES)}.")
+    found: Sequence[Product] = importlib.import_module(_HOMES[name]).PRODUCTS
+    return next(p for p in found if p.name == name)
+
+
+def compute(context: Context, name: str) -> Values:
+    """A product as a whole, in memory: (bands, rows, cols) float32."""
+    wanted = product(name)
+    out = np.full((len(wanted.bands(context.options)), *context.shape), np.nan, np.float32)
+    for row, col, values in wanted.run(context):
+        out[:, row : row + values.shape[1], col : col + values.shape[2]] = values
+    return out
