@@ -1,0 +1,233 @@
+"""Where the sun stands: a direction given by hand, or the real sun at a moment and a place.
+
+The solar position is NOAA's (Meeus, *Astronomical Algorithms*, 1998, ch. 25, without nutation's small terms), computed
+by the library ``astral``: within 0.01° of the Solar Position Algorithm (SPA: Reda & Andreas 2004) over 1900–2100.
+Altitudes are *apparent*: lifted by the refraction of a standard atmosphere at sea level (Sæmundsson 1986, as in the
+SPA: 0.48° for a sun geometrically on the horizon, 0.09° at 10°), since light arrives from where the sun is seen.
+
+The real sun's azimuth counts from *true* north. A terrain's grid has a north of its own, which differs by the
+convergence of the meridians (up to some degrees in a UTM zone, any angle in a polar projection): a moment's sun is
+turned by it. A sun given by hand is taken as it is, from grid north, as every other azimuth. Over a terrain it is the
+sun of its middle that counts: at 50 km from there the true one stands up to 0.5° elsewhere.
+
+Units: degrees; azimuth clockwise from north towards the sun; altitude above the horizon.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from orograph.errors import UsageError
+from orograph.geo.grid import Grid
+
+Array = NDArray[np.float64]
+
+DIAMETER = 0.53
+"""Degrees across the sun's disc, its mean (0.524 in July, 0.542 in January)."""
+
+_EARTH = 6378137.0
+_STEP = 100.0
+"""Metres walked on the ellipsoid to see which way an azimuth points on the grid."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sun:
+    """A distant disc of light.
+
+    Attributes:
+        azimuth: degrees clockwise from grid north, towards the sun.
+        altitude: degrees above the horizon, apparent.
+        diameter: degrees.
+    """
+
+    azimuth: float = 315.0
+    altitude: float = 45.0
+    diameter: float = DIAMETER
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.azimuth):
+            raise UsageError(f"The sun's azimuth is an angle in degrees, not {self.azimuth:g}.")
+        if not -90 <= self.altitude <= 90:
+            raise UsageError(f"The sun's altitude lies between −90 and 90 degrees, not {self.altitude:g}.")
+        if not 0 <= self.diameter < 90:
+            raise UsageError(f"The sun's diameter is an angle in degrees, not {self.diameter:g}.")
+
+    @property
+    def direction(self) -> tuple[float, float, float]:
+        """Unit vector (east, north, up) towards the sun."""
+        a, h = math.radians(self.azimuth), math.radians(self.altitude)
+        return math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)
+
+
+class SunSource(Protocol):
+    """What ``--sun`` means before it is known where the terrain lies."""
+
+    def over(self, grid: Grid) -> Sun:
+        """The sun over a terrain's grid; UsageError where that cannot be said."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A sun given by hand: the same everywhere; azimuth from grid north."""
+
+    azimuth: float
+    altitude: float
+
+    def over(self, grid: Grid) -> Sun:
+        return Sun(self.azimuth, self.altitude)
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """The real sun at a time, which has a zone."""
+
+    when: datetime.datetime
+
+    def over(self, grid: Grid) -> Sun:
+        azimuth, altitude = position(self.when, *place(grid))
+        return Sun(grid_azimuth(grid, azimuth), altitude)
+
+
+def parse(text: str) -> Placed | Moment:
+    """Read ``"AZ,ALT"`` in degrees or an ISO 8601 time with its zone (``2026-06-21T12:00+02:00``, ``…Z``).
+
+    Raises:
+        UsageError: it is neither, the time has no zone, or an angle is out of range.
+    """
+    parts = text.split(",")
+    if len(parts) == 2:
+        try:
+            azimuth, altitude = (float(p) for p in parts)
+        except ValueError:
+            raise UsageError(f"{text!r} is not a sun: write AZIMUTH,ALTITUDE in degrees, like 315,45.") from None
+        Sun(azimuth, altitude)  # checks the angles
+        return Placed(azimuth, altitude)
+    try:
+        when = datetime.datetime.fromisoformat(text.strip())
+    except ValueError:
+        raise UsageError(
+            f"{text!r} is not a sun: write AZIMUTH,ALTITUDE in degrees (315,45) "
+            "or a time with its zone (2026-06-21T12:00+02:00)."
+        ) from None
+    return Moment(_zoned(when))
+
+
+def _zoned(when: datetime.datetime) -> datetime.datetime:
+    if when.utcoffset() is None:
+        raise UsageError(
+            f"{when.isoformat()} has no time zone, and the sun depends on it.",
+            remedy=f"Add the offset from UTC: {when.isoformat()}+02:00, or Z for UTC.",
+        )
+    return when
+
+
+def position(
+    when: datetime.datetime, longitude: float, latitude: float, *, refraction: bool = True
+) -> tuple[float, float]:
+    """Where the sun stands in the sky of a place.
+
+    Args:
+        when: with a time zone.
+        longitude, latitude: degrees, east and north. Beyond 89.8° of latitude the place is taken to lie there.
+        refraction: apparent altitude; else the geometric one.
+
+    Returns:
+        (azimuth from true north in [0, 360), altitude), degrees.
+
+    Raises:
+        UsageError: the time has no zone, or the place is none.
+    """
+    from astral import Observer
+    from astral.sun import zenith_and_azimuth
+
+    if not (abs(latitude) <= 90 and abs(longitude) <= 360):
+        raise UsageError(f"There is no place at longitude {longitude:g}, latitude {latitude:g}.")
+    # astral drops fractions of a second: half a second is 0.002°, the most that rounding here leaves.
+    exact = _zoned(when).astimezone(datetime.UTC) + datetime.timedelta(seconds=0.5)
+    observer = Observer(latitude, (longitude + 180.0) % 360.0 - 180.0)
+    zenith, azimuth = zenith_and_azimuth(observer, exact.replace(microsecond=0), False)
+    altitude = 90.0 - zenith
+    return azimuth % 360.0, altitude + refracted(altitude) if refraction else altitude
+
+
+def refracted(altitude: float) -> float:
+    """By how many degrees the air lifts what stands at a geometric altitude, at 1010 hPa and 10 °C (Sæmundsson 1986).
+
+    Below −1°, where nothing is seen from level ground, it stays what it is there.
+    """
+    h = max(altitude, -1.0)
+    return max(1.02 / math.tan(math.radians(h + 10.3 / (h + 5.11))) / 60.0, 0.0)
+
+
+def positions(times: Iterable[datetime.datetime], longitude: float, latitude: float) -> Array:
+    """The sun at many moments: (n, 3) float64, azimuth from true north, apparent and geometric altitude, in degrees."""
+    found = []
+    for when in times:
+        azimuth, altitude = position(when, longitude, latitude, refraction=False)
+        found.append((azimuth, altitude + refracted(altitude), altitude))
+    return np.array(found, np.float64).reshape(-1, 3)
+
+
+def place(grid: Grid) -> tuple[float, float]:
+    """Longitude and latitude of a grid's middle, degrees.
+
+    Raises:
+        UsageError: the grid has no CRS, or is not on the Earth.
+    """
+    from orograph.geo.transform import transformer
+
+    crs = _earthly(grid)
+    x, y = grid.xy((grid.cols - 1) / 2, (grid.rows - 1) / 2)
+    longitude, latitude = transformer(crs, crs.geodetic_crs)(x, y)
+    if not (math.isfinite(float(longitude)) and math.isfinite(float(latitude))):
+        raise UsageError(f"The middle of the terrain lies outside {crs.name}.")
+    return float(longitude), float(latitude)
+
+
+def _earthly(grid: Grid) -> CRS:
+    crs = grid.crs
+    if crs is None or crs.geodetic_crs is None:
+        raise UsageError(
+            "The terrain does not say where on Earth it lies, so a time does not tell where the sun stands.",
+            remedy="Give the sun as azimuth,altitude, or the CRS with --assume-crs.",
+        )
+    body = crs.geodetic_crs.ellipsoid
+    if body is None or abs(body.semi_major_metre / _EARTH - 1.0) > 0.01:
+        raise UsageError(
+            f"{crs.name} is not on the Earth, and only the Earth's sun is known.",
+            remedy="Give the sun as azimuth,altitude.",
+        )
+    return crs
+
+
+def grid_azimuth(grid: Grid, azimuth: float) -> float:
+    """The azimuth from grid north, in [0, 360), of a direction given from true north at the grid's middle.
+
+    A short step is walked on the ellipsoid and projected, so this holds in projections that distort angles as well.
+
+    Raises:
+        UsageError: as ``place``.
+    """
+    from orograph.geo.transform import transformer
+
+    crs = _earthly(grid)
+    geodetic = crs.geodetic_crs
+    assert geodetic is not None
+    longitude, latitude = place(grid)
+    geod = geodetic.get_geod()
+    assert geod is not None
+    ahead = geod.fwd(longitude, latitude, azimuth, _STEP)
+    behind = geod.fwd(longitude, latitude, azimuth + 180.0, _STEP)
+    x, y = transformer(geodetic, crs)([behind[0], ahead[0]], [behind[1], ahead[1]])
+    east, north = x[1] - x[0], y[1] - y[0]
+    if crs.is_geographic:  # degrees of longitude are shorter; the grid's north is true north
+        return azimuth % 360.0
+    return math.degrees(math.atan2(east, north)) % 360.0
