@@ -19,7 +19,6 @@ from PIL import Image
 from pyproj import CRS, Transformer
 
 from orograph import store
-from orograph.cli import main
 from orograph.geo.grid import Grid
 
 PLACE = Affine(30, 0, 500_000, 0, -30, 4_000_000)
@@ -43,25 +42,6 @@ def write(path, heights=None, transform=PLACE, crs="EPSG:32611", **profile):
 @pytest.fixture
 def dem(tmp_path):
     return write(tmp_path / "dem.tif")
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """The command line in this process: exit code, stdout, stderr."""
-
-    def leave(code):
-        raise SystemExit(code)
-
-    monkeypatch.setattr("orograph.cli._leave", leave)
-    monkeypatch.setattr("orograph.cli._spare_imports", lambda args: None)
-
-    def call(*args):
-        with pytest.raises(SystemExit) as stop:
-            main([str(a) for a in args])
-        said = capsys.readouterr()
-        return stop.value.code, said.out, said.err
-
-    return call
 
 
 def refused(said, code, *words):

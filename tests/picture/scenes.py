@@ -78,15 +78,21 @@ def pixel_rays(view: View, exaggeration: float = 1.0) -> tuple[Array, Array, Arr
 
 
 def embree_depth(of: Terrain, view: View, exaggeration: float = 1.0) -> Array:
-    """View-space depth (height, width) of the first triangle each pixel centre's ray meets; NaN where none.
+    """View-space depth (height, width) of the first triangle each pixel centre's ray meets; NaN where none."""
+    eye, directions, _ = pixel_rays(view, exaggeration)
+    return embree_hits(*triangles(of), eye, directions, exaggeration).reshape(view.height, view.width)
+
+
+def embree_hits(
+    points: Array, tri: NDArray[np.integer], eye: Array, directions: Array, exaggeration: float = 1.0
+) -> Array:
+    """The parameter (n,) at which rays (n, 3) from the eye (stretched space) first meet a triangle; NaN where none.
 
     Embree calculates in single precision, so the scene is moved to the eye and the hit triangle is met again in double.
     """
     import embreex.mesh_construction
     import embreex.rtcore_scene
 
-    points, tri = triangles(of)
-    eye, directions, _ = pixel_rays(view, exaggeration)
     local = points * [1.0, 1.0, exaggeration] - eye
     scene = embreex.rtcore_scene.EmbreeScene(robust=True)
     embreex.mesh_construction.TriangleMesh(scene, local[tri].astype(np.float32))
@@ -95,7 +101,7 @@ def embree_depth(of: Terrain, view: View, exaggeration: float = 1.0) -> Array:
     corner = local[tri[np.maximum(hit, 0)]]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     t = (normal * corner[:, 0]).sum(1) / (normal * directions).sum(1)
-    return np.where(hit >= 0, t, np.nan).reshape(view.height, view.width)
+    return np.where(hit >= 0, t, np.nan)
 
 
 def surface(of: Terrain, col: Array, row: Array) -> Array:

@@ -190,7 +190,7 @@ def draw_lines(
                     t = min(max(t, 0.0), 1.0)
                 x, y = x0 + t * dx, y0 + t * dy
                 away = math.sqrt((j + 0.5 - x) ** 2 + (i + 0.5 - y) ** 2)
-                cover = min(1.0, reach - away) * min(1.0, 2.0 * half) * strength
+                cover = min(1.0, 2.0 * half, reach - away) * strength
                 if cover <= ink[i, j]:
                     continue
                 q = q0 + t * dq

@@ -1,0 +1,156 @@
+"""``orograph compare``: the table, its JSON, the sheet, flights; and what is refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from orograph.cli.compare import load_views
+from orograph.errors import ReadError, UsageError
+from orograph.lod import ENGINES
+from orograph.picture.comparison import Panel, columns, panel_view, sheet, usual_views
+from orograph.picture.prepare import prepare
+
+SMALL = ("--size", "240x160", "--quiet")
+EYE = {"eye": [500_900, 3_997_500, 1400], "target": [501_000, 3_999_000, 500], "width": 240, "height": 160}
+
+
+def test_the_table_and_its_json(run, hilly, tmp_path):
+    out = tmp_path / "table.json"
+    engines = "soar,soar:isotropic,soar:isotropic-published,top-down"
+    code, said, err = run("compare", hilly, "--engines", engines, "--json", out, *SMALL)
+    assert code == 0 and err == ""
+    told = json.loads(out.read_text())
+    assert list(told["engines"]) == engines.split(",")
+    assert list(told["views"]) == ["overview", "low oblique", "straight down"] and told["tolerance"] == 1
+    for label, m in told["engines"].items():
+        assert m["frames"] == m["judged"] == 3 and m["triangles"] > 100 and m["ms"] > 0 and m["mtri_per_s"] > 0
+        assert m["defects"] == {} and m["changes"] is None and m["tiles_read"] > 0
+        assert m["conservative"] is (label != "soar:isotropic-published")
+        assert m["kept"] is (None if label == "soar:isotropic-published" else True)
+        assert 0.1 < m["rms"] < m["largest"] and (m["largest"] <= 1) == (m["kept"] is True)
+        line = next(line for line in said.splitlines() if line.startswith(label + " "))
+        for shown in (f"{m['triangles']:,.0f}", f"{m['largest']:.3f}", f"{m['rms']:.3f}"):
+            assert shown in line
+        assert line.split()[-1] == ("yes" if m["conservative"] else "no")
+    assert told["engines"]["soar"]["triangles"] < told["engines"]["soar:isotropic"]["triangles"]
+    assert "\x1b" not in said  # no colours on a pipe
+
+
+def test_every_engine_keeps_its_promise(run, hilly):
+    code, said, _ = run("compare", hilly, "--tolerance", 2, "--json", "-", *SMALL)
+    told = json.loads(said)
+    assert code == 0 and list(told["engines"]) == list(ENGINES)
+    for m in told["engines"].values():
+        assert m["conservative"] and m["kept"] and m["largest"] <= 2
+
+
+def test_a_budget(run, hilly):
+    code, said, _ = run("compare", hilly, "--engines", "soar,top-down", "--triangles", 700, "--json", "-", *SMALL)
+    told = json.loads(said)
+    assert code == 0 and told["triangles"] == 700 and "tolerance" not in told
+    for m in told["engines"].values():
+        assert 500 < m["triangles"] <= 700 and m["largest"] <= m["tolerance"]
+
+
+def test_a_flight(run, hilly, tmp_path):
+    path = tmp_path / "flight.json"
+    slow = {"time": 0.5, **EYE, "eye": [500_930, 3_997_560, 1390]}
+    path.write_text(json.dumps({"fps": 20, "keys": [{"time": 0, **EYE}, slow]}))
+    code, said, _ = run("compare", hilly, "--flight", path, "--engines", "soar", "--judged", 3, "--json", "-", "-q")
+    m = json.loads(said)["engines"]["soar"]
+    assert code == 0 and m["frames"] == 10 and m["judged"] == 3 and 0 < m["changes"] < 0.2
+    path.write_text(json.dumps({"fps": 20, "seconds": 0.3, "keys": [{"time": 0, **EYE}]}))
+    code, said, _ = run("compare", hilly, "--flight", path, "--engines", "soar", "-q")
+    assert code == 0 and "change/frame" in said and "0.00 %" in said and "errors over 6 of 6 frames" in said
+
+
+def test_the_sheet(run, hilly, tmp_path):
+    out = tmp_path / "sheet.png"
+    code, _, _ = run("compare", hilly, "--engines", "soar,top-down,soar:isotropic", "--picture", out, *SMALL)
+    assert code == 0
+    with Image.open(out) as image:
+        assert image.width == 1600 and 400 < image.height < 800
+        pixels = np.asarray(image.convert("L"))
+    panels = [pixels[:, k * 520 : k * 520 + 520] for k in range(3)]
+    for panel in panels:
+        assert (panel < 120).mean() > 0.01  # lines
+        assert (panel[60:150] < 120).any()  # words
+    assert not np.array_equal(panels[0][150:], panels[2][150:])
+
+
+def test_the_sheet_has_room_for_all(hilly):
+    terrain = prepare([str(hilly)])
+    view = usual_views(terrain)["overview"]
+    for count, across in ((1, 1), (2, 2), (3, 3), (4, 2), (5, 2), (6, 2), (7, 3)):
+        assert columns(count) == across
+        small = panel_view(view, count)
+        assert across * small.width <= 1600 - 60 < across * small.width + across * 26
+        assert small.height / small.width == pytest.approx(720 / 1280, rel=0.01)
+    one = sheet(terrain, panel_view(view, 5), [Panel("a", None, ("b",))] * 5, title="T", note="N" * 500)
+    assert one.shape[1] == 1600 and one.dtype == np.uint8  # and a sixth, of the terrain itself
+
+
+def test_usual_views_see_the_ground(hilly):
+    terrain = prepare([str(hilly)])
+    for exaggeration in (1.0, 4.0):
+        for name, view in usual_views(terrain, (160, 90), exaggeration).items():
+            rows, cols = np.mgrid[:90, :70].reshape(2, -1)
+            x, y = terrain.grid.xy(cols, rows)
+            heights = terrain.read(0, 0, 90, 0, 70).ravel()
+            pixels, depth = view.project(np.stack([x, y, heights], -1), exaggeration)
+            seen = (pixels > 0).all(1) & (pixels < [160, 90]).all(1) & (depth > 0)
+            assert seen.mean() > 0.1, name
+            col, row = (float(v) for v in terrain.grid.index(*view.eye[:2]))
+            if 0 <= col < 70 and 0 <= row < 90:
+                assert view.eye[2] > np.nanmax(heights) or view.eye[2] > heights.reshape(90, 70)[int(row), int(col)]
+
+
+def test_views_from_a_file(run, hilly, tmp_path):
+    path = tmp_path / "views.json"
+    path.write_text(json.dumps([{"name": "near", **EYE}, EYE]))
+    assert list(load_views(str(path))) == ["near", "2"]
+    code, said, _ = run("compare", hilly, "--views", path, "--engines", "soar", "-q")
+    assert code == 0 and "near, 2" in said
+    path.write_text(json.dumps([EYE, {"eye": [1, 2, 3]}]))
+    with pytest.raises(UsageError, match=r"View 2: .*target"):
+        load_views(str(path))
+    path.write_text(json.dumps([{"name": "a", **EYE}, {"name": "a", **EYE}]))
+    with pytest.raises(UsageError, match="Two views"):
+        load_views(str(path))
+    for text, words in (("{}", "list"), ("[]", "at least one"), ("[", "not JSON")):
+        path.write_text(text)
+        with pytest.raises(ReadError, match=words):
+            load_views(str(path))
+
+
+def test_a_broken_promise_is_said_loudly(run, hilly, monkeypatch):
+    monkeypatch.setattr("orograph.lod.engine.Engine.conservative", True)
+    code, said, err = run("compare", hilly, "--engines", "soar:isotropic-published", *SMALL)
+    assert code == 1 and "BROKEN" in said and "soar:isotropic-published" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("--engines", "sore"), 2, ("sore", "soar")),
+        (("--engines", "soar:euclid"), 2, ("euclid",)),
+        (("--views", "a.json", "--flight", "b.json"), 2, ("not both",)),
+        (("--judged", 3), 2, ("--flight",)),
+        (("--flight", "none.json"), 3, ("none.json",)),
+        (("--tolerance", 1, "--triangles", 9), 2, ("one goal",)),
+        (("--picture", "a.xyz"), 2, (".png",)),
+        (("--json", "no/a.json"), 4, ("folder",)),
+        (("--json", "a.png", "--picture", "a.png"), 2, ("same file",)),
+    ],
+)
+def test_what_is_refused(run, hilly, tmp_path, monkeypatch, arguments, code, words):
+    monkeypatch.chdir(tmp_path)
+    got, said, err = run("compare", hilly, *arguments, "--quiet")
+    assert got == code and said == "" and "Traceback" not in err
+    for word in words:
+        assert word in err
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,95 @@
+"""Measuring engines: what is counted, by engines that are made up."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from affine import Affine
+
+from orograph.geo.grid import Grid
+from orograph.lod.soar import Soar
+from orograph.store import MemoryTerrain
+from orograph.tessellation import Tessellation
+from orograph.verify.measure import fingerprints, measure_flight, measure_views, turned
+from orograph.view import View
+
+SIZE = 17
+VIEW = View((700, -900, 900), (240, -240, 0), fov_y=40, width=200, height=120)
+
+
+@pytest.fixture(scope="module")
+def ground():
+    y, x = np.mgrid[:SIZE, :SIZE]
+    heights = (40 * np.sin(x / 3) * np.cos(y / 4)).astype(np.float32)
+    return MemoryTerrain(heights, Grid(heights.shape, Affine(30, 0, 0, 0, -30, 0)), "made up")
+
+
+class Scripted:
+    """An engine whose every mesh and time are known beforehand: the finest ones by turns, or the coarsest."""
+
+    def __init__(self, terrain, *, slow=(1.0,), promises=True, tolerance=1.0, pattern=(0.0,)):
+        self.engine = Soar(terrain, cull=False)
+        self.times, self.pattern = itertools.cycle(slow), itertools.cycle(pattern)
+        self.promises, self.tolerance = promises, tolerance
+        self.seen = []
+
+    def refine(self, view, *, tolerance=None, triangles=None):
+        self.seen.append(view)
+        mesh = self.engine.refine(VIEW, tolerance=next(self.pattern))
+        stats = {"refine_ms": next(self.times), "tiles_read": len(self.seen), "conservative": self.promises,
+                 "tolerance": self.tolerance}  # fmt: skip
+        return Tessellation(mesh.vertices, mesh.triangles, None, stats)
+
+
+def test_views(ground):
+    engine = Scripted(ground, slow=[1000, 1000, 1000, 77, 2.0, 77, 4.0, 77, 9.0])
+    m = measure_views(engine, ground, [VIEW, VIEW, VIEW], {"tolerance": 1.0})
+    # Three for the referee, and three for the clock, the eye turned away before each.
+    assert engine.seen == [VIEW] * 3 + [turned(VIEW), VIEW] * 3
+    assert (m.ms, m.ms_worst, m.frames, m.judged, m.tiles_read) == (4.0, 9.0, 3, 3, 9)
+    assert m.triangles == len(engine.refine(VIEW).triangles) > 500
+    assert m.mtri_per_s == pytest.approx(3 * m.triangles / 15e-3 / 1e6)
+    assert m.largest == pytest.approx(0, abs=1e-9) and m.changes is None and m.kept is True and not m.defects
+
+
+def test_promises(ground):
+    assert measure_views(Scripted(ground, pattern=[30.0]), ground, [VIEW], {}).kept is False
+    assert measure_views(Scripted(ground, pattern=[30.0], promises=False), ground, [VIEW], {}).kept is None
+    within = measure_views(Scripted(ground, pattern=[30.0], tolerance=30.0), ground, [VIEW], {})
+    assert within.kept is True and 1 < within.largest <= 30 and 0 < within.rms < within.largest
+
+
+def test_a_flight_counts_what_changes(ground):
+    """Against sets of triangles: fine and coarse meshes by turns, and the same one again."""
+    pattern = [0.0, 4.0, 0.0, 0.0, 4.0, 4.0, 12.0]  # the first three warm up
+    engine = Scripted(ground, pattern=pattern)
+    m = measure_flight(engine, ground, [VIEW] * 4, {"tolerance": 1.0}, judged=2)
+    sets = []
+    for tolerance in pattern[3:]:
+        mesh = Soar(ground, cull=False).refine(VIEW, tolerance=tolerance)
+        sets.append({frozenset(map(tuple, mesh.vertices[t, :2].tolist())) for t in mesh.triangles})
+    truth = [len(a ^ b) / len(b) for a, b in itertools.pairwise(sets)]
+    assert truth[1] == 0 and truth[0] > 0.3
+    assert m.changes == pytest.approx(np.mean(truth))
+    assert (m.frames, m.judged) == (4, 2)
+    assert m.triangles == np.mean([len(s) for s in sets])
+
+
+def test_fingerprints_are_of_samples_not_of_numbers(ground):
+    mesh = Soar(ground).refine(VIEW, tolerance=0.5)
+    order = np.random.default_rng(1).permutation(len(mesh.vertices))
+    place = np.argsort(order)
+    turned_over = np.roll(place[mesh.triangles][::-1], 1, axis=1).astype(np.int32)
+    again = Tessellation(mesh.vertices[order], turned_over)
+    np.testing.assert_array_equal(fingerprints(mesh), fingerprints(again))
+    assert len(np.unique(fingerprints(mesh))) == len(mesh.triangles)
+    moved = Tessellation(mesh.vertices + np.array([1, 0, 0]), mesh.triangles)
+    assert len(np.intersect1d(fingerprints(mesh), fingerprints(moved))) < len(mesh.triangles)
+
+
+def test_turned_looks_the_other_way():
+    here, there = VIEW.axes()[2], turned(VIEW).axes()[2]
+    np.testing.assert_allclose(here, -there, atol=1e-12)
+    assert turned(VIEW).eye == VIEW.eye
