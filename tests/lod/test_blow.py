@@ -1,0 +1,185 @@
+"""Threshold spheres: what they promise, whether they nest, and whether a flight ends where a fresh start does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import plain
+import pytest
+import rasterio
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from orograph import verify
+from orograph.errors import UsageError
+from orograph.hierarchy import diamonds, fronts
+from orograph.lod import engine_of
+from orograph.lod.blow import Blow
+
+
+def threshold(view, tolerance, exaggeration=1.0):
+    """λ by the picture's corner, in radians."""
+    half = np.tan(np.radians(view.fov_y) / 2)
+    corner = np.arctan(half * np.hypot(1, view.width / view.height))
+    focal = view.height / 2 / half
+    return exaggeration * (focal / (tolerance * np.cos(corner) ** 2) + 1 / np.cos(corner))
+
+
+def plain_mesh(p, camera, tolerance, cull=True):
+    """(front, drawn): diamonds with the eye inside R, and mixed ones in view."""
+    stretch = max(1.0, camera.exaggeration)
+    out = p.spheres_outside(camera) if cull else np.zeros(p.z.shape, bool)
+    gap = np.linalg.norm((p.at - camera.view.eye) * [1, 1, camera.exaggeration], axis=-1)
+    reach = threshold(camera.view, tolerance, camera.exaggeration) * p.e + stretch * np.abs(p.r)
+    # (mixed diamonds out of view are above nothing that is drawn)
+    active = np.where(np.isinf(p.e), ~out, (p.e > 0) & (gap < reach))
+    corners = np.ix_((0, -1), (0, -1))
+    active[corners] = out[corners] = False  # they are no diamonds
+    front = fronts.front_of(diamonds.closure(active))
+    rows, cols = p.corners(front)
+    r, c = diamonds.of_triangle(*front.arrays)
+    x, y = fronts.triangles.apex(*front.arrays)
+    drawn = np.where(r < 0, ~out[y, x], ~out[r, c] & (p.r[r, c] >= 0))
+    return front, drawn & ~np.isnan(p.z[rows, cols]).any(1)
+
+
+@pytest.mark.parametrize("shape", plain.SHAPES)
+@pytest.mark.parametrize("gaps", [0.0, 0.15])
+def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
+    rng = np.random.default_rng([*shape, int(gaps * 100), 2])
+    for _ in range(4):
+        z = plain.rough(rng, shape, gaps=gaps)
+        if np.isnan(z).all():
+            continue
+        t = plain.terrain(z, angle=float(rng.uniform(0, 360)), stretch=float(rng.choice([1, 2.5])))
+        p = plain.Plain(t)
+        exaggeration, tolerance = float(rng.choice([1.0, 2.0])), float(10 ** rng.uniform(-0.5, 1.5))
+        for cull in (True, False):
+            engine = Blow(t, cull=cull, exaggeration=exaggeration)
+            for _ in range(4):  # jumps: everything may change
+                view = plain.random_view(rng, t, fov_y=40.0)
+                front, drawn = plain_mesh(p, plain.Camera(view, exaggeration), tolerance, cull)
+                found = engine.refine(view, tolerance=tolerance)
+                assert plain.triangles_of(found) == p.triangle_set(front, drawn)
+
+
+def flight(rng, t, frames, step):
+    """Views along a smooth random way, turning."""
+    view = plain.random_view(rng, t, fov_y=50.0)
+    eye, target = np.array(view.eye), np.array(view.target)
+    speed, turn = rng.normal(size=3), rng.normal(size=3)
+    for _ in range(frames):
+        speed += 0.3 * rng.normal(size=3)
+        turn += 0.3 * rng.normal(size=3)
+        eye = eye + step * speed * [1, 1, 0.2]
+        target = target + step * turn * [1, 1, 0.2]
+        yield replace(view, eye=tuple(eye), target=tuple(target))
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from([0.0, 0.1]), st.sampled_from([0.5, 30.0, 400.0]))
+def test_random_flights_equal_fresh_starts(seed, gaps, step):
+    rng = np.random.default_rng(seed)
+    t = plain.terrain(plain.rough(rng, (129, 100), amplitude=300, gaps=gaps))
+    engine = Blow(t)
+    for view in flight(rng, t, 12, step):
+        found = engine.refine(view, tolerance=2.0)
+        fresh = Blow(t).refine(view, tolerance=2.0)
+        assert plain.triangles_of(found) == plain.triangles_of(fresh)
+
+
+def test_a_frame_costs_what_changes():
+    rng = np.random.default_rng(3)
+    t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=1500))
+    engine = Blow(t, cull=False)
+    views = list(flight(rng, t, 30, 5.0))
+    first = engine.refine(views[0], tolerance=0.5).stats
+    assert first["splits"] > 10_000
+    for view in views[1:]:
+        stats = engine.refine(view, tolerance=0.5).stats
+        assert stats["splits"] + stats["merges"] < 0.03 * stats["front"]
+        assert stats["visits"] < 0.1 * stats["front"]
+    turned = replace(views[-1], target=tuple(2 * np.array(views[-1].eye) - views[-1].target))
+    stats = engine.refine(turned, tolerance=0.5).stats
+    assert stats["visits"] == stats["splits"] == stats["merges"] == 0
+
+
+def test_spheres_nest_and_bound_away_from_the_axis(shared_data):
+    with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
+        t = plain.terrain(file.read(1)[:500, :700].astype(np.float32))
+    rng = np.random.default_rng(13)
+    engine = Blow(t)
+    for _ in range(12):
+        view = plain.random_view(rng, t)
+        for tolerance in (0.5, 2.0, 8.0):
+            report = verify.judge(engine.refine(view, tolerance=tolerance), t, view)
+            assert report.ok(tolerance), report
+
+
+def test_published_spheres_exceed_the_tolerance_off_the_axis():
+    """A spike at the picture's corner, seen wide: λ = f / τ leaves it out though it is many pixels high."""
+    z = np.zeros((65, 65), np.float32)
+    z[1, 1] = 10.0
+    t = plain.terrain(z, cell=10.0)
+    x, y = t.grid.xy(1, 1)
+    # The spike lies far to the side: much nearer in depth than in distance.
+    worst = {"isotropic": 0.0, "isotropic-published": 0.0}
+    for distance in np.geomspace(400, 60_000, 60):
+        view = plain.View(
+            (float(x) + distance, float(y), 50.0), (float(x) + 0.94 * distance, float(y) + 0.33 * distance, 50.0),
+            fov_y=100.0, width=600, height=100,
+        )  # fmt: skip
+        for metric in worst:
+            found = Blow(t, metric=metric, cull=False).refine(view, tolerance=1.0)
+            worst[metric] = max(worst[metric], verify.judge(found, t, view).largest)
+    assert worst["isotropic"] <= 1.0 < worst["isotropic-published"]
+
+
+def test_budgets():
+    rng = np.random.default_rng(9)
+    t = plain.terrain(plain.rough(rng, (129, 129)))
+    view = plain.random_view(rng, t)
+    engine = Blow(t)
+    # (Whatever the tolerance, diamonds are split while the eye is inside their nested sphere.)
+    coarsest = len(engine.refine(view, tolerance=1e9).triangles)
+    assert coarsest < 200
+    for budget in (200, 500, 3000):
+        found = engine.refine(view, triangles=budget)
+        assert len(found.triangles) <= budget
+        assert verify.judge(found, t, view).ok(found.stats["tolerance"])
+    assert not verify.judge(engine.refine(view, seconds=0.05), t, view).defects
+
+
+def test_little_memory_gives_the_same_mesh():
+    rng = np.random.default_rng(11)
+    t = plain.terrain(plain.rough(rng, (1500, 1100), amplitude=800, gaps=0.02), cell=10)
+    much, little = Blow(t), Blow(t, max_memory=6 << 20)
+    for view in flight(rng, t, 5, 200.0):
+        found = little.refine(view, tolerance=2.0)
+        assert plain.triangles_of(found) == plain.triangles_of(much.refine(view, tolerance=2.0))
+    assert little.field.resident <= 6 < much.field.resident
+    assert verify.judge(found, t, view).ok(2.0)
+
+
+def test_colours_force_splits():
+    rng = np.random.default_rng(12)
+    t = plain.terrain(np.zeros((65, 65), np.float32))
+    view = plain.random_view(rng, t)
+
+    def color(level, row0, row1, col0, col1):
+        return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
+
+    flat = Blow(t).refine(view, tolerance=1.0)
+    coarse = Blow(t, color=color, color_tolerance=6.0).refine(view, tolerance=1.0)
+    fine = Blow(t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
+    assert len(flat.triangles) == len(coarse.triangles) == 2
+    assert len(fine.triangles) > 2
+    assert verify.judge(fine, t, view).ok(0.0)
+
+
+def test_unusable_options_are_refused():
+    t = plain.terrain(np.zeros((5, 5), np.float32))
+    assert engine_of("blow") is Blow
+    with pytest.raises(UsageError):
+        Blow(t, metric="wedgie")
