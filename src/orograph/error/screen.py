@@ -5,22 +5,22 @@ A point at camera coordinates (x right, y up, w depth), moved by δ along the ve
 
     f · |δ| · |(a·w − c·x, b·w − c·y)| / (w · (w + c·δ))        pixels, f the focal length in pixels
 
-(Duchaineau et al. 1997, sec. 6.2, whose wedgies move from −e to +e: the delayed division by w). Every metric bounds this
-from above, or, the published ones, estimates it, for all points of a bounding volume and all |δ| ≤ e:
+(Duchaineau et al. 1997, sec. 6.2, whose wedgies move from −e to +e: the delayed division by w). Every metric bounds
+this from above, or, the published ones, estimates it, for all points of a bounding volume and all |δ| ≤ e:
 
 * ``anisotropic``: over a sphere of radius r around a diamond's vertex. The vector in the numerator is a linear map of
-  the point with norm at most |(a, b, c)|, so it grows by at most r·|(a, b, c)|; depth falls by at most r. Nested spheres
-  and monotonic errors make it monotonic.
-* ``isotropic``: the same for a displacement of length e in any direction (Lindstrom & Pascucci 2001), held away from the
-  axis too: distance over depth.
+  the point with norm at most |(a, b, c)|, so it grows by at most r·|(a, b, c)|; depth falls by at most r. Nested
+  spheres and monotonic errors make it monotonic.
+* ``isotropic``: the same for a displacement of length e in any direction (Lindstrom & Pascucci 2001), held away from
+  the axis too: distance over depth.
 * ``wedgie``: over the prism of a triangle ± e. The numerator is convex and does not change along the vertical, depth is
   linear: both are extreme at the triangle's corners (ROAM's corner bound).
 * ``localised``: the wedgie's bound over the parts of a triangle, each with what is known of it (``lod.localise``).
 * ``isotropic-published``: λ·e / (d − r): right on the axis of view only.
 * ``anisotropic-published``: the lecture's λ·e·(1 − |cos|) / (d − r): smaller than the truth, sqrt(1 − cos²).
 
-Where the volume reaches the plane of the eye, the bounds are infinite. Depths below ``near`` are not in view, so depth is
-at least that. Coordinates: (col, row, height) of the terrain; float64.
+Where the volume reaches the plane of the eye, the bounds are infinite. Depths below ``near`` are not in view, so depth
+is at least that. Coordinates: (col, row, height) of the terrain; float64. Proofs and counter-examples: docs/metrics.md.
 """
 
 from __future__ import annotations
@@ -39,8 +39,11 @@ from orograph.view import View
 ANISOTROPIC, ISOTROPIC, WEDGIE, ISOTROPIC_PUBLISHED, ANISOTROPIC_PUBLISHED, LOCALISED = 0, 1, 2, 3, 4, 5
 
 # What a lens holds: the camera as one float64 vector, for kernels.
-MATRIX, FOCAL, TOLERANCE, NEAR, STRETCH, UP, PLANES, COLOR, TEXEL, LENGTH = 0, 12, 13, 14, 15, 16, 20, 44, 45, 46
-"""Offsets: 3 × 4 matrix; focal length; tolerance; near; factor on radii; |(a, b, c)|; 6 planes × 4; γ; pixels of γ."""
+MATRIX, FOCAL, TOLERANCE, NEAR, STRETCH, UP, PLANES, COLOR, TEXEL, SWAY, LENGTH = (
+    0, 12, 13, 14, 15, 16, 20, 44, 45, 46, 52,
+)  # fmt: skip
+"""Offsets: 3 × 4 matrix; focal length; tolerance; near; factor on radii; |(a, b, c)|; 6 planes × 4; γ; pixels of γ;
+2 × 3: (a·w − c·x, b·w − c·y) by column and row (it does not depend on the height)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +132,8 @@ def lens(
     table[: len(planes)] = planes @ whole
     result[PLANES : PLANES + 24] = table.ravel()
     result[COLOR], result[TEXEL] = color_tolerance, texel
+    sway = np.stack([matrix[k, 2] * matrix[2] - matrix[2, 2] * matrix[k] for k in (0, 1)])
+    result[SWAY : SWAY + 6] = sway[:, [0, 1, 3]].ravel()
     if not plan:
         # pixels of γ are measured with the same focal length
         result[TEXEL] = texel / result[FOCAL]
@@ -168,6 +173,20 @@ def sphere_exceeds(lens, metric, x, y, w, e, r):
     if metric == 4:
         e *= 1.0 - abs(lens[2] * x + lens[6] * y + lens[10] * w) / max(d * lens[16], 1e-300)
     return not focal * e <= tolerance * (d - r)
+
+
+@inlined
+def anisotropic_exceeds(lens, col, row, z, e, r):
+    """``sphere_exceeds`` of the anisotropic metric for a vertex, straight from the ground and without a branch."""
+    w = lens[8] * col + lens[9] * row + lens[10] * z + lens[11]
+    p = lens[46] * col + lens[47] * row + lens[48]
+    q = lens[49] * col + lens[50] * row + lens[51]
+    nearest = max(w - r, lens[14])
+    moved = nearest - e * abs(lens[10])
+    pixels = lens[12] * e
+    rest = lens[13] * nearest * moved - pixels * r * lens[16]
+    far = pixels * pixels * (p * p + q * q) > rest * rest
+    return (e > 0.0) & (lens[12] > 0.0) & (far | (rest < 0.0) | ~(moved > 0.0)) | (e == np.inf), w
 
 
 @inlined

@@ -6,69 +6,27 @@ shares its page with its like (the hierarchical layout of Lindstrom & Pascucci 2
 a table; one that is not resident is noted as a *miss* and its diamonds pass for accurate, and the engine reads the
 pages and refines again until nothing is missed. Memory is bounded: pages not used last leave first.
 
-In a page: height is filled where the sample is missing (spheres need one); error as in ``Terrain.diamonds`` (+inf mixed);
-radius negative if the diamond is empty; color error c as −1 − c if the vertex's own sample is missing.
+In a page: height is filled where the sample is missing (spheres need one); error as in ``Terrain.diamonds`` (+inf
+mixed); radius negative if the diamond is empty; color error c as −1 − c if the vertex's own sample is missing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined
+from orograph.error import ErrorKind
 from orograph.errors import UsageError
+from orograph.lod.pages import BEYOND, PAGE_BYTES, SHIFT, SIDE, Pages, find
 from orograph.parallel import map_ordered
 from orograph.store.terrain import Terrain, level_shape
 
-SHIFT = 8
-SIDE = 1 << SHIFT
-PAGE_BYTES = SIDE * SIDE * 16
+__all__ = ["ColorErrors", "Field", "Pages", "find"]
 
 ColorErrors = Callable[[int, int, int, int, int], NDArray[np.float32]]
-
-
-class Pages(NamedTuple):
-    """What kernels get of a field.
-
-    Attributes:
-        data: float32 (slots, 256, 256, 4).
-        table: int32 (pages,), the slot of each page; −1 absent, −2 absent and asked for.
-        base: int64 (levels,), where each level's pages begin in the table.
-        width: int64 (levels,), pages across.
-        used: uint8 (slots,), set when a page is read.
-        misses: int32 (pages,), the pages asked for; count: int64 (1,), how many.
-        edge: int64 (3,): the raster's last row and column, and the top level.
-    """
-
-    data: NDArray[np.float32]
-    table: NDArray[np.int32]
-    base: NDArray[np.int64]
-    width: NDArray[np.int64]
-    used: NDArray[np.uint8]
-    misses: NDArray[np.int32]
-    count: NDArray[np.int64]
-    edge: NDArray[np.int64]
-
-
-@inlined
-def find(pages, row, col, octave):
-    """(slot, i, j) of a vertex of an octave; slot is negative if its page is absent, which is then asked for."""
-    level = min(octave, pages.edge[2])
-    i = row >> level
-    j = col >> level
-    at = pages.base[level] + (i >> 8) * pages.width[level] + (j >> 8)
-    slot = pages.table[at]
-    if slot < 0:
-        if slot == -1:
-            pages.table[at] = -2
-            pages.misses[pages.count[0]] = at
-            pages.count[0] += 1
-    else:
-        pages.used[slot] = 1
-    return slot, i & 255, j & 255
 
 
 class Field:
@@ -104,26 +62,29 @@ class Field:
             raise UsageError(
                 f"{terrain.name} has {rows} row(s) and {cols} column(s); a surface needs at least two of each."
             )
-        self.terrain, self.kind, self.color, self.jobs = terrain, kind, color, jobs
+        self.terrain, self.kind, self.color, self.jobs = terrain, cast(ErrorKind, kind), color, jobs
         self.n, self.top = terrain.n, terrain.levels - 1
         self.shapes = [level_shape(terrain.grid.shape, level) for level in range(self.top)]
         side = (1 << (self.n - self.top)) + 1
         self.shapes.append((side, side))
         counts = [(-(-r // SIDE), -(-c // SIDE)) for r, c in self.shapes]
-        base = np.concatenate([[0], np.cumsum([r * c for r, c in counts])])
-        slots = int(min(base[-1], max(1, max_memory // PAGE_BYTES)))
+        width = [((1 << (self.n - level)) >> SHIFT) + 1 for level in range(self.top + 1)]
+        base = np.concatenate([[0], np.cumsum(np.square(width))])
+        table = np.full(base[-1], BEYOND, np.int32)
+        for (r, c), side, begin in zip(counts, width, base):
+            table[begin : begin + side * side].reshape(side, side)[:r, :c] = -1
+        slots = int(min((table == -1).sum(), max(1, max_memory // PAGE_BYTES)))
         if slots < counts[-1][0] * counts[-1][1]:
             raise UsageError(f"{max_memory >> 20} MiB do not hold the coarsest tiles; allow at least 16 MiB.")
+        data = _aligned((slots, SIDE, SIDE, 4))
+        i = np.arange(SIDE)
+        # Blocks of 16 × 16 entries, in them lines of 2 × 2.
+        down, across = ((i & 0xF0) << s | (i & 14) << t | (i & 1) << u for s, t, u in ((8, 4, 1), (4, 1, 0)))
         self.pages = Pages(
-            np.zeros((slots, SIDE, SIDE, 4), np.float32),
-            np.full(base[-1], -1, np.int32),
-            base[:-1].astype(np.int64),
-            np.array([c for _, c in counts], np.int64),
-            np.zeros(slots, np.uint8),
-            np.zeros(base[-1], np.int32),
-            np.zeros(1, np.int64),
+            data, data.reshape(-1), table, base[:-1].astype(np.int64), np.array(width, np.int64), down * 4, across * 4,
+            np.zeros(slots, np.uint8), np.zeros(2 * len(table) + 64, np.int32), np.zeros(1, np.int64),
             np.array([rows - 1, cols - 1, self.top], np.int64),
-        )
+        )  # fmt: skip
         self._holds = np.full(slots, -1, np.int64)
         self._last = np.zeros(slots, np.int64)
         self._round = 0
@@ -143,14 +104,16 @@ class Field:
         """A new round: nothing is used or asked for yet."""
         self._round += 1
         self.pages.used[:] = 0
-        self._forget_misses()
+        self._asked()
 
-    def _forget_misses(self) -> None:
-        count = int(self.pages.count[0])
-        asked = self.pages.misses[:count]
-        absent = asked[self.pages.table[asked] == -2]
-        self.pages.table[absent] = -1
+    def _asked(self) -> NDArray[np.int64]:
+        """The pages that were asked for, which then are so no more."""
+        if self.pages.count[0] == 0:
+            return np.zeros(0, np.int64)
+        asked = np.flatnonzero(self.pages.table == -2)
+        self.pages.table[asked] = -1
         self.pages.count[0] = 0
+        return asked
 
     def fetch(self, *, resumes: bool = False) -> bool:
         """Read the pages that were missed since ``begin``; whether there were any.
@@ -162,12 +125,11 @@ class Field:
         Raises:
             UsageError: the pages one refinement needs do not fit into the memory allowed.
         """
-        count = int(self.pages.count[0])
+        wanted = self._asked()
+        count = len(wanted)
         self._last[self.pages.used == 1] = self._round
         if count == 0:
             return False
-        wanted = self.pages.misses[:count].copy()
-        self._forget_misses()
         order = np.lexsort((np.arange(len(self._last)), self._last, self._holds >= 0))  # free ones, then oldest
         if resumes:
             wanted = wanted[: len(order)]
@@ -199,7 +161,6 @@ class Field:
         rows, cols = self.shapes[level]
         row0, col0 = i * SIDE, j * SIDE
         row1, col1 = min(row0 + SIDE, rows), min(col0 + SIDE, cols)
-        data = self.pages.data[slot, : row1 - row0, : col1 - col0]
         have = self.terrain.shape(level)
         # The top level is a padded square: beyond the raster its last samples are repeated.
         r0, c0 = min(row0, have[0] - 1), min(col0, have[1] - 1)
@@ -217,7 +178,23 @@ class Field:
             heights[y, x] = self._fill[
                 np.minimum(y_tile, self._fill.shape[0] - 1), np.minimum(x_tile, self._fill.shape[1] - 1)
             ]
-        data[..., 0] = heights
-        data[..., 1], data[..., 2] = self.terrain.diamonds(self.kind, level, row0, row1, col0, col1)
+        data = np.zeros((SIDE, SIDE, 4), np.float32)
+        data[..., 2] = -1.0  # empty, where the level has nothing
+        here = data[: row1 - row0, : col1 - col0]
+        here[..., 0] = heights
+        here[..., 1], here[..., 2] = self.terrain.diamonds(self.kind, level, row0, row1, col0, col1)
         color = 0.0 if self.color is None else self.color(level, row0, row1, col0, col1)
-        data[..., 3] = np.where(missing, -1.0 - color, color)
+        here[..., 3] = np.where(missing, -1.0 - color, color)
+        place = self.pages.down[:, None] + self.pages.across >> 2
+        self.pages.data[slot].reshape(-1, 4)[place] = data
+
+
+def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Memory that begins where a page of the processor's does, so that no line of entries straddles two.
+
+    ``np.empty``, because NumPy asks for huge pages there (Linux), which halves the time of a large refinement.
+    """
+    size = int(np.prod(shape))
+    room = np.empty(size + 4096 // 4, np.float32)
+    skip = -room.ctypes.data % 4096 // 4
+    return room[skip : skip + size].reshape(shape)

@@ -1,18 +1,18 @@
-"""SOAR: one recursive pass without state over nested spheres, one generalised triangle strip out.
+"""SOAR: one pass without state over nested spheres, one generalised triangle strip out.
 
-Lindstrom & Pascucci, *Visualization of Large Terrains Made Easy* (Vis 2001) and *Terrain Simplification Simplified* (TVCG
-2002). A diamond is *active* if the bound of its error over its sphere exceeds the tolerance and the sphere is in view.
-Errors are monotonic and spheres nested, so a diamond's parents are active when it is: both triangles that share a
+Lindstrom & Pascucci, *Visualization of Large Terrains Made Easy* (Vis 2001) and *Terrain Simplification Simplified*
+(TVCG 2002). A diamond is *active* if the bound of its error over its sphere exceeds the tolerance and the sphere is in
+view. Errors are monotonic and spheres nested, so a diamond's parents are active when it is: both triangles that share a
 diamond decide alike, wherever they are met, and the mesh conforms without neighbours, queues or state. The pass goes
 through the leaves in the order of a Sierpinski curve, in which each shares an edge with the next: a strip.
 
-What differs from the papers: the strip is grown leaf by leaf (each new vertex lies opposite the edge that the leaf
-shares with the last one; a repeated vertex turns the strip where the curve turns), because leaves can be missing:
-subtrees out of view and holes are left out, and the strip is taken up again behind them. The metric holds away from the
-image centre. Geomorphs (2002, sec. 5.3): a vertex that has just become necessary starts on its parents' edge and
-reaches its height when the bound of its error has doubled; all surfaces between keep the tolerance.
+What differs from the papers: both children are weighed when their parent is split, so that leaves, half of all
+triangles, are never visited (and two look-ups are under way at once). Leaves can be missing: subtrees out of view and
+holes are left out, and the strip is taken up again behind them. The metric holds away from the image centre. Geomorphs
+(2002, sec. 5.3) are those of ``lod.geomorph``, which keep the tolerance. See docs/engines/soar.md.
 
-The recursion is a flat stack in a kernel; subtrees can be given to several threads, and their strips follow each other.
+The pass begins with a *frontier* of subtrees of one level in view (``lod.frontier``), so that several threads can share
+them; their strips follow each other. What comes out does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -22,169 +22,299 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import leaf
-from orograph.error.screen import color_exceeds, outside, sphere_bound, sphere_exceeds, to_camera
+from orograph._numba import inlined, leaf
+from orograph.error.screen import FOCAL, anisotropic_exceeds, color_exceeds, outside, sphere_exceeds, to_camera
 from orograph.lod.engine import Engine, Mesh, by_tolerance, join
-from orograph.lod.field import find
+from orograph.lod.pages import BEYOND, locate, prefetch
 from orograph.parallel import map_ordered
 from orograph.view import View
 
+DROP, LEAF, SPLIT = 0, 1, 2
+"""What becomes of a triangle: left out (out of view, or no surface), drawn, or split."""
+
+CUT = 8
+"""Level of the subtrees that threads share."""
+
+FEW = 32
+"""Fewer split subtrees than this are not worth sharing (nor a strip that begins anew for each)."""
+
+MARGIN = 1024
+"""Room that a strip needs beyond its length: what one pass through the loop may append, 2n levels ending at once."""
+
+EVERYWHERE = 63
+"""Bits of all six planes: a sphere known to be inside of them all is not tested again."""
+
+NAN = np.float32(np.nan)
+
+
+@inlined
+def weigh(pages, lens, metric, cull, key, octave, mask):
+    """What becomes of the triangles that share the diamond at ``key``: (state, its height, planes it is inside of)."""
+    row = key >> 32
+    col = key & 0xFFFFFFFF
+    slot, at = locate(pages, row, col, octave)
+    state = LEAF  # where the page is absent: it is asked for, and this pass is not the last one
+    z = NAN
+    if slot == BEYOND:
+        state = DROP
+    elif slot >= 0:
+        place = np.uint64(at)
+        z = pages.flat[place]
+        e = np.float64(pages.flat[place + np.uint64(1)])
+        r = np.float64(pages.flat[place + np.uint64(2)]) * lens[15]
+        c = pages.flat[place + np.uint64(3)]
+        x_at = np.float64(min(col, pages.edge[1]))
+        y_at = np.float64(min(row, pages.edge[0]))
+        height = np.float64(z)
+        out = r < 0.0
+        if cull and mask != EVERYWHERE and not out:
+            out, mask = outside(lens, x_at, y_at, height, r, mask)
+        if out:
+            state = DROP
+        else:
+            if metric == 0:
+                exceeds, w = anisotropic_exceeds(lens, x_at, y_at, height, e, r)
+            else:
+                x, y, w = to_camera(lens, x_at, y_at, height)
+                exceeds = sphere_exceeds(lens, metric, x, y, w, e, r)
+            if c != np.float32(0.0):
+                if c < np.float32(0.0):
+                    c = np.float32(-1.0) - c
+                    z = NAN
+                exceeds |= color_exceeds(lens, np.float64(c), w, r)
+            if exceeds:
+                state = SPLIT
+    return state, z, mask
+
+
+@inlined
+def call(pages, key, octave):
+    """Have the diamond at ``key`` ready in the cache."""
+    prefetch(pages, key >> 32, key & 0xFFFFFFFF, octave)
+
+
+@inlined
+def draws(ek, xk, ak, ez, xz, az, last_row, last_col, squeezed):
+    """Whether a leaf is there: no corner is missing, and it does not lie wholly beyond the raster."""
+    total = ez + xz + az
+    there = total == total
+    if squeezed and there:
+        there = min(ek, min(xk, ak)) >> 32 < last_row and (
+            min(ek & 0xFFFFFFFF, min(xk & 0xFFFFFFFF, ak & 0xFFFFFFFF)) < last_col
+        )
+    return there
+
+
+@inlined
+def begin_strip(keys, zs, length, fresh, even, ak, az, bk, bz):
+    """Append (a, b), the first two of three vertices of a triangle, to what is there; the new length.
+
+    Args:
+        fresh: whether what follows begins at an even place, as a strip of its own would.
+        even: whether the triangle must begin at an even place to turn as it should.
+    """
+    if length:
+        keys[length], zs[length] = keys[length - 1], zs[length - 1]
+        keys[length + 1], zs[length + 1] = ak, az
+        length += 2
+        if fresh and length & 1:
+            keys[length], zs[length] = ak, az
+            length += 1
+    if (length & 1 == 0) != even:
+        keys[length], zs[length] = ak, az
+        length += 1
+    keys[length], zs[length] = ak, az
+    keys[length + 1], zs[length + 1] = bk, bz
+    return length + 2
+
 
 @leaf
-def refine_subtree(
-    pages, lens, metric, cull, morph, level0, corners, heights, inside0, leaf_level, stack, stack_z, keys, zs, counts
+def refine_subtrees(
+    pages, lens, metric, cull, leaf_level, subtrees, subtree_zs, states, first, last, stack, stack_zs, keys, zs, counts
 ):
-    """Refine one triangle and append its strip.
+    """Refine triangles and append their strips to what there is.
+
+    A leaf (e, x, a), hypotenuse from e to x, is entered over an edge at e and left over one at x; each is a leg or the
+    hypotenuse. It is entered over a leg if it lies an even number of levels below the last triangle on the way to it
+    that is a second child, left over one if so below the last that is a first child (its sibling is next).
 
     Args:
         pages: ``field.Pages``. lens: the camera. metric: its number.
         cull: whether what is out of view is left out.
-        morph: whether vertices morph: activity begins at half the tolerance.
-        level0: the triangle's level.
-        corners: int64 (3, 2), (row, col) of the hypotenuse's first end, its last end, and the apex.
-        heights: float32 (3,), theirs, NaN where missing.
-        inside0: bits of the planes that the triangle is known to be inside of.
         leaf_level: 2n.
-        stack: int64 (2n + 1, 8), stack_z: float32 (2n + 1, 3), for the triangles that wait.
+        subtrees, subtree_zs, states, first, last: those of a ``frontier`` that are to be refined: [first, last).
+        stack: int64 (2n + 1, 5), stack_zs: float32 (2n + 1, 3), for the triangles that wait.
         keys: int64 (capacity,), the strip's vertices, row << 32 | col of the padded square.
         zs: float32 (capacity,), their heights.
-        counts: int64 (3,): strip length, triangles, nodes visited; length −1 if the capacity did not suffice.
+        counts: int64 (3,): strip length, triangles, diamonds looked at; in and out. Length −1 if the capacity did not
+            suffice.
     """
     n = leaf_level >> 1
-    stretch = lens[15]
-    capacity = len(keys) - 8
-    length = 0
-    triangles = 0
-    nodes = 0
-    # The last triangle's edge to go on from (p, q), and its newest vertex v, which is not written yet.
-    p = q = v = np.int64(-1)
-    pz = qz = vz = np.float32(0.0)
-    is_open = False
-    er, ec, ez = corners[0, 0], corners[0, 1], heights[0]
-    xr, xc, xz = corners[1, 0], corners[1, 1], heights[1]
-    ar, ac, az = corners[2, 0], corners[2, 1], heights[2]
-    level = level0
-    mask = inside0
-    top = 0
-    while True:
-        nodes += 1
-        keep = True
-        if level < leaf_level:
-            mr = (er + xr) >> 1
-            mc = (ec + xc) >> 1
-            slot, i, j = find(pages, mr, mc, n - 1 - (level >> 1))
-            if slot >= 0:
-                z = pages.data[slot, i, j, 0]
-                e = np.float64(pages.data[slot, i, j, 1])
-                r = np.float64(pages.data[slot, i, j, 2])
-                c = np.float64(pages.data[slot, i, j, 3])
-                col = np.float64(min(mc, pages.edge[1]))
-                row = np.float64(min(mr, pages.edge[0]))
-                if r < 0.0:
-                    r = -r
-                    keep = False
-                r *= stretch
-                out = False
-                if cull:
-                    out, mask = outside(lens, col, row, np.float64(z), r, mask)
-                if out:
-                    keep = False
-                else:
-                    x, y, w = to_camera(lens, col, row, np.float64(z))
-                    missing = c < 0.0
-                    if missing:
-                        c = -1.0 - c
-                    if sphere_exceeds(lens, metric, x, y, w, e, r) or color_exceeds(lens, c, w, r):
-                        mz = np.float32(np.nan) if missing else z
-                        if (
-                            morph
-                            and not missing
-                            and e < np.inf
-                            and mr + (1 << (n - 1 - (level >> 1))) <= pages.edge[0]
-                            and mc + (1 << (n - 1 - (level >> 1))) <= pages.edge[1]
-                        ):
-                            # From half the tolerance (lens) to the whole.
-                            t = sphere_bound(lens, metric, x, y, w, e, r) / lens[13] - 1.0
-                            if t < 1.0 and not color_exceeds(lens, c, w, r):
-                                mz = np.float32((1.0 - t) * 0.5 * (np.float64(ez) + np.float64(xz)) + t * z)
-                        # The second child waits; the first is next.
-                        stack[top, 0], stack[top, 1], stack_z[top, 0] = ar, ac, az
-                        stack[top, 2], stack[top, 3], stack_z[top, 1] = xr, xc, xz
-                        stack[top, 4], stack[top, 5], stack_z[top, 2] = mr, mc, mz
-                        stack[top, 6], stack[top, 7] = level + 1, mask
-                        top += 1
-                        xr, xc, xz = ar, ac, az
-                        ar, ac, az = mr, mc, mz
-                        level += 1
-                        continue
-        if keep and ez == ez and xz == xz and az == az:
-            if length > capacity:
-                length = -1
-                break
-            ek = er << 32 | ec
-            xk = xr << 32 | xc
-            ak = ar << 32 | ac
-            if is_open:
-                # The next triangle has v and p or q.
-                to_q = q == ek or q == xk or q == ak
-                to_v = v == ek or v == xk or v == ak
-                to_p = p == ek or p == xk or p == ak
-                if to_v and (to_q or to_p):
-                    if not to_q:
-                        keys[length], zs[length] = p, pz
-                        length += 1
-                        q, qz = p, pz
-                    keys[length], zs[length] = v, vz
+    last_row, last_col = pages.edge[0], pages.edge[1]
+    squeezed = last_row < 1 << n or last_col < 1 << n
+    capacity = len(keys) - MARGIN
+    length, triangles, nodes = counts[0], counts[1], counts[2]
+    for subtree in range(first, last):
+        ek, xk, ak, mk = subtrees[subtree, 0], subtrees[subtree, 1], subtrees[subtree, 2], subtrees[subtree, 3]
+        ez, xz, az, mz = (
+            subtree_zs[subtree, 0], subtree_zs[subtree, 1], subtree_zs[subtree, 2], subtree_zs[subtree, 3],
+        )  # fmt: skip
+        level0, state, mask = states[subtree, 0], states[subtree, 1], states[subtree, 2]
+        level = level0
+        second, ahead = level0, level0  # levels of the last second child on the way, and of the last first child
+        is_open = False  # whether the next leaf goes on with the strip
+        fresh = True
+        newest_is_e = False  # whether the strip's last vertex is the next leaf's e, not the one before
+        top = 0
+        if length > capacity:
+            length = -1
+            break
+        if state != SPLIT:
+            if draws(ek, xk, ak, ez, xz, az, last_row, last_col, squeezed):
+                length = begin_strip(keys, zs, length, fresh, level & 1 == 1, ek, ez, ak, az)
+                keys[length], zs[length] = xk, xz
+                length += 1
+                triangles += 1
+            continue
+        while True:
+            # (e, x, a) is split at m: first child (e, a, m), second (a, x, m).
+            level += 1
+            first_state = second_state = LEAF
+            first_mask = second_mask = mask
+            first_mz = second_mz = NAN
+            first_mk = (ek + ak) >> 1
+            second_mk = (ak + xk) >> 1
+            if level < leaf_level:
+                octave = n - 1 - (level >> 1)
+                first_state, first_mz, first_mask = weigh(pages, lens, metric, cull, first_mk, octave, mask)
+                second_state, second_mz, second_mask = weigh(pages, lens, metric, cull, second_mk, octave, mask)
+                if level & 1 == 0 and level + 2 < leaf_level:
+                    # What is two levels below a split triangle lies elsewhere in memory: it is called for in time.
+                    if first_state == SPLIT:
+                        call(pages, (ek + first_mk) >> 1, octave - 1)
+                        call(pages, (ak + first_mk) >> 1, octave - 1)
+                        call(pages, (mk + first_mk) >> 1, octave - 1)
+                    if second_state == SPLIT:
+                        call(pages, (ak + second_mk) >> 1, octave - 1)
+                        call(pages, (mk + second_mk) >> 1, octave - 1)
+                        call(pages, (xk + second_mk) >> 1, octave - 1)
+                nodes += 2
+            if first_state == SPLIT:
+                stack[top, 0], stack[top, 1], stack[top, 2] = xk, mk, second_mk
+                stack[top, 3], stack[top, 4] = level, second_state << 6 | second_mask
+                stack_zs[top, 0], stack_zs[top, 1], stack_zs[top, 2] = xz, mz, second_mz
+                top += 1
+                xk, xz, ak, az, mk, mz = ak, az, mk, mz, first_mk, first_mz
+                mask = first_mask
+                ahead = level
+                continue
+            if first_state == LEAF and draws(ek, ak, mk, ez, az, mz, last_row, last_col, squeezed):
+                # The edge (a, m) is kept: m is new if it was entered over (e, a), its hypotenuse, else a is.
+                by_leg = (level - second) & 1 == 0
+                keep, keep_z, new, new_z = (mk, mz, ak, az) if by_leg else (ak, az, mk, mz)
+                if not is_open:
+                    length = begin_strip(keys, zs, length, fresh, (level & 1 == 1) == by_leg, ek, ez, keep, keep_z)
+                    is_open, fresh, newest_is_e = True, False, False
+                keys[length], zs[length] = keep, keep_z
+                length += newest_is_e
+                keys[length], zs[length] = new, new_z
+                length += 1
+                newest_is_e = by_leg
+                triangles += 1
+            else:
+                is_open = False
+            if second_state == SPLIT:
+                ek, ez, ak, az, mk, mz = ak, az, mk, mz, second_mk, second_mz
+                mask = second_mask
+                second = level
+                continue
+            # The second child, and those that wait: each a leaf, or left out, until one is split.
+            ek, ez, ak, az = ak, az, mk, mz
+            state = second_state
+            while True:
+                if state == LEAF and draws(ek, xk, ak, ez, xz, az, last_row, last_col, squeezed):
+                    by_leg = (level - ahead) & 1 == 0
+                    if not is_open:
+                        if by_leg:
+                            length = begin_strip(keys, zs, length, fresh, level & 1 == 1, ek, ez, ak, az)
+                        else:
+                            length = begin_strip(keys, zs, length, fresh, level & 1 == 0, ak, az, ek, ez)
+                        is_open, fresh, newest_is_e = True, False, not by_leg
+                    keys[length], zs[length] = (ak, az) if by_leg else (ek, ez)
+                    length += newest_is_e == by_leg
+                    keys[length], zs[length] = xk, xz
                     length += 1
-                    p, pz, q, qz = q, qz, v, vz
-                    if ek != p and ek != q:
-                        v, vz = ek, ez
-                    elif xk != p and xk != q:
-                        v, vz = xk, xz
-                    else:
-                        v, vz = ak, az
+                    newest_is_e = True
                     triangles += 1
                 else:
-                    keys[length], zs[length] = v, vz
-                    length += 1
                     is_open = False
-            if not is_open:
-                # A new strip begins with (apex, first end, last end) in the winding of all leaves of this level.
-                odd = (level - level0) & 1 == 1
-                if length:
-                    keys[length], zs[length] = keys[length - 1], zs[length - 1]
-                    keys[length + 1], zs[length + 1] = ak, az
-                    length += 2
-                    if length & 1:
-                        keys[length], zs[length] = ak, az
-                        length += 1
-                if odd:
-                    # the mirror image: a vertex more turns the winding
-                    keys[length], zs[length] = ak, az
-                    length += 1
-                keys[length], zs[length] = ak, az
-                keys[length + 1], zs[length + 1] = ek, ez
-                length += 2
-                p, pz, q, qz, v, vz = ak, az, ek, ez, xk, xz
-                is_open = True
-                triangles += 1
-        elif is_open:
-            keys[length], zs[length] = v, vz
-            length += 1
-            is_open = False
-        if top == 0:
+                if top == 0:
+                    state = DROP
+                    break
+                top -= 1
+                # A second child begins where the first one ended.
+                ek, ez = xk, xz
+                xk, ak, mk = stack[top, 0], stack[top, 1], stack[top, 2]
+                xz, az, mz = stack_zs[top, 0], stack_zs[top, 1], stack_zs[top, 2]
+                level = stack[top, 3]
+                state, mask = stack[top, 4] >> 6, stack[top, 4] & EVERYWHERE
+                second = level
+                ahead = stack[top - 1, 3] if top else level0
+                if state == SPLIT:
+                    break
+            if state != SPLIT:
+                break
+            if length > capacity:
+                break
+        if length > capacity:
+            length = -1
             break
-        top -= 1
-        er, ec, ez = stack[top, 0], stack[top, 1], stack_z[top, 0]
-        xr, xc, xz = stack[top, 2], stack[top, 3], stack_z[top, 1]
-        ar, ac, az = stack[top, 4], stack[top, 5], stack_z[top, 2]
-        level, mask = stack[top, 6], stack[top, 7]
-    if is_open and length >= 0:
-        keys[length], zs[length] = v, vz
-        length += 1
-    counts[0] = length
-    counts[1] = triangles
-    counts[2] = nodes
+    counts[0], counts[1], counts[2] = length, triangles, nodes
+
+
+@leaf
+def frontier(pages, lens, metric, cull, leaf_level, cut, corners, corner_zs, stack, stack_zs, subtrees, zs, states):
+    """The triangles of level ``cut``, and the coarser ones that are drawn, in the strip's order.
+
+    Args:
+        pages, lens, metric, cull, leaf_level, stack, stack_zs: as ``refine_subtrees``.
+        cut: a level, at most 2n − 1; at least 1.
+        corners, corner_zs: int64 (2, 3), float32 (2, 3): (e, x, a) of both roots.
+        subtrees: int64 (2^(cut + 1), 4), (e, x, a, m) of each; zs: float32, their heights.
+        states: int64 (2^(cut + 1), 3), level, state, planes.
+
+    Returns: how many there are, how many of them are to be split, and how many diamonds were looked at.
+    """
+    count = split = nodes = 0
+    for root in range(2):
+        top = 0
+        ek, xk, ak = corners[root, 0], corners[root, 1], corners[root, 2]
+        ez, xz, az = corner_zs[root, 0], corner_zs[root, 1], corner_zs[root, 2]
+        level = mask = np.int64(0)
+        while True:
+            mk = (ek + xk) >> 1
+            state, mz, mask = weigh(pages, lens, metric, cull, mk, (leaf_level >> 1) - 1 - (level >> 1), mask)
+            nodes += 1
+            if state == SPLIT and level < cut:
+                level += 1
+                stack[top, 0], stack[top, 1], stack[top, 3], stack[top, 4] = xk, mk, level, mask
+                stack_zs[top, 0], stack_zs[top, 1] = xz, mz
+                top += 1
+                xk, xz, ak, az = ak, az, mk, mz
+                continue
+            if state != DROP:
+                subtrees[count, 0], subtrees[count, 1], subtrees[count, 2], subtrees[count, 3] = ek, xk, ak, mk
+                zs[count, 0], zs[count, 1], zs[count, 2], zs[count, 3] = ez, xz, az, mz
+                states[count, 0], states[count, 1], states[count, 2] = level, state, mask
+                count += 1
+                split += state == SPLIT
+            if top == 0:
+                break
+            top -= 1
+            ek, ez = xk, xz
+            xk, ak, level, mask = stack[top, 0], stack[top, 1], stack[top, 3], stack[top, 4]
+            xz, az = stack_zs[top, 0], stack_zs[top, 1]
+    return count, split, nodes
 
 
 class Soar(Engine):
@@ -200,43 +330,67 @@ class Soar(Engine):
     def __init__(self, *args: Any, geomorph: bool = False, **options: Any) -> None:
         super().__init__(*args, **options)
         self.geomorph = geomorph
-        self._capacity = 1 << 16
+        self._cut = min(CUT, 2 * self.field.n - 1)
+        size = 2 << self._cut
+        self._frontier = np.empty((size, 4), np.int64), np.empty((size, 4), np.float32), np.empty((size, 3), np.int64)
+        side = 1 << self.field.n
+        nw, ne, sw, se = 0, side, side << 32, side << 32 | side
+        z = self.field.corners
+        self._corners = np.array([[nw, se, ne], [se, nw, sw]], np.int64)
+        self._corner_zs = np.array([[z[0, 0], z[1, 1], z[0, 1]], [z[1, 1], z[0, 0], z[1, 0]]], np.float32)
+        self._strips: list[tuple[NDArray[np.int64], NDArray[np.float32]]] = []
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
         if tolerance is None:
             return by_tolerance(self, view, triangles, seconds)
         lens = self._lens(view, tolerance * (0.5 if self.geomorph else 1.0))
-        parts = self._subtrees()
+        rounds = 0
         while True:
             self.field.begin()
-            found = list(map_ordered(lambda part: self._strip(lens, *part), parts, self.jobs))
+            rounds += 1
+            keys, zs, made, nodes = self._strip(lens)
             if not self.field.fetch():
                 break
-        keys, zs = join([(k, z) for k, z, _, _ in found])
+        if self.geomorph and lens[FOCAL] > 0.0:
+            from orograph.lod.geomorph import morph
+
+            zs = morph(self.field, lens, self.metric.number, keys, zs)
         return Mesh(
-            keys, zs, is_strip=True, clockwise=False, triangles=sum(t for _, _, t, _ in found),
-            stats={"nodes": sum(nodes for *_, nodes in found), "geomorph": self.geomorph},
+            keys, zs, is_strip=True, clockwise=False, triangles=made,
+            stats={"nodes": nodes, "rounds": rounds, "geomorph": self.geomorph},
         )  # fmt: skip
 
-    def _subtrees(self) -> list[tuple[int, NDArray[np.int64], NDArray[np.float32]]]:
-        """The roots, or for several threads the triangles some levels below them, in the strip's order."""
-        size = 1 << self.field.n
-        nw, ne, sw, se = (0, 0), (0, size), (size, 0), (size, size)
-        z = self.field.corners
-        todo = [((nw, se, ne), (z[0, 0], z[1, 1], z[0, 1])), ((se, nw, sw), (z[1, 1], z[0, 0], z[1, 0]))]
-        return [(0, np.array(c, np.int64), np.array(h, np.float32)) for c, h in todo]
+    def _strip(self, lens: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float32], int, int]:
+        """One pass: the strip (views of buffers that the next pass uses again), its triangles, diamonds looked at."""
+        common = self.field.pages, lens, self.metric.number, self.cull, 2 * self.field.n
+        stack, stack_zs = self._stack()
+        for cut in (self._cut, 0):
+            count, split, nodes = frontier(
+                *common, cut, self._corners, self._corner_zs, stack, stack_zs, *self._frontier
+            )
+            if split >= FEW:
+                break
+        jobs = self.jobs if split >= FEW else 1
+        groups = np.linspace(0, count, 2 if jobs == 1 else 8 * jobs + 1).astype(np.int64)
+        while len(self._strips) < len(groups) - 1:
+            self._strips.append((np.empty(1 << 16, np.int64), np.empty(1 << 16, np.float32)))
 
-    def _strip(
-        self, lens: NDArray[np.float64], level: int, corners: NDArray[np.int64], heights: NDArray[np.float32]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32], int, int]:
-        counts = np.zeros(3, np.int64)
-        stack = np.empty((2 * self.field.n + 1, 8), np.int64), np.empty((2 * self.field.n + 1, 3), np.float32)
-        while True:
-            keys, zs = np.empty(self._capacity, np.int64), np.empty(self._capacity, np.float32)
-            refine_subtree(
-                self.field.pages, lens, self.metric.number, self.cull, self.geomorph, level, corners, heights, 0,
-                2 * self.field.n, *stack, keys, zs, counts,
-            )  # fmt: skip
-            if counts[0] >= 0:
-                return keys[: counts[0]], zs[: counts[0]], int(counts[1]), int(counts[2])
-            self._capacity *= 2
+        def refine(group: int) -> NDArray[np.int64]:
+            while True:
+                counts = np.zeros(3, np.int64)
+                strip = self._strips[group]
+                refine_subtrees(
+                    *common, *self._frontier, groups[group], groups[group + 1], *self._stack(), *strip, counts
+                )
+                if counts[0] >= 0:
+                    return counts
+                size = 2 * len(strip[0])
+                self._strips[group] = np.empty(size, np.int64), np.empty(size, np.float32)
+
+        counts = np.array(list(map_ordered(refine, range(len(groups) - 1), jobs)))
+        parts = [(k[:length], z[:length]) for (k, z), length in zip(self._strips, counts[:, 0])]
+        keys, zs = parts[0] if len(parts) == 1 else join(parts)
+        return keys, zs, int(counts[:, 1].sum()), nodes + int(counts[:, 2].sum())
+
+    def _stack(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        return np.empty((2 * self.field.n + 1, 5), np.int64), np.empty((2 * self.field.n + 1, 3), np.float32)
