@@ -1,6 +1,6 @@
 """The way from errors and radii to the bytes of ``quantise``: each to the first of a table's values not below it.
 
-A value's place in a table is guessed from its upper 16 bits as a float32, which leave less than one hundredth open, and
+A value's place in a table is guessed from its upper bits as a float32, which leave less than a thousandth open, and
 then corrected upwards: a step or none.
 """
 
@@ -16,56 +16,65 @@ from orograph.error import ErrorKind
 from orograph.error.quantise import EMPTY, Codes, ErrorCode, Floats, RadiusCode
 from orograph.errors import OrographError
 
+OPEN = 13
+"""Lower bits of a float32 that a guess does not look at."""
 
-def guesses(table: Floats) -> NDArray[np.uint8]:
-    """For the upper 16 bits of every float32 ≥ 0 the first value of the table not below the lowest of such floats."""
-    lowest = (np.arange(0x7F81, dtype=np.uint32) << 16).view(np.float32)
-    return np.searchsorted(table, lowest).astype(np.uint8)
+Guess = tuple[np.int64, NDArray[np.uint8]]
+
+
+def guesses(table: Floats) -> Guess:
+    """What ``_find`` begins with: the upper bits of the second value, and from there on the place of each number."""
+    finite = table[np.isfinite(table)]
+    first, last = (int(v) >> OPEN for v in finite[[1, -1]].view(np.uint32))
+    lowest = (np.arange(first, last + 1, dtype=np.uint32) << OPEN).view(np.float32)
+    return np.int64(first), np.searchsorted(table, lowest).astype(np.uint8)
 
 
 @leaf
-def _find(value, tables, which, guess):
-    """The first entry of a table not below ``value``; the table's length if there is none."""
-    code = np.int64(guess[which, np.float32(value).view(np.uint32) >> np.uint32(16)])
-    while code < tables.shape[1] and tables[which, code] < value:
+def _find(value, table, first, guess):
+    """The first entry not below ``value``; the table's length if there is none."""
+    if value <= table[0]:
+        return np.int64(0)
+    bits = np.int64(np.float32(value).view(np.uint32) >> np.uint32(OPEN))
+    code = np.int64(guess[max(min(bits - first, guess.shape[0] - 1), 0)])
+    while code < table.shape[0] and table[code] < value:
         code += 1
     return code
 
 
 @kernel
-def _encode_errors(errors, tables, guess, codes):
+def _encode_errors(errors, table, first, guess, codes):
     """Returns whether all were found."""
     for i in range(errors.shape[0]):
         for j in range(errors.shape[1]):
-            code = _find(errors[i, j], tables, 0, guess)
-            if code >= tables.shape[1]:
+            code = _find(errors[i, j], table, first, guess)
+            if code >= table.shape[0]:
                 return False
             codes[i, j] = code
     return True
 
 
 @kernel
-def _encode_radii(radii, odd_row, odd_col, tables, guess, codes):
-    """Returns whether all were found."""
-    for i in range(radii.shape[0]):
-        row = (i + odd_row) & 1
-        for j in range(0 if row else 1 - odd_col, radii.shape[1], 1 if row else 2):
-            code = _find(abs(radii[i, j]), tables, row & (j + odd_col), guess)
-            if code >= tables.shape[1]:
+def _encode_radii(radii, start_row, start_col, table, first, guess, codes):
+    """Every second radius of every second row. Returns whether all were found."""
+    for i in range(start_row, radii.shape[0], 2):
+        for j in range(start_col, radii.shape[1], 2):
+            code = _find(abs(radii[i, j]), table, first, guess)
+            if code >= table.shape[0]:
                 return False
             codes[i, j] = code | (EMPTY if radii[i, j] < 0 else 0)
     return True
 
 
 @kernel
-def _round_up(radii, squares, tables, guess):
+def _round_up(radii, squares, table, first, guess):
     """Round a window's edge diamonds, or its squares; it begins with even entries. Returns as ``_encode_radii``."""
     for i in range(squares, radii.shape[0], 1 + squares):
         for j in range(1 if squares else 1 - (i & 1), radii.shape[1], 2):
-            code = _find(radii[i, j], tables, squares, guess)
-            if code >= tables.shape[1]:
+            code = _find(radii[i, j], table, first, guess)
+            if code >= table.shape[0]:
                 return False
-            radii[i, j] = tables[squares, code]
+            radii[i, j] = table[code]
     return True
 
 
@@ -79,8 +88,8 @@ class Encoder:
 
     def __init__(self, errors: Mapping[ErrorKind, ErrorCode], radius: RadiusCode) -> None:
         self.radius = radius
-        self.tables = {kind: (code.table[None], guesses(code.table)[None]) for kind, code in errors.items()}
-        self.guesses = [np.stack([guesses(table) for table in tables]) for tables in radius.tables]
+        self.tables = {kind: (code.table, *guesses(code.table)) for kind, code in errors.items()}
+        self.edges, self.squares = ([(t, *guesses(t)) for t in radius.tables[:, which]] for which in (0, 1))
 
     def errors(self, kind: ErrorKind, errors: Floats) -> Codes:
         """The codes of errors (2D)."""
@@ -91,12 +100,15 @@ class Encoder:
     def radii(self, radii: Floats, row: int, col: int, octave: int) -> Codes:
         """The codes of the radii in a window of an octave that begins with entry (row, col)."""
         codes = np.zeros(radii.shape, np.uint8)
-        _check(_encode_radii(radii, row % 2, col % 2, self.radius.tables[octave], self.guesses[octave], codes))
+        i, j = 1 - row % 2, 1 - col % 2  # the first odd entries
+        _check(_encode_radii(radii, i, j, *self.squares[octave], codes))
+        _check(_encode_radii(radii, i, 1 - j, *self.edges[octave], codes))
+        _check(_encode_radii(radii, 1 - i, j, *self.edges[octave], codes))
         return codes
 
     def round_up(self, radii: Floats, octave: int, squares: bool) -> None:
         """Replace the radii of an octave's edge diamonds, or of its ``squares``, by those that codes can say."""
-        _check(_round_up(radii, int(squares), self.radius.tables[octave], self.guesses[octave]))
+        _check(_round_up(radii, int(squares), *(self.squares if squares else self.edges)[octave]))
 
 
 def _check(found: bool) -> None:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
+from orograph.error.deviation import bits, distance
 from orograph.error.diamonds import halve
 from orograph.store.terrain import TILE, Heights, Shape
 
@@ -136,18 +137,18 @@ def tile_extrema(heights: Heights, tile: int, low: Heights, high: Heights, count
 
 
 @inlined
-def _off(row: Heights, u0: int, u1: int, base: float, slope: float, worst: float) -> float:
-    """The larger of ``worst`` and the distances of ``row[u0..u1)`` from the line base + u·slope; NaNs do not count."""
+def _off(row: Heights, u0: int, u1: int, base: float, slope: float, worst: np.int64) -> np.int64:
+    """The larger of ``worst`` and the distances (as bits) of ``row[u0..u1)`` from base + u·slope; NaNs do not count."""
     for u in range(u0, u1):
-        d = abs(row[u] - (base + u * slope))
-        worst = d if d > worst else worst
+        worst = max(worst, bits(abs(row[u] - (base + np.float64(np.int32(u)) * slope))))
     return worst
 
 
 @inlined
-def _off_cell(heights: Heights, r0: int, c0: int, r1: int, c1: int, step: int, even: bool, m: float) -> float:
-    """The larger of ``m`` and the distances of the samples [r0, r1] × [c0, c1] from the cell's two triangles."""
+def _off_cell(heights: Heights, r0: int, c0: int, r1: int, c1: int, step: int, even: bool, largest: float) -> float:
+    """The larger of ``largest`` and the distances of the samples [r0, r1] × [c0, c1] from the cell's two triangles."""
     scale = 1.0 / step
+    m = bits(largest)
     a = np.float64(heights[r0, c0])
     b = np.float64(heights[r0, c1])
     c = np.float64(heights[r1, c0])
@@ -163,7 +164,7 @@ def _off_cell(heights: Heights, r0: int, c0: int, r1: int, c1: int, step: int, e
             row = heights[r0 + v, c0 : c1 + 1]
             m = _off(row, 0, min(step - v + 1, width), a + v * (c - a) * scale, (b - a) * scale, m)
             m = _off(row, step - v, width, c + (step - v) * (b - d) * scale, (d - c) * scale, m)
-    return m
+    return distance(m)
 
 
 @kernel
