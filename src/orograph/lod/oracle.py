@@ -1,0 +1,305 @@
+"""The mesh that a refinement would make if it knew every sample: what the bounds of an engine cost in triangles.
+
+Engines judge a diamond by an upper bound of what its two coarse triangles displace on the screen. The *oracle* looks: it
+projects every full-resolution sample under the two triangles and takes the largest displacement of one in view. A
+diamond is inaccurate if that exceeds the tolerance, or if it is mixed (part surface, part hole) and in view; it is split
+if it or any descendant is inaccurate: the same closure over the diamond DAG, with the error itself in place of a bound.
+An engine's triangles over the oracle's are the price of its bounds (bench/promise.py; DESIGN's figure is 1.2).
+
+Only diamonds that the conservative sphere metric splits are looked at: the others hold no displacement beyond the
+tolerance, nor do their descendants. Each of those is brute force, row by row, until the first sample that is too far off;
+the diamond's own vertex comes first. The heights of the whole raster are held in memory. Metres, pixels.
+
+>>> from orograph.lod.oracle import oracle
+>>> fewest = len(oracle(terrain, view, 1.0).triangles)        # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import leaf
+from orograph.error.screen import lens as lens_of
+from orograph.error.screen import outside, sphere_exceeds, to_camera
+from orograph.errors import UsageError
+from orograph.hierarchy.kernels import diamonds
+from orograph.lod.field import Field, find
+from orograph.lod.localise import prism_outside
+from orograph.parallel import cpu_count, map_ordered
+from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
+from orograph.view import View
+
+CANDIDATE, ACTIVE = 1, 2
+"""Marks of vertices: its diamond may be inaccurate; it is split."""
+
+
+@leaf
+def collect(pages, lens, marks, found, begin, end, n):
+    """Of the diamonds ``found[begin:end]`` (rows and columns) keep those that may be inaccurate, in their place, and add
+    their children, each once, behind ``end``; returns (how many are kept, the new end).
+
+    Args:
+        marks: uint8 (2^n + 1, 2^n + 1).
+        found: int64 (capacity, 2); the capacity must allow for four children each.
+    """
+    kept = begin
+    last = end
+    for at in range(begin, end):
+        row, col = found[at, 0], found[at, 1]
+        slot, i, j = find(pages, row, col, diamonds.octave(row, col))
+        if slot < 0:
+            continue
+        y, x = min(row, pages.edge[0]), min(col, pages.edge[1])
+        z = np.float64(pages.data[slot, i, j, 0])
+        r = abs(np.float64(pages.data[slot, i, j, 2])) * lens[15]
+        out, _ = outside(lens, x, y, z, r, 0)
+        if out:
+            continue
+        cx, cy, cw = to_camera(lens, x, y, z)
+        if not sphere_exceeds(lens, 0, cx, cy, cw, np.float64(pages.data[slot, i, j, 1]), r):
+            continue
+        found[kept, 0], found[kept, 1] = row, col
+        kept += 1
+        for k in range(4):
+            a, b = diamonds.child(row, col, k, n)
+            if a >= 0 and marks[a, b] == 0:
+                marks[a, b] = 1
+                found[last, 0], found[last, 1] = a, b
+                last += 1
+    return kept, last
+
+
+@leaf
+def too_far(lens, z, row, col, on):
+    """Whether the sample (row, col) is in view and displaced by more than the tolerance from the mesh's height ``on``."""
+    h = np.float64(z[row, col])
+    x, y, w = to_camera(lens, col, row, h)
+    p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
+    d = on - h
+    moved = w + d * lens[10]
+    far = lens[13] * w * moved
+    if w > 0.0 and (moved <= 0.0 or lens[12] * lens[12] * d * d * (p * p + q * q) > far * far):
+        for plane in range(6):
+            at = 20 + 4 * plane
+            if lens[at] * col + lens[at + 1] * row + lens[at + 2] * h + lens[at + 3] < 0.0:
+                return False
+        return True
+    return False
+
+
+@leaf
+def triangle_too_far(lens, z, ar, ac, br, bc, cr, cc):
+    """Whether any sample of a triangle with corners at samples (row, column) is ``too_far`` from it."""
+    p1r, p1c, p2r, p2c = br - ar, bc - ac, cr - ar, cc - ac
+    area = p1r * p2c - p1c * p2r
+    if area == 0:
+        return False
+    az = np.float64(z[ar, ac])
+    z1, z2 = np.float64(z[br, bc]) - az, np.float64(z[cr, cc]) - az
+    down = (z1 * p2c - z2 * p1c) / area
+    across = (z2 * p1r - z1 * p2r) / area
+    for row in range(min(ar, min(br, cr)), max(ar, max(br, cr)) + 1):
+        low = np.int64(1) << 60
+        high = np.int64(-1)
+        for edge in range(3):
+            if edge == 0:
+                r0, c0, r1, c1 = ar, ac, br, bc
+            elif edge == 1:
+                r0, c0, r1, c1 = br, bc, cr, cc
+            else:
+                r0, c0, r1, c1 = cr, cc, ar, ac
+            if r0 > r1:
+                r0, c0, r1, c1 = r1, c1, r0, c0
+            if r0 < r1 and r0 <= row <= r1:
+                step = (row - r0) * (c1 - c0)
+                low = min(low, c0 - (-step) // (r1 - r0))
+                high = max(high, c0 + step // (r1 - r0))
+        base = az + down * (row - ar) - across * ac
+        for col in range(low, high + 1):
+            if too_far(lens, z, row, col, base + across * col):
+                return True
+    return False
+
+
+@leaf
+def look(pages, lens, z, found, begin, end, n, inaccurate):
+    """Look at the samples of the diamonds ``found[begin:end]``; 1 in ``inaccurate`` (the same places) where too far."""
+    last_row, last_col = pages.edge[0], pages.edge[1]
+    for at in range(begin, end):
+        row, col = found[at, 0], found[at, 1]
+        slot, i, j = find(pages, row, col, diamonds.octave(row, col))
+        if pages.data[slot, i, j, 1] == np.inf:
+            inaccurate[at] = 1
+            continue
+        r0, c0 = diamonds.end(row, col, 0)
+        r1, c1 = diamonds.end(row, col, 1)
+        r0, c0, r1, c1 = min(r0, last_row), min(c0, last_col), min(r1, last_row), min(c1, last_col)
+        inside = row < last_row and col < last_col
+        if inside and too_far(lens, z, row, col, 0.5 * (np.float64(z[r0, c0]) + np.float64(z[r1, c1]))):
+            if r0 + r1 == 2 * row and c0 + c1 == 2 * col:
+                inaccurate[at] = 1
+                continue
+        for k in range(2):
+            a, b = diamonds.apex(row, col, k)
+            if a < 0 or b < 0 or a > 1 << n or b > 1 << n:
+                continue
+            if triangle_too_far(lens, z, r0, c0, r1, c1, min(a, last_row), min(b, last_col)):
+                inaccurate[at] = 1
+                break
+
+
+@leaf
+def close(marks, found, inaccurate, count, n):
+    """Mark the inaccurate diamonds and all their ancestors, which stand before them in ``found``; returns how many."""
+    active = 0
+    for at in range(count - 1, -1, -1):
+        row, col = found[at, 0], found[at, 1]
+        if inaccurate[at]:
+            marks[row, col] = 2
+        if marks[row, col] == 2:
+            active += 1
+            for k in range(2):
+                a, b = diamonds.parent(row, col, k, n)
+                if a >= 0:
+                    marks[a, b] = 2
+    return active
+
+
+@leaf
+def put_out(pages, lens, z, marks, prisms, leaf_level, stack, keys, zs):
+    """Write the triangles of the closed marks that are in view, and return how many there are.
+
+    Args:
+        prisms: by corners and errors of triangles, else by nested spheres (a finest one goes with its diamond).
+        stack: int64 (2n + 2, 4). keys: int64 (capacity, 3), zs: float32 (capacity, 3).
+    """
+    n = leaf_level >> 1
+    size = np.int64(1) << n
+    last_row, last_col = pages.edge[0], pages.edge[1]
+    count = np.int64(0)
+    se, ne, sw = size << 32 | size, size, size << 32
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, se, ne, 0
+    stack[1, 0], stack[1, 1], stack[1, 2], stack[1, 3] = se, 0, sw, 0
+    top = 2
+    while top > 0:
+        top -= 1
+        e, x, a, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
+        m = (e + x) >> 1
+        if level < leaf_level and marks[m >> 32, m & 0xFFFFFFFF] == 2:
+            stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3] = a, e, m, level + 1
+            stack[top + 1, 0], stack[top + 1, 1], stack[top + 1, 2], stack[top + 1, 3] = x, a, m, level + 1
+            top += 2
+            continue
+        er, ec = min(e >> 32, last_row), min(e & 0xFFFFFFFF, last_col)
+        xr, xc = min(x >> 32, last_row), min(x & 0xFFFFFFFF, last_col)
+        ar, ac = min(a >> 32, last_row), min(a & 0xFFFFFFFF, last_col)
+        ez, xz, az = z[er, ec], z[xr, xc], z[ar, ac]
+        if not (ez == ez and xz == xz and az == az):
+            continue
+        error = 0.0
+        if level < leaf_level:
+            slot, i, j = find(pages, m >> 32, m & 0xFFFFFFFF, n - 1 - (level >> 1))
+            error = np.float64(pages.data[slot, i, j, 1])
+            r = np.float64(pages.data[slot, i, j, 2])
+            if r < 0.0:
+                continue
+            row, col = min(m >> 32, last_row), min(m & 0xFFFFFFFF, last_col)
+            out, _ = outside(lens, col, row, np.float64(pages.data[slot, i, j, 0]), r * lens[15], 0)
+            if out:
+                continue
+        if prisms and max(e >> 32, max(x >> 32, a >> 32)) <= last_row:
+            if max(e & 0xFFFFFFFF, max(x & 0xFFFFFFFF, a & 0xFFFFFFFF)) <= last_col:
+                if prism_outside(lens, ec, er, ez, xc, xr, xz, ac, ar, az, error):
+                    continue
+        if count < len(keys):
+            keys[count, 0], keys[count, 1], keys[count, 2] = e, x, a
+            zs[count, 0], zs[count, 1], zs[count, 2] = ez, xz, az
+        count += 1
+    return count
+
+
+def oracle(
+    terrain: Terrain,
+    view: View,
+    tolerance: float,
+    exaggeration: float = 1.0,
+    *,
+    prisms: bool = False,
+    field: Field | None = None,
+    jobs: int | None = None,
+) -> Tessellation:
+    """The coarsest closed mesh none of whose triangles has a sample in view that is off by more than the tolerance.
+
+    Args:
+        terrain: with ``exact`` errors; read whole.
+        view: the camera, perspective.
+        tolerance: pixels, more than 0.
+        exaggeration: factor on heights on the way to the screen.
+        prisms: leave out triangles that are out of view by their own corners (as top-down refinement does), instead of by
+            their diamonds' nested spheres (as the other engines do).
+        field: of the terrain, with ``exact`` errors and room for all it reads, to be used again.
+        jobs: threads.
+
+    Returns:
+        the mesh; stats: tolerance, candidates (diamonds looked at), active (split), look_ms.
+
+    Raises:
+        UsageError: the tolerance or the view makes no sense here, or the field's memory does not suffice.
+    """
+    if not tolerance > 0 or view.projection != "perspective":
+        raise UsageError("The oracle needs a tolerance greater than 0 and a perspective view.")
+    began = time.perf_counter()
+    field = field or Field(terrain, max_memory=1 << 40)
+    pages, n, (rows, cols) = field.pages, field.n, terrain.grid.shape
+    lens = lens_of(view, terrain.grid, exaggeration=exaggeration, tolerance=tolerance)
+    z = terrain.read(0, 0, rows, 0, cols)
+    while True:
+        field.begin()
+        marks, found, count = _candidates(field, lens)
+        if not field.fetch():
+            break
+    jobs = jobs or cpu_count()
+    inaccurate = np.zeros(count, np.uint8)
+    step = max(1024, -(-count // (8 * jobs)))
+
+    def part(begin: int) -> None:
+        look(pages, lens, z, found, begin, min(begin + step, count), n, inaccurate)
+
+    for _ in map_ordered(part, range(0, count, step), jobs):
+        pass
+    active = close(marks, found, inaccurate, count, n)
+    while True:
+        field.begin()
+        keys, zs = np.empty((2 * active + 2, 3), np.int64), np.empty((2 * active + 2, 3), np.float32)
+        made = put_out(pages, lens, z, marks, prisms, 2 * n, np.empty((2 * n + 2, 4), np.int64), keys, zs)
+        if not field.fetch():
+            break
+    stats = {
+        "engine": "oracle", "tolerance": tolerance, "exaggeration": exaggeration, "candidates": count,
+        "active": int(active), "look_ms": round((time.perf_counter() - began) * 1e3, 3),
+    }  # fmt: skip
+    result = Tessellation.from_triangles(terrain.grid, keys[:made], zs[:made], clockwise=False, stats=stats)
+    result.stats["triangles"] = len(result.triangles)
+    return result
+
+
+def _candidates(field: Field, lens: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.int64], int]:
+    """(marks, diamonds by level as rows and columns, how many): those the sphere metric splits."""
+    n = field.n
+    marks = np.zeros(((1 << n) + 1,) * 2, np.uint8)
+    half = (1 << n) >> 1
+    found = np.full((16, 2), half, np.int64)
+    begin, end = 0, 1 if n else 0
+    marks[half, half] = 1 if n else 0
+    while begin < end:
+        if len(found) < end + 4 * (end - begin):
+            found = np.concatenate([found, np.empty((len(found) + 4 * (end - begin), 2), np.int64)])
+        kept, last = collect(field.pages, lens, marks, found, begin, end, n)
+        # Children follow those that were kept.
+        found[kept : kept + last - end] = found[end:last].copy()
+        begin, end = kept, kept + last - end
+    return marks, found, begin

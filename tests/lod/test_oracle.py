@@ -1,0 +1,83 @@
+"""The oracle against brute force over all diamonds, and as what conservative engines cannot beat by much."""
+
+from __future__ import annotations
+
+import numpy as np
+import plain
+import pytest
+import rasterio
+from test_top_down import true_errors
+
+from orograph import verify
+from orograph.errors import UsageError
+from orograph.hierarchy import diamonds, fronts
+from orograph.lod.oracle import oracle
+from orograph.lod.soar import Soar
+from orograph.lod.top_down import TopDown
+
+
+def all_true_errors(p, camera):
+    """(2^n + 1, 2^n + 1): the true error of every diamond."""
+    found = np.zeros(p.z.shape)
+    for level in range(2 * p.n):
+        front = fronts.uniform(p.n, level)
+        r, c = diamonds.of_triangle(*front.arrays)
+        np.maximum.at(found, (r, c), true_errors(p, camera, front))
+    return found
+
+
+def test_oracle_is_the_closure_of_the_true_errors():
+    rng = np.random.default_rng(21)
+    for _ in range(6):
+        t = plain.terrain(plain.rough(rng, (17, 17)), angle=float(rng.uniform(0, 360)))
+        p = plain.Plain(t)
+        view = plain.random_view(rng, t)
+        camera = plain.Camera(view)
+        errors = all_true_errors(p, camera)
+        for tolerance in (0.5, 2.0, 8.0):
+            front = fronts.front_of(diamonds.closure(errors > tolerance))
+            found = oracle(t, view, tolerance)
+            assert found.stats["active"] == len(np.argwhere(diamonds.closure(errors > tolerance)))
+            assert plain.triangles_of(found) <= p.triangle_set(front, np.ones(len(front), bool))
+            assert verify.judge(found, t, view).ok(tolerance)
+            fewer = oracle(t, view, tolerance, prisms=True)
+            assert plain.triangles_of(fewer) <= plain.triangles_of(found)
+            assert verify.judge(fewer, t, view).ok(tolerance)
+
+
+@pytest.mark.parametrize("shape", [(40, 61), (30, 33)])
+def test_oracle_keeps_the_promise_with_holes_and_squeezed_borders(shape):
+    rng = np.random.default_rng(shape)
+    for gaps in (0.0, 0.1):
+        t = plain.terrain(plain.rough(rng, shape, gaps=gaps))
+        for _ in range(8):
+            view = plain.random_view(rng, t)
+            tolerance = float(10 ** rng.uniform(-0.5, 1))
+            for prisms in (False, True):
+                report = verify.judge(oracle(t, view, tolerance, 1.5, prisms=prisms), t, view, exaggeration=1.5)
+                assert report.ok(tolerance), report
+
+
+def test_engines_are_no_coarser_and_not_much_finer(shared_data):
+    with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
+        t = plain.terrain(file.read(1)[:513, :513].astype(np.float32))
+    rng = np.random.default_rng(22)
+    soar, top_down = Soar(t), TopDown(t, metric="localised", depth=64)
+    counts = np.zeros(3)
+    for _ in range(6):
+        view = plain.random_view(rng, t, width=960, height=600)
+        fewest, fewest_prisms = (len(oracle(t, view, 1.0, prisms=prisms).triangles) for prisms in (False, True))
+        spheres, exact = (len(engine.refine(view, tolerance=1.0).triangles) for engine in (soar, top_down))
+        assert fewest <= spheres
+        # Forced splits do not look below accurate triangles, the closure does.
+        assert exact <= fewest_prisms
+        counts += fewest, spheres, exact
+    assert counts[1] < 1.2 * counts[0]
+
+
+def test_unusable_arguments_are_refused():
+    t = plain.terrain(np.zeros((5, 5), np.float32))
+    view = plain.random_view(np.random.default_rng(1), t)
+    for tolerance in (0.0, -1.0, float("nan")):
+        with pytest.raises(UsageError):
+            oracle(t, view, tolerance)
