@@ -11,7 +11,7 @@ import contextlib
 import mmap
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,44 +30,55 @@ class Canvas:
 
     Attributes:
         values: (bands, rows, cols) float32.
+        on_disk: whether it is a scratch file.
 
     Raises:
         OutputError: the temporary folder has no room.
     """
 
     def __init__(self, bands: int, shape: tuple[int, int], on_disk: bool = False) -> None:
-        self._map: mmap.mmap | None = None
         size = (bands, *shape)
-        if not on_disk:
-            self.values: Values = np.zeros(size, np.float32)
-            return
-        length = 4 * bands * shape[0] * shape[1]
-        try:
-            with tempfile.TemporaryFile(prefix="orograph-") as file:
-                if hasattr(os, "posix_fallocate"):
-                    os.posix_fallocate(file.fileno(), 0, length)  # a full disk is an error here, not a signal later
-                else:
-                    file.truncate(length)
-                self._map = mmap.mmap(file.fileno(), length)
-        except OSError as error:
-            raise OutputError(
-                f"There is no room for {length >> 20} MiB of scratch: {error.strerror}.",
-                path=tempfile.gettempdir(),
-                remedy="Set TMPDIR to a folder with room, or allow more memory.",
-            ) from error
-        self.values = np.frombuffer(self._map, np.float32).reshape(size)
-
-    @property
-    def on_disk(self) -> bool:
-        """Whether it is a scratch file."""
-        return self._map is not None
+        self.on_disk = on_disk
+        self._release: Callable[[], None] | None = None
+        self.values: Values
+        if on_disk:
+            space, self._release = scratch(4 * bands * shape[0] * shape[1])
+            self.values = space.view(np.float32).reshape(size)
+        else:
+            self.values = np.zeros(size, np.float32)
 
     def release(self) -> None:
         """Let go of the memory of a canvas on disk; what was written stays."""
-        if self._map is not None and hasattr(self._map, "madvise"):
+        if self._release is not None:
+            self._release()
+
+
+def scratch(length: int) -> tuple[NDArray[np.uint8], Callable[[], None]]:
+    """So many zero bytes in a scratch file, as an array, and a function that lets go of their memory.
+
+    Raises:
+        OutputError: the temporary folder has no room.
+    """
+    try:
+        with tempfile.TemporaryFile(prefix="orograph-") as file:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, length)  # a full disk is an error here, not a signal later
+            else:
+                file.truncate(length)
+            mapped = mmap.mmap(file.fileno(), length)
+    except OSError as error:
+        raise OutputError(
+            f"There is no room for {length >> 20} MiB of scratch: {error.strerror}.",
+            path=tempfile.gettempdir(),
+            remedy="Set TMPDIR to a folder with room, or allow more memory.",
+        ) from error
+
+    def release() -> None:
+        if hasattr(mapped, "madvise"):
             with contextlib.suppress(OSError):
-                self._map.flush()
-                self._map.madvise(mmap.MADV_DONTNEED)
+                mapped.madvise(mmap.MADV_DONTNEED)  # of a shared mapping: the file keeps what was written
+
+    return np.frombuffer(mapped, np.uint8), release
 
 
 def rectangles(shape: tuple[int, int], height: int, width: int | None = None) -> Iterator[tuple[int, int, int, int]]:

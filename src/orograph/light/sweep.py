@@ -1,0 +1,379 @@
+"""Horizons of a whole raster, out of core: sweeps over bands of rows or of columns, several azimuths at a time.
+
+For one azimuth the raster is covered by parallel lines in that direction, one sample apart. A line steps along the axis
+it is closer to (its *major* axis: columns for light from the east, rows from the north) one sample at a time; across it
+heights are interpolated linearly between the two samples on either side. Exact is the horizon at each point of such a
+line for the profile through that line's points. A sample lies between two lines, on the same major step and less than
+one sample from either; its horizon is interpolated linearly between theirs (on a plane that is exact again, which the
+nearest line alone would not be). Where a line runs through the samples themselves (azimuths along rows, columns and
+diagonals) there is nothing to interpolate. Missing samples (NaN) are transparent; beside one, the other sample stands
+for both.
+
+Azimuths that step along the same axis in the same sense share a pass over the raster, away from the light: a band of
+rows or columns is read once, swept for all of them, and handed on before the next. What the next band must know of all
+that went before is the stack of each line (``sweep_kernels``): a few points as a rule. Where they are many (a sea on a
+round body, where every sample is on the hull) and memory is short, stacks go to a scratch file.
+
+Slopes are tangents of elevation angles above the plane the raster lies in. The terrain ends at the raster's border, and
+behind it lies a level horizon. Azimuths are degrees clockwise from (grid) north towards the light. Nothing depends on
+bands, threads or memory, to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from orograph.errors import UsageError
+from orograph.geo.ellipsoid import Ellipsoid
+from orograph.light.raster import scratch
+from orograph.light.sweep_kernels import GROUP, PAGE, sweep_lines, sweep_windows
+from orograph.parallel import cpu_count, map_ordered
+from orograph.progress import SILENT, Progress
+
+Values = NDArray[np.float32]
+Read = Callable[[int, int, int, int], Values]
+
+EARTH = 6_371_008.8
+"""Mean radius, metres (IUGG), where no CRS names a body."""
+
+_TIE = 1e-6
+"""A line this close (in samples) to a sample goes through it: rounding must not decide which two it lies between."""
+_BAND = 256
+"""Steps of a band: the tiles of a store."""
+_CACHE = 48 << 20
+"""Slopes of a band that are still in the processor's cache, more or less, when they are used."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """The horizons of a window of samples, in some of the azimuths.
+
+    Attributes:
+        row0, row1, col0, col1: the window: whole rows or whole columns.
+        azimuths: (k,) indices into the azimuths asked for.
+        slopes: (k, rows, cols) float32, tangents of the horizon's elevation; NaN where heights are. Valid until the
+            next block is asked for.
+    """
+
+    row0: int
+    row1: int
+    col0: int
+    col1: int
+    azimuths: NDArray[np.int64]
+    slopes: Values
+
+
+def direction(azimuth: float) -> tuple[float, float]:
+    """Unit vector (east, north) of an azimuth in degrees."""
+    a = math.radians(azimuth % 360.0)
+    return math.sin(a), math.cos(a)
+
+
+def curvature_of(crs: CRS | None, refraction: float = 0.13) -> float:
+    """Curvature, per metre, of a body's surface relative to the rays of light over it: (1 − k) / r.
+
+    Args:
+        crs: whose ellipsoid's mean radius (2a + b) / 3 is r; None, or one without an ellipsoid: the Earth's.
+        refraction: k, the curvature of a ray of light relative to that of the ground: 0.13 in survey practice (Gauss);
+            0 where there is no air.
+    """
+    radius = EARTH
+    if crs is not None and crs.ellipsoid is not None:
+        body = Ellipsoid.of(crs)
+        radius = (2 * body.a + body.b) / 3
+    return (1.0 - refraction) / radius
+
+
+class _Lines:
+    """The lines of one azimuth over a raster: line ``l`` crosses step i at lane l + shift[i] + part[i].
+
+    Attributes:
+        by_columns: steps are columns and lanes rows, or the other way round.
+        backward: the light is at the end of increasing steps.
+        scale: steps per metre.
+    """
+
+    def __init__(self, index: int, azimuth: float, linear: NDArray[np.float64], shape: tuple[int, int]) -> None:
+        across, down = (float(v) for v in np.linalg.solve(linear, direction(azimuth)))  # samples per metre to the light
+        self.index = index
+        self.by_columns = abs(across) >= abs(down)
+        major, minor = (across, down) if self.by_columns else (down, across)
+        self.lanes, self.steps = shape if self.by_columns else shape[::-1]
+        self.backward, self.scale = major > 0, abs(major)
+        tilt = minor / major
+        if abs(tilt) * self.steps < _TIE:
+            tilt = 0.0
+        offset = tilt * np.arange(self.steps, dtype=np.float64)
+        near = np.round(offset)
+        offset = np.where(np.abs(offset - near) < _TIE, near, offset)
+        self.shift = np.floor(offset).astype(np.int64)
+        self.part = (offset - self.shift).astype(np.float32)
+
+    def position(self, step: int) -> int:
+        """Steps between the light's end of the raster and a step."""
+        return self.steps - 1 - step if self.backward else step
+
+    def touched(self, step0: int, step1: int) -> tuple[int, int]:
+        """The lines [first, last) that samples of these steps belong to."""
+        ends = int(self.shift[step0]), int(self.shift[step1 - 1])
+        return -max(ends), self.lanes - min(ends)
+
+
+class _Pool:
+    """The stacks of a share of an azimuth's lines, between two bands."""
+
+    def __init__(self, lines: int) -> None:
+        self.top = np.full(lines + 1, -1, np.int64)
+        self.position = np.empty(0, np.int32)
+        self.height = np.empty(0, np.float64)
+        self.link = np.empty(0, np.int64)
+        self.free = np.zeros(1, np.int64)
+        self.release: Callable[[], None] | None = None
+
+    def grow(self, pages: int, on_disk: bool) -> None:
+        """Add at least ``pages`` free pages, and half as many as there are."""
+        before = len(self.link)
+        after = before + max(pages, before // 2)
+        position, height = self.position, self.height
+        if on_disk:
+            space, self.release = scratch(after * PAGE * 12)
+            self.height = space[: after * PAGE * 8].view(np.float64)
+            self.position = space[after * PAGE * 8 :].view(np.int32)
+        else:
+            self.height = np.empty(after * PAGE, np.float64)
+            self.position = np.empty(after * PAGE, np.int32)
+        self.height[: len(height)], self.position[: len(position)] = height, position
+        self.link = np.append(self.link, np.full(after - before, -1))
+        count = int(self.free[0])
+        free = np.empty(after + 1, np.int64)
+        free[1 : count + 1] = self.free[1 : count + 1]
+        free[count + 1 : count + 1 + after - before] = np.arange(after - 1, before - 1, -1)
+        free[0] = count + after - before
+        self.free = free
+
+    @property
+    def size(self) -> int:
+        """Bytes in memory."""
+        return 0 if self.release else len(self.link) * (PAGE * 12 + 16)
+
+
+def horizons(
+    read: Read,
+    shape: tuple[int, int],
+    linear: NDArray[np.float64],
+    azimuths: NDArray[np.float64],
+    *,
+    lowest: float = 0.0,
+    below: bool = False,
+    radius: float | None = None,
+    curvature: float = 0.0,
+    jobs: int | None = None,
+    memory: int = 1 << 30,
+    progress: Progress = SILENT,
+    what: str = "Sweeping horizons",
+    band: int | None = None,
+) -> Iterator[Block]:
+    """Sweep a raster in every azimuth.
+
+    Args:
+        read: (row0, row1, col0, col1) → heights of a window, float32 metres, NaN where missing.
+        shape: (rows, cols) of the raster.
+        linear: (2, 2) linear part of the geotransform [[a, b], [d, e]]: metres east and north per column and per row.
+        azimuths: degrees clockwise from north.
+        lowest: slopes are at least this: 0 is a level horizon, -inf keeps what looks down (-inf at the border).
+        below: of the terrain turned upside down.
+        radius: metres beyond which nothing occludes; None: unlimited. Counted in whole steps of a line, at least one.
+        curvature: of the body, relative to rays of light, per metre (``curvature_of``); 0: flat.
+        jobs: threads; None: all processors.
+        memory: bytes for bands, slopes and stacks.
+        what: to call it on the progress line.
+        band: steps of a band, in samples (default: chosen from ``memory``).
+
+    Yields:
+        Blocks: every sample once with every azimuth. At each sample azimuths come in the same order, whatever the bands
+        and however many share a pass.
+
+    Raises:
+        UsageError: the shape is empty, the cells degenerate, or the radius takes more memory than there is.
+    """
+    cells = np.asarray(linear, np.float64)
+    if min(shape) < 1:
+        raise UsageError(f"Horizons need heights of shape (rows, cols), not {shape}.")
+    if cells.shape != (2, 2) or not np.isfinite(cells).all() or abs(np.linalg.det(cells)) == 0:
+        raise UsageError("Horizons need the 2 × 2 linear part of a geotransform, in metres, that can be inverted.")
+    jobs = jobs or cpu_count()
+    lines = [_Lines(k, float(a), cells, shape) for k, a in enumerate(azimuths)]
+    # The same order in all cases: sums over azimuths are the same to the bit.
+    lines.sort(key=lambda a: (a.by_columns, a.backward, a.index))
+    passes: list[_Pass] = []
+    for by_columns in (False, True):
+        for backward in (False, True):
+            group = [a for a in lines if (a.by_columns, a.backward) == (by_columns, backward)]
+            while group:
+                made = _Pass(group, shape, lowest, below, radius, curvature, jobs, memory, band)
+                passes.append(made)
+                group = group[len(made.lines) :]
+    with progress.task(what, total=sum(len(p.bands) * len(p.lines) for p in passes)) as task:
+        for each in passes:
+            for block in each.run(read):
+                yield block
+                task.advance(len(each.lines))
+
+
+class _Pass:
+    """A pass over the raster for the first of some azimuths with a common axis and sense, as many as memory allows."""
+
+    def __init__(
+        self,
+        group: list[_Lines],
+        shape: tuple[int, int],
+        lowest: float,
+        below: bool,
+        radius: float | None,
+        curvature: float,
+        jobs: int,
+        memory: int,
+        band: int | None,
+    ) -> None:
+        self.shape, self.lowest, self.below, self.curvature, self.jobs = shape, float(lowest), below, curvature, jobs
+        self.by_columns, self.backward = group[0].by_columns, group[0].backward
+        self.lanes, self.steps = group[0].lanes, group[0].steps
+        reach = 0 if radius is None else max(max(int(radius * a.scale + 1e-9), 1) for a in group)
+        reach = min(reach, self.steps)
+        # A third of the memory for a band's heights and slopes, a third for stacks; the rest is what their user needs.
+        third, step = memory // 3, 4 * self.lanes
+
+        def needed(width: int, count: int) -> int:
+            halo = min(2 * reach, self.steps)
+            return step * ((width + halo) * 2 + count * width) + jobs * 12 * (GROUP + 1) * (width + halo)
+
+        width = band or min(max(_BAND, reach, _CACHE // (step * len(group)) // _BAND * _BAND), self.steps)
+        count = len(group)
+        while band is None and count > 1 and needed(width, count) > third:
+            if width > max(_BAND, reach):
+                width = max(width // 2, _BAND, reach)
+            else:
+                count -= 1
+        while band is None and width > max(16, reach // 8) and needed(width, count) > third:
+            width //= 2
+        if reach and needed(width, count) > memory:
+            raise UsageError(
+                f"A radius of {radius:g} m is {reach} samples of a terrain {self.lanes} samples wide, for which "
+                f"{memory >> 20} MiB of memory are not enough.",
+                remedy="Allow more memory (--max-memory), or leave the radius unlimited, which takes less.",
+            )
+        self.lines, self.radius, self.stacks = group[:count], radius, third
+        self.bands = [(s, min(s + width, self.steps)) for s in range(0, self.steps, width)]
+        if self.backward:
+            self.bands.reverse()
+        # Shares of the lines, counted from line 0: small enough for all threads to have some.
+        share = -(-self.lanes * count // (4 * jobs))
+        self.share = min(max(GROUP, share + -share % GROUP), 1024)
+        self.pools: dict[tuple[int, int], _Pool] = {}
+        self._slopes = np.empty(count * min(width, self.steps) * self.lanes, np.float32)
+
+    def run(self, read: Read) -> Iterator[Block]:
+        """Sweep band by band, away from the light."""
+        for s0, s1 in self.bands:
+            r0, r1, c0, c1 = (0, self.lanes, s0, s1) if self.by_columns else (s0, s1, 0, self.lanes)
+            slopes = self._slopes[: len(self.lines) * (r1 - r0) * (c1 - c0)].reshape(-1, r1 - r0, c1 - c0)
+            if self.radius is None:
+                self._unlimited(read(r0, r1, c0, c1), s0, s1, slopes)
+            else:
+                self._limited(read, s0, s1, slopes)
+            yield Block(r0, r1, c0, c1, np.array([a.index for a in self.lines]), slopes)
+
+    def _flat(self, heights: Values) -> Values:
+        heights = np.negative(heights) if self.below else heights
+        return np.ascontiguousarray(heights, np.float32).reshape(-1)
+
+    def _shares(self, s0: int, s1: int, lines: list[_Lines]) -> list[tuple[_Lines, int]]:
+        work = []
+        for a in lines:
+            first, last = a.touched(s0, s1)
+            work += [(a, s) for s in range(first // self.share, -(-last // self.share))]
+        return work
+
+    def _unlimited(self, heights: Values, s0: int, s1: int, slopes: Values) -> None:
+        flat, width = self._flat(heights), s1 - s0
+        lane, step = (width, 1) if self.by_columns else (1, self.lanes)
+        work = self._shares(s0, s1, self.lines)
+        last = (s0, s1) == self.bands[-1]
+        keep = {(a.index, s) for a, s in work}
+        self.pools = {key: pool for key, pool in self.pools.items() if key in keep}  # lines that left the raster
+        on_disk = sum(p.size for p in self.pools.values()) > self.stacks
+        place = {a.index: k for k, a in enumerate(self.lines)}
+
+        def run(item: tuple[_Lines, int]) -> None:
+            a, s = item
+            pool = self.pools.get((a.index, s)) or _Pool(self.share)
+            profile, slope = np.empty((GROUP, width)), np.zeros((GROUP + 1, width), np.float32)
+            out = slopes[place[a.index]].reshape(-1)
+            done = 0
+            while True:
+                done = sweep_lines(
+                    flat, lane, step, self.lanes, a.shift[s0:s1], a.part[s0:s1], a.backward, a.position(s0), a.scale,
+                    self.lowest, self.curvature, s * self.share, self.share, done, pool.top, pool.position,
+                    pool.height, pool.link, pool.free, profile, slope, lane, out,
+                )  # fmt: skip
+                if done >= self.share:
+                    break
+                pool.grow((GROUP + 1) * (width // PAGE + 2) + (0 if last else self.share), on_disk)
+            if last:
+                self.pools.pop((a.index, s), None)
+                return
+            if pool.release:
+                pool.release()
+            self.pools[a.index, s] = pool
+
+        for _ in map_ordered(run, work, self.jobs):
+            pass
+
+    def _limited(self, read: Read, s0: int, s1: int, slopes: Values) -> None:
+        rows, cols = self.shape
+        # Azimuths have steps of different lengths in metres, hence radii of different numbers of steps.
+        for k, a in enumerate(self.lines):
+            assert self.radius is not None
+            reach = min(max(int(self.radius * a.scale + 1e-9), 1), self.steps)
+            first = a.position(s1 - 1 if a.backward else s0)
+            begin = max((first - reach) // reach * reach, 0)  # a whole block in front of what is in reach
+            h0, h1 = (s0, self.steps - begin) if a.backward else (begin, s1)
+            heights = self._flat(read(0, rows, h0, h1) if self.by_columns else read(h0, h1, 0, cols))
+            width = h1 - h0
+            lane, step = (width, 1) if self.by_columns else (1, self.lanes)
+            out_lane = s1 - s0 if self.by_columns else 1
+            # The halo's lines are needed where they pass the band's samples.
+            out = slopes[k].reshape(-1)
+
+            def run(item: tuple[_Lines, int], h0=h0, h1=h1, flat=heights, lane=lane, step=step, reach=reach,
+                    out_lane=out_lane, out=out) -> None:  # type: ignore[no-untyped-def]  # fmt: skip
+                a, s = item
+                sweep_windows(
+                    flat, lane, step, self.lanes, a.shift[h0:h1], a.part[h0:h1], a.backward, a.position(h0), a.scale,
+                    self.lowest, self.curvature, s * self.share, self.share, reach, s0 - h0, s1 - s0, out_lane, out,
+                )  # fmt: skip
+
+            for _ in map_ordered(run, self._shares(s0, s1, [a]), self.jobs):
+                pass
+
+
+def fold(blocks: Iterator[Block], add: Callable[[Block, int, int], None], jobs: int | None = None) -> None:
+    """Use blocks as they come: ``add(block, first, last)`` for strips of a block's rows, in threads.
+
+    Strips are rows [first, last) of the block's window; those of one block come before those of the next.
+    """
+    for block in blocks:
+        rows, cols = block.row1 - block.row0, block.col1 - block.col0
+        height = max(8, (1 << 16) // cols)
+
+        def strip(first: int, block: Block = block, height: int = height, rows: int = rows) -> None:
+            add(block, first, min(first + height, rows))
+
+        for _ in map_ordered(strip, range(0, rows, height), jobs):
+            pass

@@ -1,0 +1,320 @@
+"""Horizons along lines: the kernels of ``sweep``, over one band of steps of a set of parallel lines.
+
+Walking along a line away from the light, the upper convex hull of what has been passed is kept as a stack; the horizon
+of a point is its tangent to that hull, found by popping, so each point is pushed once and popped at most once:
+amortised O(1), whatever the distance (Timonen & Westerholm 2010, "Scalable Height Field Self-Shadowing", Computer
+Graphics Forum 29(2), sec. 3). The stacks of many lines live in pages of one pool, linked backwards: between two bands
+they stay where they are, and take what the hulls take.
+
+With a radius of R steps the points within R are the end of one block of R points and the beginning of the next. The
+beginning has a stack as above, new in each block. The end's hull is built backwards over its block, each insertion
+remembering what it overwrote; undoing them one by one gives the hull of each shorter end, and a binary search its
+tangent: O(log h) for hulls of h points, exact. Blocks are counted from the line's first step, so bands do not matter.
+
+On a round body heights are lowered by a parabola, x²/2r, x steps from the line's beginning. Hulls commute with that
+shear: slopes between points of the bent profile differ from the slopes seen at x by x/r alone, which is added back.
+
+Positions are counted in steps from the light's end of the line; heights are metres, float64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import inlined, kernel
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+I64 = NDArray[np.int64]
+
+PAGE = 32
+"""Points in a page of the stacks' pool."""
+GROUP = 16
+"""Lines swept together: as many samples as a cache line holds, so that sweeps across memory use all they fetch."""
+
+_LOW = PAGE - 1
+_SHIFT = PAGE.bit_length() - 1
+
+
+@inlined
+def _profile(a: np.float32, b: np.float32, f: np.float32) -> np.float64:
+    """Height between two samples, ``f`` from a to b; a missing one is replaced by the other."""
+    if a != a:
+        return np.float64(b)
+    if b != b:
+        return np.float64(a)
+    return np.float64(a) + (np.float64(b) - np.float64(a)) * f
+
+
+@kernel
+def _gather(
+    heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, line0: int, lines: int,
+    first: int, last: int, profile: F64,
+) -> None:  # fmt: skip
+    """Heights at steps [first, last) of ``lines`` lines from ``line0``: profile (lines, steps), NaN off the raster."""
+    nan = np.float32(np.nan)
+    if lane_stride == 1:  # neighbouring lines lie beside each other in memory
+        for i in range(first, last):
+            lane0, f = line0 + shift[i], part[i]
+            base = lane0 + i * step_stride
+            if lane0 >= 0 and lane0 + lines < lanes:
+                if f == 0.0:
+                    for b in range(lines):
+                        profile[b, i] = heights[base + b]
+                else:
+                    for b in range(lines):
+                        profile[b, i] = _profile(heights[base + b], heights[base + b + 1], f)
+            else:
+                for b in range(lines):
+                    j = lane0 + b
+                    p = heights[base + b] if 0 <= j < lanes else nan
+                    q = heights[base + b + 1] if f > 0.0 and 0 <= j + 1 < lanes else nan
+                    profile[b, i] = _profile(p, q, f)
+        return
+    for b in range(lines):
+        for i in range(first, last):
+            j, f = line0 + b + shift[i], part[i]
+            k = j * lane_stride + i * step_stride
+            p = heights[k] if 0 <= j < lanes else nan
+            q = heights[k + lane_stride] if f > 0.0 and 0 <= j + 1 < lanes else nan
+            profile[b, i] = _profile(p, q, f)
+
+
+@kernel
+def _unlimited(
+    profile: F64, first: int, last: int, backward: bool, origin: int, scale: float, lowest: float, bend: float,
+    line: int, top: I64, position: I32, height: F64, link: I64, free: I64, slope: F32,
+) -> None:  # fmt: skip
+    """Horizon slopes of one line's steps [first, last), its stack taken up from ``top[line]`` and left there.
+
+    ``origin``: position of step 0; steps run against positions if ``backward``. ``scale`` is steps per metre, ``bend``
+    the body's curvature per metre. ``free[0]`` counts the free pages listed after it; there are enough.
+    """
+    drop, turn = 0.5 * bend / (scale * scale), bend / scale
+    t = top[line]  # slot of the nearest point of the hull, u of the one behind it; -1: there is none
+    u = np.int64(-1)
+    x1 = z1 = x2 = z2 = 0.0
+    if t >= 0:
+        x1, z1 = np.float64(position[t]), height[t]
+        u = t - 1 if t & _LOW else link[t >> _SHIFT]
+        if u >= 0:
+            x2, z2 = np.float64(position[u]), height[u]
+    i, ahead = (last - 1, -1) if backward else (first, 1)
+    for _ in range(last - first):
+        z = profile[i]
+        if z == z:
+            x = np.float64(origin - i if backward else origin + i)
+            z -= drop * x * x
+            # The top lies under the line from here to the one behind it: it is hidden from here on.
+            while u >= 0 and (z1 - z) * (x1 - x2) <= (z2 - z1) * (x - x1):
+                if not t & _LOW:
+                    free[0] += 1
+                    free[free[0]] = t >> _SHIFT
+                t, x1, z1 = u, x2, z2
+                u = t - 1 if t & _LOW else link[t >> _SHIFT]
+                if u >= 0:
+                    x2, z2 = np.float64(position[u]), height[u]
+            s = lowest
+            if t >= 0:
+                s = max((z1 - z) * scale / (x - x1) - x * turn, lowest)
+            slope[i] = s
+            u, x2, z2 = t, x1, z1
+            t += 1
+            if u < 0 or not t & _LOW:
+                page = free[free[0]]
+                free[0] -= 1
+                link[page] = u
+                t = page << _SHIFT
+            position[t], height[t] = np.int32(x), z
+            x1, z1 = x, z
+        i += ahead
+    top[line] = t
+
+
+@kernel
+def _limited(
+    profile: F64, first: int, last: int, backward: bool, origin: int, scale: float, lowest: float, bend: float,
+    reach: int, near: F64, end: F64, undo: F64, slope: F32,
+) -> None:  # fmt: skip
+    """Horizon slopes of one line's steps [first, last) among the points within ``reach`` steps.
+
+    Positions begin at a multiple of ``reach``. ``near`` and ``end`` (reach, 2) are stacks of (position, height);
+    ``undo`` (reach, 4) is what each insertion into ``end`` changed: its place (-1: none), what lay there, and the size.
+    """
+    drop, turn = 0.5 * bend / (scale * scale), bend / scale
+    step = -1 if backward else 1
+    x_first = origin - (last - 1) if backward else origin + first
+    x_last = x_first + (last - first)
+    ends = 0  # size of ``end``: the hull of what is left of the last block
+    for j in range(reach):
+        undo[j, 0] = -1.0
+    for begin in range(x_first, x_last, reach):
+        stop = min(begin + reach, x_last)
+        nears = 0
+        for at in range(begin, stop):
+            if at > begin:  # the farthest point falls out of reach
+                j = at - begin - 1
+                k = np.int64(undo[j, 0])
+                if k >= 0:
+                    ends = np.int64(undo[j, 3])
+                    end[k, 0], end[k, 1] = undo[j, 1], undo[j, 2]
+            i = (at - origin) * step
+            z = profile[i]
+            if z != z:
+                continue
+            x = np.float64(at)
+            z -= drop * x * x
+            while nears >= 2 and (near[nears - 1, 1] - z) * (near[nears - 1, 0] - near[nears - 2, 0]) <= (
+                near[nears - 2, 1] - near[nears - 1, 1]
+            ) * (x - near[nears - 1, 0]):
+                nears -= 1
+            s = lowest
+            if nears > 0:
+                s = max((near[nears - 1, 1] - z) * scale / (x - near[nears - 1, 0]) - x * turn, lowest)
+            if ends > 0:  # slopes rise along the hull up to the tangent, and fall behind it
+                low, high = 0, ends - 1
+                while low < high:
+                    mid = (low + high) >> 1
+                    if (end[mid, 1] - z) * (x - end[mid + 1, 0]) < (end[mid + 1, 1] - z) * (x - end[mid, 0]):
+                        low = mid + 1
+                    else:
+                        high = mid
+                s = max((end[low, 1] - z) * scale / (x - end[low, 0]) - x * turn, s)
+            slope[i] = s
+            near[nears, 0], near[nears, 1] = x, z
+            nears += 1
+        if stop == x_last:
+            return
+        ends = 0
+        for j in range(reach):
+            undo[j, 0] = -1.0
+        for at in range(stop - 1, begin - 1, -1):
+            z = profile[(at - origin) * step]
+            if z != z:
+                continue
+            x = np.float64(at)
+            z -= drop * x * x
+            before = ends
+            while ends >= 2 and (end[ends - 1, 1] - z) * (end[ends - 2, 0] - end[ends - 1, 0]) <= (
+                end[ends - 2, 1] - end[ends - 1, 1]
+            ) * (end[ends - 1, 0] - x):
+                ends -= 1
+            j = at - begin
+            undo[j, 0], undo[j, 1], undo[j, 2], undo[j, 3] = ends, end[ends, 0], end[ends, 1], before
+            end[ends, 0], end[ends, 1] = x, z
+            ends += 1
+
+
+@kernel
+def _scatter(
+    values: F32, heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, begin: int,
+    lines: int, first: int, last: int, skip: int, out_lane: int, out: F32,
+) -> None:  # fmt: skip
+    """Interpolate values (1 + lines, steps), of lines begin − 1 …, at the samples between; NaN where samples are.
+
+    ``skip`` steps of the heights have no place in ``out``, whose lanes are ``out_lane`` apart.
+    """
+    one, nan = np.float32(1.0), np.float32(np.nan)
+    if lane_stride == 1:
+        for i in range(first, last):
+            lane0, f = begin + shift[i], part[i]
+            base, target = lane0 + i * step_stride, lane0 + (i - skip) * step_stride
+            b0, b1 = max(-lane0, 0), min(lanes - lane0, lines)
+            if f > 0:
+                for b in range(b0, b1):
+                    v = values[b + 1, i] * (one - f) + values[b, i] * f
+                    h = heights[base + b]
+                    out[target + b] = v if h == h else nan
+            else:
+                for b in range(b0, b1):
+                    h = heights[base + b]
+                    out[target + b] = values[b + 1, i] if h == h else nan
+        return
+    for b in range(lines):
+        for i in range(first, last):
+            j, f = begin + b + shift[i], part[i]
+            if 0 <= j < lanes:
+                h = heights[j * lane_stride + i]
+                v = values[b + 1, i]
+                if f > 0:
+                    v = v * (one - f) + values[b, i] * f
+                out[j * out_lane + i - skip] = v if h == h else nan
+
+
+@kernel
+def _range(shift: I64, lanes: int, line0: int, lines: int) -> tuple[int, int]:
+    """The steps [first, last) at which any of these lines touches the raster; ``shift`` is monotonic."""
+    first, last = 0, len(shift)
+    while first < last and not (line0 + lines + shift[first] >= 0 and line0 + shift[first] < lanes):
+        first += 1
+    while first < last and not (line0 + lines + shift[last - 1] >= 0 and line0 + shift[last - 1] < lanes):
+        last -= 1
+    return first, last
+
+
+@kernel
+def sweep_lines(
+    heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, backward: bool, origin: int,
+    scale: float, lowest: float, bend: float, line0: int, lines: int, begin: int, top: I64, position: I32,
+    height: F64, link: I64, free: I64, profile: F64, slope: F32, out_lane: int, out: F32,
+) -> int:  # fmt: skip
+    """Sweep a band of ``len(shift)`` steps for the samples on or just before ``lines`` lines from ``line0``, unlimited.
+
+    Every sample belongs to one line. ``top`` (1 + lines,) are the stacks of the line before the first and of all lines.
+    ``slope`` (1 + GROUP, steps) keeps the last line's slopes from one group to the next.
+
+    Returns:
+        the number of lines done; fewer than ``lines`` if the pool has too few free pages to go on: call again with
+        ``begin`` set to it.
+    """
+    steps = len(shift)
+    enough = (GROUP + 1) * (steps // PAGE + 2)
+    while begin < lines:
+        if free[0] < enough:
+            return begin
+        count = min(GROUP, lines - begin)
+        if begin == 0:
+            first, last = _range(shift, lanes, line0 - 1, 1)
+            _gather(heights, lane_stride, step_stride, lanes, shift, part, line0 - 1, 1, first, last, profile)
+            _unlimited(profile[0], first, last, backward, origin, scale, lowest, bend, 0, top, position, height, link,
+                       free, slope[0])  # fmt: skip
+        first, last = _range(shift, lanes, line0 + begin, count)
+        _gather(heights, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, profile)
+        for b in range(count):
+            _unlimited(profile[b], first, last, backward, origin, scale, lowest, bend, begin + b + 1, top, position,
+                       height, link, free, slope[b + 1])  # fmt: skip
+        _scatter(slope, heights, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, 0,
+                 out_lane, out)  # fmt: skip
+        for i in range(first, last):
+            slope[0, i] = slope[count, i]
+        begin += count
+    return begin
+
+
+@kernel
+def sweep_windows(
+    heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, backward: bool, origin: int,
+    scale: float, lowest: float, bend: float, line0: int, lines: int, reach: int, skip: int, own: int, out_lane: int,
+    out: F32,
+) -> None:  # fmt: skip
+    """As ``sweep_lines``, among the points within ``reach`` steps only, for steps [skip, skip + own) of the band."""
+    steps = len(shift)
+    profile, slope = np.empty((GROUP, steps), np.float64), np.zeros((GROUP + 1, steps), np.float32)
+    near, end, undo = np.empty((reach, 2)), np.empty((reach, 2)), np.empty((reach, 4))
+    for begin in range(-1, lines, GROUP):
+        count = min(GROUP, lines - begin)
+        first, last = _range(shift, lanes, line0 + begin, count)
+        if first == last:
+            continue
+        first, last = 0, steps  # blocks of ``reach`` points begin where the band does, or at the raster's border
+        _gather(heights, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, profile)
+        for b in range(count):
+            _limited(profile[b], first, last, backward, origin, scale, lowest, bend, reach, near, end, undo,
+                     slope[b + 1])  # fmt: skip
+        # The first line of all only takes part in interpolation.
+        a = 1 if begin < 0 else 0
+        _scatter(slope[a:], heights, lane_stride, step_stride, lanes, shift, part, line0 + begin + a, count - a, skip,
+                 skip + own, skip, out_lane, out)  # fmt: skip
+        slope[0] = slope[count]
