@@ -190,7 +190,28 @@ def test_pictures_of_an_engine(ground, view):
     np.testing.assert_array_equal(many.pixels, lines.pixels)
 
 
+def test_a_mesh_is_looked_at_from_elsewhere(ground, view):
+    """Made for an eye close by, seen from far: lines lie where that eye looks, and nowhere else."""
+    near = View((501_800, 3_997_800, 1100), (501_800, 3_999_000, 800), fov_y=40, width=200, height=120)
+    view = view.resized(500, 300)
+    plain = orograph.render(ground, view, tolerance=0)
+    lines = orograph.render(ground, view, engine="soar", wireframe=True, mesh_view=near, tolerance=6.0)
+    assert lines.facts["mesh"] == Soar(ground).refine(near, tolerance=6.0).stats | {
+        k: lines.facts["mesh"][k] for k in ("refine_ms", "index_ms")
+    }
+    inked = (np.abs(plain.pixels.astype(int) - lines.pixels) > 25).any(-1)
+    x, y = ground.grid.xy(*np.meshgrid(np.arange(129), np.arange(129)))
+    places = np.stack([x, y, ground.heights], -1)
+    there, depth = near.project(places)
+    pixels = view.project(places)[0].astype(int)
+    before, behind = pixels[(there > 0).all(-1) & (there < [200, 120]).all(-1)], pixels[depth < -500]
+    assert len(before) > 500 and inked[before[:, 1], before[:, 0]].mean() > 0.05
+    assert len(behind) > 500 and inked[behind[:, 1], behind[:, 0]].mean() < 0.01
+
+
 def test_a_wireframe_is_of_an_engine(ground, view):
+    with pytest.raises(UsageError, match="engine"):
+        orograph.render(ground, view, mesh_view=view)
     with pytest.raises(UsageError, match="engine"):
         orograph.render(ground, view, wireframe=True)
     with pytest.raises(UsageError, match="no engine 'sore'"):

@@ -99,6 +99,12 @@ OWN = {*SCENE, *CAMERA, "sun", "water", "backend"}
 @engine_option(help="Draw the mesh that this engine makes within --tolerance, with light on its faces.")
 @click.option("--wireframe", is_flag=True, help="With --engine: draw its triangles' edges over the relief.")
 @click.option(
+    "--mesh-view",
+    type=FILE,
+    metavar="VIEW.json",
+    help="With --engine: the camera to refine for, to look at the mesh from elsewhere.  [default: the picture's]",
+)
+@click.option(
     "--depth",
     type=FILE,
     metavar="OUT.tif",
@@ -116,7 +122,7 @@ OWN = {*SCENE, *CAMERA, "sun", "water", "backend"}
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, as_json: bool, depth: str | None, save_view: str | None,
-    max_memory: int, jobs: int | None, **options: Any,
+    max_memory: int, jobs: int | None, mesh_view: str | None, **options: Any,
 ) -> None:  # fmt: skip
     """Draw a relief picture of a DEM (one file or many) or of a store.
 
@@ -136,9 +142,12 @@ def command(
     check_camera(options)
     if options["wireframe"] and options["engine"] is None:
         raise UsageError("--wireframe shows what an engine made.", remedy="Choose one, such as --engine soar.")
+    if mesh_view is not None and options["engine"] is None:
+        raise UsageError("--mesh-view is what an engine refines for.", remedy="Choose one, such as --engine soar.")
     check_outputs(
         {"--output": output, "--depth": depth, "--save-view": save_view},
         {"the input": paths, "the image of --drape": [options["drape"]], "the camera of --view": [options["view_path"]],
+         "the camera of --mesh-view": [mesh_view],
          "the grid of --geoid": [options["geoid"]]},
     )  # fmt: skip
     if depth:
@@ -155,6 +164,7 @@ def command(
         from orograph.picture.prepare import cache_folder, prepare
         from orograph.picture.result import picture_format
         from orograph.picture.scene import Scene, Sun
+        from orograph.view import View
 
     # What is wrong with the command line is said before any work is done.
     picture_format(Path(output))
@@ -170,8 +180,9 @@ def command(
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
     view = camera_view(terrain, options)
     check_memory((view.width, view.height), max_memory if said else None)
+    seen_by_engine = None if mesh_view is None else View.load(mesh_view, crs=terrain.grid.crs)
     scene = Scene(
-        terrain, view, sun, water=None if options["water"] == "none" else options["water"],
+        terrain, view, sun, mesh_view=seen_by_engine, water=None if options["water"] == "none" else options["water"],
         max_memory=max_memory, jobs=jobs,
         **{k: options[k] for k in SCENE},
     )  # fmt: skip

@@ -39,6 +39,7 @@ def render(
     tolerance: float | None = None,
     engine: str | None = None,
     wireframe: bool = False,
+    mesh_view: View | None = None,
     max_memory: int | None = None,
     jobs: int | None = None,
     backend: Literal["cpu"] = "cpu",
@@ -71,6 +72,7 @@ def render(
         engine: draw the mesh that this engine makes, with light on its faces: soar, roam, … (see ``orograph.lod``).
             Default None: the terrain itself.
         wireframe: with an engine, draw its triangles' edges over the relief. Default False.
+        mesh_view: the camera that the engine refines for, to look at its mesh from elsewhere. Default None: ``view``.
         max_memory: bytes to keep within. Default None: no limit.
         jobs: threads. Default None: all processors.
         backend: "cpu".
@@ -106,7 +108,7 @@ def render(
     scene = Scene(
         terrain, view, light, shadows=shadows, exaggeration=exaggeration, colormap=colormap, drape=drape, sky=sky,
         water=water, relief=relief, samples=samples, tolerance=tolerance, engine=engine, wireframe=wireframe,
-        furniture=furniture, title=title, max_memory=max_memory, jobs=jobs,
+        mesh_view=mesh_view, furniture=furniture, title=title, max_memory=max_memory, jobs=jobs,
     )  # fmt: skip
 
     from orograph.picture.cpu import draw

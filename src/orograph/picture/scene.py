@@ -63,7 +63,8 @@ class Scene:
         samples: rays per pixel where the picture has edges (1: no antialiasing).
         tolerance: pixels; 0 demands the exact surface, None decides by size (``EXACT_SAMPLES``, ``DEFAULT_TOLERANCE``).
         engine: draw the mesh that this engine makes within ``tolerance`` (None: 1 pixel), with light on its faces; None
-            draws the terrain itself. ``wireframe``: draw its edges, over the terrain's own relief.
+            draws the terrain itself. ``wireframe``: draw its edges, over the terrain's own relief. ``mesh_view``: the
+            camera the mesh is made for, if not ``view``: to look at it from elsewhere.
         furniture: title, colour bar, north arrow, scale bar; ``title``: None takes the terrain's name.
         max_memory: bytes that heights and pictures may take; None: no limit.
         jobs: threads; None: all processors.
@@ -87,6 +88,7 @@ class Scene:
     tolerance: float | None = None
     engine: str | None = None
     wireframe: bool = False
+    mesh_view: View | None = None
     furniture: bool = False
     title: str | None = None
     max_memory: int | None = None
@@ -102,6 +104,8 @@ class Scene:
             raise UsageError(f"A pixel needs at least one sample, not {self.samples}.")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {self.tolerance:g}.")
+        if self.mesh_view is not None and self.engine is None:
+            raise UsageError("A mesh is made for a view by an engine.", remedy="Choose an engine, such as soar.")
         if self.wireframe and self.engine is None:
             raise UsageError("A wireframe shows what an engine made.", remedy="Choose an engine, such as soar.")
         if min(self.terrain.grid.shape) < 2:

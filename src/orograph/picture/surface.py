@@ -36,7 +36,7 @@ ENGINE_MEMORY = 1 << 30
 
 
 def refined(scene: Scene, progress: Progress = SILENT) -> Tessellation:
-    """What the scene's engine makes of its terrain for its view.
+    """What the scene's engine makes of its terrain for its view, or for its ``mesh_view``.
 
     Raises:
         UsageError: there is no such engine. StoreError: the store was built without errors of diamonds.
@@ -44,13 +44,14 @@ def refined(scene: Scene, progress: Progress = SILENT) -> Tessellation:
     from orograph.lod import engine_of
 
     assert scene.engine is not None
-    if scene.view.projection == "plan":
+    view = scene.view if scene.mesh_view is None else scene.mesh_view
+    if view.projection == "plan":
         progress.warn("in a plan no height moves a pixel: the coarsest mesh is as good as any.")
     make = engine_of(scene.engine)
     memory = ENGINE_MEMORY if scene.max_memory is None else scene.max_memory // 2
     with progress.task(f"Refining ({scene.engine})"):
         engine = make(scene.terrain, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs)
-        return engine.refine(scene.view, tolerance=TOLERANCE if scene.tolerance is None else scene.tolerance)
+        return engine.refine(view, tolerance=TOLERANCE if scene.tolerance is None else scene.tolerance)
 
 
 def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | None = None) -> MemoryTerrain:
