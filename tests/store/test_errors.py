@@ -129,6 +129,7 @@ def test_small_and_empty_rasters(tmp_path, shape, missing):
             errors, radii = whole(terrain, "exact", level)
             i, j = np.indices(errors.shape)
             here = ((i | j) & 1).astype(bool)
+            here[:: len(here) - 1, :: len(here) - 1] &= level < terrain.levels - 1  # the square's corners
             assert not errors.any() and (radii[here] < 0).all()
 
 

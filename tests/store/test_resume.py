@@ -17,6 +17,7 @@ from surfaces import rough, source
 from orograph import store
 from orograph.errors import StoreError, UsageError
 from orograph.store.storage import FolderStorage
+from orograph.store.survey import Errors
 
 HEIGHTS = rough((300, 260), 9, missing=0.01)
 SIZES = {"shard": 64, "chunk": 16}
@@ -171,6 +172,33 @@ def test_a_finished_shard_that_was_damaged_meanwhile_is_made_again(tmp_path, mon
     part.write_bytes(part.read_bytes()[:50])
     store.build(source(HEIGHTS), tmp_path / "s", resume=True, **SIZES)
     assert files(tmp_path / "s") == whole
+
+
+def test_errors_are_resumed_and_what_was_damaged_of_them_is_made_again(tmp_path, monkeypatch, whole):
+    with monkeypatch.context() as patch:
+        put = FolderStorage.put
+
+        def stop(self, key, parts):
+            if key == "parts/errors/2.2.part":
+                raise Stop
+            put(self, key, parts)
+
+        patch.setattr(FolderStorage, "put", stop)
+        with pytest.raises(Stop):
+            store.build(source(HEIGHTS), tmp_path / "s", jobs=1, **SIZES)
+    done = sorted(p.name for p in (tmp_path / "s.partial/parts/errors").iterdir())
+    assert "0.0.part" in done and "2.2.part" not in done and len(done) > 5
+    shard = tmp_path / "s.partial/diamonds/0/radius/c/0/1"
+    shard.write_bytes(shard.read_bytes()[:-9])
+    part = tmp_path / "s.partial/parts/errors/1.1.part"
+    part.write_bytes(part.read_bytes()[:50])
+    made = []
+    with monkeypatch.context() as patch:
+        make = Errors._make
+        patch.setattr(Errors, "_make", lambda self, spot: (made.append(spot), make(self, spot))[1])
+        store.build(source(HEIGHTS), tmp_path / "s", resume=True, **SIZES)
+    assert files(tmp_path / "s") == whole
+    assert len(made) == 25 - len(done) + 2 and {(0, 1), (1, 1), (2, 2)} <= set(made)
 
 
 def test_other_sources_are_not_resumed(tmp_path, monkeypatch):

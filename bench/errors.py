@@ -1,0 +1,135 @@
+"""What errors and spheres of all diamonds cost, per sample: in memory, and out of core through a store.
+
+    python bench/errors.py [DEM...] [--size 4097] [--rounds 3] [--threads 1 2]
+
+Without a DEM a synthetic one of ``--size`` is used. In memory: ``error.diamonds`` over an array. Out of core: the stage
+of ``orograph build`` that reads heights back from the store, surveys them, encodes, compresses and writes. Of the
+rounds the best counts. Also told: bytes per sample of the codes in the store, and how many more triangles the codes'
+rounding up costs, as the number of diamonds whose error exceeds a tolerance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from orograph import store
+from orograph.error import KINDS
+from orograph.error.diamonds import diamonds
+from orograph.store.diamonds import NESTED, surface
+from orograph.store.levels import subsample
+from orograph.store.survey import Errors
+
+
+def best(work: Callable[[], object], rounds: int) -> float:
+    """Seconds of the fastest of some rounds, after one that may compile."""
+    work()
+    times = []
+    for _ in range(rounds):
+        started = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - started)
+    return min(times)
+
+
+def in_memory(terrain: store.MemoryTerrain, threads: list[int], rounds: int) -> None:
+    heights, samples = terrain.heights, terrain.heights.size
+    ground = surface(terrain.grid, terrain.tiles(0).minimum, terrain.height_range[0])
+    nested = subsample(heights, NESTED)
+
+    def run(kinds, radii, jobs):
+        def work():
+            for _ in diamonds(lambda a, b, c, d: heights[a:b, c:d], nested, ground, kinds, radii=radii, jobs=jobs):
+                pass
+
+        return best(work, rounds) / samples * 1e9
+
+    for kind in KINDS[::-1]:
+        plain = [run((kind,), False, jobs) for jobs in threads]
+        print(f"  {kind:10}" + "".join(f"{ns:10.1f}" for ns in plain) + "   ns/sample")
+    both = [run(("exact",), True, jobs) for jobs in threads]
+    print("  + spheres " + "".join(f"{b - p:10.1f}" for b, p in zip(both, plain, strict=True)) + "   ns/sample")
+
+
+def out_of_core(terrain: store.MemoryTerrain, folder: Path, threads: list[int], rounds: int) -> None:
+    samples = terrain.heights.size
+    built = store.build(source_of(terrain), folder / "s", errors=KINDS)
+    for kind in KINDS[::-1]:
+        times = []
+        for jobs in threads:
+
+            def work(kind=kind, jobs=jobs):
+                record = built.record
+                stage = Errors(built.grid, built.storage, record.shard, record.chunk, built.tiles(0), (kind,), False)
+                for _ in store_map(stage.run, stage.tasks(), jobs):
+                    pass
+                stage.finish()
+
+            times.append(best(work, rounds) / samples * 1e9)
+        print(f"  {kind:10}" + "".join(f"{ns:10.1f}" for ns in times) + "   ns/sample, with spheres, into the store")
+    for name in (*KINDS, "radius"):
+        size = sum(p.stat().st_size for p in (folder / "s/diamonds").glob(f"*/{name}/c/*/*"))
+        print(f"  {name:10}{size / samples:10.2f}   bytes per sample on disk (codes: 1.33)")
+    heights = sum(p.stat().st_size for p in (folder / "s/heights").glob("*/height/c/*/*"))
+    print(f"  {'heights':10}{heights / samples:10.2f}   bytes per sample on disk (samples: 5.33)")
+    tolerances(terrain, built)
+
+
+def store_map(work, items, jobs):
+    from orograph.parallel import map_ordered
+
+    return map_ordered(work, items, jobs)
+
+
+def source_of(terrain: store.MemoryTerrain) -> store.ArraySource:
+    return store.ArraySource(terrain.heights, terrain.grid, terrain.name, terrain.vertical)
+
+
+def tolerances(terrain: store.MemoryTerrain, built: store.StoredTerrain) -> None:
+    """Diamonds above a tolerance, with stored errors and with true ones: what a uniform mesh has of triangles."""
+    low, high = terrain.height_range
+    for share in (2**-5, 2**-8, 2**-11):
+        counts = []
+        for one in (terrain, built):
+            total = 0
+            for level in range(one.levels):
+                rows, cols = one.diamond_shape(level)
+                total += int((one.diamonds("exact", level, 0, rows, 0, cols)[0] > (high - low) * share).sum())
+            counts.append(total)
+        more = 100 * (counts[1] / max(counts[0], 1) - 1)
+        print(f"  error > {(high - low) * share:8.3f} m: {counts[0]:9} diamonds, {more:+.1f} % with stored errors")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("dem", nargs="*")
+    parser.add_argument("--size", type=int, default=4097)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        files = args.dem
+        if not files:
+            files = [str(folder / "dem.tif")]
+            line = [sys.executable, "-m", "orograph", "synth", "-o", files[0], "--size", str(args.size), "--seed", "7"]
+            subprocess.run(line, check=True, capture_output=True)
+        for index, file in enumerate(files):
+            from orograph.dem.mosaic import Mosaic
+
+            terrain = store.terrain(Mosaic.open([file]))
+            rows, cols = terrain.grid.shape
+            print(f"{Path(file).name}: {rows} × {cols}, {100 * terrain.valid_fraction:.4g} % valid")
+            print(f"  {'':10}" + "".join(f"{f'{jobs} thread(s)':>10}" for jobs in args.threads))
+            in_memory(terrain, args.threads, args.rounds)
+            (folder / str(index)).mkdir()
+            out_of_core(terrain, folder / str(index), args.threads, args.rounds)
+
+
+if __name__ == "__main__":
+    main()
