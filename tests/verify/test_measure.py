@@ -12,7 +12,7 @@ from orograph.geo.grid import Grid
 from orograph.lod.soar import Soar
 from orograph.store import MemoryTerrain
 from orograph.tessellation import Tessellation
-from orograph.verify.measure import fingerprints, measure_flight, measure_views, turned
+from orograph.verify.measure import elsewhere, fingerprints, measure_flight, measure_views
 from orograph.view import View
 
 SIZE = 17
@@ -46,8 +46,8 @@ class Scripted:
 def test_views(ground):
     engine = Scripted(ground, slow=[1000, 1000, 1000, 77, 2.0, 77, 4.0, 77, 9.0])
     m = measure_views(engine, ground, [VIEW, VIEW, VIEW], {"tolerance": 1.0})
-    # Three for the referee, and three for the clock, the eye turned away before each.
-    assert engine.seen == [VIEW] * 3 + [turned(VIEW), VIEW] * 3
+    # Three for the referee, and three for the clock, taken away before each.
+    assert engine.seen == [VIEW] * 3 + [elsewhere(VIEW), VIEW] * 3
     assert (m.ms, m.ms_worst, m.frames, m.judged, m.tiles_read) == (4.0, 9.0, 3, 3, 9)
     assert m.triangles == len(engine.refine(VIEW).triangles) > 500
     assert m.mtri_per_s == pytest.approx(3 * m.triangles / 15e-3 / 1e6)
@@ -89,7 +89,8 @@ def test_fingerprints_are_of_samples_not_of_numbers(ground):
     assert len(np.intersect1d(fingerprints(mesh), fingerprints(moved))) < len(mesh.triangles)
 
 
-def test_turned_looks_the_other_way():
-    here, there = VIEW.axes()[2], turned(VIEW).axes()[2]
+def test_elsewhere_is_far_and_sees_nothing(ground):
+    here, there = VIEW.axes()[2], elsewhere(VIEW).axes()[2]
     np.testing.assert_allclose(here, -there, atol=1e-12)
-    assert turned(VIEW).eye == VIEW.eye
+    assert np.isnan(elsewhere(VIEW).project((*ground.grid.xy(8, 8), 0.0))[0]).all()
+    assert len(Soar(ground).refine(elsewhere(VIEW), tolerance=1.0).triangles) <= 2

@@ -282,7 +282,8 @@ def _draw(
             f"{view.height} pixels ({asked}); errors are the referee's, over every full-resolution sample in view."
         )
         pixels = sheet(
-            terrain, view, panels, title=f"The same view, {asked}", note=note,
+            terrain, view, panels, note=note,
+            title=f"The same view, {asked}" if len(panels) > 1 else f"{terrain.name}, {asked}",
             exaggeration=options["exaggeration"], jobs=jobs,
         )  # fmt: skip
         task.note("")

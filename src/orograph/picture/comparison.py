@@ -28,7 +28,9 @@ Pixels = NDArray[np.uint8]
 SHEET = (255, 255, 255)
 INK, GREY, ALARM = (28, 30, 36), (96, 98, 104), (176, 42, 30)
 HAIR = (190, 190, 186)
-WIDTH = 1600
+WIDTH, ALONE = 1600, 1000
+"""Of a sheet, and of one with a single panel."""
+
 MARGIN, GAP = 30, 22
 
 LOW, ASIDE = 9.0, 215.0
@@ -83,9 +85,14 @@ def columns(count: int) -> int:
     return 1 if count == 1 else 3 if count == 3 or count > 6 else 2
 
 
-def panel_view(view: View, count: int, width: int = WIDTH) -> View:
-    """The view in the size it has as one of ``count`` panels on a sheet of this width."""
-    wide = (width - 2 * MARGIN - (columns(count) - 1) * GAP) // columns(count)
+def sheet_width(count: int) -> int:
+    """Pixels across a sheet of so many panels."""
+    return ALONE if count == 1 else WIDTH
+
+
+def panel_view(view: View, count: int) -> View:
+    """The view in the size it has as one of ``count`` panels on a sheet."""
+    wide = (sheet_width(count) - 2 * MARGIN - (columns(count) - 1) * GAP) // columns(count)
     return view.resized(wide, max(1, round(wide * view.height / view.width)))
 
 
@@ -97,7 +104,6 @@ def sheet(
     title: str,
     note: str,
     exaggeration: float = 1.0,
-    width: int = WIDTH,
     jobs: int | None = None,
 ) -> Pixels:
     """The sheet, (height, width, 3) uint8 sRGB.
@@ -108,7 +114,7 @@ def sheet(
         panels: at least one.
         title: above all. note: below all, in small type.
         exaggeration: as the meshes'.
-        width: of the sheet.
+        jobs: threads.
 
     Raises:
         UsageError: the meshes' surfaces do not fit into memory.
@@ -116,6 +122,7 @@ def sheet(
     """
     from PIL import Image
 
+    width = sheet_width(len(panels))
     across = columns(len(panels))
     down = -(-len(panels) // across)
     if len(panels) < across * down:  # what is free shows what the meshes are of

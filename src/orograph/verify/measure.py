@@ -1,10 +1,10 @@
 """Engines measured alike: time, triangles, change from frame to frame, tiles read, and the error the referee finds.
 
 Of an engine nothing is known here but that it refines (``Refiner``). *Views* are taken one by one, twice: first for the
-referee, which also compiles kernels and reads tiles; then for the clock, and before each of them the engine looks the
-other way, so that one that keeps its mesh between views has to come back like one that does not. A *flight* is taken
-frame by frame, and the clock runs for each: what an engine saves from frame to frame, it saves here. Tiles are counted
-from the engine's making.
+referee, which also compiles kernels and reads tiles; then for the clock, and before each of them the engine is taken
+far away and looks the other way, so that one that keeps its mesh between views has to come back from little. A *flight*
+is taken frame by frame, and the clock runs for each: what an engine saves from frame to frame, it saves here. Tiles are
+counted from the engine's making.
 
 Units: milliseconds; pixels; fractions of a mesh.
 """
@@ -90,7 +90,7 @@ def measure_views(
     for view in views:
         tally.judged(judge(engine.refine(view, **goal), terrain, view, exaggeration=exaggeration, jobs=jobs))
     for view in views:
-        engine.refine(turned(view), **goal)
+        engine.refine(elsewhere(view), **goal)
         tally.timed(engine.refine(view, **goal))
         if task is not None:
             task.advance()
@@ -174,10 +174,11 @@ class _Tally:
         )
 
 
-def turned(view: View) -> View:
-    """The same eye, looking the opposite way."""
+def elsewhere(view: View) -> View:
+    """An eye five times as far from the target, looking the opposite way."""
     eye, target = np.array(view.eye), np.array(view.target)
-    return replace(view, target=tuple(2 * eye - target), projection="perspective")
+    back = eye - target
+    return replace(view, eye=tuple(target + 5 * back), target=tuple(target + 6 * back), projection="perspective")
 
 
 def fingerprints(mesh: Tessellation) -> NDArray[np.uint64]:
