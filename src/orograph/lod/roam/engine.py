@@ -1,0 +1,199 @@
+"""ROAM: real-time optimally adapting meshes (Duchaineau et al., Visualization 1997).
+
+The mesh of the last frame is carried to the next: what the camera's motion can have pushed over the threshold is
+computed again (``priorities``, ``queues``), then the worst triangles are split and the diamonds that are least needed
+merged, in the order of two queues that persist (``frame``), on a bintree with explicit neighbours (``mesh``).
+
+With a tolerance the result depends on the view alone: priorities are monotonic, so the smallest conforming mesh whose
+every triangle keeps the tolerance is unique, and splits and merges end there from wherever they begin.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.error.screen import FOCAL, LENGTH, NEAR
+from orograph.lod.engine import BOUNDS, Engine, Mesh
+from orograph.lod.roam import frame, mesh, priorities, queues
+from orograph.view import View
+
+FINEST = 0.25
+"""Pixels to which a budget of time refines at most: finer is not seen, and would fill the memory of a still camera."""
+
+BAND = 1.15
+"""With a budget of triangles, priorities within this factor of the last crossing of the queues are kept up to date."""
+
+STEPS = 500
+"""Steps between two looks at the clock."""
+
+
+class Roam(Engine):
+    """ROAM. See ``Engine`` for the arguments; ``refine`` goes on from the mesh of the last view. Besides:
+
+    Args:
+        deferral: compute priorities again only where they can have crossed the threshold (sec. 5.3); the mesh is the
+            same without.
+
+    The arrays in the ``Mesh`` that ``mesh`` returns are the engine's own: they change with the next view.
+    """
+
+    name = "roam"
+    metrics = ("wedgie", "anisotropic", "isotropic", "isotropic-published", "anisotropic-published")
+
+    def __init__(self, *args: Any, deferral: bool = True, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.deferral = deferral
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the mesh: the next view begins from two triangles."""
+        low, high = self.terrain.height_range
+        low, high = (0.0, 0.0) if math.isnan(low) else (low, high)
+        capacity = 1 << 14
+        counts = np.zeros(mesh.COUNTS, np.int64)
+        counts[[mesh.TOP, mesh.FREED, mesh.LEAVES]] = 2, -1, 2
+        options = np.zeros(priorities.OPTIONS)
+        options[priorities.CULL] = self.cull
+        options[priorities.BOUND] = self.error in BOUNDS
+        options[priorities.METRIC] = self.metric.number
+        options[priorities.N] = self.field.n
+        options[priorities.EVERY] = not self.deferral
+        self._state = mesh.State(
+            mesh.plant(self.field.n, self.field.corners, low, high, capacity),
+            np.full((2, queues.BUCKETS), -1, np.int32),
+            np.zeros((2, queues.BUCKETS // 64), np.uint64),
+            np.full(queues.CLASSES * queues.SLOTS, -1, np.int32),
+            np.zeros(queues.CLASSES),
+            np.zeros(queues.CLASSES, np.int64),
+            np.zeros(capacity, np.int32),
+            np.zeros(capacity // 2 + 2, np.int32),
+            np.zeros((capacity // 2 + 2, 3), np.int64),
+            np.zeros((capacity // 2 + 2, 3), np.float32),
+            np.zeros(256, np.int32),
+            np.zeros(16),
+            counts,
+            np.zeros(LENGTH),
+            options,
+            self.field.pages,
+        )
+        self._crossing = 0.0
+        self._seen: tuple[Any, ...] | None = None
+        self._pose: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+
+    # ---- a frame -----------------------------------------------------------------------------------------------------
+
+    def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
+        began = time.perf_counter()
+        self._look(view, tolerance, triangles, seconds)
+        c = self._state.counts
+        c[[mesh.SPLITS, mesh.MERGES, mesh.COMPUTED, mesh.SHOWN, mesh.LABELS]] = 0
+        budget = -1 if triangles is None else triangles
+        steps = -1 if seconds is None else STEPS
+        reason, drifts = frame.ROOM, 0
+        while reason != frame.DONE:
+            self.field.begin()
+            reason = int(frame.run_frame(self._state, budget, steps))
+            if reason == frame.ROOM:
+                self._grow()
+            elif reason == frame.DRIFT:
+                drifts += 1
+                self._drift(triangles, wide=drifts > 3)
+            late = seconds is not None and time.perf_counter() - began >= seconds
+            if late:
+                break
+            self.field.fetch(resumes=True)  # nodes keep what they need
+        return self._result(tolerance, triangles, seconds, reason == frame.DONE)
+
+    def _look(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> None:
+        """Set the lens and the thresholds, and let the clocks run by what the camera has moved since the last view."""
+        s = self._state
+        goal = tolerance if tolerance is not None else 1.0 if triangles is not None else FINEST
+        lens = self._lens(view, goal)
+        axes = np.stack(view.axes(self.exaggeration))
+        eye = np.array(view.eye) * [1.0, 1.0, self.exaggeration]
+        mode = "triangles" if triangles is not None else "tolerance"
+        seen = (mode, goal, lens[FOCAL], lens[NEAR], view.far, view.width, view.height, view.projection)
+        renew = seen != self._seen or self._pose is None or view.projection == "plan"
+        moved = turned = 0.0
+        if self._pose is not None and not renew:
+            moved = float(np.linalg.norm(eye - self._pose[1]))
+            # The norm of the difference of two rotations by an angle θ of each other is 2 sin(θ/2) ≤ θ.
+            turned = float(np.linalg.norm(axes - self._pose[0])) / math.sqrt(2.0)
+        self._seen, self._pose = seen, (axes, eye)
+        s.lens[:] = lens
+        s.options[priorities.TOLERANCE] = s.options[priorities.RATE] = goal
+        s.options[[priorities.LOW, priorities.HIGH]] = goal
+        if goal == 0:
+            s.options[priorities.RATE] = 1.0
+        if triangles is not None:
+            crossing = 0.0 if renew else self._crossing
+            s.options[[priorities.LOW, priorities.HIGH]] = (
+                (0.0, math.inf) if renew else (crossing / BAND, crossing * BAND)
+            )
+        queues.advance(s.clock, moved, turned)
+        if renew:
+            s.counts[mesh.RENEW] = 1
+        s.counts[mesh.STAGE] = not (s.counts[mesh.RENEW] or moved or turned or self._is_behind)
+
+    def _drift(self, triangles: int | None, wide: bool) -> None:
+        """The queues cross outside of the band: compute everything for a band around where they do, or for all."""
+        s = self._state
+        split = int(queues.highest(s.occupied, queues.SPLIT))
+        merge = int(queues.lowest(s.occupied, queues.MERGE))
+        over = triangles is not None and s.counts[mesh.DRAWN] > triangles
+        self._crossing = queues.largest_in(merge if over or split < 0 else split)
+        band = (0.0, math.inf) if wide else (self._crossing / BAND, self._crossing * BAND)
+        s.options[[priorities.LOW, priorities.HIGH]] = band
+        s.counts[mesh.RENEW], s.counts[mesh.STAGE] = 1, 0
+
+    def _grow(self) -> None:
+        """Twice the room for nodes."""
+        s = self._state
+        capacity = 2 * len(s.nodes)
+        half = capacity // 2 + 2
+
+        def grown(array: NDArray[Any], length: int) -> NDArray[Any]:
+            larger = np.zeros((length, *array.shape[1:]), array.dtype)
+            larger[: len(array)] = array
+            return larger
+
+        self._state = s._replace(
+            nodes=grown(s.nodes, capacity), waiting=grown(s.waiting, capacity), owners=grown(s.owners, half),
+            keys=grown(s.keys, half), zs=grown(s.zs, half),
+        )  # fmt: skip
+
+    # ---- what came of it ---------------------------------------------------------------------------------------------
+
+    @property
+    def _is_behind(self) -> bool:
+        """Whether the last frame ran out of time before all that was due was computed."""
+        return bool(self._state.counts[mesh.STAGE] == 0)
+
+    def _result(self, tolerance: float | None, triangles: int | None, seconds: float | None, done: bool) -> Mesh:
+        s = self._state
+        c = s.counts
+        worst = int(queues.highest(s.occupied, queues.SPLIT))
+        reached: float | None = tolerance
+        if triangles is not None:
+            self._crossing = queues.largest_in(worst) if worst >= 0 else 0.0
+            reached = max(self._crossing, float(s.options[priorities.LOW]))
+        elif seconds is not None:
+            reached = FINEST * max(1.0, queues.largest_in(worst))
+        within = done or seconds is None
+        if reached is not None and not math.isfinite(reached):
+            reached, within = None, False
+        stats = {
+            "splits": int(c[mesh.SPLITS]), "merges": int(c[mesh.MERGES]), "changed": int(c[mesh.SHOWN]),
+            "recomputed": int(c[mesh.COMPUTED]), "labels": int(c[mesh.LABELS]), "leaves": int(c[mesh.LEAVES]),
+            "split_queue": int(c[mesh.QUEUED_SPLITS]), "merge_queue": int(c[mesh.QUEUED_MERGES]),
+        }  # fmt: skip
+        drawn = int(c[mesh.DRAWN])
+        return Mesh(
+            s.keys[:drawn], s.zs[:drawn], is_strip=False, clockwise=False, triangles=drawn, within=within,
+            tolerance=reached, stats=stats,
+        )  # fmt: skip

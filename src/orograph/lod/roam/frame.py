@@ -1,0 +1,429 @@
+"""One frame of ROAM: what is due is computed again, then splits and merges in the order of the two queues.
+
+Paper sec. 4 and 5. Work is proportional to what is due and to what changes; the mesh itself is never gone through. The
+kernel stops where it needs something from outside: pages of the field, larger arrays, or the time; and goes on from
+there when it is called again. Whenever it stops the mesh is conforming.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import leaf
+from orograph.lod.roam.mesh import (
+    DRAWN,
+    EMPTY,
+    FREE,
+    FREED,
+    INNER,
+    LEAF,
+    LOADED,
+    MERGEABLE,
+    MERGES,
+    OUT,
+    PENDING,
+    QUEUED_MERGES,
+    QUEUED_SPLITS,
+    RENEW,
+    SHOWN,
+    SPLITS,
+    STAGE,
+    TOP,
+    WAITING,
+    coarser_base,
+    is_mergeable,
+    rejoin,
+    split_links,
+)
+from orograph.lod.roam.priorities import CULL, HIGH, LOW, load, priority_of
+from orograph.lod.roam.queues import (
+    BUCKETS,
+    CLASSES,
+    MERGE,
+    SLOTS,
+    SPLIT,
+    UNITY,
+    bucket_of,
+    dequeue,
+    enqueue,
+    highest,
+    lowest,
+    schedule,
+    slot_of,
+    unschedule,
+)
+
+DONE, PAGES, ROOM, LIMIT, DRIFT = range(5)
+"""Why the kernel stopped: the goal is reached; pages are missing; the arrays are full; so many steps were made;
+the crossing of the two queues is at priorities that were not computed again."""
+
+RESERVE = 512
+"""Nodes that must be free before a split (a forced split makes at most four on each of its levels)."""
+
+
+# ---- the output: triangles drawn, in any order -----------------------------------------------------------------------
+
+
+@leaf
+def show(nodes, owners, keys, zs, counts, options, i):
+    """Put leaf i into the output, or take it out, as its flags say."""
+    node = nodes[i]
+    drawn = node.state == LEAF and not node.flags & EMPTY and not (node.flags & OUT and options[CULL] > 0.0)
+    if drawn and node.z0 + node.z1 + node.z2 < np.inf:
+        if node.slot < 0:
+            at = counts[DRAWN]
+            counts[DRAWN] = at + 1
+            counts[SHOWN] += 1
+            node.slot = at
+            owners[at] = i
+            keys[at, 0], keys[at, 1], keys[at, 2] = (
+                np.int64(node.r0) << 32 | node.c0,
+                np.int64(node.r1) << 32 | node.c1,
+                np.int64(node.r2) << 32 | node.c2,
+            )
+            zs[at, 0], zs[at, 1], zs[at, 2] = node.z0, node.z1, node.z2
+    elif node.slot >= 0:
+        hide(nodes, owners, keys, zs, counts, i)
+
+
+@leaf
+def hide(nodes, owners, keys, zs, counts, i):
+    """Take node i out of the output, if it is in; the last one takes its place."""
+    at = nodes[i].slot
+    if at < 0:
+        return
+    last = counts[DRAWN] - 1
+    counts[DRAWN] = last
+    if last != at:
+        j = owners[last]
+        owners[at] = j
+        nodes[j].slot = at
+        for k in range(3):
+            keys[at, k], zs[at, k] = keys[last, k], zs[last, k]
+    nodes[i].slot = -1
+
+
+# ---- places in the queues --------------------------------------------------------------------------------------------
+
+
+@leaf
+def place(nodes, heads, occupied, counts, i):
+    """Put leaf i into the split queue, or the mergeable diamond of node i into the merge queue, by priority."""
+    node = nodes[i]
+    if node.state == LEAF:
+        if node.priority > 0.0 and node.flags & LOADED:
+            counts[QUEUED_SPLITS] += node.bucket < 0
+            enqueue(nodes, heads, occupied, SPLIT, i, node.priority)
+        elif node.bucket >= 0:
+            counts[QUEUED_SPLITS] -= 1
+            dequeue(nodes, heads, occupied, SPLIT, i)
+    elif node.flags & MERGEABLE:
+        base = np.int64(node.base)
+        priority = node.priority
+        if base >= 0:
+            priority = max(priority, nodes[base].priority)
+            i = min(i, base)
+        counts[QUEUED_MERGES] += nodes[i].bucket < 0
+        enqueue(nodes, heads, occupied, MERGE, i, priority)
+
+
+@leaf
+def leave(nodes, heads, occupied, counts, i):
+    """Take leaf i out of the split queue, or the diamond of node i out of the merge queue."""
+    node = nodes[i]
+    if node.state == LEAF:
+        counts[QUEUED_SPLITS] -= node.bucket >= 0
+        dequeue(nodes, heads, occupied, SPLIT, i)
+    else:
+        if node.base >= 0:
+            i = min(i, np.int64(node.base))
+        counts[QUEUED_MERGES] -= nodes[i].bucket >= 0
+        dequeue(nodes, heads, occupied, MERGE, i)
+
+
+@leaf
+def assess(s, i):
+    """Compute node i's priority and put it where it belongs: queue, crossing list, output."""
+    unschedule(s.nodes, s.lists, i)
+    priority_of(s.nodes, s.pages, s.lens, s.clock, s.counts, s.options, s.stack, s.work, s.waiting, i)
+    if s.nodes[i].due < np.inf:
+        schedule(s.nodes, s.lists, s.clock, i)
+    place(s.nodes, s.heads, s.occupied, s.counts, i)
+    if s.nodes[i].state == LEAF:
+        show(s.nodes, s.owners, s.keys, s.zs, s.counts, s.options, i)
+
+
+# ---- splits and merges -----------------------------------------------------------------------------------------------
+
+
+@leaf
+def not_mergeable(s, i):
+    """A child of node i has been split: its diamond cannot be merged for now."""
+    if i >= 0 and s.nodes[i].flags & MERGEABLE:
+        leave(s.nodes, s.heads, s.occupied, s.counts, i)
+        base = np.int64(s.nodes[i].base)
+        for j in (i, base):
+            if j >= 0:
+                s.nodes[j].flags &= ~np.uint8(MERGEABLE)
+                unschedule(s.nodes, s.lists, j)
+
+
+@leaf
+def now_mergeable(s, i):
+    """A child of node i is a leaf again: perhaps its diamond can be merged."""
+    if i >= 0 and not s.nodes[i].flags & MERGEABLE and is_mergeable(s.nodes, i):
+        base = np.int64(s.nodes[i].base)
+        s.nodes[i].flags |= MERGEABLE
+        if base >= 0:
+            s.nodes[base].flags |= MERGEABLE
+            assess(s, base)
+        assess(s, i)
+
+
+@leaf
+def split_diamond(s, i):
+    """Split the diamond of leaf i, whose base neighbour is of its level or absent; False if its page is absent."""
+    nodes = s.nodes
+    base = np.int64(nodes[i].base)
+    for j in (i, base):
+        if j >= 0 and not nodes[j].flags & LOADED and not load(nodes, s.pages, s.options, j):
+            return False
+    for j in (i, base):
+        if j >= 0:
+            leave(nodes, s.heads, s.occupied, s.counts, j)
+            hide(nodes, s.owners, s.keys, s.zs, s.counts, j)
+            not_mergeable(s, np.int64(nodes[j].parent))
+    node = nodes[i]
+    missing = node.color < 0.0
+    split_links(nodes, s.counts, i, np.float32(np.nan) if missing else node.height)
+    s.counts[SPLITS] += 1
+    for j in (i, base):
+        if j >= 0:
+            nodes[j].flags |= MERGEABLE
+    for j in (i, base):
+        if j >= 0:
+            if nodes[j].flags & PENDING:
+                nodes[j].flags &= ~np.uint8(PENDING)
+                assess(s, j)
+            child = np.int64(nodes[j].child)
+            assess(s, child)
+            assess(s, child + 1)
+    place(nodes, s.heads, s.occupied, s.counts, i)
+    return True
+
+
+@leaf
+def merge_diamond(s, i):
+    """Merge the mergeable diamond of node i."""
+    nodes = s.nodes
+    base = np.int64(nodes[i].base)
+    leave(nodes, s.heads, s.occupied, s.counts, i)
+    for j in (i, base):
+        if j >= 0:
+            child = np.int64(nodes[j].child)
+            for k in (child, child + 1):
+                leave(nodes, s.heads, s.occupied, s.counts, k)
+                unschedule(nodes, s.lists, k)
+                hide(nodes, s.owners, s.keys, s.zs, s.counts, k)
+                nodes[k].flags = 0
+    for j in (i, base):
+        if j >= 0:
+            rejoin(nodes, s.counts, j)
+            nodes[j].flags &= ~np.uint8(MERGEABLE)
+    s.counts[MERGES] += 1
+    for j in (i, base):
+        if j >= 0:
+            place(nodes, s.heads, s.occupied, s.counts, j)
+            show(nodes, s.owners, s.keys, s.zs, s.counts, s.options, j)
+            now_mergeable(s, np.int64(nodes[j].parent))
+
+
+@leaf
+def force_split(s, i):
+    """Split leaf i after all that must be split before (sec. 4.1); False if a page was absent on the way."""
+    depth = 0
+    stack = s.stack
+    stack[128] = i
+    while depth >= 0:
+        j = np.int64(stack[128 + depth])
+        base = coarser_base(s.nodes, j)
+        if base >= 0:
+            depth += 1
+            stack[128 + depth] = base
+        elif split_diamond(s, j):
+            depth -= 1
+        else:
+            return False
+    return True
+
+
+@leaf
+def wait(s, i):
+    """Leaf i cannot be split before a page has come."""
+    leave(s.nodes, s.heads, s.occupied, s.counts, i)
+    unschedule(s.nodes, s.lists, i)
+    if not s.nodes[i].flags & PENDING:
+        s.nodes[i].flags |= PENDING
+        s.waiting[s.counts[WAITING]] = i
+        s.counts[WAITING] += 1
+
+
+# ---- the frame -------------------------------------------------------------------------------------------------------
+
+
+@leaf
+def assess_due(s, steps):
+    """Compute again what is due by the clocks, at most so many; how many more were allowed (0: perhaps not all)."""
+    nodes, lists = s.nodes, s.lists
+    for k in range(CLASSES):
+        now = slot_of(k, s.clock[k])
+        for slot in range(max(s.passed[k], now - SLOTS + 1), now + 1):
+            i = np.int64(lists[k * SLOTS + slot % SLOTS])
+            while i >= 0 and steps != 0:
+                following = np.int64(nodes[i].due_after)
+                if slot < now or nodes[i].due <= s.clock[k]:
+                    # It may come back into this very list, at its head.
+                    assess(s, i)
+                    steps -= 1
+                i = following
+            if steps == 0:
+                return 0
+            s.passed[k] = slot
+    return steps
+
+
+@leaf
+def assess_all(s, steps):
+    """Compute everything again, at most so many: the tolerance or the lens is another one. As ``assess_due``."""
+    nodes = s.nodes
+    if s.counts[RENEW] == 1:
+        for i in range(s.counts[TOP]):
+            nodes[i].label_until = -1.0
+    while s.counts[RENEW] <= s.counts[TOP]:
+        if steps == 0:
+            return 0
+        i = s.counts[RENEW] - 1
+        s.counts[RENEW] += 1
+        node = nodes[i]
+        if (node.state == LEAF and not node.flags & PENDING) or (node.state == INNER and node.flags & MERGEABLE):
+            assess(s, i)
+            steps -= 1
+    s.counts[RENEW] = 0
+    return steps
+
+
+@leaf
+def assess_waiting(s):
+    """Compute what waited for pages."""
+    count = s.counts[WAITING]
+    s.counts[WAITING] = 0
+    for at in range(count):
+        i = np.int64(s.waiting[at])
+        if s.nodes[i].state != FREE and s.nodes[i].flags & PENDING:
+            s.nodes[i].flags &= ~np.uint8(PENDING)
+            assess(s, i)
+
+
+@leaf
+def is_full(s):
+    """Whether the nodes may not suffice for a forced split and its cuts."""
+    return s.counts[FREED] < 0 and s.counts[TOP] + RESERVE > len(s.nodes)
+
+
+@leaf
+def by_tolerance(s, steps):
+    """Split what exceeds the tolerance, then merge what need not be split, at most so many of each."""
+    left = steps
+    while True:
+        bucket = highest(s.occupied, SPLIT)
+        if bucket < UNITY or left == 0:
+            break
+        if is_full(s):
+            return ROOM
+        left -= 1
+        i = np.int64(s.heads[SPLIT, bucket])
+        if not force_split(s, i):
+            wait(s, i)
+    more = left == 0
+    left = steps
+    while True:
+        bucket = lowest(s.occupied, MERGE)
+        if bucket >= UNITY:
+            break
+        if left == 0:
+            return LIMIT
+        left -= 1
+        merge_diamond(s, np.int64(s.heads[MERGE, bucket]))
+    return LIMIT if more else DONE
+
+
+@leaf
+def price(nodes, i):
+    """At most how many triangles a split of leaf i adds, forced splits included."""
+    more = 0
+    while i >= 0:
+        more += 1 if nodes[i].base < 0 else 2
+        i = coarser_base(nodes, i)
+    return more
+
+
+@leaf
+def by_budget(s, budget):
+    """The paper's greedy loop: the mesh of at most ``budget`` drawn triangles with the smallest largest priority.
+
+    It ends: a diamond is merged for the sake of one whose bucket is higher, so of those that were split and merged over
+    and over the highest could not have been merged.
+    """
+    least = bucket_of(np.float32(s.options[LOW]))
+    most = bucket_of(np.float32(s.options[HIGH]))
+    while True:
+        split = highest(s.occupied, SPLIT)
+        merge = lowest(s.occupied, MERGE)
+        i = np.int64(s.heads[SPLIT, split]) if split >= 0 else -1
+        if s.counts[DRAWN] > budget:
+            if merge == BUCKETS:
+                return DONE
+        elif split < 0:
+            return DONE
+        elif s.counts[DRAWN] + price(s.nodes, i) <= budget:
+            if split < least:
+                return DRIFT
+            if is_full(s):
+                return ROOM
+            if not force_split(s, i):
+                wait(s, i)
+            continue
+        elif split <= merge:
+            return DONE
+        if merge > most:
+            return DRIFT
+        merge_diamond(s, np.int64(s.heads[MERGE, merge]))
+
+
+@leaf
+def run_frame(s, budget, steps):
+    """Bring the mesh to the goal, or go on with it.
+
+    Args:
+        s: the state; ``counts[STAGE]`` is 0 until all that is due has been computed, ``counts[RENEW]`` the number of
+            the next node to compute, from 1, if all are.
+        budget: drawn triangles, or −1: the tolerance is the goal.
+        steps: how many priorities, splits and merges are allowed; −1 all that are needed.
+
+    Returns:
+        DONE, PAGES, ROOM, LIMIT or DRIFT.
+    """
+    if s.counts[STAGE] == 0:
+        left = assess_due(s, steps)
+        if s.counts[RENEW]:
+            left = assess_all(s, left)
+        if left != 0:
+            s.counts[STAGE] = 1
+    if s.counts[WAITING]:
+        assess_waiting(s)
+    reason = by_tolerance(s, steps) if budget < 0 else by_budget(s, budget)
+    if s.counts[STAGE] == 0 and reason == DONE:
+        return LIMIT
+    if reason == DONE and s.counts[WAITING]:
+        return PAGES
+    return reason

@@ -1,0 +1,272 @@
+"""ROAM from frame to frame: against plain recursion from scratch, and against the referee on real ground."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import plain
+import pytest
+import rasterio
+
+from orograph import verify
+from orograph.geo.grid import Grid
+from orograph.hierarchy import diamonds, fronts
+from orograph.lod.roam import Roam, engine, mesh
+from orograph.store.memory import MemoryTerrain
+from orograph.view import View
+
+
+class Recursion:
+    """The smallest conforming mesh that keeps a tolerance, from the definition: volumes go down the tree.
+
+    A triangle's volume is its footprint (the squeezed bounding box where it reaches beyond the raster) between two
+    heights: the parent's, the sphere of its diamond, and its corners' ± its error.
+    """
+
+    def __init__(self, p: plain.Plain, camera: plain.Camera, tolerance: float, cull: bool, metric: str):
+        self.p, self.camera, self.tolerance, self.cull, self.metric = p, camera, tolerance, cull, metric
+        side = p.z.shape[0]
+        self.wanted = np.zeros((side, side), bool)
+        self.out: set[tuple] = set()
+        self.spheres = p.sphere_errors(camera)
+        low, high = p.t.height_range
+        n = side - 1
+        self.visit((0, 0), (n, n), (0, n), low, high)
+        self.visit((n, n), (0, 0), (n, 0), low, high)
+        self.front = fronts.front_of(diamonds.closure(self.wanted))
+
+    def visit(self, a, b, c, low, high, hidden=False):
+        p = self.p
+        m = ((a[0] + b[0]) // 2, (a[1] + b[1]) // 2)
+        finest = (a[0] + b[0]) % 2 or (a[1] + b[1]) % 2
+        rows, cols = (np.array(v) for v in zip(a, b, c))
+        squeezed = bool((rows >= p.t.grid.rows).any() or (cols >= p.t.grid.cols).any())
+        z = p.z[rows, cols]
+        e = 0.0 if finest else p.e[m]
+        if not finest and p.r[m] < 0:
+            return  # nothing there
+        if not finest:
+            low, high = max(low, p.filled[m] - p.r[m]), min(high, p.filled[m] + p.r[m])
+        if not squeezed and math.isfinite(e) and not np.isnan(z).any():
+            low, high = max(low, z.min() - e), min(high, z.max() + e)
+        i, j = p.i[rows, cols], p.j[rows, cols]
+        if squeezed:
+            i, j = np.array([i.min(), i.max(), i.min(), i.max()]), np.array([j.min(), j.min(), j.max(), j.max()])
+        x, y = p.t.grid.xy(j, i)
+        volume = np.stack([np.tile(x, 2), np.tile(y, 2), np.repeat([low, high], len(x))], -1)
+        q = self.camera.to_camera(volume)
+        planes = self.camera.planes()
+        out = hidden or bool(((q @ planes[:, :3].T + planes[:, 3]).max(0) < 0).any())
+        if out:
+            self.out.add(tuple(sorted((a, b, c))))
+        if finest:
+            return
+        if self.metric == "wedgie":
+            depth = q[:, 2].min()
+            size = self.camera.stretch_of(q).max()
+            near = max(depth, self.camera.view.near)
+            moved = max(depth, near - e * abs(self.camera.up[2]))
+            bound = (
+                0.0
+                if e == 0
+                else math.inf
+                if moved <= 0 or math.isinf(e)
+                else self.camera.focal * e * size / near / moved
+            )
+        else:
+            bound = self.spheres[m]
+        if (bound > self.tolerance and not out) or (math.isinf(e) and not self.cull):
+            self.wanted[m] = True
+        self.visit(c, a, m, low, high, out)
+        self.visit(b, c, m, low, high, out)
+
+
+def flight(rng: np.random.Generator, t: MemoryTerrain, frames: int, **options):
+    """A smooth flight over the terrain: the eye drifts, the view turns and dips a little in each frame."""
+    view = plain.random_view(rng, t, **options)
+    eye, ahead = np.array(view.eye), np.array(view.target) - view.eye
+    cell = math.sqrt(abs(t.grid.transform.determinant))
+    speed = rng.normal(size=3) * cell * 0.5
+    for _ in range(frames):
+        yield replace(view, eye=tuple(eye), target=tuple(eye + ahead))
+        eye = eye + speed
+        angle = rng.normal() * 0.03
+        turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        ahead = np.array([*(turn @ ahead[:2]), ahead[2] * (1 + rng.normal() * 0.02)])
+
+
+def keys_of(engine: Roam, view: View, **goal) -> set:
+    m, _ = engine.mesh(view, **goal)
+    found = {tuple(sorted(k)) for k in m.keys.tolist()}
+    assert len(found) == m.triangles == len(m.keys)
+    return found
+
+
+@pytest.mark.parametrize("shape", plain.SHAPES)
+@pytest.mark.parametrize("metric", ["wedgie", "anisotropic"])
+def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
+    rng = np.random.default_rng([*shape, len(metric)])
+    for case in range(4):
+        z = plain.rough(rng, shape, gaps=0.15 * (case % 2))
+        if np.isnan(z).all():
+            continue
+        t = plain.terrain(z, angle=float(rng.uniform(0, 360)), stretch=float(rng.choice([1, 2.5])))
+        p = plain.Plain(t)
+        exaggeration, cull = float(rng.choice([1.0, 2.0])), bool(case < 3)
+        tolerance, near = float(10 ** rng.uniform(-0.5, 1)), float(rng.choice([0, 50]))
+        carried = Roam(t, cull=cull, exaggeration=exaggeration, metric=metric)
+        for view in flight(rng, t, 4, near=near):
+            found = carried.refine(view, tolerance=tolerance)
+            camera = plain.Camera(view, exaggeration)
+            want = Recursion(p, camera, tolerance, cull, metric)
+            rows, cols = p.corners(want.front)
+            i, j = p.i[rows, cols], p.j[rows, cols]
+            drawn = (j[:, 1] - j[:, 0]) * (i[:, 2] - i[:, 0]) != (j[:, 2] - j[:, 0]) * (i[:, 1] - i[:, 0])
+            drawn &= ~np.isnan(p.z[rows, cols]).any(1)
+            r, c = diamonds.of_triangle(*want.front.arrays)
+            drawn &= (r < 0) | (p.r[r, c] >= 0)
+            if cull:
+                drawn &= [tuple(sorted(zip(a, b))) not in want.out for a, b in zip(rows.tolist(), cols.tolist())]
+            assert plain.triangles_of(found) == p.triangle_set(want.front, drawn)
+            assert verify.judge(found, t, view, exaggeration=exaggeration).ok(tolerance)
+
+
+def real(shared_data, name: str) -> MemoryTerrain:
+    path, window = {
+        "bigtujunga": ("bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif", ((100, 400), (100, 520))),
+        "rainier": ("osgearth-srtm90m-volcano-voids/mt_rainier_90m.tif", ((0, 400), (0, 377))),
+    }[name]
+    with rasterio.open(shared_data / path) as file:
+        z = file.read(1, window=window).astype(np.float32)
+        z[z == np.float32(file.nodata if file.nodata is not None else np.nan)] = np.nan
+    return plain.terrain(z, cell=30.0 if name == "bigtujunga" else 90.0)
+
+
+@pytest.mark.parametrize("name", ["bigtujunga", "rainier"])
+@pytest.mark.parametrize("error, metric", [("exact", "wedgie"), ("wedgie", "wedgie"), ("exact", "isotropic")])
+def test_flights_over_real_ground_keep_the_promise_and_depend_on_the_view_alone(shared_data, name, error, metric):
+    t = real(shared_data, name)
+    rng = np.random.default_rng(len(name) + len(error) * 10 + len(metric))
+    carried, eager = (Roam(t, error=error, metric=metric, deferral=d) for d in (True, False))
+    saved = 0
+    for _ in range(4):
+        tolerance = float(rng.choice([0.7, 1.5, 4.0]))
+        for view in flight(rng, t, 10):
+            found = keys_of(carried, view, tolerance=tolerance)
+            assert found == keys_of(eager, view, tolerance=tolerance)
+            stats, all_of_it = carried.mesh(view, tolerance=tolerance)[0].stats, eager._state.counts[mesh.COMPUTED]
+            assert stats["splits"] == stats["merges"] == stats["changed"] == stats["recomputed"] == 0  # a still camera
+            saved += int(all_of_it)
+        assert found == keys_of(Roam(t, error=error, metric=metric), view, tolerance=tolerance)
+        report = verify.judge(carried.refine(view, tolerance=tolerance), t, view)
+        assert report.ok(tolerance), report
+    assert saved > 0
+
+
+def test_what_cannot_have_crossed_the_threshold_is_not_computed_again():
+    rng = np.random.default_rng(5)
+    t = plain.terrain(plain.rough(rng, (257, 257), amplitude=60))
+    carried, eager = Roam(t), Roam(t, deferral=False)
+    x, y = t.grid.xy(128, 250)
+    counts = []
+    for k in range(40):
+        view = View(
+            (float(x), float(y) + 1.5 * k, 400.0), (float(x), float(y) + 1e4 + 1.5 * k, -1000.0), width=400, height=300
+        )
+        a, b = carried.mesh(view, tolerance=1)[0], eager.mesh(view, tolerance=1)[0]
+        assert a.triangles == b.triangles > 500
+        counts.append((a.stats["recomputed"], b.stats["recomputed"]))
+    few, many = np.sum(counts[1:], axis=0)
+    assert few < many / 10
+
+
+@pytest.mark.parametrize("gaps", [0.0, 0.1])
+def test_budgets_of_triangles_are_kept_and_used(gaps):
+    rng = np.random.default_rng(int(gaps * 10))
+    t = plain.terrain(plain.rough(rng, (200, 257), gaps=gaps))
+    carried = Roam(t)
+    for budget in (2, 50, 1000, 1000, 3000):
+        for view in flight(rng, t, 6):
+            found = carried.refine(view, triangles=budget)
+            assert len(found.triangles) <= budget or carried._state.counts[mesh.QUEUED_MERGES] == 0
+            report = verify.judge(found, t, view)
+            if found.stats["conservative"]:
+                assert report.ok(found.stats["tolerance"])
+            elif gaps == 0:
+                assert not report.defects
+        # The best of its size: scratch needs about as much for the tolerance that was reached.
+        if gaps == 0 and found.stats["tolerance"]:
+            fresh = Roam(t).mesh(view, tolerance=found.stats["tolerance"])[0]
+            assert fresh.triangles <= budget
+            finer = Roam(t).mesh(view, tolerance=found.stats["tolerance"] / 1.2)[0]
+            assert finer.triangles >= min(budget, len(found.triangles)) * 0.98
+
+
+def test_a_budget_of_time_ends_in_a_sound_mesh_and_goes_on_in_the_next_frame(monkeypatch):
+    monkeypatch.setattr(engine, "STEPS", 20)
+    rng = np.random.default_rng(3)
+    t = plain.terrain(plain.rough(rng, (257, 257)))
+    carried = Roam(t)
+    view = plain.random_view(rng, t)
+    carried.refine(view, tolerance=50)
+    carried.restart()
+    sizes = []
+    for _ in range(200):
+        found = carried.refine(view, seconds=1e-5)
+        if len(sizes) % 20 == 0:
+            assert not verify.judge(found, t, view).defects
+        sizes.append(len(found.triangles))
+        if found.stats["conservative"]:
+            break
+    assert len(sizes) > 3 and sizes[-1] > sizes[1]
+    assert found.stats["conservative"] and found.stats["tolerance"] == engine.FINEST
+    assert keys_of(carried, view, seconds=10.0) == keys_of(Roam(t), view, tolerance=engine.FINEST)
+
+
+def test_pages_that_leave_take_nothing_of_the_mesh_with_them():
+    rng = np.random.default_rng(11)
+    t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=3000), cell=30)
+    small, large = Roam(t, max_memory=5 << 20), Roam(t)
+    for k in range(8):
+        x, y = t.grid.xy(100 + 100 * k, 512)
+        eye = (float(x), float(y), t.height_range[1] + 200)
+        view = View(eye, (eye[0] + 3000, eye[1] + 1000 * k - 3500, eye[2] - 2500), width=300, height=200)
+        assert keys_of(small, view, tolerance=2) == keys_of(large, view, tolerance=2)
+    assert small.field.tiles_read > large.field.tiles_read > 8 > len(small.field.pages.used)
+    assert not verify.judge(small.refine(view, tolerance=2), t, view).defects
+
+
+def test_colors_split_what_heights_do_not():
+    z = np.zeros((65, 65), np.float32)
+    t = plain.terrain(z)
+
+    def color(level, row0, row1, col0, col1):
+        """Colours are wrong by 10 ΔE wherever a diamond reaches into the western half, down to the finest."""
+        rows, cols = np.meshgrid(np.arange(row0, row1), np.arange(col0, col1), indexing="ij")
+        reach = (rows | cols) & -(rows | cols)
+        return np.where((cols - reach << level) < 32, 10.0, 0.0).astype(np.float32)
+
+    x, y = t.grid.xy(32, 32)
+    view = View((float(x), float(y), 3000.0), (float(x), float(y), 0.0), up=(0.0, 1.0, 0.0), fov_y=45)
+    flat = Roam(t).refine(view)
+    left = Roam(t, color=color, color_tolerance=5.0).refine(view)
+    assert len(flat.triangles) == 2
+    assert len(Roam(t, color=color, color_tolerance=11.0).refine(view).triangles) == 2
+    p, q, r = (left.vertices[left.triangles[:, k], :2] for k in range(3))
+    sizes = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
+    middle = ((p + q + r) / 3)[:, 0]
+    assert (sizes[middle < 31] == 1).all() and (sizes[middle > 40] > 1).all()
+
+
+def test_another_grid_of_the_same_ground_moves_nothing():
+    """South-up rasters: the same triangles, turned as the map wants them."""
+    rng = np.random.default_rng(2)
+    z = plain.rough(rng, (33, 33))
+    t = plain.terrain(z)
+    flipped = t.grid.transform @ type(t.grid.transform)(1, 0, 0, 0, -1, 33)
+    u = MemoryTerrain(np.ascontiguousarray(z[::-1]), Grid(z.shape, flipped), "south-up")
+    view = plain.random_view(rng, t)
+    for found, terrain in ((Roam(t).refine(view), t), (Roam(u).refine(view), u)):
+        assert verify.judge(found, terrain, view).ok(1.0)
