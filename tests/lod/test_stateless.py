@@ -52,8 +52,9 @@ def test_mesh_is_the_closure_of_the_criterion(shape, gaps):
             engine = Stateless(t, cull=cull, queue=queue, exaggeration=exaggeration)
             found = engine.refine(view, tolerance=tolerance)
             assert plain.triangles_of(found) == p.triangle_set(front, drawn)
-            soar = Soar(t, cull=cull, exaggeration=exaggeration, jobs=1).refine(view, tolerance=tolerance)
-            assert plain.triangles_of(found) == plain.triangles_of(soar)
+            if t.n > 0:
+                soar = Soar(t, cull=cull, exaggeration=exaggeration, jobs=1).refine(view, tolerance=tolerance)
+                assert plain.triangles_of(found) == plain.triangles_of(soar)
 
 
 @pytest.mark.parametrize("shape", [(17, 17), (14, 19)])

@@ -39,6 +39,7 @@ from orograph.error.screen import STRETCH, TEXEL, outside
 from orograph.hierarchy.kernels import bits
 from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.lod.field import Field, find
+from orograph.lod.pages import BEYOND
 from orograph.view import View
 
 DONE, MISSED, GROW = 0, 1, 2
@@ -144,6 +145,9 @@ def update(
                     shown[v] = 1
                 else:
                     slot, i, j = find(pages, (er + xr) >> 1, (ec + xc) >> 1, n - 1 - (level >> 1))
+                    if slot == BEYOND:
+                        numbers[v, 3], numbers[v, 4], shown[v] = 0.0, -1.0, 0
+                        continue
                     if slot < 0:
                         link(links, heads, v, 65)
                         continue

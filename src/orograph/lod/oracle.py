@@ -203,6 +203,8 @@ def put_out(pages, lens, z, marks, prisms, leaf_level, stack, keys, zs):
         error = 0.0
         if level < leaf_level:
             slot, i, j = find(pages, m >> 32, m & 0xFFFFFFFF, n - 1 - (level >> 1))
+            if slot < 0:
+                continue
             error = np.float64(pages.data[slot, i, j, 1])
             r = np.float64(pages.data[slot, i, j, 2])
             if r < 0.0:

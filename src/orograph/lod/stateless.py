@@ -30,6 +30,7 @@ from orograph.error.screen import color_exceeds, outside, sphere_bound, sphere_e
 from orograph.errors import UsageError
 from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.lod.field import find
+from orograph.lod.pages import BEYOND
 from orograph.lod.queues import LARGEST_N, code_of, heap_pop, heap_push
 from orograph.view import View
 
@@ -110,7 +111,8 @@ def refine_queue(
             if level < leaf_level:
                 slot, u, v = find(pages, mr, mc, n - 1 - (level >> 1))
                 if slot < 0:
-                    missed = True
+                    missed = missed or slot != BEYOND
+                    fresh_n[i, 0], fresh_n[i, 1], fresh_n[i, 2], fresh_p[i] = 0, 0, inside, priority
                     continue
                 z = pages.data[slot, u, v, 0]
                 e = np.float64(pages.data[slot, u, v, 1])

@@ -29,6 +29,7 @@ from orograph.errors import UsageError
 from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.localise import STACK, localised_bound, prism_outside
+from orograph.lod.pages import BEYOND
 from orograph.lod.queues import LARGEST_N, code_of, heap_pop, heap_push
 from orograph.view import View
 
@@ -132,7 +133,8 @@ def refine_triangles(
             else:
                 slot, u, v = find(pages, mr, mc, n - 1 - (level >> 1))
                 if slot < 0:
-                    missed = True
+                    missed = missed or slot != BEYOND
+                    fresh_p[i], fresh_drawn[i] = error, 0
                     continue
                 z = pages.data[slot, u, v, 0]
                 e = np.float64(pages.data[slot, u, v, 1])
