@@ -120,9 +120,9 @@ class _Lines:
         return self.steps - 1 - step if self.backward else step
 
     def touched(self, step0: int, step1: int) -> tuple[int, int]:
-        """The lines [first, last) that samples of these steps belong to."""
+        """The lines [first, last) that pass between or beside samples at these steps, and the line behind the last."""
         ends = int(self.shift[step0]), int(self.shift[step1 - 1])
-        return -max(ends), self.lanes - min(ends)
+        return -1 - max(ends), self.lanes - min(ends) + 1
 
 
 class _Pool:
