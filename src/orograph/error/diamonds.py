@@ -227,8 +227,9 @@ class Survey:
         row1, col1 = min(row + size + REACH + 1, rows), min(col + size + REACH + 1, cols)
         fine = np.ascontiguousarray(read(row0, row1, col0, col1), np.float32)
         end = row1 == rows, col1 == cols
+        gaps = bool(np.isnan(fine).any())
         # At a squeezed border diamonds may lie beyond the surface; elsewhere only missing samples make holes.
-        gaps = (self.surface.squeezed and any(end)) or bool(np.isnan(fine).any())
+        states = np.zeros((2, 0, 0), np.uint8) if gaps or (self.surface.squeezed and any(end)) else None
         none = np.zeros((0, 0), np.float32)
         climb = _Climb(
             self.surface,
@@ -238,9 +239,10 @@ class Survey:
             col0,
             dict.fromkeys(self.kinds, none),
             np.zeros((2, 0, 0), np.float32) if "wedgie" in self.kinds else None,
-            np.zeros((2, 0, 0), np.uint8) if gaps else None,
+            states,
             none if self.with_radii else None,
             none,
+            gaps=gaps,
         )
         parts = []
         z, area = fine, (slice(0), slice(0))
@@ -306,7 +308,7 @@ class Survey:
         """The diamonds of the octaves that no block finishes."""
         filled = self.surface.filled(self.nested, 0, 0, SMALL - 1)
         at = self.surface, self.kinds, self.rounding, 0, 0
-        climb = _Climb(*at, self.errors, self.sums, self.states, self.radii, filled)
+        climb = _Climb(*at, self.errors, self.sums, self.states, self.radii, filled, gaps=True)
         for k in range(SMALL, self.surface.n):
             z = self.heights[k - SMALL]
             climb.step(k, z, z, self.raw[k - SMALL] if self.raw else None)
@@ -321,6 +323,7 @@ class _Climb:
         row0, col0: the window's first sample.
         errors, sums, states, radii, filled: of the octave below the first (none: it begins with octave 0). ``sums`` are
             kept only for wedgies, ``states`` only where there may be holes, ``radii`` only where they are wanted.
+        gaps: whether samples may be missing; if not, only what the border squeezes may be empty.
     """
 
     def __init__(
@@ -335,10 +338,12 @@ class _Climb:
         states: NDArray[np.uint8] | None,
         radii: Floats | None,
         filled: Floats,
+        *,
+        gaps: bool,
     ) -> None:
         self.surface, self.kinds, self.rounding, self.row0, self.col0 = surface, kinds, rounding, row0, col0
         self.errors, self.sums, self.states, self.radii, self.filled = errors, sums, states, radii, filled
-        self.found: NDArray[np.uint8] | None = None
+        self.gaps, self.found = gaps, np.zeros((0, 0), np.uint8)
 
     def step(self, k: int, fine: Floats, z: Floats, exact: Floats | None = None) -> None:
         """Find octave k's values.
@@ -348,13 +353,16 @@ class _Climb:
             z: its heights at spacing 2^k.
             exact: the octave's deviations, if they are known already.
         """
-        at = self.row0, self.col0, k, *self.surface.shape
+        rows, cols = self.surface.shape
+        at = self.row0, self.col0, k, rows, cols
         half = z.shape[0] // 2, z.shape[1] // 2
         if self.states is not None:
-            below, self.states = self.states, np.zeros((2, *half), np.uint8)
+            below, self.states = self.states, np.full((2, *half), holes.WHOLE, np.uint8)
             self.found = np.full(z.shape, holes.WHOLE, np.uint8)
             beyond = (at[i] + ((z.shape[i] - 1) << k) >= self.surface.shape[i] for i in (0, 1))
-            holes.states(fine, below, k, self.states, self.found, *beyond)
+            # Without gaps all is whole that ends within the raster.
+            known = (0, 0) if self.gaps else ((rows - 1 - self.row0) >> k, (cols - 1 - self.col0) >> k)
+            holes.states(fine, below, k, self.states, self.found, *known, *beyond)
         finer, self.errors = self.errors, {}
         for kind in self.kinds:
             e = exact if kind == "exact" and exact is not None else np.zeros(z.shape, np.float32)
@@ -367,12 +375,12 @@ class _Climb:
                 self.sums = sums
             elif exact is None:
                 octaves.deviations(fine, z, *at, e)
-            if self.found is not None:
+            if self.states is not None:
                 holes.mark(self.found, e)
             octaves.close(finer[kind], k, e)
             self.errors[kind] = e
         if self.radii is not None:
-            filled = self.surface.filled(z, self.row0, self.col0, k) if self.found is not None else z
+            filled = self.surface.filled(z, self.row0, self.col0, k) if self.states is not None else z
             radii = np.empty(z.shape, np.float32)
             edge_spheres(filled, self.filled, self.radii, *at, self.surface.metric, radii)
             if self.rounding is not None:
@@ -387,9 +395,10 @@ class _Climb:
         radii = self.radii
         if radii is not None:
             radii = radii[area]
-            if self.found is not None:
+            if self.states is not None:
                 empty = (self.found[area] != holes.WHOLE) & (self.found[area] != holes.MIXED)
-                radii = np.where(empty, np.minimum(-radii, NOTHING), radii)
+                if empty.any():
+                    radii = np.where(empty, np.minimum(-radii, NOTHING), radii)
         return Part(k, i, j, {kind: e[area] for kind, e in self.errors.items()}, radii)
 
 

@@ -38,23 +38,24 @@ def _two_units(z, i, j, di, dj, pi, pj):
 
 
 @kernel
-def states(z, below, k, squares, found, squeezed_row=False, squeezed_col=False):
+def states(z, below, k, squares, found, i_end, j_end, squeezed_row, squeezed_col):
     """What octave k's diamonds cover.
 
     Args:
         z: the full-resolution window (used for k = 0).
         below: uint8 (2, height, width), ``squares`` of the octave below (nothing for k = 0).
         squares: uint8 (2, height // 2, width // 2), the result for the first and second triangles of square diamonds;
-            entry [:, i >> 1, j >> 1] belongs to the diamond (i, j).
-        found: uint8 (height, width), the result for all diamonds; entries that are none are 0.
+            entry [:, i >> 1, j >> 1] belongs to the diamond (i, j). WHOLE before.
+        found: uint8 (height, width), the result for all diamonds. WHOLE before, and left so where there are none.
+        i_end, j_end: diamonds i < i_end, j < j_end are known to be WHOLE (0 if nothing is known).
         squeezed_row, squeezed_col: whether the last row, column of entries lies beyond the raster's last samples.
     """
     height, width = found.shape
-    edges = np.zeros((2, height, width), np.uint8)
+    edges = np.full((2, height, width), np.uint8(WHOLE))
     for i in range(height):
         across = 1 - (i & 1)
         down = i & 1
-        for j in range(across, width, 2):
+        for j in range(across if i >= i_end else j_end + (j_end + across & 1), width, 2):
             if k:
                 nw, ne = entry(below, 1, i - 1, j - 1), entry(below, 1, i - 1, j)
                 sw, se = entry(below, 0, i, j - 1), entry(below, 0, i, j)
@@ -67,7 +68,7 @@ def states(z, below, k, squares, found, squeezed_row=False, squeezed_col=False):
             edges[1, i, j] = two
             found[i, j] = one | two
     for i in range(1, height, 2):
-        for j in range(1, width, 2):
+        for j in range(1 if i >= i_end else j_end | 1, width, 2):
             south = entry(edges, 0, i + 1, j)
             east = entry(edges, 0, i, j + 1)
             falling = (i >> 1) + (j >> 1) & 1 == 0
