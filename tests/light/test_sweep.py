@@ -82,7 +82,9 @@ def brute_row(z: np.ndarray, reach: int, bend: float = 0.0, lowest: float = -np.
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**31), st.integers(1, 80), st.integers(1, 90), st.floats(0, 0.6), st.sampled_from([0, 1e-3, 0.3]))
+@given(
+    st.integers(0, 2**31), st.integers(1, 80), st.integers(1, 90), st.floats(0, 0.6), st.sampled_from([0, 1e-3, 0.3])
+)
 def test_radius_and_curvature_against_every_pair(seed, length, reach, missing, bend):
     rng = np.random.default_rng(seed)
     z = (rng.normal(size=length).cumsum() * rng.choice([0.1, 1, 10])).astype(np.float32)

@@ -55,5 +55,3 @@ def horizon(
     for block in blocks:
         out[block.row0 : block.row1, block.col0 : block.col1] = block.slopes[0]
     return out
-
-

@@ -10,13 +10,29 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orograph._numba import kernel
+from orograph._numba import inlined, kernel
 from orograph.parallel import map_ordered
 
 Heights = NDArray[np.float32]
 
 _ROWS = 256
 """Rows differentiated at a time by a thread."""
+
+
+@inlined
+def central(before: float, here: float, after: float, back: float, ahead: float) -> float:
+    """The difference quotient at a value between neighbours at distances ``back`` and ``ahead``.
+
+    One-sided where a neighbour is missing (NaN), 0 where both are.
+    """
+    low, high, gap = here, here, 0.0
+    if before == before:
+        low = before
+        gap += back
+    if after == after:
+        high = after
+        gap += ahead
+    return (high - low) / gap if gap > 0.0 else 0.0
 
 
 @kernel
@@ -36,12 +52,9 @@ def _differences(
             b = heights[i, j + 1] if j + 1 < cols else nan
             c = heights[i - 1, j] if i > 0 else nan
             d = heights[i + 1, j] if i + 1 < rows else nan
-            across = np.float64(b if b == b else here) - np.float64(a if a == a else here)
-            down = np.float64(d if d == d else here) - np.float64(c if c == c else here)
-            if a == a and b == b:
-                across *= 0.5
-            if c == c and d == d:
-                down *= 0.5
+            z = np.float64(here)
+            across = central(np.float64(a), z, np.float64(b), 1.0, 1.0)
+            down = central(np.float64(c), z, np.float64(d), 1.0, 1.0)
             east[i, j] = across * inverse[0, 0] + down * inverse[1, 0]
             north[i, j] = across * inverse[0, 1] + down * inverse[1, 1]
 

@@ -38,6 +38,7 @@ _HOMES = {
     "hillshade": "orograph.light.surface",
     "horizon": "orograph.light.sky",
     "sky-view-factor": "orograph.light.sky",
+    "sky-view-horizontal": "orograph.light.sky",
     "visible-sky": "orograph.light.sky",
     "openness": "orograph.light.openness",
     "openness-negative": "orograph.light.openness",
@@ -83,7 +84,7 @@ class Options:
 
     def directions(self) -> NDArray[np.float64]:
         """The azimuths (n,), degrees."""
-        return np.arange(self.azimuths) * (360.0 / self.azimuths)
+        return np.arange(self.azimuths, dtype=np.float64) * (360.0 / self.azimuths)
 
 
 class Context:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
+from orograph.light.normal import central
 from orograph.parallel import map_ordered
 from orograph.raycast.select import Rectangle
 from orograph.store.terrain import Terrain
@@ -31,6 +32,7 @@ def _gradient(pool, base, rows, cols, u, v, short_u, short_v):
     i0 = min(max(np.int64(np.floor(v)), 0), max(rows - 2, 0))
     fu, fv = min(max(u - j0, 0.0), 1.0), min(max(v - i0, 0.0), 1.0)
     gu = gv = weight = 0.0
+    nan = np.nan
     for i in range(i0, min(i0 + 2, rows)):
         wv = fv if i > i0 else 1.0 - fv
         for j in range(j0, min(j0 + 2, cols)):
@@ -40,22 +42,17 @@ def _gradient(pool, base, rows, cols, u, v, short_u, short_v):
                 continue
             last_u = short_u if j == cols - 1 else 0.0
             last_v = short_v if i == rows - 1 else 0.0
-            a, b, du = here, here, 0.0
-            if j > 0 and pool[base + i * cols + j - 1] == pool[base + i * cols + j - 1]:
-                a = np.float64(pool[base + i * cols + j - 1])
-                du += 1.0 - last_u
-            if j + 1 < cols and pool[base + i * cols + j + 1] == pool[base + i * cols + j + 1]:
-                b = np.float64(pool[base + i * cols + j + 1])
-                du += 1.0 - (short_u if j + 1 == cols - 1 else 0.0)
-            c, d, dv = here, here, 0.0
-            if i > 0 and pool[base + (i - 1) * cols + j] == pool[base + (i - 1) * cols + j]:
-                c = np.float64(pool[base + (i - 1) * cols + j])
-                dv += 1.0 - last_v
-            if i + 1 < rows and pool[base + (i + 1) * cols + j] == pool[base + (i + 1) * cols + j]:
-                d = np.float64(pool[base + (i + 1) * cols + j])
-                dv += 1.0 - (short_v if i + 1 == rows - 1 else 0.0)
-            gu += w * (b - a) / (du if du > 0.0 else 1.0)
-            gv += w * (d - c) / (dv if dv > 0.0 else 1.0)
+            west, east, north, south = nan, nan, nan, nan
+            if j > 0:
+                west = np.float64(pool[base + i * cols + j - 1])
+            if j + 1 < cols:
+                east = np.float64(pool[base + i * cols + j + 1])
+            if i > 0:
+                north = np.float64(pool[base + (i - 1) * cols + j])
+            if i + 1 < rows:
+                south = np.float64(pool[base + (i + 1) * cols + j])
+            gu += w * central(west, here, east, 1.0 - last_u, 1.0 - (short_u if j + 1 == cols - 1 else 0.0))
+            gv += w * central(north, here, south, 1.0 - last_v, 1.0 - (short_v if i + 1 == rows - 1 else 0.0))
             weight += w
     if weight > 0.0:
         return gu / weight, gv / weight

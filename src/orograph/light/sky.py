@@ -15,6 +15,7 @@ With h(φ) the elevation of the horizon in azimuth φ (at least 0), over N azimu
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
@@ -32,10 +33,10 @@ Measure = Literal["sky-view", "sky-view-slope", "visible-sky"]
 
 
 @inlined
-def _zenith(t: np.float32) -> np.float32:
-    """Angle from the zenith, radians, of the elevation whose tangent is t ≥ 0: arctan(1 / t).
+def arctangent(t: np.float32) -> np.float32:
+    """arctan t, radians, for t ≥ 0: a polynomial, which a compiler can turn into vectors.
 
-    Polynomial of Abramowitz & Stegun 4.4.49 (error below 2e-8), which a compiler can turn into vectors.
+    Abramowitz & Stegun 4.4.49, error below 2e-8 before rounding.
     """
     one = np.float32(1.0)
     q = min(t, one / t)
@@ -49,7 +50,7 @@ def _zenith(t: np.float32) -> np.float32:
     p = p * s + np.float32(0.1999355085)
     p = p * s - np.float32(0.3333314528)
     a = q + q * s * p
-    return a if t > one else np.float32(0.5 * np.pi) - a
+    return np.float32(0.5 * np.pi) - a if t > one else a
 
 
 @kernel
@@ -77,7 +78,7 @@ def _add_inclined(
 
     ``gx``, ``gy``: (last − first, cols) rise per metre east and north.
     """
-    one = np.float32(1.0)
+    one, right = np.float32(1.0), np.float32(0.5 * np.pi)
     cols = slopes.shape[2]
     for i in range(first, last):
         for k in range(slopes.shape[0]):
@@ -86,11 +87,14 @@ def _add_inclined(
                 rise = gx[i - first, j] * east + gy[i - first, j] * north
                 t = max(slopes[k, i, j], rise)  # a slope hides the sky behind itself
                 square = one / (one + t * t)
-                total[row0 + i, col0 + j] += square - rise * (_zenith(t) - t * square)
+                total[row0 + i, col0 + j] += square - rise * (right - arctangent(t) - t * square)
 
 
-def add_sky(context: Context, total: Values, measure: Measure) -> None:
-    """Sum a measure's integrand over the azimuths of the options into ``total`` (rows, cols) float32."""
+def add_sky(context: Context, total: Values, measure: Measure, release: Callable[[], None] = lambda: None) -> None:
+    """Sum a measure's integrand over the azimuths of the options into ``total`` (rows, cols) float32.
+
+    ``release`` is called after each block (of a canvas on disk).
+    """
     azimuths = context.options.directions()
     toward = np.array([direction(a) for a in azimuths], np.float32)
 
@@ -103,7 +107,7 @@ def add_sky(context: Context, total: Values, measure: Measure) -> None:
         else:
             _add_sine(block.slopes, first, last, measure == "sky-view", *at, total)
 
-    fold(context.horizons(), add, context.jobs)
+    fold(context.horizons(), add, context.jobs, release)
 
 
 def finish(context: Context, total: Values, measure: Measure, window: tuple[int, int, int, int]) -> Values:
@@ -153,13 +157,14 @@ def sky_view(
     context = context_of(heights, linear, Options(azimuths=azimuths, radius=radius), jobs=jobs, progress=progress)
     total = np.zeros(context.shape, np.float32)
     add_sky(context, total, measure)
-    return finish(context, total, measure, (0, context.shape[0], 0, context.shape[1]))[0]
+    whole: Values = finish(context, total, measure, (0, context.shape[0], 0, context.shape[1]))[0]
+    return whole
 
 
 def _sky(measure: Measure) -> Product:
     def run(context: Context) -> Blocks:
         canvas = context.canvas(1)
-        add_sky(context, canvas.values[0], measure)
+        add_sky(context, canvas.values[0], measure, canvas.release)
 
         def make(*window: int) -> Values:
             return finish(context, canvas.values[0], measure, window)  # type: ignore[arg-type]
@@ -184,9 +189,7 @@ def _horizon(context: Context) -> Blocks:
             angle = np.degrees(np.arctan(block.slopes[k, first:last]))
             canvas.values[index, rows, block.col0 : block.col1] = angle
 
-    for block in context.horizons():
-        fold(iter([block]), keep, context.jobs)
-        canvas.release()
+    fold(context.horizons(), keep, context.jobs, canvas.release)
     yield from context.blocks(
         lambda row0, row1, col0, col1: canvas.values[:, row0:row1, col0:col1], "Writing the horizon"
     )

@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -344,29 +345,33 @@ class _Pass:
             first = a.position(s1 - 1 if a.backward else s0)
             begin = max((first - reach) // reach * reach, 0)  # a whole block in front of what is in reach
             h0, h1 = (s0, self.steps - begin) if a.backward else (begin, s1)
-            heights = self._flat(read(0, rows, h0, h1) if self.by_columns else read(h0, h1, 0, cols))
+            flat = self._flat(read(0, rows, h0, h1) if self.by_columns else read(h0, h1, 0, cols))
             width = h1 - h0
             lane, step = (width, 1) if self.by_columns else (1, self.lanes)
-            out_lane = s1 - s0 if self.by_columns else 1
-            # The halo's lines are needed where they pass the band's samples.
-            out = slopes[k].reshape(-1)
-
-            def run(item: tuple[_Lines, int], h0=h0, h1=h1, flat=heights, lane=lane, step=step, reach=reach,
-                    out_lane=out_lane, out=out) -> None:  # type: ignore[no-untyped-def]  # fmt: skip
-                a, s = item
-                sweep_windows(
-                    flat, lane, step, self.lanes, a.shift[h0:h1], a.part[h0:h1], a.backward, a.position(h0), a.scale,
-                    self.lowest, self.curvature, s * self.share, self.share, reach, s0 - h0, s1 - s0, out_lane, out,
-                )  # fmt: skip
-
-            for _ in map_ordered(run, self._shares(s0, s1, [a]), self.jobs):
+            sweep = partial(
+                sweep_windows, flat, lane, step, self.lanes, a.shift[h0:h1], a.part[h0:h1], a.backward, a.position(h0),
+                a.scale, self.lowest, self.curvature, lines=self.share, reach=reach, skip=s0 - h0, own=s1 - s0,
+                out_lane=s1 - s0 if self.by_columns else 1, out=slopes[k].reshape(-1),
+            )  # fmt: skip
+            first_lines = [share * self.share for _, share in self._shares(s0, s1, [a])]
+            for _ in map_ordered(partial(_at_line, sweep), first_lines, self.jobs):
                 pass
 
 
-def fold(blocks: Iterator[Block], add: Callable[[Block, int, int], None], jobs: int | None = None) -> None:
+def _at_line(sweep: Callable[..., None], line0: int) -> None:
+    sweep(line0=line0)
+
+
+def fold(
+    blocks: Iterator[Block],
+    add: Callable[[Block, int, int], None],
+    jobs: int | None = None,
+    after: Callable[[], None] = lambda: None,
+) -> None:
     """Use blocks as they come: ``add(block, first, last)`` for strips of a block's rows, in threads.
 
-    Strips are rows [first, last) of the block's window; those of one block come before those of the next.
+    Strips are rows [first, last) of the block's window; those of one block come before those of the next, and
+    ``after()`` between them.
     """
     for block in blocks:
         rows, cols = block.row1 - block.row0, block.col1 - block.col0
@@ -377,3 +382,4 @@ def fold(blocks: Iterator[Block], add: Callable[[Block, int, int], None], jobs: 
 
         for _ in map_ordered(strip, range(0, rows, height), jobs):
             pass
+        after()

@@ -156,9 +156,9 @@ def _limited(
         for at in range(begin, stop):
             if at > begin:  # the farthest point falls out of reach
                 j = at - begin - 1
-                k = np.int64(undo[j, 0])
+                k = int(undo[j, 0])
                 if k >= 0:
-                    ends = np.int64(undo[j, 3])
+                    ends = int(undo[j, 3])
                     end[k, 0], end[k, 1] = undo[j, 1], undo[j, 2]
             i = (at - origin) * step
             z = profile[i]

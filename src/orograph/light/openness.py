@@ -1,0 +1,64 @@
+"""Openness: how wide the view is from a sample upwards, or into the ground downwards.
+
+Yokoyama, Shirasawa & Pike 2002, "Visualizing Topography by Openness: A New Application of Image Processing to Digital
+Elevation Models", PE&RS 68(3). *Positive* openness is the mean over azimuths of the largest zenith angle under which
+the sky is seen, 90° − β, β the highest elevation angle along the azimuth, within the radius or without limit; unlike
+for the sky, β may be negative: 90° on any plane, more on ridges, less in valleys. *Negative* openness is the mean nadir
+angle, 90° + δ, δ the lowest elevation angle: the positive openness of the terrain turned upside down. It is not the
+complement of the positive one.
+
+Where the terrain ends at a sample (a border, or nothing but missing samples) an azimuth is left out of the mean.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel
+from orograph.light.products import Blocks, Context, Product
+from orograph.light.sky import arctangent
+from orograph.light.sweep import Block, fold
+
+Values = NDArray[np.float32]
+
+
+@kernel
+def _add_angles(slopes: Values, first: int, last: int, row0: int, col0: int, total: Values, count: Values) -> None:
+    """Add zenith angles, radians, of the azimuths that have a horizon, and count them."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    right = np.float32(0.5 * np.pi)
+    for i in range(first, last):
+        for k in range(slopes.shape[0]):
+            for j in range(slopes.shape[2]):
+                t = slopes[k, i, j]
+                a = arctangent(abs(t))
+                angle = right - (a if t >= zero else -a)
+                known = t > np.float32(-np.inf)
+                total[row0 + i, col0 + j] += angle if known or t != t else zero
+                count[row0 + i, col0 + j] += one if known else zero
+
+
+def _openness(below: bool) -> Product:
+    def run(context: Context) -> Blocks:
+        canvas = context.canvas(2)
+
+        def add(block: Block, first: int, last: int) -> None:
+            _add_angles(block.slopes, first, last, block.row0, block.col0, canvas.values[0], canvas.values[1])
+
+        fold(context.horizons(lowest=-np.inf, below=below), add, context.jobs, canvas.release)
+
+        def make(row0: int, row1: int, col0: int, col1: int) -> Values:
+            total, count = canvas.values[:, row0:row1, col0:col1]
+            out = np.full(total.shape, np.nan, np.float32)
+            np.divide(total, count, out=out, where=count > 0)
+            return np.degrees(out)[None]
+
+        yield from context.blocks(make, "Writing openness")
+
+    name = "openness-negative" if below else "openness"
+    side = "nadir angle of the ground's underside" if below else "zenith angle of the horizon"
+    return Product(name, lambda _: [name], "degrees", f"mean {side} (Yokoyama et al. 2002)", run, (0.0, 180.0))
+
+
+PRODUCTS = (_openness(False), _openness(True))
