@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
 from orograph.errors import UsageError
@@ -208,8 +208,8 @@ def _earthly(grid: Grid) -> CRS:
     return crs
 
 
-def grid_azimuth(grid: Grid, azimuth: float) -> float:
-    """The azimuth from grid north, in [0, 360), of a direction given from true north at the grid's middle.
+def grid_azimuths(grid: Grid, azimuths: ArrayLike) -> Array:
+    """Azimuths from grid north, in [0, 360), of directions (n,) given from true north at the grid's middle.
 
     A short step is walked on the ellipsoid and projected, so this holds in projections that distort angles as well.
 
@@ -218,16 +218,20 @@ def grid_azimuth(grid: Grid, azimuth: float) -> float:
     """
     from orograph.geo.transform import transformer
 
-    crs = _earthly(grid)
+    crs, true = _earthly(grid), np.asarray(azimuths, np.float64)
+    if crs.is_geographic:  # degrees of longitude are shorter; the grid's north is true north
+        return np.asarray(true % 360.0)
     geodetic = crs.geodetic_crs
     assert geodetic is not None
-    longitude, latitude = place(grid)
     geod = geodetic.get_geod()
     assert geod is not None
-    ahead = geod.fwd(longitude, latitude, azimuth, _STEP)
-    behind = geod.fwd(longitude, latitude, azimuth + 180.0, _STEP)
-    x, y = transformer(geodetic, crs)([behind[0], ahead[0]], [behind[1], ahead[1]])
-    east, north = x[1] - x[0], y[1] - y[0]
-    if crs.is_geographic:  # degrees of longitude are shorter; the grid's north is true north
-        return azimuth % 360.0
-    return math.degrees(math.atan2(east, north)) % 360.0
+    longitude, latitude = (np.full(true.shape, v) for v in place(grid))
+    step = np.full(true.shape, _STEP)
+    ends = (geod.fwd(longitude, latitude, true + turn, step)[:2] for turn in (180.0, 0.0))
+    (x0, y0), (x1, y1) = (transformer(geodetic, crs)(lon, lat) for lon, lat in ends)
+    return np.asarray(np.degrees(np.arctan2(x1 - x0, y1 - y0)) % 360.0)
+
+
+def grid_azimuth(grid: Grid, azimuth: float) -> float:
+    """``grid_azimuths`` for one."""
+    return float(grid_azimuths(grid, [azimuth])[0])

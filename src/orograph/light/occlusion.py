@@ -1,0 +1,290 @@
+"""Ambient occlusion in object space: the share A of ambient light that reaches each sample of the terrain.
+
+    A = 1/π ∬ ρ(L(p, ω)) ⟨ω, n⟩ dω   over the hemisphere around the normal n
+
+with L the free path from p in direction ω, clamped to the radius R, and ρ what an occluder at that distance lets
+through (``rho``; Zhukov, Iones & Kronin 1998). Two ways of getting L:
+
+- ``rays``: Monte Carlo with directions of density ⟨ω, n⟩/π, so that A is the mean of ρ over N rays (the caster's);
+- ``horizon``: in M azimuths the integral over elevations is done in closed form. For a step only the highest elevation
+  within R matters, and the weight's integral is elementary. For any other ρ the horizon alone cannot say how far away
+  the lower elevations end; but the ground that raises the horizon, on the way out to it, is just what those rays meet,
+  so a walk that keeps every rise of the horizon knows L for all of them. Without a radius (step only) horizons are
+  swept, which costs the same however far they reach.
+
+Light comes from the whole hemisphere around the normal, also from below the horizon where the ground falls away, and
+what lies beyond the terrain's border is free: an inclined plane has A = 1, where its sky-view factor is (1 + cos) / 2.
+Missing samples occlude nothing. Lengths in metres, A between 0 and 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orograph.errors import UsageError
+from orograph.light.gather import collected, context_of, gathered
+from orograph.light.products import Blocks, Context, Options, Product, Values
+from orograph.light.rho import Rho, Transmission, transmission
+from orograph.light.sweep import direction
+
+Heights = NDArray[np.float32]
+Array = NDArray[np.float64]
+Method = Literal["horizon", "rays"]
+
+LIFT = 1e-4
+"""Rays begin this far above the ground, in cells: the ε of p + εω, but upward, so that they begin on the lit side."""
+
+_TIE = 1e-9
+_BLOCK = 256
+
+
+def edges(linear: Array, azimuth: float, radius: float) -> tuple[NDArray[np.int64], ...]:
+    """The edges of the triangulation that a walk crosses, from a sample outward up to ``radius`` metres and one beyond.
+
+    Cells are cut along the diagonals that join samples of even (row + column), so all edges lie on the lines
+    x = k, y = k, x − y = c and x + y = c, with c of the parity of the sample the walk begins at.
+
+    Args:
+        linear: (2, 2) metres east and north per column and per row. azimuth: degrees from grid north.
+
+    Returns:
+        starts (3,): where the edges of even and of odd samples begin, and the end; rows1, cols1, rows2, cols2 (n,)
+        int64: an edge's samples, as offsets; part (n,) float64: where between them; metres (n,) float64: how far away.
+    """
+    du, dv = (float(x) for x in np.linalg.solve(linear, direction(azimuth)))
+    radius += float(np.linalg.norm(linear @ [1, 1]) + np.linalg.norm(linear @ [1, -1])) / 2  # to the edge beyond
+    tables = []
+    for parity in (0, 1):
+        found = []
+        # (speed across the lines, distance of lines, first line): the lines a·x + b·y = c.
+        for a, b, period, offset in ((1, 0, 1, 0), (0, 1, 1, 0), (1, -1, 2, parity), (1, 1, 2, parity)):
+            speed = a * du + b * dv
+            if abs(speed) * radius < _TIE:
+                continue
+            count = int(abs(speed) * radius)
+            c = np.arange(-count, count + 1)
+            c = c[(c % period == offset) & (c * speed > 0)]
+            s = c / speed
+            x, y = s * du, s * dv
+            if a == 0:
+                x0 = np.floor(x + _TIE)
+                f, y0, step = x - x0, np.rint(y), (1, 0)
+            elif b == 0:
+                y0 = np.floor(y + _TIE)
+                f, x0, step = y - y0, np.rint(x), (0, 1)
+            else:
+                x0 = np.floor(x + _TIE)
+                f, y0, step = x - x0, b * (c - x0), (1, -b)
+            f = np.where(f < _TIE, 0.0, f)
+            far = f > 0
+            found.append(np.stack([s, y0, x0, y0 + step[1] * far, x0 + step[0] * far, f]))
+        table = np.concatenate(found, axis=1)
+        table = table[:, np.argsort(table[0], kind="stable")]
+        # Several lines meet in a sample: once is enough.
+        table = table[:, np.concatenate([[True], np.diff(table[0]) > _TIE * radius])] if table.size else table
+        tables.append(table)
+    starts = np.cumsum([0, tables[0].shape[1], tables[1].shape[1]])
+    s, y1, x1, y2, x2, f = np.concatenate(tables, axis=1)
+    rows1, cols1, rows2, cols2 = (np.ascontiguousarray(v, np.int64) for v in (y1, x1, y2, x2))
+    return starts, rows1, cols1, rows2, cols2, np.ascontiguousarray(f), np.ascontiguousarray(s)
+
+
+class Neighbourhood:
+    """A block of samples with everything within reach of it, from an even row and column of the terrain.
+
+    Args:
+        context: the terrain's. rows, cols: (first, last) of the block. reach: metres; inf: the whole terrain.
+
+    Attributes:
+        heights, gx, gy: (rows, cols) of the neighbourhood. row0, col0: where it begins in the terrain.
+        inner: the block's rows and columns in it, (first, last, left, right).
+    """
+
+    def __init__(self, context: Context, row0: int, row1: int, col0: int, col1: int, reach: float) -> None:
+        inverse = np.linalg.inv(context.linear)
+        rows, cols = context.shape
+        if math.isfinite(reach):
+            over, down = (math.ceil(reach * float(np.linalg.norm(v))) + 2 for v in inverse)
+        else:
+            over, down = cols, rows
+        r0, c0 = max(row0 - down, 0) & ~1, max(col0 - over, 0) & ~1
+        r1, c1 = min(max(row1 + down, r0 + 2), rows), min(max(col1 + over, c0 + 2), cols)
+        self.row0, self.col0 = r0, c0
+        self.heights = np.ascontiguousarray(context.heights(r0, r1, c0, c1), np.float32)
+        self.inner = row0 - r0, row1 - r0, col0 - c0, col1 - c0
+        a, b, c, d = self.inner
+        self.gx = np.full(self.heights.shape, np.nan, np.float32)
+        self.gy = np.full(self.heights.shape, np.nan, np.float32)
+        self.gx[a:b, c:d], self.gy[a:b, c:d] = context.gradient(row0, row1, col0, col1)
+        self.inverse = inverse
+
+    def block(self, array: Values) -> Values:
+        """The block's part of an array of the neighbourhood."""
+        a, b, c, d = self.inner
+        return array[..., a:b, c:d]
+
+    def scene(self) -> tuple[Any, ...]:
+        """The first arguments of the ray kernels: what the caster knows of these heights."""
+        from orograph.raycast.stack import Stack, Window
+
+        heights = self.heights
+        short = [max(2 - n, 0) for n in heights.shape]
+        if any(short):  # a caster needs a cell; beside a single row or column there is nothing
+            heights = np.pad(heights, [(0, n) for n in short], constant_values=np.nan)
+        window = Window(0, self.col0, self.row0, heights)
+        shape = (self.row0 + heights.shape[0], self.col0 + heights.shape[1])
+        s = Stack.build([window], shape, 1)
+        return s.scene, s.ints, s.floats, s.low, s.high
+
+
+def lift(context: Context) -> float:
+    """How far above the ground rays begin, metres."""
+    return LIFT * float(np.sqrt(abs(np.linalg.det(context.linear))))
+
+
+def by_blocks(
+    context: Context, reach: float, work: Callable[[Neighbourhood], Values], what: str, per_sample: int = 12
+) -> Blocks:
+    """Fixed windows of the terrain, made by ``work(neighbourhood) → (bands, rows, cols)`` in threads.
+
+    Raises:
+        UsageError: what lies within reach of a block does not fit in the memory allowed.
+    """
+    inverse = np.linalg.inv(context.linear)
+    rows, cols = context.shape
+    sizes = [
+        min(n, _BLOCK + 2 * math.ceil(reach * float(np.linalg.norm(v)))) if math.isfinite(reach) else n
+        for n, v in zip((cols, rows), inverse)
+    ]
+    need = per_sample * sizes[0] * sizes[1] * context.jobs
+    if need > context.budget:
+        raise UsageError(
+            f"Rays from a block of samples reach {sizes[1]} × {sizes[0]} samples, which takes {need >> 20} MiB in "
+            f"{context.jobs} threads, more than the {context.budget >> 20} MiB there are.",
+            remedy="Give a radius or a smaller one, allow more memory, or use fewer threads.",
+        )
+
+    def make(row0: int, row1: int, col0: int, col1: int) -> Values:
+        made: Values = work(Neighbourhood(context, row0, row1, col0, col1, reach))
+        return made
+
+    return context.blocks(make, what, _BLOCK)
+
+
+def _rays(context: Context, ways: Transmission, rays: int, seed: int) -> Blocks:
+    from orograph.light.occlusion_kernels import ray_occlusion
+
+    def work(near: Neighbourhood) -> Values:
+        heights, gx, gy = (np.ascontiguousarray(near.block(a)) for a in (near.heights, near.gx, near.gy))
+        out = np.empty((1, *heights.shape), np.float32)
+        ray_occlusion(
+            *near.scene(), heights, gx, gy, near.inverse, lift(context), ways.table, ways.free, ways.radius, ways.step,
+            rays, seed, near.row0 + near.inner[0], near.col0 + near.inner[2], 0, len(heights), out[0],
+        )  # fmt: skip
+        return out
+
+    return by_blocks(context, ways.radius, work, "Casting ambient rays")
+
+
+def _walks(context: Context, ways: Transmission, azimuths: int) -> Blocks:
+    from orograph.light.occlusion_kernels import walk_occlusion
+
+    fan = _fan(azimuths)
+    tables = [edges(context.linear, a, ways.radius) for a in fan]
+
+    def work(near: Neighbourhood) -> Values:
+        out = np.zeros(near.heights.shape, np.float32)
+        known = near.heights[np.isfinite(near.heights)]
+        highest = float(known.max()) if known.size else 0.0
+        for azimuth, table in zip(fan, tables):
+            walk_occlusion(
+                near.heights, near.gx, near.gy, highest, *table, *direction(azimuth), ways.table, ways.free,
+                ways.radius, ways.step, *near.inner, out,
+            )  # fmt: skip
+        out /= np.float32(azimuths)
+        out[np.isnan(near.heights)] = np.nan
+        return np.clip(near.block(out), 0.0, 1.0)[None]
+
+    return by_blocks(context, ways.radius, work, "Walking to occluders", 20)
+
+
+def _sweeps(context: Context) -> Blocks:
+    from orograph.light.occlusion_kernels import add_sky
+
+    fan = _fan(context.options.azimuths)
+
+    def add(out: Values, slopes: Values, gx: Values, gy: Values, row0: int, col0: int, index: int) -> None:
+        add_sky(slopes, gx, gy, *direction(fan[index]), row0, col0, out[0])
+
+    for row, col, values in gathered(context, 1, fan, add, lowest=-math.inf):
+        yield row, col, np.clip(values / np.float32(len(fan)), 0.0, 1.0)
+
+
+def _fan(azimuths: int) -> Array:
+    """Azimuths between those of the samples' rows and columns, along which profiles are degenerate."""
+    return np.asarray((np.arange(azimuths) + 0.5) * (360.0 / azimuths))
+
+
+def run(context: Context) -> Blocks:
+    """The product: ``method`` ("horizon" or "rays"), ``rho`` and ``seed`` among the other options."""
+    options = context.options
+    method: Method = options.more.get("method", "horizon")
+    ways = transmission(options.more.get("rho", "step"), options.radius)
+    if method == "rays":
+        if options.rays < 1:
+            raise UsageError(f"At least one ray is needed, not {options.rays}.")
+        return _rays(context, ways, options.rays, int(options.more.get("seed", 0)))
+    if method != "horizon":
+        raise UsageError(f"There is no method {method!r}; there are horizon and rays.")
+    if math.isfinite(ways.radius):
+        return _walks(context, ways, options.azimuths)
+    return _sweeps(context)
+
+
+def ambient_occlusion(
+    heights: ArrayLike,
+    linear: ArrayLike,
+    *,
+    radius: float | None = None,
+    rho: Rho = "step",
+    method: Method = "horizon",
+    azimuths: int = 32,
+    rays: int = 256,
+    seed: int = 0,
+    jobs: int | None = None,
+) -> Heights:
+    """Ambient occlusion of every sample (see the module).
+
+    Args:
+        heights: (rows, cols), metres, NaN where missing.
+        linear: (2, 2) linear part of the geotransform: metres east and north per column and per row.
+        radius: R, metres; None: unlimited (a step only).
+        rho: "step", "linear" or a function of L in metres.
+        method: "horizon" (``azimuths`` of them) or "rays" (``rays`` per sample, chosen by ``seed``).
+        jobs: threads; None: all processors. The result does not depend on it.
+
+    Returns:
+        (rows, cols) float32 in [0, 1]: 1 where nothing occludes; NaN where heights are.
+
+    Raises:
+        UsageError: wrong shapes, an unknown ρ or method, too few rays or azimuths.
+    """
+    more = {"rho": rho, "method": method, "seed": seed}
+    context = context_of(heights, linear, Options(azimuths, radius=radius, rays=rays, more=more), jobs=jobs)
+    return np.asarray(collected(context, run(context), 1)[0])
+
+
+PRODUCTS = [
+    Product(
+        "ambient-occlusion",
+        lambda options: ["ambient-occlusion"],
+        "1",
+        "The share of ambient light that reaches the ground: all around its normal, as far as the radius.",
+        run,
+    )
+]
