@@ -166,7 +166,8 @@ def _above(mass: Array) -> Array:
 def _open(c: float, nz: float, t: float) -> float:
     """∫ ⟨ω, n⟩ cos θ dθ from the elevation of tangent t to the zenith; the normal's parts c (level), nz (up)."""
     square = 1.0 / (1.0 + t * t)
-    return 0.5 * (nz * square + c * (0.5 * np.pi - np.arctan(t) - t * square))
+    part: float = 0.5 * (nz * square + c * (0.5 * np.pi - np.arctan(t) - t * square))
+    return part
 
 
 @kernel

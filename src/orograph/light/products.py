@@ -42,6 +42,9 @@ _HOMES = {
     "visible-sky": "orograph.light.sky",
     "openness": "orograph.light.openness",
     "openness-negative": "orograph.light.openness",
+    "shadow": "orograph.light.shadow",
+    "insolation": "orograph.light.insolation",
+    "ambient-occlusion": "orograph.light.occlusion",
 }
 """The module that has a product, by the product's name."""
 
