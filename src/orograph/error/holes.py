@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import kernel, leaf
+from orograph._numba import inlined, kernel, leaf
 from orograph.error.octaves import children_of_square, entry
 
 NONE, WHOLE, HOLE, MIXED = 0, 1, 2, 3
@@ -37,6 +37,12 @@ def _two_units(z, i, j, di, dj, pi, pj):
     return _unit(z, i, j, i - di, j - dj, pi, pj) | _unit(z, i, j, i + di, j + dj, pi, pj)
 
 
+@inlined
+def _sum(total):
+    """The state of a unit triangle by the sum of its heights."""
+    return WHOLE if total == total else HOLE
+
+
 @kernel
 def states(z, below, k, squares, found, i_end, j_end, squeezed_row, squeezed_col):
     """What octave k's diamonds cover.
@@ -55,12 +61,22 @@ def states(z, below, k, squares, found, i_end, j_end, squeezed_row, squeezed_col
     for i in range(height):
         across = 1 - (i & 1)
         down = i & 1
+        inside_row = 0 < i < height - 1
         for j in range(across if i >= i_end else j_end + (j_end + across & 1), width, 2):
-            if k:
+            inside = inside_row and 0 < j < width - 1
+            if k and inside:
+                nw, ne, sw, se = below[1, i - 1, j - 1], below[1, i - 1, j], below[0, i, j - 1], below[0, i, j]
+            elif k:
                 nw, ne = entry(below, 1, i - 1, j - 1), entry(below, 1, i - 1, j)
                 sw, se = entry(below, 0, i, j - 1), entry(below, 0, i, j)
+            if k:
                 one = nw | (ne if across else sw)
                 two = se | (sw if across else ne)
+            elif inside:
+                a, b = z[i, j] + z[i - down, j - across], z[i, j] + z[i + down, j + across]
+                p, q = z[i - across, j - down], z[i + across, j + down]
+                one = np.uint8(_sum(a + p) | _sum(b + p))
+                two = np.uint8(_sum(a + q) | _sum(b + q))
             else:
                 one = np.uint8(_two_units(z, i, j, down, across, i - across, j - down))
                 two = np.uint8(_two_units(z, i, j, down, across, i + across, j + down))
@@ -69,8 +85,9 @@ def states(z, below, k, squares, found, i_end, j_end, squeezed_row, squeezed_col
             found[i, j] = one | two
     for i in range(1, height, 2):
         for j in range(1 if i >= i_end else j_end | 1, width, 2):
-            south = entry(edges, 0, i + 1, j)
-            east = entry(edges, 0, i, j + 1)
+            inside = i + 1 < height and j + 1 < width
+            south = edges[0, i + 1, j] if inside else entry(edges, 0, i + 1, j)
+            east = edges[0, i, j + 1] if inside else entry(edges, 0, i, j + 1)
             falling = (i >> 1) + (j >> 1) & 1 == 0
             a, b, c, d = children_of_square(edges[1, i - 1, j], south, edges[1, i, j - 1], east, falling)
             squares[0, i >> 1, j >> 1] = a | b
