@@ -44,14 +44,16 @@ class Scripted:
 
 
 def test_views(ground):
-    engine = Scripted(ground, slow=[1000, 1000, 1000, 77, 2.0, 77, 4.0, 77, 9.0])
+    rounds = [[5.0, 2.0, 3.0], [4.0, 6.0, 7.0], [9.0, 9.5, 20.0]]
+    engine = Scripted(ground, slow=[1000, 1000, 1000, *(t for r in rounds for ms in r for t in (0.1, ms))])
     m = measure_views(engine, ground, [VIEW, VIEW, VIEW], {"tolerance": 1.0})
-    # Three for the referee, and three for the clock, taken away before each.
-    assert engine.seen == [VIEW] * 3 + [elsewhere(VIEW), VIEW] * 3
-    assert (m.ms, m.ms_worst, m.frames, m.judged, m.tiles_read) == (4.0, 9.0, 3, 3, 9)
+    # Three for the referee, and three times three for the clock, the eye taken away before each.
+    assert engine.seen == [VIEW] * 3 + [elsewhere(VIEW), VIEW] * 9
+    assert (m.ms, m.ms_worst, m.frames, m.judged) == (4.0, 9.0, 3, 3)
     assert m.triangles == len(engine.refine(VIEW).triangles) > 500
     assert m.mtri_per_s == pytest.approx(3 * m.triangles / 15e-3 / 1e6)
     assert m.largest == pytest.approx(0, abs=1e-9) and m.changes is None and m.kept is True and not m.defects
+    assert m.tiles_read == 21
 
 
 def test_promises(ground):
