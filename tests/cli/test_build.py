@@ -129,3 +129,14 @@ def test_a_real_mosaic_within_its_memory(shared_data, tmp_path):
     low, high = told["height_range"]
     assert -90 < low < -80 and 4380 < high < 4421  # Badwater; Mount Whitney, as three seconds of arc see it
     assert store.open(tmp_path / "ca.oro").check() == []
+
+
+def test_kinds_of_errors(tmp_path):
+    dem = write(tmp_path / "dem.tif", HEIGHTS)
+    told = [
+        CliRunner().invoke(command, [str(dem), "-o", str(tmp_path / name), "--json", *flags], obj={"quiet": True})
+        for name, flags in {"a": [], "b": ["--errors", "wedgie,exact"], "c": ["--errors", "none"]}.items()
+    ]
+    assert [json.loads(ran.stdout)["errors"] for ran in told] == [["exact"], ["exact", "wedgie"], []]
+    ran = CliRunner().invoke(command, [str(dem), "-o", str(tmp_path / "d"), "--errors", "best"], obj={"quiet": True})
+    assert ran.exit_code == 2 and "'best' is none of exact, wedgie, midpoint, none" in ran.output

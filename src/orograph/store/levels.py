@@ -164,7 +164,8 @@ def _off_cell(heights: Heights, r0: int, c0: int, r1: int, c1: int, step: int, e
             row = heights[r0 + v, c0 : c1 + 1]
             m = _off(row, 0, min(step - v + 1, width), a + v * (c - a) * scale, (b - a) * scale, m)
             m = _off(row, step - v, width, c + (step - v) * (b - d) * scale, (d - c) * scale, m)
-    return distance(m)
+    off: float = distance(m)
+    return off
 
 
 @kernel
