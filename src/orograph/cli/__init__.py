@@ -18,6 +18,7 @@ VERBS = {
     "build": "Build a terrain store from DEM files.",
     "info": "Tell what a DEM or a store is, and what is suspicious about it.",
     "render": "Draw a relief picture of a DEM or a store.",
+    "light": "Make maps of light: slope, hillshade, horizons, sky, openness…",
     "tessellate": "Triangulate a DEM or a store for a view.",
     "compare": "Measure the engines side by side.",
     "synth": "Make a fractal terrain of any size.",

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
+from orograph.store.memory import MemoryTerrain
 from orograph.store.terrain import Heights, Terrain
 
 if TYPE_CHECKING:
@@ -117,12 +118,13 @@ class Context:
         self.shape = terrain.grid.shape
         t = terrain.grid.transform
         self.linear = np.array([[t.a, t.b], [t.d, t.e]])
-        self._canvases = 0
+        # A terrain in memory is there already; a store takes its cache only (part of BASE).
+        self._held = 4 * self.shape[0] * self.shape[1] if isinstance(terrain, MemoryTerrain) else 0
 
     @property
     def budget(self) -> int:
-        """Bytes that blocks may take: what is allowed less the process itself and the canvases in memory."""
-        return max(self.max_memory - BASE - self._canvases, 32 << 20)
+        """Bytes that blocks may take: what is allowed less the process itself, its terrain and canvases in memory."""
+        return max(self.max_memory - BASE - self._held, 32 << 20)
 
     def heights(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
         """Heights of a window, metres, NaN where missing; read-only."""
@@ -145,7 +147,7 @@ class Context:
         size = 4 * bands * self.shape[0] * self.shape[1]
         on_disk = 2 * size > self.budget
         if not on_disk:
-            self._canvases += size
+            self._held += size
         return Canvas(bands, self.shape, on_disk)
 
     def horizons(

@@ -1,4 +1,4 @@
-"""Rasters of light while they are made: canvases of one or several bands, in memory or in a scratch file.
+"""Rasters of light: canvases while they are made, in memory or in a scratch file, and GeoTIFFs when they are done.
 
 A canvas as large as the terrain is kept in memory while it fits in what is allowed; beyond that it is a file in the
 temporary folder, mapped into memory, whose pages are let go of after each block. The file has no name once it is open:
@@ -8,17 +8,30 @@ nothing is left of it however the process ends.
 from __future__ import annotations
 
 import contextlib
+import math
 import mmap
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OutputError
+from orograph.geo.grid import Grid
+from orograph.output import Beside, check_folder
+from orograph.parallel import cpu_count
+from orograph.progress import SILENT, Progress
 
 Values = NDArray[np.float32]
+
+_GDAL_CACHE = 64
+"""MiB of GDAL's block cache while a file is written."""
+_LEVEL = 4
+"""Of DEFLATE: twice as fast as its default, 1 % larger."""
 
 
 class Canvas:
@@ -88,3 +101,105 @@ def rectangles(shape: tuple[int, int], height: int, width: int | None = None) ->
     for row in range(0, rows, height):
         for col in range(0, cols, width):
             yield row, min(row + height, rows), col, min(col + width, cols)
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """What is said of a band in a file.
+
+    Attributes:
+        name: its description.
+        unit: of its values.
+        doc: a sentence, in its tags.
+        byte: the values that 8-bit files show as 1 and as 255.
+    """
+
+    name: str
+    unit: str
+    doc: str
+    byte: tuple[float, float] = (0.0, 1.0)
+
+
+def to_bytes(values: Values, low: float, high: float) -> NDArray[np.uint8]:
+    """Values between ``low`` and ``high`` as 1 to 255, those beyond as the nearest, missing ones as 0."""
+    scaled = np.clip((values - np.float32(low)) * np.float32(254.0 / (high - low)), 0.0, 254.0) + np.float32(1.5)
+    return np.where(np.isnan(values), np.float32(0.0), scaled).astype(np.uint8)
+
+
+def write(
+    path: str | os.PathLike[str],
+    grid: Grid,
+    bands: Sequence[Band],
+    blocks: Iterable[tuple[int, int, int, Values]],
+    *,
+    byte: bool = False,
+    overviews: str = "average",
+    tags: Mapping[str, str] | None = None,
+    jobs: int | None = None,
+    progress: Progress = SILENT,
+) -> None:
+    """Write a Cloud Optimized GeoTIFF, block by block, whole or not at all.
+
+    Blocks go to a plain tiled file beside the place first, which is copied into the order of a COG, with overviews.
+
+    Args:
+        bands: of the file.
+        blocks: (first band, row0, col0, values (bands, rows, cols)) that cover everything once, in any order.
+        byte: 8-bit values (``Band.byte``) instead of float32; the file says how to turn them back.
+        overviews: how they are resampled: "average" or "nearest".
+        tags: of the file.
+        jobs: threads of the compression.
+
+    Raises:
+        OutputError: it cannot be written. What was there before is there still.
+    """
+    import rasterio
+    from rasterio.errors import RasterioError
+    from rasterio.shutil import copy
+
+    out = Path(path)
+    check_folder(out)
+    rows, cols = grid.shape
+    profile = {
+        "driver": "GTiff", "height": rows, "width": cols, "count": len(bands), "dtype": "uint8" if byte else "float32",
+        "nodata": 0 if byte else math.nan, "crs": None if grid.crs is None else grid.crs.to_wkt(),
+        "transform": grid.transform, "tiled": True, "blockxsize": 256, "blockysize": 256, "bigtiff": "IF_SAFER",
+        "interleave": "band",
+    }  # fmt: skip
+    with Beside(out) as part:
+        plain = part.with_name(part.name + ".tif")
+        try:
+            # GDAL would cache a twentieth of the machine's memory.
+            with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE), warnings.catch_warnings():
+                warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+                with rasterio.open(plain, "w", **profile) as file:
+                    for k, band in enumerate(bands, 1):
+                        file.set_band_description(k, band.name)
+                        file.update_tags(k, description=band.doc)
+                    file.units = tuple(band.unit for band in bands)
+                    if byte:
+                        steps = [(b.byte[1] - b.byte[0]) / 254.0 for b in bands]
+                        file.scales = tuple(steps)
+                        file.offsets = tuple(b.byte[0] - s for b, s in zip(bands, steps))
+                    file.update_tags(**(tags or {}))
+                    for first, row, col, values in blocks:
+                        window = rasterio.windows.Window(col, row, values.shape[2], values.shape[1])
+                        for k, layer in enumerate(values):
+                            data = to_bytes(layer, *bands[first + k].byte) if byte else layer
+                            file.write(data, first + k + 1, window=window)
+                with progress.task("Writing the file"):
+                    copy(
+                        plain, part, driver="COG", COMPRESS="DEFLATE", LEVEL=_LEVEL, BLOCKSIZE=512,
+                        PREDICTOR="STANDARD" if byte else "FLOATING_POINT", BIGTIFF="IF_SAFER",
+                        OVERVIEW_RESAMPLING=overviews.upper(), NUM_THREADS=jobs or cpu_count(),
+                    )  # fmt: skip
+        except (RasterioError, rasterio._err.CPLE_BaseError) as error:
+            raise OutputError(
+                f"The file cannot be written: {error}.", path=out,
+                remedy="See that the disk has room and the folder is yours to write in.",
+            ) from error  # fmt: skip
+        finally:
+            plain.unlink(missing_ok=True)
+            # What the copy leaves when it is interrupted.
+            for left in out.parent.glob(f"{part.name}*.tmp"):
+                left.unlink(missing_ok=True)

@@ -1,0 +1,203 @@
+"""``orograph light``: maps of light on a terrain, as GeoTIFFs."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orograph.cli.camera import Numbers
+from orograph.cli.files import check_ending, check_outputs
+from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.errors import UsageError
+
+if TYPE_CHECKING:
+    from orograph.light.products import Context, Product, Values
+
+OWN = (
+    "products", "azimuths", "radius", "sun", "lights", "curvature", "refraction", "exaggeration", "rays", "rho",
+    "method", "date", "step", "turbidity", "byte",
+)  # fmt: skip
+"""What is said about the light; all other options are about reading."""
+
+MORE = ("rho", "method", "date", "step", "turbidity")
+
+
+class Names(click.ParamType["tuple[str, ...]"]):
+    """Names of products, with commas between."""
+
+    name = "NAME"
+
+    def convert(
+        self, value: str | tuple[str, ...], param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, ...]:
+        if not isinstance(value, str):
+            return value
+        from orograph.light.products import names
+
+        wanted = tuple(word.strip() for word in value.split(","))
+        for word in wanted:
+            if word not in names():
+                self.fail(f"there is no product {word!r}; there are {', '.join(names())}.", param, ctx)
+        return wanted
+
+
+@click.command("light", short_help="Make maps of light: slope, hillshade, horizons, sky, openness…")
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.option(
+    "--product",
+    "products",
+    type=Names(),
+    required=True,
+    multiple=True,
+    metavar="NAME",
+    help="What to make (see below); several, with commas or given again, become bands of one file.",
+)
+@click.option("--output", "-o", required=True, type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
+@click.option(
+    "--azimuths",
+    type=click.IntRange(3, 720),
+    default=32,
+    show_default=True,
+    help="Directions in which horizons are looked for, evenly spread from north.",
+)
+@click.option("--radius", type=float, metavar="METRES", help="How far away ground can hide the sky.  [default: any]")
+@click.option(
+    "--sun",
+    metavar="AZ,ALT|TIME",
+    default="315,45",
+    show_default=True,
+    help="Where the sun stands: degrees clockwise from north and above the horizon, or when: 2026-06-21T12:00+02:00.",
+)
+@click.option(
+    "--light",
+    "lights",
+    type=Numbers("AZ", "ALT", "WEIGHT", optional=1),
+    multiple=True,
+    help="A light of a hillshade with several; give it again for each.",
+)
+@click.option("--exaggeration", type=float, default=1.0, show_default=True, help="Stretch heights, for hillshade only.")
+@click.option("--curvature", is_flag=True, help="Let the Earth (or another body) be round, and its air refract.")
+@click.option(
+    "--refraction",
+    type=float,
+    default=0.13,
+    show_default=True,
+    help="With --curvature: how much rays bend, relative to the ground.",
+)
+@click.option(
+    "--rays", type=click.IntRange(min=1), default=256, show_default=True, help="Rays per sample by Monte Carlo."
+)
+@click.option("--rho", type=click.Choice(["step", "linear"]), help="Of ambient occlusion.  [default: step]")
+@click.option("--method", type=click.Choice(["horizon", "rays"]), help="Of ambient occlusion.  [default: horizon]")
+@click.option("--date", metavar="DATE", help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026).")
+@click.option("--step", type=float, metavar="MINUTES", help="Of insolation: between two suns.  [default: 10]")
+@click.option("--turbidity", type=float, help="Of insolation: Linke's, of the air.  [default: 3]")
+@click.option("--byte", is_flag=True, help="8-bit values for looking at, instead of float32 in physical units.")
+@click.option("--crs", help="Projected CRS to work in.  [default: the file's own, or its UTM zone]")
+@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
+@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@source_options
+@vertical_options
+@memory_option
+@jobs_option
+@click.pass_context
+def command(
+    ctx: click.Context, /, paths: tuple[str, ...], output: str, as_json: bool, max_memory: int, jobs: int | None,
+    **options: Any,
+) -> None:  # fmt: skip
+    """Make maps of light on a terrain (DEM files or a store): a GeoTIFF on its metric grid, in physical units.
+
+    \b
+    normal               unit normals: east, north, up
+    slope, aspect        degrees; the azimuth in which the ground falls
+    hillshade            cosine of the angle between light and normal (--sun, --light)
+    horizon              its elevation in degrees, one band per azimuth
+    sky-view-factor      share of the sky's light that falls on the inclined ground (Dozier & Frew 1990)
+    sky-view-horizontal  the same of a horizontal surface
+    visible-sky          share of the hemisphere's solid angle that is sky
+    openness             mean zenith angle of the horizon (Yokoyama et al. 2002)
+    openness-negative    mean nadir angle, under the ground
+
+    A large DEM is built into a store first, which is kept. Memory stays within --max-memory, whatever the size; what
+    does not fit is in a scratch file in the temporary folder. The result does not depend on it, nor on --jobs.
+
+    \b
+    Examples:
+      orograph light dem.tif --product sky-view-factor -o sky.tif
+      orograph light dem.tif --product slope,aspect -o ground.tif
+      orograph light dem.tif --product hillshade --light 315,45,2 --light 225,30 -o shade.tif --byte
+      orograph light area.oro --product openness --azimuths 8 --radius 500 -o openness.tif
+    """
+    began = time.perf_counter()
+    progress = progress_of(ctx)
+    check_outputs({"--output": output}, {"the input": paths, "the grid of --geoid": [options["geoid"]]})
+    check_ending("--output", output)
+    source = {k: v for k, v in options.items() if k not in OWN}
+    if source["band"] == 1:
+        source["band"] = None
+    with progress.task("Loading Orograph"):
+        from orograph.light.products import Context, Options, product
+        from orograph.light.raster import Band, write
+        from orograph.light.sun import parse
+        from orograph.output import check_folder
+        from orograph.picture.prepare import prepare
+
+    # What is wrong with the command line is said before any work is done.
+    check_folder(Path(output))
+    sun = parse(options["sun"])
+    wanted = list(dict.fromkeys(name for names in options["products"] for name in names))
+    products = [product(name) for name in wanted]
+    lights = tuple((*light, 1.0) if len(light) == 2 else light for light in options["lights"])
+    if lights and "hillshade" not in wanted:
+        raise UsageError("--light is for --product hillshade.")
+    common = {k: options[k] for k in ("azimuths", "radius", "curvature", "refraction", "exaggeration", "rays")}
+    more = {k: options[k] for k in MORE if options[k] is not None}
+    Options(**common, lights=lights, more=more)
+    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    place = sun.over(terrain.grid)
+    chosen = Options(**common, sun=(place.azimuth, place.altitude), lights=lights, more=more)
+    context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress)
+    bands = [Band(name, p.unit, p.doc, p.byte) for p in products for name in p.bands(chosen)]
+    write(
+        output, terrain.grid, bands, _blocks(context, products), byte=options["byte"], jobs=jobs, progress=progress,
+        overviews="nearest" if "aspect" in wanted else "average", tags=_tags(context, wanted),
+    )  # fmt: skip
+    seconds = time.perf_counter() - began
+    rows, cols = terrain.grid.shape
+    if as_json:
+        from orograph.cli.build import peak_memory
+
+        crs = terrain.grid.crs
+        told = {
+            "output": output, "products": wanted, "bands": [{"name": b.name, "unit": b.unit} for b in bands],
+            "shape": [rows, cols], "crs": crs.to_string() if crs else None, "sun": list(chosen.sun),
+            "seconds": round(seconds, 3), "peak_memory_bytes": peak_memory(),
+        }  # fmt: skip
+        click.echo(json.dumps(told, allow_nan=False))
+    else:
+        click.echo(f"{output}  {', '.join(wanted)}  {cols} × {rows} samples  {seconds:.1f} s")
+
+
+def _blocks(context: Context, products: list[Product]) -> Iterator[tuple[int, int, int, Values]]:
+    """The blocks of all products, one after the other, with their first band."""
+    first = 0
+    for each in products:
+        for row, col, values in each.run(context):
+            yield first, row, col, values
+        first += len(each.bands(context.options))
+
+
+def _tags(context: Context, wanted: list[str]) -> dict[str, str]:
+    """What a file says about how it was made."""
+    options = context.options
+    tags = {"software": "orograph", "product": ", ".join(wanted), "azimuths": str(options.azimuths)}
+    tags["radius"] = "unlimited" if options.radius is None else f"{options.radius:g} m"
+    tags["sun"] = f"azimuth {options.sun[0]:.6g}, altitude {options.sun[1]:.6g} degrees"
+    tags["curvature"] = f"round, refraction {options.refraction:g}" if options.curvature else "flat"
+    tags["terrain"] = context.terrain.name
+    return tags

@@ -1,0 +1,182 @@
+"""``orograph light``: what is in its files, what is said, what is refused, and that nothing broken is left."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import rasterio
+
+from orograph import store
+from orograph.dem.mosaic import Mosaic
+from orograph.light.products import Context, Options, compute, names, product
+
+
+def heights_of(path):
+    with rasterio.open(path) as file:
+        z = file.read(1)
+        return np.where(z == file.nodata, np.nan, z)
+
+
+def test_a_map_is_a_cog_on_the_terrains_grid_in_physical_units(run, hilly, tmp_path):
+    out = tmp_path / "sky.tif"
+    code, said, err = run("light", hilly, "--product", "sky-view-factor", "-o", out, "--azimuths", 8, "--quiet")
+    assert code == 0 and err == "" and "sky-view-factor" in said and "70 × 90" in said
+    with rasterio.open(out) as file, rasterio.open(hilly) as dem:
+        assert (file.shape, file.transform, file.crs) == (dem.shape, dem.transform, dem.crs)
+        assert file.dtypes == ("float32",) and np.isnan(file.nodata)
+        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert file.units == ("1",) and file.descriptions == ("sky-view-factor",)
+        assert "Dozier" in file.tags(1)["description"] and file.tags()["azimuths"] == "8"
+        got = file.read(1)
+    with store.terrain(Mosaic.open(hilly)) as terrain:
+        expected = compute(Context(terrain, Options(azimuths=8)), "sky-view-factor")[0]
+    np.testing.assert_array_equal(got, expected)
+    assert np.array_equal(np.isnan(got), np.isnan(heights_of(hilly)))
+    assert [p.name for p in tmp_path.iterdir()] == ["sky.tif"]
+
+
+def test_several_products_are_bands_of_one_file(run, hilly, tmp_path):
+    out = tmp_path / "ground.tif"
+    code, said, err = run(
+        "light", hilly, "--product", "slope,normal", "--product", "aspect", "-o", out, "--json", "--quiet"
+    )
+    assert code == 0, err
+    told = json.loads(said)
+    assert [b["name"] for b in told["bands"]] == ["slope", "normal east", "normal north", "normal up", "aspect"]
+    assert told["products"] == ["slope", "normal", "aspect"] and told["shape"] == [90, 70]
+    with rasterio.open(out) as file:
+        slope, east, north, up, aspect = file.read()
+        assert file.units == ("degrees", "1", "1", "1", "degrees")
+    ok = np.isfinite(aspect)
+    np.testing.assert_allclose(np.degrees(np.arccos(up[ok])), slope[ok], atol=0.05)
+    np.testing.assert_allclose(np.degrees(np.arctan2(east, north))[ok] % 360, aspect[ok] % 360, atol=0.05)
+
+
+def test_the_horizon_has_a_band_per_azimuth(run, hilly, tmp_path):
+    out = tmp_path / "horizon.tif"
+    code, _, err = run("light", hilly, "--product", "horizon", "--azimuths", 4, "-o", out, "--quiet")
+    assert code == 0, err
+    with rasterio.open(out) as file:
+        assert file.descriptions == ("horizon 0", "horizon 90", "horizon 180", "horizon 270")
+        north = file.read(1)
+    h = heights_of(hilly)
+    row, col = 60, 20
+    d = 30.0 * np.arange(1, row + 1)
+    truth = np.degrees(np.arctan(np.nanmax((h[row - 1 :: -1, col] - h[row, col]) / d)))
+    assert north[row, col] == pytest.approx(max(truth, 0), abs=1e-3)
+
+
+def test_bytes_only_on_request_and_they_say_what_they_mean(run, hilly, tmp_path):
+    whole, small = tmp_path / "a.tif", tmp_path / "b.tif"
+    for out, more in ((whole, ()), (small, ("--byte",))):
+        code, _, err = run("light", hilly, "--product", "hillshade", "-o", out, "--sun", "200,30", "--quiet", *more)
+        assert code == 0, err
+    with rasterio.open(whole) as a, rasterio.open(small) as b:
+        assert b.dtypes == ("uint8",) and b.nodata == 0
+        true, seen = a.read(1), b.read(1)
+        assert np.array_equal(seen == 0, np.isnan(true))
+        back = seen * b.scales[0] + b.offsets[0]
+        assert np.nanmax(np.abs(np.where(seen > 0, back, np.nan) - true)) <= 0.5 / 254 + 1e-6
+        assert seen[seen > 0].min() == 1 + round(254 * float(np.nanmin(true)))
+
+
+def test_the_sun_may_be_a_time(run, hilly, tmp_path):
+    out = tmp_path / "noon.tif"
+    code, said, err = run(
+        "light", hilly, "--product", "hillshade", "--sun", "2026-06-21T12:00-08:00", "-o", out, "--json", "--quiet"
+    )
+    assert code == 0, err
+    azimuth, altitude = json.loads(said)["sun"]
+    assert 150 < azimuth < 210 and 75 < altitude < 79  # near noon at 36° north, 117° west, in June
+
+
+def test_many_lights(run, hilly, tmp_path):
+    out = tmp_path / "three.tif"
+    lights = ("--light", "315,45,2", "--light", "225,30")
+    code, _, err = run("light", hilly, "--product", "hillshade", *lights, "-o", out, "--quiet")
+    assert code == 0, err
+    each = []
+    for sun in ("315,45", "225,30"):
+        assert (
+            run("light", hilly, "--product", "hillshade", "--sun", sun, "-o", tmp_path / "one.tif", "--quiet")[0] == 0
+        )
+        with rasterio.open(tmp_path / "one.tif") as file:
+            each.append(file.read(1))
+    with rasterio.open(out) as file:
+        np.testing.assert_allclose(file.read(1), (2 * each[0] + each[1]) / 3, atol=1e-6)
+
+
+def test_memory_jobs_and_a_store_change_no_bit(run, hilly, tmp_path):
+    assert run("build", hilly, "-o", tmp_path / "hilly.oro", "--quiet")[0] == 0
+    files = []
+    for k, (path, more) in enumerate(
+        [(hilly, ()), (hilly, ("--jobs", 1)), (tmp_path / "hilly.oro", ("--max-memory", "64MiB", "--jobs", 2))]
+    ):
+        files.append(tmp_path / f"{k}.tif")
+        given = ("--product", "sky-view-factor,openness", "--azimuths", 7, "-o", files[-1], "--quiet")
+        code, _, err = run("light", path, *given, *more)
+        assert code == 0, err
+    first, *others = (rasterio.open(f).read() for f in files)
+    for other in others:
+        np.testing.assert_array_equal(first, other)
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("--product", "sky"), "sky-view-factor"),
+        (("--product", "slope", "-o", "out.png"), ".tif"),
+        (("--product", "slope", "--radius", "-3"), "radius"),
+        (("--product", "slope", "--sun", "noon"), "sun"),
+        (("--product", "slope", "--light", "1,2"), "hillshade"),
+        (("--product", "hillshade", "--light", "1"), "AZ,ALT"),
+        (("--product", "slope", "--azimuths", "2"), "azimuths"),
+    ],
+)
+def test_nonsense_is_refused_before_work(run, hilly, tmp_path, args, says, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    args = args if "-o" in args else (*args, "-o", "out.tif")
+    code, _, err = run("light", hilly, *args)
+    assert code == 2 and says in err and not list(tmp_path.iterdir())
+
+
+def test_the_input_is_not_overwritten(run, hilly):
+    code, _, err = run("light", hilly, "--product", "slope", "-o", hilly)
+    assert code == 2 and "overwrite" in err
+
+
+def test_a_folder_that_is_not_there(run, hilly, tmp_path):
+    code, _, err = run("light", hilly, "--product", "slope", "-o", tmp_path / "no" / "a.tif")
+    assert code == 4 and "folder" in err
+
+
+def test_ctrl_c_leaves_what_was_there(tmp_path):
+    import signal
+
+    dem, out = tmp_path / "big.tif", tmp_path / "out.tif"
+    z = np.random.default_rng(0).normal(size=(1500, 1500)).cumsum(0).astype(np.float32)
+    profile = {"driver": "GTiff", "height": 1500, "width": 1500, "count": 1, "dtype": "float32", "crs": "EPSG:32611"}
+    with rasterio.open(dem, "w", **profile, transform=rasterio.Affine(30, 0, 5e5, 0, -30, 4e6)) as file:
+        file.write(z, 1)
+    out.write_bytes(b"before")
+    command = [sys.executable, "-m", "orograph", "light", str(dem), "--product", "horizon", "--azimuths", "90"]
+    with subprocess.Popen([*command, "-o", str(out)], stderr=subprocess.PIPE) as process:
+        end = time.monotonic() + 60
+        while not list(tmp_path.glob(".out.tif*")) and time.monotonic() < end and process.poll() is None:
+            time.sleep(0.02)
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130 and b"interrupted" in err
+    assert out.read_bytes() == b"before" and sorted(p.name for p in tmp_path.iterdir()) == ["big.tif", "out.tif"]
+
+
+def test_every_product_has_its_names_and_units():
+    for name in names():
+        found = product(name)
+        assert found.name == name and found.unit and found.doc and found.bands(Options())
