@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import inlined, leaf
 from orograph.error.screen import FOCAL, anisotropic_exceeds, color_exceeds, outside, sphere_exceeds, to_camera
-from orograph.lod.engine import Engine, Mesh, by_tolerance, join
+from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.lod.pages import BEYOND, locate, prefetch
 from orograph.parallel import map_ordered
 from orograph.view import View
@@ -278,7 +278,7 @@ def frontier(pages, lens, metric, cull, leaf_level, cut, corners, corner_zs, sta
 
     Args:
         pages, lens, metric, cull, leaf_level, stack, stack_zs: as ``refine_subtrees``.
-        cut: a level, at most 2n − 1; at least 1.
+        cut: a level, at most 2n − 1 (0 of a single cell).
         corners, corner_zs: int64 (2, 3), float32 (2, 3): (e, x, a) of both roots.
         subtrees: int64 (2^(cut + 1), 4), (e, x, a, m) of each; zs: float32, their heights.
         states: int64 (2^(cut + 1), 3), level, state, planes.
@@ -293,8 +293,10 @@ def frontier(pages, lens, metric, cull, leaf_level, cut, corners, corner_zs, sta
         level = mask = np.int64(0)
         while True:
             mk = (ek + xk) >> 1
-            state, mz, mask = weigh(pages, lens, metric, cull, mk, (leaf_level >> 1) - 1 - (level >> 1), mask)
-            nodes += 1
+            state, mz = LEAF, NAN
+            if level < leaf_level:
+                state, mz, mask = weigh(pages, lens, metric, cull, mk, (leaf_level >> 1) - 1 - (level >> 1), mask)
+                nodes += 1
             if state == SPLIT and level < cut:
                 level += 1
                 stack[top, 0], stack[top, 1], stack[top, 3], stack[top, 4] = xk, mk, level, mask
@@ -330,7 +332,7 @@ class Soar(Engine):
     def __init__(self, *args: Any, geomorph: bool = False, **options: Any) -> None:
         super().__init__(*args, **options)
         self.geomorph = geomorph
-        self._cut = min(CUT, 2 * self.field.n - 1)
+        self._cut = max(0, min(CUT, 2 * self.field.n - 1))
         size = 2 << self._cut
         self._frontier = np.empty((size, 4), np.int64), np.empty((size, 4), np.float32), np.empty((size, 3), np.int64)
         side = 1 << self.field.n
@@ -339,6 +341,7 @@ class Soar(Engine):
         self._corners = np.array([[nw, se, ne], [se, nw, sw]], np.int64)
         self._corner_zs = np.array([[z[0, 0], z[1, 1], z[0, 1]], [z[1, 1], z[0, 0], z[1, 0]]], np.float32)
         self._strips: list[tuple[NDArray[np.int64], NDArray[np.float32]]] = []
+        self._whole: tuple[NDArray[np.int64], NDArray[np.float32]] = np.empty(0, np.int64), np.empty(0, np.float32)
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
         if tolerance is None:
@@ -388,9 +391,34 @@ class Soar(Engine):
                 self._strips[group] = np.empty(size, np.int64), np.empty(size, np.float32)
 
         counts = np.array(list(map_ordered(refine, range(len(groups) - 1), jobs)))
-        parts = [(k[:length], z[:length]) for (k, z), length in zip(self._strips, counts[:, 0])]
-        keys, zs = parts[0] if len(parts) == 1 else join(parts)
+        parts = [(k[:length], z[:length]) for (k, z), length in zip(self._strips, counts[:, 0]) if length]
+        keys, zs = parts[0] if len(parts) == 1 else self._joined(parts)
         return keys, zs, int(counts[:, 1].sum()), nodes + int(counts[:, 2].sum())
+
+    def _joined(
+        self, parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """One strip of several, as ``engine.join`` makes it, in a buffer that is used again, by several threads."""
+        begins, length = [], 0
+        for k, _ in parts:
+            length += 2 + length % 2 if length else 0
+            begins.append(length)
+            length += len(k)
+        if len(self._whole[0]) < length:
+            self._whole = np.empty(2 * length, np.int64), np.empty(2 * length, np.float32)
+
+        def copy(part: int) -> None:
+            at = begins[part]
+            for place in (0, 1):
+                whole, ours, before = self._whole[place], parts[part][place], parts[part - 1][place]
+                whole[at : at + len(ours)] = ours
+                if part:
+                    end = begins[part - 1] + len(before)
+                    whole[end], whole[end + 1 : at] = before[-1], ours[0]
+
+        for _ in map_ordered(copy, range(len(parts)), self.jobs):
+            pass
+        return self._whole[0][:length], self._whole[1][:length]
 
     def _stack(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         return np.empty((2 * self.field.n + 1, 5), np.int64), np.empty((2 * self.field.n + 1, 3), np.float32)
