@@ -209,6 +209,18 @@ def _clip(sa, za, sb, zb, radius):
     return max((-b - d) / a, 0.0), min((-b + d) / a, 1.0)
 
 
+@inlined
+def _reach(s0, z0, s1, z1, t):
+    """How far along a ray of slope t a piece of profile is met; an end of it where rounding puts the ray beside."""
+    steep = (z1 - z0) - t * (s1 - s0)
+    f = min(max((t * s0 - z0) / steep, 0.0), 1.0) if steep != 0.0 else 0.5
+    return (s0 + f * (s1 - s0)) * np.sqrt(1.0 + t * t)
+
+
+WIDE = 0.1
+"""Radians of elevation over which one parabola stands for ρ along a piece of profile."""
+
+
 @leaf
 def _lost(table, free, radius, nz, c, slope, s0, z0, s1, z1):
     """∫ (ρ(R) − ρ(L)) ⟨ω, n⟩ cos θ dθ over elevations from ``slope`` up that the piece (s0, z0) → (s1, z1) ends."""
@@ -222,21 +234,27 @@ def _lost(table, free, radius, nz, c, slope, s0, z0, s1, z1):
     if below > 0.0:  # its first part is hidden
         f = below / (below + z1 - slope * s1)
         s0, z0 = s0 + f * (s1 - s0), z0 + f * (z1 - z0)
-    # Simpson's rule over the weight: the middle slope meets the piece at sm.
-    tm = 0.5 * (slope + t1)
-    steep = (z1 - z0) - tm * (s1 - s0)
-    f = min(max((tm * s0 - z0) / steep, 0.0), 1.0) if steep != 0.0 else 0.5
-    sm = s0 + f * (s1 - s0)
-    wm = _weight(nz, c, tm)
-    r0 = _rho(table, s0 * np.sqrt(1.0 + slope * slope), radius)
-    rm = _rho(table, sm * np.sqrt(1.0 + tm * tm), radius)
-    r1 = _rho(table, s1 * np.sqrt(1.0 + t1 * t1), radius)
-    a, b = wm - w0, w1 - wm
-    whole = a + b
-    mean = 0.5 * (r0 + r1)
-    if a > 1e-9 * whole and b > 1e-9 * whole:
-        mean = ((2.0 - b / a) * r0 + whole * whole / (a * b) * rm + (2.0 - a / b) * r1) / 6.0
-    return whole * (free - mean)
+    # Simpson's rule over the weight, in parts of at most WIDE; the ray of slope t meets the piece at distance s.
+    low, high = np.arctan(slope), np.arctan(t1)
+    parts = 1 + np.int64((high - low) / WIDE)
+    lost = 0.0
+    ta, wa, ra = slope, w0, _rho(table, s0 * np.sqrt(1.0 + slope * slope), radius)
+    for k in range(1, parts + 1):
+        last = k == parts
+        tb = t1 if last else np.tan(low + (high - low) * k / parts)
+        wb = w1 if last else _weight(nz, c, tb)
+        tm = 0.5 * (ta + tb) if parts == 1 else np.tan(low + (high - low) * (k - 0.5) / parts)
+        wm = _weight(nz, c, tm)
+        rm = _rho(table, _reach(s0, z0, s1, z1, tm), radius)
+        rb = _rho(table, _reach(s0, z0, s1, z1, tb), radius)
+        a, b = wm - wa, wb - wm
+        whole = a + b
+        mean = 0.5 * (ra + rb)
+        if a > 1e-9 * whole and b > 1e-9 * whole:
+            mean = ((2.0 - b / a) * ra + whole * whole / (a * b) * rm + (2.0 - a / b) * rb) / 6.0
+        lost += whole * (free - mean)
+        ta, wa, ra = tb, wb, rb
+    return lost
 
 
 @kernel
