@@ -122,6 +122,9 @@ def command(
     visible-sky          share of the hemisphere's solid angle that is sky
     openness             mean zenith angle of the horizon (Yokoyama et al. 2002)
     openness-negative    mean nadir angle, under the ground
+    ambient-occlusion    share of ambient light that reaches the ground (--radius, --rho, --method)
+    shadow               the part of the sun's disc that is seen (--sun), and a code
+    insolation           energy of sun and sky, Wh/m² (--date)
 
     A large DEM is built into a store first, which is kept. Memory stays within --max-memory, whatever the size; what
     does not fit is in a scratch file in the temporary folder. The result does not depend on it, nor on --jobs.

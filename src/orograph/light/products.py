@@ -41,8 +41,11 @@ _HOMES = {
     "sky-view-factor": "orograph.light.sky",
     "sky-view-horizontal": "orograph.light.sky",
     "visible-sky": "orograph.light.sky",
-    "openness": "orograph.light.openness",
-    "openness-negative": "orograph.light.openness",
+    "openness": "orograph.light.openness_angles",
+    "openness-negative": "orograph.light.openness_angles",
+    "ambient-occlusion": "orograph.light.occlusion",
+    "shadow": "orograph.light.shadow",
+    "insolation": "orograph.light.insolation",
     "shadow": "orograph.light.shadow",
     "insolation": "orograph.light.insolation",
     "ambient-occlusion": "orograph.light.occlusion",
@@ -67,7 +70,8 @@ class Options:
         refraction: coefficient k of terrestrial refraction: rays bend by k times the body's curvature.
         exaggeration: heights are multiplied by this for hillshade only.
         rays: per sample, for Monte Carlo products.
-        more: what other products need, by name.
+        more: what single products need, by name: ``rho``, ``method``, ``seed`` (ambient occlusion), ``strips``,
+            ``diameter`` (shadow), ``date``, ``step``, ``turbidity`` (insolation).
     """
 
     azimuths: int = 32
