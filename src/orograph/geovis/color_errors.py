@@ -165,9 +165,10 @@ class ColorErrors:
                 total = np.sqrt(sum(part.errors["exact"].astype(np.float64) ** 2 for part in parts))
                 # Mixed diamonds are split anyway.
                 code = np.where(np.isfinite(total), np.minimum(np.ceil(np.sqrt(total) * CODE), 255), 0)
-                level = min(parts[0].octave, top)
-                place(codes[level], code.astype(np.uint8), parts[0], level)
-                if parts[0].octave == 0:
+                part = parts[0]
+                level = min(part.octave, top)
+                place(codes[level], code.astype(np.uint8), part.octave, part.i, part.j, level)
+                if part.octave == 0:
                     task.advance()
         return codes
 
