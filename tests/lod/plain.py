@@ -1,7 +1,7 @@
 """Refinements without engines: whole arrays, NumPy, fronts of ``orograph.hierarchy``; and small terrains to refine.
 
-Nothing here is shared with ``orograph.lod`` or ``orograph.error.screen``: the camera is written down from ``View``'s axes,
-criteria from their formulas, and a mesh is made by splitting fronts.
+Nothing here is shared with ``orograph.lod`` or ``orograph.error.screen``: the camera is written down from ``View``'s
+axes, criteria from their formulas, and a mesh is made by splitting fronts.
 """
 
 from __future__ import annotations

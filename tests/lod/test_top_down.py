@@ -1,4 +1,4 @@
-"""Top-down refinement against forced splits of fronts, budgets against validity, and the promise against the referee."""
+"""Top-down refinement against forced splits of fronts; budgets against validity; the promise against the referee."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blow's threshold spheres: what the eye's place decides is looked at again only when the eye can have crossed a boundary.
+"""Blow's threshold spheres: what the eye's place decides is looked at again when the eye can have crossed a boundary.
 
 Blow, *Terrain Rendering at High Levels of Detail* (GDC 2000). With an isotropic error the tolerance is a distance:
 around each diamond lies a sphere, and the diamond is split while the eye is inside. The spheres nest, so the meshes are
@@ -7,22 +7,20 @@ than that. Each triangle on the front therefore waits for a length of way: its d
 head changes nothing.
 
 *Radius.* A sample in view at distance d has depth w ≥ d·cos θ, θ being the angle between the axis of view and the
-picture's corner. A vertical displacement of up to e moves it by at most f·e·d / (w·(w − e)) pixels (``error.screen``; the
-numerator is the length of a cross product), so by at most τ if
+picture's corner. A vertical displacement of up to e moves it by at most f·e·d / (w·(w − e)) pixels (``error.screen``;
+the numerator is the length of a cross product), so by at most τ if
 
     d ≥ λ·e,    λ = f / (τ·cos²θ) + 1 / cos θ,
 
-and for all samples under diamond i, which its nested sphere of radius r_i holds, if the eye is R_i = λ·e_i + r_i from its
-vertex. Errors are monotonic and spheres nested: R_i ≥ |p_i − p_j| + R_j for each child j, for every λ and without a pass
-over the terrain; Blow closes λ·e_i bottom-up for one λ instead (docs/engines/blow.md compares). 10⁻⁹ of the terrain's
-size per level makes the nesting strict, so that roundings cannot undo it. ``isotropic-published`` has λ = f / τ.
-A diamond whose colours are off by more than γ is also split while its sphere can look larger than a texel.
+and for all samples under diamond i, which its nested sphere of radius r_i holds, if the eye is R_i = λ·e_i + r_i from
+its vertex. Errors are monotonic and spheres nested: R_i ≥ |p_i − p_j| + R_j for each child j, for every λ and without a
+pass over the terrain; Blow closes λ·e_i bottom-up for one λ instead (docs/engines/blow.md compares). 10⁻⁹ of the
+terrain's size per level makes the nesting strict, so that roundings cannot undo it. ``isotropic-published`` has λ = f /
+τ. A diamond whose colours are off by more than γ is also split while its sphere can look larger than a texel.
 
 *Waiting.* The front is kept as two binary trees of triangles. A leaf waits for the eye to enter its sphere, a node with
-two leaves below it for the eye to leave. Ways are integers, and the queue is a radix heap (Ahuja, Mehlhorn, Orlin &
-Tarjan 1990): list b holds what is due at a way that differs from the present one in bit b first; when the way grows,
-the lists below the highest bit that changed are due, and one is sorted anew. Mixed diamonds (e = ∞) are split when they
-come into view. What is out of view stays refined and is skipped when triangles are put out.
+two leaves below it for the eye to leave; a radix heap of ways (``waiting``) says when. Mixed diamonds (e = ∞) are split
+when they come into view. What is out of view stays refined and is skipped when triangles are put out.
 """
 
 from __future__ import annotations
@@ -34,22 +32,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, leaf
+from orograph._numba import leaf
 from orograph.error.screen import STRETCH, TEXEL, outside
-from orograph.hierarchy.kernels import bits
 from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.lod.field import Field, find
 from orograph.lod.pages import BEYOND
+from orograph.lod.waiting import AFTER, BEFORE, LISTS, WHERE, WORK, advance, link, list_of, unlink
 from orograph.view import View
 
 DONE, MISSED, GROW = 0, 1, 2
 """Why kernels return."""
 
-LISTS, NOWHERE, PENDING, WORK = 67, -1, 65, 66
-"""Lists of the queue: 0 … 63 by bits; those that lack a page; those to be looked at now."""
-
-PARENT, CHILD, LEVEL, BEFORE, AFTER, WHERE = range(6)
-"""Links of a triangle: above; the first of two below, −1: none; level; neighbours in its list; which list."""
+PARENT, CHILD, LEVEL = 3, 4, 5
+"""Links of a triangle, behind those of ``waiting``: above; the first of two below, −1: none; level."""
 
 TOP, FREE, NOW, VISITS, SPLITS, MERGES = range(6)
 """Counts: height of the stack; free pairs; the way, in units; triangles looked at, splits, merges."""
@@ -61,50 +56,6 @@ EYE, LAMBDA, UNIT, WAY, GAMMA, COLORED, SLACK, EAST, NORTH, UP, AFFINE = 0, 3, 4
 """What a frame is about: eye (3, stretched metres); λ for metres of height; metres per unit of way; the way so far,
 metres; γ; reach of coloured diamonds in radii; slack per level, metres; the first sample's easting and northing; the
 exaggeration; metres east per column and row, north per column and row."""
-
-
-@inlined
-def unlink(links, heads, v):
-    """Take a triangle out of its list."""
-    where = links[v, 5]
-    if where >= 0:
-        before, after = links[v, 3], links[v, 4]
-        if before >= 0:
-            links[before, 4] = after
-        else:
-            heads[where] = after
-        if after >= 0:
-            links[after, 3] = before
-        links[v, 5] = -1
-
-
-@inlined
-def link(links, heads, v, where):
-    """Put a triangle that is in no list into one."""
-    after = heads[where]
-    links[v, 3], links[v, 4], links[v, 5] = -1, after, where
-    if after >= 0:
-        links[after, 3] = v
-    heads[where] = v
-
-
-@leaf
-def advance(links, due, heads, counts, now):
-    """Let the way grow to ``now``: whatever is due goes to be looked at."""
-    if now <= counts[2]:
-        return
-    h = bits.floor_log2(counts[2] ^ now) + 1
-    counts[2] = now
-    for where in range(h + 1):
-        v = heads[where]
-        heads[where] = -1
-        while v >= 0:
-            after = links[v, 4]
-            to = np.int64(66)
-            if where == h and due[v] > now:
-                to = bits.floor_log2(due[v] ^ now) + 1
-            link(links, heads, v, to)
-            v = after
 
 
 @leaf
@@ -135,7 +86,7 @@ def update(
             if counts[1] < 1:
                 return 2
             unlink(links, heads, v)
-            level = np.int64(links[v, 2])
+            level = np.int64(links[v, 5])
             if numbers[v, 4] != numbers[v, 4]:
                 # New: what its diamond says.
                 er, ec = corners[v, 0] >> 32, corners[v, 0] & 0xFFFFFFFF
@@ -175,9 +126,9 @@ def update(
             counts[3] += 1
             x, y, h = numbers[v, 0] - way[0], numbers[v, 1] - way[1], numbers[v, 2] - way[2]
             gap = np.sqrt(x * x + y * y + h * h) - reach
-            child = np.int64(links[v, 1])
+            child = np.int64(links[v, 4])
             if child >= 0:
-                if links[child, 1] >= 0 or links[child + 1, 1] >= 0:
+                if links[child, 4] >= 0 or links[child + 1, 4] >= 0:
                     continue  # its turn comes when those below are gone
                 if gap >= 0.0:
                     for k in range(2):
@@ -185,8 +136,8 @@ def update(
                     free[counts[1]] = child
                     counts[1] += 1
                     counts[5] += 1
-                    links[v, 1] = -1
-                    parent = np.int64(links[v, 0])
+                    links[v, 4] = -1
+                    parent = np.int64(links[v, 3])
                     if parent >= 0:
                         unlink(links, heads, parent)
                         link(links, heads, parent, 66)
@@ -195,7 +146,7 @@ def update(
             # Look again when the eye has come as far as the boundary is now, less what roundings may do.
             at = max(np.int64((way[5] + abs(gap)) / way[4] - 2.0), counts[2])
             due[v] = at
-            link(links, heads, v, 0 if at == counts[2] else bits.floor_log2(at ^ counts[2]) + 1)
+            link(links, heads, v, list_of(at, counts[2]))
         elif counts[0] > 0:
             # Through mixed diamonds in view.
             if counts[1] < 1:
@@ -210,7 +161,7 @@ def update(
                 out, _ = outside(lens, col, row, numbers[v, 2] / way[11], numbers[v, 3], 0)
                 if out:
                     continue
-            child = np.int64(links[v, 1])
+            child = np.int64(links[v, 4])
             if child >= 0:
                 stack[counts[0]], stack[counts[0] + 1] = child, child + 1
                 counts[0] += 2
@@ -224,8 +175,8 @@ def update(
             counts[1] -= 1
             counts[4] += 1
             child = np.int64(free[counts[1]])
-            links[v, 1] = child
-            parent = np.int64(links[v, 0])
+            links[v, 4] = child
+            parent = np.int64(links[v, 3])
             if parent >= 0:
                 unlink(links, heads, parent)
             m = (corners[v, 0] + corners[v, 1]) >> 1
@@ -237,7 +188,7 @@ def update(
                 heights[t, 0] = heights[v, 2] if half == 0 else heights[v, 1]
                 heights[t, 1] = heights[v, 0] if half == 0 else heights[v, 2]
                 heights[t, 2] = heights[v, 3]
-                links[t, 0], links[t, 1], links[t, 2], links[t, 5] = v, -1, links[v, 2] + 1, -1
+                links[t, 3], links[t, 4], links[t, 5], links[t, 2] = v, -1, links[v, 5] + 1, -1
                 numbers[t, 4] = np.nan
                 link(links, heads, t, 66)
 
@@ -262,17 +213,18 @@ def put_out(lens, cull, edge, scale, corners, heights, numbers, shown, links, st
             out, inside = outside(lens, col, row, numbers[v, 2] / scale, numbers[v, 3], inside)
             if out:
                 continue
-        child = np.int64(links[v, 1])
+        child = np.int64(links[v, 4])
         if child >= 0:
             stack[top, 0], stack[top, 1], stack[top + 1, 0], stack[top + 1, 1] = child, inside, child + 1, inside
             top += 2
-        elif shown[v]:
-            if heights[v, 0] == heights[v, 0] and heights[v, 1] == heights[v, 1] and heights[v, 2] == heights[v, 2]:
-                if count == len(keys):
-                    return -1
-                for k in range(3):
-                    keys[count, k], zs[count, k] = corners[v, k], heights[v, k]
-                count += 1
+            continue
+        total = heights[v, 0] + heights[v, 1] + heights[v, 2]
+        if shown[v] and total == total:
+            if count == len(keys):
+                return -1
+            for k in range(3):
+                keys[count, k], zs[count, k] = corners[v, k], heights[v, k]
+            count += 1
     return count
 
 
@@ -370,7 +322,9 @@ class Blow(Engine):
              a, b, d, e]
         )  # fmt: skip
         state.counts[VISITS : MERGES + 1] = 0
-        advance(state.links, state.due, state.heads, state.counts, int(state.way / unit))
+        now = int(state.way / unit)
+        advance(state.links, state.due, state.heads, int(state.counts[NOW]), now)
+        state.counts[NOW] = now
         while True:
             state.stack[:2], state.counts[TOP] = (0, 1), 2
             self.field.begin()

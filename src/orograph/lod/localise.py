@@ -8,9 +8,10 @@ it in the hierarchy. For a triangle t under T, every full-resolution sample in t
 
 e the stored errors (bounds, exact errors best): t's surface is linear, and so is T's. That length, projected from the
 part of T under t, bounds what the samples in t are displaced by; t is done if this is within the tolerance, or if the
-prism t ± e_t is out of view. Otherwise t is halved; the vertex in the middle of its hypotenuse is a sample, and if it is
-in view and *its* displacement exceeds the tolerance, T is inaccurate beyond doubt. At the depth allowed the bounds stand
-as they are. All of it is conservative; with no limit of depth it is exact: the largest displacement of T's samples.
+prism t ± e_t is out of view. Otherwise t is halved; the vertex in the middle of its hypotenuse is a sample, and if it
+is in view and *its* displacement exceeds the tolerance, T is inaccurate beyond doubt. At the depth allowed the bounds
+stand as they are. All of it is conservative; with no limit of depth it is exact: the largest displacement of T's
+samples.
 
 Not for triangles that straddle the border of a raster that is not 2^n + 1 samples wide (the squeeze takes their halves
 off their own ground), nor for published errors that are no bounds. Metres, pixels; coordinates as in ``error.screen``.

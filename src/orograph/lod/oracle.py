@@ -1,14 +1,14 @@
 """The mesh that a refinement would make if it knew every sample: what the bounds of an engine cost in triangles.
 
-Engines judge a diamond by an upper bound of what its two coarse triangles displace on the screen. The *oracle* looks: it
-projects every full-resolution sample under the two triangles and takes the largest displacement of one in view. A
-diamond is inaccurate if that exceeds the tolerance, or if it is mixed (part surface, part hole) and in view; it is split
-if it or any descendant is inaccurate: the same closure over the diamond DAG, with the error itself in place of a bound.
-An engine's triangles over the oracle's are the price of its bounds (bench/promise.py; DESIGN's figure is 1.2).
+Engines judge a diamond by an upper bound of what its two coarse triangles displace on the screen. The *oracle* looks:
+it projects every full-resolution sample under the two triangles and takes the largest displacement of one in view. A
+diamond is inaccurate if that exceeds the tolerance, or if it is mixed (part surface, part hole) and in view; it is
+split if it or any descendant is inaccurate: the same closure over the diamond DAG, with the error itself in place of a
+bound. An engine's triangles over the oracle's are the price of its bounds (bench/promise.py; DESIGN's figure is 1.2).
 
 Only diamonds that the conservative sphere metric splits are looked at: the others hold no displacement beyond the
-tolerance, nor do their descendants. Each of those is brute force, row by row, until the first sample that is too far off;
-the diamond's own vertex comes first. The heights of the whole raster are held in memory. Metres, pixels.
+tolerance, nor do their descendants. Each of those is brute force, row by row, until the first sample that is too far
+off; the diamond's own vertex comes first. The heights of the whole raster are held in memory. Metres, pixels.
 
 >>> from orograph.lod.oracle import oracle
 >>> fewest = len(oracle(terrain, view, 1.0).triangles)        # doctest: +SKIP
@@ -39,12 +39,13 @@ CANDIDATE, ACTIVE = 1, 2
 
 @leaf
 def collect(pages, lens, marks, found, begin, end, n):
-    """Of the diamonds ``found[begin:end]`` (rows and columns) keep those that may be inaccurate, in their place, and add
-    their children, each once, behind ``end``; returns (how many are kept, the new end).
+    """Keep those of the diamonds ``found[begin:end]`` that may be inaccurate, and add their children behind ``end``.
 
     Args:
         marks: uint8 (2^n + 1, 2^n + 1).
-        found: int64 (capacity, 2); the capacity must allow for four children each.
+        found: int64 (capacity, 2), rows and columns; the capacity must allow for four children each.
+
+    Returns: the ends of what is kept, from ``begin`` on, and of the children, each of which is there once.
     """
     kept = begin
     last = end
@@ -75,7 +76,7 @@ def collect(pages, lens, marks, found, begin, end, n):
 
 @leaf
 def too_far(lens, z, row, col, on):
-    """Whether the sample (row, col) is in view and displaced by more than the tolerance from the mesh's height ``on``."""
+    """Whether the sample (row, col) is in view and displaced by more than the tolerance from the height ``on``."""
     h = np.float64(z[row, col])
     x, y, w = to_camera(lens, col, row, h)
     p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
@@ -139,10 +140,10 @@ def look(pages, lens, z, found, begin, end, n, inaccurate):
         r1, c1 = diamonds.end(row, col, 1)
         r0, c0, r1, c1 = min(r0, last_row), min(c0, last_col), min(r1, last_row), min(c1, last_col)
         inside = row < last_row and col < last_col
+        inside = inside and r0 + r1 == 2 * row and c0 + c1 == 2 * col
         if inside and too_far(lens, z, row, col, 0.5 * (np.float64(z[r0, c0]) + np.float64(z[r1, c1]))):
-            if r0 + r1 == 2 * row and c0 + c1 == 2 * col:
-                inaccurate[at] = 1
-                continue
+            inaccurate[at] = 1
+            continue
         for k in range(2):
             a, b = diamonds.apex(row, col, k)
             if a < 0 or b < 0 or a > 1 << n or b > 1 << n:
@@ -213,10 +214,10 @@ def put_out(pages, lens, z, marks, prisms, leaf_level, stack, keys, zs):
             out, _ = outside(lens, col, row, np.float64(pages.data[slot, i, j, 0]), r * lens[15], 0)
             if out:
                 continue
-        if prisms and max(e >> 32, max(x >> 32, a >> 32)) <= last_row:
-            if max(e & 0xFFFFFFFF, max(x & 0xFFFFFFFF, a & 0xFFFFFFFF)) <= last_col:
-                if prism_outside(lens, ec, er, ez, xc, xr, xz, ac, ar, az, error):
-                    continue
+        whole = max(e >> 32, max(x >> 32, a >> 32)) <= last_row
+        whole = whole and max(e & 0xFFFFFFFF, max(x & 0xFFFFFFFF, a & 0xFFFFFFFF)) <= last_col
+        if prisms and whole and prism_outside(lens, ec, er, ez, xc, xr, xz, ac, ar, az, error):
+            continue
         if count < len(keys):
             keys[count, 0], keys[count, 1], keys[count, 2] = e, x, a
             zs[count, 0], zs[count, 1], zs[count, 2] = ez, xz, az
@@ -241,8 +242,8 @@ def oracle(
         view: the camera, perspective.
         tolerance: pixels, more than 0.
         exaggeration: factor on heights on the way to the screen.
-        prisms: leave out triangles that are out of view by their own corners (as top-down refinement does), instead of by
-            their diamonds' nested spheres (as the other engines do).
+        prisms: leave out triangles that are out of view by their own corners (as top-down refinement does), instead of
+            by their diamonds' nested spheres (as the other engines do).
         field: of the terrain, with ``exact`` errors and room for all it reads, to be used again.
         jobs: threads.
 

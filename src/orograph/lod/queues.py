@@ -5,8 +5,8 @@ smaller codes. A *code* is level · 2^54 + i · 2^27 + j, with (i, j) the diamon
 spacing: coarser diamonds come before finer ones, so parents before children, and the two top triangles of a diamond,
 which share its code, come one after the other. The slot is the caller's number of the triangle.
 
-A FIFO of the same triangles is a ring over two of the arrays (code and slot): see the kernels that use it. Everything is
-inlined into them; sizes are the callers' to keep.
+A FIFO of the same triangles is a ring over two of the arrays (code and slot): see the kernels that use it. Everything
+is inlined into them; sizes are the callers' to keep.
 """
 
 from __future__ import annotations

@@ -1,18 +1,19 @@
 """Refinement without a mesh: a queue of triangles goes in, triangles come out, and nothing else is remembered.
 
 The lecture's *State-Less Refinement with Diamond Monotonicity* (Lindstrom & Pascucci 2002, sec. 4; Pajarola & Gobbetti
-2007, sec. 3.3). A criterion is diamond monotonic if a diamond that is inaccurate has inaccurate parents only; both its top
-triangles take its value. Then triangles can be judged one by one: whichever is not accurate is replaced by its halves,
-and where two meet they have decided alike. No neighbours, no forced splits, no marks; the sphere metrics are monotonic
-because errors are and because spheres are nested.
+2007, sec. 3.3). A criterion is diamond monotonic if a diamond that is inaccurate has inaccurate parents only; both its
+top triangles take its value. Then triangles can be judged one by one: whichever is not accurate is replaced by its
+halves, and where two meet they have decided alike. No neighbours, no forced splits, no marks; the sphere metrics are
+monotonic because errors are and because spheres are nested.
 
 With a FIFO the refinement ends when the queue is empty. With a priority queue it can end at any time, if its order puts
-parents before children and the two top triangles of a diamond next to each other, for then every diamond but perhaps the
-last is wholly split or not at all; "before termination, process the top element if it is the long-edge neighbour of the
-last processed triangle" closes that last one. The order here: larger bounds in pixels first, among equals coarser levels
-first, within a level by the diamond's place. A bound counts (1 + 1e-9 · levels below it) times, so that roundings cannot
-put a child before its parent. By induction: when a diamond's first top triangle is taken, everything before the diamond
-has been taken, its parents among it; so the other one is in the queue, and next. (docs/engines/stateless.md)
+parents before children and the two top triangles of a diamond next to each other, for then every diamond but perhaps
+the last is wholly split or not at all; "before termination, process the top element if it is the long-edge neighbour of
+the last processed triangle" closes that last one. The order here: larger bounds in pixels first, among equals coarser
+levels first, within a level by the diamond's place. A bound counts (1 + 1e-9 · levels below it) times, so that
+roundings cannot put a child before its parent. By induction: when a diamond's first top triangle is taken, everything
+before the diamond has been taken, its parents among it; so the other one is in the queue, and next.
+(docs/engines/stateless.md)
 
 Every triangle is judged when it is made. Keys: ``row << 32 | col`` of the padded square; metres, pixels.
 """
@@ -57,12 +58,13 @@ def refine_queue(
         closing: at the limit, still take the long-edge neighbour of the last one.
         leaf_level: 2n.
         corners: int64 (places, 3), left end, right end, apex; heights: float32 (places, 4), theirs and the middle's;
-            shown: uint8 (places,), whether it is drawn if it stays; masks: int64 (places,), planes that it is inside of;
+            shown: uint8 (places,), whether it is drawn if it stays; masks: int64 (places,), planes that it is inside
+            of;
             free: int64 (places,), places not in use.
         priorities: float64, codes: int64, slots: int64, the queue: place of each triangle that waits.
         keys: int64 (capacity, 3), zs: float32 (capacity, 3), the triangles put out.
-        fresh: int64 (2, 3), fresh_z: float32 (2, 4), fresh_n: int64 (2, 3), fresh_p: float64 (2,): triangles to be, with
-            (drawn, to be split, planes) and priority.
+        fresh: int64 (2, 3), fresh_z: float32 (2, 4), fresh_n: int64 (2, 3), fresh_p: float64 (2,): triangles to be,
+            with (drawn, to be split, planes) and priority.
         counts: int64 (9,).
     """
     n = leaf_level >> 1
@@ -241,7 +243,8 @@ class _Work:
     def waiting(self) -> NDArray[np.int64]:
         """The places of the drawn triangles that are still in the heap."""
         places: NDArray[np.int64] = self.queue[2][: self.counts[TAIL]]
-        return places[self.places[2][places] == 1]
+        drawn: NDArray[np.int64] = places[self.places[2][places] == 1]
+        return drawn
 
 
 class Stateless(Engine):

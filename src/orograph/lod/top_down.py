@@ -5,14 +5,15 @@ with the two triangles of the square; take one from a queue; if it is not accura
 across its hypotenuse, and where that one is coarser force its split first. Explicit neighbours make this work for any
 criterion: nothing has to be monotonic, so the tightest metric can be used, one that looks at each triangle by itself.
 
-With a FIFO the order does not matter and the result is the coarsest conforming mesh in which every triangle is accurate.
-With a priority queue (largest error in pixels first; the coarser first among equals) it can stop at any moment with
-a valid mesh that is about the best of its size: at a number of triangles, or at a time.
+With a FIFO the order does not matter and the result is the coarsest conforming mesh in which every triangle is
+accurate. With a priority queue (largest error in pixels first; the coarser first among equals) it can stop at any
+moment with a valid mesh that is about the best of its size: at a number of triangles, or at a time.
 
-Triangles live in flat arrays by *slot*: keys of the corners (left end, right end, apex; ``row << 32 | col`` of the padded
-square), their heights and that of the hypotenuse's middle, and four links: the slots of the neighbours at the left leg,
-the right leg and the hypotenuse (−1: none), and the level. A split keeps the slot for the left half. Every triangle is
-judged once, when it is made, with all that the judgement needs; pages may leave memory afterwards. Metres, pixels.
+Triangles live in flat arrays by *slot*: keys of the corners (left end, right end, apex; ``row << 32 | col`` of the
+padded square), their heights and that of the hypotenuse's middle, and four links: the slots of the neighbours at the
+left leg, the right leg and the hypotenuse (−1: none), and the level. A split keeps the slot for the left half. Every
+triangle is judged once, when it is made, with all that the judgement needs; pages may leave memory afterwards. Metres,
+pixels.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.localise import STACK, localised_bound, prism_outside
 from orograph.lod.pages import BEYOND
-from orograph.lod.queues import LARGEST_N, code_of, heap_pop, heap_push
+from orograph.lod.queues import LARGEST_N, LEVEL_SHIFT, code_of, heap_pop, heap_push
 from orograph.view import View
 
 DONE, MISSED, GROW, PAUSED, FULL = 0, 1, 2, 3, 4
-"""Why the kernel returns: nothing is left to split; pages are missing; no room; enough splits for now; budget used up."""
+"""Why the kernel returns: nothing is left to split; pages are missing; no room; enough for now; budget used up."""
 
 MADE, DRAWN, HEAD, TAIL, SPLITS, STALLED = 0, 1, 2, 3, 4, 5
 """Counts: triangles; those drawn; the queue's begin and end; splits; triangles in a row that lacked a page."""
@@ -45,7 +46,7 @@ def refine_triangles(
     pages, lens, metric, cull, depth, ordered, low, budget, splits, leaf_level,
     corners, heights, links, drawn, priorities, codes, slots, chain, fresh, fresh_z, fresh_p, fresh_drawn, todo, counts,
 ):  # fmt: skip
-    """Split triangles until none is left that should be, or something else ends it; returns why. It can be called again.
+    """Split triangles until none is left that should be, or something else ends it; returns why. Can be called again.
 
     Args:
         pages: ``field.Pages``. lens: the camera. metric: its number.
@@ -252,7 +253,9 @@ class _State:
         n = engine.field.n
         self.corners, self.heights = np.empty((capacity, 3), np.int64), np.empty((capacity, 4), np.float32)
         self.links, self.drawn = np.empty((capacity, 4), np.int32), np.zeros(capacity, np.uint8)
-        self.queue = np.empty(capacity), np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+        self.queue: tuple[NDArray[Any], ...] = (
+            np.empty(capacity), np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+        )  # fmt: skip
         self.counts = np.zeros(6, np.int64)
         size = 1 << n
         nw, ne, sw, se = 0, size, size << 32, size << 32 | size
@@ -271,13 +274,12 @@ class _State:
         self.corners, self.heights, self.links, self.drawn = (
             np.concatenate([a, np.zeros_like(a)]) for a in (self.corners, self.heights, self.links, self.drawn)
         )
-        if ordered:
-            self.queue = tuple(np.concatenate([a, np.zeros(more, a.dtype)]) for a in self.queue)  # type: ignore[assignment]
-            return
         head, tail = int(self.counts[HEAD]), int(self.counts[TAIL])
         live = np.arange(head, tail) % more
-        self.queue = tuple(np.concatenate([a[live], np.zeros(2 * more - len(live), a.dtype)]) for a in self.queue)  # type: ignore[assignment]
-        self.counts[HEAD], self.counts[TAIL] = 0, tail - head
+        kept = [a if ordered else a[live] for a in self.queue]
+        self.queue = tuple(np.concatenate([a, np.zeros(2 * more - len(a), a.dtype)]) for a in kept)
+        if not ordered:
+            self.counts[HEAD], self.counts[TAIL] = 0, tail - head
 
 
 class TopDown(Engine):
@@ -360,5 +362,5 @@ class TopDown(Engine):
     def _reached(state: _State, left: int) -> float:
         """The largest error in the queue, pixels, of triangles that are still there."""
         priorities, codes, slots = (a[:left] for a in state.queue)
-        there = state.links[slots, 3] == codes >> 54
+        there = state.links[slots, 3] == codes >> LEVEL_SHIFT
         return float(priorities[there].max(initial=0.0))

@@ -1,0 +1,209 @@
+"""The promise, measured: the largest error in pixels of every engine, and its triangles beside those of an oracle.
+
+On each terrain 20 random views (grazing, straight down, close by, wide angle, far away), each at five tolerances. The
+referee (``orograph.verify``) looks at every full-resolution sample in view and for every defect of the mesh. The oracle
+(``orograph.lod.oracle``) is the same refinement with the largest true displacement of any sample in view in place of a
+bound; it leaves out what is out of view by the same volumes as the engine. Engines that promise nothing are measured
+for comparison.
+
+Run: ``python bench/promise.py [--quick] [--data FOLDER] [--json OUT.json]``; FOLDER holds the open DEMs by the names in
+``TERRAINS`` (default: ../shared/data beside the checkout); those that are absent are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orograph import verify
+from orograph.errors import OrographError
+from orograph.lod import engine_of
+from orograph.lod.field import Field
+from orograph.lod.oracle import oracle
+from orograph.store import Terrain
+from orograph.store.memory import MemoryTerrain
+from orograph.view import View
+
+TERRAINS = {
+    "bigtujunga": "bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif",
+    "nrw-dom1-1m": "nrw-dom1-1m/dom1_32_356_5699_1_nw_2020.tif",
+    "gabilan": "lsd-topo/gabilan.tif",
+    "mt_rainier_90m": "osgearth-srtm90m-volcano-voids/mt_rainier_90m.tif",
+    "synthetic 4097": "",
+}
+TOLERANCES = (0.5, 1.0, 2.0, 4.0, 8.0)
+
+ENGINES: dict[str, tuple[str, dict[str, Any]]] = {
+    "top-down": ("top-down", {}),
+    "top-down localised": ("top-down", {"metric": "localised"}),
+    "stateless": ("stateless", {"queue": "fifo"}),
+    "soar": ("soar", {}),
+    "blow": ("blow", {}),
+    "roam": ("roam", {}),
+    "soar midpoint": ("soar", {"error": "midpoint"}),
+    "soar isotropic-published": ("soar", {"metric": "isotropic-published"}),
+    "top-down anisotropic-published": ("top-down", {"metric": "anisotropic-published"}),
+    "blow isotropic-published": ("blow", {"metric": "isotropic-published"}),
+}
+BY_TRIANGLES = ("top-down", "roam")
+"""Engines that leave out what is out of view by triangles and not by nested spheres."""
+
+
+def terrain_of(name: str, data: Path) -> MemoryTerrain | None:
+    """A terrain by its name, in memory; None if it is absent."""
+    from orograph.dem.mosaic import Mosaic
+    from orograph.dem.synth import Synth
+    from orograph.store import terrain
+
+    if not TERRAINS[name]:
+        synth = Synth((4097, 4097), 7)
+        return MemoryTerrain(synth.read(0, 4097, 0, 4097), synth.grid, name)
+    path = data / TERRAINS[name]
+    return terrain(Mosaic.open([path])) if path.exists() else None
+
+
+def views(terrain: Terrain, count: int, seed: int) -> Iterator[tuple[str, View]]:
+    """Random views, a fifth of each kind, from above the ground onto the ground."""
+    rng = np.random.default_rng(seed)
+    rows, cols = terrain.grid.shape
+    t = terrain.grid.transform
+    extent = min(rows * math.hypot(t.b, t.e), cols * math.hypot(t.a, t.d))
+    heights = terrain.read(0, 0, rows, 0, cols)
+    kinds = ("grazing", "straight down", "close by", "wide angle", "far away")
+
+    def ground() -> tuple[float, float, float]:
+        while True:
+            row, col = int(rng.integers(rows)), int(rng.integers(cols))
+            if np.isfinite(heights[row, col]):
+                x, y = terrain.grid.xy(col, row)
+                return float(x), float(y), float(heights[row, col])
+
+    for i in range(count):
+        kind = kinds[i % len(kinds)]
+        x, y, z = ground()
+        target = ground()
+        fov = float(rng.uniform(25, 65))
+        above = extent * 10 ** rng.uniform(-2, -0.5)
+        if kind == "grazing":
+            above = extent * 10 ** rng.uniform(-3.3, -2.3)
+            target = (target[0], target[1], z + above)
+        elif kind == "straight down":
+            target = (x, y, z - 1.0)
+            above = extent * 10 ** rng.uniform(-1.3, 0.2)
+        elif kind == "close by":
+            above = extent * 10 ** rng.uniform(-3, -2)
+            turn = rng.uniform(0, 2 * math.pi)
+            target = (x + 3 * above * math.cos(turn), y + 3 * above * math.sin(turn), z)
+        elif kind == "wide angle":
+            fov = float(rng.uniform(90, 120))
+        else:
+            turn = rng.uniform(0, 2 * math.pi)
+            x, y, above = x + extent * math.cos(turn), y + extent * math.sin(turn), extent * rng.uniform(0.3, 1.0)
+        yield kind, View((x, y, z + above), target, fov_y=fov, width=1280, height=720)
+
+
+def measure(name: str, terrain: MemoryTerrain, labels: list[str], count: int, seed: int) -> list[dict[str, Any]]:
+    """One record for each view, tolerance and engine."""
+    exact = Field(terrain, max_memory=1 << 40)
+    engines = {}
+    for label in labels:
+        kind, options = ENGINES[label]
+        try:
+            engines[label] = engine_of(kind)(terrain, max_memory=1 << 33, **options)
+        except ImportError:
+            continue
+        if options.get("error", "exact") == "exact":
+            engines[label].field = exact
+    found = []
+    for number, (kind, view) in enumerate(views(terrain, count, seed)):
+        for tolerance in TOLERANCES:
+            fewest = [len(oracle(terrain, view, tolerance, prisms=p, field=exact).triangles) for p in (False, True)]
+            for label, engine in engines.items():
+                start = time.perf_counter()
+                mesh = engine.refine(view, tolerance=tolerance)
+                took = time.perf_counter() - start
+                report = verify.judge(mesh, terrain, view)
+                found.append(
+                    {
+                        "terrain": name, "view": number, "kind": kind, "engine": label, "tolerance": tolerance,
+                        "conservative": engine.conservative, "triangles": len(mesh.triangles),
+                        "oracle": fewest[engine.name in BY_TRIANGLES], "largest": report.largest, "rms": report.rms,
+                        "defects": report.defects, "ms": 1e3 * took,
+                        "kept": report.ok(tolerance) or not engine.conservative,
+                    }
+                )  # fmt: skip
+    return found
+
+
+def tables(found: list[dict[str, Any]]) -> str:
+    """What the records say: one block for each terrain, and one for all."""
+    lines = []
+    groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for record in found:
+        groups[record["terrain"]].append(record)
+    if len(groups) > 1:
+        groups["all"] = found
+    head = "".join(f"{f'τ = {t:g}':>9}" for t in TOLERANCES)
+    for terrain, records in groups.items():
+        lines += ["", terrain, f"{'':32}{head}{'all':>8}{'worst':>8}   error / τ   broken   defects"]
+        for label in ENGINES:
+            mine = [r for r in records if r["engine"] == label]
+            if not mine:
+                continue
+            cells = []
+            for tolerance in (*TOLERANCES, None):
+                some = [r for r in mine if tolerance in (None, r["tolerance"])]
+                cells.append(sum(r["triangles"] for r in some) / max(1, sum(r["oracle"] for r in some)))
+            worst = max(r["triangles"] / r["oracle"] for r in mine if r["oracle"] >= 100)
+            error = max(r["largest"] / r["tolerance"] for r in mine)
+            defects = sum(bool(r["defects"]) for r in mine)
+            broken = sum(not r["kept"] for r in mine) if mine[0]["conservative"] else "–"
+            ratios = "".join(f"{c:9.3f}" for c in cells[:-1]) + f"{cells[-1]:8.3f}{worst:8.2f}"
+            lines.append(f"{label:32}{ratios}{error:12.4f}{broken:>9}{defects:10}")
+    lines += [
+        "",
+        "Triangles over the oracle's (worst: one view, of 100 triangles at least); the largest error in units of",
+    ]
+    lines += ["the tolerance; meshes of conservative engines that break the promise; meshes with any defect."]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
+    parser.add_argument("--quick", action="store_true", help="5 views each, and not the synthetic terrain")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--terrain", action="append", choices=list(TERRAINS), help="only these")
+    parser.add_argument("--engine", action="append", choices=list(ENGINES), help="only these")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    found = []
+    for name in options.terrain or TERRAINS:
+        if options.quick and not TERRAINS[name]:
+            continue
+        start = time.perf_counter()
+        try:
+            terrain = terrain_of(name, options.data)
+        except OrographError as error:
+            print(f"{name}: {error}")
+            continue
+        if terrain is None:
+            print(f"{name}: not at {options.data}")
+            continue
+        found += measure(name, terrain, options.engine or list(ENGINES), 5 if options.quick else 20, options.seed)
+        print(f"{name}: {terrain.grid.cols} × {terrain.grid.rows}, {time.perf_counter() - start:.0f} s", flush=True)
+    print(tables(found))
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()
