@@ -135,7 +135,7 @@ def test_strip_says_the_triangles_and_not_the_threads(large):
         first = Soar(large, jobs=1).refine(view, tolerance=tolerance)
         triangles = {tuple(np.roll(v, -int(np.argmin(v))).tolist()) for v in first.triangles}
         assert strip_triangles(first) == triangles and len(triangles) == len(first.triangles)
-        assert len(first.strip) < 1.75 * len(first.triangles) + 200
+        assert len(first.strip) < 1.7 * len(first.triangles) + 6 * 512  # 512 subtrees begin anew at most
         for jobs in (2, 3):
             other = Soar(large, jobs=jobs).refine(view, tolerance=tolerance)
             assert np.array_equal(first.strip, other.strip) and np.array_equal(first.vertices, other.vertices)
@@ -144,13 +144,13 @@ def test_strip_says_the_triangles_and_not_the_threads(large):
 def test_memory_changes_what_is_read_but_not_the_mesh():
     rng = np.random.default_rng(12)
     t = plain.terrain(plain.rough(rng, (1025, 900), amplitude=900.0, gaps=0.01))
-    free, tight = Soar(t, jobs=2), Soar(t, jobs=2, max_memory=16 << 20)
-    for k in range(8):
+    free, tight = Soar(t, jobs=2), Soar(t, jobs=2, max_memory=13 << 20)
+    for k in (*range(8), 0):
         target = tuple(float(v) for v in t.grid.xy(100 + 100 * k, 900 - 100 * k))
         view = View((target[0] - 3000, target[1] - 1000, 4000.0), (*target, 0.0), fov_y=20.0, width=640, height=400)
         a, b = free.refine(view, tolerance=1.0), tight.refine(view, tolerance=1.0)
         assert np.array_equal(a.strip, b.strip) and np.array_equal(a.vertices, b.vertices)
-    assert tight.field.resident <= 16 < free.field.resident
+    assert tight.field.resident <= 13 < free.field.resident
     assert tight.field.tiles_read > free.field.tiles_read
     with pytest.raises(UsageError, match="tiles"):
         tight.refine(around(t, 0.0, 9e3, 9e3, fov_y=90.0), tolerance=0.01)
@@ -207,9 +207,6 @@ def test_budgets_of_triangles(large):
         assert len(found.triangles) > 0.9 * budget
     over = engine.refine(view, triangles=2)  # holes are kept, at any price
     assert len(over.triangles) > 2 and not over.stats["conservative"]
-    # Without holes to keep, the fewest are the two roots.
-    whole = plain.terrain(plain.rough(np.random.default_rng(1), (65, 65)))
-    assert len(Soar(whole, cull=False).refine(around(whole, 1.0, 2e3, 900.0), triangles=2).triangles) == 2
 
 
 def test_budget_of_time_ends_in_a_kept_tolerance(large):

@@ -143,8 +143,9 @@ class Engine(ABC):
 
         The arrays of the mesh may be the engine's own: they are good until it refines again.
         """
-        given = [name for name, v in (("tolerance", tolerance), ("triangles", triangles), ("seconds", seconds)) if v]
-        if tolerance is None and not given:
+        goals = {"tolerance": tolerance, "triangles": triangles, "seconds": seconds}
+        given = [name for name, value in goals.items() if value is not None]
+        if not given:
             tolerance = 1.0
         if len(given) > 1:
             raise UsageError(f"Give one goal: {' or '.join(given)}.")

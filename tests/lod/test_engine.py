@@ -1,0 +1,129 @@
+"""What engines share: arguments and their errors, goals, statistics, joined strips, search for a budget."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import plain
+import pytest
+
+from orograph.errors import UsageError
+from orograph.lod import ENGINES, engine_of
+from orograph.lod.engine import Engine, Mesh, by_tolerance, join
+from orograph.view import View
+
+FLAT = plain.terrain(np.zeros((9, 9), np.float32))
+VIEW = View((5e5, 4e6, 900.0), (5e5 + 100, 4e6 - 100, 0.0))
+
+
+class Powers(Engine):
+    """As many triangles as a power law of the tolerance says."""
+
+    name = "powers"
+    metrics = ("anisotropic",)
+    most = 5e6
+
+    def _refine(self, view, tolerance, triangles, seconds):
+        if tolerance is None:
+            return by_tolerance(self, view, triangles, seconds)
+        self.asked = [*getattr(self, "asked", []), tolerance]
+        count = int(min(self.most, 4 + 3000 * tolerance**-1.3)) if tolerance else int(self.most)
+        self.keys = np.array([count]), np.zeros(1, np.float32)  # its own, used again
+        return Mesh(*self.keys, is_strip=True, clockwise=False, triangles=count)
+
+
+@pytest.mark.parametrize("budget", [20, 999, 30_000, 2_000_000])
+def test_search_ends_close_below_the_budget(budget):
+    engine = Powers(FLAT)
+    mesh, _ = engine.mesh(VIEW, triangles=budget)
+    assert 0.98 * budget < mesh.triangles <= budget or budget == 20
+    assert mesh.triangles <= budget and mesh.keys[0] == mesh.triangles
+    assert len(engine.asked) < 12
+    assert mesh.triangles == int(4 + 3000 * mesh.tolerance**-1.3)
+
+
+def test_search_ends_where_no_tolerance_reaches_the_budget():
+    engine = Powers(FLAT)
+    engine.most = 1000
+    mesh, _ = engine.mesh(VIEW, triangles=5000)
+    assert mesh.triangles == 1000 and len(engine.asked) < 30
+    mesh, _ = engine.mesh(VIEW, triangles=3)
+    assert mesh.triangles > 3 and not mesh.within
+
+
+def test_time_is_spent_on_halving_the_tolerance():
+    engine = Powers(FLAT)
+    mesh, _ = engine.mesh(VIEW, seconds=5.0)
+    assert mesh.tolerance == 1 / 64 and engine.asked == [1024 / 2**k for k in range(17)]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"error": "hausdorff"}, "no error"),
+        ({"metric": "isotropic"}, "cannot use"),
+        ({"metric": "nearest"}, "no metric"),
+        ({"exaggeration": 0.0}, "exaggeration"),
+        ({"exaggeration": float("nan")}, "exaggeration"),
+        ({"color_tolerance": 2.0}, "needs colours"),
+        ({"color_tolerance": -1.0}, "ΔE"),
+    ],
+)
+def test_options_that_make_no_sense(options, message):
+    with pytest.raises(UsageError, match=message):
+        Powers(FLAT, **options)
+
+
+@pytest.mark.parametrize(
+    ("goal", "message"),
+    [
+        ({"tolerance": 1.0, "triangles": 9}, "one goal"),
+        ({"tolerance": -1.0}, "pixels"),
+        ({"tolerance": float("inf")}, "pixels"),
+        ({"triangles": 1}, "at least 2"),
+        ({"triangles": 0}, "at least 2"),
+        ({"seconds": 0.0}, "more than 0"),
+        ({"seconds": -1.0}, "more than 0"),
+        ({"tolerance": 0.0, "triangles": 9}, "one goal"),
+    ],
+)
+def test_goals_that_make_no_sense(goal, message):
+    with pytest.raises(UsageError, match=message):
+        Powers(FLAT).mesh(VIEW, **goal)
+
+
+def test_only_bounds_are_a_promise():
+    assert Powers(FLAT).conservative and Powers(FLAT, error="wedgie").conservative
+    assert not Powers(FLAT, error="midpoint").conservative
+    assert not engine_of("soar")(FLAT, metric="isotropic-published").conservative
+    with pytest.raises(UsageError, match="no engine"):
+        engine_of("progressive")
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_engines_say_the_same_of_a_plain(name):
+    t = engine_of(name)(FLAT).refine(VIEW, tolerance=0.5)
+    assert len(t.triangles) == 2 and len(t.vertices) == 4
+    wanted = {"engine": name, "error": "exact", "tolerance": 0.5, "conservative": True, "triangles": 2}
+    assert wanted.items() <= t.stats.items()
+    json.dumps(t.stats, allow_nan=False)
+
+
+def test_joined_strips_have_the_triangles_of_their_parts_turned_alike():
+    rng = np.random.default_rng(1)
+
+    def triangles(keys):
+        found = []
+        for k in range(len(keys) - 2):
+            a, b, c = (int(v) for v in keys[k : k + 3])
+            if len({a, b, c}) == 3:
+                found.append((b, a, c) if k % 2 else (a, b, c))
+        return found
+
+    for _ in range(200):
+        parts = [rng.integers(0, 50, rng.integers(0, 9)) for _ in range(4)]
+        # Parts with one or two vertices have no triangle to keep.
+        keys, heights = join([(p.astype(np.int64), p.astype(np.float32)) for p in parts])
+        assert triangles(keys) == [t for p in parts for t in triangles(p)]
+        assert np.array_equal(keys, heights)
