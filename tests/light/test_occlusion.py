@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -78,19 +77,10 @@ def test_the_bottom_of_an_endless_valley(slope):
     assert swept == pytest.approx(1 / math.sqrt(1 + slope * slope), abs=0.01)
 
 
-def real(shared_data: Path, size: int = 48) -> tuple[np.ndarray, np.ndarray]:
-    import rasterio
-
-    with rasterio.open(next((shared_data / "bigtujunga-srtm30m-utm").glob("*.tif"))) as file:
-        h = file.read(1, window=((200, 200 + size), (300, 300 + size))).astype(np.float32)
-        t = file.transform
-    return h, np.array([[t.a, t.b], [t.d, t.e]])
-
-
 @pytest.mark.parametrize("rho", ["step", "linear", np.sqrt])
-def test_both_methods_agree_on_real_ground(shared_data, rho):
+def test_both_methods_agree_on_real_ground(real_ground, rho):
     """The walk is exact but for the number of azimuths, rays but for their number: 2,048 leave 4e-3 at worst."""
-    h, linear = real(shared_data)
+    h, linear = real_ground
     how = {"radius": 600.0, "rho": (lambda x: np.sqrt(x / 600.0)) if rho is np.sqrt else rho}
     walked = ambient_occlusion(h, linear, azimuths=64, **how)
     cast = ambient_occlusion(h, linear, method="rays", rays=1024, **how)
@@ -99,8 +89,8 @@ def test_both_methods_agree_on_real_ground(shared_data, rho):
     assert abs(d.mean()) < 1e-4 and np.abs(d).mean() < 2e-3 and np.abs(d).max() < 0.015
 
 
-def test_sweeps_and_walks_agree_where_the_radius_covers_the_terrain(shared_data):
-    h, linear = real(shared_data)
+def test_sweeps_and_walks_agree_where_the_radius_covers_the_terrain(real_ground):
+    h, linear = real_ground
     walked = ambient_occlusion(h, linear, radius=2200.0, azimuths=64)
     swept = ambient_occlusion(h, linear, azimuths=64)
     # Sweeps interpolate heights and horizons between samples; walks meet every edge.

@@ -44,11 +44,13 @@ _HOMES = {
     "openness": "orograph.light.openness_angles",
     "openness-negative": "orograph.light.openness_angles",
     "ambient-occlusion": "orograph.light.occlusion",
+    "aperture": "orograph.light.aperture",
     "shadow": "orograph.light.shadow",
     "insolation": "orograph.light.insolation",
     "shadow": "orograph.light.shadow",
     "insolation": "orograph.light.insolation",
     "ambient-occlusion": "orograph.light.occlusion",
+    "aperture": "orograph.light.aperture",
 }
 """The module that has a product, by the product's name."""
 

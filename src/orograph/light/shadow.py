@@ -118,7 +118,8 @@ def shadow_rays(
     Args:
         sun: its disc is a cap of any diameter below 90°.
         rays: per sample, evenly spread over the disc and shifted at random per sample.
-        cosine: weigh each ray by its cosine to the normal (below it: 0): the light that arrives, of unit irradiance.
+        cosine: weigh each ray by its cosine to the normal (below it: 0): the light that arrives, relative to what a
+            surface square to the unobstructed disc receives.
 
     Returns:
         (rows, cols) float32; NaN where heights are.
@@ -143,7 +144,9 @@ def shadow_rays(
         )  # fmt: skip
         return out
 
-    return np.asarray(collected(context, by_blocks(context, math.inf, work, "Casting rays to the sun"), 1)[0])
+    seen: Values = collected(context, by_blocks(context, math.inf, work, "Casting rays to the sun"), 1)[0]
+    # Of a wide disc the rim sends less to a surface square to its middle: the mean cosine is (1 + cos radius) / 2.
+    return np.asarray(seen / np.float32((1 + rim) / 2)) if cosine else seen
 
 
 PRODUCTS = [

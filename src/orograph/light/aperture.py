@@ -1,0 +1,243 @@
+"""Ambient aperture lighting: what each sample sees of the sky as one spherical cap, and light through such caps.
+
+Oat & Sander 2007, "Ambient aperture lighting", I3D. *Before*: for every sample the sky that is visible (above the
+horizon and above the ground's own plane) is replaced by a cap, whose direction is the mean of the visible directions
+and whose solid angle is theirs, so that cos(radius) = 1 − Ω / 2π. *Then*, for any lights, as often as they move: a sun
+is a disc, so what is seen of it is the overlap of two caps (``caps``): all of it, nothing, or a smoothstep in between
+(or the exact lens), and the cosine of incidence is taken in the middle of the overlap. Point lights are seen inside the
+cap and hidden outside. The sky is an area light over the whole hemisphere: through a cap it gives sin²(radius) ⟨n, c⟩
+of what level open ground receives (exact for a cap above the ground's plane), less what suns cover of it.
+
+Bands of the product: ``east``, ``north``, ``up`` (a unit vector), ``radius`` (degrees). Where nothing is seen the
+radius is 0 and the direction up. From horizons (``azimuths`` of them) or from ``rays``, spread evenly over the upper
+hemisphere. What one cap cannot say: which side of a valley is open and how far down; see the manual for the errors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orograph.errors import UsageError
+from orograph.light.caps import cap_area
+from orograph.light.gather import collected, context_of, gathered
+from orograph.light.occlusion import Method, Neighbourhood, by_blocks, lift
+from orograph.light.products import Blocks, Context, Options, Product, Values
+from orograph.light.sun import Sun
+from orograph.light.sweep import direction
+from orograph.parallel import map_ordered
+
+Array = NDArray[np.float64]
+Colour = tuple[float, float, float]
+
+BANDS = ["east", "north", "up", "radius"]
+_SHARE = 1 << 14
+
+
+@dataclass(frozen=True, slots=True)
+class Lamp:
+    """A point of light.
+
+    Attributes:
+        col, row: where it hangs, in sample coordinates. height: metres, of the terrain's datum.
+        colour: irradiance that it gives at a distance of one metre.
+    """
+
+    col: float
+    row: float
+    height: float
+    colour: Colour = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Lights:
+    """Everything that shines on a terrain.
+
+    Attributes:
+        suns: discs, with the irradiance of a surface square to each, all of it seen.
+        lamps: points.
+        ambient: irradiance of level ground by the sky, if all of it is seen.
+    """
+
+    suns: Sequence[tuple[Sun, Colour]] = ()
+    lamps: Sequence[Lamp] = ()
+    ambient: Colour = (0.0, 0.0, 0.0)
+
+    def tables(self, linear: Array) -> tuple[Array, Array, Array]:
+        """Suns (k, 9), lamps (m, 6) and ambient (3,), as ``aperture_kernels`` takes them."""
+        suns, lamps = np.zeros((len(self.suns), 9)), np.zeros((len(self.lamps), 6))
+        for row, (sun, colour) in zip(suns, self.suns):
+            radius = math.radians(sun.diameter / 2)
+            row[:] = *sun.direction, radius, cap_area(radius), (1 + math.cos(radius)) / 2, *colour
+        for row, lamp in zip(lamps, self.lamps):
+            row[:] = *(linear @ [lamp.col, lamp.row]), lamp.height, *lamp.colour
+        return suns, lamps, np.array(self.ambient, np.float64)
+
+
+def _caps(moments: Values, missing: NDArray[np.bool_]) -> Values:
+    """∫ ω dω and ∫ dω (4, rows, cols) → direction and radius in degrees."""
+    m = moments.astype(np.float64)
+    length = np.sqrt((m[:3] ** 2).sum(0))
+    seen = length > 1e-9
+    with np.errstate(invalid="ignore", divide="ignore"):
+        out = np.where(seen, m[:3] / length, np.array([0.0, 0.0, 1.0])[:, None, None])
+    radius = np.degrees(np.arccos(np.clip(1.0 - np.where(seen, m[3], 0.0) / (2 * math.pi), 0.0, 1.0)))
+    out = np.concatenate([out, radius[None]])
+    out[:, missing] = np.nan
+    return out.astype(np.float32)
+
+
+def run(context: Context) -> Blocks:
+    """The product: ``method`` ("horizon" or "rays") and ``seed`` among the other options."""
+    options = context.options
+    method: Method = options.more.get("method", "horizon")
+    if method == "rays":
+        if options.rays < 1:
+            raise UsageError(f"At least one ray is needed, not {options.rays}.")
+        return _rays(context, options.rays, int(options.more.get("seed", 0)))
+    if method != "horizon":
+        raise UsageError(f"There is no method {method!r}; there are horizon and rays.")
+    return _horizons(context)
+
+
+def _horizons(context: Context) -> Blocks:
+    from orograph.light.aperture_kernels import add_moments
+
+    fan = context.options.directions()
+    width = 2 * math.pi / len(fan)
+
+    def add(out: Values, slopes: Values, gx: Values, gy: Values, row0: int, col0: int, index: int) -> None:
+        add_moments(slopes, gx, gy, *direction(fan[index]), width, row0, col0, out)
+
+    for row, col, moments in gathered(context, 4, fan, add, what="Sweeping apertures"):
+        yield row, col, _caps(moments, np.isnan(moments[3]))
+
+
+def _rays(context: Context, rays: int, seed: int) -> Blocks:
+    from orograph.light.occlusion_kernels import ray_cone
+
+    def work(near: Neighbourhood) -> Values:
+        heights = np.ascontiguousarray(near.block(near.heights))
+        out = np.zeros((4, *heights.shape))
+        ray_cone(
+            *near.scene(), heights, near.inverse, lift(context), rays, seed, near.row0 + near.inner[0],
+            near.col0 + near.inner[2], 0, len(heights), out,
+        )  # fmt: skip
+        return _caps(out.astype(np.float32), np.isnan(heights))
+
+    return by_blocks(context, math.inf, work, "Casting rays to the sky")
+
+
+def aperture(
+    heights: ArrayLike,
+    linear: ArrayLike,
+    *,
+    method: Method = "horizon",
+    azimuths: int = 32,
+    rays: int = 1024,
+    seed: int = 0,
+    jobs: int | None = None,
+) -> Values:
+    """The cap of visible sky of every sample.
+
+    Args:
+        heights: (rows, cols), metres, NaN where missing.
+        linear: (2, 2) linear part of the geotransform: metres east and north per column and per row.
+        method: "horizon" (``azimuths`` of them) or "rays" (``rays`` per sample, chosen by ``seed``).
+        jobs: threads; None: all processors. The result does not depend on it.
+
+    Returns:
+        (4, rows, cols) float32: direction east, north, up, and radius in degrees; NaN where heights are.
+
+    Raises:
+        UsageError: wrong shapes, degenerate cells, an unknown method.
+    """
+    options = Options(azimuths, rays=rays, more={"method": method, "seed": seed})
+    context = context_of(heights, linear, options, jobs=jobs)
+    return collected(context, run(context), 4)
+
+
+def field(caps: Values) -> Values:
+    """Caps (4, rows, cols) as the product has them → (rows, cols, 4), the radius in radians, as kernels take them."""
+    out = np.ascontiguousarray(np.moveaxis(caps, 0, -1))
+    out[..., 3] = np.radians(out[..., 3])
+    return out
+
+
+def light(
+    caps: Values,
+    points: Array,
+    gradient: Array,
+    linear: ArrayLike,
+    lights: Lights,
+    *,
+    exact: bool = False,
+    scale: float = 1.0,
+    row0: float = 0.0,
+    col0: float = 0.0,
+    jobs: int | None = None,
+) -> Values:
+    """Light on points of the ground through the caps of a field, interpolated between its samples.
+
+    Args:
+        caps: (rows, cols, 4), see ``field``; samples ``scale`` apart, the first at (row0, col0) of that spacing.
+        points: (n, 3) float64: column, row, metres. gradient: (n, 2) float64: rise per metre east and north.
+        linear: (2, 2) metres east and north per column and per row.
+        exact: the overlap of caps in closed form, instead of a smoothstep.
+        jobs: threads; None: all processors.
+
+    Returns:
+        (n, 3) float32, in the unit of the lights' colours; NaN where points are.
+    """
+    from orograph.light.aperture_kernels import light_hits
+
+    cells = np.asarray(linear, np.float64)
+    tables = lights.tables(cells)
+    out = np.full((len(points), 3), np.nan, np.float32)
+
+    def share(first: int) -> None:
+        last = min(first + _SHARE, len(points))
+        light_hits(points, gradient, cells, caps, scale, row0, col0, *tables, exact, first, last, out)
+
+    for _ in map_ordered(share, range(0, len(points), _SHARE), jobs):
+        pass
+    return out
+
+
+def shade(
+    caps: Values, heights: ArrayLike, linear: ArrayLike, lights: Lights, *, exact: bool = False, jobs: int | None = None
+) -> Values:
+    """Light on every sample of a raster through its own cap.
+
+    Args:
+        caps: (4, rows, cols), from ``aperture``. heights, linear: as there.
+
+    Returns:
+        (rows, cols, 3) float32; NaN where heights are.
+    """
+    from orograph.light.normal import gradient
+
+    surface = np.ascontiguousarray(heights, np.float32)
+    rows, cols = surface.shape
+    gx, gy = gradient(surface, linear, jobs)
+    row, col = np.indices(surface.shape, np.float64)
+    points = np.stack([np.where(np.isnan(surface), np.nan, col), row, surface.astype(np.float64)], axis=-1)
+    slopes = np.stack([gx, gy], axis=-1).astype(np.float64)
+    made = light(field(caps), points.reshape(-1, 3), slopes.reshape(-1, 2), linear, lights, exact=exact, jobs=jobs)
+    return made.reshape(rows, cols, 3)
+
+
+PRODUCTS = [
+    Product(
+        "aperture",
+        lambda options: BANDS,
+        "unit vector; degrees",
+        "The sky that is seen as one cap: its direction (east, north, up) and its radius.",
+        run,
+        (0.0, 90.0),
+    )
+]

@@ -1,0 +1,127 @@
+"""Compiled loops of ambient aperture lighting: caps out of horizons, light through caps.
+
+A *field* of caps is (rows, cols, 4) float32: the direction (east, north, up) and the radius in radians, side by side in
+memory, since they are always wanted together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import kernel, leaf
+from orograph.light.caps import exact_overlap, smooth_overlap
+
+EAST, NORTH, UP, RADIUS, AREA, MEAN, RED, GREEN, BLUE = range(9)
+"""Columns of a table of suns: direction, angular radius, solid angle, mean cosine of the disc's directions to its
+middle, irradiance of a surface square to it."""
+
+X, Y, Z, LAMP_RED, LAMP_GREEN, LAMP_BLUE = range(6)
+"""Columns of a table of lamps: place (metres east and north of sample (0, 0), height), irradiance at one metre."""
+
+
+@kernel
+def add_moments(slope, gx, gy, east, north, width, row0, col0, out):
+    """Add one azimuth's visible sky to ``out`` (4, rows, cols): ∫ ω dω (east, north, up) and ∫ dω.
+
+    slope, gx, gy: (r, c) of a window of ``out`` at (row0, col0). width: radians of azimuth that this one stands for.
+    """
+    for i in range(slope.shape[0]):
+        for j in range(slope.shape[1]):
+            t = max(np.float64(slope[i, j]), np.float64(gx[i, j]) * east + np.float64(gy[i, j]) * north)
+            square = 1.0 / (1.0 + t * t)
+            level = 0.5 * (0.5 * np.pi - np.arctan(t) - t * square) * width
+            out[0, i + row0, j + col0] += np.float32(east * level)
+            out[1, i + row0, j + col0] += np.float32(north * level)
+            out[2, i + row0, j + col0] += np.float32(0.5 * square * width)
+            out[3, i + row0, j + col0] += np.float32((1.0 - t * np.sqrt(square)) * width)
+
+
+@leaf
+def illuminate(ce, cn, cu, radius, nx, ny, nz, px, py, pz, suns, lamps, ambient, exact, out, k):
+    """Set ``out[k]`` (3,) to the light that reaches ground of normal n at p through one cap.
+
+    Each sun gives what its disc shares with the cap, from the middle of what they share, times the cosine there. Lamps
+    are seen inside the cap and not outside. The sky gives the cap's own irradiance, less where suns cover it.
+    """
+    red = green = blue = 0.0
+    sky = max(nx * ce + ny * cn + nz * cu, 0.0) * np.sin(radius) ** 2
+    for s in range(suns.shape[0]):
+        le, ln, lu, width = suns[s, EAST], suns[s, NORTH], suns[s, UP], suns[s, RADIUS]
+        cosine = min(max(ce * le + cn * ln + cu * lu, -1.0), 1.0)
+        distance = np.arccos(cosine)
+        if distance >= radius + width:
+            continue
+        if width > 0.0:
+            shared = exact_overlap(distance, radius, width) if exact else smooth_overlap(distance, radius, width)
+            part = shared / suns[s, AREA]
+        else:
+            shared, part = 0.0, 1.0
+        # The middle of the lens lies on the arc from the cap's centre to the sun's.
+        along = min(max(0.5 * (radius + distance - width), 0.0), distance)
+        if radius - width >= distance or distance < 1e-9:
+            facing = nx * le + ny * ln + nz * lu
+        elif distance > np.pi - 1e-9:
+            facing = nx * ce + ny * cn + nz * cu
+        else:
+            a, b = np.sin(distance - along), np.sin(along)
+            facing = (a * (nx * ce + ny * cn + nz * cu) + b * (nx * le + ny * ln + nz * lu)) / np.sin(distance)
+        facing = max(facing, 0.0)
+        sky -= shared * suns[s, MEAN] * facing / np.pi
+        red += part * facing * suns[s, RED]
+        green += part * facing * suns[s, GREEN]
+        blue += part * facing * suns[s, BLUE]
+    for s in range(lamps.shape[0]):
+        e, n, u = lamps[s, X] - px, lamps[s, Y] - py, lamps[s, Z] - pz
+        square = e * e + n * n + u * u
+        if square <= 0.0:
+            continue
+        inverse = 1.0 / np.sqrt(square)
+        if (ce * e + cn * n + cu * u) * inverse < np.cos(radius):
+            continue
+        power = max(nx * e + ny * n + nz * u, 0.0) * inverse / square
+        red += power * lamps[s, LAMP_RED]
+        green += power * lamps[s, LAMP_GREEN]
+        blue += power * lamps[s, LAMP_BLUE]
+    sky = max(sky, 0.0)
+    out[k, 0] = red + sky * ambient[0]
+    out[k, 1] = green + sky * ambient[1]
+    out[k, 2] = blue + sky * ambient[2]
+
+
+@kernel
+def light_hits(points, gradient, linear, field, scale, row0, col0, suns, lamps, ambient, exact, first, last, out):
+    """Light on hits [first, last) of a picture, or on any points of the ground.
+
+    Args:
+        points: (n, 3) sample coordinates (column, row, metres); NaN rows are passed over.
+        gradient: (n, 2) rise per metre east and north.
+        linear: (2, 2) metres east and north per column and per row.
+        field: (rows, cols, 4) caps of samples 2^level = ``scale`` apart, the first at (row0, col0); NaN: open sky.
+        suns, lamps: (k, 9) and (m, 6) float64, see the columns above. ambient: (3,) irradiance of an open sky.
+        exact: the closed form of the overlap, else the smoothstep.
+        out: (n, 3) float32, irradiance.
+    """
+    rows, cols = field.shape[0], field.shape[1]
+    for k in range(first, last):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        if x != x:
+            continue
+        u, v = (x + 0.5) / scale - 0.5 - col0, (y + 0.5) / scale - 0.5 - row0
+        j = min(max(np.int64(u), 0), max(cols - 2, 0))
+        i = min(max(np.int64(v), 0), max(rows - 2, 0))
+        f, g = min(max(u - j, 0.0), 1.0), min(max(v - i, 0.0), 1.0)
+        j1, i1 = min(j + 1, cols - 1), min(i + 1, rows - 1)
+        a, b, c, d = (1.0 - f) * (1.0 - g), f * (1.0 - g), (1.0 - f) * g, f * g
+        ce = a * field[i, j, 0] + b * field[i, j1, 0] + c * field[i1, j, 0] + d * field[i1, j1, 0]
+        cn = a * field[i, j, 1] + b * field[i, j1, 1] + c * field[i1, j, 1] + d * field[i1, j1, 1]
+        cu = a * field[i, j, 2] + b * field[i, j1, 2] + c * field[i1, j, 2] + d * field[i1, j1, 2]
+        radius = a * field[i, j, 3] + b * field[i, j1, 3] + c * field[i1, j, 3] + d * field[i1, j1, 3]
+        length = np.sqrt(ce * ce + cn * cn + cu * cu)
+        if not length > 0.0 or radius != radius:
+            ce, cn, cu, radius = 0.0, 0.0, 1.0, 0.5 * np.pi
+        else:
+            ce, cn, cu = ce / length, cn / length, cu / length
+        gx, gy = gradient[k, 0], gradient[k, 1]
+        up = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+        px, py = linear[0, 0] * x + linear[0, 1] * y, linear[1, 0] * x + linear[1, 1] * y
+        illuminate(ce, cn, cu, radius, -gx * up, -gy * up, up, px, py, z, suns, lamps, ambient, exact, out, k)

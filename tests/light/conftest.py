@@ -1,0 +1,19 @@
+"""Ground that tests of light share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="session")
+def real_ground(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
+    """48 × 48 samples of the San Gabriel Mountains, 30 m apart, and the linear part of their geotransform."""
+    import rasterio
+
+    with rasterio.open(next((shared_data / "bigtujunga-srtm30m-utm").glob("*.tif"))) as file:
+        heights = file.read(1, window=((200, 248), (300, 348))).astype(np.float32)
+        t = file.transform
+    return heights, np.array([[t.a, t.b], [t.d, t.e]])
