@@ -33,7 +33,7 @@ from pyproj import CRS
 from orograph.errors import UsageError
 from orograph.geo.ellipsoid import Ellipsoid
 from orograph.light.raster import scratch
-from orograph.light.sweep_kernels import GROUP, PAGE, sweep_lines, sweep_windows
+from orograph.light.sweep_kernels import GROUP, PAGE, sweep_lines, sweep_windows, working
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 
@@ -314,7 +314,7 @@ class _Pass:
         def run(item: tuple[_Lines, int]) -> None:
             a, s = item
             pool = self.pools.get((a.index, s)) or _Pool(self.share)
-            profile, slope = np.empty((GROUP, width)), np.zeros((GROUP + 1, width), np.float32)
+            profile, slope = working(width)
             out = slopes[place[a.index]].reshape(-1)
             done = 0
             while True:

@@ -38,6 +38,14 @@ _LOW = PAGE - 1
 _SHIFT = PAGE.bit_length() - 1
 
 
+def working(steps: int) -> tuple[F64, F32]:
+    """Profiles and slopes of a group of lines, for ``sweep_lines``.
+
+    A cache line is added to each row: rows a power of two apart would share their places in the processor's cache.
+    """
+    return np.empty((GROUP, steps + 8)), np.zeros((GROUP + 1, steps + 16), np.float32)
+
+
 @inlined
 def _profile(a: np.float32, b: np.float32, f: np.float32) -> np.float64:
     """Height between two samples, ``f`` from a to b; a missing one is replaced by the other."""
@@ -263,7 +271,7 @@ def sweep_lines(
     """Sweep a band of ``len(shift)`` steps for the samples on or just before ``lines`` lines from ``line0``, unlimited.
 
     Every sample belongs to one line. ``top`` (1 + lines,) are the stacks of the line before the first and of all lines.
-    ``slope`` (1 + GROUP, steps) keeps the last line's slopes from one group to the next.
+    ``profile`` and ``slope`` are ``working(steps)``; the latter keeps a line's slopes from one group to the next.
 
     Returns:
         the number of lines done; fewer than ``lines`` if the pool has too few free pages to go on: call again with
@@ -301,7 +309,9 @@ def sweep_windows(
 ) -> None:  # fmt: skip
     """As ``sweep_lines``, among the points within ``reach`` steps only, for steps [skip, skip + own) of the band."""
     steps = len(shift)
-    profile, slope = np.empty((GROUP, steps), np.float64), np.zeros((GROUP + 1, steps), np.float32)
+    # Rows a power of two apart would share their places in the cache.
+    profile = np.empty((GROUP, steps + 8), np.float64)
+    slope = np.zeros((GROUP + 1, steps + 16), np.float32)
     near, end, undo = np.empty((reach, 2)), np.empty((reach, 2)), np.empty((reach, 4))
     for begin in range(-1, lines, GROUP):
         count = min(GROUP, lines - begin)
