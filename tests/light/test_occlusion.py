@@ -103,9 +103,11 @@ def test_nothing_depends_on_blocks_and_threads(monkeypatch):
     h[30:34, 40:42] = np.nan
     for how in ({"radius": 150.0}, {"radius": 90.0, "rho": "linear"}, {"radius": 150.0, "method": "rays", "rays": 32}):
         monkeypatch.setattr(occlusion, "_BLOCK", 256)
+        monkeypatch.setattr(occlusion, "_WIDTH", 256)
         whole = ambient_occlusion(h, CELL, jobs=1, **how)
         assert (np.isnan(whole) == np.isnan(h)).all()
         monkeypatch.setattr(occlusion, "_BLOCK", 27)
+        monkeypatch.setattr(occlusion, "_WIDTH", 31)
         np.testing.assert_array_equal(ambient_occlusion(h, CELL, jobs=3, **how), whole)
 
 
@@ -151,3 +153,13 @@ def test_what_is_no_rho():
         ambient_occlusion(np.zeros((4, 4)), CELL, method="rays", rays=0)
     with pytest.raises(UsageError):
         ambient_occlusion(np.zeros((4, 4)), np.zeros((2, 2)))
+
+
+def test_what_does_not_fit_in_memory_says_so():
+    from orograph.light.gather import context_of
+    from orograph.light.products import Options
+
+    options = Options(radius=1e6, more={"rho": "linear"})
+    context = context_of(np.zeros((1500, 1500), np.float32), CELL, options, jobs=2, max_memory=64 << 20)
+    with pytest.raises(UsageError, match="--max-memory"):
+        next(occlusion.run(context))

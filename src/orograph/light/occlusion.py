@@ -19,6 +19,7 @@ Missing samples occlude nothing. Lengths in metres, A between 0 and 1.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from typing import Any, Literal
@@ -29,8 +30,10 @@ from numpy.typing import ArrayLike, NDArray
 from orograph.errors import UsageError
 from orograph.light.gather import collected, context_of, gathered
 from orograph.light.products import Blocks, Context, Options, Product, Values
+from orograph.light.raster import rectangles
 from orograph.light.rho import Rho, Transmission, transmission
 from orograph.light.sweep import direction
+from orograph.parallel import map_ordered
 
 Heights = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -40,7 +43,9 @@ LIFT = 1e-4
 """Rays begin this far above the ground, in cells: the ε of p + εω, but upward, so that they begin on the lit side."""
 
 _TIE = 1e-9
-_BLOCK = 256
+_BLOCK, _WIDTH = 256, 512
+_PER_SAMPLE = 24
+"""Bytes that a neighbourhood takes per sample: heights, slopes, result, the caster's pyramids."""
 
 
 def edges(linear: Array, azimuth: float, radius: float) -> tuple[NDArray[np.int64], ...]:
@@ -122,6 +127,13 @@ class Neighbourhood:
         self.gy = np.full(self.heights.shape, np.nan, np.float32)
         self.gx[a:b, c:d], self.gy[a:b, c:d] = context.gradient(row0, row1, col0, col1)
         self.inverse = inverse
+        self._scene: tuple[Any, ...] | None = None
+
+    def part(self, row0: int, row1: int, col0: int, col1: int) -> Neighbourhood:
+        """The same neighbourhood around a part of its block (of the terrain's rows and columns)."""
+        other = copy.copy(self)
+        other.inner = row0 - self.row0, row1 - self.row0, col0 - self.col0, col1 - self.col0
+        return other
 
     def block(self, array: Values) -> Values:
         """The block's part of an array of the neighbourhood."""
@@ -130,16 +142,17 @@ class Neighbourhood:
 
     def scene(self) -> tuple[Any, ...]:
         """The first arguments of the ray kernels: what the caster knows of these heights."""
-        from orograph.raycast.stack import Stack, Window
+        if self._scene is None:
+            from orograph.raycast.stack import Stack, Window
 
-        heights = self.heights
-        short = [max(2 - n, 0) for n in heights.shape]
-        if any(short):  # a caster needs a cell; beside a single row or column there is nothing
-            heights = np.pad(heights, [(0, n) for n in short], constant_values=np.nan)
-        window = Window(0, self.col0, self.row0, heights)
-        shape = (self.row0 + heights.shape[0], self.col0 + heights.shape[1])
-        s = Stack.build([window], shape, 1)
-        return s.scene, s.ints, s.floats, s.low, s.high
+            heights = self.heights
+            short = [max(2 - n, 0) for n in heights.shape]
+            if any(short):  # a caster needs a cell; beside a single row or column there is nothing
+                heights = np.pad(heights, [(0, n) for n in short], constant_values=np.nan)
+            shape = (self.row0 + heights.shape[0], self.col0 + heights.shape[1])
+            s = Stack.build([Window(0, self.col0, self.row0, heights)], shape, 1)
+            self._scene = s.scene, s.ints, s.floats, s.low, s.high
+        return self._scene
 
 
 def lift(context: Context) -> float:
@@ -147,33 +160,40 @@ def lift(context: Context) -> float:
     return LIFT * float(np.sqrt(abs(np.linalg.det(context.linear))))
 
 
-def by_blocks(
-    context: Context, reach: float, work: Callable[[Neighbourhood], Values], what: str, per_sample: int = 12
-) -> Blocks:
+def by_blocks(context: Context, reach: float, work: Callable[[Neighbourhood], Values], what: str) -> Blocks:
     """Fixed windows of the terrain, made by ``work(neighbourhood) → (bands, rows, cols)`` in threads.
+
+    Without limit of reach there is one neighbourhood, the whole terrain.
 
     Raises:
         UsageError: what lies within reach of a block does not fit in the memory allowed.
     """
     inverse = np.linalg.inv(context.linear)
     rows, cols = context.shape
-    sizes = [
-        min(n, _BLOCK + 2 * math.ceil(reach * float(np.linalg.norm(v)))) if math.isfinite(reach) else n
-        for n, v in zip((cols, rows), inverse)
-    ]
-    need = per_sample * sizes[0] * sizes[1] * context.jobs
+    tall, wide = rows, cols
+    if math.isfinite(reach):
+        over, down = (math.ceil(reach * float(np.linalg.norm(v))) + 2 for v in inverse)
+        tall, wide = min(rows, _BLOCK + 2 * down), min(cols, _WIDTH + 2 * over)
+    need = _PER_SAMPLE * tall * wide * (context.jobs if math.isfinite(reach) else 1)
     if need > context.budget:
         raise UsageError(
-            f"Rays from a block of samples reach {sizes[1]} × {sizes[0]} samples, which takes {need >> 20} MiB in "
+            f"What is within reach of a block of samples is {tall} × {wide} samples, which takes {need >> 20} MiB in "
             f"{context.jobs} threads, more than the {context.budget >> 20} MiB there are.",
-            remedy="Give a radius or a smaller one, allow more memory, or use fewer threads.",
+            remedy="Give a radius or a smaller one, allow more memory (--max-memory), or use fewer threads (--jobs).",
         )
+    whole = None if math.isfinite(reach) else Neighbourhood(context, 0, rows, 0, cols, reach)
+    if whole is not None:
+        whole.scene()
 
     def make(row0: int, row1: int, col0: int, col1: int) -> Values:
-        made: Values = work(Neighbourhood(context, row0, row1, col0, col1, reach))
-        return made
+        window = row0, row1, col0, col1
+        return work(whole.part(*window) if whole is not None else Neighbourhood(context, *window, reach))
 
-    return context.blocks(make, what, _BLOCK)
+    with context.progress.task(what, total=-(-rows // _BLOCK) * -(-cols // _WIDTH)) as task:
+        windows = rectangles(context.shape, _BLOCK, _WIDTH)
+        for block in map_ordered(lambda w: (w[0], w[2], make(*w)), windows, context.jobs):
+            yield block
+            task.advance()
 
 
 def _rays(context: Context, ways: Transmission, rays: int, seed: int) -> Blocks:
@@ -210,7 +230,7 @@ def _walks(context: Context, ways: Transmission, azimuths: int) -> Blocks:
         out[np.isnan(near.heights)] = np.nan
         return np.clip(near.block(out), 0.0, 1.0)[None]
 
-    return by_blocks(context, ways.radius, work, "Walking to occluders", 20)
+    return by_blocks(context, ways.radius, work, "Walking to occluders")
 
 
 def _sweeps(context: Context) -> Blocks:
