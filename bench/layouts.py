@@ -2,10 +2,10 @@
 
     python bench/layouts.py [--size 4097] [--frames 120] [--tolerance 1] [--seed 7]
 
-A flight at 60 frames per second and 240 m/s, 300 m above the ground of a synthetic terrain (``orograph synth``). For every
-frame the vertices are found at which SOAR looks: those of the mesh, and the diamonds of its leaves. The table counts
-the *tiles* of 65,536 entries of 16 bytes (1 MiB, what the field reads) and the *blocks* of 256 entries (4 KiB, a page
-of memory) that they lie in, for three orders of the same entries:
+A flight at 60 frames per second and 240 m/s, 300 m above the ground of a synthetic terrain (``orograph synth``). For
+every frame the vertices are found at which SOAR looks: those of the mesh, and the diamonds of its leaves. The table
+counts the *tiles* of 65,536 entries of 16 bytes (1 MiB, what the field reads) and the *blocks* of 256 entries (4 KiB,
+a page of memory) that they lie in, for three orders of the same entries:
 
 * rows: one array, row by row;
 * tiles: tiles of 256 × 256 samples of the full-resolution grid, blocks of 16 × 16 of them;
@@ -37,12 +37,11 @@ def looked_at(keys: Index, n: int) -> tuple[Index, Index]:
     row, col = keys >> 32, keys & 0xFFFFFFFF
     found = [keys]
     sides = [slice(k, len(keys) - 2 + k) for k in range(3)]
-    squares = [
-        (row[sides[a]] - row[sides[b]]) ** 2 + (col[sides[a]] - col[sides[b]]) ** 2 for a, b in ((0, 1), (1, 2), (2, 0))
-    ]
+    pairs = ((0, 1), (1, 2), (2, 0))
+    squares = [(row[sides[a]] - row[sides[b]]) ** 2 + (col[sides[a]] - col[sides[b]]) ** 2 for a, b in pairs]
     longest = np.max(squares, axis=0)
     real = (np.min(squares, axis=0) > 0) & (longest > 2)  # no repeated vertices, no finest leaves
-    for (a, b), square in zip(((0, 1), (1, 2), (2, 0)), squares):
+    for (a, b), square in zip(pairs, squares):
         these = real & (square == longest)
         found.append((keys[sides[a]][these] + keys[sides[b]][these]) >> 1)
     every = np.unique(np.concatenate(found))
