@@ -1,4 +1,4 @@
-"""What engines share: arguments and their errors, goals, statistics, joined strips, search for a budget."""
+"""What engines share: arguments and their errors, goals, statistics, search for a budget."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from orograph.errors import UsageError
 from orograph.lod import ENGINES, engine_of
-from orograph.lod.engine import Engine, Mesh, by_tolerance, join
+from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.view import View
 
 FLAT = plain.terrain(np.zeros((9, 9), np.float32))
@@ -108,22 +108,3 @@ def test_engines_say_the_same_of_a_plain(name):
     wanted = {"engine": name, "error": "exact", "tolerance": 0.5, "conservative": True, "triangles": 2}
     assert wanted.items() <= t.stats.items()
     json.dumps(t.stats, allow_nan=False)
-
-
-def test_joined_strips_have_the_triangles_of_their_parts_turned_alike():
-    rng = np.random.default_rng(1)
-
-    def triangles(keys):
-        found = []
-        for k in range(len(keys) - 2):
-            a, b, c = (int(v) for v in keys[k : k + 3])
-            if len({a, b, c}) == 3:
-                found.append((b, a, c) if k % 2 else (a, b, c))
-        return found
-
-    for _ in range(200):
-        parts = [rng.integers(0, 50, rng.integers(0, 9)) for _ in range(4)]
-        # Parts with one or two vertices have no triangle to keep.
-        keys, heights = join([(p.astype(np.int64), p.astype(np.float32)) for p in parts])
-        assert triangles(keys) == [t for p in parts for t in triangles(p)]
-        assert np.array_equal(keys, heights)

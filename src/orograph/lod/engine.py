@@ -215,26 +215,3 @@ def by_tolerance(engine: Engine, view: View, triangles: int | None, seconds: flo
         if tolerance < 1e-4 or (low > 0 and high / low < 1 + 1e-6):
             break
     return best
-
-
-def join(
-    parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]],
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """One strip of several: degenerate triangles between them, each part beginning at an even place."""
-    keys: list[NDArray[np.int64]] = []
-    heights: list[NDArray[np.float32]] = []
-    length = 0
-    for k, z in parts:
-        if not len(k):
-            continue
-        if length:
-            repeat = 2 + length % 2
-            keys += [keys[-1][-1:], np.repeat(k[:1], repeat - 1)]
-            heights += [heights[-1][-1:], np.repeat(z[:1], repeat - 1)]
-            length += repeat
-        keys.append(k)
-        heights.append(z)
-        length += len(k)
-    if not keys:
-        return np.zeros(0, np.int64), np.zeros(0, np.float32)
-    return np.concatenate(keys), np.concatenate(heights)

@@ -25,9 +25,6 @@ PAGE_BYTES = SIDE * SIDE * 16
 BEYOND = -3
 """Slot of a vertex of the padded square that no level of the raster has."""
 
-BLOCK = 16
-"""Entries along the side of a block of a page: 4 KiB, a page of the processor's memory, in lines of 2 × 2."""
-
 
 class Pages(NamedTuple):
     """What kernels get of a field.

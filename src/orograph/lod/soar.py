@@ -398,7 +398,10 @@ class Soar(Engine):
     def _joined(
         self, parts: list[tuple[NDArray[np.int64], NDArray[np.float32]]]
     ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """One strip of several, as ``engine.join`` makes it, in a buffer that is used again, by several threads."""
+        """One strip of several: degenerate triangles between them, each part beginning at an even place.
+
+        It lies in a buffer that is used again, and several threads copy.
+        """
         begins, length = [], 0
         for k, _ in parts:
             length += 2 + length % 2 if length else 0
