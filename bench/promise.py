@@ -18,6 +18,7 @@ import math
 import time
 from collections import defaultdict
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from orograph.errors import OrographError
 from orograph.lod import engine_of
 from orograph.lod.field import Field
 from orograph.lod.oracle import oracle
+from orograph.parallel import cpu_count
 from orograph.store import Terrain
 from orograph.store.memory import MemoryTerrain
 from orograph.view import View
@@ -51,7 +53,6 @@ ENGINES: dict[str, tuple[str, dict[str, Any]]] = {
     "soar midpoint": ("soar", {"error": "midpoint"}),
     "soar isotropic-published": ("soar", {"metric": "isotropic-published"}),
     "top-down anisotropic-published": ("top-down", {"metric": "anisotropic-published"}),
-    "blow isotropic-published": ("blow", {"metric": "isotropic-published"}),
 }
 BY_TRIANGLES = ("top-down", "roam")
 """Engines that leave out what is out of view by triangles and not by nested spheres."""
@@ -176,6 +177,22 @@ def tables(found: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def terrain_records(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """All records of one terrain; none if it cannot be read."""
+    start = time.perf_counter()
+    try:
+        terrain = terrain_of(name, options.data)
+    except OrographError as error:
+        print(f"{name}: {error}")
+        return []
+    if terrain is None:
+        print(f"{name}: not at {options.data}")
+        return []
+    found = measure(name, terrain, options.engine or list(ENGINES), 5 if options.quick else 20, options.seed)
+    print(f"{name}: {terrain.grid.cols} × {terrain.grid.rows}, {time.perf_counter() - start:.0f} s", flush=True)
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
@@ -183,23 +200,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--terrain", action="append", choices=list(TERRAINS), help="only these")
     parser.add_argument("--engine", action="append", choices=list(ENGINES), help="only these")
+    parser.add_argument("--jobs", type=int, default=cpu_count(), help="terrains at a time")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    names = [name for name in options.terrain or TERRAINS if TERRAINS[name] or not options.quick]
     found = []
-    for name in options.terrain or TERRAINS:
-        if options.quick and not TERRAINS[name]:
-            continue
-        start = time.perf_counter()
-        try:
-            terrain = terrain_of(name, options.data)
-        except OrographError as error:
-            print(f"{name}: {error}")
-            continue
-        if terrain is None:
-            print(f"{name}: not at {options.data}")
-            continue
-        found += measure(name, terrain, options.engine or list(ENGINES), 5 if options.quick else 20, options.seed)
-        print(f"{name}: {terrain.grid.cols} × {terrain.grid.rows}, {time.perf_counter() - start:.0f} s", flush=True)
+    with ProcessPoolExecutor(min(options.jobs, len(names))) as pool:
+        for records in pool.map(terrain_records, names, [options] * len(names)):
+            found += records
     print(tables(found))
     if options.json:
         options.json.write_text(json.dumps(found, indent=1))
