@@ -133,7 +133,8 @@ def test_missing_caps_are_open_sky_and_bands_interpolate():
     caps[:] = np.array([0, 0, 1, 60.0])[:, None, None]
     caps[3, :, 2] = 30.0
     middle = light(field(caps), np.array([[1.5, 1.0, 0.0]]), slopes[:1], CELL, Lights(ambient=WHITE))
-    assert middle[0, 0] == pytest.approx(math.sin(math.radians(45.0)) ** 2, abs=1e-6)
+    rim = (math.cos(math.radians(60.0)) + math.cos(math.radians(30.0))) / 2
+    assert middle[0, 0] == pytest.approx(1 - rim**2, abs=1e-6)
 
 
 @pytest.mark.parametrize(("altitude", "diameter", "mean", "rms"), [(45, 0.53, 0.001, 0.02), (25, 10, 0.012, 0.05)])

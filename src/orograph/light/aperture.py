@@ -68,11 +68,11 @@ class Lights:
     ambient: Colour = (0.0, 0.0, 0.0)
 
     def tables(self, linear: Array) -> tuple[Array, Array, Array]:
-        """Suns (k, 9), lamps (m, 6) and ambient (3,), as ``aperture_kernels`` takes them."""
-        suns, lamps = np.zeros((len(self.suns), 9)), np.zeros((len(self.lamps), 6))
+        """Suns (k, 10), lamps (m, 6) and ambient (3,), as ``aperture_kernels`` takes them."""
+        suns, lamps = np.zeros((len(self.suns), 10)), np.zeros((len(self.lamps), 6))
         for row, (sun, colour) in zip(suns, self.suns):
             radius = math.radians(sun.diameter / 2)
-            row[:] = *sun.direction, radius, cap_area(radius), (1 + math.cos(radius)) / 2, *colour
+            row[:] = *sun.direction, radius, math.cos(radius), math.sin(radius), cap_area(radius), *colour
         for row, lamp in zip(lamps, self.lamps):
             row[:] = *(linear @ [lamp.col, lamp.row]), lamp.height, *lamp.colour
         return suns, lamps, np.array(self.ambient, np.float64)
@@ -162,9 +162,9 @@ def aperture(
 
 
 def field(caps: Values) -> Values:
-    """Caps (4, rows, cols) as the product has them → (rows, cols, 4), the radius in radians, as kernels take them."""
+    """Caps (4, rows, cols) of the product → (rows, cols, 4) with the radius as its cosine, as kernels take them."""
     out = np.ascontiguousarray(np.moveaxis(caps, 0, -1))
-    out[..., 3] = np.radians(out[..., 3])
+    out[..., 3] = np.cos(np.radians(out[..., 3]))
     return out
 
 

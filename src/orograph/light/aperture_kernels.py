@@ -1,7 +1,7 @@
 """Compiled loops of ambient aperture lighting: caps out of horizons, light through caps.
 
-A *field* of caps is (rows, cols, 4) float32: the direction (east, north, up) and the radius in radians, side by side in
-memory, since they are always wanted together.
+A *field* of caps is (rows, cols, 4) float32: the direction (east, north, up) and the cosine of the radius, side by side
+in memory, since they are always wanted together. With cosines, angles are only computed where a cap's rim cuts a disc.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import numpy as np
 from orograph._numba import kernel, leaf
 from orograph.light.caps import exact_overlap, smooth_overlap
 
-EAST, NORTH, UP, RADIUS, AREA, MEAN, RED, GREEN, BLUE = range(9)
-"""Columns of a table of suns: direction, angular radius, solid angle, mean cosine of the disc's directions to its
-middle, irradiance of a surface square to it."""
+EAST, NORTH, UP, RADIUS, COSINE, SINE, AREA, RED, GREEN, BLUE = range(10)
+"""Columns of a table of suns: direction, angular radius and its cosine and sine, solid angle, irradiance of a surface
+square to it."""
 
 X, Y, Z, LAMP_RED, LAMP_GREEN, LAMP_BLUE = range(6)
 """Columns of a table of lamps: place (metres east and north of sample (0, 0), height), irradiance at one metre."""
@@ -37,48 +37,51 @@ def add_moments(slope, gx, gy, east, north, width, row0, col0, out):
 
 
 @leaf
-def illuminate(ce, cn, cu, radius, nx, ny, nz, px, py, pz, suns, lamps, ambient, exact, out, k):
-    """Set ``out[k]`` (3,) to the light that reaches ground of normal n at p through one cap.
+def illuminate(ce, cn, cu, rim, nx, ny, nz, px, py, pz, suns, lamps, ambient, exact, out, k):
+    """Set ``out[k]`` (3,) to the light on ground of normal n at p through one cap; ``rim``: the cosine of its radius.
 
     Each sun gives what its disc shares with the cap, from the middle of what they share, times the cosine there. Lamps
     are seen inside the cap and not outside. The sky gives the cap's own irradiance, less where suns cover it.
     """
     red = green = blue = 0.0
-    sky = max(nx * ce + ny * cn + nz * cu, 0.0) * np.sin(radius) ** 2
+    straight = nx * ce + ny * cn + nz * cu
+    square = max(1.0 - rim * rim, 0.0)
+    sine = np.sqrt(square)
+    sky = max(straight, 0.0) * square
     for s in range(suns.shape[0]):
-        le, ln, lu, width = suns[s, EAST], suns[s, NORTH], suns[s, UP], suns[s, RADIUS]
-        cosine = min(max(ce * le + cn * ln + cu * lu, -1.0), 1.0)
-        distance = np.arccos(cosine)
-        if distance >= radius + width:
-            continue
-        if width > 0.0:
+        le, ln, lu = suns[s, EAST], suns[s, NORTH], suns[s, UP]
+        cosine = ce * le + cn * ln + cu * lu
+        bend = sine * suns[s, SINE]
+        facing = nx * le + ny * ln + nz * lu
+        part = 1.0
+        # Radii are at most 90° and 45°: cosines order what angles do, but for a disc wider than the cap.
+        if cosine < rim * suns[s, COSINE] + bend or rim > suns[s, COSINE]:
+            if cosine <= rim * suns[s, COSINE] - bend:
+                continue
+            radius, width = np.arccos(min(max(rim, -1.0), 1.0)), suns[s, RADIUS]
+            distance = np.arccos(min(max(cosine, -1.0), 1.0))
             shared = exact_overlap(distance, radius, width) if exact else smooth_overlap(distance, radius, width)
-            part = shared / suns[s, AREA]
-        else:
-            shared, part = 0.0, 1.0
-        # The middle of the lens lies on the arc from the cap's centre to the sun's.
-        along = min(max(0.5 * (radius + distance - width), 0.0), distance)
-        if radius - width >= distance or distance < 1e-9:
-            facing = nx * le + ny * ln + nz * lu
-        elif distance > np.pi - 1e-9:
-            facing = nx * ce + ny * cn + nz * cu
-        else:
-            a, b = np.sin(distance - along), np.sin(along)
-            facing = (a * (nx * ce + ny * cn + nz * cu) + b * (nx * le + ny * ln + nz * lu)) / np.sin(distance)
-        facing = max(facing, 0.0)
-        sky -= shared * suns[s, MEAN] * facing / np.pi
-        red += part * facing * suns[s, RED]
-        green += part * facing * suns[s, GREEN]
-        blue += part * facing * suns[s, BLUE]
+            part = shared / suns[s, AREA] if width > 0.0 else 0.0
+            # The middle of the lens lies on the arc from the cap's centre to the sun's.
+            along = min(max(0.5 * (radius + distance - width), 0.0), distance)
+            if distance > 1e-9:
+                facing = (np.sin(distance - along) * straight + np.sin(along) * facing) / np.sin(distance)
+        if facing <= 0.0:
+            continue
+        light = part * facing
+        sky -= light * suns[s, SINE] * suns[s, SINE]
+        red += light * suns[s, RED]
+        green += light * suns[s, GREEN]
+        blue += light * suns[s, BLUE]
     for s in range(lamps.shape[0]):
         e, n, u = lamps[s, X] - px, lamps[s, Y] - py, lamps[s, Z] - pz
-        square = e * e + n * n + u * u
-        if square <= 0.0:
+        away = e * e + n * n + u * u
+        if away <= 0.0:
             continue
-        inverse = 1.0 / np.sqrt(square)
-        if (ce * e + cn * n + cu * u) * inverse < np.cos(radius):
+        inverse = 1.0 / np.sqrt(away)
+        if (ce * e + cn * n + cu * u) * inverse < rim:
             continue
-        power = max(nx * e + ny * n + nz * u, 0.0) * inverse / square
+        power = max(nx * e + ny * n + nz * u, 0.0) * inverse / away
         red += power * lamps[s, LAMP_RED]
         green += power * lamps[s, LAMP_GREEN]
         blue += power * lamps[s, LAMP_BLUE]
@@ -97,7 +100,7 @@ def light_hits(points, gradient, linear, field, scale, row0, col0, suns, lamps, 
         gradient: (n, 2) rise per metre east and north.
         linear: (2, 2) metres east and north per column and per row.
         field: (rows, cols, 4) caps of samples 2^level = ``scale`` apart, the first at (row0, col0); NaN: open sky.
-        suns, lamps: (k, 9) and (m, 6) float64, see the columns above. ambient: (3,) irradiance of an open sky.
+        suns, lamps: (k, 10) and (m, 6) float64, see the columns above. ambient: (3,) irradiance of an open sky.
         exact: the closed form of the overlap, else the smoothstep.
         out: (n, 3) float32, irradiance.
     """
@@ -115,13 +118,13 @@ def light_hits(points, gradient, linear, field, scale, row0, col0, suns, lamps, 
         ce = a * field[i, j, 0] + b * field[i, j1, 0] + c * field[i1, j, 0] + d * field[i1, j1, 0]
         cn = a * field[i, j, 1] + b * field[i, j1, 1] + c * field[i1, j, 1] + d * field[i1, j1, 1]
         cu = a * field[i, j, 2] + b * field[i, j1, 2] + c * field[i1, j, 2] + d * field[i1, j1, 2]
-        radius = a * field[i, j, 3] + b * field[i, j1, 3] + c * field[i1, j, 3] + d * field[i1, j1, 3]
+        rim = a * field[i, j, 3] + b * field[i, j1, 3] + c * field[i1, j, 3] + d * field[i1, j1, 3]
         length = np.sqrt(ce * ce + cn * cn + cu * cu)
-        if not length > 0.0 or radius != radius:
-            ce, cn, cu, radius = 0.0, 0.0, 1.0, 0.5 * np.pi
+        if not length > 0.0 or rim != rim:
+            ce, cn, cu, rim = 0.0, 0.0, 1.0, 0.0
         else:
             ce, cn, cu = ce / length, cn / length, cu / length
         gx, gy = gradient[k, 0], gradient[k, 1]
         up = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
         px, py = linear[0, 0] * x + linear[0, 1] * y, linear[1, 0] * x + linear[1, 1] * y
-        illuminate(ce, cn, cu, radius, -gx * up, -gy * up, up, px, py, z, suns, lamps, ambient, exact, out, k)
+        illuminate(ce, cn, cu, rim, -gx * up, -gy * up, up, px, py, z, suns, lamps, ambient, exact, out, k)

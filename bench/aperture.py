@@ -1,0 +1,141 @@
+"""Ambient apertures beside soft shadows by rays: errors, pictures of them, and what they add to the cost of a picture.
+
+Run: ``python bench/aperture.py [DEM] [--size 256] [--pictures DIR]``. Without a DEM the terrain is a fractal at 30 m.
+Light is that of one sun relative to a surface square to it, so errors are in parts of full light. ``--pictures`` saves,
+for every sun, rays, aperture and their difference side by side. The cost is that of a 1280 × 720 perspective of the
+same ground: rays cast, slopes looked up and tints composed without light through caps, and then with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from occlusion import ground
+from orograph.light.aperture import Lights, aperture, field, light, shade
+from orograph.light.shadow import shadow_rays
+from orograph.light.sun import Sun
+
+WHITE = (1.0, 1.0, 1.0)
+
+
+def errors(h: np.ndarray, linear: np.ndarray, rays: int, pictures: Path | None) -> None:
+    """Print the table of errors; save the pictures."""
+    start = time.process_time()
+    caps = aperture(h, linear, azimuths=64, jobs=1)
+    print(f"\ncaps out of 64 horizons: {(time.process_time() - start) / h.size * 1e6:.2f} s per Mpx with compiling")
+    inner = np.s_[3:-3, 3:-3]
+    print("\n| altitude | diameter | light by rays | mean error | mean abs. | rms | 99 % within | wrong by > 0.1 |")
+    print("|---|---|---|---|---|---|---|---|")
+    for altitude in (5.0, 15.0, 30.0, 50.0):
+        for diameter in (0.53, 10.0, 30.0):
+            sun = Sun(300.0, altitude, diameter)
+            lights = Lights([(sun, WHITE)])
+            truth = shadow_rays(h, linear, sun, rays=rays, cosine=True)
+            made = shade(caps, h, linear, lights)[..., 0]
+            d = (made - truth)[inner]
+            off = np.abs(d)
+            print(
+                f"| {altitude:g}° | {diameter:g}° | {truth[inner].mean():.3f} | {d.mean():+.4f} | {off.mean():.4f} "
+                f"| {np.sqrt((d**2).mean()):.4f} | {np.quantile(off, 0.99):.3f} | {100 * (off > 0.1).mean():.1f} % |",
+                flush=True,
+            )
+            if pictures:
+                save(pictures / f"aperture-{altitude:g}-{diameter:g}.png", truth, made)
+
+
+def save(path: Path, truth: np.ndarray, made: np.ndarray) -> None:
+    """Rays, aperture, and their difference: blue where the aperture is darker, red where it is brighter."""
+    from PIL import Image
+
+    grey = [np.clip(a, 0, 1) ** (1 / 2.2) for a in (truth, made)]
+    d = np.clip((made - truth) * 2, -1, 1)
+    colour = np.stack([1 - np.maximum(-d, 0), 1 - np.abs(d), 1 - np.maximum(d, 0)], -1)
+    gap = np.ones((len(truth), 6, 3))
+    parts = [np.repeat(grey[0][..., None], 3, -1), gap, np.repeat(grey[1][..., None], 3, -1), gap, colour]
+    Image.fromarray((np.concatenate(parts, 1) * 255).astype(np.uint8)).save(path)
+
+
+def cost(h: np.ndarray, linear: np.ndarray) -> None:
+    """What light through caps adds to a picture of 1280 × 720, on one thread."""
+    from orograph.light.normal import gradient
+    from orograph.raycast.caster import Caster
+
+    rows, cols = h.shape
+    caster = Caster.of(h, 1)
+    caps = field(aperture(h, linear, azimuths=16))
+    gx, gy = gradient(h, linear)
+    inverse = np.linalg.inv(linear)
+    spacing = abs(linear[0, 0])
+    eye = np.array([cols / 2, rows * 1.3, h.max() + 0.35 * rows * spacing])
+    forward = np.array([0.0, 0.55 * rows * spacing, -0.38 * rows * spacing])
+    forward /= np.linalg.norm(forward)
+    right = np.array([1.0, 0.0, 0.0])
+    up = np.cross(right, forward)
+    pixel = 0.6 / 720
+    ways = [np.array([*(inverse @ v[:2]), v[2]]) for v in (forward, right * pixel, -up * pixel)]
+    d0 = ways[0] - 640 * ways[1] - 360 * ways[2]
+
+    def trace() -> tuple[np.ndarray, np.ndarray]:
+        """Hits and slopes at them: what an unlit picture has to find anyway."""
+        t, _ = caster.cast_pinhole(eye, d0, ways[1], ways[2], (720, 1280))
+        py, px = np.nonzero(np.isfinite(t))
+        points = eye + t[py, px, None] * (d0 + px[:, None] * ways[1] + py[:, None] * ways[2])
+        j, i = np.clip(np.rint(points[:, :2]).astype(int), 0, [cols - 1, rows - 1]).T
+        return points, np.stack([gx[i, j], gy[i, j]], 1).astype(np.float64)
+
+    lights = Lights([(Sun(300.0, 30.0), WHITE)], ambient=(0.3, 0.3, 0.35))
+    points, slopes = trace()
+    light(caps, points, slopes, linear, lights, jobs=1)
+    traced, lit = [], []
+    for _ in range(5):
+        start = time.process_time()
+        points, slopes = trace()
+        traced.append(time.process_time() - start)
+        start = time.process_time()
+        light(caps, points, slopes, linear, lights, jobs=1)
+        lit.append(time.process_time() - start)
+    a, b = min(traced), min(lit)
+    print(f"\n1280 × 720, {len(points):,} hits: cast {1e3 * a:.0f} ms, light through caps {1e3 * b:.0f} ms,", end=" ")
+    print(f"{1e9 * b / len(points):.0f} ns per hit")
+
+
+def pipeline(h: np.ndarray, linear: np.ndarray) -> None:
+    """The same against the whole of ``orograph.render``, without shadows: 1280 × 720, one thread."""
+    from affine import Affine
+
+    from orograph.geo.grid import Grid
+    from orograph.picture.api import render
+    from orograph.store.memory import MemoryTerrain
+
+    (a, b), (d, e) = linear
+    terrain = MemoryTerrain(h, Grid(h.shape, Affine(a, b, 0, d, e, 0)), "ground")
+    best = np.inf
+    for _ in range(3):
+        start = time.process_time()
+        render(terrain, size=(1280, 720), shadows=False, jobs=1)
+        best = min(best, time.process_time() - start)
+    print(f"orograph.render without shadows: {1e3 * best:.0f} ms")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("dem", nargs="?")
+    parser.add_argument("--size", type=int, default=256)
+    parser.add_argument("--rays", type=int, default=256)
+    parser.add_argument("--pictures", type=Path)
+    args = parser.parse_args()
+    h, linear = ground(args.dem, args.size)
+    print(f"{args.size}² samples, {np.ptp(h):.0f} m of relief; {args.rays} rays to each sun")
+    if args.pictures:
+        args.pictures.mkdir(parents=True, exist_ok=True)
+    cost(h, linear)
+    pipeline(h, linear)
+    errors(h, linear, args.rays, args.pictures)
+
+
+if __name__ == "__main__":
+    main()
