@@ -269,7 +269,7 @@ def test_a_morphed_surface_is_the_mean_of_the_meshes_of_all_tolerances():
     rng = np.random.default_rng(21)
     t = plain.terrain(plain.rough(rng, (33, 33), amplitude=200.0))
     for view in (around(t, 1.0, 900.0, 400.0, near=1.0), around(t, 4.0, 1800.0, 900.0)):
-        tau, steps = 4.0, 80
+        tau, steps = 4.0, 40
         morphed = Soar(t, geomorph=True, cull=False, jobs=1).refine(view, tolerance=tau)
         engine, mean = Soar(t, cull=False, jobs=1), np.zeros(t.grid.shape)
         for k in range(steps):
@@ -300,7 +300,7 @@ def test_vertices_do_not_jump_along_a_flight():
     morphing, plainly = Soar(t, geomorph=True, cull=False, jobs=1), Soar(t, cull=False, jobs=1)
     jumps = {"morphing": 0.0, "plainly": 0.0}
     before: dict = {}
-    for step in range(60):
+    for step in range(40):
         view = around(t, 1.0, 1600.0 - 1.0 * step, 500.0)
         for name, engine in (("morphing", morphing), ("plainly", plainly)):
             now = surface(engine.refine(view, tolerance=4.0), t.grid.shape)
