@@ -47,7 +47,7 @@ def test_promise_and_no_defect(seed):
                 assert report.ok(tolerance), (engine.name, engine.metric.name, t.grid.shape, report)
 
 
-@pytest.mark.parametrize("shape", [(643, 1197), (129, 214), (67, 90)])
+@pytest.mark.parametrize("shape", [(643, 1197), (68, 41), (67, 90)])
 def test_ground_at_a_squeezed_corner_is_covered(shape):
     """There a coarse triangle covers ground that none of its descendants does."""
     rng = np.random.default_rng(shape)
