@@ -47,10 +47,6 @@ _HOMES = {
     "aperture": "orograph.light.aperture",
     "shadow": "orograph.light.shadow",
     "insolation": "orograph.light.insolation",
-    "shadow": "orograph.light.shadow",
-    "insolation": "orograph.light.insolation",
-    "ambient-occlusion": "orograph.light.occlusion",
-    "aperture": "orograph.light.aperture",
 }
 """The module that has a product, by the product's name."""
 
