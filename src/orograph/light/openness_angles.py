@@ -24,19 +24,26 @@ Values = NDArray[np.float32]
 
 
 @kernel
+def _angles(slopes: Values, total: Values, count: Values) -> None:
+    """Add the zenith angles, radians, of one azimuth's horizons, and count those that there are."""
+    zero, one, right = np.float32(0.0), np.float32(1.0), np.float32(0.5 * np.pi)
+    for j in range(len(total)):
+        t = slopes[j]
+        a = arctangent(abs(t))
+        angle = right - (a if t >= zero else -a)
+        known = t > np.float32(-np.inf)
+        total[j] += angle if known or t != t else zero
+        count[j] += one if known else zero
+
+
+@kernel
 def _add_angles(slopes: Values, first: int, last: int, row0: int, col0: int, total: Values, count: Values) -> None:
-    """Add zenith angles, radians, of the azimuths that have a horizon, and count them."""
-    zero, one = np.float32(0.0), np.float32(1.0)
-    right = np.float32(0.5 * np.pi)
+    """Add all azimuths to the rows [first, last) of a window."""
+    cols = slopes.shape[2]
     for i in range(first, last):
         for k in range(slopes.shape[0]):
-            for j in range(slopes.shape[2]):
-                t = slopes[k, i, j]
-                a = arctangent(abs(t))
-                angle = right - (a if t >= zero else -a)
-                known = t > np.float32(-np.inf)
-                total[row0 + i, col0 + j] += angle if known or t != t else zero
-                count[row0 + i, col0 + j] += one if known else zero
+            row, at = row0 + i, slice(col0, col0 + cols)
+            _angles(slopes[k, i], total[row, at], count[row, at])
 
 
 def _openness(below: bool) -> Product:

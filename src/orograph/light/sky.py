@@ -53,21 +53,47 @@ def arctangent(t: np.float32) -> np.float32:
     return np.float32(0.5 * np.pi) - a if t > one else a
 
 
+# Kernels on rows: indices into whole arrays might be negative as far as a compiler knows, and cost it its vectors.
+
+
+@kernel
+def _sine(slopes: Values, total: Values) -> None:
+    """Add sin h."""
+    one = np.float32(1.0)
+    for j in range(len(total)):
+        total[j] += slopes[j] / np.sqrt(one + slopes[j] * slopes[j])
+
+
+@kernel
+def _square(slopes: Values, total: Values) -> None:
+    """Add sin² h."""
+    one = np.float32(1.0)
+    for j in range(len(total)):
+        t2 = slopes[j] * slopes[j]
+        total[j] += t2 / (one + t2)
+
+
+@kernel
+def _inclined(slopes: Values, gx: Values, gy: Values, east: np.float32, north: np.float32, total: Values) -> None:
+    """Add what an azimuth gives to inclined samples, but for their cos S."""
+    one, right = np.float32(1.0), np.float32(0.5 * np.pi)
+    for j in range(len(total)):
+        rise = gx[j] * east + gy[j] * north
+        t = max(slopes[j], rise)  # a slope hides the sky behind itself
+        square = one / (one + t * t)
+        total[j] += square - rise * (right - arctangent(t) - t * square)
+
+
 @kernel
 def _add_sine(slopes: Values, first: int, last: int, square: bool, row0: int, col0: int, total: Values) -> None:
     """Add sin h, or sin² h, of all azimuths to the rows [first, last) of a window of ``total``."""
-    one = np.float32(1.0)
     cols = slopes.shape[2]
     for i in range(first, last):
         for k in range(slopes.shape[0]):
             if square:
-                for j in range(cols):
-                    t2 = slopes[k, i, j] * slopes[k, i, j]
-                    total[row0 + i, col0 + j] += t2 / (one + t2)
+                _square(slopes[k, i], total[row0 + i, col0 : col0 + cols])
             else:
-                for j in range(cols):
-                    t = slopes[k, i, j]
-                    total[row0 + i, col0 + j] += t / np.sqrt(one + t * t)
+                _sine(slopes[k, i], total[row0 + i, col0 : col0 + cols])
 
 
 @kernel
@@ -78,16 +104,11 @@ def _add_inclined(
 
     ``gx``, ``gy``: (last − first, cols) rise per metre east and north.
     """
-    one, right = np.float32(1.0), np.float32(0.5 * np.pi)
     cols = slopes.shape[2]
     for i in range(first, last):
         for k in range(slopes.shape[0]):
-            east, north = toward[k, 0], toward[k, 1]
-            for j in range(cols):
-                rise = gx[i - first, j] * east + gy[i - first, j] * north
-                t = max(slopes[k, i, j], rise)  # a slope hides the sky behind itself
-                square = one / (one + t * t)
-                total[row0 + i, col0 + j] += square - rise * (right - arctangent(t) - t * square)
+            _inclined(slopes[k, i], gx[i - first], gy[i - first], toward[k, 0], toward[k, 1],
+                      total[row0 + i, col0 : col0 + cols])  # fmt: skip
 
 
 def add_sky(context: Context, total: Values, measure: Measure, release: Callable[[], None] = lambda: None) -> None:
