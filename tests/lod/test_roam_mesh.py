@@ -16,7 +16,7 @@ from orograph.view import View
 def make(n: int, seed: int = 0) -> Roam:
     heights = np.random.default_rng(seed).normal(size=((1 << n) + 1,) * 2).astype(np.float32)
     terrain = MemoryTerrain(heights, Grid(heights.shape, Affine(10, 0, 0, 0, -10, 0)), "random")
-    engine = Roam(terrain, cull=False)
+    engine = Roam(terrain, cull=False, strips=None)
     engine.mesh(View((80.0, -80.0, 5e4), (80.0, -80.0, 0.0)), tolerance=1e6)  # reads the pages
     return engine
 
@@ -109,7 +109,7 @@ def test_random_splits_and_merges_keep_the_mesh_sound_and_follow_fronts(n: int) 
         rows, cols = front.vertices()
         assert {v for j in leaves for v in corners(nodes, j)} == set(zip(rows.tolist(), cols.tolist()))
         drawn = int(s.counts[mesh.DRAWN])
-        assert drawn == len(leaves) and len(np.unique(s.owners[:drawn])) == drawn
+        assert drawn == len(leaves) and len(np.unique(s.members[:drawn])) == drawn
     check(engine)
 
 

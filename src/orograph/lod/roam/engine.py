@@ -12,15 +12,18 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.screen import FOCAL, LENGTH, NEAR
+from orograph.errors import UsageError
 from orograph.lod.engine import BOUNDS, Engine, Mesh
-from orograph.lod.roam import frame, mesh, priorities, queues
-from orograph.view import View
+from orograph.lod.roam import frame, mesh, priorities, queues, terms
+from orograph.lod.roam import strips as stripping
+from orograph.view import Point, View
 
 FINEST = 0.25
 """Pixels to which a budget of time refines at most: finer is not seen, and would fill the memory of a still camera."""
@@ -38,6 +41,19 @@ class Roam(Engine):
     Args:
         deferral: compute priorities again only where they can have crossed the threshold (sec. 5.3); the mesh is the
             same without.
+        strips: "kept" from frame to frame (sec. 5.2), "rebuilt" in each (to compare), or None: a list of triangles.
+
+        back_facing: factor, 0 to 1, on priorities of ground that faces away from the eye.
+        silhouette: factor, 1 or more, where a silhouette can run.
+        occluded: factor, 0 to 1, on ground hidden behind other ground.
+        outside: factor, 0 to 1, on ground out of view.
+        line_of_sight: pairs of points (column, row, height in metres) between which the view is free on the mesh iff it
+            is on the full-resolution surface.
+        objects: (column, row, radius in cells) of what stands on the ground, which is there exact to
+        object_tolerance: metres.
+
+    Raises:
+        UsageError: as ``Engine``; a factor is out of its range; a demand with an error that is no bound.
 
     The arrays in the ``Mesh`` that ``mesh`` returns are the engine's own: they change with the next view.
     """
@@ -45,10 +61,52 @@ class Roam(Engine):
     name = "roam"
     metrics = ("wedgie", "anisotropic", "isotropic", "isotropic-published", "anisotropic-published")
 
-    def __init__(self, *args: Any, deferral: bool = True, **options: Any) -> None:
+    def __init__(
+        self,
+        *args: Any,
+        deferral: bool = True,
+        strips: Literal["kept", "rebuilt"] | None = "kept",
+        back_facing: float = 1.0,
+        silhouette: float = 1.0,
+        occluded: float = 1.0,
+        outside: float = 0.0,
+        line_of_sight: Sequence[tuple[Point, Point]] = (),
+        objects: Sequence[Point] = (),
+        object_tolerance: float = 0.0,
+        **options: Any,
+    ) -> None:
         super().__init__(*args, **options)
-        self.deferral = deferral
+        for name, factor in (("back_facing", back_facing), ("occluded", occluded), ("outside", outside)):
+            if not 0 <= factor <= 1:
+                raise UsageError(f"{name} is a factor on priorities from 0 to 1, not {factor}.")
+        if not 1 <= silhouette < math.inf:
+            raise UsageError(f"silhouette is a factor on priorities, 1 or more, not {silhouette}.")
+        if not object_tolerance >= 0:
+            raise UsageError(f"The tolerance under objects is in metres, 0 or more, not {object_tolerance}.")
+        self.deferral, self.strips = deferral, strips
+        demands = [[terms.OBJECT, *place, object_tolerance, 0.0, 0.0] for place in objects]
+        demands += [[terms.LINE, *p, *q] for p, q in line_of_sight]
+        if demands and self.error not in BOUNDS:
+            raise UsageError(f"Lines of sight and objects need an error that is a bound, not {self.error!r}.")
+        a, b, _, d, e, _ = self.terrain.grid.samples[:6]
+        inverse = np.linalg.inv([[a, b], [d, e]])
+        self._terms = terms.Terms(
+            np.array(demands, np.float64).reshape(-1, 7), np.zeros((1, 6), np.float32), np.zeros(1, np.int64),
+            np.ones(1, np.int64), np.zeros((terms.SECTORS, terms.RINGS), np.float32),
+            np.array([back_facing, silhouette, occluded, outside]),
+            np.array([0, 0, 0, np.abs(inverse).max() * math.sqrt(2), 1 / self.exaggeration,
+                      (1 << terms.SHIFT) * max(self.terrain.grid.spacing)]),
+            np.array([a, b, d, e]),
+        )  # fmt: skip
+        if back_facing < 1 or silhouette > 1 or occluded < 1:
+            blocks, base, width = terms.blocks_of(self.terrain)
+            self._terms = self._terms._replace(blocks=blocks, base=base, width=width)
         self.restart()
+
+    @property
+    def conservative(self) -> bool:
+        """As ``Engine.conservative``; what is turned away or hidden is not held to the tolerance if it counts less."""
+        return super().conservative and min(self._terms.factors[0], self._terms.factors[2]) == 1.0
 
     def restart(self) -> None:
         """Forget the mesh: the next view begins from two triangles."""
@@ -56,7 +114,7 @@ class Roam(Engine):
         low, high = (0.0, 0.0) if math.isnan(low) else (low, high)
         capacity = 1 << 14
         counts = np.zeros(mesh.COUNTS, np.int64)
-        counts[[mesh.TOP, mesh.FREED, mesh.LEAVES]] = 2, -1, 2
+        counts[[mesh.TOP, mesh.FREED, mesh.LEAVES, mesh.UNUSED]] = 2, -1, 2, -1
         options = np.zeros(priorities.OPTIONS)
         options[priorities.CULL] = self.cull
         options[priorities.BOUND] = self.error in BOUNDS
@@ -71,15 +129,14 @@ class Roam(Engine):
             np.zeros(queues.CLASSES),
             np.zeros(queues.CLASSES, np.int64),
             np.zeros(capacity, np.int32),
-            np.zeros(capacity // 2 + 2, np.int32),
-            np.zeros((capacity // 2 + 2, 3), np.int64),
-            np.zeros((capacity // 2 + 2, 3), np.float32),
+            *self._output(capacity),
             np.zeros(256, np.int32),
             np.zeros(16),
             counts,
             np.zeros(LENGTH),
             options,
             self.field.pages,
+            self._terms,
         )
         self._crossing = 0.0
         self._seen: tuple[Any, ...] | None = None
@@ -126,6 +183,10 @@ class Roam(Engine):
             turned = float(np.linalg.norm(axes - self._pose[0])) / math.sqrt(2.0)
         self._seen, self._pose = seen, (axes, eye)
         s.lens[:] = lens
+        s.terms.eye[:2] = np.ravel(self.terrain.grid.index(*view.eye[:2]))
+        s.terms.eye[2] = view.eye[2]
+        if s.terms.factors[2] < 1:
+            terms.hide_behind(s.terms, s.pages.edge)
         s.options[priorities.TOLERANCE] = s.options[priorities.RATE] = goal
         s.options[[priorities.LOW, priorities.HIGH]] = goal
         if goal == 0:
@@ -151,21 +212,25 @@ class Roam(Engine):
         s.options[[priorities.LOW, priorities.HIGH]] = band
         s.counts[mesh.RENEW], s.counts[mesh.STAGE] = 1, 0
 
+    def _output(self, capacity: int) -> list[NDArray[Any]]:
+        """The output's arrays (``mesh.State``: keys to loose) for so many nodes, or so many blocks of strips."""
+        blocks = capacity // 16 if self.strips else 1
+        places = blocks * stripping.LENGTH if self.strips else capacity // 2 + 2
+        corners = places if self.strips else 3 * places
+        return [
+            np.zeros(corners, np.int64), np.zeros(corners, np.float32), np.zeros(places, np.int32),
+            np.zeros((blocks, 4), np.int32), np.zeros(blocks, np.int32), np.zeros(capacity, np.int32),
+        ]  # fmt: skip
+
     def _grow(self) -> None:
-        """Twice the room for nodes."""
+        """Twice the room for nodes and strips."""
         s = self._state
         capacity = 2 * len(s.nodes)
-        half = capacity // 2 + 2
-
-        def grown(array: NDArray[Any], length: int) -> NDArray[Any]:
-            larger = np.zeros((length, *array.shape[1:]), array.dtype)
-            larger[: len(array)] = array
-            return larger
-
-        self._state = s._replace(
-            nodes=grown(s.nodes, capacity), waiting=grown(s.waiting, capacity), owners=grown(s.owners, half),
-            keys=grown(s.keys, half), zs=grown(s.zs, half),
-        )  # fmt: skip
+        fresh = np.zeros(capacity, mesh.NODE), np.zeros(capacity, np.int32), *self._output(capacity)
+        names = "nodes", "waiting", "keys", "zs", "members", "strips", "dirty", "loose"
+        for name, array in zip(names, fresh):
+            array[: len(getattr(s, name))] = getattr(s, name)
+        self._state = s._replace(**dict(zip(names, fresh)))
 
     # ---- what came of it ---------------------------------------------------------------------------------------------
 
@@ -175,6 +240,7 @@ class Roam(Engine):
         return bool(self._state.counts[mesh.STAGE] == 0)
 
     def _result(self, tolerance: float | None, triangles: int | None, seconds: float | None, done: bool) -> Mesh:
+        self._restrip()
         s = self._state
         c = s.counts
         worst = int(queues.highest(s.occupied, queues.SPLIT))
@@ -193,7 +259,21 @@ class Roam(Engine):
             "split_queue": int(c[mesh.QUEUED_SPLITS]), "merge_queue": int(c[mesh.QUEUED_MERGES]),
         }  # fmt: skip
         drawn = int(c[mesh.DRAWN])
+        length = stripping.LENGTH * int(c[mesh.BLOCKS]) if self.strips else 3 * drawn
+        keys, zs = s.keys[:length], s.zs[:length]
+        if not self.strips:
+            keys, zs = keys.reshape(-1, 3), zs.reshape(-1, 3)
         return Mesh(
-            s.keys[:drawn], s.zs[:drawn], is_strip=False, clockwise=False, triangles=drawn, within=within,
-            tolerance=reached, stats=stats,
+            keys, zs, is_strip=bool(self.strips), clockwise=False, triangles=drawn, within=within, tolerance=reached,
+            stats=stats,
         )  # fmt: skip
+
+    def _restrip(self) -> None:
+        """Bring the strips up to date; build all anew where most blocks have come out of use."""
+        c = self._state.counts
+        if not self.strips:
+            return
+        if self.strips == "rebuilt" or 8 * c[mesh.BLOCKS] > 2 * c[mesh.DRAWN] + 1024:
+            stripping.unravel(self._state)
+        while not stripping.restrip(self._state):
+            self._grow()

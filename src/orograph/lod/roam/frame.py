@@ -12,20 +12,18 @@ import numpy as np
 from orograph._numba import leaf
 from orograph.lod.roam.mesh import (
     DRAWN,
-    EMPTY,
     FREE,
     FREED,
     INNER,
     LEAF,
     LOADED,
+    LOOSELY,
     MERGEABLE,
     MERGES,
-    OUT,
     PENDING,
     QUEUED_MERGES,
     QUEUED_SPLITS,
     RENEW,
-    SHOWN,
     SPLITS,
     STAGE,
     TOP,
@@ -35,7 +33,7 @@ from orograph.lod.roam.mesh import (
     rejoin,
     split_links,
 )
-from orograph.lod.roam.priorities import CULL, HIGH, LOW, load, priority_of
+from orograph.lod.roam.priorities import HIGH, LOW, load, priority_of
 from orograph.lod.roam.queues import (
     BUCKETS,
     CLASSES,
@@ -52,55 +50,14 @@ from orograph.lod.roam.queues import (
     slot_of,
     unschedule,
 )
+from orograph.lod.roam.strips import hide, lacks_room, show
 
 DONE, PAGES, ROOM, LIMIT, DRIFT = range(5)
 """Why the kernel stopped: the goal is reached; pages are missing; the arrays are full; so many steps were made;
 the crossing of the two queues is at priorities that were not computed again."""
 
 RESERVE = 512
-"""Nodes that must be free before a split (a forced split makes at most four on each of its levels)."""
-
-
-# ---- the output: triangles drawn, in any order -----------------------------------------------------------------------
-
-
-@leaf
-def show(nodes, owners, keys, zs, counts, options, i):
-    """Put leaf i into the output, or take it out, as its flags say."""
-    node = nodes[i]
-    drawn = node.state == LEAF and not node.flags & EMPTY and not (node.flags & OUT and options[CULL] > 0.0)
-    if drawn and node.z0 + node.z1 + node.z2 < np.inf:
-        if node.slot < 0:
-            at = counts[DRAWN]
-            counts[DRAWN] = at + 1
-            counts[SHOWN] += 1
-            node.slot = at
-            owners[at] = i
-            keys[at, 0], keys[at, 1], keys[at, 2] = (
-                np.int64(node.r0) << 32 | node.c0,
-                np.int64(node.r1) << 32 | node.c1,
-                np.int64(node.r2) << 32 | node.c2,
-            )
-            zs[at, 0], zs[at, 1], zs[at, 2] = node.z0, node.z1, node.z2
-    elif node.slot >= 0:
-        hide(nodes, owners, keys, zs, counts, i)
-
-
-@leaf
-def hide(nodes, owners, keys, zs, counts, i):
-    """Take node i out of the output, if it is in; the last one takes its place."""
-    at = nodes[i].slot
-    if at < 0:
-        return
-    last = counts[DRAWN] - 1
-    counts[DRAWN] = last
-    if last != at:
-        j = owners[last]
-        owners[at] = j
-        nodes[j].slot = at
-        for k in range(3):
-            keys[at, k], zs[at, k] = keys[last, k], zs[last, k]
-    nodes[i].slot = -1
+"""Nodes and strips that must be free before a split (a forced split makes at most four on each of its levels)."""
 
 
 # ---- places in the queues --------------------------------------------------------------------------------------------
@@ -145,12 +102,12 @@ def leave(nodes, heads, occupied, counts, i):
 def assess(s, i):
     """Compute node i's priority and put it where it belongs: queue, crossing list, output."""
     unschedule(s.nodes, s.lists, i)
-    priority_of(s.nodes, s.pages, s.lens, s.clock, s.counts, s.options, s.stack, s.work, s.waiting, i)
+    priority_of(s.nodes, s.pages, s.lens, s.clock, s.counts, s.options, s.terms, s.stack, s.work, s.waiting, i)
     if s.nodes[i].due < np.inf:
         schedule(s.nodes, s.lists, s.clock, i)
     place(s.nodes, s.heads, s.occupied, s.counts, i)
     if s.nodes[i].state == LEAF:
-        show(s.nodes, s.owners, s.keys, s.zs, s.counts, s.options, i)
+        show(s, i)
 
 
 # ---- splits and merges -----------------------------------------------------------------------------------------------
@@ -186,12 +143,12 @@ def split_diamond(s, i):
     nodes = s.nodes
     base = np.int64(nodes[i].base)
     for j in (i, base):
-        if j >= 0 and not nodes[j].flags & LOADED and not load(nodes, s.pages, s.options, j):
+        if j >= 0 and not nodes[j].flags & LOADED and not load(nodes, s.pages, s.options, s.terms, j):
             return False
     for j in (i, base):
         if j >= 0:
             leave(nodes, s.heads, s.occupied, s.counts, j)
-            hide(nodes, s.owners, s.keys, s.zs, s.counts, j)
+            hide(s, j)
             not_mergeable(s, np.int64(nodes[j].parent))
     node = nodes[i]
     missing = node.color < 0.0
@@ -224,8 +181,8 @@ def merge_diamond(s, i):
             for k in (child, child + 1):
                 leave(nodes, s.heads, s.occupied, s.counts, k)
                 unschedule(nodes, s.lists, k)
-                hide(nodes, s.owners, s.keys, s.zs, s.counts, k)
-                nodes[k].flags = 0
+                hide(s, k)
+                nodes[k].flags &= LOOSELY
     for j in (i, base):
         if j >= 0:
             rejoin(nodes, s.counts, j)
@@ -234,7 +191,7 @@ def merge_diamond(s, i):
     for j in (i, base):
         if j >= 0:
             place(nodes, s.heads, s.occupied, s.counts, j)
-            show(nodes, s.owners, s.keys, s.zs, s.counts, s.options, j)
+            show(s, j)
             now_mergeable(s, np.int64(nodes[j].parent))
 
 
@@ -280,6 +237,8 @@ def assess_due(s, steps):
         for slot in range(max(s.passed[k], now - SLOTS + 1), now + 1):
             i = np.int64(lists[k * SLOTS + slot % SLOTS])
             while i >= 0 and steps != 0:
+                if is_full(s):
+                    return 0
                 following = np.int64(nodes[i].due_after)
                 if slot < now or nodes[i].due <= s.clock[k]:
                     # It may come back into this very list, at its head.
@@ -300,7 +259,7 @@ def assess_all(s, steps):
         for i in range(s.counts[TOP]):
             nodes[i].label_until = -1.0
     while s.counts[RENEW] <= s.counts[TOP]:
-        if steps == 0:
+        if steps == 0 or is_full(s):
             return 0
         i = s.counts[RENEW] - 1
         s.counts[RENEW] += 1
@@ -326,8 +285,8 @@ def assess_waiting(s):
 
 @leaf
 def is_full(s):
-    """Whether the nodes may not suffice for a forced split and its cuts."""
-    return s.counts[FREED] < 0 and s.counts[TOP] + RESERVE > len(s.nodes)
+    """Whether nodes or strips may not suffice for a forced split and its cuts."""
+    return (s.counts[FREED] < 0 and s.counts[TOP] + RESERVE > len(s.nodes)) or lacks_room(s, RESERVE)
 
 
 @leaf
@@ -352,6 +311,8 @@ def by_tolerance(s, steps):
             break
         if left == 0:
             return LIMIT
+        if is_full(s):
+            return ROOM
         left -= 1
         merge_diamond(s, np.int64(s.heads[MERGE, bucket]))
     return LIMIT if more else DONE
@@ -397,6 +358,8 @@ def by_budget(s, budget):
             return DONE
         if merge > most:
             return DRIFT
+        if is_full(s):
+            return ROOM
         merge_diamond(s, np.int64(s.heads[MERGE, merge]))
 
 
@@ -419,6 +382,8 @@ def run_frame(s, budget, steps):
             left = assess_all(s, left)
         if left != 0:
             s.counts[STAGE] = 1
+        elif is_full(s):
+            return ROOM
     if s.counts[WAITING]:
         assess_waiting(s)
     reason = by_tolerance(s, steps) if budget < 0 else by_budget(s, budget)

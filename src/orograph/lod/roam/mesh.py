@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 
 from orograph._numba import leaf
 from orograph.lod.field import Pages
+from orograph.lod.roam.terms import Terms
 
 FREE, LEAF, INNER = 0, 1, 2
 
-LOADED, OUT, EXCEEDS, PENDING, MERGEABLE, EMPTY, PINNED = 1, 2, 4, 8, 16, 32, 64
+LOADED, OUT, EXCEEDS, PENDING, MERGEABLE, EMPTY, PINNED, LOOSELY = 1, 2, 4, 8, 16, 32, 64, 128
 """Flags of a node: its diamond's values are known; outside the frustum; over the tolerance; waits for a page; both it
-and its base neighbour have two leaves as children; no surface under it; some term demands that it be split."""
+and its base neighbour have two leaves as children; no surface under it; some term demands that it be split; it is in
+the list of those that look for a strip."""
 
 NODE = np.dtype(
     [
@@ -53,6 +55,7 @@ NODE = np.dtype(
 # What ``State.counts`` counts.
 TOP, FREED, LEAVES, DRAWN, WAITING, STAGE, RENEW, QUEUED_SPLITS, QUEUED_MERGES = range(9)
 SPLITS, MERGES, COMPUTED, SHOWN, LABELS = range(9, 14)
+LOOSE, DIRTY, BLOCKS, UNUSED = range(14, 18)
 COUNTS = 24
 
 
@@ -66,11 +69,13 @@ class State(NamedTuple):
         lists: int32 (CLASSES × SLOTS,), first node of each list of due nodes; clock: float64 (CLASSES,); passed: int64
             (CLASSES,), the slot up to which each class's lists were emptied (see ``queues``).
         waiting: int32 (capacity,), nodes that wait for pages.
-        owners: int32, the node drawn at each place of the output; keys: int64 (…, 3), zs: float32 (…, 3), its corners.
+        keys: int64, zs: float32, the output: three corners for each triangle, or the blocks of the strips; members:
+            int32, the nodes drawn, in the order of the triangles or of each strip; strips: int32 (blocks, 4), dirty:
+            int32 (blocks,), loose: int32 (capacity,): see ``strips``. Without strips there is one of them.
         stack: int32 (256,), work: float64 (16,).
         counts: int64 (COUNTS,).
         lens: the camera (``error.screen.lens``). options: float64, see ``priorities``.
-        pages: ``field.Pages``.
+        pages: ``field.Pages``. terms: ``terms.Terms``.
     """
 
     nodes: NDArray[np.void]
@@ -80,15 +85,19 @@ class State(NamedTuple):
     clock: NDArray[np.float64]
     passed: NDArray[np.int64]
     waiting: NDArray[np.int32]
-    owners: NDArray[np.int32]
     keys: NDArray[np.int64]
     zs: NDArray[np.float32]
+    members: NDArray[np.int32]
+    strips: NDArray[np.int32]
+    dirty: NDArray[np.int32]
+    loose: NDArray[np.int32]
     stack: NDArray[np.int32]
     work: NDArray[np.float64]
     counts: NDArray[np.int64]
     lens: NDArray[np.float64]
     options: NDArray[np.float64]
     pages: Pages
+    terms: Terms
 
 
 @leaf
@@ -119,11 +128,11 @@ def begin_node(nodes, i, parent):
     node.parent = parent
     node.child = node.base = node.left = node.right = -1
     node.priority = 0.0
-    node.bucket = node.due_list = node.slot = node.strip = -1
+    node.bucket = node.due_list = node.slot = -1
     node.label_until = -1.0
     node.inside = 0
     node.state = LEAF
-    node.flags = 0
+    node.flags &= LOOSELY
     if parent >= 0:
         above = nodes[parent]
         node.level = above.level + 1

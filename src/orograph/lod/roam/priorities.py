@@ -38,9 +38,11 @@ from orograph.lod.roam.mesh import (
     LOADED,
     OUT,
     PENDING,
+    PINNED,
     WAITING,
 )
 from orograph.lod.roam.queues import class_of, reach_of
+from orograph.lod.roam.terms import around, factor_of, is_hidden, is_pinned
 
 # State.options
 TOLERANCE, LOW, HIGH, CULL, EVERY, BOUND, METRIC, N, RATE = range(9)
@@ -79,7 +81,7 @@ def down(x):
 
 
 @leaf
-def load(nodes, pages, options, i):
+def load(nodes, pages, options, terms, i):
     """Copy the values of node i's diamond from its page, and tighten its heights; False if the page is absent."""
     node = nodes[i]
     n = int(options[N])
@@ -111,6 +113,8 @@ def load(nodes, pages, options, i):
         e = np.float64(node.error)
         node.low = max(node.low, down(min(node.z0, min(node.z1, node.z2)) - e))
         node.high = min(node.high, -down(-(max(node.z0, max(node.z1, node.z2)) + e)))
+    if not node.flags & EMPTY and is_pinned(node, pages.edge, terms, np.float64(node.error)):
+        node.flags |= PINNED
     return True
 
 
@@ -221,7 +225,7 @@ def above(e, n, m, up, t):
 
 
 @leaf
-def priority_of(nodes, pages, lens, clock, counts, options, stack, work, waiting, i):
+def priority_of(nodes, pages, lens, clock, counts, options, terms, stack, work, waiting, i):
     """Compute node i's priority, whether it is in view and over the tolerance, and when it is due again.
 
     A triangle out of view does not need its diamond; one in view whose page is absent waits for it.
@@ -233,8 +237,13 @@ def priority_of(nodes, pages, lens, clock, counts, options, stack, work, waiting
     node.priority = 0.0
     known, lasts = inherited(nodes, pages, lens, clock, counts, stack, work, i)
     inside = frustum(node, edge, lens, known, work)
-    if not node.flags & LOADED and (work[0] < 0.0 or options[CULL] == 0.0):
-        if not load(nodes, pages, options, i):
+    if not node.flags & LOADED and (
+        work[0] < 0.0
+        or options[CULL] == 0.0
+        or terms.factors[3] > 0.0
+        or (len(terms.demands) > 0 and is_pinned(node, edge, terms, np.inf))
+    ):
+        if not load(nodes, pages, options, terms, i):
             if not node.flags & PENDING:
                 node.flags |= PENDING
                 waiting[counts[WAITING]] = i
@@ -253,13 +262,28 @@ def priority_of(nodes, pages, lens, clock, counts, options, stack, work, waiting
     if k >= 0:
         node.inside, node.label_class = inside, k
         node.label_until = clock[k] + min(min(label, lasts), reach_of(k) / 8.0) * 0.999
-    bound, slack = screen(node, edge, lens, options)
+    factor, lasting = factor_of(node, edge, terms)
     if gap >= 0.0:
         node.flags |= OUT
-        slack = gap
-        bound = np.inf if options[CULL] == 0.0 and node.error == np.inf and node.flags & LOADED else 0.0
+        factor *= terms.factors[3]
+        room = gap
+    if factor > 0.0:
+        if gap < 0.0:
+            bound, slack = screen(node, edge, lens, options, options[LOW] / factor, options[HIGH] / factor)
+        else:
+            bound, slack = around(node, edge, terms, lens, options[LOW] / factor, options[HIGH] / factor)
+        bound *= factor
+        if terms.factors[2] < 1.0 and bound > options[LOW]:
+            slack = 0.0
+            if is_hidden(node, edge, terms):
+                bound *= terms.factors[2]
     else:
-        slack = min(slack, room)
+        bound, slack = 0.0, np.inf
+    if options[CULL] == 0.0 and node.flags & LOADED and node.error == np.inf:
+        bound = np.inf  # a hole's edge is kept in what is drawn
+    slack = min(slack, min(lasting, room))
+    if node.flags & PINNED:
+        bound, slack = np.inf, room
     if node.flags & EMPTY:
         bound = 0.0
     tolerance = options[TOLERANCE]
@@ -277,13 +301,12 @@ def priority_of(nodes, pages, lens, clock, counts, options, stack, work, waiting
 
 
 @leaf
-def screen(node, edge, lens, options):
-    """(the bound in pixels over a node's volume, the motion for which it stays on its side of the thresholds)."""
+def screen(node, edge, lens, options, low, high):
+    """(the bound in pixels over a node's volume, the motion for which it does not come to lie between low and high)."""
     if not node.flags & LOADED or node.flags & EMPTY:
         return 0.0, np.inf
     e = np.float64(node.error)
     focal, near, up = lens[12], lens[14], lens[16]
-    low, high = options[LOW], options[HIGH]
     metric = int(options[METRIC])
     if e == np.inf:
         return np.inf, np.inf

@@ -1,0 +1,219 @@
+"""ROAM's optional terms: what is decided on the mesh, against brute force on the full-resolution surface."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import plain
+import pytest
+
+from orograph import verify
+from orograph.errors import UsageError
+from orograph.lod.roam import Roam
+from orograph.view import View
+
+
+def surface(z: np.ndarray, col: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Heights of the full-resolution surface: cells cut from their (even, even) to their (odd, odd) corner."""
+    i = np.minimum(row.astype(int), z.shape[0] - 2)
+    j = np.minimum(col.astype(int), z.shape[1] - 2)
+    v, u = row - i, col - j
+    a, b, c, d = z[i, j], z[i, j + 1], z[i + 1, j], z[i + 1, j + 1]
+    falling = (i + j) % 2 == 0  # cut from a to d
+    on_fall = np.where(u >= v, a + u * (b - a) + v * (d - b), a + v * (c - a) + u * (d - c))
+    on_rise = np.where(u + v <= 1, a + u * (b - a) + v * (c - a), d + (1 - u) * (c - d) + (1 - v) * (b - d))
+    return np.where(falling, on_fall, on_rise)
+
+
+def on_mesh(t, col: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Heights of a mesh over points; NaN off it."""
+    height = np.full(len(col), np.nan)
+    for p, q, r in t.vertices[t.triangles]:
+        area = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+        v = ((col - p[0]) * (r[1] - p[1]) - (row - p[1]) * (r[0] - p[0])) / area
+        w = ((q[0] - p[0]) * (row - p[1]) - (q[1] - p[1]) * (col - p[0])) / area
+        inside = (v >= -1e-12) & (w >= -1e-12) & (v + w <= 1 + 1e-12)
+        height[inside] = (p[2] + v * (q[2] - p[2]) + w * (r[2] - p[2]))[inside]
+    return height
+
+
+def crossings(p, q) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(col, row, height) of a line where it meets any edge a mesh can have: all that is linear bends nowhere else."""
+    p, q = np.array(p, float), np.array(q, float)
+    ts = [np.array([0.0, 1.0])]
+    for f in (lambda v: v[0], lambda v: v[1], lambda v: v[0] - v[1], lambda v: v[0] + v[1]):
+        a, b = f(p), f(q)
+        if a != b:
+            k = np.arange(math.ceil(min(a, b)), math.floor(max(a, b)) + 1)
+            ts.append((k - a) / (b - a))
+    t = np.unique(np.concatenate(ts).clip(0, 1))[:, None]
+    return tuple((p + t * (q - p)).T)
+
+
+def far_view(t) -> View:
+    x, y = t.grid.xy(t.grid.cols / 2, t.grid.rows / 2)
+    return View((float(x), float(y) - 10, 1e6), (float(x), float(y), 0.0), width=200, height=200)
+
+
+@pytest.mark.parametrize("shape", [(65, 65), (50, 70)])
+def test_lines_of_sight_on_the_mesh_are_those_on_the_surface(shape):
+    rng = np.random.default_rng(shape[0])
+    z = plain.rough(rng, shape)
+    t = plain.terrain(z)
+    lines = []
+    for _ in range(40):
+        ends = rng.uniform(0, 1, (2, 2)) * (shape[1] - 1, shape[0] - 1)
+        heights = surface(z, ends[:, 0], ends[:, 1]) + rng.choice([1.0, 5.0, 15.0])
+        lines.append(tuple((float(c), float(r), float(h)) for (c, r), h in zip(ends, heights)))
+    engine = Roam(t, line_of_sight=lines, cull=False)
+    coarse = Roam(t, cull=False).refine(far_view(t), tolerance=50)
+    found = engine.refine(far_view(t), tolerance=50)
+    assert 2 <= len(coarse.triangles) < len(found.triangles) < 2 * (shape[0] - 1) * (shape[1] - 1)
+    assert not verify.judge(found, t, far_view(t)).defects
+    seen, wrong = [], 0
+    for p, q in lines:
+        col, row, height = crossings(p, q)
+        free = bool((surface(z, col, row) <= height).all())
+        assert bool((on_mesh(found, col, row) <= height).all()) == free
+        wrong += bool((on_mesh(coarse, col, row) <= height).all()) != free
+        seen.append(free)
+    assert 5 < sum(seen) < 35 and wrong > 0  # there was something to decide, and without the term it is wrong
+
+
+@pytest.mark.parametrize("metres", [0.0, 2.0])
+def test_the_ground_beneath_objects_is_exact(metres):
+    rng = np.random.default_rng(4)
+    z = plain.rough(rng, (65, 65))
+    t = plain.terrain(z)
+    col, row, radius = 20.3, 41.0, 4.5
+    view = far_view(t)
+    plainly = Roam(t, cull=False).refine(view, tolerance=100)
+    found = Roam(t, cull=False, objects=[(col, row, radius)], object_tolerance=metres).refine(view, tolerance=100)
+    at, turn = np.sqrt(rng.uniform(0, 1, 800)) * radius, rng.uniform(0, 2 * np.pi, 800)
+    c, r = col + at * np.cos(turn), row + at * np.sin(turn)
+    assert np.abs(on_mesh(found, c, r) - surface(z, c, r)).max() <= metres + 1e-4
+    assert np.abs(on_mesh(plainly, c, r) - surface(z, c, r)).max() > 5
+    assert len(found.triangles) < 2000
+
+
+def facing(t, found, view) -> np.ndarray:
+    """For each triangle's ground: does all (1), some (0), none (−1) of the full-resolution surface face the eye?"""
+    z = t.heights.astype(float)
+    col, row = t.grid.index(*view.eye[:2])
+    result = []
+    for corners in found.vertices[found.triangles]:
+        c0, r0 = corners[:, :2].min(0).astype(int)
+        c1, r1 = corners[:, :2].max(0).astype(int)
+        signs = set()
+        for i in range(r0, r1):
+            for j in range(c0, c1):
+                for a, b in (
+                    (z[i, j + 1] - z[i, j], z[i + 1, j] - z[i, j]),
+                    (z[i + 1, j + 1] - z[i + 1, j], z[i + 1, j + 1] - z[i, j + 1]),
+                    (z[i, j + 1] - z[i, j], z[i + 1, j + 1] - z[i, j + 1]),
+                    (z[i + 1, j + 1] - z[i + 1, j], z[i + 1, j] - z[i, j]),
+                ):
+                    signs.add(view.eye[2] - z[i, j] - a * (col - j) - b * (row - i) > 0)
+        result.append(1 if signs == {True} else -1 if signs == {False} else 0)
+    return np.array(result)
+
+
+def ridge() -> tuple:
+    """A long ridge with a rough crest and flanks, and an eye to the south of it."""
+    rng = np.random.default_rng(8)
+    rows = np.arange(129)[:, None]
+    z = (2000 - 30.0 * np.abs(rows - 64) + 15 * rng.normal(size=(129, 129))).astype(np.float32)
+    t = plain.terrain(z, cell=30)
+    x, y = t.grid.xy(64, 128)
+    low = View((float(x), float(y) - 1500, 600.0), (float(x), float(y) + 2000, 1000.0), fov_y=70, width=300, height=200)
+    return t, low
+
+
+@pytest.mark.parametrize("term", ["back_facing", "occluded"])
+def test_what_is_turned_away_or_hidden_gets_coarser_and_the_rest_stays(term):
+    t, view = ridge()
+    usual = Roam(t, cull=False).refine(view, tolerance=1.0)
+    engine = Roam(t, cull=False, **{term: 0.0})
+    found = engine.refine(view, tolerance=1.0)
+    assert not verify.judge(found, t, view).defects and not found.stats["conservative"]
+
+    def beyond(m):
+        return int((m.vertices[m.triangles, 1].max(1) < 60).sum())
+
+    assert beyond(found) < 0.3 * beyond(usual)
+    near = {c for c in plain.triangles_of(usual) if min(r for _, r in c) > 70}
+    assert len(near) > 100 and near <= plain.triangles_of(found)
+    carried = Roam(t, cull=False, **{term: 0.0})
+    for k in range(20):
+        moved = replace(view, eye=(view.eye[0] + 4 * k, view.eye[1] + 40 * k, view.eye[2] + 60 * k))
+        now = carried.refine(moved, tolerance=1.0)
+    fresh = Roam(t, cull=False, deferral=False, **{term: 0.0}).refine(moved, tolerance=1.0)
+    assert plain.triangles_of(now) == plain.triangles_of(fresh)
+    assert beyond(now) > 2 * beyond(found)  # from higher up the far flank is seen
+
+
+def test_only_what_is_hidden_is_taken_for_hidden():
+    """By rays against the surface: no sample of a triangle that stayed coarse for being hidden is seen."""
+    t, view = ridge()
+    usual = Roam(t).refine(view, tolerance=1.0)
+    found = Roam(t, occluded=0.0).refine(view, tolerance=1.0)
+    z = t.heights.astype(float)
+    col, row = (float(v) for v in t.grid.index(*view.eye[:2]))
+    known = plain.triangles_of(usual)
+    coarser = [v for v in found.vertices[found.triangles] if frozenset(map(tuple, v[:, :2])) not in known]
+    checked = 0
+    for corners in coarser[:40]:
+        for c, r, h in corners:
+            s = np.linspace(0, 1, 2000)[1:-1]
+            cs, rs = col + s * (c - col), row + s * (r - row)
+            on = (cs >= 0) & (cs <= 128) & (rs >= 0) & (rs <= 128)
+            above = surface(z, cs[on], rs[on]) - (view.eye[2] + s[on] * (h - view.eye[2]))
+            if min(corners[:, 1]) < 55:
+                assert above.max() > 0
+                checked += 1
+    assert checked > 10
+
+
+def test_silhouettes_get_finer_and_only_where_they_can_run():
+    t, view = ridge()
+    usual = Roam(t, cull=False).refine(view, tolerance=3.0)
+    found = Roam(t, cull=False, silhouette=8.0).refine(view, tolerance=3.0)
+    finer = Roam(t, cull=False).refine(view, tolerance=3.0 / 8)
+    assert found.stats["conservative"]
+    assert len(usual.triangles) < len(found.triangles) < len(finer.triangles)
+    # Along a silhouette some ground faces the eye and some does not: there the mesh is as fine as eight times finer.
+    everywhere = plain.triangles_of(finer)
+    mixed = facing(t, finer, view) == 0
+    there = {frozenset(map(tuple, v[:, :2])) for v in finer.vertices[finer.triangles[mixed]]}
+    assert len(there) > 100 and there <= everywhere & plain.triangles_of(found)
+
+
+def test_ground_out_of_view_is_coarser_by_the_factor():
+    rng = np.random.default_rng(6)
+    t = plain.terrain(plain.rough(rng, (129, 129)))
+    view = plain.random_view(rng, t)
+    sizes = []
+    for factor in (0.0, 0.1, 1.0):
+        carried = Roam(t, cull=False, outside=factor)
+        for k in range(6):
+            now = carried.refine(replace(view, eye=(view.eye[0], view.eye[1] + 5 * k, view.eye[2])), tolerance=1)
+        fresh = Roam(t, cull=False, outside=factor, deferral=False).refine(
+            replace(view, eye=(view.eye[0], view.eye[1] + 25, view.eye[2])), tolerance=1
+        )
+        assert plain.triangles_of(now) == plain.triangles_of(fresh)
+        assert now.stats["conservative"] and verify.judge(
+            now, t, replace(view, eye=(view.eye[0], view.eye[1] + 25, view.eye[2]))
+        ).ok(1.0)
+        sizes.append(len(now.triangles))
+    assert sizes[0] < sizes[1] < sizes[2]
+
+
+def test_options_that_make_no_sense_are_refused():
+    t = plain.terrain(np.zeros((5, 5), np.float32))
+    for options in ({"back_facing": 2.0}, {"occluded": -1}, {"silhouette": 0.5}, {"object_tolerance": -1.0}):
+        with pytest.raises(UsageError):
+            Roam(t, **options)
+    with pytest.raises(UsageError, match="bound"):
+        Roam(t, error="midpoint", objects=[(1, 1, 1)])
