@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 import os
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
@@ -26,8 +27,8 @@ from orograph.error.diamonds import diamonds
 from orograph.geovis.colour import tint_of
 from orograph.light.normal import gradient
 from orograph.progress import SILENT, Progress
-from orograph.store.diamonds import NESTED, diamond_shape, place, surface
-from orograph.store.terrain import Terrain
+from orograph.store.diamonds import NESTED, place, surface
+from orograph.store.terrain import Terrain, diamond_shape
 
 if TYPE_CHECKING:
     from orograph.geovis.drape import Drape
@@ -133,16 +134,17 @@ class ColorErrors:
         tint = self._tint
         z = np.nan_to_num(heights, nan=tint.low)
         at = np.clip((z - tint.low) / (tint.high - tint.low) * (len(tint.land) - 1), 0, len(tint.land) - 1)
-        result = tint.land[at.astype(np.intp)]
+        result: Floats = tint.land[at.astype(np.intp)]
         if len(tint.sea):
             at = np.clip((1 - z / tint.floor) * (len(tint.sea) - 1), 0, len(tint.sea) - 1)
             result = np.where((z < 0)[..., None], tint.sea[at.astype(np.intp)], result)
         if self._image is not None:
             rows, cols = np.mgrid[row0 : row0 + heights.shape[0], col0 : col0 + heights.shape[1]]
             x, y = self.terrain.grid.xy(cols.ravel(), rows.ravel())
-            found = self._image.sample(x, y, np.float64(min(self.terrain.grid.spacing))).reshape(*heights.shape, 4)
+            width = np.full(1, min(self.terrain.grid.spacing))
+            found = self._image.sample(x, y, width).reshape(*heights.shape, 4)
             result = np.where(found[..., 3:] > 0.5, found[..., :3], result)
-        return result.astype(np.float32)
+        return result
 
     def _all(self, jobs: int | None, progress: Progress) -> list[NDArray[np.uint8]]:
         terrain = self.terrain
@@ -156,11 +158,10 @@ class ColorErrors:
             # One channel after the other in lock step: their parts come in the same order.
             channels = [
                 diamonds(
-                    lambda r0, r1, c0, c1, k=k: np.ascontiguousarray(self._once(r0, r1, c0, c1)[..., k]),
-                    np.ascontiguousarray(nested[..., k]), blank, ("exact",), radii=False, jobs=jobs,
+                    self._channel(k), np.ascontiguousarray(nested[..., k]), blank, ("exact",), radii=False, jobs=jobs
                 )
                 for k in range(3)
-            ]  # fmt: skip
+            ]
             for parts in zip(*channels, strict=True):
                 total = np.sqrt(sum(part.errors["exact"].astype(np.float64) ** 2 for part in parts))
                 # Mixed diamonds are split anyway.
@@ -171,6 +172,12 @@ class ColorErrors:
                 if part.octave == 0:
                     task.advance()
         return codes
+
+    def _channel(self, k: int) -> Callable[[int, int, int, int], Floats]:
+        def read(row0: int, row1: int, col0: int, col1: int) -> Floats:
+            return np.ascontiguousarray(self._once(row0, row1, col0, col1)[..., k])
+
+        return read
 
     def _once(self, *window: int) -> Floats:
         """``colors`` of a window that all three channels ask for, made by the first of them."""
