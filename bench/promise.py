@@ -188,7 +188,7 @@ def terrain_records(name: str, options: argparse.Namespace) -> list[dict[str, An
     if terrain is None:
         print(f"{name}: not at {options.data}")
         return []
-    found = measure(name, terrain, options.engine or list(ENGINES), 5 if options.quick else 20, options.seed)
+    found = measure(name, terrain, options.engine or list(ENGINES), 5 if options.quick else options.views, options.seed)
     print(f"{name}: {terrain.grid.cols} × {terrain.grid.rows}, {time.perf_counter() - start:.0f} s", flush=True)
     return found
 
@@ -197,6 +197,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--quick", action="store_true", help="5 views each, and not the synthetic terrain")
+    parser.add_argument("--views", type=int, default=20, help="how many of each terrain")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--terrain", action="append", choices=list(TERRAINS), help="only these")
     parser.add_argument("--engine", action="append", choices=list(ENGINES), help="only these")
