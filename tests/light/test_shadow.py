@@ -106,6 +106,24 @@ def test_against_rays_on_hills():
     assert np.abs(f - truth)[inner].mean() < 0.01
 
 
+def test_rays_against_every_triangle_of_real_ground(real_ground):
+    """Shadow of a point: every sample's ray with every triangle (Möller & Trumbore), on 20 × 20 samples."""
+    from brute import intersections, triangles
+
+    h, linear = real_ground[0][:20, :20], real_ground[1]
+    sun = Sun(310.0, 12.0, 1e-4)
+    row, col = np.indices(h.shape)
+    origins = np.stack([col.ravel(), row.ravel(), h.ravel() + 3e-3], 1).astype(float)
+    east, north, up = sun.direction
+    towards = np.array([*np.linalg.solve(linear, [east, north]), up])
+    free = np.array(
+        [~np.isfinite(t[t > 1e-9]).any() for t in intersections(triangles(h), origins, np.tile(towards, (400, 1)))]
+    )
+    seen = shadow_rays(h, linear, sun, rays=1).ravel()
+    assert 0.2 < free.mean() < 0.8
+    np.testing.assert_array_equal(seen, free)
+
+
 def test_nothing_depends_on_threads_and_few_strips_are_refused():
     h = wall()
     sun = Sun(250.0, 20.0)
