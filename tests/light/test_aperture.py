@@ -162,3 +162,36 @@ def test_blocks_threads_and_refusals():
     for how in ({"method": "cones"}, {"method": "rays", "rays": 0}):
         with pytest.raises(UsageError):
             aperture(h, CELL, **how)
+
+
+def test_a_radius_limits_rays():
+    from orograph.light.aperture import run
+    from orograph.light.gather import collected, context_of
+    from orograph.light.products import Options
+
+    h = np.zeros((11, 41), np.float32)
+    h[:, 30:] = 300.0
+    radii = []
+    for radius in (60.0, 200.0, None):
+        context = context_of(h, CELL, Options(radius=radius, rays=500, more={"method": "rays"}))
+        radii.append(collected(context, run(context), 4)[3, 5, 20])
+    assert radii[0] == pytest.approx(90.0, abs=0.1) and radii[0] > radii[1] > radii[2]
+
+
+@pytest.mark.parametrize("name", ["aperture", "insolation", "shadow", "ambient-occlusion"])
+def test_products_are_the_same_on_disk_as_in_memory(name, real_ground, monkeypatch):
+    from affine import Affine
+    from pyproj import CRS
+
+    from orograph.geo.grid import Grid
+    from orograph.light.products import Context, Options, compute
+    from orograph.light.raster import Canvas
+    from orograph.store.memory import MemoryTerrain
+
+    h, ((a, b), (d, e)) = real_ground
+    terrain = MemoryTerrain(h, Grid(h.shape, Affine(a, b, 4e5, d, e, 3.8e6), CRS("EPSG:32611")), "ground")
+    options = Options(azimuths=8, more={"date": "2026-06-21", "strips": 2})
+    whole = compute(Context(terrain, options, jobs=1), name)
+    monkeypatch.setattr(Context, "canvas", lambda self, bands: Canvas(bands, self.shape, True))
+    np.testing.assert_array_equal(compute(Context(terrain, options, jobs=3), name), whole)
+    assert np.isfinite(whole).all() and whole.std() > 0

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from orograph.errors import UsageError
 from orograph.light.caps import cap_area
 from orograph.light.gather import collected, context_of, gathered
-from orograph.light.occlusion import Method, Neighbourhood, by_blocks, lift
+from orograph.light.occlusion import Method, Neighbourhood, by_blocks, flat_only, lift
 from orograph.light.products import Blocks, Context, Options, Product, Values
 from orograph.light.sun import Sun
 from orograph.light.sweep import direction
@@ -120,16 +120,19 @@ def _horizons(context: Context) -> Blocks:
 def _rays(context: Context, rays: int, seed: int) -> Blocks:
     from orograph.light.occlusion_kernels import ray_cone
 
+    flat_only(context)
+    radius = context.options.radius or math.inf
+
     def work(near: Neighbourhood) -> Values:
         heights = np.ascontiguousarray(near.block(near.heights))
         out = np.zeros((4, *heights.shape))
         ray_cone(
-            *near.scene(), heights, near.inverse, lift(context), rays, seed, near.row0 + near.inner[0],
+            *near.scene(), heights, near.inverse, lift(context), radius, rays, seed, near.row0 + near.inner[0],
             near.col0 + near.inner[2], 0, len(heights), out,
         )  # fmt: skip
         return _caps(out.astype(np.float32), np.isnan(heights))
 
-    return by_blocks(context, math.inf, work, "Casting rays to the sky")
+    return by_blocks(context, radius, work, "Casting rays to the sky")
 
 
 def aperture(

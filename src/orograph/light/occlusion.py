@@ -160,6 +160,15 @@ def lift(context: Context) -> float:
     return LIFT * float(np.sqrt(abs(np.linalg.det(context.linear))))
 
 
+def flat_only(context: Context) -> None:
+    """Raise UsageError where the Earth is to be round: rays and walks are straight over a plane."""
+    if context.options.curvature:
+        raise UsageError(
+            "Rays and walks go over flat ground; only swept horizons know the curvature of the Earth.",
+            remedy="Leave out --curvature, or sweep horizons: --method horizon, without a radius.",
+        )
+
+
 def by_blocks(context: Context, reach: float, work: Callable[[Neighbourhood], Values], what: str) -> Blocks:
     """Fixed windows of the terrain, made by ``work(neighbourhood) → (bands, rows, cols)`` in threads.
 
@@ -256,12 +265,14 @@ def run(context: Context) -> Blocks:
     method: Method = options.more.get("method", "horizon")
     ways = transmission(options.more.get("rho", "step"), options.radius)
     if method == "rays":
+        flat_only(context)
         if options.rays < 1:
             raise UsageError(f"At least one ray is needed, not {options.rays}.")
         return _rays(context, ways, options.rays, int(options.more.get("seed", 0)))
     if method != "horizon":
         raise UsageError(f"There is no method {method!r}; there are horizon and rays.")
     if math.isfinite(ways.radius):
+        flat_only(context)
         return _walks(context, ways, options.azimuths)
     return _sweeps(context)
 

@@ -143,10 +143,11 @@ def ray_disc(
 
 @kernel
 def ray_cone(
-    scene, ints, floats, low, high, heights, inverse, lift, rays, seed, row0, col0, first, last, out
+    scene, ints, floats, low, high, heights, inverse, lift, radius, rays, seed, row0, col0, first, last, out
 ):  # fmt: skip
     """Moments of what is seen of the upper hemisphere: ``out`` (4, rows, cols) float64 gets the integral of V·ω
-    (east, north, up) and of V over solid angle. Arrays as for ``ray_occlusion``."""
+    (east, north, up) and of V over solid angle. Nothing is hit
+    beyond ``radius``. Arrays as for ``ray_occlusion``."""
     spans = np.empty((ints.shape[0], 2))
     part = 2.0 * np.pi / rays
     for i in range(first, last):
@@ -160,7 +161,7 @@ def ray_cone(
                 dx, dy = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n
                 t, _ = ray(
                     scene, ints, floats, low, high, np.float64(j + col0), np.float64(i + row0), z + lift, dx, dy, up,
-                    0.0, np.inf, 1, LEVEL, spans,
+                    0.0, radius, 1, LEVEL, spans,
                 )  # fmt: skip
                 if t == np.inf:
                     out[0, i, j] += e * part
