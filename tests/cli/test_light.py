@@ -176,6 +176,55 @@ def test_ctrl_c_leaves_what_was_there(tmp_path):
     assert out.read_bytes() == b"before" and sorted(p.name for p in tmp_path.iterdir()) == ["big.tif", "out.tif"]
 
 
+@pytest.mark.parametrize("name", ["sky-view-factor", "openness", "horizon"])
+def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_path, monkeypatch, name):
+    from orograph.light import sweep
+    from orograph.light.raster_resume import Kept
+
+    whole, out = tmp_path / "whole.tif", tmp_path / "out.tif"
+    given = ("--product", name, "--azimuths", 12, "--quiet", "--resume")
+    assert run("light", hilly, *given, "-o", whole)[0] == 0
+    save, passes = Kept.save, []
+
+    def interrupted(self, *args):
+        if len(passes) == 2:
+            raise KeyboardInterrupt
+        passes.append(len(args[2]))
+        save(self, *args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Kept, "save", interrupted)
+        code, _, err = run("light", hilly, *given, "-o", out)
+    assert code == 130 and "same command" in err and not out.exists() and (tmp_path / "out.tif.partial").is_dir()
+    swept, run_pass = [], sweep._Pass.run
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep._Pass, "run", lambda self, read: swept.append(len(self.lines)) or run_pass(self, read))
+        code, _, err = run("light", hilly, *given, "-o", out)
+    assert code == 0, err
+    assert len(swept) == 2 and sum(swept) == 12 - passes[-1]  # two of four passes were left
+    assert out.read_bytes() == whole.read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out.tif", "whole.tif"]
+
+
+def test_resume_refuses_other_work_and_damage(run, hilly, tmp_path, monkeypatch):
+    from orograph.light.raster_resume import Kept
+
+    out = tmp_path / "out.tif"
+    given = ("light", hilly, "--product", "visible-sky", "--resume", "--quiet", "-o", out)
+    with monkeypatch.context() as patch:
+        patch.setattr(Kept, "remove", lambda self: None)
+        assert run(*given)[0] == 0
+    code, _, err = run(*given, "--azimuths", 7)
+    assert code == 4 and "another map" in err
+    folder = tmp_path / "out.tif.partial"
+    values = next(folder.glob("*.f32"))
+    values.write_bytes(values.read_bytes()[:-4])
+    code, _, err = run(*given)
+    assert code == 4 and "Delete that folder" in err
+    code, _, err = run(*(a for a in given if a != "--resume"))
+    assert code == 0 and folder.is_dir()  # left alone
+
+
 def test_every_product_has_its_names_and_units():
     for name in names():
         found = product(name)

@@ -100,6 +100,11 @@ class Names(click.ParamType["tuple[str, ...]"]):
 @click.option("--byte", is_flag=True, help="8-bit values for looking at, instead of float32 in physical units.")
 @click.option("--crs", help="Projected CRS to work in.  [default: the file's own, or its UTM zone]")
 @click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Keep what has been swept in OUT.tif.partial after each pass, and go on from there if it is interrupted.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
 @source_options
 @vertical_options
@@ -108,7 +113,7 @@ class Names(click.ParamType["tuple[str, ...]"]):
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, as_json: bool, max_memory: int, jobs: int | None,
-    **options: Any,
+    resume: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Make maps of light on a terrain (DEM files or a store): a GeoTIFF on its metric grid, in physical units.
 
@@ -146,6 +151,7 @@ def command(
     with progress.task("Loading Orograph"):
         from orograph.light.products import Context, Options, product
         from orograph.light.raster import Band, write
+        from orograph.light.raster_resume import Kept, identity
         from orograph.light.sun import parse
         from orograph.output import check_folder
         from orograph.picture.prepare import prepare
@@ -164,12 +170,23 @@ def command(
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
     place = sun.over(terrain.grid)
     chosen = Options(**common, sun=(place.azimuth, place.altitude), lights=lights, more=more)
-    context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress)
+    kept = None
+    if resume:
+        plan = {"products": wanted, "terrain": identity(terrain), "options": repr(chosen)}
+        kept = Kept(Path(f"{output}.partial"), plan)
+    context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
     bands = [Band(name, p.unit, p.doc, p.byte) for p in products for name in p.bands(chosen)]
-    write(
-        output, terrain.grid, bands, _blocks(context, products), byte=options["byte"], jobs=jobs, progress=progress,
-        overviews="nearest" if "aspect" in wanted else "average", tags=_tags(context, wanted),
-    )  # fmt: skip
+    try:
+        write(
+            output, terrain.grid, bands, _blocks(context, products), byte=options["byte"], jobs=jobs, progress=progress,
+            overviews="nearest" if "aspect" in wanted else "average", tags=_tags(context, wanted),
+        )  # fmt: skip
+    except KeyboardInterrupt:
+        if kept is not None:
+            click.echo(f"\n{output} is not complete; run the same command to go on.", err=True)
+        raise
+    if kept is not None:
+        kept.remove()
     seconds = time.perf_counter() - began
     rows, cols = terrain.grid.shape
     if as_json:

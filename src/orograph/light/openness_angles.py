@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from orograph._numba import kernel
 from orograph.light.products import Blocks, Context, Product
 from orograph.light.sky import arctangent
-from orograph.light.sweep import Block, fold
+from orograph.light.sweep import Block
 
 Values = NDArray[np.float32]
 
@@ -53,7 +53,7 @@ def _openness(below: bool) -> Product:
         def add(block: Block, first: int, last: int) -> None:
             _add_angles(block.slopes, first, last, block.row0, block.col0, canvas.values[0], canvas.values[1])
 
-        fold(context.horizons(lowest=-np.inf, below=below), add, context.jobs, canvas.release)
+        context.sweep(f"openness-{below}", canvas, add, lowest=-np.inf, below=below)
 
         def make(row0: int, row1: int, col0: int, col1: int) -> Values:
             total, count = canvas.values[:, row0:row1, col0:col1]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,7 @@ from orograph.store.terrain import Heights, Terrain
 
 if TYPE_CHECKING:
     from orograph.light.raster import Canvas
+    from orograph.light.raster_resume import Kept
     from orograph.light.sweep import Block
 
 Values = NDArray[np.float32]
@@ -100,6 +101,7 @@ class Context:
         terrain: in metres.
         max_memory: bytes the process should stay within.
         jobs: threads; None: all processors.
+        kept: where sweeps keep what they have done, and find it again; None: nowhere.
 
     Attributes:
         shape: (rows, cols) of the terrain and of every product.
@@ -114,7 +116,9 @@ class Context:
         jobs: int | None = None,
         max_memory: int = MEMORY,
         progress: Progress = SILENT,
+        kept: Kept | None = None,
     ) -> None:
+        self.kept = kept
         self.terrain, self.options = terrain, options or Options()
         self.jobs, self.max_memory, self.progress = jobs or cpu_count(), max_memory, progress
         self.shape = terrain.grid.shape
@@ -159,6 +163,7 @@ class Context:
         lowest: float = 0.0,
         below: bool = False,
         what: str = "Sweeping horizons",
+        skip: Collection[int] = (),
     ) -> Iterator[Block]:
         """The horizon in each azimuth at each sample, by bands of rows or of columns (see ``sweep.horizons``).
 
@@ -166,6 +171,7 @@ class Context:
             azimuths: degrees; None: those of the options.
             lowest: slopes are at least this (0: a level horizon; -inf: what looks down stays so).
             below: of the terrain turned upside down (for negative openness).
+            skip: indices of azimuths to leave out.
 
         Yields:
             blocks; each sample comes once with each azimuth, its azimuths always in the same order. A block's
@@ -188,7 +194,31 @@ class Context:
             memory=self.budget,
             progress=self.progress,
             what=what,
+            skip=skip,
         )
+
+    def sweep(
+        self, key: str, canvas: Canvas, add: Callable[[Block, int, int], None], *, lowest: float = 0.0,
+        below: bool = False,
+    ) -> None:  # fmt: skip
+        """Add the horizons of all azimuths of the options to a canvas: ``sweep.fold``, kept after each pass.
+
+        Args:
+            key: what the canvas is called among those that are kept.
+            canvas: zero to begin with.
+            add: as for ``fold``.
+        """
+        from orograph.light.sweep import fold
+
+        done = [] if self.kept is None else self.kept.load(key, canvas.values)
+
+        def after(block: Block) -> None:
+            if self.kept is not None and block.ends:
+                done.extend(int(k) for k in block.azimuths)
+                self.kept.save(key, canvas.values, done)
+            canvas.release()
+
+        fold(self.horizons(lowest=lowest, below=below, skip=frozenset(done)), add, self.jobs, after)
 
     def blocks(self, make: Callable[[int, int, int, int], Values], what: str, height: int = 256) -> Blocks:
         """Make a product window by window, in threads, window by window of whole tiles of a store.

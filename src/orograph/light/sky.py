@@ -15,7 +15,6 @@ With h(φ) the elevation of the horizon in azimuth φ (at least 0), over N azimu
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
@@ -24,7 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 from orograph._numba import inlined, kernel
 from orograph.errors import UsageError
 from orograph.light.products import Blocks, Context, Options, Product
-from orograph.light.sweep import Block, direction, fold
+from orograph.light.raster import Canvas
+from orograph.light.sweep import Block, direction
 from orograph.progress import SILENT, Progress
 
 Values = NDArray[np.float32]
@@ -111,11 +111,9 @@ def _add_inclined(
                       total[row0 + i, col0 : col0 + cols])  # fmt: skip
 
 
-def add_sky(context: Context, total: Values, measure: Measure, release: Callable[[], None] = lambda: None) -> None:
-    """Sum a measure's integrand over the azimuths of the options into ``total`` (rows, cols) float32.
-
-    ``release`` is called after each block (of a canvas on disk).
-    """
+def add_sky(context: Context, canvas: Canvas, measure: Measure) -> None:
+    """Sum a measure's integrand over the azimuths of the options into a canvas of one band."""
+    total = canvas.values[0]
     azimuths = context.options.directions()
     toward = np.array([direction(a) for a in azimuths], np.float32)
 
@@ -128,7 +126,7 @@ def add_sky(context: Context, total: Values, measure: Measure, release: Callable
         else:
             _add_sine(block.slopes, first, last, measure == "sky-view", *at, total)
 
-    fold(context.horizons(), add, context.jobs, release)
+    context.sweep(measure, canvas, add)
 
 
 def finish(context: Context, total: Values, measure: Measure, window: tuple[int, int, int, int]) -> Values:
@@ -176,16 +174,16 @@ def sky_view(
     if measure not in get_args(Measure):
         raise UsageError(f"There is no measure {measure!r}; there are {', '.join(get_args(Measure))}.")
     context = context_of(heights, linear, Options(azimuths=azimuths, radius=radius), jobs=jobs, progress=progress)
-    total = np.zeros(context.shape, np.float32)
-    add_sky(context, total, measure)
-    whole: Values = finish(context, total, measure, (0, context.shape[0], 0, context.shape[1]))[0]
+    canvas = context.canvas(1)
+    add_sky(context, canvas, measure)
+    whole: Values = finish(context, canvas.values[0], measure, (0, context.shape[0], 0, context.shape[1]))[0]
     return whole
 
 
 def _sky(measure: Measure) -> Product:
     def run(context: Context) -> Blocks:
         canvas = context.canvas(1)
-        add_sky(context, canvas.values[0], measure, canvas.release)
+        add_sky(context, canvas, measure)
 
         def make(*window: int) -> Values:
             return finish(context, canvas.values[0], measure, window)  # type: ignore[arg-type]
@@ -210,7 +208,7 @@ def _horizon(context: Context) -> Blocks:
             angle = np.degrees(np.arctan(block.slopes[k, first:last]))
             canvas.values[index, rows, block.col0 : block.col1] = angle
 
-    fold(context.horizons(), keep, context.jobs, canvas.release)
+    context.sweep("horizon", canvas, keep)
     yield from context.blocks(
         lambda row0, row1, col0, col1: canvas.values[:, row0:row1, col0:col1], "Writing the horizon"
     )

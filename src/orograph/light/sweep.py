@@ -22,7 +22,7 @@ bands, threads or memory, to the bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -60,6 +60,7 @@ class Block:
         azimuths: (k,) indices into the azimuths asked for.
         slopes: (k, rows, cols) float32, tangents of the horizon's elevation; NaN where heights are. Valid until the
             next block is asked for.
+        ends: whether it is the last of its pass: these azimuths are complete.
     """
 
     row0: int
@@ -68,6 +69,7 @@ class Block:
     col1: int
     azimuths: NDArray[np.int64]
     slopes: Values
+    ends: bool
 
 
 def direction(azimuth: float) -> tuple[float, float]:
@@ -178,6 +180,7 @@ def horizons(
     memory: int = 1 << 30,
     progress: Progress = SILENT,
     what: str = "Sweeping horizons",
+    skip: Collection[int] = (),
     band: int | None = None,
 ) -> Iterator[Block]:
     """Sweep a raster in every azimuth.
@@ -194,6 +197,7 @@ def horizons(
         jobs: threads; None: all processors.
         memory: bytes for bands, slopes and stacks.
         what: to call it on the progress line.
+        skip: indices of azimuths to leave out.
         band: steps of a band, in samples (default: chosen from ``memory``).
 
     Yields:
@@ -209,7 +213,7 @@ def horizons(
     if cells.shape != (2, 2) or not np.isfinite(cells).all() or abs(np.linalg.det(cells)) == 0:
         raise UsageError("Horizons need the 2 × 2 linear part of a geotransform, in metres, that can be inverted.")
     jobs = jobs or cpu_count()
-    lines = [_Lines(k, float(a), cells, shape) for k, a in enumerate(azimuths)]
+    lines = [_Lines(k, float(a), cells, shape) for k, a in enumerate(azimuths) if k not in skip]
     # The same order in all cases: sums over azimuths are the same to the bit.
     lines.sort(key=lambda a: (a.by_columns, a.backward, a.index))
     passes: list[_Pass] = []
@@ -288,7 +292,7 @@ class _Pass:
                 self._unlimited(read(r0, r1, c0, c1), s0, s1, slopes)
             else:
                 self._limited(read, s0, s1, slopes)
-            yield Block(r0, r1, c0, c1, np.array([a.index for a in self.lines]), slopes)
+            yield Block(r0, r1, c0, c1, np.array([a.index for a in self.lines]), slopes, (s0, s1) == self.bands[-1])
 
     def _flat(self, heights: Values) -> Values:
         heights = np.negative(heights) if self.below else heights
@@ -366,12 +370,12 @@ def fold(
     blocks: Iterator[Block],
     add: Callable[[Block, int, int], None],
     jobs: int | None = None,
-    after: Callable[[], None] = lambda: None,
+    after: Callable[[Block], None] = lambda block: None,
 ) -> None:
     """Use blocks as they come: ``add(block, first, last)`` for strips of a block's rows, in threads.
 
     Strips are rows [first, last) of the block's window; those of one block come before those of the next, and
-    ``after()`` between them.
+    ``after(block)`` between them.
     """
     for block in blocks:
         rows, cols = block.row1 - block.row0, block.col1 - block.col0
@@ -382,4 +386,4 @@ def fold(
 
         for _ in map_ordered(strip, range(0, rows, height), jobs):
             pass
-        after()
+        after(block)
