@@ -190,7 +190,7 @@ def test_products_are_the_same_on_disk_as_in_memory(name, real_ground, monkeypat
 
     h, ((a, b), (d, e)) = real_ground
     terrain = MemoryTerrain(h, Grid(h.shape, Affine(a, b, 4e5, d, e, 3.8e6), CRS("EPSG:32611")), "ground")
-    options = Options(azimuths=8, more={"date": "2026-06-21", "strips": 2})
+    options = Options(azimuths=8, sun=(315.0, 18.0), more={"date": "2026-06-21", "strips": 2})
     whole = compute(Context(terrain, options, jobs=1), name)
     monkeypatch.setattr(Context, "canvas", lambda self, bands: Canvas(bands, self.shape, True))
     np.testing.assert_array_equal(compute(Context(terrain, options, jobs=3), name), whole)
