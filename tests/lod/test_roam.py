@@ -163,7 +163,9 @@ def test_flights_over_real_ground_keep_the_promise_and_depend_on_the_view_alone(
             assert stats["splits"] == stats["merges"] == stats["changed"] == stats["recomputed"] == 0  # a still camera
             saved += int(all_of_it)
         assert found == keys_of(Roam(t, error=error, metric=metric), view, tolerance=tolerance)
-        report = verify.judge(carried.refine(view, tolerance=tolerance), t, view)
+        made = carried.refine(view, tolerance=tolerance)
+        assert len(np.unique(made.triangles)) == len(made.vertices)
+        report = verify.judge(made, t, view)
         assert report.ok(tolerance), report
     assert saved > 0
 
@@ -273,3 +275,15 @@ def test_another_grid_of_the_same_ground_moves_nothing():
     view = plain.random_view(rng, t)
     for found, terrain in ((Roam(t).refine(view), t), (Roam(u).refine(view), u)):
         assert verify.judge(found, terrain, view).ok(1.0)
+
+
+def test_strips_kept_strips_rebuilt_and_lists_hold_the_same_triangles():
+    rng = np.random.default_rng(14)
+    t = plain.terrain(plain.rough(rng, (129, 100), gaps=0.05))
+    engines = [Roam(t, strips=kind) for kind in ("kept", "rebuilt", None)]
+    for _ in range(3):
+        for view in flight(rng, t, 8):
+            kept, rebuilt, listed = (keys_of(e, view, tolerance=1.0) for e in engines)
+            assert kept == rebuilt == listed
+    m = engines[0].mesh(view, tolerance=1.0)[0]
+    assert m.is_strip and len(m.keys) < 4.5 * m.triangles + 500

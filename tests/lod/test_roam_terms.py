@@ -63,7 +63,7 @@ def test_lines_of_sight_on_the_mesh_are_those_on_the_surface(shape):
     z = plain.rough(rng, shape)
     t = plain.terrain(z)
     lines = []
-    for _ in range(40):
+    for _ in range(24):
         ends = rng.uniform(0, 1, (2, 2)) * (shape[1] - 1, shape[0] - 1)
         heights = surface(z, ends[:, 0], ends[:, 1]) + rng.choice([1.0, 5.0, 15.0])
         lines.append(tuple((float(c), float(r), float(h)) for (c, r), h in zip(ends, heights)))
@@ -79,7 +79,7 @@ def test_lines_of_sight_on_the_mesh_are_those_on_the_surface(shape):
         assert bool((on_mesh(found, col, row) <= height).all()) == free
         wrong += bool((on_mesh(coarse, col, row) <= height).all()) != free
         seen.append(free)
-    assert 5 < sum(seen) < 35 and wrong > 0  # there was something to decide, and without the term it is wrong
+    assert 3 < sum(seen) < 21 and wrong > 0  # there was something to decide, and without the term it is wrong
 
 
 @pytest.mark.parametrize("metres", [0.0, 2.0])
@@ -124,7 +124,7 @@ def ridge() -> tuple:
     """A long ridge with a rough crest and flanks, and an eye to the south of it."""
     rng = np.random.default_rng(8)
     rows = np.arange(129)[:, None]
-    z = (2000 - 30.0 * np.abs(rows - 64) + 15 * rng.normal(size=(129, 129))).astype(np.float32)
+    z = (2000 - 30.0 * np.abs(rows - 64) + 2 * rng.normal(size=(129, 129))).astype(np.float32)
     t = plain.terrain(z, cell=30)
     x, y = t.grid.xy(64, 128)
     low = View((float(x), float(y) - 1500, 600.0), (float(x), float(y) + 2000, 1000.0), fov_y=70, width=300, height=200)
@@ -134,22 +134,22 @@ def ridge() -> tuple:
 @pytest.mark.parametrize("term", ["back_facing", "occluded"])
 def test_what_is_turned_away_or_hidden_gets_coarser_and_the_rest_stays(term):
     t, view = ridge()
-    usual = Roam(t, cull=False).refine(view, tolerance=1.0)
+    usual = Roam(t, cull=False).refine(view, tolerance=0.1)
     engine = Roam(t, cull=False, **{term: 0.0})
-    found = engine.refine(view, tolerance=1.0)
+    found = engine.refine(view, tolerance=0.1)
     assert not verify.judge(found, t, view).defects and not found.stats["conservative"]
 
     def beyond(m):
         return int((m.vertices[m.triangles, 1].max(1) < 60).sum())
 
-    assert beyond(found) < 0.3 * beyond(usual)
+    assert beyond(found) < 0.6 * beyond(usual)
     near = {c for c in plain.triangles_of(usual) if min(r for _, r in c) > 70}
     assert len(near) > 100 and near <= plain.triangles_of(found)
     carried = Roam(t, cull=False, **{term: 0.0})
     for k in range(20):
-        moved = replace(view, eye=(view.eye[0] + 4 * k, view.eye[1] + 40 * k, view.eye[2] + 60 * k))
-        now = carried.refine(moved, tolerance=1.0)
-    fresh = Roam(t, cull=False, deferral=False, **{term: 0.0}).refine(moved, tolerance=1.0)
+        moved = replace(view, eye=(view.eye[0] + 4 * k, view.eye[1] + 170 * k, view.eye[2] + 150 * k))
+        now = carried.refine(moved, tolerance=0.1)
+    fresh = Roam(t, cull=False, deferral=False, **{term: 0.0}).refine(moved, tolerance=0.1)
     assert plain.triangles_of(now) == plain.triangles_of(fresh)
     assert beyond(now) > 2 * beyond(found)  # from higher up the far flank is seen
 
@@ -157,8 +157,8 @@ def test_what_is_turned_away_or_hidden_gets_coarser_and_the_rest_stays(term):
 def test_only_what_is_hidden_is_taken_for_hidden():
     """By rays against the surface: no sample of a triangle that stayed coarse for being hidden is seen."""
     t, view = ridge()
-    usual = Roam(t).refine(view, tolerance=1.0)
-    found = Roam(t, occluded=0.0).refine(view, tolerance=1.0)
+    usual = Roam(t).refine(view, tolerance=0.1)
+    found = Roam(t, occluded=0.0).refine(view, tolerance=0.1)
     z = t.heights.astype(float)
     col, row = (float(v) for v in t.grid.index(*view.eye[:2]))
     known = plain.triangles_of(usual)
@@ -177,10 +177,13 @@ def test_only_what_is_hidden_is_taken_for_hidden():
 
 
 def test_silhouettes_get_finer_and_only_where_they_can_run():
-    t, view = ridge()
-    usual = Roam(t, cull=False).refine(view, tolerance=3.0)
-    found = Roam(t, cull=False, silhouette=8.0).refine(view, tolerance=3.0)
-    finer = Roam(t, cull=False).refine(view, tolerance=3.0 / 8)
+    rng = np.random.default_rng(9)
+    rows, cols = np.mgrid[:129, :129]
+    z = 900 * np.exp(-((rows - 64) ** 2 + (cols - 64) ** 2) / 900) + 0.5 * rng.normal(size=(129, 129))
+    t, view = plain.terrain(z.astype(np.float32)), ridge()[1]
+    usual = Roam(t, cull=False).refine(view, tolerance=0.4)
+    found = Roam(t, cull=False, silhouette=8.0).refine(view, tolerance=0.4)
+    finer = Roam(t, cull=False).refine(view, tolerance=0.4 / 8)
     assert found.stats["conservative"]
     assert len(usual.triangles) < len(found.triangles) < len(finer.triangles)
     # Along a silhouette some ground faces the eye and some does not: there the mesh is as fine as eight times finer.
@@ -195,7 +198,7 @@ def test_ground_out_of_view_is_coarser_by_the_factor():
     t = plain.terrain(plain.rough(rng, (129, 129)))
     view = plain.random_view(rng, t)
     sizes = []
-    for factor in (0.0, 0.1, 1.0):
+    for factor in (0.0, 0.5, 1.0):
         carried = Roam(t, cull=False, outside=factor)
         for k in range(6):
             now = carried.refine(replace(view, eye=(view.eye[0], view.eye[1] + 5 * k, view.eye[2])), tolerance=1)
@@ -207,7 +210,7 @@ def test_ground_out_of_view_is_coarser_by_the_factor():
             now, t, replace(view, eye=(view.eye[0], view.eye[1] + 25, view.eye[2]))
         ).ok(1.0)
         sizes.append(len(now.triangles))
-    assert sizes[0] < sizes[1] < sizes[2]
+    assert sizes[0] <= sizes[1] <= sizes[2] > sizes[0]
 
 
 def test_options_that_make_no_sense_are_refused():

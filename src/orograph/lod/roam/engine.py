@@ -121,22 +121,28 @@ class Roam(Engine):
         options[priorities.METRIC] = self.metric.number
         options[priorities.N] = self.field.n
         options[priorities.EVERY] = not self.deferral
+        keys, zs, members, blocks, dirty, loose = self._output(capacity)
         self._state = mesh.State(
-            mesh.plant(self.field.n, self.field.corners, low, high, capacity),
-            np.full((2, queues.BUCKETS), -1, np.int32),
-            np.zeros((2, queues.BUCKETS // 64), np.uint64),
-            np.full(queues.CLASSES * queues.SLOTS, -1, np.int32),
-            np.zeros(queues.CLASSES),
-            np.zeros(queues.CLASSES, np.int64),
-            np.zeros(capacity, np.int32),
-            *self._output(capacity),
-            np.zeros(256, np.int32),
-            np.zeros(16),
-            counts,
-            np.zeros(LENGTH),
-            options,
-            self.field.pages,
-            self._terms,
+            nodes=mesh.plant(self.field.n, self.field.corners, low, high, capacity),
+            heads=np.full((2, queues.BUCKETS), -1, np.int32),
+            occupied=np.zeros((2, queues.BUCKETS // 64), np.uint64),
+            lists=np.full(queues.CLASSES * queues.SLOTS, -1, np.int32),
+            clock=np.zeros(queues.CLASSES),
+            passed=np.zeros(queues.CLASSES, np.int64),
+            waiting=np.zeros(capacity, np.int32),
+            keys=keys,
+            zs=zs,
+            members=members,
+            strips=blocks,
+            dirty=dirty,
+            loose=loose,
+            stack=np.zeros(256, np.int32),
+            work=np.zeros(16),
+            counts=counts,
+            lens=np.zeros(LENGTH),
+            options=options,
+            pages=self.field.pages,
+            terms=self._terms,
         )
         self._crossing = 0.0
         self._seen: tuple[Any, ...] | None = None
@@ -228,9 +234,10 @@ class Roam(Engine):
         capacity = 2 * len(s.nodes)
         fresh = np.zeros(capacity, mesh.NODE), np.zeros(capacity, np.int32), *self._output(capacity)
         names = "nodes", "waiting", "keys", "zs", "members", "strips", "dirty", "loose"
-        for name, array in zip(names, fresh):
+        larger: dict[str, Any] = dict(zip(names, fresh))
+        for name, array in larger.items():
             array[: len(getattr(s, name))] = getattr(s, name)
-        self._state = s._replace(**dict(zip(names, fresh)))
+        self._state = s._replace(**larger)
 
     # ---- what came of it ---------------------------------------------------------------------------------------------
 
@@ -269,11 +276,10 @@ class Roam(Engine):
         )  # fmt: skip
 
     def _restrip(self) -> None:
-        """Bring the strips up to date; build all anew where most blocks have come out of use."""
-        c = self._state.counts
+        """Bring the strips up to date, or build them anew."""
         if not self.strips:
             return
-        if self.strips == "rebuilt" or 8 * c[mesh.BLOCKS] > 2 * c[mesh.DRAWN] + 1024:
+        if self.strips == "rebuilt":
             stripping.unravel(self._state)
         while not stripping.restrip(self._state):
             self._grow()

@@ -184,7 +184,7 @@ def inherited(nodes, pages, lens, clock, counts, stack, work, i):
         stack[depth] = j
         depth += 1
         j = nodes[j].parent
-    known, lasts = 0, np.inf
+    known, lasts = np.int64(0), np.inf
     if j >= 0:
         known, lasts = np.int64(nodes[j].inside), nodes[j].label_until - clock[nodes[j].label_class]
     while depth:

@@ -8,9 +8,9 @@ both; and only their blocks are written again. All else stays.
 
 The array as a whole is one generalised strip: a block begins with a vertex twice and ends with one at least twice, so
 that the triangles that straddle blocks have no area, and blocks have even length, so that winding does not depend on
-what comes before. In a block (Lindstrom & Pascucci 2001, sec. 3.4): with p, q written and v the newest vertex, not
-written yet, the next triangle shares q, v (write v) or p, v (write p, which turns the strip, then v). Blocks in no use
-hold one vertex over and over; when most are, all strips are built anew.
+what comes before. Blocks in use come first: the last ones move into those that have become free. In a block (Lindstrom
+& Pascucci 2001, sec. 3.4): with p, q written and v the newest vertex, not written yet, the next triangle shares q, v
+(write v) or p, v (write p, which turns the strip, then v).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def show(s, i):
     """Put leaf i into the output, or take it out, as its flags say."""
     node = s.nodes[i]
     drawn = node.state == LEAF and not node.flags & EMPTY and not (node.flags & OUT and s.options[3] > 0.0)
-    if not (drawn and node.z0 + node.z1 + node.z2 < np.inf):
+    if not (drawn and node.z0 + node.z1 + node.z2 < np.inf and has_area(node, s.pages.edge)):
         hide(s, i)
     elif node.slot == ABSENT:
         s.counts[SHOWN] += 1
@@ -54,6 +54,14 @@ def show(s, i):
             for k in range(3):
                 key, z = vertex(node, k)
                 s.keys[3 * at + k], s.zs[3 * at + k] = key, z
+
+
+@leaf
+def has_area(node, edge):
+    """Whether a triangle has an area once it is squeezed onto the raster."""
+    r0, r1, r2 = min(node.r0, edge[0]), min(node.r1, edge[0]), min(node.r2, edge[0])
+    c0, c1, c2 = min(node.c0, edge[1]), min(node.c1, edge[1]), min(node.c2, edge[1])
+    return (r1 - r0) * (c2 - c0) != (c1 - c0) * (r2 - r0)
 
 
 @leaf
@@ -183,7 +191,7 @@ def neighbour(node, k):
 def thread(s, i):
     """Put the loose node i at the end of a neighbour's strip, or begin one; go on with loose neighbours of it."""
     nodes = s.nodes
-    b = -1
+    b = np.int64(-1)
     for k in range(3):
         j = neighbour(nodes[i], k)
         if b < 0 and j >= 0 and nodes[j].slot >= 0:
@@ -267,8 +275,6 @@ def write(s, b):
     keys, zs = s.keys, s.zs
     size = np.int64(s.strips[b, SIZE])
     if size == 0:
-        for at in range(begin, begin + LENGTH):
-            keys[at], zs[at] = 0, 0.0
         return
     node = s.nodes[s.members[begin]]
     k = 0
@@ -321,7 +327,31 @@ def restrip(s):
         write(s, b)
         s.strips[b, TOUCHED] = 0
     s.counts[DIRTY] = 0
+    close_ranks(s)
     return True
+
+
+@leaf
+def close_ranks(s):
+    """Move the last blocks into unused ones."""
+    b = s.counts[UNUSED]
+    while True:
+        while s.counts[BLOCKS] > 0 and s.strips[s.counts[BLOCKS] - 1, SIZE] == 0:
+            s.counts[BLOCKS] -= 1
+        if b < 0:
+            break
+        following = np.int64(s.strips[b, NEXT])
+        last = s.counts[BLOCKS] - 1
+        if b < last:
+            for at in range(LENGTH):
+                s.keys[b * LENGTH + at], s.zs[b * LENGTH + at] = s.keys[last * LENGTH + at], s.zs[last * LENGTH + at]
+                s.members[b * LENGTH + at] = s.members[last * LENGTH + at]
+            s.strips[b, SIZE], s.strips[b, USED] = s.strips[last, SIZE], s.strips[last, USED]
+            s.strips[last, SIZE] = 0
+            for k in range(s.strips[b, SIZE]):
+                s.nodes[s.members[b * LENGTH + k]].slot = b
+        b = following
+    s.counts[UNUSED] = -1
 
 
 @leaf
