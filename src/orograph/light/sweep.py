@@ -342,14 +342,19 @@ class _Pass:
 
     def _limited(self, read: Read, s0: int, s1: int, slopes: Values) -> None:
         rows, cols = self.shape
+        assert self.radius is not None
+        windows = []
         # Azimuths have steps of different lengths in metres, hence radii of different numbers of steps.
-        for k, a in enumerate(self.lines):
-            assert self.radius is not None
+        for a in self.lines:
             reach = min(max(int(self.radius * a.scale + 1e-9), 1), self.steps)
             first = a.position(s1 - 1 if a.backward else s0)
             begin = max((first - reach) // reach * reach, 0)  # a whole block in front of what is in reach
-            h0, h1 = (s0, self.steps - begin) if a.backward else (begin, s1)
-            flat = self._flat(read(0, rows, h0, h1) if self.by_columns else read(h0, h1, 0, cols))
+            windows.append((reach, *((s0, self.steps - begin) if a.backward else (begin, s1))))
+        least, most = min(h0 for _, h0, _ in windows), max(h1 for _, _, h1 in windows)
+        heights = read(0, rows, least, most) if self.by_columns else read(least, most, 0, cols)
+        for k, (a, (reach, h0, h1)) in enumerate(zip(self.lines, windows)):
+            part = np.s_[h0 - least : h1 - least]
+            flat = self._flat(heights[:, part] if self.by_columns else heights[part])
             width = h1 - h0
             lane, step = (width, 1) if self.by_columns else (1, self.lanes)
             sweep = partial(
