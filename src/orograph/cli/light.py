@@ -93,7 +93,9 @@ class Names(click.ParamType["tuple[str, ...]"]):
     "--rays", type=click.IntRange(min=1), default=256, show_default=True, help="Rays per sample by Monte Carlo."
 )
 @click.option("--rho", type=click.Choice(["step", "linear"]), help="Of ambient occlusion.  [default: step]")
-@click.option("--method", type=click.Choice(["horizon", "rays"]), help="Of ambient occlusion.  [default: horizon]")
+@click.option(
+    "--method", type=click.Choice(["horizon", "rays"]), help="Of ambient occlusion and apertures.  [default: horizon]"
+)
 @click.option("--date", metavar="DATE", help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026).")
 @click.option("--step", type=float, metavar="MINUTES", help="Of insolation: between two suns.  [default: 10]")
 @click.option("--turbidity", type=float, help="Of insolation: Linke's, of the air.  [default: 3]")
@@ -128,6 +130,7 @@ def command(
     openness             mean zenith angle of the horizon (Yokoyama et al. 2002)
     openness-negative    mean nadir angle, under the ground
     ambient-occlusion    share of ambient light that reaches the ground (--radius, --rho, --method)
+    aperture             the sky that is seen as one cap: its direction (east, north, up) and radius
     shadow               the part of the sun's disc that is seen (--sun), and a code
     insolation           energy of sun and sky, Wh/m² (--date)
 
@@ -179,7 +182,7 @@ def command(
     try:
         write(
             output, terrain.grid, bands, _blocks(context, products), byte=options["byte"], jobs=jobs, progress=progress,
-            overviews="nearest" if "aspect" in wanted else "average", tags=_tags(context, wanted),
+            overviews="nearest" if {"aspect", "shadow"} & set(wanted) else "average", tags=_tags(context, wanted),
         )  # fmt: skip
     except KeyboardInterrupt:
         if kept is not None:

@@ -50,7 +50,7 @@ class Map:
 
     def save(self, path: str | os.PathLike[str], *, byte: bool = False) -> None:
         """Write a Cloud Optimized GeoTIFF, float32 or 8-bit (see ``raster.write``)."""
-        smooth = "nearest" if any(b.name == "aspect" for b in self.bands) else "average"
+        smooth = "nearest" if any(b.name in ("aspect", "code") for b in self.bands) else "average"
         write(path, self.grid, self.bands, [(0, 0, 0, self.values)], byte=byte, overviews=smooth)
 
     def to_xarray(self) -> xr.DataArray:
