@@ -48,7 +48,7 @@ class Roam(Engine):
         occluded: factor, 0 to 1, on ground hidden behind other ground.
         outside: factor, 0 to 1, on ground out of view.
         line_of_sight: pairs of points (column, row, height in metres) between which the view is free on the mesh iff it
-            is on the full-resolution surface.
+            is on the full-resolution surface; what of them is out of view is in the mesh with ``cull=False``.
         objects: (column, row, radius in cells) of what stands on the ground, which is there exact to
         object_tolerance: metres.
 
