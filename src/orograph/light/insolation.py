@@ -212,7 +212,7 @@ def run(context: Context) -> Blocks:
     options = context.options
     more = options.more
     if "date" not in more:
-        raise UsageError("Insolation is over a period.", remedy="Give a year, a month or a day: 2026-06-21.")
+        raise UsageError("Insolation is over a period.", remedy="Give a year, a month or a day (--date 2026-06-21).")
     grid = context.terrain.grid
     suns = Suns.over(grid, str(more["date"]), float(more.get("step", STEP)), float(more.get("turbidity", TURBIDITY)))
     low, high = context.terrain.height_range
