@@ -19,6 +19,7 @@ import numpy as np
 
 from orograph._numba import leaf
 from orograph.lod.roam.mesh import BLOCKS, DIRTY, DRAWN, EMPTY, LEAF, LOOSE, LOOSELY, OUT, SHOWN, UNUSED
+from orograph.lod.roam.priorities import CULL
 
 LENGTH = 24
 """Vertices of a block."""
@@ -35,7 +36,7 @@ ABSENT, NEW = -1, -2
 def show(s, i):
     """Put leaf i into the output, or take it out, as its flags say."""
     node = s.nodes[i]
-    drawn = node.state == LEAF and not node.flags & EMPTY and not (node.flags & OUT and s.options[3] > 0.0)
+    drawn = node.state == LEAF and not node.flags & EMPTY and not (node.flags & OUT and s.options[CULL] > 0.0)
     if not (drawn and node.z0 + node.z1 + node.z2 < np.inf and has_area(node, s.pages.edge)):
         hide(s, i)
     elif node.slot == ABSENT:
