@@ -25,6 +25,7 @@ import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,7 @@ from orograph.light.sweep_kernels import GROUP, PAGE, sweep_lines, sweep_windows
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 
+T = TypeVar("T")
 Values = NDArray[np.float32]
 Read = Callable[[int, int, int, int], Values]
 
@@ -160,6 +162,12 @@ class _Pool:
         free[0] = count + after - before
         self.free = free
 
+    def clear(self) -> None:
+        """Empty all stacks."""
+        self.top[:] = -1
+        self.free[0] = len(self.link)
+        self.free[1:] = np.arange(len(self.link) - 1, -1, -1)
+
     @property
     def size(self) -> int:
         """Bytes in memory."""
@@ -278,9 +286,12 @@ class _Pass:
         if self.backward:
             self.bands.reverse()
         # Shares of the lines, counted from line 0: small enough for all threads to have some.
-        share = -(-self.lanes * count // (4 * jobs))
-        self.share = min(max(GROUP, share + -share % GROUP), 1024)
+        share = -(-self.lanes * count // (16 * jobs))
+        self.share = min(max(4 * GROUP, share + -share % GROUP), 512)
         self.pools: dict[tuple[int, int], _Pool] = {}
+        # Memory that is used again costs no page faults, which threads wait for one another in.
+        self._spare: list[_Pool] = []
+        self._rows: list[tuple[NDArray[np.float64], Values]] = []
         self._slopes = np.empty(count * min(width, self.steps) * self.lanes, np.float32)
 
     def run(self, read: Read) -> Iterator[Block]:
@@ -314,11 +325,13 @@ class _Pass:
         self.pools = {key: pool for key, pool in self.pools.items() if key in keep}  # lines that left the raster
         on_disk = sum(p.size for p in self.pools.values()) > self.stacks
         place = {a.index: k for k, a in enumerate(self.lines)}
+        longest = max(end - begin for begin, end in self.bands)
 
         def run(item: tuple[_Lines, int]) -> None:
             a, s = item
-            pool = self.pools.get((a.index, s)) or _Pool(self.share)
-            profile, slope = working(width)
+            pool = self.pools.get((a.index, s)) or _taken(self._spare, lambda: _Pool(self.share))
+            rows = _taken(self._rows, lambda: working(longest))
+            profile, slope = rows
             out = slopes[place[a.index]].reshape(-1)
             done = 0
             while True:
@@ -330,8 +343,12 @@ class _Pass:
                 if done >= self.share:
                     break
                 pool.grow((GROUP + 1) * (width // PAGE + 2) + (0 if last else self.share), on_disk)
+            self._rows.append(rows)
             if last:
                 self.pools.pop((a.index, s), None)
+                if not pool.release:
+                    pool.clear()
+                    self._spare.append(pool)
                 return
             if pool.release:
                 pool.release()
@@ -367,6 +384,14 @@ class _Pass:
                 pass
 
 
+def _taken(spare: list[T], make: Callable[[], T]) -> T:
+    """One of the spare ones, or a new one; from any thread."""
+    try:
+        return spare.pop()
+    except IndexError:
+        return make()
+
+
 def _at_line(sweep: Callable[..., None], line0: int) -> None:
     sweep(line0=line0)
 
@@ -384,7 +409,7 @@ def fold(
     """
     for block in blocks:
         rows, cols = block.row1 - block.row0, block.col1 - block.col0
-        height = max(8, (1 << 16) // cols)
+        height = max(8, (1 << 18) // cols)
 
         def strip(first: int, block: Block = block, height: int = height, rows: int = rows) -> None:
             add(block, first, min(first + height, rows))
