@@ -152,6 +152,29 @@ def test_a_sea_on_a_round_body_goes_to_scratch_and_stays_right(monkeypatch):
     np.testing.assert_allclose(got[0, :, 1:], -30 * bend / 2, rtol=1e-3)  # each sees its neighbour, half a step below
 
 
+def test_a_sweep_stays_within_its_memory():
+    """Of a raster that is nowhere whole; threads and stacks included."""
+    import tracemalloc
+
+    rows, cols, memory = 2500, 3000, 40 << 20
+
+    def read(row0: int, row1: int, col0: int, col1: int) -> np.ndarray:
+        row, col = np.ogrid[row0:row1, col0:col1]
+        return (50 * np.sin(row * 0.7) * np.cos(col * 0.4) + (row * col) % 7).astype(np.float32)
+
+    azimuths = np.arange(16) * 22.5
+    for _ in horizons(read, (40, 40), SQUARE, azimuths, jobs=2):
+        pass
+    tracemalloc.start()
+    try:
+        for _ in horizons(read, (rows, cols), SQUARE, azimuths, memory=memory, jobs=2):
+            pass
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < memory
+
+
 def test_upside_down():
     h = rough(30, 40, 8)
     up, _ = swept(-h, SQUARE, np.array([77.0]))

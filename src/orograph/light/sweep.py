@@ -292,18 +292,21 @@ class _Pass:
         # Memory that is used again costs no page faults, which threads wait for one another in.
         self._spare: list[_Pool] = []
         self._rows: list[tuple[NDArray[np.float64], Values]] = []
-        self._slopes = np.empty(count * min(width, self.steps) * self.lanes, np.float32)
 
     def run(self, read: Read) -> Iterator[Block]:
         """Sweep band by band, away from the light."""
+        longest = max(end - begin for begin, end in self.bands)
+        buffer = np.empty(len(self.lines) * longest * self.lanes, np.float32)
         for s0, s1 in self.bands:
             r0, r1, c0, c1 = (0, self.lanes, s0, s1) if self.by_columns else (s0, s1, 0, self.lanes)
-            slopes = self._slopes[: len(self.lines) * (r1 - r0) * (c1 - c0)].reshape(-1, r1 - r0, c1 - c0)
+            slopes = buffer[: len(self.lines) * (r1 - r0) * (c1 - c0)].reshape(-1, r1 - r0, c1 - c0)
             if self.radius is None:
                 self._unlimited(read(r0, r1, c0, c1), s0, s1, slopes)
             else:
                 self._limited(read, s0, s1, slopes)
             yield Block(r0, r1, c0, c1, np.array([a.index for a in self.lines]), slopes, (s0, s1) == self.bands[-1])
+        self._spare.clear()
+        self._rows.clear()
 
     def _flat(self, heights: Values) -> Values:
         heights = np.negative(heights) if self.below else heights
