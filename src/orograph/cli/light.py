@@ -55,7 +55,7 @@ class Names(click.ParamType["tuple[str, ...]"]):
     required=True,
     multiple=True,
     metavar="NAME",
-    help="What to make (see below); several, with commas or given again, become bands of one file.",
+    help="What to make (see above); several, with commas or given again, become bands of one file.",
 )
 @click.option("--output", "-o", required=True, type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
 @click.option(
