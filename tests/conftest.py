@@ -6,6 +6,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A first call compiles, and machines are busy: time is not what these tests are about.
+settings.register_profile("orograph", deadline=None)
+settings.load_profile("orograph")
 
 DATA = Path(os.environ.get("OROGRAPH_DATA", Path(__file__).parents[1].parent / "shared" / "data"))
 

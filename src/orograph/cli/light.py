@@ -124,7 +124,7 @@ def command(
     slope, aspect        degrees; the azimuth in which the ground falls
     hillshade            cosine of the angle between light and normal (--sun, --light)
     horizon              its elevation in degrees, one band per azimuth
-    sky-view-factor      share of the sky's light that falls on the inclined ground (Dozier & Frew 1990)
+    sky-view-factor      share of the sky's light that falls on inclined ground (Dozier & Frew 1990)
     sky-view-horizontal  the same of a horizontal surface
     visible-sky          share of the hemisphere's solid angle that is sky
     openness             mean zenith angle of the horizon (Yokoyama et al. 2002)
