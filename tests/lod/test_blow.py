@@ -178,6 +178,18 @@ def test_colours_force_splits():
     assert verify.judge(fine, t, view).ok(0.0)
 
 
+def test_plans_keep_holes():
+    """In a plan spheres have no radius (λ = 0), and yet diamonds that are part ground, part hole are split."""
+    rng = np.random.default_rng(14)
+    t = plain.terrain(plain.rough(rng, (60, 45), gaps=0.05))
+    x, y = (float(v) for v in t.grid.xy(22, 30))
+    view = plain.View((x, y, 9000.0), (x, y, 0.0), projection="plan")
+    for cull in (True, False):
+        found = Blow(t, cull=cull).refine(view, tolerance=1.0)
+        assert len(found.triangles) > 2
+        assert verify.judge(found, t, view).ok(0.0)
+
+
 def test_unusable_options_are_refused():
     t = plain.terrain(np.zeros((5, 5), np.float32))
     assert engine_of("blow") is Blow

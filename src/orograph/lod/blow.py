@@ -112,7 +112,9 @@ def update(
                     shown[v] = r >= 0.0
                     r = abs(r) * lens[15]
                     reach = -1.0
-                    if e > 0.0 and (way[3] > 0.0 or e == np.inf):
+                    if e == np.inf:
+                        reach = np.inf  # (in a plan λ is 0, and 0 · ∞ no number)
+                    elif e > 0.0 and way[3] > 0.0:
                         reach = way[3] * e + r + way[8] * (leaf_level - level)
                     if c > way[6]:
                         reach = max(reach, way[7] * r + way[8] * (leaf_level - level))
