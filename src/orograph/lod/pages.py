@@ -69,7 +69,8 @@ def locate(pages, row, col, octave):
     page = np.uint64(pages.base[level]) + (i >> np.uint64(8)) * np.uint64(pages.width[level]) + (j >> np.uint64(8))
     slot = np.int64(pages.table[page])
     if slot >= 0:
-        pages.used[np.uint64(slot)] = 1
+        if pages.used[np.uint64(slot)] == 0:  # threads must not write what they share over and over
+            pages.used[np.uint64(slot)] = 1
     elif slot == -1:
         pages.table[page] = -2
         pages.misses[pages.count[0]] = page
