@@ -61,6 +61,18 @@ def test_the_referee_is_asked(run, hilly, tmp_path):
     assert code == 0 and 0.5 < report["largest"] <= 2 and report["samples"] == 90 * 70 - 2
 
 
+def test_the_referee_does_not_mind_morphs(run, hilly, tmp_path):
+    arguments = ("-o", tmp_path / "a.npz", "--check", "--tolerance", 2, "--geomorph", "--json", "--quiet")
+    code, said, err = run("tessellate", hilly, *arguments)
+    report = json.loads(said)["report"]
+    assert code == 0 and not err and report["largest"] <= 2 and report["wrong_heights"] == 0
+    # It is morphs that are measured: some vertex is on its way.
+    mesh = Tessellation.load(tmp_path / "a.npz")[0]
+    still = run("tessellate", hilly, "-o", tmp_path / "b.npz", "--tolerance", 1, "--quiet")
+    heights = {(c, r): z for c, r, z in Tessellation.load(tmp_path / "b.npz")[0].vertices.tolist()}
+    assert still[0] == 0 and any(heights.get((c, r), z) != z for c, r, z in mesh.vertices.tolist())
+
+
 def test_a_broken_promise_is_a_fault(run, hilly, tmp_path, monkeypatch):
     """Half-way errors bound nothing; an engine that swore by them is found out, and the exit code says so."""
     arguments = ("tessellate", hilly, "-o", tmp_path / "a.npz", "--check", "--error", "midpoint", "--metric",
