@@ -7,6 +7,7 @@ runs in the calling thread, so that "one worker equals many" is a matter of the 
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
@@ -49,3 +50,18 @@ def map_ordered(work: Callable[[T], R], items: Iterable[T], jobs: int | None = N
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def aside(work: Callable[[], R]) -> R:
+    """Do the work in a thread of its own and wait for it.
+
+    Ctrl-C interrupts the main thread at once. A kernel that returns arrays must not run there: an interrupt while Numba
+    makes Python objects of its results would crash the interpreter.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return work()
+    pool = ThreadPoolExecutor(1)
+    try:
+        return pool.submit(work).result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)

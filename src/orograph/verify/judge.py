@@ -8,12 +8,13 @@ is done by the sweep in ``sweep.py``, band by band, and on the open edges (``edg
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.parallel import map_ordered
+from orograph.parallel import aside, map_ordered
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.verify import sweep as kernels
@@ -50,6 +51,10 @@ def judge(
     """
     if not (math.isfinite(exaggeration) and exaggeration > 0):
         raise UsageError(f"An exaggeration is a positive number, not {exaggeration}.")
+    return aside(partial(_judge, tessellation, terrain, view, exaggeration, jobs))
+
+
+def _judge(tessellation: Tessellation, terrain: Terrain, view: View, exaggeration: float, jobs: int | None) -> Report:
     mesh = take_apart(tessellation, terrain)
     camera = Camera.of(view, terrain.grid, exaggeration)
     crowded, alone = classify_edges(tessellation.triangles, len(tessellation.vertices))

@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from orograph._numba import inlined, kernel, leaf
+from orograph.parallel import aside
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.verify.bands import bands, take_apart
@@ -50,6 +52,10 @@ def hausdorff(tessellation: Tessellation, terrain: Terrain) -> Distance:
     Raises:
         UsageError: as ``judge``. DamagedChunkError: as ``terrain.read``.
     """
+    return aside(partial(_hausdorff, tessellation, terrain))
+
+
+def _hausdorff(tessellation: Tessellation, terrain: Terrain) -> Distance:
     mesh = take_apart(tessellation, terrain)
     a, b, _, d, e, _ = terrain.grid.samples[:6]
     linear = np.array([a, b, d, e])
