@@ -230,6 +230,28 @@ def test_a_budget_of_time_ends_in_a_sound_mesh_and_goes_on_in_the_next_frame(mon
     assert keys_of(carried, view, seconds=10.0) == keys_of(Roam(t), view, tolerance=engine.FINEST)
 
 
+def test_a_budget_of_time_leaves_nothing_in_view_out(monkeypatch):
+    """However late it is: what comes into view by a move, a turn or another lens is drawn, if coarsely."""
+    monkeypatch.setattr(engine, "STEPS", 5)
+    rng = np.random.default_rng(12)
+    t = plain.terrain(plain.rough(rng, (200, 257)))
+    x, y = t.grid.xy(128, 100)
+    eye, angle = np.array([float(x), float(y), t.height_range[1] + 20]), 0.0
+    carried = Roam(t)
+    behind = 0
+    for k in range(40):
+        angle += 0.25
+        eye[:2] += [3 * math.cos(angle), 3 * math.sin(angle)]
+        ahead = (math.cos(angle), math.sin(angle), -0.6)
+        view = View(tuple(eye), tuple(eye + ahead), fov_y=40 if k % 10 < 8 else 60, width=300, height=200)
+        found = carried.refine(view, seconds=10.0 if k % 10 == 0 else 1e-9)
+        assert len(found.triangles) > 0
+        report = verify.judge(found, t, view)
+        assert not report.defects, (k, report)
+        behind += carried._is_behind
+    assert behind > 20
+
+
 def test_pages_that_leave_take_nothing_of_the_mesh_with_them():
     rng = np.random.default_rng(11)
     t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=3000), cell=30)

@@ -167,7 +167,7 @@ class Roam(Engine):
                 drifts += 1
                 self._drift(triangles, wide=drifts > 3)
             late = seconds is not None and time.perf_counter() - began >= seconds
-            if late:
+            if late and c[mesh.RELABELLED]:
                 break
             self.field.fetch(resumes=True)  # nodes keep what they need
         return self._result(tolerance, triangles, seconds, reason == frame.DONE)
@@ -206,6 +206,7 @@ class Roam(Engine):
         if renew:
             s.counts[mesh.RENEW] = 1
         s.counts[mesh.STAGE] = not (s.counts[mesh.RENEW] or moved or turned or self._is_behind)
+        s.counts[mesh.RELABELLED] = s.counts[mesh.STAGE]
 
     def _drift(self, triangles: int | None, wide: bool) -> None:
         """The queues cross outside of the band: compute everything for a band around where they do, or for all."""
@@ -216,7 +217,7 @@ class Roam(Engine):
         self._crossing = queues.largest_in(merge if over or split < 0 else split)
         band = (0.0, math.inf) if wide else (self._crossing / BAND, self._crossing * BAND)
         s.options[[priorities.LOW, priorities.HIGH]] = band
-        s.counts[mesh.RENEW], s.counts[mesh.STAGE] = 1, 0
+        s.counts[[mesh.RENEW, mesh.STAGE, mesh.RELABELLED]] = 1, 0, 0
 
     def _output(self, capacity: int) -> list[NDArray[Any]]:
         """The output's arrays (``mesh.State``: keys to loose) for so many nodes, or so many blocks of strips."""

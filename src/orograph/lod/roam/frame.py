@@ -12,6 +12,7 @@ import numpy as np
 from orograph._numba import leaf
 from orograph.lod.roam.mesh import (
     DRAWN,
+    EMPTY,
     FREE,
     FREED,
     INNER,
@@ -20,9 +21,11 @@ from orograph.lod.roam.mesh import (
     LOOSELY,
     MERGEABLE,
     MERGES,
+    OUT,
     PENDING,
     QUEUED_MERGES,
     QUEUED_SPLITS,
+    RELABELLED,
     RENEW,
     SPLITS,
     STAGE,
@@ -33,7 +36,7 @@ from orograph.lod.roam.mesh import (
     rejoin,
     split_links,
 )
-from orograph.lod.roam.priorities import HIGH, LOW, load, priority_of
+from orograph.lod.roam.priorities import CULL, HIGH, LOW, load, priority_of
 from orograph.lod.roam.queues import (
     BUCKETS,
     CLASSES,
@@ -50,7 +53,7 @@ from orograph.lod.roam.queues import (
     slot_of,
     unschedule,
 )
-from orograph.lod.roam.strips import hide, lacks_room, show
+from orograph.lod.roam.strips import ABSENT, hide, lacks_room, show
 
 DONE, PAGES, ROOM, LIMIT, DRIFT = range(5)
 """Why the kernel stopped: the goal is reached; pages are missing; the arrays are full; so many steps were made;
@@ -252,12 +255,46 @@ def assess_due(s, steps):
 
 
 @leaf
+def is_left_out(nodes, i):
+    """Whether node i is left out of what is drawn, or would be if its diamond were merged."""
+    node = nodes[i]
+    return node.flags & OUT or (node.state == LEAF and node.slot == ABSENT and not node.flags & EMPTY)
+
+
+@leaf
+def relabel(s):
+    """Compute again, of what is due, all that is left out of what is drawn; False if the arrays are full.
+
+    The rest of what is due is drawn, whatever became of it, so it may wait for the next frame.
+    """
+    nodes, lists = s.nodes, s.lists
+    for k in range(CLASSES):
+        now = slot_of(k, s.clock[k])
+        for slot in range(max(s.passed[k], now - SLOTS + 1), now + 1):
+            i = np.int64(lists[k * SLOTS + slot % SLOTS])
+            while i >= 0:
+                following = np.int64(nodes[i].due_after)
+                if is_left_out(nodes, i) and (slot < now or nodes[i].due <= s.clock[k]):
+                    if is_full(s):
+                        return False
+                    assess(s, i)
+                i = following
+    if s.counts[RENEW] == 1:
+        for i in range(s.counts[TOP]):
+            node = nodes[i]
+            if (
+                (node.state == LEAF and not node.flags & PENDING) or (node.state == INNER and node.flags & MERGEABLE)
+            ) and is_left_out(nodes, i):
+                if is_full(s):
+                    return False
+                assess(s, i)
+    return True
+
+
+@leaf
 def assess_all(s, steps):
     """Compute everything again, at most so many: the tolerance or the lens is another one. As ``assess_due``."""
     nodes = s.nodes
-    if s.counts[RENEW] == 1:
-        for i in range(s.counts[TOP]):
-            nodes[i].label_until = -1.0
     while s.counts[RENEW] <= s.counts[TOP]:
         if steps == 0 or is_full(s):
             return 0
@@ -369,7 +406,7 @@ def run_frame(s, budget, steps):
 
     Args:
         s: the state; ``counts[STAGE]`` is 0 until all that is due has been computed, ``counts[RENEW]`` the number of
-            the next node to compute, from 1, if all are.
+            the next node to compute, from 1, if all are; ``counts[RELABELLED]`` is 0 until nothing in view is left out.
         budget: drawn triangles, or −1: the tolerance is the goal.
         steps: how many priorities, splits and merges are allowed; −1 all that are needed.
 
@@ -377,6 +414,13 @@ def run_frame(s, budget, steps):
         DONE, PAGES, ROOM, LIMIT or DRIFT.
     """
     if s.counts[STAGE] == 0:
+        if s.counts[RELABELLED] == 0:
+            if s.counts[RENEW] == 1:
+                for i in range(s.counts[TOP]):
+                    s.nodes[i].label_until = -1.0
+            if steps >= 0 and s.options[CULL] > 0.0 and not relabel(s):
+                return ROOM
+            s.counts[RELABELLED] = 1
         left = assess_due(s, steps)
         if s.counts[RENEW]:
             left = assess_all(s, left)
