@@ -115,13 +115,44 @@ def test_budgets_with_holes_and_culling_keep_the_mesh_conforming():
     t = plain.terrain(plain.rough(rng, (33, 29), gaps=0.1))
     view = plain.random_view(rng, t)
     engine = TopDown(t)
+    least = len(engine.refine(view, triangles=2).triangles)
+    assert 50 < least < 550
     for budget in range(2, 600, 7):
         found = engine.refine(view, triangles=budget)
         report = verify.judge(found, t, view)
-        assert len(found.triangles) <= budget
-        assert report.t_junctions == report.overlaps == report.crowded == report.reversed == report.wrong_heights == 0
+        assert not report.defects
+        assert len(found.triangles) <= max(budget, least)
+        assert found.stats["within_budget"] is (budget >= least)
+        assert budget >= least or not found.stats["conservative"]
         if found.stats["conservative"]:
             assert report.ok(found.stats["tolerance"])
+
+
+def test_no_budget_stops_before_all_edges_of_missing_ground(shared_data):
+    with rasterio.open(shared_data / "osgearth-srtm90m-volcano-voids" / "mt_everest_90m.tif") as file:
+        z = file.read(1)[300:700, 300:700].astype(np.float32)
+        t = plain.terrain(np.where(z == file.nodata, np.nan, z), cell=90)
+    rng = np.random.default_rng(15)
+    engine = TopDown(t, cull=False)
+    for view in (plain.random_view(rng, t), plain.random_view(rng, t, projection="plan")):
+        for goal in ({"triangles": 1000}, {"seconds": 1e-6}):
+            found = engine.refine(view, **goal)
+            assert not verify.judge(found, t, view).defects
+            assert len(found.triangles) > 1000
+        assert engine.refine(view, triangles=1000).stats["within_budget"] is False
+
+
+def test_colours_do_not_exceed_a_budget():
+    rng = np.random.default_rng(16)
+    t = plain.terrain(plain.rough(rng, (65, 65)))
+    view = plain.random_view(rng, t)
+
+    def color(level, row0, row1, col0, col1):
+        return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
+
+    found = TopDown(t, color=color, color_tolerance=1.0).refine(view, triangles=300)
+    assert len(found.triangles) <= 300 and found.stats["within_budget"] is True
+    assert not found.stats["conservative"] and not verify.judge(found, t, view).defects
 
 
 def test_fifo_reaches_a_budget_by_tolerance():

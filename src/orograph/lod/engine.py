@@ -22,6 +22,10 @@ from orograph.view import View
 BOUNDS = ("exact", "wedgie")
 """Object-space errors that bound every sample's."""
 
+UNBOUNDED = float(np.finfo(np.float64).max)
+"""Priority of a triangle that may be off by any number of pixels. Only one that ground and missing ground share comes
+before it, with infinity: it is split whatever the budget, for no mesh with it is sound."""
+
 
 @dataclass(slots=True)
 class Mesh:
@@ -33,7 +37,7 @@ class Mesh:
         is_strip: whether keys are a generalised strip.
         clockwise: how triangles (of a strip: the one at place 0) turn as the raster is drawn, rows downwards.
         triangles: how many the engine made.
-        within: whether the tolerance asked for was reached.
+        within: whether the tolerance asked for was reached, or some tolerance within the budget.
         stats: what else the engine says.
     """
 
@@ -115,7 +119,8 @@ class Engine(ABC):
 
         Args:
             tolerance: pixels (default 1 if nothing else is given).
-            triangles: instead: at most so many.
+            triangles: instead: at most so many. Where a sound mesh takes more (edges of missing ground are always kept,
+                and some engines know no coarser mesh), it has more, and ``stats["within_budget"]`` is false.
             seconds: instead: what can be done in so much time.
 
         Raises:
@@ -159,7 +164,12 @@ class Engine(ABC):
         mesh = self._refine(view, tolerance, triangles, seconds)
         if mesh.tolerance is None:
             mesh.tolerance = tolerance
-        return mesh, time.perf_counter() - began
+        took = time.perf_counter() - began
+        if triangles is not None:
+            kept = mesh.triangles <= triangles
+            mesh.within = mesh.within and kept
+            mesh.stats["within_budget"] = kept
+        return mesh, took
 
     @abstractmethod
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
@@ -175,8 +185,9 @@ class Engine(ABC):
 def by_tolerance(engine: Engine, view: View, triangles: int | None, seconds: float | None) -> Mesh:
     """Reach a budget with an engine that knows only tolerances: search for the smallest tolerance that keeps it.
 
-    The result has at most ``triangles`` triangles (or 2, the coarsest mesh) and, where the count allows it, 98 % of
-    that; with ``seconds`` the tolerance is halved from coarse to fine while the next pass can be expected to fit.
+    The result has at most ``triangles`` triangles (or it is the mesh of the largest tolerance, not within) and, where
+    the count allows it, 98 % of that; with ``seconds`` the tolerance is halved from coarse to fine while the next pass
+    can be expected to fit.
     """
     began = time.perf_counter()
     low, high = 0.0, 1024.0  # tolerances that make too many triangles, and few enough

@@ -15,6 +15,9 @@ roundings cannot put a child before its parent. By induction: when a diamond's f
 before the diamond has been taken, its parents among it; so the other one is in the queue, and next.
 (docs/engines/stateless.md)
 
+Diamonds that ground and missing ground share come before all others, as their parents do, and are split whatever the
+budget or the time: no mesh that keeps one is sound.
+
 Every triangle is judged when it is made. Keys: ``row << 32 | col`` of the padded square; metres, pixels.
 """
 
@@ -29,7 +32,7 @@ from numpy.typing import NDArray
 from orograph._numba import leaf
 from orograph.error.screen import color_exceeds, outside, sphere_bound, sphere_exceeds, to_camera
 from orograph.errors import UsageError
-from orograph.lod.engine import Engine, Mesh, by_tolerance
+from orograph.lod.engine import UNBOUNDED, Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.pages import BEYOND
 from orograph.lod.queues import LARGEST_N, code_of, heap_pop, heap_push
@@ -54,7 +57,7 @@ def refine_queue(
         pages: ``field.Pages``. lens: the camera, with the tolerance. metric: its number, of one on spheres.
         cull: whether triangles out of view are accurate and not drawn.
         ordered: largest bound first (a heap), else a FIFO.
-        budget: most triangles drawn. limit: most triangles taken in this call.
+        budget: most triangles drawn, but for what splits of mixed ones take. limit: most triangles taken in this call.
         closing: at the limit, still take the long-edge neighbour of the last one.
         leaf_level: 2n.
         corners: int64 (places, 3), left end, right end, apex; heights: float32 (places, 4), theirs and the middle's;
@@ -133,11 +136,14 @@ def refine_queue(
                     x, y, w = to_camera(lens, mc, mr, np.float64(z))
                     c = c if c >= 0.0 else -1.0 - c
                     colored = color_exceeds(lens, c, w, r)
-                    split = colored or sphere_exceeds(lens, metric, x, y, w, e, r)
+                    split = e == np.inf or colored or sphere_exceeds(lens, metric, x, y, w, e, r)
                     if split and ordered:
-                        priority = np.inf
-                        if not colored and e < np.inf:
-                            priority = sphere_bound(lens, metric, x, y, w, e, r) * (1.0 + 1e-9 * (leaf_level - level))
+                        priority = UNBOUNDED
+                        if e == np.inf:
+                            priority = np.inf
+                        elif not colored:
+                            bound = sphere_bound(lens, metric, x, y, w, e, r) * (1.0 + 1e-9 * (leaf_level - level))
+                            priority = min(bound, UNBOUNDED)
             drawn = drawn and fresh_z[i, 0] == fresh_z[i, 0] and fresh_z[i, 1] == fresh_z[i, 1]
             drawn = drawn and fresh_z[i, 2] == fresh_z[i, 2]
             fresh_n[i, 0] = 1 if drawn else 0
@@ -159,7 +165,7 @@ def refine_queue(
         change = fresh_n[0, 0] + fresh_n[1, 0]
         if t >= 0:
             change -= np.int64(shown[t])
-        if ordered and t >= 0 and code != counts[7]:
+        if ordered and t >= 0 and code != counts[7] and priorities[0] < np.inf:
             # A new diamond: is there room for its other half, too? (It is second in the heap, if there is one.)
             size = counts[3]
             other = (size > 1 and codes[1] == code) or (size > 2 and codes[2] == code)
@@ -291,7 +297,8 @@ class Stateless(Engine):
                 self.field.fetch(resumes=True)
             elif why in (DONE, FULL) or closing:
                 break
-            if seconds is not None and time.perf_counter() - began > 0.9 * seconds and work.counts[BEGUN]:
+            mixed = work.counts[TAIL] > 0 and work.queue[0][0] == np.inf
+            if seconds is not None and time.perf_counter() - began > 0.9 * seconds and work.counts[BEGUN] and not mixed:
                 limit, closing = 0, True
         return self._result(work, tolerance)
 
@@ -305,7 +312,7 @@ class Stateless(Engine):
             keys = np.concatenate([keys, work.places[0][places]])
             zs = np.concatenate([zs, work.places[1][places, :3]])
             reached = float(work.queue[0][0]) if left else 0.0
-        within = reached is not None and reached < np.inf
+        within = reached is not None and reached < UNBOUNDED
         return Mesh(
             keys, zs, is_strip=False, clockwise=False, triangles=len(keys), within=within,
             tolerance=reached if within else None,

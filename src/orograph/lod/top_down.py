@@ -7,7 +7,8 @@ criterion: nothing has to be monotonic, so the tightest metric can be used, one 
 
 With a FIFO the order does not matter and the result is the coarsest conforming mesh in which every triangle is
 accurate. With a priority queue (largest error in pixels first; the coarser first among equals) it can stop at any
-moment with a valid mesh that is about the best of its size: at a number of triangles, or at a time.
+moment with a valid mesh that is about the best of its size: at a number of triangles, or at a time. Only triangles
+that ground and missing ground share are split before it may stop: no mesh that keeps one is sound.
 
 Triangles live in flat arrays by *slot*: keys of the corners (left end, right end, apex; ``row << 32 | col`` of the
 padded square), their heights and that of the hypotenuse's middle, and four links: the slots of the neighbours at the
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 from orograph._numba import leaf
 from orograph.error.screen import LOCALISED, color_exceeds, outside, sphere_bound, to_camera, triangle_bound
 from orograph.errors import UsageError
-from orograph.lod.engine import Engine, Mesh, by_tolerance
+from orograph.lod.engine import UNBOUNDED, Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.localise import STACK, localised_bound, prism_outside
 from orograph.lod.pages import BEYOND
@@ -54,7 +55,8 @@ def refine_triangles(
         depth: of ``localised``.
         ordered: largest error first (a heap), else a FIFO.
         low: triangles with errors up to this, in pixels, are accurate.
-        budget: most triangles drawn. splits: most splits in this call. leaf_level: 2n.
+        budget: most triangles drawn, but for what splits of mixed ones take. splits: most splits in this call.
+        leaf_level: 2n.
         corners: int64 (capacity, 3); heights: float32 (capacity, 4); links: int32 (capacity, 4); drawn: uint8
             (capacity,); see the module.
         priorities: float64, codes: int64, slots: int64, (queue's capacity,).
@@ -156,8 +158,10 @@ def refine_triangles(
                     seen = not out
                 if seen:
                     x, y, w = to_camera(lens, mc, mr, np.float64(z))
-                    if e == np.inf or color_exceeds(lens, c, w, r):
+                    if e == np.inf:
                         error = np.inf
+                    elif color_exceeds(lens, c, w, r):
+                        error = UNBOUNDED
                     elif metric != 2 and metric != 5:
                         error = sphere_bound(lens, metric, x, y, w, e, r)
                     else:
@@ -174,6 +178,8 @@ def refine_triangles(
                             error = min(error, bound)
                             # What is known to be too much needs no further page.
                             missed = missed or (lacks and error <= enough)
+                    if e < np.inf:
+                        error = min(error, UNBOUNDED)
             fresh_p[i] = error
             fresh_drawn[i] = 1 if seen and ez == ez and xz == xz and az == az else 0
         if missed:
@@ -201,7 +207,7 @@ def refine_triangles(
             change -= drawn[s]
         if b >= 0:
             change -= drawn[b]
-        if s >= 0 and counts[1] + change > budget:
+        if s >= 0 and counts[1] + change > budget and priorities[0] < np.inf:
             return 4
         counts[1] += change
         counts[5] = 0
@@ -338,7 +344,8 @@ class TopDown(Engine):
                     )
             elif why in (DONE, FULL):
                 break
-            if seconds is not None and time.perf_counter() - began > 0.9 * seconds and state.counts[MADE]:
+            mixed = state.counts[TAIL] > 0 and state.queue[0][0] == np.inf
+            if seconds is not None and time.perf_counter() - began > 0.9 * seconds and state.counts[MADE] and not mixed:
                 break
         return self._result(state, tolerance)
 
@@ -350,7 +357,7 @@ class TopDown(Engine):
         if tolerance is None:
             # What is left in the queue (split triangles, too, but those come no later than their halves).
             reached = self._reached(state, left)
-            within = reached < np.inf
+            within = reached < UNBOUNDED
         drawn = np.flatnonzero(state.drawn[:made])
         return Mesh(
             state.corners[drawn], state.heights[drawn, :3], is_strip=False, clockwise=False, triangles=len(drawn),
