@@ -13,7 +13,7 @@ import rasterio
 from orograph import verify
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts
-from orograph.lod.roam import Roam, engine, mesh
+from orograph.lod.roam import Roam, engine, mesh, queues
 from orograph.store.memory import MemoryTerrain
 from orograph.view import View
 
@@ -119,7 +119,7 @@ def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
         p = plain.Plain(t)
         exaggeration, cull = float(rng.choice([1.0, 2.0])), bool(case < 3)
         tolerance, near = float(10 ** rng.uniform(-0.5, 1)), float(rng.choice([0, 50]))
-        carried = Roam(t, cull=cull, exaggeration=exaggeration, metric=metric)
+        carried = Roam(t, cull=cull, exaggeration=exaggeration, metric=metric, outside=0.0)
         for view in flight(rng, t, 4, near=near):
             found = carried.refine(view, tolerance=tolerance)
             camera = plain.Camera(view, exaggeration)
@@ -195,12 +195,13 @@ def test_budgets_of_triangles_are_kept_and_used(gaps):
     for budget in (2, 50, 1000, 1000, 3000):
         for view in flight(rng, t, 6):
             found = carried.refine(view, triangles=budget)
-            assert len(found.triangles) <= budget or carried._state.counts[mesh.QUEUED_MERGES] == 0
+            if len(found.triangles) > budget:  # what holes force, and no more
+                assert gaps > 0 and not found.stats["conservative"]
+                assert queues.lowest(carried._state.occupied, queues.MERGE) >= queues.HOLES
             report = verify.judge(found, t, view)
+            assert not report.defects
             if found.stats["conservative"]:
                 assert report.ok(found.stats["tolerance"])
-            elif gaps == 0:
-                assert not report.defects
         # The best of its size: scratch needs about as much for the tolerance that was reached.
         if gaps == 0 and found.stats["tolerance"]:
             fresh = Roam(t).mesh(view, tolerance=found.stats["tolerance"])[0]
@@ -250,6 +251,31 @@ def test_a_budget_of_time_leaves_nothing_in_view_out(monkeypatch):
         assert not report.defects, (k, report)
         behind += carried._is_behind
     assert behind > 20
+
+
+@pytest.mark.parametrize("goal", [{"triangles": 50}, {"seconds": 1e-9}])
+@pytest.mark.parametrize("options", [{}, {"cull": False}, {"back_facing": 0.0, "occluded": 0.0}])
+def test_no_budget_bridges_or_leaves_out_ground_at_holes(monkeypatch, goal, options):
+    monkeypatch.setattr(engine, "STEPS", 5)
+    rng = np.random.default_rng(21)
+    z = plain.rough(rng, (150, 180))
+    for row, col in rng.integers(10, 130, (5, 2)):
+        z[row : row + 7, col : col + 9] = np.nan
+    t = plain.terrain(z)
+    carried = Roam(t, **options)
+    for view in flight(rng, t, 8):
+        found = carried.refine(view, **goal)
+        assert not verify.judge(found, t, view).defects
+        assert len(found.triangles) <= 50 or not found.stats["conservative"]
+    assert len(found.triangles) > 50
+
+
+def test_what_is_not_culled_is_refined_out_of_view():
+    t = plain.terrain(plain.rough(np.random.default_rng(22), (129, 129)))
+    x, y = t.grid.xy(64, 128)
+    view = View((float(x), float(y), t.height_range[1] + 20), (float(x), float(y) - 100, 0.0), width=300, height=200)
+    sizes = [len(Roam(t, cull=False, **o).refine(view).triangles) for o in ({}, {"outside": 1.0}, {"outside": 0.0})]
+    assert sizes[0] == sizes[1] > 4 * sizes[2]
 
 
 def test_pages_that_leave_take_nothing_of_the_mesh_with_them():

@@ -46,7 +46,7 @@ class Roam(Engine):
         back_facing: factor, 0 to 1, on priorities of ground that faces away from the eye.
         silhouette: factor, 1 or more, where a silhouette can run.
         occluded: factor, 0 to 1, on ground hidden behind other ground.
-        outside: factor, 0 to 1, on ground out of view.
+        outside: factor, 0 to 1, on ground out of view (default: 0, with ``cull=False`` 1).
         line_of_sight: pairs of points (column, row, height in metres) between which the view is free on the mesh iff it
             is on the full-resolution surface; what of them is out of view is in the mesh with ``cull=False``.
         objects: (column, row, radius in cells) of what stands on the ground, which is there exact to
@@ -69,13 +69,15 @@ class Roam(Engine):
         back_facing: float = 1.0,
         silhouette: float = 1.0,
         occluded: float = 1.0,
-        outside: float = 0.0,
+        outside: float | None = None,
         line_of_sight: Sequence[tuple[Point, Point]] = (),
         objects: Sequence[Point] = (),
         object_tolerance: float = 0.0,
         **options: Any,
     ) -> None:
         super().__init__(*args, **options)
+        if outside is None:
+            outside = 0.0 if self.cull else 1.0
         for name, factor in (("back_facing", back_facing), ("occluded", occluded), ("outside", outside)):
             if not 0 <= factor <= 1:
                 raise UsageError(f"{name} is a factor on priorities from 0 to 1, not {factor}.")
@@ -168,9 +170,20 @@ class Roam(Engine):
                 self._drift(triangles, wide=drifts > 3)
             late = seconds is not None and time.perf_counter() - began >= seconds
             if late and c[mesh.RELABELLED]:
+                self._split_mixed()
                 break
             self.field.fetch(resumes=True)  # nodes keep what they need
         return self._result(tolerance, triangles, seconds, reason == frame.DONE)
+
+    def _split_mixed(self) -> None:
+        """Split what is part surface and part hole, late or not: a mesh that bridges or leaves out ground is none."""
+        reason = frame.ROOM
+        while reason != frame.DONE:
+            self.field.begin()
+            reason = int(frame.split_mixed(self._state))
+            if reason == frame.ROOM:
+                self._grow()
+            self.field.fetch(resumes=True)
 
     def _look(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> None:
         """Set the lens and the thresholds, and let the clocks run by what the camera has moved since the last view."""
@@ -258,7 +271,7 @@ class Roam(Engine):
             reached = max(self._crossing, float(s.options[priorities.LOW]))
         elif seconds is not None:
             reached = FINEST * max(1.0, queues.largest_in(worst))
-        within = done or seconds is None
+        within = done if seconds is not None else triangles is None or int(c[mesh.DRAWN]) <= triangles
         if reached is not None and not math.isfinite(reached):
             reached, within = None, False
         stats = {

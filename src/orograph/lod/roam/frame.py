@@ -38,8 +38,8 @@ from orograph.lod.roam.mesh import (
 )
 from orograph.lod.roam.priorities import CULL, HIGH, LOW, load, priority_of
 from orograph.lod.roam.queues import (
-    BUCKETS,
     CLASSES,
+    HOLES,
     MERGE,
     SLOTS,
     SPLIT,
@@ -280,14 +280,14 @@ def relabel(s):
                     assess(s, i)
                 i = following
     if s.counts[RENEW] == 1:
-        for i in range(s.counts[TOP]):
-            node = nodes[i]
+        for j in range(s.counts[TOP]):
+            node = nodes[j]
             if (
                 (node.state == LEAF and not node.flags & PENDING) or (node.state == INNER and node.flags & MERGEABLE)
-            ) and is_left_out(nodes, i):
+            ) and is_left_out(nodes, j):
                 if is_full(s):
                     return False
-                assess(s, i)
+                assess(s, j)
     return True
 
 
@@ -369,6 +369,8 @@ def price(nodes, i):
 def by_budget(s, budget):
     """The paper's greedy loop: the mesh of at most ``budget`` drawn triangles with the smallest largest priority.
 
+    What is part surface and part hole is split, and stays split, whatever the budget.
+
     It ends: a diamond is merged for the sake of one whose bucket is higher, so of those that were split and merged over
     and over the highest could not have been merged.
     """
@@ -378,8 +380,14 @@ def by_budget(s, budget):
         split = highest(s.occupied, SPLIT)
         merge = lowest(s.occupied, MERGE)
         i = np.int64(s.heads[SPLIT, split]) if split >= 0 else -1
+        if split == HOLES:
+            if is_full(s):
+                return ROOM
+            if not force_split(s, i):
+                wait(s, i)
+            continue
         if s.counts[DRAWN] > budget:
-            if merge == BUCKETS:
+            if merge >= HOLES:
                 return DONE
         elif split < 0:
             return DONE
@@ -398,6 +406,34 @@ def by_budget(s, budget):
         if is_full(s):
             return ROOM
         merge_diamond(s, np.int64(s.heads[MERGE, merge]))
+
+
+@leaf
+def may_be_mixed(nodes, i):
+    """Whether leaf i, which waits for a page, may be part surface and part hole."""
+    node = nodes[i]
+    if node.flags & LOADED:
+        return node.error == np.inf and not node.flags & EMPTY
+    parent = np.int64(node.parent)
+    return parent < 0 or nodes[parent].error == np.inf or nodes[parent].flags & EMPTY
+
+
+@leaf
+def split_mixed(s):
+    """Split what is drawn, part surface and part hole, and nothing else: DONE, PAGES or ROOM."""
+    if s.counts[WAITING]:
+        assess_waiting(s)
+    while highest(s.occupied, SPLIT) == HOLES:
+        if is_full(s):
+            return ROOM
+        i = np.int64(s.heads[SPLIT, HOLES])
+        if not force_split(s, i):
+            wait(s, i)
+    for at in range(s.counts[WAITING]):
+        j = np.int64(s.waiting[at])
+        if s.nodes[j].state == LEAF and s.nodes[j].flags & PENDING and may_be_mixed(s.nodes, j):
+            return PAGES
+    return DONE
 
 
 @leaf

@@ -52,6 +52,8 @@ the exponent of the square; how many priority units a color error of γ is worth
 OPTIONS = 16
 
 NAN = np.float32(np.nan)
+LARGEST = float(np.finfo(np.float32).max)
+"""The largest priority of what is no hole."""
 
 
 @leaf
@@ -279,19 +281,24 @@ def priority_of(nodes, pages, lens, clock, counts, options, terms, stack, work, 
                 bound *= terms.factors[2]
     else:
         bound, slack = 0.0, np.inf
-    if options[CULL] == 0.0 and node.flags & LOADED and node.error == np.inf:
-        bound = np.inf  # a hole's edge is kept in what is drawn
     slack = min(slack, min(lasting, room))
     if node.flags & PINNED:
         bound, slack = np.inf, room
+    drawn = node.flags & LOADED and (options[CULL] == 0.0 or gap < 0.0)
+    is_mixed = drawn and node.error == np.inf and not node.flags & EMPTY
+    if is_mixed:
+        bound = np.inf  # whatever the factors: a hole's edge is kept in what is drawn
     if node.flags & EMPTY:
         bound = 0.0
     tolerance = options[TOLERANCE]
     if bound > tolerance:
         node.flags |= EXCEEDS
         node.priority = max(
-            np.float32(bound / tolerance if tolerance > 0.0 else np.inf), np.nextafter(np.float32(1.0), np.float32(2.0))
+            np.float32(min(bound / tolerance if tolerance > 0.0 else LARGEST, LARGEST)),
+            np.nextafter(np.float32(1.0), np.float32(2.0)),
         )
+        if is_mixed:
+            node.priority = np.float32(np.inf)
     else:
         node.priority = min(np.float32(bound / tolerance if tolerance > 0.0 else 0.0), np.float32(1.0))
     if k < 0 or options[EVERY] > 0.0:

@@ -25,6 +25,8 @@ SPLIT, MERGE = 0, 1
 BUCKETS = 4096
 UNITY = 2048
 PER_OCTAVE = 64
+HOLES = BUCKETS - 1
+"""The bucket of the priority infinity, and of nothing else: ground that is part surface and part hole."""
 
 CLASSES = 140
 SLOTS = 256
@@ -37,13 +39,15 @@ def bucket_of(priority):
     """The bucket of a float32 priority ≥ 0; ≥ UNITY iff it is > 1."""
     if not priority > 0.0:
         return 0
+    if priority == np.inf:
+        return HOLES
     bits = np.int64(np.float32(priority).view(np.uint32)) - 1  # so that 1 itself lies below UNITY
-    return min(max((bits >> 17) - (127 * 64 - 2048), 0), BUCKETS - 1)
+    return min(max((bits >> 17) - (127 * 64 - 2048), 0), HOLES - 1)
 
 
 def largest_in(bucket: int) -> float:
-    """The largest priority in a bucket; infinite in the last one."""
-    if bucket >= BUCKETS - 1:
+    """The largest priority in a bucket; infinite in the last two."""
+    if bucket >= HOLES - 1:
         return float("inf")
     return float(np.uint32((bucket + 1 + 127 * 64 - UNITY) << 17).view(np.float32))
 
