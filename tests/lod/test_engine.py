@@ -68,6 +68,11 @@ def test_time_is_spent_on_halving_the_tolerance():
         ({"exaggeration": float("nan")}, "exaggeration"),
         ({"color_tolerance": 2.0}, "needs colours"),
         ({"color_tolerance": -1.0}, "ΔE"),
+        ({"exaggeration": "2"}, "exaggeration"),
+        ({"color_tolerance": "2"}, "ΔE"),
+        ({"jobs": -3}, "from 1, not -3"),
+        ({"jobs": 0}, "from 1"),
+        ({"jobs": 1.5}, "whole number"),
     ],
 )
 def test_options_that_make_no_sense(options, message):
@@ -86,11 +91,32 @@ def test_options_that_make_no_sense(options, message):
         ({"seconds": 0.0}, "more than 0"),
         ({"seconds": -1.0}, "more than 0"),
         ({"tolerance": 0.0, "triangles": 9}, "one goal"),
+        ({"tolerance": "1"}, "pixels.*'1'"),
+        ({"triangles": 2.5}, "whole number"),
+        ({"triangles": "9"}, "whole number"),
+        ({"seconds": "1"}, "in seconds"),
     ],
 )
 def test_goals_that_make_no_sense(goal, message):
     with pytest.raises(UsageError, match=message):
         Powers(FLAT).mesh(VIEW, **goal)
+
+
+def test_numbers_may_be_numpys():
+    engine = Powers(FLAT, jobs=np.int64(2), exaggeration=np.float32(2))
+    assert engine.jobs == 2
+    assert engine.mesh(VIEW, triangles=np.int32(999))[0].triangles <= 999
+    assert engine.mesh(VIEW, tolerance=np.float32(1))[0].triangles == 3004
+
+
+def test_a_budget_that_cannot_be_kept_is_recorded():
+    plain_, rough = FLAT, plain.terrain(np.where(np.arange(81).reshape(9, 9) == 40, np.nan, 0).astype(np.float32))
+    for name in ENGINES:
+        assert engine_of(name)(plain_).refine(VIEW, triangles=2).stats["within_budget"] is True
+        assert "within_budget" not in engine_of(name)(plain_).refine(VIEW, tolerance=1).stats
+        if name != "roam":
+            stats = engine_of(name)(rough, cull=False).refine(VIEW, triangles=5).stats
+            assert stats["triangles"] > 5 and stats["within_budget"] is False and not stats["conservative"]
 
 
 def test_only_bounds_are_a_promise():

@@ -6,6 +6,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
+from numbers import Integral, Real
 from typing import Any, ClassVar
 
 import numpy as np
@@ -51,6 +52,14 @@ class Mesh:
     stats: dict[str, Any] = field(default_factory=dict)
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, Integral)
+
+
 class Engine(ABC):
     """A method of view-dependent refinement.
 
@@ -91,21 +100,31 @@ class Engine(ABC):
     ) -> None:
         if error not in ("exact", "wedgie", "midpoint"):
             raise UsageError(f"There is no error {error!r}; there are exact, wedgie and midpoint.")
-        if not 0 < exaggeration < math.inf:
+        if not _is_number(exaggeration) or not 0 < exaggeration < math.inf:
             raise UsageError(f"The exaggeration is a factor greater than 0, not {exaggeration}.")
-        if color_tolerance is not None and not color_tolerance >= 0:
+        if color_tolerance is not None and not (_is_number(color_tolerance) and color_tolerance >= 0):
             raise UsageError(f"The color tolerance is a difference of colours (ΔE), 0 or more, not {color_tolerance}.")
         if color_tolerance is not None and color is None:
             raise UsageError("A color tolerance needs colours.", remedy="Give an image with --drape.")
-        self.metric: Metric = metric_of(metric or self.metrics[0])
-        if self.metric.name not in self.metrics:
-            raise UsageError(
-                f"{self.name} cannot use the metric {self.metric.name!r}; it can use {', '.join(self.metrics)}."
-            )
+        if jobs is not None and (not _is_whole(jobs) or jobs < 1):
+            raise UsageError(f"Jobs are threads, a whole number from 1, not {jobs!r}.")
+        self.metric = self.usable_metric(metric)
         self.terrain, self.error, self.cull, self.exaggeration = terrain, error, cull, exaggeration
         self.color_tolerance = math.inf if color_tolerance is None else color_tolerance
-        self.jobs = jobs or cpu_count()
+        self.jobs = cpu_count() if jobs is None else int(jobs)
         self.field = Field(terrain, error, color=color, max_memory=max_memory, jobs=self.jobs)
+
+    @classmethod
+    def usable_metric(cls, name: str | None) -> Metric:
+        """The metric of that name, or the engine's own.
+
+        Raises:
+            UsageError: there is none, or the engine cannot use it.
+        """
+        metric = metric_of(name or cls.metrics[0])
+        if metric.name not in cls.metrics:
+            raise UsageError(f"{cls.name} cannot use the metric {metric.name!r}; it can use {', '.join(cls.metrics)}.")
+        return metric
 
     @property
     def conservative(self) -> bool:
@@ -130,7 +149,7 @@ class Engine(ABC):
         began = time.perf_counter()
         stats: dict[str, Any] = {
             "engine": self.name, "error": self.error, "metric": self.metric.name,
-            "tolerance": mesh.tolerance if tolerance is None and mesh.tolerance is not None else tolerance,
+            "tolerance": None if mesh.tolerance is None else float(mesh.tolerance),
             "conservative": self.conservative and mesh.within, "exaggeration": self.exaggeration,
             "refine_ms": round(took * 1e3, 3), "tiles_read": self.field.tiles_read,
             "tiles_resident": self.field.resident, **mesh.stats,
@@ -154,12 +173,14 @@ class Engine(ABC):
             tolerance = 1.0
         if len(given) > 1:
             raise UsageError(f"Give one goal: {' or '.join(given)}.")
-        if tolerance is not None and not 0 <= tolerance < math.inf:
-            raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance}.")
+        if tolerance is not None and not (_is_number(tolerance) and 0 <= tolerance < math.inf):
+            raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance!r}.")
+        if triangles is not None and not _is_whole(triangles):
+            raise UsageError(f"A budget is a whole number of triangles, not {triangles!r}.")
         if triangles is not None and triangles < 2:
             raise UsageError(f"A mesh has at least 2 triangles, so {triangles} is no budget.")
-        if seconds is not None and not seconds > 0:
-            raise UsageError(f"The time allowed is in seconds, more than 0, not {seconds}.")
+        if seconds is not None and not (_is_number(seconds) and seconds > 0):
+            raise UsageError(f"The time allowed is in seconds, more than 0, not {seconds!r}.")
         began = time.perf_counter()
         mesh = self._refine(view, tolerance, triangles, seconds)
         if mesh.tolerance is None:
