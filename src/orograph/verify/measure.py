@@ -52,10 +52,11 @@ class Measurement:
         tolerance: pixels, the largest that was asked for, or reached under a budget.
         largest, rms: pixels, by the referee, over all samples in view of the frames judged; None: beyond any bound.
         judged: how many frames were.
-        changes: triangles that a frame and the one before do not share, over the frame's own; the mean. None
-            without a flight.
+        changes: triangles that a frame and the one before do not share, over the frame's own, both summed over frames.
+            None without a flight.
         tiles_read: in all.
         defects: what the referee found wrong with the meshes, summed.
+        beyond: triangles of the largest mesh that has more than its budget; None if there is none.
     """
 
     frames: int
@@ -71,6 +72,7 @@ class Measurement:
     changes: float | None
     tiles_read: int
     defects: dict[str, int]
+    beyond: int | None = None
 
     @property
     def kept(self) -> bool | None:
@@ -122,20 +124,21 @@ def measure_flight(
     for view in [*frames[:2], frames[0]]:  # whatever the first moves compile
         engine.refine(view, **goal)
     before: NDArray[np.uint64] | None = None
-    changes = []
+    changed = own = 0
     for k, view in enumerate(frames):
         mesh = engine.refine(view, **goal)
         tally.timed(mesh)
         now = fingerprints(mesh)
         if before is not None:
             shared = len(np.intersect1d(before, now, assume_unique=True))
-            changes.append((len(before) + len(now) - 2 * shared) / max(1, len(now)))
+            changed += len(before) + len(now) - 2 * shared
+            own += len(now)
         before = now
         if k in seen:
             tally.judged(judge(mesh, terrain, view, exaggeration=exaggeration, jobs=jobs))
         if task is not None:
             task.advance()
-    return tally.result(changes)
+    return tally.result(changed / max(1, own) if len(frames) > 1 else None)
 
 
 class _Tally:
@@ -157,7 +160,7 @@ class _Tally:
     def judged(self, report: Report) -> None:
         self.reports.append(report)
 
-    def result(self, changes: list[float] | None) -> Measurement:
+    def result(self, changes: float | None) -> Measurement:
         covered = [r.samples - r.uncovered for r in self.reports]
         squares = sum(r.rms**2 * n for r, n in zip(self.reports, covered))
         rms = math.sqrt(squares / max(1, sum(covered)))
@@ -178,9 +181,12 @@ class _Tally:
             largest=largest if math.isfinite(largest) else None,
             rms=rms if math.isfinite(rms) else None,
             judged=len(self.reports),
-            changes=float(np.mean(changes)) if changes else None,
+            changes=changes,
             tiles_read=self.tiles,
             defects=defects,
+            beyond=max(
+                (n for n, s in zip(self.triangles, self.stats) if s.get("within_budget") is False), default=None
+            ),
         )
 
 
