@@ -56,6 +56,21 @@ def test_a_budget(run, hilly):
         assert 500 < m["triangles"] <= 700 and m["largest"] <= m["tolerance"]
 
 
+def test_a_budget_that_is_not_enough(run, hilly):
+    code, said, err = run("compare", hilly, "--engines", "soar,stateless", "--triangles", 5, *SMALL[:2])
+    assert code == 0 and "promised" not in err and said.count(" no") >= 2
+    for name in ("soar", "stateless"):
+        assert f"5 triangles are not enough for a sound mesh of this view by {name}: it has " in err
+
+
+def test_no_promise_is_broken_by_a_budget_without_one(run, hilly, monkeypatch):
+    monkeypatch.setattr("orograph.verify.report.Report.defects", {"holes": 3})
+    arguments = ("compare", hilly, "--engines", "soar", *SMALL)
+    code, said, err = run(*arguments, "--triangles", 5)
+    assert code == 0 and "BROKEN" not in said and "soar: 9 holes" in said and err == ""
+    assert run(*arguments)[0] == 1
+
+
 def test_a_flight(run, hilly, tmp_path):
     path = tmp_path / "flight.json"
     slow = {"time": 0.5, **EYE, "eye": [500_930, 3_997_560, 1390]}
@@ -138,6 +153,7 @@ def test_a_broken_promise_is_said_loudly(run, hilly, monkeypatch):
     [
         (("--engines", "sore"), 2, ("sore", "soar")),
         (("--engines", "soar:euclid"), 2, ("euclid",)),
+        (("--engines", "soar,blow:wedgie", "--views", "none.json"), 2, ("blow cannot use",)),
         (("--views", "a.json", "--flight", "b.json"), 2, ("not both",)),
         (("--judged", 3), 2, ("--flight",)),
         (("--flight", "none.json"), 3, ("none.json",)),

@@ -85,6 +85,19 @@ def test_a_broken_promise_is_a_fault(run, hilly, tmp_path, monkeypatch):
     assert code == 1 and "promised 1.5" in err and "error:" in said and (tmp_path / "a.npz").exists()
 
 
+def test_a_budget_that_is_not_enough(run, hilly, tmp_path, monkeypatch):
+    for engine in ("soar", "top-down"):
+        arguments = ("tessellate", hilly, "-o", tmp_path / "a.npz", "--triangles", 5, "--engine", engine, "--check")
+        code, said, err = run(*arguments)
+        made = Tessellation.load(tmp_path / "a.npz")[0].stats
+        assert code == 0 and "no defects" in said and made["within_budget"] is False and made["triangles"] > 5
+        words = f"5 triangles are not enough for a sound mesh of this view by {engine}: it has {made['triangles']:,}."
+        assert words in err and err.count("warning") == 1
+    monkeypatch.setattr("orograph.verify.report.Report.defects", {"holes": 3})
+    code, _, err = run(*arguments, "--json")
+    assert code == 0 and "not sound" in err and "fault" not in err
+
+
 def test_cameras_and_engines(run, hilly, tmp_path):
     view = tmp_path / "view.json"
     assert run("render", hilly, "-o", tmp_path / "a.png", "--from", 45, "--pitch", 12, "--size", "320x200",

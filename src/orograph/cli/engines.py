@@ -81,6 +81,11 @@ def goal_of(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return given or {"tolerance": 1.0}
 
 
+def not_enough(budget: int, engine: str, made: int) -> str:
+    """The warning about a mesh with more triangles than asked for."""
+    return f"{budget:,} triangles are not enough for a sound mesh of this view by {engine}: it has {made:,}."
+
+
 def check_colors(options: Mapping[str, Any]) -> None:
     """Raise UsageError where an image is given of which nothing is asked."""
     if options["drape"] is not None and options["color_tolerance"] is None:

@@ -11,7 +11,16 @@ from typing import Any
 import click
 
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
-from orograph.cli.engines import REFINE, check_colors, color_errors, engine_option, goal_of, make_engine, refine_options
+from orograph.cli.engines import (
+    REFINE,
+    check_colors,
+    color_errors,
+    engine_option,
+    goal_of,
+    make_engine,
+    not_enough,
+    refine_options,
+)
 from orograph.cli.files import check_outputs
 from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
 from orograph.errors import OrographError
@@ -90,6 +99,8 @@ def command(
         )  # fmt: skip
     with progress.task(f"Refining ({engine})"):
         mesh = refiner.refine(view, **goal)
+    if mesh.stats.get("within_budget") is False:
+        progress.warn(not_enough(goal["triangles"], engine, mesh.stats["triangles"]))
     with progress.task("Writing"):
         write(mesh, terrain.grid, output)
     report = None
@@ -114,7 +125,9 @@ def command(
             click.echo(str(report))
     if report is not None:
         promised = mesh.stats["tolerance"] if mesh.stats["conservative"] else None
-        if report.defects or (promised is not None and not report.ok(promised)):
+        if report.defects and promised is None and "tolerance" not in goal:
+            progress.warn("The mesh is not sound (see the report): nothing is promised for this budget.")
+        elif report.defects or (promised is not None and not report.ok(promised)):
             raise OrographError(
                 "The mesh is not sound (see the report)." if report.defects else
                 f"The mesh is off by {report.largest:.4g} pixels, and {engine} promised {promised:g}.",
