@@ -5,7 +5,8 @@ computed again (``priorities``, ``queues``), then the worst triangles are split 
 merged, in the order of two queues that persist (``frame``), on a bintree with explicit neighbours (``mesh``).
 
 With a tolerance the result depends on the view alone: priorities are monotonic, so the smallest conforming mesh whose
-every triangle keeps the tolerance is unique, and splits and merges end there from wherever they begin.
+every triangle keeps the tolerance is unique, and splits and merges end there from wherever they begin (but for a
+few triangles of squeezed rasters, and with ``cull=False``: see docs/engines/roam.md).
 """
 
 from __future__ import annotations
