@@ -115,6 +115,7 @@ class Soar(Engine):
         self._corner_zs = np.array([[z[0, 0], z[1, 1], z[0, 1]], [z[1, 1], z[0, 0], z[1, 0]]], np.float32)
         self._whole = _buffer(1 << 16)
         self._parts: list[Strip] = []
+        self._spread = np.array([0.0, 1.0]), np.array([0.0, 1.0])
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
         if tolerance is None:
@@ -159,7 +160,10 @@ class Soar(Engine):
                         nodes + int(counts[2]),
                     )
                 self._whole = _buffer(2 * len(self._whole[0]))
-        bounds = np.linspace(0, count, 16 * jobs + 1).astype(np.int64)
+        # Groups of about as many diamonds each as the last pass had at these places.
+        groups = 4 * jobs
+        spread = np.interp(np.linspace(0.0, 1.0, groups + 1), *self._spread)
+        bounds = np.rint(spread * count).astype(np.int64)
 
         def refine(joint: _Joint, group: int) -> NDArray[np.int64]:
             part = joint.take()
@@ -177,8 +181,11 @@ class Soar(Engine):
         while True:
             joint = _Joint(self._whole, self._parts)
             # All groups are handed out at once: none waits for a larger one before it.
-            work = map_ordered(partial(refine, joint), range(16 * jobs), jobs, ahead=16)
-            sums = np.array(list(work)).sum(axis=0)
+            work = map_ordered(partial(refine, joint), range(groups), jobs, ahead=4)
+            each = np.array(list(work))
+            sums = each.sum(axis=0)
+            done = np.concatenate([[0.0], np.cumsum(each[:, 2])])
+            self._spread = done / max(done[-1], 1.0), bounds / count
             if joint.length <= len(self._whole[0]):
                 keys, zs = self._whole
                 return keys[: joint.length], zs[: joint.length], int(sums[1]), nodes + int(sums[2])
