@@ -141,6 +141,20 @@ def test_strip_says_the_triangles_and_not_the_threads(large):
             assert np.array_equal(first.strip, other.strip) and np.array_equal(first.vertices, other.vertices)
 
 
+@pytest.mark.parametrize("shape", [(9, 9), (17, 17), (16, 11), (65, 65), (49, 120)])
+def test_what_threads_found_before_does_not_count(shape):
+    """Subtrees are shared out by what the last pass found in each: also after one that found nothing."""
+    t = plain.terrain(np.random.default_rng(5).normal(0, 20, shape).astype(np.float32))
+    one, many = Soar(t, cull=False, jobs=1), Soar(t, cull=False, jobs=2)
+    view = around(t, 1.0, 3e3, 900.0)
+    for tolerance in (0.0, 500.0, 0.0, 2.0, 0.0):
+        ours, theirs = one.refine(view, tolerance=tolerance), many.refine(view, tolerance=tolerance)
+        np.testing.assert_array_equal(ours.vertices, theirs.vertices)
+        np.testing.assert_array_equal(ours.strip, theirs.strip)
+        if tolerance == 0:
+            assert len(theirs.triangles) == 2 * (shape[0] - 1) * (shape[1] - 1)
+
+
 def test_memory_changes_what_is_read_but_not_the_mesh():
     rng = np.random.default_rng(12)
     t = plain.terrain(plain.rough(rng, (1025, 900), amplitude=900.0, gaps=0.01))

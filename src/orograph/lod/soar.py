@@ -164,6 +164,7 @@ class Soar(Engine):
         groups = 4 * jobs
         spread = np.interp(np.linspace(0.0, 1.0, groups + 1), *self._spread)
         bounds = np.rint(spread * count).astype(np.int64)
+        bounds[0], bounds[-1] = 0, count
 
         def refine(joint: _Joint, group: int) -> NDArray[np.int64]:
             part = joint.take()
@@ -185,7 +186,8 @@ class Soar(Engine):
             each = np.array(list(work))
             sums = each.sum(axis=0)
             done = np.concatenate([[0.0], np.cumsum(each[:, 2])])
-            self._spread = done / max(done[-1], 1.0), bounds / count
+            if done[-1] > 0:
+                self._spread = done / done[-1], bounds / count
             if joint.length <= len(self._whole[0]):
                 keys, zs = self._whole
                 return keys[: joint.length], zs[: joint.length], int(sums[1]), nodes + int(sums[2])
