@@ -11,6 +11,7 @@ code  meaning
 3     an input cannot be read, or does not say what is needed of it
 4     an output or a store cannot be written, is damaged or incomplete
 5     there is nothing to draw: no valid terrain in view
+6     there is no GPU that can be used, and it was asked for
 130   interrupted (Ctrl-C); nothing half-written is left behind
 ====  ==================================================================
 """

@@ -21,12 +21,13 @@ VERBS = {
     "light": "Make maps of light: slope, hillshade, horizons, sky, openness…",
     "tessellate": "Triangulate a DEM or a store for a view.",
     "compare": "Measure the engines side by side.",
+    "doctor": "Tell what this machine offers for drawing, and what to install.",
     "synth": "Make a fractal terrain of any size.",
 }
 
 EPILOG = """\b
 Exit codes: 0 done · 1 a fault of Orograph itself · 2 wrong command line · 3 input cannot be read ·
-4 output or store cannot be written or is damaged · 5 nothing to draw in view · 130 interrupted."""
+4 output or store cannot be written or is damaged · 5 nothing to draw in view · 6 no usable GPU · 130 interrupted."""
 
 
 class Verbs(click.Group):

@@ -1,0 +1,267 @@
+"""A GPU device that may be trusted, and the little that every pass needs of it: shaders, buffers, reading back.
+
+Only Vulkan, Metal and Direct3D 12 are used: wgpu's OpenGL backend computes wrong results without an error on some
+drivers. ``OROGRAPH_ADAPTER`` (a part of an adapter's name, or ``software``) chooses among several; otherwise a discrete
+GPU comes before an integrated one, and that before a software renderer (Mesa's lavapipe, WARP).
+
+Some of wgpu-py 0.32's own helpers fail (waiting for submitted work does); ``Device.wait`` and ``Device.read_texture``
+stand in for them and are the only places that know.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.resources import files
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import OrographError
+
+BACKENDS = ("Vulkan", "Metal", "D3D12")
+"""The backends that compute what they are told to."""
+
+OPTIONAL = (
+    "float32-filterable",
+    "timestamp-query",
+    "texture-format-16bit-norm",
+    "polygon-mode-line",
+    "rg11b10ufloat-renderable",
+)
+"""Features that are used where an adapter has them, never needed."""
+
+_ORDER = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
+_INCLUDE = re.compile(r"^//\s*include:\s*(\S+)\s*$", re.MULTILINE)
+
+
+class NoAdapterError(OrographError):
+    """There is no usable GPU adapter, or wgpu is not installed."""
+
+    exit_code = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Adapter:
+    """An adapter that the system offers.
+
+    Attributes:
+        name: the driver's name of it.
+        kind: DiscreteGPU, IntegratedGPU, VirtualGPU, CPU (software) or Unknown.
+        backend: Vulkan, Metal, D3D12 (or OpenGL, which is not used).
+        driver: what the driver says of itself.
+        usable: whether its backend is one of ``BACKENDS``.
+    """
+
+    name: str
+    kind: str
+    backend: str
+    driver: str
+    usable: bool
+    handle: Any = field(repr=False, compare=False)
+
+    @property
+    def software(self) -> bool:
+        """Whether it computes on the CPU."""
+        return self.kind == "CPU"
+
+
+def adapters() -> list[Adapter]:
+    """All adapters, the best first; [] if there is none.
+
+    Raises:
+        NoAdapterError: wgpu is not installed.
+    """
+    try:
+        import wgpu
+    except ImportError as error:
+        raise NoAdapterError("The GPU needs wgpu.", remedy="Install it: pip install 'orograph[gpu]'.") from error
+    found = []
+    with _runtime_folder():
+        handles = wgpu.gpu.enumerate_adapters_sync()
+    for handle in handles:
+        info = handle.info
+        backend, kind = str(info["backend_type"]), str(info["adapter_type"])
+        found.append(Adapter(str(info["device"]), kind, backend, str(info["description"]), backend in BACKENDS, handle))
+    return sorted(found, key=lambda a: (not a.usable, _ORDER.get(a.kind, 3)))
+
+
+@contextmanager
+def _runtime_folder() -> Iterator[None]:
+    """Spare users without a desktop session the complaints that Mesa prints where XDG_RUNTIME_DIR is not set."""
+    if sys.platform != "linux" or os.environ.get("XDG_RUNTIME_DIR"):
+        yield
+        return
+    with tempfile.TemporaryDirectory(prefix="orograph-") as folder:
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        try:
+            yield
+        finally:
+            del os.environ["XDG_RUNTIME_DIR"]
+
+
+def choose(wanted: str | None = None) -> Adapter:
+    """The adapter to use.
+
+    Args:
+        wanted: a part of its name, or "software"; None: what ``OROGRAPH_ADAPTER`` says, else the best.
+
+    Raises:
+        NoAdapterError: there is none, or none of that name.
+    """
+    wanted = wanted or os.environ.get("OROGRAPH_ADAPTER")
+    offered = adapters()
+    usable = [a for a in offered if a.usable]
+    if wanted:
+        usable = (
+            [a for a in usable if a.software]
+            if wanted == "software"
+            else [a for a in usable if wanted.lower() in a.name.lower()]
+        )
+    if usable:
+        return usable[0]
+    others = ", ".join(f"{a.name} ({a.backend})" for a in offered) or "none at all"
+    raise NoAdapterError(
+        f"There is no GPU adapter{f' named {wanted!r}' if wanted else ''} with Vulkan, Metal or Direct3D 12; "
+        f"found: {others}.",
+        remedy="Install a driver; on Linux without a GPU, Mesa's software Vulkan: apt install mesa-vulkan-drivers. "
+        "See orograph doctor.",
+    )
+
+
+@dataclass(slots=True)
+class Device:
+    """A device and its queue.
+
+    Attributes:
+        adapter: where it runs.
+        handle: wgpu's device; ``queue``: its queue.
+        features: the optional features it has.
+        lost: why the device was lost, or None.
+    """
+
+    adapter: Adapter
+    handle: Any
+    features: frozenset[str]
+    lost: str | None = None
+    _modules: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def queue(self) -> Any:
+        return self.handle.queue
+
+    def shader(self, name: str, constants: dict[str, int | float] | None = None) -> Any:
+        """The compiled module ``shaders/NAME.wgsl``, its includes put in.
+
+        Args:
+            name: file name without ``.wgsl``.
+            constants: values for ``{{NAME}}`` in the text: what must be known when it is compiled.
+        """
+        key = name + repr(sorted((constants or {}).items()))
+        if key not in self._modules:
+            self._modules[key] = self.handle.create_shader_module(label=name, code=source(name, constants))
+        return self._modules[key]
+
+    def buffer(self, data: NDArray[Any] | int, usage: str, label: str = "") -> Any:
+        """A buffer, filled with an array or of so many bytes; ``usage``: names of wgpu.BufferUsage, joined by ``|``."""
+        import wgpu
+
+        flags = wgpu.BufferUsage.COPY_DST
+        for part in usage.split("|"):
+            flags |= getattr(wgpu.BufferUsage, part.strip())
+        if isinstance(data, int):
+            return self.handle.create_buffer(label=label, size=-(-data // 4) * 4, usage=flags)
+        return self.handle.create_buffer_with_data(label=label, data=np.ascontiguousarray(data), usage=flags)
+
+    def texture(
+        self, size: tuple[int, ...], format: str, usage: str, *, label: str = "", levels: int = 1, samples: int = 1,
+        dimension: Literal["2d", "3d"] = "2d",
+    ) -> Any:  # fmt: skip
+        """A texture of (width, height[, layers or depth]); ``usage``: names of wgpu.TextureUsage joined by ``|``."""
+        import wgpu
+
+        flags = 0
+        for part in usage.split("|"):
+            flags |= getattr(wgpu.TextureUsage, part.strip())
+        return self.handle.create_texture(
+            label=label, size=(*size, 1)[:3] if len(size) == 2 else size, format=format, usage=flags,
+            mip_level_count=levels, sample_count=samples, dimension=dimension,
+        )  # fmt: skip
+
+    def wait(self) -> None:
+        """Return when all work submitted so far is done."""
+        probe = self.buffer(4, "COPY_SRC")
+        self.queue.read_buffer(probe)
+
+    def read_buffer(self, buffer: Any, dtype: Any = np.uint8) -> NDArray[Any]:
+        """A copy of a buffer's content (its usage must have COPY_SRC), one-dimensional."""
+        return np.frombuffer(self.queue.read_buffer(buffer), dtype)
+
+    def read_texture(self, texture: Any, dtype: Any, channels: int, *, level: int = 0, layer: int = 0) -> NDArray[Any]:
+        """A copy of a texture's level and layer (usage COPY_SRC): (height, width, channels)."""
+        width, height = max(1, texture.size[0] >> level), max(1, texture.size[1] >> level)
+        row = width * channels * np.dtype(dtype).itemsize
+        data = self.queue.read_texture(
+            {"texture": texture, "mip_level": level, "origin": (0, 0, layer)},
+            {"offset": 0, "bytes_per_row": row, "rows_per_image": height},
+            (width, height, 1),
+        )
+        return np.frombuffer(data, dtype).reshape(height, width, channels)
+
+
+def source(name: str, constants: dict[str, int | float] | None = None) -> str:
+    """The text of ``shaders/NAME.wgsl``: ``// include: OTHER.wgsl`` replaced by that file once, constants put in."""
+    seen: set[str] = set()
+
+    def load(file: str) -> str:
+        if file in seen:
+            return ""
+        seen.add(file)
+        text = files("orograph.gpu").joinpath("shaders", file).read_text(encoding="utf-8")
+        return _INCLUDE.sub(lambda m: load(m.group(1)), text)
+
+    text = load(f"{name}.wgsl")
+    for key, value in (constants or {}).items():
+        text = text.replace("{{" + key + "}}", str(value))
+    return text
+
+
+_LOCK = threading.Lock()
+_OPEN: dict[str, Device] = {}
+
+
+def open_device(wanted: str | None = None) -> Device:
+    """The device on the chosen adapter (see ``choose``): one for the process, made on first use, made anew if lost.
+
+    Raises:
+        NoAdapterError: there is no adapter, or its device cannot be made.
+    """
+    adapter = choose(wanted)
+    with _LOCK:
+        key = f"{adapter.backend} {adapter.name}"
+        device = _OPEN.get(key)
+        if device is None or device.lost is not None:
+            have = adapter.handle.features
+            features = [f for f in OPTIONAL if f in have]
+            limits = {}
+            for name, most in (("max-buffer-size", 1 << 31), ("max-storage-buffer-binding-size", 1 << 30),
+                               ("max-texture-dimension-2d", 16384), ("max-texture-array-layers", 2048)):  # fmt: skip
+                limits[name] = min(int(adapter.handle.limits[name]), most)
+            try:
+                handle = adapter.handle.request_device_sync(
+                    label="orograph", required_features=features, required_limits=limits
+                )
+            except Exception as error:
+                raise NoAdapterError(
+                    f"{adapter.name} gives no device: {error}.", remedy="See orograph doctor."
+                ) from error
+            device = Device(adapter, handle, frozenset(features))
+            _OPEN[key] = device
+        return device

@@ -1,0 +1,74 @@
+"""Devices: what they say, and that what is written to them comes back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orograph.gpu import device as gpu
+from orograph.gpu.device import Adapter, Device, NoAdapterError
+
+
+def test_there_is_one_device_for_the_process(device: Device) -> None:
+    assert gpu.open_device() is device
+    assert device.adapter.backend in gpu.BACKENDS
+
+
+def test_textures_come_back(device: Device) -> None:
+    values = np.random.default_rng(1).integers(0, 255, (7, 10, 4), dtype=np.uint8)
+    texture = device.texture((10, 7), "rgba8unorm", "COPY_SRC|COPY_DST")
+    device.queue.write_texture({"texture": texture}, values, {"bytes_per_row": 40}, (10, 7, 1))
+    np.testing.assert_array_equal(device.read_texture(texture, np.uint8, 4), values)
+
+
+def test_layers_come_back(device: Device) -> None:
+    values = np.random.default_rng(2).normal(size=(3, 5, 6)).astype(np.float32)
+    texture = device.texture((6, 5, 3), "r32float", "COPY_SRC|COPY_DST")
+    device.queue.write_texture({"texture": texture}, values, {"bytes_per_row": 24, "rows_per_image": 5}, (6, 5, 3))
+    for layer in range(3):
+        np.testing.assert_array_equal(device.read_texture(texture, np.float32, 1, layer=layer)[..., 0], values[layer])
+
+
+def test_a_shader_computes(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "@group(0) @binding(0) var<storage, read_write> a: array<f32>;\n@compute @workgroup_size({{N}})\n"
+    text += "fn main(@builtin(global_invocation_id) i: vec3<u32>) { a[i.x] = sqrt(a[i.x]); }"
+    values = np.arange(64, dtype=np.float32)
+    buffer = device.buffer(values, "STORAGE|COPY_SRC")
+    module = device.handle.create_shader_module(code=text.replace("{{N}}", "64"))
+    pipeline = device.handle.create_compute_pipeline(layout="auto", compute={"module": module, "entry_point": "main"})
+    group = device.handle.create_bind_group(
+        layout=pipeline.get_bind_group_layout(0), entries=[{"binding": 0, "resource": {"buffer": buffer}}]
+    )
+    encoder = device.handle.create_command_encoder()
+    pass_ = encoder.begin_compute_pass()
+    pass_.set_pipeline(pipeline)
+    pass_.set_bind_group(0, group)
+    pass_.dispatch_workgroups(1)
+    pass_.end()
+    device.queue.submit([encoder.finish()])
+    device.wait()
+    np.testing.assert_allclose(device.read_buffer(buffer, np.float32), np.sqrt(values), rtol=1e-6)
+
+
+def _offers(monkeypatch: pytest.MonkeyPatch, *offered: tuple[str, str, str]) -> None:
+    found = [Adapter(n, k, b, "", b in gpu.BACKENDS, None) for n, k, b in offered]
+    monkeypatch.setattr(gpu, "adapters", lambda: found)
+
+
+def test_opengl_is_never_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OROGRAPH_ADAPTER", raising=False)
+    _offers(monkeypatch, ("Fast", "DiscreteGPU", "OpenGL"))
+    with pytest.raises(NoAdapterError, match=r"Fast \(OpenGL\).*mesa-vulkan-drivers"):
+        gpu.choose()
+
+
+def test_an_adapter_is_chosen_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OROGRAPH_ADAPTER", raising=False)
+    _offers(monkeypatch, ("Big One", "DiscreteGPU", "Vulkan"), ("llvmpipe", "CPU", "Vulkan"))
+    assert gpu.choose().name == "Big One"
+    assert gpu.choose("software").name == "llvmpipe"
+    assert gpu.choose("big").name == "Big One"
+    monkeypatch.setenv("OROGRAPH_ADAPTER", "llvm")
+    assert gpu.choose().name == "llvmpipe"
+    with pytest.raises(NoAdapterError, match="named 'none'"):
+        gpu.choose("none")
