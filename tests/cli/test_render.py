@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import os
 import shutil
@@ -20,6 +21,8 @@ from pyproj import CRS, Transformer
 
 from orograph import store
 from orograph.geo.grid import Grid
+from orograph.light.sun import place, position
+from orograph.picture.prepare import prepare
 
 PLACE = Affine(30, 0, 500_000, 0, -30, 4_000_000)
 SMALL = ("--size", "160x90", "--quiet")
@@ -155,8 +158,6 @@ def test_a_picture_as_heights(run, tmp_path):
         (("--exaggeration", 0), ("exaggeration",)),
         (("--relief", -1), ("relief",)),
         (("--tolerance", -1), ("tolerance",)),
-        (("--sun", "10,100"), ("altitude",)),
-        (("--sun", "nan,10"), ("azimuth",)),
         (("--water", "nan"), ("water",)),
         (("--colormap", "virids"), ("no colour map 'virids'", "viridis")),
     ],
@@ -166,10 +167,19 @@ def test_wrong_options(run, dem, tmp_path, options, words):
     assert not (tmp_path / "a.png").exists()
 
 
+def test_the_sun_may_be_a_time(run, dem, tmp_path):
+    code, said, err = run("render", dem, "-o", tmp_path / "a.png", "--sun", "2026-06-21T19:00Z", "--json", *SMALL)
+    assert code == 0, err
+    azimuth, altitude = json.loads(said)["sun"]
+    there = position(datetime.datetime(2026, 6, 21, 19, tzinfo=datetime.UTC), *place(prepare([str(dem)]).grid))
+    assert altitude == pytest.approx(there[1], abs=1e-9) and abs((azimuth - there[0] + 180) % 360 - 180) < 4
+
+
 @pytest.mark.parametrize(
     "options",
-    [("--size", "12"), ("--size", "0x5"), ("--sun", "1"), ("--lonlat", "1,2"), ("--fov", "0"), ("--water", "wet"),
-     ("--samples", "0"), ("--projection", "map"), ("--nope",)],
+    [("--size", "12"), ("--size", "0x5"), ("--sun", "1"), ("--sun", "10,100"), ("--sun", "nan,10"),
+     ("--sun", "2026-06-21T12:00"), ("--lonlat", "1,2"), ("--fov", "0"), ("--water", "wet"), ("--samples", "0"),
+     ("--projection", "map"), ("--nope",)],
 )  # fmt: skip
 def test_wrong_words(run, dem, tmp_path, options):
     code, out, err = run("render", dem, "-o", tmp_path / "a.png", *options)

@@ -15,7 +15,7 @@ from pyproj import CRS, Proj
 from orograph.cli.suns import sun_option
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.light.sun import Moment, Placed, Sun, grid_azimuth, parse, place, position, positions, refracted
+from orograph.light.sun import Moment, Placed, Sun, grid_azimuth, parse, place, position, positions, refracted, sun_of
 
 UTC = datetime.UTC
 
@@ -158,3 +158,17 @@ def test_the_option():
     assert "Moment" in CliRunner().invoke(verb, ["--sun", "2026-06-21T12:00+02:00"]).output
     wrong = CliRunner().invoke(verb, ["--sun", "2026-06-21T12:00"])
     assert wrong.exit_code == 2 and "no time zone" in wrong.output
+
+
+def test_one_sun_however_it_is_said():
+    grid = grid_at(250_000.0, 5_100_000.0, "EPSG:32632")
+    text = "2026-06-21T12:00+02:00"
+    moment = Moment(datetime.datetime.fromisoformat(text)).over(grid)
+    assert sun_of(text, grid) == sun_of(datetime.datetime.fromisoformat(text), grid) == moment
+    assert sun_of((200.0, 12.5), grid) == sun_of("200,12.5", grid) == Sun(200.0, 12.5)
+    assert sun_of(Sun(10.0, 20.0, 5.0), grid).diameter == 5.0
+    for wrong in ((1.0,), (1.0, 2.0, 3.0), 7, None, ("a", "b")):
+        with pytest.raises(UsageError, match="is not a sun"):
+            sun_of(wrong, grid)
+    with pytest.raises(UsageError, match="no time zone"):
+        sun_of(datetime.datetime(2026, 6, 21, 12), grid)

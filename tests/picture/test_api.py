@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import inspect
 import math
 from dataclasses import fields
@@ -13,9 +14,10 @@ from scenes import NORTH_UP, ROTATED, hills, terrain
 
 import orograph
 from orograph.errors import NothingInViewError, UsageError
+from orograph.light.sun import Sun, sun_of
 from orograph.picture.doubts import doubts
 from orograph.picture.memory import BYTES_PER_PIXEL, amount, available, check_memory
-from orograph.picture.scene import Scene, Sun
+from orograph.picture.scene import Scene
 from orograph.progress import Progress
 from orograph.view import View
 
@@ -187,3 +189,13 @@ def test_an_array_gives_its_name_to_the_title():
     assert nameless.orograph.to_dem().name == "terrain"
     nameless.encoding["source"] = "dems/n44w072.tif"
     assert nameless.orograph.to_dem().name == "n44w072"
+
+
+def test_the_sun_may_be_a_moment(ground):
+    """The same picture as of the sun that stands there then."""
+    when = datetime.datetime(2026, 6, 21, 16, tzinfo=datetime.UTC)
+    there = sun_of(when, ground.grid)
+    pictures = [orograph.render(ground, size=SIZE, sun=sun, **PLAIN) for sun in (when, there, when.isoformat())]
+    for other in pictures[1:]:
+        np.testing.assert_array_equal(pictures[0].pixels, other.pixels)
+    assert (pictures[0].pixels != orograph.render(ground, size=SIZE, **PLAIN).pixels).any()

@@ -12,9 +12,10 @@ from scenes import NORTH_UP, RECTANGULAR, ROTATED, embree_depth, hills, holes, s
 from orograph import store
 from orograph.errors import NothingInViewError
 from orograph.geovis.colour import TINTS, colour_table, linear_to_srgb, srgb_to_linear
+from orograph.light.sun import Sun
 from orograph.picture import camera, cpu
 from orograph.picture.kernels import _shoulder
-from orograph.picture.scene import Scene, Sun
+from orograph.picture.scene import Scene
 from orograph.picture.shading import MISSING
 from orograph.view import View
 

@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from orograph.light.sun import Sun
 from orograph.picture import scattering
-from orograph.picture.scene import Sun
 from orograph.picture.sky import LOSS, Atmosphere
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

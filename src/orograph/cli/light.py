@@ -13,6 +13,7 @@ import click
 from orograph.cli.camera import Numbers
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.suns import sun_option
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
@@ -66,13 +67,7 @@ class Names(click.ParamType["tuple[str, ...]"]):
     help="Directions in which horizons are looked for, evenly spread from north.",
 )
 @click.option("--radius", type=float, metavar="METRES", help="How far away ground can hide the sky.  [default: any]")
-@click.option(
-    "--sun",
-    metavar="AZ,ALT|TIME",
-    default="315,45",
-    show_default=True,
-    help="Where the sun stands: degrees clockwise from north and above the horizon, or when: 2026-06-21T12:00+02:00.",
-)
+@sun_option()
 @click.option(
     "--light",
     "lights",
@@ -155,13 +150,11 @@ def command(
         from orograph.light.products import Context, Options, product
         from orograph.light.raster import Band, write
         from orograph.light.raster_resume import Kept, identity
-        from orograph.light.sun import parse
         from orograph.output import check_folder
         from orograph.picture.prepare import prepare
 
     # What is wrong with the command line is said before any work is done.
     check_folder(Path(output))
-    sun = parse(options["sun"])
     wanted = list(dict.fromkeys(name for names in options["products"] for name in names))
     products = [product(name) for name in wanted]
     lights = tuple((*light, 1.0) if len(light) == 2 else light for light in options["lights"])
@@ -171,7 +164,7 @@ def command(
     more = {k: options[k] for k in MORE if options[k] is not None}
     Options(**common, lights=lights, more=more)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
-    place = sun.over(terrain.grid)
+    place = options["sun"].over(terrain.grid)
     chosen = Options(**common, sun=(place.azimuth, place.altitude), lights=lights, more=more)
     kept = None
     if resume:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from orograph.cli.camera import CAMERA, PLACES, Numbers, camera_options, camera_view, check_camera
+from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, check_camera
 from orograph.cli.engines import engine_option
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
@@ -22,6 +22,7 @@ from orograph.cli.options import (
     source_options,
     vertical_options,
 )
+from orograph.cli.suns import sun_option
 from orograph.errors import UsageError
 
 
@@ -49,12 +50,7 @@ OWN = {*SCENE, *CAMERA, "sun", "water", "backend"}
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--output", "-o", required=True, type=FILE, help="The picture: .png, .jpg, .webp or .tif.")
 @camera_options
-@click.option(
-    "--sun",
-    type=Numbers("AZ", "ALT"),
-    default=(315.0, 45.0),
-    help="Where the sun stands: degrees clockwise from north, degrees above the horizon.  [default: 315,45]",
-)
+@sun_option()
 @click.option("--shadows/--no-shadows", default=True, show_default=True, help="Whether the ground casts shadows.")
 @click.option(
     "--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
@@ -163,7 +159,7 @@ def command(
         from orograph.picture.memory import check_memory
         from orograph.picture.prepare import cache_folder, prepare
         from orograph.picture.result import picture_format
-        from orograph.picture.scene import Scene, Sun
+        from orograph.picture.scene import Scene
         from orograph.view import View
 
     # What is wrong with the command line is said before any work is done.
@@ -171,13 +167,13 @@ def command(
     for file in filter(None, (output, depth, save_view)):
         check_folder(Path(file))
     colour_table(options["colormap"])
-    sun = Sun(*options["sun"])
     if options["title"] is not None and not options["furniture"]:
         progress.warn("--title is drawn with --furniture only.")
     said = ctx.get_parameter_source("max_memory") is not ParameterSource.DEFAULT
     if options["size"] is not None:
         check_memory(options["size"], max_memory if said else None)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    sun = options["sun"].over(terrain.grid)
     view = camera_view(terrain, options)
     check_memory((view.width, view.height), max_memory if said else None)
     seen_by_engine = None if mesh_view is None else View.load(mesh_view, crs=terrain.grid.crs)
@@ -207,7 +203,8 @@ def command(
         crs = terrain.grid.crs
         told = {
             "picture": output, "depth": depth, "width": view.width, "height": view.height,
-            "seconds_in_all": round(seconds, 3), "crs": crs.to_string() if crs else None, "view": view.to_dict(),
+            "seconds_in_all": round(seconds, 3), "crs": crs.to_string() if crs else None,
+            "sun": [sun.azimuth, sun.altitude], "view": view.to_dict(),
             **picture.facts,
         }  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))

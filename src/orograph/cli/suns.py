@@ -28,7 +28,7 @@ HELP = (
 class SunType(ParamType):
     """``AZ,ALT``, or a time with its zone."""
 
-    name = "az,alt|time"
+    name = "AZ,ALT|TIME"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Placed | Moment:
         from orograph.errors import UsageError

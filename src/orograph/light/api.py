@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.light.products import MEMORY, Context, Options, compute, product
 from orograph.light.raster import Band, write
+from orograph.light.sun import sun_of
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
 
@@ -90,7 +91,8 @@ def make(
         name: "slope", "sky-view-factor"…: ``products.names()``.
         cell: for arrays, which need it: metres between samples, along both axes or as (along rows, along columns), rows
             running south; or the (2, 2) linear part of a geotransform.
-        options: those of ``products.Options``: azimuths, radius, sun, lights, curvature…; others go into its ``more``.
+        options: those of ``products.Options``: azimuths, radius, lights, curvature…; others go into its ``more``. The
+            ``sun`` is (azimuth, altitude), a datetime with its zone, or a ``Sun``.
 
     Returns:
         for an array (rows, cols) float32, or (bands, rows, cols) of products of several bands; for a DataArray a
@@ -102,7 +104,7 @@ def make(
     """
     wanted = product(name)
     fields = set(Options.__dataclass_fields__) - {"more"}
-    known = {k: v for k, v in options.items() if k in fields}
+    known = {k: v for k, v in options.items() if k in fields and k != "sun"}
     chosen = Options(**known, more={k: v for k, v in options.items() if k not in fields})
     is_xarray = "xarray" in sys.modules and isinstance(data, sys.modules["xarray"].DataArray)
     is_array = isinstance(data, np.ndarray | list | tuple)
@@ -116,6 +118,10 @@ def make(
         if cell is not None:
             raise UsageError("The cell size is for plain arrays; other data say it themselves.")
         terrain = _terrain(data, is_xarray, max_memory, jobs, progress)
+    if options.get("sun") is not None:
+        sun = sun_of(options["sun"], terrain.grid)
+        more = chosen.more if isinstance(options["sun"], tuple) else {"diameter": sun.diameter, **chosen.more}
+        chosen = replace(chosen, sun=(sun.azimuth, sun.altitude), more=more)
     values = compute(Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress), name)
     if is_array:
         return values[0] if len(values) == 1 else values

@@ -120,6 +120,38 @@ def parse(text: str) -> Placed | Moment:
     return Moment(_zoned(when))
 
 
+Given = Sun | Placed | Moment | datetime.datetime | str | tuple[float, float]
+"""What a sun may be given as: see ``sun_of``."""
+
+
+def sun_of(given: Given, grid: Grid) -> Sun:
+    """The sun over a terrain, however it was said.
+
+    Args:
+        given: a ``Sun``; (azimuth, altitude) in degrees; a datetime with its zone; or text as for ``parse``.
+        grid: the terrain's, which says where a moment's sun stands.
+
+    Raises:
+        UsageError: it is none of these, an angle is out of range, the time has no zone, or the grid no place on Earth.
+    """
+    if isinstance(given, Sun):
+        return given
+    if isinstance(given, str):
+        given = parse(given)
+    elif isinstance(given, datetime.datetime):
+        given = Moment(_zoned(given))
+    if isinstance(given, Placed | Moment):
+        return given.over(grid)
+    try:
+        azimuth, altitude = (float(v) for v in given)
+    except (TypeError, ValueError):
+        raise UsageError(
+            f"{given!r} is not a sun.",
+            remedy="Give (azimuth, altitude) in degrees, a datetime with its zone, or a Sun.",
+        ) from None
+    return Sun(azimuth, altitude)
+
+
 def _zoned(when: datetime.datetime) -> datetime.datetime:
     if when.utcoffset() is None:
         raise UsageError(

@@ -1,8 +1,9 @@
 """Pictures: what is drawn (``Scene``), from where (``camera``), and the CPU backend that draws it (``cpu``)."""
 
+from orograph.light.sun import Sun
 from orograph.picture import camera
 from orograph.picture.api import render
 from orograph.picture.result import Picture
-from orograph.picture.scene import Scene, Sun
+from orograph.picture.scene import Scene
 
 __all__ = ["Picture", "Scene", "Sun", "camera", "render"]

@@ -9,9 +9,10 @@ from typing import Any, Literal
 
 from orograph.dem.raster import Dem
 from orograph.errors import UsageError
+from orograph.light.sun import Given, sun_of
 from orograph.picture.memory import check_memory
 from orograph.picture.result import Picture
-from orograph.picture.scene import Scene, Sun
+from orograph.picture.scene import Scene
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
 from orograph.view import View
@@ -25,7 +26,7 @@ def render(
     view: View | None = None,
     *,
     size: tuple[int, int] = (1280, 720),
-    sun: Sun | tuple[float, float] = (315.0, 45.0),
+    sun: Given = (315.0, 45.0),
     shadows: bool = True,
     exaggeration: float = 1.0,
     relief: float | None = None,
@@ -55,7 +56,8 @@ def render(
             ``around(terrain, size, azimuth=225, pitch=30, distance=None)``, ``standing(terrain, size, (lon, lat,
             height), (lon, lat))`` or ``plan(terrain, size)``. None: all of the terrain, from the south.
         size: (width, height) in pixels where there is no view; with one, the view's own count. Default 1280 × 720.
-        sun: a ``Sun`` or (azimuth, altitude): degrees clockwise from north, degrees above the horizon. Default 315, 45.
+        sun: (azimuth, altitude): degrees clockwise from grid north, degrees above the horizon; a datetime with zone,
+            or such a time as text, for the real sun over the terrain's middle; or a ``Sun``. Default 315, 45.
         shadows: whether the ground casts shadows. Default True.
         exaggeration: factor by which heights are stretched on the screen. Default 1.
         relief: factor on slopes for shading only; 1 is nature. Default None: 1 to 6, more for gentle land.
@@ -90,7 +92,6 @@ def render(
         raise _unknown(next(iter(unknown)))
     if backend != "cpu":
         raise UsageError(f"There is no backend {backend!r}; there is 'cpu'.")
-    light = sun if isinstance(sun, Sun) else Sun(*sun)
     check_memory((view.width, view.height) if view is not None else size, max_memory)
     if isinstance(terrain, (str, os.PathLike)):
         from orograph.picture.prepare import prepare
@@ -100,6 +101,7 @@ def render(
         from orograph.store import terrain as in_memory
 
         terrain = in_memory(terrain)
+    light = sun_of(sun, terrain.grid)
     if view is None:
         from orograph.picture.camera import NO_INSETS, whole
         from orograph.picture.furniture import insets

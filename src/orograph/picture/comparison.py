@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.light.sun import Sun
 from orograph.picture.camera import direction, ground, outline, whole
 from orograph.picture.cpu import draw
 from orograph.picture.lettering import Style, cut, length, set_type
-from orograph.picture.scene import Scene, Sun
+from orograph.picture.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.view import View

@@ -37,7 +37,7 @@ def _sun(scene: Scene) -> str | None:
     altitude = scene.sun.altitude
     if altitude >= TWILIGHT:
         return None
-    return f"the sun is {-altitude:g}° below the horizon: only the light of the sky is drawn."
+    return f"the sun is {round(-altitude, 1):g}° below the horizon: only the light of the sky is drawn."
 
 
 def looks_like_degrees(scene: Scene) -> bool:

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from orograph.geovis.missing import patches
 from orograph.light.relief import Relief
+from orograph.light.sun import Sun
 from orograph.picture.kernels import ends, incidence
 from orograph.picture.memory import BYTES_PER_PIXEL
-from orograph.picture.scene import Scene, Sun
+from orograph.picture.scene import Scene
 from orograph.raycast.caster import Caster
 from orograph.raycast.select import Rectangle, load, rectangles
 from orograph.store.terrain import Terrain

@@ -42,7 +42,7 @@ def decorate(
     metres = _scale(scene, depth)
     if metres is not None:
         metres /= stretch(scene)
-    parts = [f"Light from {scene.sun.azimuth:g}°, {scene.sun.altitude:g}° high"]
+    parts = [f"Light from {round(scene.sun.azimuth, 1):g}°, {round(scene.sun.altitude, 1):g}° high"]
     if scene.exaggeration != 1:
         parts.append(f"heights ×{scene.exaggeration:g}")
     if view.projection == "perspective" and metres is not None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from orograph.errors import ReadError, UsageError
+from orograph.light.sun import Sun
 from orograph.store.terrain import Terrain
 from orograph.view import View
 
@@ -22,29 +23,6 @@ def check_exaggeration(factor: float) -> None:
     """Raise UsageError unless heights can be stretched by ``factor``."""
     if not 0 < factor < math.inf:
         raise UsageError(f"The exaggeration is a factor greater than 0, not {factor:g}.")
-
-
-@dataclass(frozen=True, slots=True)
-class Sun:
-    """A distant disc of light.
-
-    Attributes:
-        azimuth: degrees clockwise from (grid) north, towards the sun.
-        altitude: degrees above the horizon.
-        diameter: degrees; the real sun's is 0.53.
-    """
-
-    azimuth: float = 315.0
-    altitude: float = 45.0
-    diameter: float = 0.53
-
-    def __post_init__(self) -> None:
-        if not math.isfinite(self.azimuth):
-            raise UsageError(f"The sun's azimuth is an angle in degrees, not {self.azimuth:g}.")
-        if not -90 <= self.altitude <= 90:
-            raise UsageError(f"The sun's altitude lies between −90 and 90 degrees, not {self.altitude:g}.")
-        if not 0 <= self.diameter < 90:
-            raise UsageError(f"The sun's diameter is an angle in degrees, not {self.diameter:g}.")
 
 
 @dataclass(frozen=True, slots=True)
