@@ -15,7 +15,8 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 
 from orograph.errors import ReadError, UsageError
-from orograph.flight import Flight, monotonic
+from orograph.flight import Flight
+from orograph.splines import Monotone
 from orograph.view import View
 
 
@@ -113,7 +114,7 @@ def test_the_cubic_is_scipys_inside_and_never_overshoots(steps):
     x = np.cumsum([s[0] for s in steps])
     y = np.array([s[1] for s in steps])
     t = np.linspace(x[0], x[-1], 101)
-    ours = np.array([monotonic(x, y, v) for v in t])
+    ours = np.array([Monotone(x, y)(v) for v in t])
     for i in range(len(x) - 1):
         part = ours[(t >= x[i]) & (t <= x[i + 1])]
         assert (part >= min(y[i : i + 2]) - 1e-9).all() and (part <= max(y[i : i + 2]) + 1e-9).all()

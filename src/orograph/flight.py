@@ -4,36 +4,31 @@
 
 A key is a view (as VIEW.json) and the time in seconds at which the camera is there. Between keys
 
-- the eye follows a Catmull-Rom spline with *centripetal* knots (the square roots of the distances between keys), which
-  passes every key and makes neither cusps nor loops (Yuksel, Schaefer & Keyser, *Parameterization and applications of
-  Catmull-Rom curves*, CAD 2011);
-- the directions of view and of up follow the same spline on the sphere: of the pyramid of interpolations that Barry &
-  Goldman (SIGGRAPH 1988) make the spline of, each step is a slerp (Schlag 1991, *Graphics Gems II*, VIII.4);
+- the eye follows a centripetal Catmull-Rom spline, and the directions of view and of up the same spline on the sphere;
 - distance to the target and tan(fov_y/2) change by equal factors in equal times.
 
-How fast the camera goes along these is a monotonic cubic of time (Fritsch & Butland 1984): it changes smoothly, never
-runs backwards, and rests where two keys are alike. Size, projection, near and far are the same in all keys.
+How fast the camera goes along these is a monotonic cubic of time: it changes smoothly, never runs backwards, and rests
+where two keys are alike (``splines``, with the sources). Size, projection, near and far are the same in all keys.
+
+A flight is a camera and nothing else, the same for every program that measures; a ``tour`` is what films are made of.
 
 Units: seconds; metres and degrees as in ``View``.
 """
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orograph.errors import ReadError, UsageError
+from orograph.documents import load_object, naming, number
+from orograph.errors import UsageError
+from orograph.splines import Monotone, Track, angle_between, distance_between, lerp, slerp
 from orograph.view import View
-
-Array = NDArray[np.float64]
 
 DEFAULT_FPS = 60.0
 
@@ -65,7 +60,7 @@ class Flight:
     _eye: Track = field(init=False, repr=False, compare=False)
     _forward: Track = field(init=False, repr=False, compare=False)
     _up: Track = field(init=False, repr=False, compare=False)
-    _scales: Array = field(init=False, repr=False, compare=False)
+    _scales: tuple[Monotone, Monotone] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if not self.views or len(self.times) != len(self.views):
@@ -100,7 +95,7 @@ class Flight:
         object.__setattr__(
             self, "_up", Track(self.times, up / np.linalg.norm(up, axis=1)[:, None], slerp, angle_between)
         )
-        object.__setattr__(self, "_scales", np.log(np.stack([distance, zoom])))
+        object.__setattr__(self, "_scales", tuple(Monotone(self.times, np.log(v)) for v in (distance, zoom)))
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], *, crs: Any = None) -> Self:
@@ -124,7 +119,7 @@ class Flight:
         for i, key in enumerate(keys):
             if not isinstance(key, Mapping):
                 raise UsageError(f'Key {i} of the flight is no view (a JSON object with "time", "eye", "target"…).')
-            times.append(_number(key.get("time"), f'The "time" of key {i}'))
+            times.append(number(key.get("time"), f'The "time" of key {i}'))
             try:
                 views.append(View.from_dict({k: v for k, v in key.items() if k != "time"}, crs=crs))
             except UsageError as error:
@@ -134,8 +129,8 @@ class Flight:
         return cls(
             tuple(times),
             tuple(views),
-            times[-1] if seconds is None else _number(seconds, '"seconds"'),
-            DEFAULT_FPS if fps is None else _number(fps, '"fps"'),
+            times[-1] if seconds is None else number(seconds, '"seconds"'),
+            DEFAULT_FPS if fps is None else number(fps, '"fps"'),
         )
 
     @classmethod
@@ -145,18 +140,9 @@ class Flight:
         Raises:
             ReadError: the file cannot be read, or is no JSON object. UsageError: as ``from_dict``, naming the file.
         """
-        try:
-            values = json.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ReadError(f"The flight cannot be read: {error.strerror}.", path=path) from error
-        except ValueError as error:
-            raise ReadError(f"This is not JSON: {error}.", path=path) from error
-        if not isinstance(values, dict):
-            raise ReadError("A flight is a JSON object with fps, seconds and keys.", path=path)
-        try:
+        values = load_object(path, "flight", "fps, seconds and keys")
+        with naming(path):
             return cls.from_dict(values, crs=crs)
-        except UsageError as error:
-            raise UsageError(error.what, path=path, remedy=error.remedy) from error
 
     def to_dict(self) -> dict[str, Any]:
         """What ``from_dict`` reads."""
@@ -176,7 +162,7 @@ class Flight:
         if time in self.times:
             return self.views[self.times.index(time)]
         eye, forward = self._eye(time), self._forward(time)
-        distance, zoom = (math.exp(monotonic(self.times, scale, time)) for scale in self._scales)
+        distance, zoom = (math.exp(scale(time)) for scale in self._scales)
         return replace(
             self.views[0], eye=tuple(eye), target=tuple(eye + distance * forward), up=tuple(self._up(time)),
             fov_y=math.degrees(2 * math.atan(zoom)),
@@ -185,104 +171,3 @@ class Flight:
     def frames(self) -> Iterator[View]:
         """The views of all frames; frame k is that at k/fps seconds."""
         return (self.at(k / self.fps) for k in range(len(self)))
-
-
-class Track:
-    """A spline through points (n, d) at times (n,), by a way of mixing two points and of measuring between them."""
-
-    def __init__(
-        self,
-        times: Sequence[float],
-        points: Array,
-        mix: Callable[[Array, Array, float], Array],
-        between: Callable[[Array, Array], float],
-    ) -> None:
-        self.times, self.mix = times, mix
-        knots = [0.0]
-        moved = [points[0]]
-        for a, b in pairwise(points):
-            knots.append(knots[-1] + math.sqrt(between(a, b)))
-            if knots[-1] > knots[-2]:
-                moved.append(b)
-        self.knots = np.array(knots)  # by key; equal where the camera rests
-        self.rests = len(moved) == 1
-        if self.rests:
-            self.points, self.at = points[:1], np.zeros(1)
-            return
-        at = np.unique(self.knots)
-        # The ends go on as they began: a point mirrored at each.
-        self.points = np.array([mix(moved[1], moved[0], 2.0), *moved, mix(moved[-2], moved[-1], 2.0)])
-        self.at = np.array([2 * at[0] - at[1], *at, 2 * at[-1] - at[-2]])
-
-    def __call__(self, time: float) -> Array:
-        """The point at a time between the first and the last."""
-        if self.rests:
-            return np.asarray(self.points[0])
-        u = monotonic(self.times, self.knots, time)
-        i = int(np.clip(np.searchsorted(self.at, u, side="right") - 1, 1, len(self.at) - 3))
-        t, p = self.at[i - 1 : i + 3], list(self.points[i - 1 : i + 3])
-        for span in (1, 2):
-            p = [self.mix(p[k], p[k + 1], (u - t[k]) / (t[k + span] - t[k])) for k in range(len(p) - 1)]
-        return self.mix(p[0], p[1], (u - t[1]) / (t[2] - t[1]))
-
-
-def lerp(a: Array, b: Array, t: float) -> Array:
-    """The point at t on the line through a (0) and b (1)."""
-    return np.asarray(a + t * (b - a))
-
-
-def slerp(a: Array, b: Array, t: float) -> Array:
-    """The unit vector at t on the great circle through a (0) and b (1); t may lie beyond them."""
-    angle = angle_between(a, b)
-    if angle < 1e-12:
-        return a
-    c = np.asarray((math.sin((1 - t) * angle) * a + math.sin(t * angle) * b) / math.sin(angle))
-    return np.asarray(c / np.linalg.norm(c))
-
-
-def distance_between(a: Array, b: Array) -> float:
-    """Metres."""
-    return float(np.linalg.norm(b - a))
-
-
-def angle_between(a: Array, b: Array) -> float:
-    """Radians between unit vectors, to the last digits also for small angles.
-
-    Raises:
-        UsageError: it is 180°.
-    """
-    angle = 2 * math.atan2(float(np.linalg.norm(a - b)), float(np.linalg.norm(a + b)))
-    if angle > math.pi - 1e-6:
-        raise UsageError(
-            "The camera turns by 180° from one key to the next, which may be done in many ways.",
-            remedy="Put a key between them.",
-        )
-    return angle
-
-
-def monotonic(times: Sequence[float], values: Array, time: float) -> float:
-    """The monotonic cubic interpolation of values (n,) at times (n,) (Fritsch & Butland 1984, as PCHIP)."""
-    x, y = np.asarray(times, np.float64), np.asarray(values, np.float64)
-    h, d = np.diff(x), np.diff(y) / np.diff(x)
-    slopes = np.empty(len(x))
-    slopes[0], slopes[-1] = d[0], d[-1]
-    for k in range(1, len(d)):
-        a, b = 2 * h[k] + h[k - 1], h[k] + 2 * h[k - 1]
-        slopes[k] = 0.0 if d[k - 1] * d[k] <= 0 else (a + b) / (a / d[k - 1] + b / d[k])
-    i = int(np.clip(np.searchsorted(x, time, side="right") - 1, 0, len(h) - 1))
-    s = (time - x[i]) / h[i]
-    from_left = y[i] + h[i] * s * slopes[i]
-    rest = y[i + 1] - y[i] - h[i] * slopes[i]
-    bend = h[i] * (slopes[i] + slopes[i + 1]) - 2 * (y[i + 1] - y[i])
-    return float(from_left + s * s * (rest - bend * (1 - s)))
-
-
-def _number(value: Any, what: str) -> float:
-    """A finite JSON number.
-
-    Raises:
-        UsageError: it is none.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise UsageError(f"{what} must be a number, not {value!r}.")
-    return float(value)

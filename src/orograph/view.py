@@ -10,7 +10,6 @@ with the ground: what is seen does not depend on the height that counts as zero,
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
@@ -20,7 +19,8 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orograph.errors import ReadError, UsageError
+from orograph.documents import load_object, naming
+from orograph.errors import UsageError
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -132,18 +132,9 @@ class View:
         Raises:
             ReadError: the file cannot be read, or is no JSON object. UsageError: as ``from_dict``, naming the file.
         """
-        try:
-            values = json.loads(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ReadError(f"The view cannot be read: {error.strerror}.", path=path) from error
-        except ValueError as error:
-            raise ReadError(f"This is not JSON: {error}.", path=path) from error
-        if not isinstance(values, dict):
-            raise ReadError("A view is a JSON object with eye, target, fov_y, width and height.", path=path)
-        try:
+        values = load_object(path, "view", "eye, target, fov_y, width and height")
+        with naming(path):
             return cls.from_dict(values, crs=crs)
-        except UsageError as error:
-            raise UsageError(error.what, path=path, remedy=error.remedy) from error
 
     def to_dict(self) -> dict[str, Any]:
         """What ``from_dict`` reads; an unlimited ``far`` is left out (JSON knows no infinity)."""

@@ -1,0 +1,53 @@
+"""Reading the JSON files that people write by hand (views, flights, tours), and saying which is wrong, and where."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from orograph.errors import ReadError, UsageError
+
+
+def load_object(path: str | Path, what: str, holds: str) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Args:
+        what: what the file is, for messages: "view".
+        holds: what such an object has: "eye, target and fov_y".
+
+    Raises:
+        ReadError: the file cannot be read, is not JSON, or no JSON object.
+    """
+    try:
+        values = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ReadError(f"The {what} cannot be read: {error.strerror}.", path=path) from error
+    except ValueError as error:
+        raise ReadError(f"This is not JSON: {error}.", path=path) from error
+    if not isinstance(values, dict):
+        raise ReadError(f"A {what} is a JSON object with {holds}.", path=path)
+    return values
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Within it a UsageError gets the file's name."""
+    try:
+        yield
+    except UsageError as error:
+        raise UsageError(error.what, path=path, remedy=error.remedy) from error
+
+
+def number(value: Any, what: str) -> float:
+    """A finite JSON number.
+
+    Raises:
+        UsageError: it is none; the message begins with ``what``.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise UsageError(f"{what} must be a number, not {value!r}.")
+    return float(value)
