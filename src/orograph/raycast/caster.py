@@ -79,21 +79,25 @@ class Caster:
         return t, which
 
     def cast_pinhole(
-        self, eye: Array, d0: Array, du: Array, dv: Array, size: tuple[int, int], near: float = 0.0, far: float = np.inf
-    ) -> tuple[Array, NDArray[np.int8]]:
+        self, eye: Array, d0: Array, du: Array, dv: Array, size: tuple[int, int], near: float = 0.0,
+        far: float = np.inf, part: tuple[int, int, int, int] | None = None,
+    ) -> tuple[Array, NDArray[np.int8]]:  # fmt: skip
         """First hits of a pinhole camera's rays: direction ``d0 + px·du + py·dv`` through pixel (px, py).
 
         Args:
             eye, d0, du, dv: (3,) float64, sample coordinates.
             size: (height, width) in pixels.
+            part: (row0, row1, col0, col1), the pixels that are wanted; None: all. What results is the same to the bit
+                as of the whole picture if it is made of whole blocks (``BLOCK_Y`` rows, ``BLOCK_X`` columns).
 
         Returns:
             t (height, width) float64, NaN where nothing is hit; the window hit, int8.
         """
         from orograph.raycast.kernels import cast_pinhole
 
-        height, width = size
-        t, which = np.empty(size), np.empty(size, np.int8)
+        top, bottom, left, right = part or (0, size[0], 0, size[1])
+        shape = bottom - top, right - left
+        t, which = np.empty(shape), np.empty(shape, np.int8)
         s = self.stack
         camera = tuple(np.ascontiguousarray(v, np.float64) for v in (eye, d0, du, dv))
         end = min(far, self._reach(eye, d0, du, dv, size))
@@ -101,11 +105,12 @@ class Caster:
         clear = not (eye[2] <= ground)  # also true outside, where ground is NaN
         self._blocks(
             lambda a, b: cast_pinhole(
-                s.scene, s.ints, s.floats, s.low, s.high, *camera, near, end, clear, 0, width, a, b, t, which
+                s.scene, s.ints, s.floats, s.low, s.high, *camera, near, end, clear, left, right, top + a, top + b,
+                (top, left), t, which,
             ),
-            height,
+            shape[0],
             16,
-        )
+        )  # fmt: skip
         return t, which
 
     def skyline(self, points: Array, direction: tuple[float, float], skip: Array, lower: float, enough: float) -> Array:

@@ -114,11 +114,11 @@ def cast_rays(scene, ints, floats, low, high, origins, directions, t0, t1, out, 
 
 
 @kernel
-def finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, y0, y1, out, which, spans):
+def finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, y0, y1, corner, out, which, spans):
     """Cast the rays that ``march_row`` left."""
     for py in range(y0, y1):
         for px in range(x0, x1):
-            w = which[py, px]
+            w = which[py - corner[0], px - corner[1]]
             if w > ABOVE:
                 continue
             side = 1 if w == ABOVE else -1 if w == BELOW else 0
@@ -134,23 +134,25 @@ def finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, x0, x1, y0, y1
                 d0[0] + px * du[0] + py * dv[0],
                 d0[1] + px * du[1] + py * dv[1],
                 d0[2] + px * du[2] + py * dv[2],
-                max(t0, out[py, px]),
+                max(t0, out[py - corner[0], px - corner[1]]),
                 t1,
                 side,
                 2,
                 spans,
             )
-            out[py, px] = t if t < INF else np.nan
-            which[py, px] = w
+            out[py - corner[0], px - corner[1]] = t if t < INF else np.nan
+            which[py - corner[0], px - corner[1]] = w
 
 
 @kernel
-def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x0, x1, y0, y1, out, which):
+def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x0, x1, y0, y1, corner, out, which):
     """Pixels [x0, x1) × [y0, y1) of a pinhole camera at ``o``: direction d0 + px·du + py·dv through pixel (px, py).
 
-    ``clear``: the eye is known to be above the surface (or beside it), so that fronts may be pushed from there.
+    ``corner``: (row, col) of the pixel that ``out`` and ``which`` begin with. ``clear``: the eye is known to be above
+    the surface (or beside it), so that fronts may be pushed from there.
     """
     windows = ints.shape[0]
+    top, left = corner
     spans = np.empty((windows, 2))
     starts = np.empty(STRIP)
     thin = np.empty((STRIP // THIN, 7))  # xa, xb, ya, yb, front, step, ground
@@ -167,9 +169,9 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
         for bx in range(x0, x1, BLOCK_X):
             ey, ex = min(by + BLOCK_Y, y1), min(bx + BLOCK_X, x1)
             if not clear:
-                out[by:ey, bx:ex] = t0
-                which[by:ey, bx:ex] = UNKNOWN
-                finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, bx, ex, by, ey, out, which, spans)
+                out[by - top : ey - top, bx - left : ex - left] = t0
+                which[by - top : ey - top, bx - left : ex - left] = UNKNOWN
+                finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, bx, ex, by, ey, corner, out, which, spans)
                 continue
             xa, xb, ya, yb, slope = wedge(d0, du, dv, gx, gy, bx, ex, by, ey)
             wedged = xa <= xb and grazes(d0, du, dv, gx, gy, bx, ex, by, ey)
@@ -183,8 +185,8 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
                 scene, ints, floats, high, o, xa, xb, ya, yb, slope, 0.0, end, 16.0 * finest / speed
             )
             if first >= end:
-                out[by:ey, bx:ex] = np.nan
-                which[by:ey, bx:ex] = -1
+                out[by - top : ey - top, bx - left : ex - left] = np.nan
+                which[by - top : ey - top, bx - left : ex - left] = -1
                 continue
             for sx in range(bx, ex, STRIP):
                 fx = min(sx + STRIP, ex)
@@ -243,8 +245,8 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
                         )
                         starts[:] = front
                     if front >= end:
-                        out[py, sx:fx] = np.nan
-                        which[py, sx:fx] = -1
+                        out[py - top, sx - left : fx - left] = np.nan
+                        which[py - top, sx - left : fx - left] = -1
                         continue
                     # The finest window that holds the middle of the row where it begins.
                     x, y = o[0] + 0.5 * front * (xa + xb), o[1] + 0.5 * front * (ya + yb)
@@ -267,10 +269,11 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
                         (xb - xa) * front < 16.0 * floats[w, SCALE],
                         t0,
                         t1,
+                        corner,
                         out,
                         which,
                     )
-                finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, sx, fx, by, ey, out, which, spans)
+                finish(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, sx, fx, by, ey, corner, out, which, spans)
 
 
 @inlined

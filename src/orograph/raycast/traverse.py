@@ -221,7 +221,7 @@ ABOVE, BELOW, UNKNOWN = -2, -3, -4
 
 
 @leaf
-def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, few, near, far, out, which):
+def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, few, near, far, corner, out, which):
     """Walk rays of one row of a pinhole camera's pixels through one window, from close above the surface.
 
     Steps of fixed size (Amanatides & Woo 1987), first on cells, then on nodes of one level: where ``cast`` climbs and
@@ -235,6 +235,7 @@ def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, f
         starts: the t up to which the rays of pixels px0 … px1 − 1 are above the surface, if they are over the window.
         few: whether the hits are likely to be only a few cells beyond.
         near, far: the range of t that counts.
+        corner: (row, col) of the pixel that ``out`` and ``which`` begin with.
         out, which: t and the window's number; NaN and −1; or where the ray got to and a side: a ray that begins
             beside the window, enters the finer one or leaves for the coarser one.
     """
@@ -247,20 +248,21 @@ def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, f
     west1, north1, east1, south1 = inner
     nested = west1 < east1
     ox, oy, oz = o
+    row, left = py - corner[0], corner[1]
     for px in range(px0, px1):
         dx, ix = inverse(d0[0] + px * du[0] + py * dv[0])
         dy, iy = inverse(d0[1] + px * du[1] + py * dv[1])
         dz = d0[2] + px * du[2] + py * dv[2]
         t = starts[px - px0]
         if t >= far:
-            out[py, px], which[py, px] = np.nan, -1
+            out[row, px - left], which[row, px - left] = np.nan, -1
             continue
         x, y = ox + t * dx, oy + t * dy
         begins = west <= x and x <= east and north <= y and y <= south
         if nested and west1 <= x and x <= east1 and north1 <= y and y <= south1:
             begins = False
         if not begins or t < near:
-            out[py, px], which[py, px] = t, UNKNOWN
+            out[row, px - left], which[row, px - left] = t, UNKNOWN
             continue
         right, down = dx > 0.0, dy > 0.0
         # Where the ray leaves the window, for good (to the outside or a coarser window) or for the finer one.
@@ -374,12 +376,12 @@ def march_row(scene, window, rect, inner, o, d0, du, dv, py, px0, px1, starts, f
                     over = True
                     break
         if hit < INF:
-            out[py, px], which[py, px] = hit, number
+            out[row, px - left], which[row, px - left] = hit, number
         elif over and not leaves:
-            out[py, px], which[py, px] = np.nan, -1
+            out[row, px - left], which[row, px - left] = np.nan, -1
         else:
-            out[py, px] = min(t, t1)
-            which[py, px] = ABOVE if side > 0 else BELOW if side < 0 else UNKNOWN
+            out[row, px - left] = min(t, t1)
+            which[row, px - left] = ABOVE if side > 0 else BELOW if side < 0 else UNKNOWN
 
 
 @inlined
