@@ -22,7 +22,7 @@ exaggerations = st.sampled_from([1.0, 0.5, 3.0])
 def cameras(draw: st.DrawFn) -> View:
     eye = draw(far_off)
     offset = draw(st.tuples(*[st.floats(-1e4, 1e4)] * 3).filter(lambda v: np.linalg.norm(v) > 1.0))
-    return View(
+    view = View(
         eye,
         tuple(np.add(eye, offset)),  # type: ignore[arg-type]
         up=draw(st.sampled_from([(0.0, 0.0, 1.0), (1.0, 0.2, 0.5), (0.0, 1.0, 0.0)])),
@@ -33,6 +33,11 @@ def cameras(draw: st.DrawFn) -> View:
         far=draw(st.sampled_from([math.inf, 5e4])),
         projection=draw(st.sampled_from(["perspective", "perspective", "plan"])),
     )
+    if draw(st.booleans()):  # a tile of it: whatever holds of views holds of tiles
+        left, top = draw(st.integers(0, view.width - 1)), draw(st.integers(0, view.height - 1))
+        width, height = draw(st.integers(1, view.width - left)), draw(st.integers(1, view.height - top))
+        view = view.tile(left, top, width, height)
+    return view
 
 
 @settings(deadline=None)
@@ -144,3 +149,29 @@ def test_reads_a_file_and_longitudes(tmp_path) -> None:  # type: ignore[no-untyp
 def test_what_is_wrong_with_a_view_is_said(values: dict[str, object], says: str) -> None:
     with pytest.raises(OrographError, match=says):
         View.from_dict(values, crs="EPSG:32632")
+
+
+@settings(deadline=None)
+@given(cameras(), exaggerations)
+def test_a_tile_shows_what_the_whole_shows_there(view: View, exaggeration: float) -> None:
+    left, top, width, height = view.frame
+    whole = view.whole
+    assert (whole.width, whole.height, whole.part) == (width, height, None)
+    assert whole.pixel_slope == view.pixel_slope
+    points = np.array(view.eye) + np.random.default_rng(0).uniform(-1, 1, (50, 3)) * view.distance * 3
+    here, depth = view.project(points, exaggeration)
+    there, same = whole.project(points, exaggeration)
+    np.testing.assert_array_equal(depth, same)
+    finite = np.isfinite(there).all(1) & (np.abs(there) < 1e6).all(1)
+    np.testing.assert_allclose(here[finite] + [left, top], there[finite], atol=1e-6)
+    assert View.from_dict(json.loads(json.dumps(view.to_dict()))) == view
+    inner = view.tile(0, 0, 1, 1)
+    assert inner.frame == (left, top, width, height) and inner.whole == whole
+
+
+def test_a_tile_lies_inside_its_picture() -> None:
+    view = View((0, 0, 100), (0, 1000, 100), width=200, height=100)
+    with pytest.raises(OrographError, match="not inside the picture of 200 × 100"):
+        view.tile(150, 0, 60, 100)
+    with pytest.raises(OrographError, match="part"):
+        View.from_dict({"eye": [0, 0, 1], "target": [1, 1, 0], "part": [1, 2]})

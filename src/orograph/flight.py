@@ -34,7 +34,7 @@ DEFAULT_FPS = 60.0
 
 MOST_FRAMES = 1_000_000
 
-SAME = ("width", "height", "projection", "near", "far")
+SAME = ("width", "height", "projection", "near", "far", "part")
 """What all keys have alike."""
 
 

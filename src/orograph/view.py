@@ -4,6 +4,9 @@ A view lives in the terrain's projected CRS: x = easting, y = northing, z = heig
 upper left one and its centre lies at (0.5, 0.5). View-space depth is the distance along the viewing direction; rays are
 made with directions of unit forward component, so the ray parameter *is* the depth.
 
+A *tile* of a view (``tile``) is a rectangle of its pixels as a view of its own, with an off-axis frustum: pixel (0, 0)
+of the tile is pixel (left, top) of the whole. Pictures too large for a memory or a graphics card are drawn by tiles.
+
 Exaggeration stretches heights on the way to the screen only. The eye and the target are true places and are stretched
 with the ground: what is seen does not depend on the height that counts as zero, and an eye above the ground stays so.
 """
@@ -38,6 +41,8 @@ class View:
         near, far: depths in metres between which things are seen.
         projection: "perspective", or "plan": straight down onto the target, parallel rays; the picture is as high as
             ``fov_y`` spans at the eye's distance from the target, and ``up`` (or the viewing direction) turns it.
+        part: None, or of a tile (left, top, width, height): where its first pixel is in the whole picture, and the size
+            of that. ``fov_y`` is the whole picture's; ``width`` and ``height`` are the tile's.
     """
 
     eye: Point
@@ -49,6 +54,7 @@ class View:
     near: float = 0.0
     far: float = math.inf
     projection: Literal["perspective", "plan"] = "perspective"
+    part: tuple[int, int, int, int] | None = None
 
     def __post_init__(self) -> None:
         for name in ("eye", "target", "up"):
@@ -70,6 +76,11 @@ class View:
             raise UsageError(f"near ({self.near}) must not be negative and must be less than far ({self.far}).")
         if self.projection not in ("perspective", "plan"):
             raise UsageError(f"projection is 'perspective' or 'plan', not {self.projection!r}.")
+        if self.part is not None:
+            left, top, width, height = self.part
+            if left < 0 or top < 0 or left + self.width > width or top + self.height > height:
+                raise UsageError(f"The tile of {self.width} × {self.height} pixels at ({left}, {top}) is not inside "
+                                 f"the picture of {width} × {height}.")  # fmt: skip
 
     # ---- reading and writing -------------------------------------------------------------------------------------
 
@@ -107,9 +118,15 @@ class View:
                     if float(given[name]) != int(given[name]):
                         raise ValueError(name)
                     given[name] = int(given[name])
+            if "part" in given:
+                name = "part"
+                given[name] = tuple(int(v) for v in given[name])
+                if len(given[name]) != 4:
+                    raise ValueError(name)
         except (TypeError, ValueError, OverflowError) as error:
             raise UsageError(
-                f"The view's {name} is not a number, or not three of them: {values.get(name)!r}."
+                f"The view's {name} is not a number, or not {'four' if name == 'part' else 'three'} of them: "
+                f"{values.get(name)!r}."
             ) from error
         if values.get("crs") is not None:
             from orograph.geo.transform import transformer
@@ -141,11 +158,32 @@ class View:
         values = asdict(self)
         if math.isinf(self.far):
             del values["far"]
+        if self.part is None:
+            del values["part"]
         return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
 
     def resized(self, width: int, height: int) -> Self:
-        """The same view in a picture of another size."""
-        return replace(self, width=width, height=height)
+        """The same view (the whole, of a tile) in a picture of another size."""
+        return replace(self, width=width, height=height, part=None)
+
+    def tile(self, left: int, top: int, width: int, height: int) -> Self:
+        """The pixels [left, left + width) × [top, top + height) of this view, as a view.
+
+        Raises:
+            UsageError: they are not all inside the picture.
+        """
+        x, y, *size = self.frame
+        return replace(self, width=width, height=height, part=(x + left, y + top, size[0], size[1]))
+
+    @property
+    def frame(self) -> tuple[int, int, int, int]:
+        """(left, top, width, height): where the first pixel is in the whole picture, and that picture's size."""
+        return self.part or (0, 0, self.width, self.height)
+
+    @property
+    def whole(self) -> Self:
+        """The view that this is a tile of; itself, if it is none."""
+        return self if self.part is None else self.resized(*self.part[2:])
 
     # ---- geometry ------------------------------------------------------------------------------------------------
 
@@ -179,7 +217,7 @@ class View:
     @property
     def pixel_slope(self) -> float:
         """The height of a pixel at the picture's centre, at unit depth (perspective)."""
-        return 2.0 * math.tan(math.radians(self.fov_y) / 2.0) / self.height
+        return 2.0 * math.tan(math.radians(self.fov_y) / 2.0) / self.frame[3]
 
     @property
     def pixel_metres(self) -> float:
@@ -201,16 +239,19 @@ class View:
     def projection_matrix(self) -> Array:
         """Camera → clip space, (4, 4), reversed depth: 1 at ``near`` (or 1 m, if that is 0), 0 at ``far``."""
         near = self.near or 1.0
+        left, top, width, height = self.frame
+        # The middle of the picture as seen from the tile's, in half tiles: 0 unless this is a tile.
+        aside, above = (width / 2 - left) * 2 / self.width - 1, 1 - (height / 2 - top) * 2 / self.height
         matrix = np.zeros((4, 4))
         if self.projection == "plan":
-            half = self.pixel_metres * self.height / 2
             far = self.far if math.isfinite(self.far) else 1e7
-            matrix[0, 0] = self.height / (half * self.width)
-            matrix[1, 1] = 1 / half
+            matrix[0, 0], matrix[0, 3] = 2 / (self.pixel_metres * self.width), aside
+            matrix[1, 1], matrix[1, 3] = 2 / (self.pixel_metres * self.height), above
             matrix[2, 2], matrix[2, 3], matrix[3, 3] = 1 / (far - near), far / (far - near), 1.0
             return matrix
-        cot = 1.0 / math.tan(math.radians(self.fov_y) / 2)
-        matrix[0, 0], matrix[1, 1], matrix[3, 2] = cot * self.height / self.width, cot, -1.0
+        matrix[0, 0], matrix[0, 2] = 2 / (self.pixel_slope * self.width), -aside
+        matrix[1, 1], matrix[1, 2] = 2 / (self.pixel_slope * self.height), -above
+        matrix[3, 2] = -1.0
         if math.isfinite(self.far):
             matrix[2, 2], matrix[2, 3] = near / (self.far - near), self.far * near / (self.far - near)
         else:
@@ -225,17 +266,19 @@ class View:
         right, up, forward = self.axes(exaggeration)
         eye = np.array(self.eye) * [1.0, 1.0, exaggeration]
         normals, points = [], []
-        if self.projection == "plan":
-            half_y = self.pixel_metres * self.height / 2
-            half_x = half_y * self.width / self.height
-            for axis, half in ((right, half_x), (-right, half_x), (up, half_y), (-up, half_y)):
+        left, top, width, height = self.frame
+        pixel = self.pixel_metres if self.projection == "plan" else self.pixel_slope
+        sides = (
+            (right, left - width / 2), (-right, width / 2 - left - self.width),
+            (up, height / 2 - top - self.height), (-up, top - height / 2),
+        )  # fmt: skip
+        for axis, pixels in sides:  # what is seen lies at least so many pixels along the axis from the middle
+            least = pixels * pixel
+            if self.projection == "plan":
                 normals.append(axis)
-                points.append(np.array(self.target) * [1, 1, exaggeration] - axis * half)
-        else:
-            half_y = math.tan(math.radians(self.fov_y) / 2)
-            half_x = half_y * self.width / self.height
-            for axis, half in ((right, half_x), (-right, half_x), (up, half_y), (-up, half_y)):
-                normals.append((axis + half * forward) / math.hypot(1.0, half))
+                points.append(np.array(self.target) * [1, 1, exaggeration] + axis * least)
+            else:
+                normals.append((axis - least * forward) / math.hypot(1.0, least))
                 points.append(eye)
         normals.append(forward)
         points.append(eye + forward * self.near)
@@ -255,8 +298,9 @@ class View:
             scale: Any = self.pixel_metres
         else:
             scale = np.where(depth > 0, depth, np.nan) * self.pixel_slope
-        x = delta @ right / scale + self.width / 2
-        y = self.height / 2 - delta @ up / scale
+        left, top, width, height = self.frame
+        x = delta @ right / scale + (width / 2 - left)
+        y = (height / 2 - top) - delta @ up / scale
         return np.stack([x, y], -1), depth
 
     def ray_basis(self, exaggeration: float = 1.0) -> tuple[Array, Array, Array, Array, Array, Array]:
@@ -268,12 +312,14 @@ class View:
         right, up, forward = self.axes(exaggeration)
         unstretch = np.array([1.0, 1.0, 1.0 / exaggeration])
         zero = np.zeros(3)
+        left, top, width, height = self.frame
+        across, down = width / 2 - left, height / 2 - top
         if self.projection == "plan":
             m = self.pixel_metres
             centre = np.array([self.target[0], self.target[1], self.eye[2]])
             ou, ov = right * m, -up * m
-            return centre - ou * self.width / 2 - ov * self.height / 2, ou, ov, forward * unstretch, zero, zero
+            return centre - ou * across - ov * down, ou, ov, forward * unstretch, zero, zero
         s = self.pixel_slope
         du, dv = right * s * unstretch, -up * s * unstretch
-        d0 = forward * unstretch - du * self.width / 2 - dv * self.height / 2
+        d0 = forward * unstretch - du * across - dv * down
         return np.array(self.eye), zero, zero, d0, du, dv

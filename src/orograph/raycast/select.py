@@ -95,7 +95,8 @@ def distances(terrain: Terrain, view: View, exaggeration: float, boxes: Boxes) -
 def off_axis(view: View) -> float:
     """cos² of the angle between the viewing direction and the picture's corner."""
     half = math.tan(math.radians(view.fov_y) / 2)
-    return 1.0 / (1.0 + half * half * (1.0 + (view.width / view.height) ** 2))
+    _, _, width, height = view.frame
+    return 1.0 / (1.0 + half * half * (1.0 + (width / height) ** 2))
 
 
 def pixel_error(terrain: Terrain, view: View, exaggeration: float, level: int, boxes: Boxes) -> Array:
