@@ -85,6 +85,23 @@ def test_bytes_only_on_request_and_they_say_what_they_mean(run, hilly, tmp_path)
         assert seen[seen > 0].min() == 1 + round(254 * float(np.nanmin(true)))
 
 
+def test_bytes_of_codes_vectors_and_degrees(run, hilly, tmp_path):
+    whole, small = tmp_path / "a.tif", tmp_path / "b.tif"
+    for out, more in ((whole, ()), (small, ("--byte",))):
+        given = ("--product", "shadow,aperture", "--azimuths", 8, "--sun", "250,12", "--quiet", *more)
+        code, _, err = run("light", hilly, *given, "-o", out)
+        assert code == 0, err
+    with rasterio.open(whole) as a, rasterio.open(small) as b:
+        true, coded = a.read(), b.read()
+        assert set(np.unique(coded[1])) == set(np.nan_to_num(np.unique(true[1]))) >= {0, 1, 3, 4}  # codes are codes
+        assert b.units == ("1", "1", "1", "1", "1", "degrees")
+        for k in (0, 2, 3, 4, 5):
+            ok = coded[k] > 0
+            assert np.array_equal(ok, np.isfinite(true[k]))
+            again = coded[k] * b.scales[k] + b.offsets[k]
+            assert np.abs(again - true[k])[ok].max() <= b.scales[k] / 2 + 1e-6
+
+
 def test_the_sun_may_be_a_time(run, hilly, tmp_path):
     out = tmp_path / "noon.tif"
     code, said, err = run(
@@ -176,7 +193,9 @@ def test_ctrl_c_leaves_what_was_there(tmp_path):
     assert out.read_bytes() == b"before" and sorted(p.name for p in tmp_path.iterdir()) == ["big.tif", "out.tif"]
 
 
-@pytest.mark.parametrize("name", ["sky-view-factor", "openness", "horizon"])
+@pytest.mark.parametrize(
+    "name", ["sky-view-factor", "openness", "horizon", "ambient-occlusion", "aperture,visible-sky,sky-view-factor"]
+)
 def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_path, monkeypatch, name):
     from orograph.light import sweep
     from orograph.light.raster_resume import Kept
@@ -204,6 +223,61 @@ def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_pa
     assert len(swept) == 2 and sum(swept) == 12 - passes[-1]  # two of four passes were left
     assert out.read_bytes() == whole.read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.tif", "whole.tif"]
+
+
+def test_resume_keeps_windows_of_walks(run, hilly, tmp_path, monkeypatch):
+    from orograph.light import occlusion
+    from orograph.light.raster_resume import Kept
+
+    monkeypatch.setattr(occlusion, "_BLOCK", 16)
+    monkeypatch.setattr(occlusion, "_WIDTH", 16)
+    whole, out = tmp_path / "whole.tif", tmp_path / "out.tif"
+    given = ("--product", "ambient-occlusion", "--radius", 300, "--azimuths", 6, "--jobs", 1, "--quiet", "--resume")
+    assert run("light", hilly, *given, "-o", whole)[0] == 0
+    window, made = Kept.window, []
+
+    def counted(self, key, row, col, make):
+        def counting():
+            if len(made) == 11:
+                raise KeyboardInterrupt
+            made.append((row, col))
+            return make()
+
+        return window(self, key, row, col, counting)
+
+    monkeypatch.setattr(Kept, "window", counted)
+    code, _, err = run("light", hilly, *given, "-o", out)
+    assert code == 130 and "same command" in err and len(made) == 11
+    cut = next((tmp_path / "out.tif.partial").glob("*.npy"))
+    cut.write_bytes(cut.read_bytes()[:-4])
+    before, made[:] = set(made), []
+    monkeypatch.setattr(Kept, "window", lambda *a: made.append(a[2:4]) or window(*a))
+    assert run("light", hilly, *given, "-o", out)[0] == 0
+    assert len(made) == 30 and len(before) == 11
+    assert out.read_bytes() == whole.read_bytes()
+
+
+def test_several_products_share_a_sweep(run, hilly, tmp_path, monkeypatch):
+    """One pass over the terrain for all that sweep alike, and the same values as each alone."""
+    from orograph.light import sweep
+
+    swept, run_pass = [], sweep._Pass.run
+    monkeypatch.setattr(sweep._Pass, "run", lambda self, read: swept.append(len(self.lines)) or run_pass(self, read))
+    alone, count = [], []
+    for name in ("visible-sky", "sky-view-factor", "aperture", "openness"):
+        swept.clear()
+        code, _, err = run("light", hilly, "--product", name, "--azimuths", 8, "-o", tmp_path / "one.tif", "--quiet")
+        assert code == 0, err
+        count.append(sum(swept))
+        with rasterio.open(tmp_path / "one.tif") as file:
+            alone.append(file.read())
+    assert count == [8, 8, 8, 8]
+    swept.clear()
+    names = "visible-sky,sky-view-factor,aperture,openness"
+    code, _, err = run("light", hilly, "--product", names, "--azimuths", 8, "-o", tmp_path / "all.tif", "--quiet")
+    assert code == 0 and sum(swept) == 16, err  # openness looks below the horizon
+    with rasterio.open(tmp_path / "all.tif") as file:
+        np.testing.assert_array_equal(file.read(), np.concatenate(alone))
 
 
 def test_resume_refuses_other_work_and_damage(run, hilly, tmp_path, monkeypatch):

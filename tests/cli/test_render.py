@@ -21,7 +21,8 @@ from pyproj import CRS, Transformer
 
 from orograph import store
 from orograph.geo.grid import Grid
-from orograph.light.sun import place, position
+from orograph.light.sun import place as place_of
+from orograph.light.sun import position
 from orograph.picture.prepare import prepare
 
 PLACE = Affine(30, 0, 500_000, 0, -30, 4_000_000)
@@ -171,7 +172,7 @@ def test_the_sun_may_be_a_time(run, dem, tmp_path):
     code, said, err = run("render", dem, "-o", tmp_path / "a.png", "--sun", "2026-06-21T19:00Z", "--json", *SMALL)
     assert code == 0, err
     azimuth, altitude = json.loads(said)["sun"]
-    there = position(datetime.datetime(2026, 6, 21, 19, tzinfo=datetime.UTC), *place(prepare([str(dem)]).grid))
+    there = position(datetime.datetime(2026, 6, 21, 19, tzinfo=datetime.UTC), *place_of(prepare([str(dem)]).grid))
     assert altitude == pytest.approx(there[1], abs=1e-9) and abs((azimuth - there[0] + 180) % 360 - 180) < 4
 
 

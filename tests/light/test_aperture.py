@@ -165,16 +165,15 @@ def test_blocks_threads_and_refusals():
 
 
 def test_a_radius_limits_rays():
-    from orograph.light.aperture import run
-    from orograph.light.gather import collected, context_of
-    from orograph.light.products import Options
+    from orograph.light.arrays import context_of
+    from orograph.light.products import Options, compute
 
     h = np.zeros((11, 41), np.float32)
     h[:, 30:] = 300.0
     radii = []
     for radius in (60.0, 200.0, None):
         context = context_of(h, CELL, Options(radius=radius, rays=500, more={"method": "rays"}))
-        radii.append(collected(context, run(context), 4)[3, 5, 20])
+        radii.append(compute(context, "aperture")[3, 5, 20])
     assert radii[0] == pytest.approx(90.0, abs=0.1) and radii[0] > radii[1] > radii[2]
 
 

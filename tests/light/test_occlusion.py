@@ -156,25 +156,24 @@ def test_what_is_no_rho():
 
 
 def test_what_does_not_fit_in_memory_says_so():
-    from orograph.light.gather import context_of
-    from orograph.light.products import Options
+    from orograph.light.arrays import context_of
+    from orograph.light.products import Options, product
 
     options = Options(radius=1e6, more={"rho": "linear"})
     context = context_of(np.zeros((1500, 1500), np.float32), CELL, options, jobs=2, max_memory=64 << 20)
     with pytest.raises(UsageError, match="--max-memory"):
-        next(occlusion.run(context))
+        next(product("ambient-occlusion").run(context))
 
 
 def test_rays_and_walks_do_not_pretend_to_know_a_round_earth():
-    from orograph.light import aperture
-    from orograph.light.gather import context_of
-    from orograph.light.products import Options
+    from orograph.light.arrays import context_of
+    from orograph.light.products import Options, product
 
-    for module, radius, more in (
-        (occlusion, 50.0, {}),
-        (occlusion, None, {"method": "rays"}),
-        (aperture, 50.0, {"method": "rays"}),
+    for name, radius, more in (
+        ("ambient-occlusion", 50.0, {}),
+        ("ambient-occlusion", None, {"method": "rays"}),
+        ("aperture", 50.0, {"method": "rays"}),
     ):
         options = Options(radius=radius, curvature=True, more=more)
         with pytest.raises(UsageError, match="curvature"):
-            next(module.run(context_of(np.zeros((9, 9), np.float32), CELL, options)))
+            next(product(name).run(context_of(np.zeros((9, 9), np.float32), CELL, options)))

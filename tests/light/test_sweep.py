@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pyproj import CRS
 
 from orograph.errors import UsageError
-from orograph.light import sweep
+from orograph.light import sweep_lines
 from orograph.light.horizon import horizon
 from orograph.light.sweep import curvature_of, horizons
 
@@ -64,8 +64,8 @@ def test_memory_changes_no_bit(radius, monkeypatch):
     azimuths = np.arange(16) * 22.5
     plenty, _ = swept(h, SQUARE, azimuths, radius=radius)
     taken = []
-    scratch = sweep.scratch
-    monkeypatch.setattr(sweep, "scratch", lambda length: taken.append(length) or scratch(length))
+    scratch = sweep_lines.scratch
+    monkeypatch.setattr(sweep_lines, "scratch", lambda length: taken.append(length) or scratch(length))
     little, came = swept(h, SQUARE, azimuths, radius=radius, memory=600_000)
     assert (came == 1).all() and np.array_equal(plenty, little)
     assert bool(taken) == (radius is None)  # stacks went to a scratch file
@@ -143,8 +143,8 @@ def test_curvature_and_refraction_are_those_of_the_body():
 
 def test_a_sea_on_a_round_body_goes_to_scratch_and_stays_right(monkeypatch):
     taken = []
-    scratch = sweep.scratch
-    monkeypatch.setattr(sweep, "scratch", lambda length: taken.append(length) or scratch(length))
+    scratch = sweep_lines.scratch
+    monkeypatch.setattr(sweep_lines, "scratch", lambda length: taken.append(length) or scratch(length))
     h = np.zeros((64, 4000), np.float32)
     bend = curvature_of(None)
     got, _ = swept(h, SQUARE * 30, np.array([270.0]), lowest=-np.inf, curvature=bend, memory=2_000_000)

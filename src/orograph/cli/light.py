@@ -25,6 +25,9 @@ OWN = (
 )  # fmt: skip
 """What is said about the light; all other options are about reading."""
 
+AT_ONCE = ("normal", "slope", "aspect", "hillshade")
+"""Products of which nothing is worth keeping."""
+
 MORE = ("rho", "method", "date", "step", "turbidity")
 
 
@@ -100,7 +103,7 @@ class Names(click.ParamType["tuple[str, ...]"]):
 @click.option(
     "--resume",
     is_flag=True,
-    help="Keep what has been swept in OUT.tif.partial after each pass, and go on from there if it is interrupted.",
+    help="Keep what has been swept or cast in OUT.tif.partial, and go on from there if it is interrupted.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
 @source_options
@@ -148,7 +151,7 @@ def command(
         source["band"] = None
     with progress.task("Loading Orograph"):
         from orograph.light.products import Context, Options, product
-        from orograph.light.raster import Band, write
+        from orograph.light.raster import write
         from orograph.light.raster_resume import Kept, identity
         from orograph.output import check_folder
         from orograph.picture.prepare import prepare
@@ -167,11 +170,13 @@ def command(
     place = options["sun"].over(terrain.grid)
     chosen = Options(**common, sun=(place.azimuth, place.altitude), lights=lights, more=more)
     kept = None
+    if resume and set(wanted) <= set(AT_ONCE):
+        progress.warn(f"--resume keeps nothing of {', '.join(wanted)}: such maps are made in one go, in seconds.")
     if resume:
         plan = {"products": wanted, "terrain": identity(terrain), "options": repr(chosen)}
         kept = Kept(Path(f"{output}.partial"), plan)
     context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
-    bands = [Band(name, p.unit, p.doc, p.byte) for p in products for name in p.bands(chosen)]
+    bands = [band for p in products for band in p.described(chosen)]
     try:
         write(
             output, terrain.grid, bands, _blocks(context, products), byte=options["byte"], jobs=jobs, progress=progress,
@@ -200,12 +205,12 @@ def command(
 
 
 def _blocks(context: Context, products: list[Product]) -> Iterator[tuple[int, int, int, Values]]:
-    """The blocks of all products, one after the other, with their first band."""
-    first = 0
-    for each in products:
-        for row, col, values in each.run(context):
-            yield first, row, col, values
-        first += len(each.bands(context.options))
+    """The blocks of all products with their first band; those that sweep alike share a sweep."""
+    from orograph.light.gather import produce
+
+    counts = [len(each.bands(context.options)) for each in products]
+    for k, row, col, values in produce(context, products):
+        yield sum(counts[:k]), row, col, values
 
 
 def _tags(context: Context, wanted: list[str]) -> dict[str, str]:

@@ -23,12 +23,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
+from orograph.light.arrays import context_of
 from orograph.light.caps import cap_area
-from orograph.light.gather import collected, context_of, gathered
+from orograph.light.gather import Sweep, Window, by_azimuth
 from orograph.light.occlusion import Method, Neighbourhood, by_blocks, flat_only, lift
-from orograph.light.products import Blocks, Context, Options, Product, Values
+from orograph.light.products import Blocks, Context, Options, Product, Values, compute
 from orograph.light.sun import Sun
-from orograph.light.sweep import direction
+from orograph.light.sweep_lines import direction
 from orograph.parallel import map_ordered
 
 Array = NDArray[np.float64]
@@ -91,7 +92,7 @@ def _caps(moments: Values, missing: NDArray[np.bool_]) -> Values:
     return out.astype(np.float32)
 
 
-def run(context: Context) -> Blocks:
+def make(context: Context) -> Blocks | Sweep:
     """The product: ``method`` ("horizon" or "rays") and ``seed`` among the other options."""
     options = context.options
     method: Method = options.more.get("method", "horizon")
@@ -104,7 +105,7 @@ def run(context: Context) -> Blocks:
     return _horizons(context)
 
 
-def _horizons(context: Context) -> Blocks:
+def _horizons(context: Context) -> Sweep:
     from orograph.light.aperture_kernels import add_moments
 
     fan = context.options.directions()
@@ -113,8 +114,11 @@ def _horizons(context: Context) -> Blocks:
     def add(out: Values, slopes: Values, gx: Values, gy: Values, row0: int, col0: int, index: int) -> None:
         add_moments(slopes, gx, gy, *direction(fan[index]), width, row0, col0, out)
 
-    for row, col, moments in gathered(context, 4, fan, add, what="Sweeping apertures"):
-        yield row, col, _caps(moments, np.isnan(moments[3]))
+    def finish(canvas: Values, window: Window) -> Values:
+        moments = canvas[:, window[0] : window[1], window[2] : window[3]]
+        return _caps(moments, np.isnan(moments[3]))
+
+    return Sweep(fan, 4, by_azimuth(context, add), finish)
 
 
 def _rays(context: Context, rays: int, seed: int) -> Blocks:
@@ -132,7 +136,7 @@ def _rays(context: Context, rays: int, seed: int) -> Blocks:
         )  # fmt: skip
         return _caps(out.astype(np.float32), np.isnan(heights))
 
-    return by_blocks(context, radius, work, "Casting rays to the sky")
+    return by_blocks(context, radius, work, "Casting rays to the sky", "aperture")
 
 
 def aperture(
@@ -160,8 +164,7 @@ def aperture(
         UsageError: wrong shapes, degenerate cells, an unknown method.
     """
     options = Options(azimuths, rays=rays, more={"method": method, "seed": seed})
-    context = context_of(heights, linear, options, jobs=jobs)
-    return collected(context, run(context), 4)
+    return compute(context_of(heights, linear, options, jobs=jobs), "aperture")
 
 
 def field(caps: Values) -> Values:
@@ -238,9 +241,10 @@ PRODUCTS = [
     Product(
         "aperture",
         lambda options: BANDS,
-        "unit vector; degrees",
+        "1",
         "The sky that is seen as one cap: its direction (east, north, up) and its radius.",
-        run,
-        (0.0, 90.0),
+        make,
+        (-1.0, 1.0),
+        lambda band, options: {"unit": "degrees", "byte": (0.0, 90.0)} if band == "radius" else {},
     )
 ]

@@ -125,8 +125,7 @@ def make(
     values = compute(Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress), name)
     if is_array:
         return values[0] if len(values) == 1 else values
-    bands = tuple(Band(b, wanted.unit, wanted.doc, wanted.byte) for b in wanted.bands(chosen))
-    made = Map(values, terrain.grid, bands)
+    made = Map(values, terrain.grid, wanted.described(chosen))
     return _like(made.to_xarray(), data) if is_xarray else made
 
 

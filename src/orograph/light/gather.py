@@ -1,83 +1,118 @@
-"""What products have in common that add up something over horizons: a canvas, and the loop over swept blocks."""
+"""What products have in common that add up something over horizons, and how several of them share one sweep.
+
+A product that is a sum over horizons says so by a ``Sweep``: in which azimuths, what to add to a canvas, and what comes
+of the sums. Products that sweep the same azimuths in the same way (sky-view factor, visible sky, apertures, horizons)
+are swept together: the terrain is read and its hulls are built once for all of them. With ``Context.kept`` the canvases
+are kept after each pass.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from orograph.errors import UsageError
-from orograph.light.products import Blocks, Context, Options, Values
-from orograph.light.raster import rectangles
-from orograph.parallel import map_ordered
+from orograph.light.products import Blocks, Context, Product, Values
+from orograph.light.raster import Canvas, rectangles
+from orograph.light.sweep import Block, fold
 
-Add = Callable[[Values, Values, Values, Values, int, int, int], None]
+Add = Callable[[Values, Block, int, int], None]
+"""(canvas (bands, rows, cols), block, first, last): add a block's rows [first, last); from threads, rows apart."""
+AddOne = Callable[[Values, Values, Values, Values, int, int, int], None]
 """(canvas (bands, rows, cols), slopes (r, c), gx (r, c), gy (r, c), row0, col0, index of the azimuth): add the horizons
 of a window, which begins at (row0, col0) of the canvas."""
-
-_ROWS = 64
-"""Rows of a swept block that one thread takes at a time."""
+Window = tuple[int, int, int, int]
 
 
-def gathered(
-    context: Context,
-    bands: int,
-    azimuths: Sequence[float] | NDArray[np.float64],
-    add: Add,
-    *,
-    lowest: float = 0.0,
-    what: str = "Sweeping horizons",
-) -> Blocks:
-    """Sweep horizons, add each to a canvas that begins with zeros, and yield the canvas block by block.
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """A product as sums over horizons.
 
-    Args:
-        azimuths: degrees from grid north, in any order; each sample gets them in the same order, whatever the blocks.
-        add: called from threads, on windows that do not overlap.
-        lowest: as for ``Context.horizons``; gx and gy are NaN where heights are missing.
+    Attributes:
+        azimuths: (n,) degrees from grid north, in any order; each sample gets them in the same order.
+        bands: of the canvas, which begins with zeros.
+        add: adds a block's horizons to the canvas.
+        finish: (canvas, window) → values (bands of the product, rows, cols) of the window.
+        lowest, below: as for ``Context.horizons``.
     """
-    canvas = context.canvas(bands)
-    for block in context.horizons(azimuths, lowest=lowest, what=what):
 
-        def strip(row: int, block: Any = block) -> None:
-            end = min(row + _ROWS, block.row1)
-            gx, gy = (np.ascontiguousarray(g) for g in context.gradient(row, end, block.col0, block.col1))
-            for k, index in enumerate(block.azimuths):
-                slopes = block.slopes[k, row - block.row0 : end - block.row0]
-                add(canvas.values, slopes, gx, gy, row, block.col0, int(index))
+    azimuths: NDArray[np.float64]
+    bands: int
+    add: Add
+    finish: Callable[[Values, Window], Values]
+    lowest: float = 0.0
+    below: bool = False
 
-        for _ in map_ordered(strip, range(block.row0, block.row1, _ROWS), context.jobs):
-            pass
-        canvas.release()
-    for row0, row1, col0, col1 in rectangles(context.shape, 256):
-        yield row0, col0, canvas.values[:, row0:row1, col0:col1]
-    canvas.release()
+    @property
+    def group(self) -> tuple[Any, ...]:
+        """The same for sweeps that can be shared."""
+        return self.azimuths.tobytes(), self.lowest, self.below
 
 
-def context_of(heights: ArrayLike, linear: ArrayLike, options: Options, **how: Any) -> Context:
-    """A context for heights in memory, so that functions on arrays are the products themselves.
+def by_azimuth(context: Context, add: AddOne) -> Add:
+    """An ``Add`` out of a function that takes one azimuth at a time, with the ground's gradient (NaN where missing)."""
 
-    Args:
-        heights: (rows, cols), metres, NaN where missing.
-        linear: (2, 2) linear part of the geotransform: metres east and north per column and per row.
-        how: ``jobs``, ``max_memory``, ``progress`` of the context.
+    def strip(canvas: Values, block: Block, first: int, last: int) -> None:
+        row, end = block.row0 + first, block.row0 + last
+        gx, gy = (np.ascontiguousarray(g) for g in context.gradient(row, end, block.col0, block.col1))
+        for k, index in enumerate(block.azimuths):
+            add(canvas, block.slopes[k, first:last], gx, gy, row, block.col0, int(index))
+
+    return strip
+
+
+def produce(context: Context, products: Sequence[Product]) -> Iterator[tuple[int, int, int, Values]]:
+    """Make products: (which of them, row0, col0, values (bands, rows, cols)), one after the other.
 
     Raises:
-        UsageError: the shapes are wrong, or the cells degenerate.
+        UsageError: what is asked of a product makes no sense (said before any of them is made).
     """
-    from affine import Affine
+    made = [p.make(context) for p in products]
+    canvases: dict[int, Canvas] = {}
+    for k, each in enumerate(made):
+        if isinstance(each, Sweep) and k not in canvases:
+            together = [i for i, m in enumerate(made) if isinstance(m, Sweep) and m.group == each.group]
+            canvases.update(_swept(context, {i: made[i] for i in together}, [products[i].name for i in together]))  # type: ignore[misc]
+    for k, each in enumerate(made):
+        if not isinstance(each, Sweep):
+            yield from ((k, row, col, values) for row, col, values in each)
+            continue
+        canvas = canvases.pop(k)
+        with context.progress.task(f"Writing {products[k].name}", total=-(-context.shape[0] // 256)) as task:
+            for window in rectangles(context.shape, 256):
+                yield k, window[0], window[2], each.finish(canvas.values, window)
+                canvas.release()
+                task.advance()
 
-    from orograph.geo.grid import Grid
-    from orograph.store.memory import MemoryTerrain
 
-    surface, cells = np.ascontiguousarray(heights, np.float32), np.asarray(linear, np.float64)
-    if surface.ndim != 2 or surface.size == 0:
-        raise UsageError(f"Light needs heights of shape (rows, cols), not {surface.shape}.")
-    if cells.shape != (2, 2) or not np.isfinite(cells).all() or np.linalg.det(cells) == 0:
-        raise UsageError("Light needs the 2 × 2 linear part of a geotransform, in metres, that can be inverted.")
-    transform = Affine(cells[0, 0], cells[0, 1], 0.0, cells[1, 0], cells[1, 1], 0.0)
-    return Context(MemoryTerrain(surface, Grid(surface.shape, transform), "heights"), options, **how)
+def _swept(context: Context, sweeps: dict[int, Sweep], names: Sequence[str]) -> dict[int, Canvas]:
+    """The canvases of sweeps of one group."""
+    canvases = {k: context.canvas(sweep.bands) for k, sweep in sweeps.items()}
+    arrays = [canvas.values for canvas in canvases.values()]
+    key, kept = "+".join(names), context.kept
+    done = [] if kept is None else kept.load(key, arrays)
+
+    def add(block: Block, first: int, last: int) -> None:
+        for k, sweep in sweeps.items():
+            sweep.add(canvases[k].values, block, first, last)
+
+    def after(block: Block) -> None:
+        if kept is not None and block.ends:
+            done.extend(int(k) for k in block.azimuths)
+            kept.save(key, arrays, done)
+        for canvas in canvases.values():
+            canvas.release()
+
+    one = next(iter(sweeps.values()))
+    what = "Sweeping horizons for " + ", ".join(names)
+    fold(
+        context.horizons(one.azimuths, lowest=one.lowest, below=one.below, what=what, skip=frozenset(done)), add,
+        context.jobs, after,
+    )  # fmt: skip
+    return canvases
 
 
 def collected(context: Context, blocks: Blocks, bands: int) -> Values:

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from orograph.errors import UsageError
 from orograph.light.sky import sky_view
-from orograph.light.sweep import Values, direction, horizons
+from orograph.light.sweep import Values, horizons
+from orograph.light.sweep_lines import direction
 
 __all__ = ["direction", "horizon", "sky_view"]
 

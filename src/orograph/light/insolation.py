@@ -24,6 +24,7 @@ import datetime
 import math
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,10 +33,10 @@ from orograph._numba import inlined, kernel
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.light.clearsky import beam, diffuse, extraterrestrial
-from orograph.light.gather import collected, gathered
-from orograph.light.products import Blocks, Context, Options, Product, Values
+from orograph.light.gather import Sweep, Window, by_azimuth
+from orograph.light.products import Context, Options, Product, Values, compute
 from orograph.light.sun import DIAMETER, grid_azimuths, place, positions
-from orograph.light.sweep import direction
+from orograph.light.sweep_lines import direction
 
 Array = NDArray[np.float64]
 
@@ -207,7 +208,7 @@ def _add(
             out[0, i + row0, j + col0] += np.float32(max(energy, 0.0))
 
 
-def run(context: Context) -> Blocks:
+def make(context: Context) -> Sweep:
     """The product: ``date`` (needed), ``step`` (minutes, 10) and ``turbidity`` (Linke's, 3) among the other options."""
     options = context.options
     more = options.more
@@ -230,9 +231,12 @@ def run(context: Context) -> Blocks:
             spacing, bool(shine[index]), row0, col0, out,
         )  # fmt: skip
 
-    for row, col, (direct, sky) in gathered(context, 2, fan, add, what="Sweeping the sun's path"):
+    def finish(canvas: Values, window: Window) -> Values:
+        direct, sky = canvas[:, window[0] : window[1], window[2] : window[3]]
         scattered = np.clip(sky / np.float32(options.azimuths), 0.0, 1.0) * np.float32(suns.sky)
-        yield row, col, np.stack([direct, scattered, direct + scattered])
+        return np.stack([direct, scattered, direct + scattered])
+
+    return Sweep(fan, 2, by_azimuth(context, add), finish)
 
 
 def insolation(
@@ -263,7 +267,13 @@ def insolation(
 
     options = Options(azimuths, more={"date": date, "step": step, "turbidity": turbidity})
     context = Context(MemoryTerrain(np.ascontiguousarray(heights, np.float32), grid, "heights"), options, jobs=jobs)
-    return collected(context, run(context), 3)
+    return compute(context, "insolation")
+
+
+def _range(band: str, options: Options) -> dict[str, Any]:
+    """8-bit files: up to what the sun gives outside the air, high in the sky on half of each day."""
+    begin, end = period(str(options.more.get("date", "2026-06-21")))
+    return {"byte": (0.0, 10_000.0 * max((end - begin).days, 1))}
 
 
 PRODUCTS = [
@@ -272,7 +282,7 @@ PRODUCTS = [
         lambda options: BANDS,
         "Wh/m2",
         "Energy of sun and sky on the ground over a day, a month or a year, under a cloudless sky.",
-        run,
-        (0.0, 10_000.0),
+        make,
+        about=_range,
     )
 ]

@@ -28,11 +28,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.light.gather import collected, context_of, gathered
-from orograph.light.products import Blocks, Context, Options, Product, Values
+from orograph.light.arrays import context_of
+from orograph.light.gather import Sweep, Window, by_azimuth
+from orograph.light.products import Blocks, Context, Options, Product, Values, compute
 from orograph.light.raster import rectangles
 from orograph.light.rho import Rho, Transmission, transmission
-from orograph.light.sweep import direction
+from orograph.light.sweep_lines import direction
 from orograph.parallel import map_ordered
 
 Heights = NDArray[np.float32]
@@ -169,10 +170,13 @@ def flat_only(context: Context) -> None:
         )
 
 
-def by_blocks(context: Context, reach: float, work: Callable[[Neighbourhood], Values], what: str) -> Blocks:
+def by_blocks(
+    context: Context, reach: float, work: Callable[[Neighbourhood], Values], what: str, key: str = ""
+) -> Blocks:
     """Fixed windows of the terrain, made by ``work(neighbourhood) → (bands, rows, cols)`` in threads.
 
-    Without limit of reach there is one neighbourhood, the whole terrain.
+    Without limit of reach there is one neighbourhood, the whole terrain. Under ``key`` windows are kept where the
+    context keeps anything.
 
     Raises:
         UsageError: what lies within reach of a block does not fit in the memory allowed.
@@ -194,9 +198,14 @@ def by_blocks(context: Context, reach: float, work: Callable[[Neighbourhood], Va
     if whole is not None:
         whole.scene()
 
-    def make(row0: int, row1: int, col0: int, col1: int) -> Values:
+    def new(row0: int, row1: int, col0: int, col1: int) -> Values:
         window = row0, row1, col0, col1
         return work(whole.part(*window) if whole is not None else Neighbourhood(context, *window, reach))
+
+    def make(row0: int, row1: int, col0: int, col1: int) -> Values:
+        if context.kept is None or not key:
+            return new(row0, row1, col0, col1)
+        return context.kept.window(key, row0, col0, lambda: new(row0, row1, col0, col1))
 
     with context.progress.task(what, total=-(-rows // _BLOCK) * -(-cols // _WIDTH)) as task:
         windows = rectangles(context.shape, _BLOCK, _WIDTH)
@@ -217,7 +226,7 @@ def _rays(context: Context, ways: Transmission, rays: int, seed: int) -> Blocks:
         )  # fmt: skip
         return out
 
-    return by_blocks(context, ways.radius, work, "Casting ambient rays")
+    return by_blocks(context, ways.radius, work, "Casting ambient rays", "ambient-occlusion")
 
 
 def _walks(context: Context, ways: Transmission, azimuths: int) -> Blocks:
@@ -239,10 +248,10 @@ def _walks(context: Context, ways: Transmission, azimuths: int) -> Blocks:
         out[np.isnan(near.heights)] = np.nan
         return np.clip(near.block(out), 0.0, 1.0)[None]
 
-    return by_blocks(context, ways.radius, work, "Walking to occluders")
+    return by_blocks(context, ways.radius, work, "Walking to occluders", "ambient-occlusion")
 
 
-def _sweeps(context: Context) -> Blocks:
+def _sweeps(context: Context) -> Sweep:
     from orograph.light.occlusion_kernels import add_sky
 
     fan = _fan(context.options.azimuths)
@@ -250,8 +259,11 @@ def _sweeps(context: Context) -> Blocks:
     def add(out: Values, slopes: Values, gx: Values, gy: Values, row0: int, col0: int, index: int) -> None:
         add_sky(slopes, gx, gy, *direction(fan[index]), row0, col0, out[0])
 
-    for row, col, values in gathered(context, 1, fan, add, lowest=-math.inf):
-        yield row, col, np.clip(values / np.float32(len(fan)), 0.0, 1.0)
+    def finish(canvas: Values, window: Window) -> Values:
+        mean: Values = canvas[:, window[0] : window[1], window[2] : window[3]] / np.float32(len(fan))
+        return np.asarray(np.clip(mean, 0.0, 1.0))
+
+    return Sweep(fan, 1, by_azimuth(context, add), finish, lowest=-math.inf)
 
 
 def _fan(azimuths: int) -> Array:
@@ -259,7 +271,7 @@ def _fan(azimuths: int) -> Array:
     return np.asarray((np.arange(azimuths) + 0.5) * (360.0 / azimuths))
 
 
-def run(context: Context) -> Blocks:
+def make(context: Context) -> Blocks | Sweep:
     """The product: ``method`` ("horizon" or "rays"), ``rho`` and ``seed`` among the other options."""
     options = context.options
     method: Method = options.more.get("method", "horizon")
@@ -307,7 +319,7 @@ def ambient_occlusion(
     """
     more = {"rho": rho, "method": method, "seed": seed}
     context = context_of(heights, linear, Options(azimuths, radius=radius, rays=rays, more=more), jobs=jobs)
-    return np.asarray(collected(context, run(context), 1)[0])
+    return np.asarray(compute(context, "ambient-occlusion")[0])
 
 
 PRODUCTS = [
@@ -316,6 +328,6 @@ PRODUCTS = [
         lambda options: ["ambient-occlusion"],
         "1",
         "The share of ambient light that reaches the ground: all around its normal, as far as the radius.",
-        run,
+        make,
     )
 ]

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.light.products import Blocks, Context, Product
+from orograph.light.gather import Sweep, Window
+from orograph.light.products import Context, Product
 from orograph.light.sky import arctangent
 from orograph.light.sweep import Block
 
@@ -47,25 +48,21 @@ def _add_angles(slopes: Values, first: int, last: int, row0: int, col0: int, tot
 
 
 def _openness(below: bool) -> Product:
-    def run(context: Context) -> Blocks:
-        canvas = context.canvas(2)
+    def make(context: Context) -> Sweep:
+        def add(canvas: Values, block: Block, first: int, last: int) -> None:
+            _add_angles(block.slopes, first, last, block.row0, block.col0, canvas[0], canvas[1])
 
-        def add(block: Block, first: int, last: int) -> None:
-            _add_angles(block.slopes, first, last, block.row0, block.col0, canvas.values[0], canvas.values[1])
-
-        context.sweep(f"openness-{below}", canvas, add, lowest=-np.inf, below=below)
-
-        def make(row0: int, row1: int, col0: int, col1: int) -> Values:
-            total, count = canvas.values[:, row0:row1, col0:col1]
+        def finish(canvas: Values, window: Window) -> Values:
+            total, count = canvas[:, window[0] : window[1], window[2] : window[3]]
             out = np.full(total.shape, np.nan, np.float32)
             np.divide(total, count, out=out, where=count > 0)
             return np.degrees(out)[None]
 
-        yield from context.blocks(make, "Writing openness")
+        return Sweep(context.options.directions(), 2, add, finish, lowest=-np.inf, below=below)
 
     name = "openness-negative" if below else "openness"
     side = "nadir angle of the ground's underside" if below else "zenith angle of the horizon"
-    return Product(name, lambda _: [name], "degrees", f"mean {side} (Yokoyama et al. 2002)", run, (0.0, 180.0))
+    return Product(name, lambda _: [name], "degrees", f"mean {side} (Yokoyama et al. 2002)", make, (0.0, 180.0))
 
 
 PRODUCTS = (_openness(False), _openness(True))

@@ -26,7 +26,8 @@ from orograph.store.memory import MemoryTerrain
 from orograph.store.terrain import Heights, Terrain
 
 if TYPE_CHECKING:
-    from orograph.light.raster import Canvas
+    from orograph.light.gather import Sweep
+    from orograph.light.raster import Band, Canvas
     from orograph.light.raster_resume import Kept
     from orograph.light.sweep import Block
 
@@ -197,29 +198,6 @@ class Context:
             skip=skip,
         )
 
-    def sweep(
-        self, key: str, canvas: Canvas, add: Callable[[Block, int, int], None], *, lowest: float = 0.0,
-        below: bool = False,
-    ) -> None:  # fmt: skip
-        """Add the horizons of all azimuths of the options to a canvas: ``sweep.fold``, kept after each pass.
-
-        Args:
-            key: what the canvas is called among those that are kept.
-            canvas: zero to begin with.
-            add: as for ``fold``.
-        """
-        from orograph.light.sweep import fold
-
-        done = [] if self.kept is None else self.kept.load(key, canvas.values)
-
-        def after(block: Block) -> None:
-            if self.kept is not None and block.ends:
-                done.extend(int(k) for k in block.azimuths)
-                self.kept.save(key, canvas.values, done)
-            canvas.release()
-
-        fold(self.horizons(lowest=lowest, below=below, skip=frozenset(done)), add, self.jobs, after)
-
     def blocks(self, make: Callable[[int, int, int, int], Values], what: str, height: int = 256) -> Blocks:
         """Make a product window by window, in threads, window by window of whole tiles of a store.
 
@@ -247,16 +225,32 @@ class Product:
         bands: options → the names of its bands.
         unit: of its values ("degrees", "1"…).
         doc: one sentence that says what it is.
-        run: context → blocks (row0, col0, values (bands, rows, cols)), in any order, covering the raster once.
+        make: context → blocks (row0, col0, values (bands, rows, cols)), in any order, covering the raster once; or a
+            ``gather.Sweep``, for sums over horizons.
         byte: the values that 8-bit files show as 1 and as 255 (0 is missing).
+        about: (band, options) → what is different about a band: ``unit``, ``byte`` or ``codes`` of its ``Band``.
     """
 
     name: str
     bands: Callable[[Options], list[str]]
     unit: str
     doc: str
-    run: Callable[[Context], Blocks]
+    make: Callable[[Context], Blocks | Sweep]
     byte: tuple[float, float] = (0.0, 1.0)
+    about: Callable[[str, Options], dict[str, Any]] = lambda band, options: {}
+
+    def described(self, options: Options) -> tuple[Band, ...]:
+        """What is said of each band in a file."""
+        from orograph.light.raster import Band
+
+        known = {"unit": self.unit, "doc": self.doc, "byte": self.byte}
+        return tuple(Band(name, **{**known, **self.about(name, options)}) for name in self.bands(options))
+
+    def run(self, context: Context) -> Blocks:
+        """Make it alone: blocks (row0, col0, values (bands, rows, cols)) that cover the raster once."""
+        from orograph.light.gather import produce
+
+        yield from ((row, col, values) for _, row, col, values in produce(context, [self]))
 
 
 def names() -> list[str]:

@@ -112,12 +112,28 @@ class Band:
         unit: of its values.
         doc: a sentence, in its tags.
         byte: the values that 8-bit files show as 1 and as 255.
+        codes: its values are codes from 1 to 255, which 8-bit files show as they are; 0 is missing.
     """
 
     name: str
     unit: str
     doc: str
     byte: tuple[float, float] = (0.0, 1.0)
+    codes: bool = False
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Step and offset that turn an 8-bit file's bytes back."""
+        if self.codes:
+            return 1.0, 0.0
+        step = (self.byte[1] - self.byte[0]) / 254.0
+        return step, self.byte[0] - step
+
+    def to_bytes(self, values: Values) -> NDArray[np.uint8]:
+        """Values (rows, cols) as 8-bit files have them."""
+        if self.codes:
+            return np.nan_to_num(values, nan=0.0).astype(np.uint8)
+        return to_bytes(values, *self.byte)
 
 
 def to_bytes(values: Values, low: float, high: float) -> NDArray[np.uint8]:
@@ -178,14 +194,13 @@ def write(
                         file.update_tags(k, description=band.doc)
                     file.units = tuple(band.unit for band in bands)
                     if byte:
-                        steps = [(b.byte[1] - b.byte[0]) / 254.0 for b in bands]
-                        file.scales = tuple(steps)
-                        file.offsets = tuple(b.byte[0] - s for b, s in zip(bands, steps))
+                        file.scales = tuple(b.scale[0] for b in bands)
+                        file.offsets = tuple(b.scale[1] for b in bands)
                     file.update_tags(**(tags or {}))
                     for first, row, col, values in blocks:
                         window = rasterio.windows.Window(col, row, values.shape[2], values.shape[1])
                         for k, layer in enumerate(values):
-                            data = to_bytes(layer, *bands[first + k].byte) if byte else layer
+                            data = bands[first + k].to_bytes(layer) if byte else layer
                             file.write(data, first + k + 1, window=window)
                 with progress.task("Writing the file"):
                     copy(

@@ -1,8 +1,9 @@
 """Work on a map that can go on after an interruption: its canvases are kept after each pass over the terrain.
 
-A folder beside the output holds a plan (what is being made, of which terrain), and for each canvas one file of its
-values and one that says which azimuths are in it. After a pass a new file of values is written and then, by a rename,
-made the one that counts: whenever work is cut off, the folder tells of whole passes only.
+A folder beside the output holds a plan (what is being made, of which terrain), and for the canvases of each sweep one
+file of their values and one that says which azimuths are in it. After a pass a new file of values is written and then,
+by a rename, made the one that counts: whenever work is cut off, the folder tells of whole passes only. Of what is made
+window by window, by rays or walks, each window is a file.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -68,17 +69,15 @@ class Kept:
         except OSError as error:
             raise _unwritable(folder, error) from error
 
-    def load(self, key: str, values: Values) -> list[int]:
-        """Fill a canvas (bands, rows, cols) with what is kept; the azimuths in it, [] if there is nothing."""
+    def load(self, key: str, canvases: Sequence[Values]) -> list[int]:
+        """Fill canvases (bands, rows, cols) with what is kept; the azimuths in them, [] if there is nothing."""
         state = self.folder / f"{key}.json"
         if not state.is_file():
             return []
         try:
             kept = json.loads(state.read_text(encoding="utf-8"))
-            flat = values.reshape(-1)
             with (self.folder / kept["file"]).open("rb") as file:
-                for start in range(0, flat.size, _CHUNK):
-                    part = flat[start : start + _CHUNK]
+                for part in _parts(canvases):
                     if file.readinto(part.view(np.uint8).data) != part.nbytes:
                         raise OSError("it is cut off")
         except (OSError, ValueError, KeyError) as error:
@@ -89,15 +88,14 @@ class Kept:
             ) from error
         return [int(k) for k in kept["azimuths"]]
 
-    def save(self, key: str, values: Values, azimuths: Iterable[int]) -> None:
-        """Keep a canvas after a pass."""
+    def save(self, key: str, canvases: Sequence[Values], azimuths: Iterable[int]) -> None:
+        """Keep canvases after a pass."""
         done = list(azimuths)
         name = f"{key}.{len(done)}.f32"
-        flat = values.reshape(-1)
         try:
             with (self.folder / name).open("wb") as file:
-                for start in range(0, flat.size, _CHUNK):
-                    file.write(flat[start : start + _CHUNK].view(np.uint8).data)
+                for part in _parts(canvases):
+                    file.write(part.view(np.uint8).data)
                 file.flush()
                 os.fsync(file.fileno())
             _replace(self.folder / f"{key}.json", json.dumps({"file": name, "azimuths": done}))
@@ -107,9 +105,38 @@ class Kept:
         except OSError as error:
             raise _unwritable(self.folder, error) from error
 
+    def window(self, key: str, row: int, col: int, make: Callable[[], Values]) -> Values:
+        """A window (bands, rows, cols) of a product that is made window by window: as it was kept, or made and kept.
+
+        From any thread, for different windows.
+        """
+        path = self.folder / f"{key}.{row}.{col}.npy"
+        if path.is_file():
+            try:
+                return np.asarray(np.load(path, allow_pickle=False), np.float32)
+            except (OSError, ValueError, EOFError):
+                pass  # cut off: made anew
+        values = make()
+        part = path.with_suffix(".part")
+        try:
+            with part.open("wb") as file:
+                np.save(file, np.ascontiguousarray(values), allow_pickle=False)
+            part.replace(path)
+        except OSError as error:
+            raise _unwritable(self.folder, error) from error
+        return values
+
     def remove(self) -> None:
         """The map is complete."""
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _parts(canvases: Sequence[Values]) -> Iterator[Values]:
+    """All values, a few at a time."""
+    for values in canvases:
+        flat = values.reshape(-1)
+        for start in range(0, flat.size, _CHUNK):
+            yield flat[start : start + _CHUNK]
 
 
 def _replace(path: Path, text: str) -> None:

@@ -27,8 +27,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.light.gather import collected, context_of, gathered
-from orograph.light.products import Blocks, Context, Options, Product, Values
+from orograph.light.arrays import context_of
+from orograph.light.gather import Sweep, Window, by_azimuth, collected
+from orograph.light.products import Context, Options, Product, Values, compute
 from orograph.light.shade import disc_fraction
 from orograph.light.sun import Sun
 
@@ -47,7 +48,7 @@ def strips_of(sun: Sun, strips: int) -> tuple[NDArray[np.float64], NDArray[np.fl
     return sun.azimuth + across * x, sun.diameter / 2 * np.sin(i), weights
 
 
-def run(context: Context) -> Blocks:
+def make(context: Context) -> Sweep:
     """The product, of ``options.sun``; ``strips`` (1) and ``diameter`` (0.53) among the other options."""
     options = context.options
     strips = int(options.more.get("strips", 1))
@@ -72,12 +73,15 @@ def run(context: Context) -> Blocks:
             away = up - gx.astype(np.float64) * east - gy.astype(np.float64) * north <= 0.0
             out[1][window] = np.where(away, SELF, LIT)
 
-    for row, col, (total, facing) in gathered(context, 2, azimuths, add, what="Sweeping shadows"):
+    def finish(canvas: Values, window: Window) -> Values:
+        total, facing = canvas[:, window[0] : window[1], window[2] : window[3]]
         # Weights add up to 1 but for rounding, which must not leave the light of a whole disc in the penumbra.
         fraction = np.where(total < 1e-6, np.float32(0), np.where(total > 1 - 1e-6, np.float32(1), total))
         code = np.where(fraction <= 0, CAST, np.where(fraction < 1, PENUMBRA, LIT))
         code = np.where(np.isnan(fraction), MISSING, np.where(facing == SELF, SELF, code))
-        yield row, col, np.stack([fraction, code.astype(np.float32)])
+        return np.stack([fraction, code.astype(np.float32)])
+
+    return Sweep(azimuths, 2, by_azimuth(context, add), finish)
 
 
 def shadow(
@@ -98,8 +102,7 @@ def shadow(
         UsageError: wrong shapes, degenerate cells, fewer than one strip.
     """
     options = Options(sun=(sun.azimuth, sun.altitude), more={"strips": strips, "diameter": sun.diameter})
-    context = context_of(heights, linear, options, jobs=jobs)
-    fraction, code = collected(context, run(context), 2)
+    fraction, code = compute(context_of(heights, linear, options, jobs=jobs), "shadow")
     return fraction, code
 
 
@@ -155,6 +158,7 @@ PRODUCTS = [
         lambda options: BANDS,
         "1",
         "The part of the sun's disc that is seen, and a code: 0 missing, 1 lit, 2 penumbra, 3 self, 4 cast shadow.",
-        run,
+        make,
+        about=lambda band, options: {"codes": True} if band == "code" else {},
     )
 ]

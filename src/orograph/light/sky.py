@@ -22,9 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph._numba import inlined, kernel
 from orograph.errors import UsageError
-from orograph.light.products import Blocks, Context, Options, Product
-from orograph.light.raster import Canvas
-from orograph.light.sweep import Block, direction
+from orograph.light.gather import Sweep, Window, collected
+from orograph.light.products import Context, Options, Product
+from orograph.light.sweep import Block
+from orograph.light.sweep_lines import direction
 from orograph.progress import SILENT, Progress
 
 Values = NDArray[np.float32]
@@ -111,14 +112,13 @@ def _add_inclined(
                       total[row0 + i, col0 : col0 + cols])  # fmt: skip
 
 
-def add_sky(context: Context, canvas: Canvas, measure: Measure) -> None:
-    """Sum a measure's integrand over the azimuths of the options into a canvas of one band."""
-    total = canvas.values[0]
+def sweep_of(context: Context, measure: Measure) -> Sweep:
+    """A measure as sums of its integrand over the azimuths of the options."""
     azimuths = context.options.directions()
     toward = np.array([direction(a) for a in azimuths], np.float32)
 
-    def add(block: Block, first: int, last: int) -> None:
-        at = block.row0, block.col0
+    def add(canvas: Values, block: Block, first: int, last: int) -> None:
+        at, total = (block.row0, block.col0), canvas[0]
         if measure == "sky-view-slope":
             gx, gy = context.gradient(block.row0 + first, block.row0 + last, block.col0, block.col1)
             gx, gy = np.ascontiguousarray(gx), np.ascontiguousarray(gy)
@@ -126,7 +126,7 @@ def add_sky(context: Context, canvas: Canvas, measure: Measure) -> None:
         else:
             _add_sine(block.slopes, first, last, measure == "sky-view", *at, total)
 
-    context.sweep(measure, canvas, add)
+    return Sweep(azimuths, 1, add, lambda canvas, window: finish(context, canvas[0], measure, window))
 
 
 def finish(context: Context, total: Values, measure: Measure, window: tuple[int, int, int, int]) -> Values:
@@ -174,44 +174,35 @@ def sky_view(
     if measure not in get_args(Measure):
         raise UsageError(f"There is no measure {measure!r}; there are {', '.join(get_args(Measure))}.")
     context = context_of(heights, linear, Options(azimuths=azimuths, radius=radius), jobs=jobs, progress=progress)
-    canvas = context.canvas(1)
-    add_sky(context, canvas, measure)
-    whole: Values = finish(context, canvas.values[0], measure, (0, context.shape[0], 0, context.shape[1]))[0]
+    whole: Values = collected(context, _sky(measure).run(context), 1)[0]
     return whole
 
 
 def _sky(measure: Measure) -> Product:
-    def run(context: Context) -> Blocks:
-        canvas = context.canvas(1)
-        add_sky(context, canvas, measure)
-
-        def make(*window: int) -> Values:
-            return finish(context, canvas.values[0], measure, window)  # type: ignore[arg-type]
-
-        yield from context.blocks(make, "Writing the sky")
-
     name = {"sky-view-slope": "sky-view-factor", "sky-view": "sky-view-horizontal", "visible-sky": "visible-sky"}
     doc = {
         "sky-view-slope": "share of a uniform sky's light that falls on the inclined surface (Dozier & Frew 1990)",
         "sky-view": "share of a uniform sky's light that falls on a horizontal surface",
         "visible-sky": "share of the hemisphere's solid angle that is sky (1 - mean sin horizon)",
     }
-    return Product(name[measure], lambda options: [name[measure]], "1", doc[measure], run)
+    return Product(
+        name[measure], lambda options: [name[measure]], "1", doc[measure], lambda context: sweep_of(context, measure)
+    )
 
 
-def _horizon(context: Context) -> Blocks:
-    canvas = context.canvas(context.options.azimuths)
+def _horizon(context: Context) -> Sweep:
+    azimuths = context.options.directions()
 
-    def keep(block: Block, first: int, last: int) -> None:
+    def keep(canvas: Values, block: Block, first: int, last: int) -> None:
         rows = slice(block.row0 + first, block.row0 + last)
         for k, index in enumerate(block.azimuths):
             angle = np.degrees(np.arctan(block.slopes[k, first:last]))
-            canvas.values[index, rows, block.col0 : block.col1] = angle
+            canvas[index, rows, block.col0 : block.col1] = angle
 
-    context.sweep("horizon", canvas, keep)
-    yield from context.blocks(
-        lambda row0, row1, col0, col1: canvas.values[:, row0:row1, col0:col1], "Writing the horizon"
-    )
+    def window(canvas: Values, at: Window) -> Values:
+        return canvas[:, at[0] : at[1], at[2] : at[3]]
+
+    return Sweep(azimuths, len(azimuths), keep, window)
 
 
 def _azimuth_names(options: Options) -> list[str]:
@@ -232,4 +223,4 @@ PRODUCTS = (
     ),
 )
 
-__all__ = ["PRODUCTS", "Measure", "add_sky", "finish", "sky_view"]
+__all__ = ["PRODUCTS", "Measure", "finish", "sky_view", "sweep_of"]

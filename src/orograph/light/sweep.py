@@ -21,11 +21,9 @@ bands, threads or memory, to the bit.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,20 +31,17 @@ from pyproj import CRS
 
 from orograph.errors import UsageError
 from orograph.geo.ellipsoid import Ellipsoid
-from orograph.light.raster import scratch
 from orograph.light.sweep_kernels import GROUP, PAGE, sweep_lines, sweep_windows, working
+from orograph.light.sweep_lines import Lines, Pool, taken
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 
-T = TypeVar("T")
 Values = NDArray[np.float32]
 Read = Callable[[int, int, int, int], Values]
 
 EARTH = 6_371_008.8
 """Mean radius, metres (IUGG), where no CRS names a body."""
 
-_TIE = 1e-6
-"""A line this close (in samples) to a sample goes through it: rounding must not decide which two it lies between."""
 _BAND = 256
 """Steps of a band: the tiles of a store."""
 _CACHE = 48 << 20
@@ -74,12 +69,6 @@ class Block:
     ends: bool
 
 
-def direction(azimuth: float) -> tuple[float, float]:
-    """Unit vector (east, north) of an azimuth in degrees."""
-    a = math.radians(azimuth % 360.0)
-    return math.sin(a), math.cos(a)
-
-
 def curvature_of(crs: CRS | None, refraction: float = 0.13) -> float:
     """Curvature, per metre, of a body's surface relative to the rays of light over it: (1 − k) / r.
 
@@ -93,85 +82,6 @@ def curvature_of(crs: CRS | None, refraction: float = 0.13) -> float:
         body = Ellipsoid.of(crs)
         radius = (2 * body.a + body.b) / 3
     return (1.0 - refraction) / radius
-
-
-class _Lines:
-    """The lines of one azimuth over a raster: line ``l`` crosses step i at lane l + shift[i] + part[i].
-
-    Attributes:
-        by_columns: steps are columns and lanes rows, or the other way round.
-        backward: the light is at the end of increasing steps.
-        scale: steps per metre.
-    """
-
-    def __init__(self, index: int, azimuth: float, linear: NDArray[np.float64], shape: tuple[int, int]) -> None:
-        across, down = (float(v) for v in np.linalg.solve(linear, direction(azimuth)))  # samples per metre to the light
-        self.index = index
-        self.by_columns = abs(across) >= abs(down)
-        major, minor = (across, down) if self.by_columns else (down, across)
-        self.lanes, self.steps = shape if self.by_columns else shape[::-1]
-        self.backward, self.scale = major > 0, abs(major)
-        tilt = minor / major
-        if abs(tilt) * self.steps < _TIE:
-            tilt = 0.0
-        offset = tilt * np.arange(self.steps, dtype=np.float64)
-        near = np.round(offset)
-        offset = np.where(np.abs(offset - near) < _TIE, near, offset)
-        self.shift = np.floor(offset).astype(np.int64)
-        self.part = (offset - self.shift).astype(np.float32)
-
-    def position(self, step: int) -> int:
-        """Steps between the light's end of the raster and a step."""
-        return self.steps - 1 - step if self.backward else step
-
-    def touched(self, step0: int, step1: int) -> tuple[int, int]:
-        """The lines [first, last) that pass between or beside samples at these steps, and the line behind the last."""
-        ends = int(self.shift[step0]), int(self.shift[step1 - 1])
-        return -1 - max(ends), self.lanes - min(ends) + 1
-
-
-class _Pool:
-    """The stacks of a share of an azimuth's lines, between two bands."""
-
-    def __init__(self, lines: int) -> None:
-        self.top = np.full(lines + 1, -1, np.int64)
-        self.position = np.empty(0, np.int32)
-        self.height = np.empty(0, np.float64)
-        self.link = np.empty(0, np.int64)
-        self.free = np.zeros(1, np.int64)
-        self.release: Callable[[], None] | None = None
-
-    def grow(self, pages: int, on_disk: bool) -> None:
-        """Add at least ``pages`` free pages, and half as many as there are."""
-        before = len(self.link)
-        after = before + max(pages, before // 2)
-        position, height = self.position, self.height
-        if on_disk:
-            space, self.release = scratch(after * PAGE * 12)
-            self.height = space[: after * PAGE * 8].view(np.float64)
-            self.position = space[after * PAGE * 8 :].view(np.int32)
-        else:
-            self.height = np.empty(after * PAGE, np.float64)
-            self.position = np.empty(after * PAGE, np.int32)
-        self.height[: len(height)], self.position[: len(position)] = height, position
-        self.link = np.append(self.link, np.full(after - before, -1))
-        count = int(self.free[0])
-        free = np.empty(after + 1, np.int64)
-        free[1 : count + 1] = self.free[1 : count + 1]
-        free[count + 1 : count + 1 + after - before] = np.arange(after - 1, before - 1, -1)
-        free[0] = count + after - before
-        self.free = free
-
-    def clear(self) -> None:
-        """Empty all stacks."""
-        self.top[:] = -1
-        self.free[0] = len(self.link)
-        self.free[1:] = np.arange(len(self.link) - 1, -1, -1)
-
-    @property
-    def size(self) -> int:
-        """Bytes in memory."""
-        return 0 if self.release else len(self.link) * (PAGE * 12 + 16)
 
 
 def horizons(
@@ -221,7 +131,7 @@ def horizons(
     if cells.shape != (2, 2) or not np.isfinite(cells).all() or abs(np.linalg.det(cells)) == 0:
         raise UsageError("Horizons need the 2 × 2 linear part of a geotransform, in metres, that can be inverted.")
     jobs = jobs or cpu_count()
-    lines = [_Lines(k, float(a), cells, shape) for k, a in enumerate(azimuths) if k not in skip]
+    lines = [Lines(k, float(a), cells, shape) for k, a in enumerate(azimuths) if k not in skip]
     # The same order in all cases: sums over azimuths are the same to the bit.
     lines.sort(key=lambda a: (a.by_columns, a.backward, a.index))
     passes: list[_Pass] = []
@@ -244,7 +154,7 @@ class _Pass:
 
     def __init__(
         self,
-        group: list[_Lines],
+        group: list[Lines],
         shape: tuple[int, int],
         lowest: float,
         below: bool,
@@ -288,9 +198,9 @@ class _Pass:
         # Shares of the lines, counted from line 0: small enough for all threads to have some.
         share = -(-self.lanes * count // (16 * jobs))
         self.share = min(max(4 * GROUP, share + -share % GROUP), 512)
-        self.pools: dict[tuple[int, int], _Pool] = {}
+        self.pools: dict[tuple[int, int], Pool] = {}
         # Memory that is used again costs no page faults, which threads wait for one another in.
-        self._spare: list[_Pool] = []
+        self._spare: list[Pool] = []
         self._rows: list[tuple[NDArray[np.float64], Values]] = []
 
     def run(self, read: Read) -> Iterator[Block]:
@@ -312,7 +222,7 @@ class _Pass:
         heights = np.negative(heights) if self.below else heights
         return np.ascontiguousarray(heights, np.float32).reshape(-1)
 
-    def _shares(self, s0: int, s1: int, lines: list[_Lines]) -> list[tuple[_Lines, int]]:
+    def _shares(self, s0: int, s1: int, lines: list[Lines]) -> list[tuple[Lines, int]]:
         work = []
         for a in lines:
             first, last = a.touched(s0, s1)
@@ -330,10 +240,10 @@ class _Pass:
         place = {a.index: k for k, a in enumerate(self.lines)}
         longest = max(end - begin for begin, end in self.bands)
 
-        def run(item: tuple[_Lines, int]) -> None:
+        def run(item: tuple[Lines, int]) -> None:
             a, s = item
-            pool = self.pools.get((a.index, s)) or _taken(self._spare, lambda: _Pool(self.share))
-            rows = _taken(self._rows, lambda: working(longest))
+            pool = self.pools.get((a.index, s)) or taken(self._spare, lambda: Pool(self.share))
+            rows = taken(self._rows, lambda: working(longest))
             profile, slope = rows
             out = slopes[place[a.index]].reshape(-1)
             done = 0
@@ -385,14 +295,6 @@ class _Pass:
             first_lines = [share * self.share for _, share in self._shares(s0, s1, [a])]
             for _ in map_ordered(partial(_at_line, sweep), first_lines, self.jobs):
                 pass
-
-
-def _taken(spare: list[T], make: Callable[[], T]) -> T:
-    """One of the spare ones, or a new one; from any thread."""
-    try:
-        return spare.pop()
-    except IndexError:
-        return make()
 
 
 def _at_line(sweep: Callable[..., None], line0: int) -> None:
