@@ -1,0 +1,336 @@
+"""Tiles on the GPU: fixed atlases that hold the part of a terrain that views want, filled by background threads.
+
+Two kinds of tile, both of 256 × 256 cells of a level, wait in the same way:
+
+- ``heights``: the 257 × 257 nested samples that a tile's patches take their vertices from, float32 metres, ``MISSING``
+  where there is none. Neighbours share their border samples, so no vertex depends on the tile it is read from.
+- ``slopes``: gradients of the box means, 258 × 258 (a border of one all around, so that blending never leaves the
+  tile), two float16: metres of height per sample of the raster along columns and rows. Means of gradients are gradients
+  of means: the exact prefilter of slopes for pixels larger than samples (``light.relief``).
+
+An atlas is a texture array whose layers hold 4 × 4 tiles; its size is fixed when it is made. Every frame the renderer
+says which tiles it wants, by priority; ``Streamer`` threads read and convert them, the frame's thread uploads what is
+ready, a bounded number of bytes at a time, into free slots or over the tiles that were wanted the longest time ago. The
+coarsest level is loaded first and never leaves: something can always be drawn.
+"""
+
+from __future__ import annotations
+
+import heapq
+import threading
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel
+from orograph.errors import OrographError
+from orograph.gpu.device import Device
+from orograph.light.normal import central
+from orograph.store.terrain import TILE, Terrain, tile_shape
+
+Kind = Literal["heights", "slopes"]
+Key = tuple[int, int, int]
+"""(level, tile row, tile column)."""
+
+MISSING = np.float32(-1e30)
+"""Stands for missing heights in textures: shaders may not rely on NaN."""
+
+PER_SIDE = 4
+"""Tiles along the side of an atlas's layer."""
+
+SIDES = {"heights": TILE + 1, "slopes": TILE + 2}
+_FORMATS: dict[str, tuple[str, int]] = {"heights": ("r32float", 4), "slopes": ("rg16float", 4)}
+
+
+@kernel
+def _slopes(means, rows0, rows1, short_u, short_v, out):
+    """Central differences (see ``light.relief``) of ``means`` (260, 260), which begins two blocks before the tile.
+
+    It is NaN beyond the raster; ``out`` (258, 258, 2). Blocks without ground take the mean of their neighbours' slopes.
+
+    ``short_u``, ``short_v`` (260,): by how much the middle of a column or row of blocks is nearer than a block's.
+    """
+    n, m = out.shape[0], out.shape[1]
+    for i in range(rows0, rows1):
+        for j in range(m):
+            z = np.float64(means[i + 1, j + 1])
+            if z == z:
+                out[i, j, 0] = central(
+                    np.float64(means[i + 1, j]), z, np.float64(means[i + 1, j + 2]),
+                    1.0 - short_u[j + 1], 1.0 - short_u[j + 2],
+                )  # fmt: skip
+                out[i, j, 1] = central(
+                    np.float64(means[i, j + 1]), z, np.float64(means[i + 2, j + 1]),
+                    1.0 - short_v[i + 1], 1.0 - short_v[i + 2],
+                )  # fmt: skip
+            else:
+                out[i, j, 0] = out[i, j, 1] = np.nan
+    for i in range(n):
+        for j in range(m):
+            if means[i + 1, j + 1] != means[i + 1, j + 1]:
+                gu = gv = count = 0.0
+                for a in range(max(i - 1, 0), min(i + 2, n)):
+                    for b in range(max(j - 1, 0), min(j + 2, m)):
+                        if means[a + 1, b + 1] == means[a + 1, b + 1]:
+                            gu += out[a, b, 0]
+                            gv += out[a, b, 1]
+                            count += 1.0
+                out[i, j, 0] = gu / count if count > 0 else 0.0
+                out[i, j, 1] = gv / count if count > 0 else 0.0
+
+
+def height_tile(terrain: Terrain, key: Key) -> NDArray[np.float32]:
+    """The samples (257, 257) of a tile; beyond the raster the last row and column are repeated."""
+    level, ty, tx = key
+    rows, cols = terrain.shape(level)
+    r0, c0 = ty * TILE, tx * TILE
+    read = terrain.read(level, r0, min(r0 + TILE + 1, rows), c0, min(c0 + TILE + 1, cols))
+    out = np.full((TILE + 1, TILE + 1), MISSING, np.float32)
+    block = np.where(np.isnan(read), MISSING, read)
+    out[: read.shape[0], : read.shape[1]] = block
+    out[: read.shape[0], read.shape[1] :] = block[:, -1:]
+    out[read.shape[0] :] = out[read.shape[0] - 1]
+    return out
+
+
+def slope_tile(terrain: Terrain, key: Key) -> NDArray[np.float16]:
+    """Gradients (258, 258, 2) of a tile's box means, per sample of the full-resolution raster."""
+    level, ty, tx = key
+    rows, cols = terrain.mean_shape(level)
+    r0, c0 = ty * TILE - 2, tx * TILE - 2
+    r1, c1 = min(r0 + TILE + 4, rows), min(c0 + TILE + 4, cols)
+    means = np.full((TILE + 4, TILE + 4), np.nan, np.float32)
+    top, left = max(-r0, 0), max(-c0, 0)
+    if r1 > max(r0, 0) and c1 > max(c0, 0):
+        means[top : r1 - r0, left : c1 - c0] = terrain.read_mean(level, r0 + top, r1, c0 + left, c1)
+    scale = float(1 << level)
+    shorts = []
+    for count, first, samples in ((cols, c0, terrain.grid.cols), (rows, r0, terrain.grid.rows)):
+        short = np.zeros(TILE + 4)
+        if 0 <= count - 1 - first < TILE + 4:
+            short[count - 1 - first] = (count - samples / scale) / 2
+        shorts.append(short)
+    out = np.empty((TILE + 2, TILE + 2, 2), np.float32)
+    _slopes(means, 0, TILE + 2, shorts[0], shorts[1], out)
+    half: NDArray[np.float16] = np.clip(out / np.float32(scale), -6e4, 6e4).astype(np.float16)
+    return half
+
+
+@dataclass(slots=True)
+class Tables:
+    """Where each level's tiles begin in a page table, and how many there are."""
+
+    offsets: list[int]
+    shapes: list[tuple[int, int]]
+    total: int
+
+    @classmethod
+    def of(cls, terrain: Terrain) -> Tables:
+        shapes = [tile_shape(terrain.grid.shape, k) for k in range(terrain.levels)]
+        offsets = [0]
+        for rows, cols in shapes:
+            offsets.append(offsets[-1] + rows * cols)
+        return cls(offsets[:-1], shapes, offsets[-1])
+
+    def index(self, key: Key) -> int:
+        level, row, col = key
+        return self.offsets[level] + row * self.shapes[level][1] + col
+
+
+class Atlas:
+    """One kind of tile in one texture array, and the page table that shaders find them by.
+
+    Attributes:
+        kind: of the tiles.
+        texture: the array. pages: uint32 (tiles of all levels): slot + 1, 0 where a tile is not there.
+        capacity: how many tiles fit.
+    """
+
+    def __init__(self, device: Device, terrain: Terrain, kind: Kind, budget: int) -> None:
+        side = SIDES[kind]
+        format, size = _FORMATS[kind]
+        self.device, self.kind, self.side = device, kind, side
+        self.tables = Tables.of(terrain)
+        layer = (PER_SIDE * side) ** 2 * size
+        most = min(256, -(-self.tables.total // PER_SIDE**2))
+        layers = int(max(1, min(budget // layer, most)))
+        self.capacity = layers * PER_SIDE**2
+        self.bytes = layers * layer
+        self.texture = device.texture(
+            (PER_SIDE * side, PER_SIDE * side, layers), format, "TEXTURE_BINDING|COPY_DST|COPY_SRC", label=kind
+        )
+        self.pages: NDArray[np.uint32] = np.zeros(self.tables.total, np.uint32)
+        self.page_buffer = device.buffer(self.pages, "STORAGE", f"{kind} pages")
+        self.resident = [np.zeros(shape, np.uint8) for shape in self.tables.shapes]
+        """Per level (tile rows, tile cols): 1 where a tile is there."""
+        self._slots: dict[Key, int] = {}
+        self._keys: list[Key | None] = [None] * self.capacity
+        self._free = list(range(self.capacity))[::-1]
+        self._used = np.full(self.capacity, -1, np.int64)
+        self._pinned = np.zeros(self.capacity, bool)
+        self._changed = False
+
+    def slot(self, key: Key) -> int:
+        """Where a tile is, −1 if it is not there."""
+        return self._slots.get(key, -1)
+
+    def slots(self, level: NDArray[Any], row: NDArray[Any], col: NDArray[Any]) -> NDArray[np.int32]:
+        """Where tiles are (arrays of the same shape), −1 for those that are not there."""
+        offsets = np.asarray(self.tables.offsets, np.int64)
+        widths = np.asarray([shape[1] for shape in self.tables.shapes], np.int64)
+        index = offsets[level] + row.astype(np.int64) * widths[level] + col
+        return self.pages[index].astype(np.int32) - 1
+
+    def touch(self, keys: Iterable[Key], frame: int) -> None:
+        """Note that tiles are wanted in a frame, so that they stay."""
+        for key in keys:
+            slot = self._slots.get(key)
+            if slot is not None:
+                self._used[slot] = frame
+
+    def insert(self, key: Key, data: NDArray[Any], frame: int, *, pin: bool = False) -> bool:
+        """Upload a tile; False if all slots hold tiles that this frame wants."""
+        if key in self._slots:
+            return True
+        if self._free:
+            slot = self._free.pop()
+        else:
+            used = np.where(self._pinned, np.iinfo(np.int64).max, self._used)
+            slot = int(used.argmin())
+            if used[slot] >= frame:
+                return False
+            self._drop(slot)
+        layer, place = divmod(slot, PER_SIDE**2)
+        y, x = divmod(place, PER_SIDE)
+        self.device.queue.write_texture(
+            {"texture": self.texture, "origin": (x * self.side, y * self.side, layer)},
+            np.ascontiguousarray(data),
+            {"bytes_per_row": self.side * _FORMATS[self.kind][1], "rows_per_image": self.side},
+            (self.side, self.side, 1),
+        )
+        self._slots[key], self._keys[slot] = slot, key
+        self._used[slot], self._pinned[slot] = frame, pin
+        self.pages[self.tables.index(key)] = slot + 1
+        self.resident[key[0]][key[1], key[2]] = 1
+        self._changed = True
+        return True
+
+    def flush(self) -> None:
+        """Bring the page table to the GPU if it changed."""
+        if self._changed:
+            self.device.queue.write_buffer(self.page_buffer, 0, self.pages)
+            self._changed = False
+
+    @property
+    def count(self) -> int:
+        """How many tiles are there."""
+        return len(self._slots)
+
+    def _drop(self, slot: int) -> None:
+        key = self._keys[slot]
+        assert key is not None
+        del self._slots[key]
+        self._keys[slot] = None
+        self.pages[self.tables.index(key)] = 0
+        self.resident[key[0]][key[1], key[2]] = 0
+
+
+_MAKE = {"heights": height_tile, "slopes": slope_tile}
+
+
+class Streamer:
+    """Threads that read tiles in the order of their priority.
+
+    Args:
+        terrain: read from any thread.
+        jobs: threads.
+
+    Attributes:
+        failed: tiles that could not be read, with the reason: they are not asked for again for ``RETRY`` seconds.
+    """
+
+    RETRY = 5.0
+
+    def __init__(self, terrain: Terrain, jobs: int = 2) -> None:
+        self.terrain = terrain
+        self.failed: dict[tuple[Kind, Key], tuple[float, str]] = {}
+        self._heap: list[tuple[float, Kind, Key]] = []
+        self._busy: set[tuple[Kind, Key]] = set()
+        self._ready: list[tuple[Kind, Key, NDArray[Any]]] = []
+        self._condition = threading.Condition()
+        self._closed = False
+        self._threads = [threading.Thread(target=self._work, name=f"tiles-{k}", daemon=True) for k in range(jobs)]
+        for thread in self._threads:
+            thread.start()
+
+    def want(self, wanted: Iterable[tuple[float, Kind, Key]]) -> None:
+        """Replace what is waited for: (priority, kind, key), the highest first. What is being read goes on."""
+        now = time.monotonic()
+        with self._condition:
+            have = self._busy | {(kind, key) for kind, key, _ in self._ready}
+            self._heap = [
+                (-priority, kind, key)
+                for priority, kind, key in wanted
+                if (kind, key) not in have and self.failed.get((kind, key), (-1e9, ""))[0] + self.RETRY < now
+            ]
+            heapq.heapify(self._heap)
+            self._condition.notify_all()
+
+    def take(self, most: int) -> list[tuple[Kind, Key, NDArray[Any]]]:
+        """Up to ``most`` tiles that have been read."""
+        with self._condition:
+            taken, self._ready = self._ready[:most], self._ready[most:]
+            self._condition.notify_all()
+            return taken
+
+    @property
+    def waiting(self) -> int:
+        """How many tiles are wanted, being read or ready."""
+        with self._condition:
+            return len(self._heap) + len(self._busy) + len(self._ready)
+
+    def wait(self, seconds: float) -> None:
+        """Return when something is ready, nothing is under way, or time is up."""
+        end = time.monotonic() + seconds
+        with self._condition:
+            while not self._ready and (self._heap or self._busy) and not self._closed:
+                left = end - time.monotonic()
+                if left <= 0:
+                    return
+                self._condition.wait(left)
+
+    def close(self) -> None:
+        """Stop the threads; one that is reading ends by itself, and is not waited for."""
+        with self._condition:
+            self._closed = True
+            self._heap.clear()
+            self._condition.notify_all()
+
+    def _work(self) -> None:
+        while True:
+            with self._condition:
+                while not self._closed and (not self._heap or len(self._ready) > 64):
+                    self._condition.wait()
+                if self._closed:
+                    return
+                _, kind, key = heapq.heappop(self._heap)
+                self._busy.add((kind, key))
+            data, error = None, ""
+            try:
+                data = _MAKE[kind](self.terrain, key)
+            except (OrographError, OSError) as failure:
+                error = str(failure)
+            except Exception as failure:  # a thread must not die silently: the tile stays coarse, and the view says so
+                error = f"{type(failure).__name__}: {failure}"
+            with self._condition:
+                self._busy.discard((kind, key))
+                if data is not None:
+                    self._ready.append((kind, key, data))
+                    self.failed.pop((kind, key), None)
+                else:
+                    self.failed[(kind, key)] = (time.monotonic(), error)
+                self._condition.notify_all()

@@ -1,0 +1,245 @@
+"""The horizon towards one azimuth on nested windows: fine near by, coarse far away, in one sweep a window.
+
+Every sample of a window sees the terrain towards the light at the window's own resolution as far as the window reaches,
+and beyond that at the resolution of the windows around it, out to the border of the outermost. A line of samples is
+walked from its far end towards the light's lee; the upper convex hull of what was passed holds every possible horizon
+(Timonen & Westerholm 2010, §4), so a sample costs amortised constant time. Lines run one sample apart; a sample's value
+is interpolated between the two lines that pass it, its profile between the two samples beside the line.
+
+Heights are metres, NaN where missing (nothing stands there); slopes are tangents of elevation angles.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel
+from orograph.parallel import map_ordered
+
+Heights = NDArray[np.float32]
+
+_LINES = 64
+"""Lines swept at a time by a thread."""
+
+
+@dataclass(frozen=True, slots=True)
+class Nested:
+    """A window of box means.
+
+    Attributes:
+        heights: (rows, cols) float32, metres.
+        level: a sample is a block of 2^level samples each way.
+        row0, col0: its first block.
+    """
+
+    heights: Heights
+    level: int
+    row0: int
+    col0: int
+
+
+@kernel
+def _profile(heights, major_is_col, j, y):
+    """Height between the two samples beside a line at major index ``j`` and minor position ``y``; NaN if both lack."""
+    count = heights.shape[0] if major_is_col else heights.shape[1]
+    y = min(max(y, 0.0), count - 1.0)
+    i = min(np.int64(y), max(count - 2, 0))
+    f = y - i
+    k = min(i + 1, count - 1)
+    if major_is_col:
+        a, b = np.float64(heights[i, j]), np.float64(heights[k, j])
+    else:
+        a, b = np.float64(heights[j, i]), np.float64(heights[j, k])
+    if a != a:
+        return b if f > 0.5 else a
+    if b != b:
+        return a if f < 0.5 else b
+    return a + (b - a) * f
+
+
+@kernel
+def _sweep(
+    heights, major_is_col, forward, slant, metres, first, last, line0, outer_pool, outer_ints, outer_floats, lowest, out
+):
+    """Lines [first, last) of a window: ``out[line - line0, j]`` is the slope towards the light at major index j.
+
+    Args:
+        forward: whether the light lies towards larger major indices. slant: minor steps per major step towards larger
+            indices. metres: of a step along the line.
+        outer_pool, outer_ints (w, 3: offset, rows, cols), outer_floats (w, 5: scale in this window's samples, first row
+            and column of its samples' middles in this window's coordinates, and the major range [from, to] of the
+            part of it that lies beyond the windows inside): windows around, from the nearest to the outermost.
+    """
+    majors = heights.shape[1] if major_is_col else heights.shape[0]
+    minors = heights.shape[0] if major_is_col else heights.shape[1]
+    capacity = majors + 8
+    for w in range(outer_ints.shape[0]):
+        capacity += max(outer_ints[w, 1], outer_ints[w, 2]) + 4
+    hull_t, hull_z = np.empty(capacity), np.empty(capacity)
+    way = 1.0 if forward else -1.0
+    for line in range(first, last):
+        size = 0
+        # Far terrain: from the outermost window's far border to this window's.
+        for w in range(outer_ints.shape[0] - 1, -1, -1):
+            scale, row_first, col_first = outer_floats[w, 0], outer_floats[w, 1], outer_floats[w, 2]
+            base, rows, cols = outer_ints[w, 0], outer_ints[w, 1], outer_ints[w, 2]
+            begin, end = outer_floats[w, 3], outer_floats[w, 4]
+            steps = np.int64(np.floor(abs(begin - end) / scale + 1e-9))
+            for k in range(steps + 1):
+                t = begin - way * k * scale  # walking against the light's direction
+                if (t - end) * way < 0.0:
+                    break
+                y = line + slant * t
+                r, c = (
+                    ((y - row_first) / scale, (t - col_first) / scale)
+                    if major_is_col
+                    else ((t - row_first) / scale, (y - col_first) / scale)
+                )
+                if r < -0.5 or c < -0.5 or r > rows - 0.5 or c > cols - 0.5:
+                    continue
+                r, c = min(max(r, 0.0), rows - 1.0), min(max(c, 0.0), cols - 1.0)
+                i, j = min(np.int64(r), max(rows - 2, 0)), min(np.int64(c), max(cols - 2, 0))
+                i1, j1 = min(i + 1, rows - 1), min(j + 1, cols - 1)
+                fr, fc = r - i, c - j
+                z = (outer_pool[base + i * cols + j] * (1 - fc) + outer_pool[base + i * cols + j1] * fc) * (1 - fr) + (
+                    outer_pool[base + i1 * cols + j] * (1 - fc) + outer_pool[base + i1 * cols + j1] * fc
+                ) * fr
+                if z != z:
+                    continue
+                s = -way * t * metres
+                while size > 1 and (hull_z[size - 2] - z) * (s - hull_t[size - 1]) >= (hull_z[size - 1] - z) * (
+                    s - hull_t[size - 2]
+                ):
+                    size -= 1
+                hull_t[size], hull_z[size] = s, z
+                size += 1
+        for k in range(majors):
+            j = majors - 1 - k if forward else k
+            y = line + slant * j
+            if y < -1.0 or y > minors:
+                out[line - line0, j] = lowest
+                continue
+            z = _profile(heights, major_is_col, j, y)
+            if z != z:
+                out[line - line0, j] = np.nan
+                continue
+            s = -way * j * metres
+            while size > 1 and (hull_z[size - 2] - z) * (s - hull_t[size - 1]) >= (hull_z[size - 1] - z) * (
+                s - hull_t[size - 2]
+            ):
+                size -= 1
+            slope = (hull_z[size - 1] - z) / (s - hull_t[size - 1]) if size > 0 else lowest
+            out[line - line0, j] = max(slope, lowest)
+            if -1.0 + 1e-6 < y < minors - 1e-6:  # lines beside the border see its samples, but not beyond the next one
+                hull_t[size], hull_z[size] = s, z
+                size += 1
+
+
+@kernel
+def _gather(lines, line0, major_is_col, slant, out, first, last):
+    """Values on the grid, rows [first, last), between the lines that pass a sample."""
+    cols = out.shape[1]
+    for i in range(first, last):
+        for k in range(cols):
+            j, y = (k, i) if major_is_col else (i, k)
+            at = y - slant * j - line0
+            n = min(max(np.int64(np.floor(at)), 0), lines.shape[0] - 2)
+            f = min(max(at - n, 0.0), 1.0)
+            a, b = lines[n, j], lines[n + 1, j]
+            if a != a:
+                a = b
+            if b != b:
+                b = a
+            out[i, k] = a + (b - a) * f
+
+
+def sunward(
+    windows: list[Nested], linear: NDArray[np.float64], azimuth: float, *, lowest: float = 0.0, jobs: int | None = None
+) -> list[Heights]:
+    """The slope of the horizon towards one azimuth, for every sample of nested windows.
+
+    Args:
+        windows: outermost first, each inside the one before.
+        linear: (2, 2) linear part of the geotransform at full resolution: metres east and north per column and per row.
+        azimuth: degrees clockwise from grid north, towards the light.
+        lowest: slopes are at least this.
+        jobs: threads.
+
+    Returns:
+        for each window (rows, cols) float32; NaN where nothing is known of a sample's surroundings.
+    """
+    a = math.radians(azimuth)
+    step = np.linalg.solve(np.asarray(linear, np.float64), [math.sin(a), math.cos(a)])  # columns, rows per metre
+    major_is_col = abs(step[0]) >= abs(step[1])
+    major, minor = (step[0], step[1]) if major_is_col else (step[1], step[0])
+    forward, slant = bool(major > 0), float(minor / major)
+    turned = bool(abs(step[0]) >= abs(step[1])), forward, slant
+    return [
+        _one(window, windows[:number][::-1], turned, float(1 << window.level) / abs(major), lowest, jobs)
+        for number, window in enumerate(windows)
+    ]
+
+
+def _one(
+    window: Nested,
+    outer: list[Nested],
+    turned: tuple[bool, bool, float],
+    metres: float,
+    lowest: float,
+    jobs: int | None,
+) -> Heights:
+    """The slopes of one window, ``outer`` around it, nearest first; ``metres`` of a step along its lines."""
+    major_is_col, forward, slant = turned
+    heights = np.ascontiguousarray(window.heights, np.float32)
+    rows, cols = heights.shape
+    majors, minors = (cols, rows) if major_is_col else (rows, cols)
+    pool, ints, floats = _around(outer, window, majors, major_is_col, forward)
+    low = min(0.0, -slant * (majors - 1))
+    high = minors - 1 + max(0.0, -slant * (majors - 1))
+    line0, count = math.floor(low), math.ceil(high) - math.floor(low) + 2
+    lines = np.full((count, majors), lowest, np.float32)
+
+    def some(first: int) -> None:
+        _sweep(
+            heights, major_is_col, forward, slant, metres, first, min(first + _LINES, line0 + count), line0, pool, ints,
+            floats, lowest, lines,
+        )  # fmt: skip
+
+    for _ in map_ordered(some, range(line0, line0 + count, _LINES), jobs):
+        pass
+    result = np.empty(heights.shape, np.float32)
+    _gather(lines, line0, major_is_col, slant, result, 0, rows)
+    return result
+
+
+def _around(
+    outer: list[Nested], window: Nested, majors: int, major_is_col: bool, forward: bool
+) -> tuple[Heights, NDArray[np.int64], NDArray[np.float64]]:
+    """The windows around one (nearest first) as ``_sweep`` wants them, in the window's own sample coordinates."""
+    scale = float(1 << window.level)
+    ints, floats = np.zeros((len(outer), 3), np.int64), np.zeros((len(outer), 5))
+    arrays, base = [np.zeros(1, np.float32)], 1
+    edge = float(majors) if forward else -1.0  # the first place beyond the window
+    for k, o in enumerate(outer):
+        ratio = float(1 << o.level) / scale
+        rows, cols = o.heights.shape
+        # Middles of blocks: full-resolution (index + first + 0.5) · 2^level − 0.5.
+        row_first = ((o.row0 + 0.5) * ratio - 0.5) - window.row0
+        col_first = ((o.col0 + 0.5) * ratio - 0.5) - window.col0
+        first, count = (col_first, cols) if major_is_col else (row_first, rows)
+        far = first + (count - 1) * ratio if forward else first
+        if (far - edge) * (1.0 if forward else -1.0) < 0:
+            begin, end = edge, edge + (1.0 if forward else -1.0)  # reaches no further: an empty range
+        else:
+            begin, end = far, edge
+        ints[k] = base, rows, cols
+        floats[k] = ratio, row_first, col_first, begin, end
+        arrays.append(np.ascontiguousarray(o.heights, np.float32).ravel())
+        base += o.heights.size
+        if (far - edge) * (1.0 if forward else -1.0) > 0:
+            edge = far + (ratio / 2 if forward else -ratio / 2)
+    return np.concatenate(arrays), ints, floats
