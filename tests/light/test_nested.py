@@ -36,7 +36,7 @@ def test_a_wall_far_outside_the_window_is_seen(azimuth: float) -> None:
     inner = sunward([Nested(coarse, 3, 0, 0), Nested(plain[200:300, 200:300], 0, 200, 200)], SQUARE, azimuth)[1]
     whole = horizon(plain, SQUARE, azimuth)[200:300, 200:300]
     assert whole.min() > 0.06
-    np.testing.assert_allclose(inner, whole, rtol=0.05)
+    np.testing.assert_allclose(inner, whole, rtol=0.06)  # a coarse sample in 170
 
 
 def test_windows_may_leave_out_a_level_and_touch_borders() -> None:

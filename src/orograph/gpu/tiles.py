@@ -19,7 +19,7 @@ from __future__ import annotations
 import heapq
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -183,7 +183,8 @@ class Atlas:
         offsets = np.asarray(self.tables.offsets, np.int64)
         widths = np.asarray([shape[1] for shape in self.tables.shapes], np.int64)
         index = offsets[level] + row.astype(np.int64) * widths[level] + col
-        return self.pages[index].astype(np.int32) - 1
+        found: NDArray[np.int32] = self.pages[index].astype(np.int32) - np.int32(1)
+        return found
 
     def touch(self, keys: Iterable[Key], frame: int) -> None:
         """Note that tiles are wanted in a frame, so that they stay."""
@@ -239,7 +240,7 @@ class Atlas:
         self.resident[key[0]][key[1], key[2]] = 0
 
 
-_MAKE = {"heights": height_tile, "slopes": slope_tile}
+_MAKE: dict[Kind, Callable[[Terrain, Key], NDArray[Any]]] = {"heights": height_tile, "slopes": slope_tile}
 
 
 class Streamer:
@@ -319,7 +320,8 @@ class Streamer:
                     return
                 _, kind, key = heapq.heappop(self._heap)
                 self._busy.add((kind, key))
-            data, error = None, ""
+            data: NDArray[Any] | None = None
+            error = ""
             try:
                 data = _MAKE[kind](self.terrain, key)
             except (OrographError, OSError) as failure:
