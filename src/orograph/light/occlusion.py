@@ -3,7 +3,7 @@
     A = 1/π ∬ ρ(L(p, ω)) ⟨ω, n⟩ dω   over the hemisphere around the normal n
 
 with L the free path from p in direction ω, clamped to the radius R, and ρ what an occluder at that distance lets
-through (``rho``; Zhukov, Iones & Kronin 1998). Two ways of getting L:
+through (``rho``; Zhukov, Iones & Kronin 1998). Two ways of getting L here, two more on the GPU (``ELSEWHERE``):
 
 - ``rays``: Monte Carlo with directions of density ⟨ω, n⟩/π, so that A is the mean of ρ over N rays (the caster's);
 - ``horizon``: in M azimuths the integral over elevations is done in closed form. For a step only the highest elevation
@@ -20,9 +20,10 @@ Missing samples occlude nothing. Lengths in metres, A between 0 and 1.
 from __future__ import annotations
 
 import copy
+import importlib
 import math
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,7 +39,11 @@ from orograph.parallel import map_ordered
 
 Heights = NDArray[np.float32]
 Array = NDArray[np.float64]
-Method = Literal["horizon", "rays"]
+Method = Literal["horizon", "rays", "shadow-maps", "cone-tracing"]
+
+ELSEWHERE = {"shadow-maps": "orograph.gpu.occlusion_maps", "cone-tracing": "orograph.gpu.cone_tracing"}
+"""Methods of later layers: modules with a ``run(context) → blocks``. They are known here by name only, and imported when
+one of them is asked for: without a GPU and its extra, this layer is whole."""
 
 LIFT = 1e-4
 """Rays begin this far above the ground, in cells: the ε of p + εω, but upward, so that they begin on the lit side."""
@@ -170,6 +175,21 @@ def flat_only(context: Context) -> None:
         )
 
 
+def check_reach(context: Context, reach: float, height: int, width: int, jobs: int) -> None:
+    """Raise UsageError if ``jobs`` blocks of height × width samples with what is within reach do not fit in memory."""
+    tall, wide = context.shape
+    if math.isfinite(reach):
+        over, down = (math.ceil(reach * float(np.linalg.norm(v))) + 2 for v in np.linalg.inv(context.linear))
+        tall, wide = min(tall, height + 2 * down), min(wide, width + 2 * over)
+    need = _PER_SAMPLE * tall * wide * (jobs if math.isfinite(reach) else 1)
+    if need > context.budget:
+        raise UsageError(
+            f"What is within reach of a block of samples is {tall} × {wide} samples, which takes {need >> 20} MiB in "
+            f"{jobs} threads, more than the {context.budget >> 20} MiB there are.",
+            remedy="Give a radius or a smaller one, allow more memory (--max-memory), or use fewer threads (--jobs).",
+        )
+
+
 def by_blocks(
     context: Context, reach: float, work: Callable[[Neighbourhood], Values], what: str, key: str = ""
 ) -> Blocks:
@@ -181,19 +201,8 @@ def by_blocks(
     Raises:
         UsageError: what lies within reach of a block does not fit in the memory allowed.
     """
-    inverse = np.linalg.inv(context.linear)
     rows, cols = context.shape
-    tall, wide = rows, cols
-    if math.isfinite(reach):
-        over, down = (math.ceil(reach * float(np.linalg.norm(v))) + 2 for v in inverse)
-        tall, wide = min(rows, _BLOCK + 2 * down), min(cols, _WIDTH + 2 * over)
-    need = _PER_SAMPLE * tall * wide * (context.jobs if math.isfinite(reach) else 1)
-    if need > context.budget:
-        raise UsageError(
-            f"What is within reach of a block of samples is {tall} × {wide} samples, which takes {need >> 20} MiB in "
-            f"{context.jobs} threads, more than the {context.budget >> 20} MiB there are.",
-            remedy="Give a radius or a smaller one, allow more memory (--max-memory), or use fewer threads (--jobs).",
-        )
+    check_reach(context, reach, _BLOCK, _WIDTH, context.jobs)
     whole = None if math.isfinite(reach) else Neighbourhood(context, 0, rows, 0, cols, reach)
     if whole is not None:
         whole.scene()
@@ -272,9 +281,15 @@ def _fan(azimuths: int) -> Array:
 
 
 def make(context: Context) -> Blocks | Sweep:
-    """The product: ``method`` ("horizon" or "rays"), ``rho`` and ``seed`` among the other options."""
+    """The product: ``method``, ``rho`` and ``seed`` among the other options.
+
+    Raises:
+        UsageError: there is no such method; and what the method raises.
+    """
     options = context.options
     method: Method = options.more.get("method", "horizon")
+    if method in ELSEWHERE:
+        return cast(Blocks, importlib.import_module(ELSEWHERE[method]).run(context))
     ways = transmission(options.more.get("rho", "step"), options.radius)
     if method == "rays":
         flat_only(context)
@@ -282,7 +297,7 @@ def make(context: Context) -> Blocks | Sweep:
             raise UsageError(f"At least one ray is needed, not {options.rays}.")
         return _rays(context, ways, options.rays, int(options.more.get("seed", 0)))
     if method != "horizon":
-        raise UsageError(f"There is no method {method!r}; there are horizon and rays.")
+        raise UsageError(f"There is no method {method!r}; there are horizon, rays, {' and '.join(ELSEWHERE)}.")
     if math.isfinite(ways.radius):
         flat_only(context)
         return _walks(context, ways, options.azimuths)
@@ -298,6 +313,7 @@ def ambient_occlusion(
     method: Method = "horizon",
     azimuths: int = 32,
     rays: int = 256,
+    cones: int = 24,
     seed: int = 0,
     jobs: int | None = None,
 ) -> Heights:
@@ -308,7 +324,8 @@ def ambient_occlusion(
         linear: (2, 2) linear part of the geotransform: metres east and north per column and per row.
         radius: R, metres; None: unlimited (a step only).
         rho: "step", "linear" or a function of L in metres.
-        method: "horizon" (``azimuths`` of them) or "rays" (``rays`` per sample, chosen by ``seed``).
+        method: "horizon" (``azimuths`` of them), "rays" (``rays`` per sample, chosen by ``seed``), or on the GPU
+            "shadow-maps" (``rays`` directions for all samples) or "cone-tracing" (``cones`` per sample, about).
         jobs: threads; None: all processors. The result does not depend on it.
 
     Returns:
@@ -316,8 +333,9 @@ def ambient_occlusion(
 
     Raises:
         UsageError: wrong shapes, an unknown ρ or method, too few rays or azimuths.
+        NoAdapterError: there is no GPU for a method that needs one (``orograph.gpu.device``).
     """
-    more = {"rho": rho, "method": method, "seed": seed}
+    more = {"rho": rho, "method": method, "seed": seed, "cones": cones}
     context = context_of(heights, linear, Options(azimuths, radius=radius, rays=rays, more=more), jobs=jobs)
     return np.asarray(compute(context, "ambient-occlusion")[0])
 
