@@ -8,7 +8,7 @@ from affine import Affine
 from pyproj import CRS
 from scenes import NORTH_UP, hills, terrain
 
-from orograph.picture import camera, cpu, legend
+from orograph.picture import camera, cpu, furniture, legend
 from orograph.picture.scene import Scene
 
 SIZE = (320, 180)
@@ -17,7 +17,7 @@ SIZE = (320, 180)
 def told(monkeypatch, scene):
     """What ``furnish`` is given for a scene."""
     given = {}
-    monkeypatch.setattr(legend, "furnish", lambda pixels, **pieces: (given.update(pieces), pixels)[1])
+    monkeypatch.setattr(furniture, "furnish", lambda pixels, **pieces: (given.update(pieces), pixels)[1])
     cpu.draw(scene)
     return given
 
@@ -67,7 +67,7 @@ def test_counts_do_not_depend_on_threads(monkeypatch):
     heights[:, :150] = 0
     seen = []
     shown = legend._legend
-    monkeypatch.setattr(legend, "_legend", lambda shader: (seen.append(dict(shader.shown)), shown(shader))[1])
+    monkeypatch.setattr(legend, "_legend", lambda drawn: (seen.append(dict(drawn.shown)), shown(drawn))[1])
     for jobs in (1, 4):
         cpu.draw(plan(terrain(heights), jobs=jobs))
     assert seen[0] == seen[1] and seen[0]["ground"] > seen[0]["water"] > 0

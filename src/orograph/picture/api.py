@@ -36,6 +36,7 @@ def render(
     sky: bool = False,
     furniture: bool = False,
     title: str | None = None,
+    depths: tuple[float, float] | None = None,
     samples: int = 4,
     tolerance: float | None = None,
     engine: str | None = None,
@@ -68,6 +69,8 @@ def render(
         sky: draw sky and haze instead of paper. Default False.
         furniture: add a title, a colour bar, a north arrow and a scale bar. Default False.
         title: the title of the furniture. Default None: the terrain's name.
+        depths: with a sky, metres from the nearest to the farthest ground, between which haze grows. Default None:
+            those of the ground in view.
         samples: rays per pixel where the picture has edges; 1 leaves them jagged. Default 4.
         tolerance: pixels by which the ground may be displaced; 0 draws every sample. Default None: 0 up to 16.8 million
             samples, else 0.5. With an engine: what that is to keep. Default None: 1.
@@ -110,7 +113,7 @@ def render(
     scene = Scene(
         terrain, view, light, shadows=shadows, exaggeration=exaggeration, colormap=colormap, drape=drape, sky=sky,
         water=water, relief=relief, samples=samples, tolerance=tolerance, engine=engine, wireframe=wireframe,
-        mesh_view=mesh_view, furniture=furniture, title=title, max_memory=max_memory, jobs=jobs,
+        mesh_view=mesh_view, furniture=furniture, title=title, depths=depths, max_memory=max_memory, jobs=jobs,
     )  # fmt: skip
 
     from orograph.picture.cpu import draw

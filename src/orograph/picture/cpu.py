@@ -14,17 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import NothingInViewError
+from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.colour import linear_to_srgb
 from orograph.parallel import map_ordered
 from orograph.picture.doubts import doubts, looks_like_degrees
-from orograph.picture.ground import LEAST_MEMORY, Ground, fixed_memory
+from orograph.picture.ground import LEAST_MEMORY, Area, Ground, fixed_memory
+from orograph.picture.kept import Kept
 from orograph.picture.memory import check_memory
 from orograph.picture.result import Picture, plan_grid
 from orograph.picture.scene import Scene
 from orograph.picture.shading import Shader
+from orograph.picture.survey import Survey
 from orograph.progress import SILENT, Progress
 from orograph.tessellation import Tessellation
+from orograph.view import View
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
@@ -36,27 +39,36 @@ BLOCK = 1 << 15
 """Samples shaded at a time by a thread."""
 
 
-def draw(scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None = None) -> Picture:
-    """Draw ``scene``.
+def draw(
+    scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None = None, kept: Kept | None = None
+) -> Picture:
+    """Draw ``scene``. A tile of a view (``View.tile``) is drawn as it is in the whole picture, to the bit.
 
     Args:
         scene: what is drawn.
         progress: hears of it.
         mesh: a tessellation of the scene's terrain to draw, instead of having the scene's engine make one.
+        kept: what earlier pictures left: give the same for all frames of a movie and all tiles of a picture.
 
     Raises:
         NothingInViewError: no valid terrain is in view; the message says what to change.
-        UsageError: the picture's own arrays do not fit into memory.
+        UsageError: the picture's own arrays do not fit into memory, or a tile is to have what only wholes can have:
+            furniture, or a mesh's edges.
         DamagedChunkError: a chunk that is needed fails its checksum.
     """
     clock = [time.perf_counter()]
     facts: dict[str, Any] = {}
+    kept = Kept() if kept is None else kept
 
     def lap(name: str) -> None:
         clock.append(time.perf_counter())
         facts.setdefault("seconds", {})[name] = round(clock[-1] - clock[-2], 4)
 
-    check_memory((scene.view.width, scene.view.height))
+    view = scene.view
+    if view.part is not None and (scene.furniture or scene.wireframe):
+        what = "furniture" if scene.furniture else "a wireframe"
+        raise UsageError(f"A tile has no {what}: that belongs to the whole picture.")
+    check_memory((view.width, view.height))
     facts["warnings"] = doubts(scene)
     for warning in facts["warnings"]:
         progress.warn(warning)
@@ -64,13 +76,16 @@ def draw(scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None
     if scene.engine is not None or mesh is not None:
         from orograph.picture.surface import refined, surface_of
 
-        mesh = refined(scene, progress) if mesh is None else mesh
+        if mesh is None:
+            known = scene.engine, scene.view.whole, scene.mesh_view, scene.tolerance, scene.exaggeration
+            mesh = kept("mesh", known, lambda: refined(scene, progress, kept), scene.terrain)
+        made, terrain = mesh, scene.terrain
         facts["mesh"] = mesh.stats
-        surface = surface_of(mesh, scene.terrain, scene.max_memory)
+        surface = kept("surface", id(terrain), lambda: surface_of(made, terrain, scene.max_memory), mesh)
         lap("mesh")
         scene = replace(scene, tolerance=0.0, terrain=scene.terrain if scene.wireframe else surface)
     with progress.task("Reading heights"):
-        ground = Ground.load(scene, surface)
+        ground = Ground.load(scene, surface, kept)
         if ground.tolerance > scene.pixel_tolerance:
             progress.warn(
                 f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not "
@@ -80,39 +95,47 @@ def draw(scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None
     if scene.max_memory is not None and scene.max_memory < least:
         progress.warn(f"a picture of this size takes about {least >> 20} MiB, more than --max-memory allows.")
     lap("heights")
+    inner = frame(scene)
+    # What is antialiased depends on the pixels around: a tile is drawn with a rim of one pixel, which is left out.
+    area = inner if scene.samples == 1 else _rimmed(inner, view.whole)
     with progress.task("Casting rays"):
-        t, window, veil = ground.rays.first()
+        survey = Survey.of(ground.rays)
+        if survey is None:
+            raise NothingInViewError(_why_empty(scene), path=scene.terrain.name, remedy=_remedy(scene))
+        t, window, veil = ground.rays.first(area)
     lap("rays")
-    if not np.isfinite(t).any():
-        raise NothingInViewError(_why_empty(scene), path=scene.terrain.name, remedy=_remedy(scene))
     facts["windows"] = [{"level": r.level, "rows": r.row1 - r.row0, "cols": r.col1 - r.col0} for r in ground.windows]
     facts["tolerance_px"] = ground.tolerance
-    facts["hit_fraction"] = float(np.isfinite(t).mean())
+    own = slice(inner[0] - area[0], inner[1] - area[0]), slice(inner[2] - area[2], inner[3] - area[2])
+    facts["hit_fraction"] = float(np.isfinite(t[own]).mean())
     with progress.task("Light and colour", total=2 * t.size) as task:
-        shader = Shader(scene, ground, t, progress)
+        shader = Shader(scene, ground, survey, kept)
         lap("light")
-        view = scene.view
-        linear = np.empty((view.height, view.width, 3), np.float32)
+        wide = area[3] - area[2]
+        linear = np.empty((*t.shape, 3), np.float32)
         flat, ft, fw, fv = linear.reshape(-1, 3), t.ravel(), window.ravel(), veil.ravel()
+        mine = np.zeros(t.shape, bool)
+        mine[own] = True
+        counted = mine.ravel()
 
         def block(start: int) -> int:
             i = np.arange(start, min(start + BLOCK, len(ft)))
-            px, py = (a.astype(np.float64) + 0.5 for a in (i % view.width, i // view.width))
-            flat[i] = shader.colour(ground.rays.meet(px, py, ft[i], fw[i], fv[i]), px, py)
+            px, py = (a.astype(np.float64) + 0.5 for a in (area[2] + i % wide, area[0] + i // wide))
+            flat[i] = shader.colour(ground.rays.meet(px, py, ft[i], fw[i], fv[i]), px, py, counted[i])
             return len(i)
 
         for n in map_ordered(block, range(0, len(ft), BLOCK), scene.jobs):
             task.advance(n)
         lap("colour")
         if scene.samples > 1:
-            edges = np.flatnonzero(find_edges(encode(linear)).ravel())
-            facts["edge_fraction"] = len(edges) / len(ft)
+            edges = np.flatnonzero(find_edges(encode(linear)).ravel() & counted)
+            facts["edge_fraction"] = len(edges) / (view.width * view.height)
             offsets = pattern(scene.samples)
 
             def refine(start: int) -> int:
                 chosen = edges[start : start + BLOCK // scene.samples]
-                px = (chosen % view.width)[:, None] + offsets[None, :, 0]
-                py = (chosen // view.width)[:, None] + offsets[None, :, 1]
+                px = (area[2] + chosen % wide)[:, None] + offsets[None, :, 0]
+                py = (area[0] + chosen // wide)[:, None] + offsets[None, :, 1]
                 u, v = px.ravel(), py.ravel()
                 colours = shader.colour(ground.rays.meet(u, v, *ground.rays.cast(u, v)), u, v)
                 flat[chosen] = colours.reshape(len(chosen), scene.samples, 3).mean(1)
@@ -121,6 +144,7 @@ def draw(scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None
             for n in map_ordered(refine, range(0, len(edges), max(1, BLOCK // scene.samples)), scene.jobs):
                 task.advance(n * len(ft) / max(1, len(edges)))
             lap("antialiasing")
+    linear, t, veiled = linear[own], t[own], np.isfinite(veil[own])
     if mesh is not None and scene.wireframe:
         from orograph.picture.wireframe import draw_edges
 
@@ -129,12 +153,26 @@ def draw(scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None
         lap("edges")
     pixels = encode(linear)
     if scene.furniture:
-        from orograph.picture.legend import decorate
+        from orograph.picture.furniture import furnish
+        from orograph.picture.legend import Drawn, furniture_of, sampled
 
-        pixels = decorate(pixels, scene, shader, t, np.isfinite(veil))
+        drawn = Drawn(shader.tint, shader.shown, scene.drape is not None, sampled(t, *t.shape), t[:, t.shape[1] // 2])
+        pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(t) | veiled)
         lap("furniture")
     facts["shader"] = shader.facts
-    return Picture(pixels, t.astype(np.float32), scene.view, facts, plan_grid(scene.view, scene.terrain.grid.crs))
+    facts["shown"] = shader.shown
+    place = plan_grid(scene.view, scene.terrain.grid.crs)
+    return Picture(pixels, t.astype(np.float32), scene.view, facts, place, veiled if veiled.any() else None)
+
+
+def frame(scene: Scene) -> Area:
+    """The pixels that a scene's view is of the whole picture."""
+    left, top, _, _ = scene.view.frame
+    return top, top + scene.view.height, left, left + scene.view.width
+
+
+def _rimmed(area: Area, whole: View) -> Area:
+    return max(area[0] - 1, 0), min(area[1] + 1, whole.height), max(area[2] - 1, 0), min(area[3] + 1, whole.width)
 
 
 def encode(linear: Colours) -> NDArray[np.uint8]:

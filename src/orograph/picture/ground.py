@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from orograph.geovis.missing import patches
 from orograph.light.relief import Relief
 from orograph.light.sun import Sun
-from orograph.picture.kernels import ends, incidence
+from orograph.picture.kept import Kept
+from orograph.picture.kernels import beginnings, ends, incidence
 from orograph.picture.memory import BYTES_PER_PIXEL
 from orograph.picture.scene import Scene
 from orograph.raycast.caster import Caster
+from orograph.raycast.kernels import BLOCK_X, BLOCK_Y
 from orograph.raycast.select import Rectangle, load, rectangles
 from orograph.store.terrain import Terrain
 
@@ -36,6 +38,9 @@ FIXED_MEMORY = 300 << 20
 
 LEAST_MEMORY = 24 << 20
 """Bytes of heights that are loaded even where --max-memory leaves no room for them."""
+
+Area = tuple[int, int, int, int]
+"""Pixels of the whole picture: the first row, that after the last, the first column, that after the last."""
 
 
 def fixed_memory(scene: Scene) -> int:
@@ -71,7 +76,8 @@ class Rays:
         self.scene, self.caster, self.patches = scene, caster, patches
         self.single = copy.copy(caster)
         self.single.jobs = 1
-        view, grid = scene.view, scene.terrain.grid
+        view, grid = scene.view.whole, scene.terrain.grid
+        self.view = view
         self.basis = view.ray_basis(scene.exaggeration)
         inverse = ~grid.samples
         self.linear = np.array([[inverse.a, inverse.b, 0.0], [inverse.d, inverse.e, 0.0], [0.0, 0.0, 1.0]])
@@ -79,15 +85,20 @@ class Rays:
         self.spacing = math.sqrt(abs(grid.transform.determinant))
         self.far = min(view.far, 1e9)
 
-    def first(self) -> tuple[Array, NDArray[np.int8], Array]:
-        """Depth, window and veil (see ``Hits``), each (height, width), of the rays through all pixel centres."""
-        t, window = self._pixels(self.caster)
-        return t, window, self._veil(t, lambda: self._pixels(self.patches)[0])
+    def first(self, area: Area) -> tuple[Array, NDArray[np.int8], Array]:
+        """Depth, window and veil (see ``Hits``), each (rows, cols), of the rays through the pixel centres of an area of
+        the whole picture."""
+        t, window = self._pixels(self.caster, area)
+        return t, window, self._veil(t, lambda: self._pixels(self.patches, area)[0])
 
     def cast(self, px: Array, py: Array) -> tuple[Array, NDArray[np.int8], Array]:
         """Depth, window and veil of rays through arbitrary pixel positions (n,), in the calling thread."""
         t, window = self._positions(px, py, self.single)
         return t, window, self._veil(t, lambda: self._positions(px, py, self.patches)[0])
+
+    def positions(self, px: Array, py: Array) -> tuple[Array, NDArray[np.int8]]:
+        """Depth and window of rays through arbitrary pixel positions (n,), by all threads."""
+        return self._positions(px, py, self.caster)
 
     def _veil(self, t: Array, patch_depth: Callable[[], Array]) -> Array:
         if self.patches is None:
@@ -96,20 +107,25 @@ class Rays:
         veil[t <= veil] = np.nan  # false where nothing else was met
         return veil
 
-    def _pixels(self, caster: Caster | None) -> tuple[Array, NDArray[np.int8]]:
+    def _pixels(self, caster: Caster | None, area: Area) -> tuple[Array, NDArray[np.int8]]:
         assert caster is not None
-        view = self.scene.view
-        size = (view.height, view.width)
+        view = self.view
+        top, bottom, left, right = area
         o0, _, _, d0, du, dv = self.basis
         if view.projection == "perspective":
-            return caster.cast_pinhole(
+            # Whole blocks of the caster are the same to the bit in every area.
+            y0, x0 = top // BLOCK_Y * BLOCK_Y, left // BLOCK_X * BLOCK_X
+            y1, x1 = min(-(-bottom // BLOCK_Y) * BLOCK_Y, view.height), min(-(-right // BLOCK_X) * BLOCK_X, view.width)
+            t, window = caster.cast_pinhole(
                 self.linear @ o0 + self.offset, self.linear @ (d0 + 0.5 * (du + dv)), self.linear @ du,
-                self.linear @ dv, size, view.near, self.far,
+                self.linear @ dv, (view.height, view.width), view.near, self.far, (y0, y1, x0, x1),
             )  # fmt: skip
-        t, window = np.empty(size), np.empty(size, np.int8)
-        px = np.arange(view.width) + 0.5
-        for row in range(0, view.height, 64):
-            py = np.arange(row, min(row + 64, view.height)) + 0.5
+            inner = slice(top - y0, bottom - y0), slice(left - x0, right - x0)
+            return np.ascontiguousarray(t[inner]), np.ascontiguousarray(window[inner])
+        t, window = np.empty((bottom - top, right - left)), np.empty((bottom - top, right - left), np.int8)
+        px = np.arange(left, right) + 0.5
+        for row in range(0, bottom - top, 64):
+            py = np.arange(top + row, min(top + row + 64, bottom)) + 0.5
             u, v = (a.ravel() for a in np.meshgrid(px, py))
             a, b = self._positions(u, v, caster)
             t[row : row + 64], window[row : row + 64] = a.reshape(len(py), -1), b.reshape(len(py), -1)
@@ -117,16 +133,13 @@ class Rays:
 
     def _positions(self, px: Array, py: Array, caster: Caster | None) -> tuple[Array, NDArray[np.int8]]:
         assert caster is not None
-        o0, ou, ov, d0, du, dv = self.basis
-        origins = o0 + px[:, None] * ou + py[:, None] * ov
-        directions = d0 + px[:, None] * du + py[:, None] * dv
-        return caster.cast(
-            origins @ self.linear.T + self.offset, directions @ self.linear.T, self.scene.view.near, self.far
-        )
+        origins, directions = np.empty((len(px), 3)), np.empty((len(px), 3))
+        beginnings(px, py, *self.basis, self.linear, self.offset, origins, directions)
+        return caster.cast(origins, directions, self.view.near, self.far)
 
     def meet(self, px: Array, py: Array, t: Array, window: NDArray[np.int8], veil: Array) -> Hits:
         """Positions of the samples at pixel positions (n,) with depths t (n,)."""
-        view = self.scene.view
+        view = self.view
         parallel = view.projection == "plan"
         points, rays, width = np.empty((len(px), 3)), np.empty((len(px), 3)), np.empty(len(px))
         ends(
@@ -139,16 +152,20 @@ class Rays:
 class Ground:
     """The caster and relief a scene needs, loaded within its budget of memory."""
 
-    def __init__(self, scene: Scene, surface: Terrain, windows: list[Rectangle], tolerance: float) -> None:
+    def __init__(self, scene: Scene, surface: Terrain, windows: list[Rectangle], tolerance: float, kept: Kept) -> None:
         terrain = scene.terrain
         self.scene, self.tolerance = scene, tolerance
         self.windows = windows
-        self.caster = Caster(load(surface, windows, scene.jobs), terrain.grid.shape, scene.jobs)
-        self.relief = Relief.load(
-            terrain, rectangles(terrain, scene.view, scene.exaggeration, 1.0, by="spacing"), scene.jobs
+        shape, jobs = terrain.grid.shape, scene.jobs
+        self.caster = kept(
+            "caster", (tuple(windows), jobs), lambda: Caster(load(surface, windows, jobs), shape, jobs), surface
         )
-        veiled = patches(self.caster.stack.windows, terrain.grid.shape) if terrain.valid_fraction < 1 else None
-        over = Caster(veiled, terrain.grid.shape, scene.jobs) if veiled else None
+        means = rectangles(terrain, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
+        self.relief = kept("relief", tuple(means), lambda: Relief.load(terrain, means, jobs), terrain)
+        over = None
+        if terrain.valid_fraction < 1:
+            found = kept("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
+            over = kept("over", jobs, lambda: Caster(found, shape, jobs), found) if found else None
         self.rays = Rays(scene, self.caster, over)
         grid = terrain.grid
         linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
@@ -156,12 +173,14 @@ class Ground:
         self.to_samples = np.linalg.inv(linear)
 
     @classmethod
-    def load(cls, scene: Scene, surface: Terrain | None = None) -> Ground:
+    def load(cls, scene: Scene, surface: Terrain | None = None, kept: Kept | None = None) -> Ground:
         """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed.
 
         Args:
             surface: what rays meet, if not the terrain itself (on the same grid); light falls on the terrain's slopes.
+            kept: what earlier pictures left.
         """
+        kept = Kept() if kept is None else kept
         terrain = scene.terrain if surface is None else surface
         rows, cols = terrain.grid.shape
         tolerance = scene.pixel_tolerance
@@ -169,14 +188,14 @@ class Ground:
         bytes_per_sample = 4 * (1 + 5 / 12) + 4 + 4
         budget = math.inf if scene.max_memory is None else max(scene.max_memory - fixed_memory(scene), LEAST_MEMORY)
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
-            return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0)
+            return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0, kept)
         tolerance = tolerance or 0.05
         while True:
-            chosen = rectangles(terrain, scene.view, scene.exaggeration, tolerance)
+            chosen = rectangles(terrain, scene.view.whole, scene.exaggeration, tolerance)
             fits = sum(r.samples for r in chosen) * bytes_per_sample <= budget
             # Ground about the eye is wanted exactly at any tolerance; that much is drawn whatever the budget.
             if fits or tolerance > COARSEST or chosen[-1].level == terrain.levels - 1:
-                return cls(scene, terrain, chosen, tolerance)
+                return cls(scene, terrain, chosen, tolerance, kept)
             tolerance *= 1.25
 
     def incidence(self, hits: Hits, to_sun: Array, strength: float) -> tuple[Array, Array]:

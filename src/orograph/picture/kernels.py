@@ -15,6 +15,18 @@ SHORE = 0.04
 
 
 @kernel
+def beginnings(px, py, o0, ou, ov, d0, du, dv, linear, offset, origins, directions):
+    """Rays through pixel positions (n,): ``origins`` and ``directions`` (n, 3) in sample coordinates."""
+    for i in range(len(px)):
+        for k in range(3):
+            o, d = offset[k], 0.0
+            for j in range(3):
+                o += linear[k, j] * (o0[j] + px[i] * ou[j] + py[i] * ov[j])
+                d += linear[k, j] * (d0[j] + px[i] * du[j] + py[i] * dv[j])
+            origins[i, k], directions[i, k] = o, d
+
+
+@kernel
 def ends(
     px, py, t, o0, ou, ov, d0, du, dv, linear, offset, exaggeration, metres, parallel, spacing, points, rays, width
 ):

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.colour import linear_to_srgb
-from orograph.picture.furniture import furnish
+from orograph.geovis.colour import Tint, linear_to_srgb
 from orograph.picture.pieces import Legend
 from orograph.picture.scene import Scene
-from orograph.picture.shading import HATCH, VISIBLE, WATER, Shader, hatching
+from orograph.picture.shading import HATCH, VISIBLE, WATER, hatching
+from orograph.picture.survey import stride
 
 Array = NDArray[np.float64]
 
@@ -29,17 +30,35 @@ NAMELESS = ("unknown", "unnamed", "undefined", "undetermined", "none")
 """How the names of CRS begin that are none."""
 
 
-def decorate(
-    pixels: NDArray[np.uint8], scene: Scene, shader: Shader, depth: Array, veiled: NDArray[np.bool_]
-) -> NDArray[np.uint8]:
-    """The picture (height, width, 3) with its furniture.
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What furniture must know of a picture besides its scene.
 
-    Args:
-        depth: (height, width) view-space depth, NaN where no ground is.
-        veiled: (height, width), where missing data is shown.
+    Attributes:
+        tint: the colours of heights. shown: how many pixels show "ground", of it "water" and "draped", and "missing".
+        draped: whether an image lies over the ground.
+        depths: (n,) view-space depths of ground, evenly from all of the picture (``sampled``), none NaN.
+        column: (height,) depths in the picture's middle column, NaN where no ground is.
     """
+
+    tint: Tint
+    shown: dict[str, int]
+    draped: bool
+    depths: Array
+    column: Array
+
+
+def sampled(depth: NDArray[np.floating], height: int, width: int, top: int = 0, left: int = 0) -> Array:
+    """Of a part of a picture's depth, beginning at (top, left), what ``Drawn.depths`` takes of it."""
+    step = stride(height, width)
+    some = depth[-top % step :: step, -left % step :: step]
+    return np.asarray(some[np.isfinite(some)], np.float64)
+
+
+def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
+    """What ``furnish`` is to draw over a scene's picture: its keyword arguments, but for the ground to spare."""
     view, terrain = scene.view, scene.terrain
-    metres = _scale(scene, depth)
+    metres = _scale(scene, drawn)
     if metres is not None:
         metres /= stretch(scene)
     parts = [f"Light from {round(scene.sun.azimuth, 1):g}°, {round(scene.sun.altitude, 1):g}° high"]
@@ -49,19 +68,19 @@ def decorate(
         parts.append("scale at the picture's middle")
     if crs := _crs_name(terrain.grid.crs):
         parts.append(crs)
-    return furnish(
-        pixels, title=scene.title if scene.title is not None else _title(terrain.name), legend=_legend(shader),
-        north=north_on_screen(scene), metres_per_pixel=metres, note=" · ".join(parts),
-        grid_north=abs(convergence(scene)) > CONVERGENCE, ground=np.isfinite(depth) | veiled, paper=not scene.sky,
-    )  # fmt: skip
+    return {
+        "title": scene.title if scene.title is not None else _title(terrain.name), "legend": _legend(drawn),
+        "north": north_on_screen(scene), "metres_per_pixel": metres, "note": " · ".join(parts),
+        "grid_north": abs(convergence(scene)) > CONVERGENCE, "paper": not scene.sky,
+    }  # fmt: skip
 
 
-def _legend(shader: Shader) -> Legend | None:
+def _legend(drawn: Drawn) -> Legend | None:
     """What the colours mean that were drawn: of heights unless an image covers (nearly) all, of water, of no data."""
-    shown, tint = shader.shown, shader.tint
+    shown, tint = drawn.shown, drawn.tint
     low, high, colours = tint.scale()
     dry = shown["ground"] - shown["water"]
-    tinted = shader.drape is None or shown["draped"] < DRAPED * dry
+    tinted = not drawn.draped or shown["draped"] < DRAPED * dry
     wet, missing = (shown[what] >= VISIBLE for what in ("water", "missing"))
     if not (tinted or wet or missing):
         return None
@@ -131,18 +150,17 @@ def north_on_screen(scene: Scene) -> float | None:
     return math.degrees(math.atan2(dx, -dy))
 
 
-def _scale(scene: Scene, depth: Array) -> float | None:
+def _scale(scene: Scene, drawn: Drawn) -> float | None:
     """Metres across a pixel: anywhere in a plan, at the ground nearest the picture's middle in perspective; None where
     depths differ so much (see ``ONE_SCALE``) that one scale would mislead."""
     view = scene.view
     if view.projection == "plan":
         return view.pixel_metres
-    near, far = np.percentile(depth[np.isfinite(depth)], [1, 99])
+    seen = np.flatnonzero(np.isfinite(drawn.column))
+    if len(seen) == 0 or len(drawn.depths) == 0:
+        return None
+    near, far = np.percentile(drawn.depths, [1, 99])
     if far > ONE_SCALE * near:
         return None
-    column = depth[:, view.width // 2]
-    seen = np.flatnonzero(np.isfinite(column))
-    if len(seen) == 0:
-        return None
     middle = seen[np.argmin(np.abs(seen - view.height // 2))]
-    return float(column[middle]) * view.pixel_slope
+    return float(drawn.column[middle]) * view.pixel_slope

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from orograph.light.horizon import sky_view
 from orograph.picture.ground import Ground
+from orograph.picture.kept import Kept
 from orograph.picture.kernels import SHORE
 from orograph.picture.scene import Scene
-from orograph.progress import SILENT, Progress
+from orograph.picture.survey import Survey
+from orograph.store.terrain import Terrain
 
 Array = NDArray[np.float64]
 
@@ -37,56 +39,28 @@ class MapGrid:
         sky_view, water: (rows, cols) float32, samples of 2^level = ``scale``, first (row0, col0); water may be empty.
             Water is where the water field, interpolated, is above 0.5.
         strength: by how much slopes are strengthened for shading unless the scene says.
-        visible_range: metres from the nearest to the farthest ground in view.
         water_fraction: of the working grid.
     """
 
-    def __init__(self, scene: Scene, ground: Ground, depth: Array, progress: Progress = SILENT) -> None:
+    def __init__(self, scene: Scene, ground: Ground, survey: Survey, kept: Kept) -> None:
         terrain = scene.terrain
-        step = max(1, int(math.sqrt(depth.size / 40_000)))
-        rows, cols = np.nonzero(np.isfinite(depth[::step, ::step]))
-        rows, cols = rows * step, cols * step
-        if len(rows) == 0:
-            rows, cols = np.nonzero(np.isfinite(depth))
-        px, py, depths = (np.asarray(a, np.float64) for a in (cols + 0.5, rows + 0.5, depth[rows, cols]))
-        seen = ground.rays.meet(px, py, depths, np.zeros(len(depths), np.int8), depths)
-        self.visible_range = (float(seen.t.min()), float(seen.t.max()))
-        west, north = np.maximum(seen.points[:, :2].min(0) - 8, 0)
-        east, south = seen.points[:, :2].max(0) + 8
-        limit = terrain.levels - 1
-        level = 0
-        # A band around what is seen casts its shadow on the sky too: a fifth of its size, cut at the terrain's border.
-        band = 0.2 * max(east - west, south - north)
-        west, north = max(west - band, 0), max(north - band, 0)
-        east, south = min(east + band, terrain.grid.cols - 1), min(south + band, terrain.grid.rows - 1)
-        while level < limit and (east - west) * (south - north) / 4.0**level > WORKING:
-            level += 1
-        self.scale = 2.0**level
-        total_rows, total_cols = terrain.mean_shape(level)
-        r0, c0 = int(north / self.scale), int(west / self.scale)
-        r1 = min(int(south / self.scale) + 2, total_rows)
-        c1 = min(int(east / self.scale) + 2, total_cols)
-        heights = terrain.read_mean(level, r0, r1, c0, c1)
-        self.row0, self.col0 = r0, c0
+        window = working_window(terrain, survey.hits.points)
+        self.scale, self.row0, self.col0 = 2.0 ** window[0], window[1], window[3]
+        level, r0, r1, c0, c1 = window
         t = terrain.grid.transform
         linear = np.array([[t.a, t.b], [t.d, t.e]]) * self.scale
-        self.sky_view = sky_view(heights * np.float32(scene.exaggeration), linear, AZIMUTHS, jobs=scene.jobs)
-        self.water = np.empty((0, 0), np.float32)
-        self.water_fraction = 0.0
-        if scene.water is not None:
-            from orograph.geovis.water import shore, water_in
 
-            if scene.water == "auto":
-                found = water_in(terrain, ground.rays.spacing, level, r0, c0, heights)
-                field = shore(found) if found.any() else self.water
-            else:
-                found = heights <= np.float32(scene.water)
-                # Linear in height, so that its contour is that of the ground; what has just this height is water.
-                field = np.where(np.isfinite(heights), np.float32(scene.water + 0.5 + SHORE) - heights, 0)
-            if found.any():
-                self.water = field.astype(np.float32)
-                self.water_fraction = float(found.mean())
-        self.strength = self._strength(heights, linear, scene.exaggeration)
+        def sky() -> tuple[NDArray[np.float32], float]:
+            heights = terrain.read_mean(level, r0, r1, c0, c1)
+            seen = sky_view(heights * np.float32(scene.exaggeration), linear, AZIMUTHS, jobs=scene.jobs)
+            return seen, self._strength(heights, linear, scene.exaggeration)
+
+        self.sky_view, self.strength = kept("sky", (window, scene.exaggeration), sky, terrain)
+        self.water, self.water_fraction = np.empty((0, 0), np.float32), 0.0
+        if scene.water is not None:
+            self.water, self.water_fraction = kept(
+                "water", (window, scene.water), lambda: _water(scene, ground, window), terrain
+            )
 
     @staticmethod
     def _strength(heights: NDArray[np.float32], linear: Array, exaggeration: float) -> float:
@@ -105,3 +79,48 @@ class MapGrid:
             return 1.0
         typical = float(np.percentile(slope, 80)) * exaggeration
         return float(np.clip(TYPICAL_SLOPE / max(typical, 1e-9), 1.0, MOST_STRENGTH))
+
+
+def working_window(terrain: Terrain, points: Array) -> tuple[int, int, int, int, int]:
+    """The working grid for ground in view: its level, first row, row after the last, first column, column after it.
+
+    It covers points (n, 2 or 3) in sample coordinates and a fifth of their extent around them, since what stands there
+    hides the sky too. Its borders lie at multiples of an eighth of its size: from frame to frame of a movie it mostly
+    stays what it is.
+    """
+    west, north = np.maximum(points[:, :2].min(0) - 8, 0)
+    east, south = points[:, :2].max(0) + 8
+    level = 0
+    band = 0.2 * max(east - west, south - north)
+    west, north = max(west - band, 0), max(north - band, 0)
+    east, south = min(east + band, terrain.grid.cols - 1), min(south + band, terrain.grid.rows - 1)
+    while level < terrain.levels - 1 and (east - west) * (south - north) / 4.0**level > WORKING:
+        level += 1
+    scale = 2.0**level
+    total_rows, total_cols = terrain.mean_shape(level)
+    size = max(east - west, south - north) / scale
+    grain = max(16, 1 << max(0, math.ceil(math.log2(max(size, 1.0) / 8))))
+    r0, c0 = int(north / scale) // grain * grain, int(west / scale) // grain * grain
+    r1 = min(-(-(int(south / scale) + 2) // grain) * grain, total_rows)
+    c1 = min(-(-(int(east / scale) + 2) // grain) * grain, total_cols)
+    return level, r0, r1, c0, c1
+
+
+def _water(scene: Scene, ground: Ground, window: tuple[int, int, int, int, int]) -> tuple[NDArray[np.float32], float]:
+    """The field of water over the working grid, (0, 0) if there is none, and the part of the grid that is water."""
+    from orograph.geovis.water import shore, water_in
+
+    level, r0, r1, c0, c1 = window
+    heights = scene.terrain.read_mean(level, r0, r1, c0, c1)
+    field: NDArray[np.floating] = np.empty((0, 0), np.float32)
+    if scene.water == "auto":
+        found = water_in(scene.terrain, ground.rays.spacing, level, r0, c0, heights)
+        if found.any():
+            field = shore(found)
+    else:
+        assert scene.water is not None
+        found = heights <= np.float32(scene.water)
+        # Linear in height, so that its contour is that of the ground; what has just this height is water.
+        if found.any():
+            field = np.where(np.isfinite(heights), np.float32(scene.water + 0.5 + SHORE) - heights, 0)
+    return field.astype(np.float32), float(found.mean()) if found.any() else 0.0

@@ -28,6 +28,7 @@ class Picture:
         view: the camera.
         facts: what was measured while drawing (windows, rays, seconds by stage), and "warnings": sentences.
         grid: where the pixels of a plan lie, in the terrain's CRS; None in perspective.
+        veiled: (height, width), where missing data is shown (which has no depth); None: nowhere.
     """
 
     pixels: NDArray[np.uint8]
@@ -35,6 +36,7 @@ class Picture:
     view: View
     facts: dict[str, Any] = field(default_factory=dict)
     grid: Grid | None = None
+    veiled: NDArray[np.bool_] | None = None
 
     def __repr__(self) -> str:
         hit = float(np.isfinite(self.depth).mean()) if self.depth.size else 0.0

@@ -44,6 +44,8 @@ class Scene:
             draws the terrain itself. ``wireframe``: draw its edges, over the terrain's own relief. ``mesh_view``: the
             camera the mesh is made for, if not ``view``: to look at it from elsewhere.
         furniture: title, colour bar, north arrow, scale bar; ``title``: None takes the terrain's name.
+        depths: metres of depth of the nearest and the farthest ground, between which haze grows; None: of the ground in
+            view. A movie gives them, so that haze does not flicker as a summit comes into view.
         max_memory: bytes that heights and pictures may take; None: no limit.
         jobs: threads; None: all processors.
 
@@ -69,6 +71,7 @@ class Scene:
     mesh_view: View | None = None
     furniture: bool = False
     title: str | None = None
+    depths: tuple[float, float] | None = None
     max_memory: int | None = None
     jobs: int | None = None
 
@@ -82,6 +85,8 @@ class Scene:
             raise UsageError(f"A pixel needs at least one sample, not {self.samples}.")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {self.tolerance:g}.")
+        if self.depths is not None and not 0 <= self.depths[0] <= self.depths[1] < math.inf:
+            raise UsageError(f"depths are those of the nearest and the farthest ground in metres, not {self.depths}.")
         if self.mesh_view is not None and self.engine is None:
             raise UsageError("A mesh is made for a view by an engine.", remedy="Choose an engine, such as soar.")
         if self.wireframe and self.engine is None:

@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 
 from orograph.geovis.colour import srgb_to_linear, tint_of
 from orograph.light.shade import disc_fraction, sky_colour, sun_colour
+from orograph.light.sun import Sun
 from orograph.picture.ground import Ground, Hits
+from orograph.picture.kept import Kept
 from orograph.picture.kernels import compose
 from orograph.picture.mapgrid import MapGrid
 from orograph.picture.scene import Scene
-from orograph.progress import SILENT, Progress
+from orograph.picture.survey import Survey
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
@@ -47,6 +49,21 @@ BOUNCE = 0.10
 NOTHING = np.empty((0, 4), np.float32)
 
 
+def illumination(sun: Sun) -> tuple[Array, Colours, Colours]:
+    """The unit vector (3,) towards the sun (east, north, up), the colours (3,) of its light and of the sky's.
+
+    Exposure is set for level ground under a sun at 45°, which shows its own colour there, and opens for lower ones, by
+    half only: evening is darker.
+    """
+    a, h = math.radians(sun.azimuth), math.radians(sun.altitude)
+    to_sun = np.array([math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)])
+    direct, sky = sun_colour(sun.altitude), sky_colour(sun.altitude)
+    high = math.sin(math.radians(45))
+    white = (1 - AMBIENT) * sun_colour(45.0) + AMBIENT * sky_colour(45.0)
+    opened = (1 - AMBIENT) / high * (high / max(to_sun[2], 0.03)) ** 0.55
+    return to_sun, (opened * direct / white).astype(np.float32), (AMBIENT * sky / white).astype(np.float32)
+
+
 def hatching(px: Array, py: Array) -> Colours:
     """Linear colours (n, 3) over missing data at pixel positions: lines at 45°, the cartographer's sign for what is not
     known."""
@@ -57,63 +74,60 @@ class Shader:
     """Colours samples of one scene.
 
     Attributes:
-        shown: samples coloured so far: "ground", of it "water" and "draped" (mostly covered by the image, and not
+        shown: pixel centres coloured so far: "ground", of it "water" and "draped" (mostly covered by the image, and not
             water), and "missing".
     """
 
-    def __init__(self, scene: Scene, ground: Ground, depth: Array, progress: Progress = SILENT) -> None:
+    def __init__(self, scene: Scene, ground: Ground, survey: Survey, kept: Kept) -> None:
         self.scene, self.ground = scene, ground
         self.facts: dict[str, Any] = {}
         self.shown = {"ground": 0, "water": 0, "draped": 0, "missing": 0}
         self._lock = threading.Lock()
-        a, h = math.radians(scene.sun.azimuth), math.radians(scene.sun.altitude)
-        self.to_sun = np.array([math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)])
-        sun, sky = sun_colour(scene.sun.altitude), sky_colour(scene.sun.altitude)
-        # Exposure is set for level ground under a sun at 45° and opens for lower ones, by half only: evening is darker.
-        high = math.sin(math.radians(45))
-        white = (1 - AMBIENT) * sun_colour(45.0) + AMBIENT * sky_colour(
-            45.0
-        )  # on level ground, which shows its own colour
-        self.sunlight = ((1 - AMBIENT) / high * (high / max(self.to_sun[2], 0.03)) ** 0.55 * sun / white).astype(
-            np.float32
-        )
-        self.skylight = (AMBIENT * sky / white).astype(np.float32)
-        self.maps = MapGrid(scene, ground, depth, progress)
-        self.tint = tint_of(scene.terrain, scene.colormap, sea=None if scene.water is not None else False)
+        self.to_sun, self.sunlight, self.skylight = illumination(scene.sun)
+        self.maps = MapGrid(scene, ground, survey, kept)
+        terrain, sea = scene.terrain, None if scene.water is not None else False
+        self.tint = kept("tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain)
         self.air = None
         if scene.sky:
             from orograph.picture.sky import Atmosphere
 
-            self.air = Atmosphere(scene, self.maps.visible_range)
+            self.air = Atmosphere(scene, scene.depths or survey.range, kept)
         self.drape = None
         if scene.drape is not None:
             from orograph.geovis.drape import Drape
 
-            self.drape = Drape.open(scene.drape, scene.terrain.grid, scene.max_memory)
+            path = scene.drape
+            self.drape = kept(
+                "drape", (path, scene.max_memory), lambda: Drape.open(path, terrain.grid, scene.max_memory), terrain
+            )
         self.strength = scene.relief if scene.relief is not None else self.maps.strength
         self.lower_limb = math.tan(math.radians(max(scene.sun.altitude - scene.sun.diameter / 2, -89.0))) * (1 + 1e-9)
         self.facts["relief"] = self.strength
         self.facts["tint_from_to_m"] = [self.tint.low, self.tint.high]
         self.facts["water_fraction"] = self.maps.water_fraction
 
-    def colour(self, hits: Hits, px: Array, py: Array) -> Colours:
-        """Linear colours (n, 3) of the samples in ``hits`` at pixel positions px, py (n,)."""
+    def colour(self, hits: Hits, px: Array, py: Array, counted: NDArray[np.bool_] | None = None) -> Colours:
+        """Linear colours (n, 3) of the samples in ``hits`` at pixel positions px, py (n,).
+
+        ``counted`` (n,): which of them go into ``shown``; None: none.
+        """
         out = np.empty((len(hits.t), 3), np.float32)
         missed = np.flatnonzero(np.isnan(hits.t))
         if len(missed):
             out[missed] = self.background(hits.rays[missed])
         if len(missed) < len(hits.t):
-            self._lit(hits, out)
+            self._lit(hits, out, counted)
         veiled = np.flatnonzero(~np.isnan(hits.veil))
         if len(veiled):
-            self._count(missing=len(veiled))
+            if counted is not None:
+                self._count(missing=int(np.count_nonzero(counted[veiled])))
             out[veiled] = hatching(px[veiled], py[veiled])
             if self.air is not None:
                 out[veiled] = self.air.haze(out[veiled], hits.rays[veiled], hits.veil[veiled])
         return out
 
-    def _lit(self, hits: Hits, out: Colours) -> None:
-        """Colour the samples that met ground."""
+    def _lit(self, hits: Hits, out: Colours, counted: NDArray[np.bool_] | None) -> None:
+        """Colour the samples that met ground; count those that are ``counted``."""
         cosine, tilt = self.ground.incidence(hits, self.to_sun, self.strength)
         sunlit = np.ones(len(cosine))
         if self.scene.shadows:
@@ -131,10 +145,11 @@ class Shader:
             self.skylight, BOUNCE, out,
         )  # fmt: skip
         met = np.flatnonzero(~np.isnan(hits.t))
-        bare = met[np.isnan(hits.veil[met])]
-        wet = self._wet(hits.points[bare])
-        covered = 0 if self.drape is None else int(((drape[bare, 3] > 0.5) & ~wet).sum())
-        self._count(ground=len(bare), water=int(wet.sum()), draped=covered)
+        if counted is not None:
+            bare = np.flatnonzero(counted & ~np.isnan(hits.t) & np.isnan(hits.veil))
+            wet = self._wet(hits.points[bare])
+            covered = 0 if self.drape is None else int(((drape[bare, 3] > 0.5) & ~wet).sum())
+            self._count(ground=len(bare), water=int(wet.sum()), draped=covered)
         if self.air is not None:
             out[met] = self.air.haze(out[met], hits.rays[met], hits.t[met])
 

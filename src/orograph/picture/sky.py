@@ -18,6 +18,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.picture.kept import Kept
 from orograph.picture.scattering import AZIMUTHS, ELEVATIONS, OBSERVER, grid_lookup, mie_phase, optical_depth, sky_table
 from orograph.picture.scene import Scene
 
@@ -52,35 +53,44 @@ DISC = 12.0
 
 
 class Atmosphere:
-    """Sky and haze of one scene. All methods may be called from several threads."""
+    """Sky and haze of one scene. All methods may be called from several threads.
 
-    def __init__(self, scene: Scene, visible_range: tuple[float, float]) -> None:
+    Attributes:
+        table: (rows, cols, 6) exposed radiance of air and haze, by elevation and azimuth from the sun (``sky_table``).
+        ring: (257, 3) colours of the horizon by sin(φ / 2), φ the azimuth from the sun's. mist: (3,) beneath it.
+        disc: (3,) radiance of the sun's disc. side: (2,) horizontal direction towards the sun.
+        near: depth where the air begins, metres.
+    """
+
+    def __init__(self, scene: Scene, visible_range: tuple[float, float], kept: Kept | None = None) -> None:
         """
         Args:
             scene: only its sun is used.
             visible_range: view-space depths of the nearest and the farthest ground in view, metres.
+            kept: what earlier pictures left.
         """
+        kept = Kept() if kept is None else kept
         azimuth, altitude = math.radians(scene.sun.azimuth), math.radians(scene.sun.altitude)
         self._radius = math.radians(scene.sun.diameter) / 2
-        self._side = np.array([math.sin(azimuth), math.cos(azimuth)], np.float32)
+        self.side = np.array([math.sin(azimuth), math.cos(azimuth)], np.float32)
         self._sun = np.array(
-            [*(self._side * math.cos(altitude)), math.sin(altitude)], np.float32
+            [*(self.side * math.cos(altitude)), math.sin(altitude)], np.float32
         )  # fmt: skip
-        air, haze = (_greyed(part) for part in sky_table(altitude))
+        air, haze = kept("air", altitude, lambda: tuple(_greyed(part) for part in sky_table(altitude)))
         exposure = adapted(scene.sun.altitude) / _mean(air, haze, altitude)
-        self._table = np.concatenate([air, haze], 2).astype(np.float32) * np.float32(exposure)
+        self.table = np.concatenate([air, haze], 2).astype(np.float32) * np.float32(exposure)
         through = np.exp(-optical_depth(OBSERVER, max(math.sin(altitude), 0.0)))
-        self._disc = (DISC * _greyed(through)).astype(np.float32)
+        self.disc = (DISC * _greyed(through)).astype(np.float32)
         around = np.linspace(0.0, 1.0, 257)
         cosine = 1.0 - 2.0 * around**2
         ring = np.stack([cosine, np.sqrt(1.0 - cosine**2), np.zeros(257)], 1)
         # The frame of the ring is turned to the sun: x towards its azimuth.
-        turn = np.array([[self._side[0], self._side[1], 0], [-self._side[1], self._side[0], 0], [0, 0, 1]])
-        low = self._table[ELEVATIONS // 6 : ELEVATIONS // 2, AZIMUTHS * 2 // 3 :, :3].mean((0, 1))
-        self._mist = _tone((low + low.mean()) * np.float32(MIST / 2))
-        self._ring = _tone(self._above((ring @ turn).astype(np.float32)))
+        turn = np.array([[self.side[0], self.side[1], 0], [-self.side[1], self.side[0], 0], [0, 0, 1]])
+        low = self.table[ELEVATIONS // 6 : ELEVATIONS // 2, AZIMUTHS * 2 // 3 :, :3].mean((0, 1))
+        self.mist = _tone((low + low.mean()) * np.float32(MIST / 2))
+        self.ring = _tone(self._above((ring @ turn).astype(np.float32)))
         near, far = max(float(visible_range[0]), 0.0), float(visible_range[1])
-        self._near = near
+        self.near = near
         loss = LOSS * math.sqrt(max(0.0, 1.0 - near / far)) if far > near else 0.0
         per_metre = -math.log1p(-loss) / (far - near) if loss > 0 else 0.0
         self.extinction = (per_metre * (WAVELENGTHS / WAVELENGTHS[1]) ** -ANGSTROM).astype(np.float32)
@@ -96,7 +106,7 @@ class Atmosphere:
         down = np.minimum(d[:, 2], 0.0)
         if down.any():
             # The table's lowest row went on beneath the horizon; it fades into the mist.
-            out += (self._mist - out) * -np.expm1(down * np.float32(FADE))[:, None]
+            out += (self.mist - out) * -np.expm1(down * np.float32(FADE))[:, None]
         return out
 
     def horizon(self, directions: NDArray[np.floating]) -> Colours:
@@ -104,15 +114,15 @@ class Atmosphere:
         d = np.asarray(directions, np.float32)
         t = self._around(d) * np.float32(256)
         k = np.minimum(t.astype(np.int32), 255)
-        low = self._ring.take(k, 0)
-        out: Colours = low + (self._ring.take(k + 1, 0) - low) * (t - k)[:, None]
+        low = self.ring.take(k, 0)
+        out: Colours = low + (self.ring.take(k + 1, 0) - low) * (t - k)[:, None]
         return out
 
     def haze(self, colour: Colours, directions: Array, depth: NDArray[np.floating]) -> Colours:
         """What is left of linear colours (n, 3) of ground at ``depth`` (n,) metres, and the air's light before it."""
         if len(colour) == 0 or not self.extinction.any():
             return np.asarray(colour, np.float32)
-        path = np.maximum(depth - self._near, 0.0).astype(np.float32)
+        path = np.maximum(depth - self.near, 0.0).astype(np.float32)
         left = np.exp(path[:, None] * -self.extinction)
         air = self.horizon(directions)
         out: Colours = air + (colour - air) * left
@@ -121,7 +131,7 @@ class Atmosphere:
     def _around(self, d: NDArray[np.float32]) -> NDArray[np.float32]:
         """sin(φ / 2) of the azimuth φ between directions and the sun."""
         level = np.sqrt(d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1])
-        cosine = (d[:, 0] * self._side[0] + d[:, 1] * self._side[1]) / np.maximum(level, np.float32(1e-12))
+        cosine = (d[:, 0] * self.side[0] + d[:, 1] * self.side[1]) / np.maximum(level, np.float32(1e-12))
         half: NDArray[np.float32] = np.sqrt(np.clip(np.float32(0.5) - np.float32(0.5) * cosine, 0.0, 1.0))
         return half
 
@@ -129,9 +139,10 @@ class Atmosphere:
         """Radiance of the sky in directions at or above the horizon, before the tone curve."""
         z = np.clip(d[:, 2], 0.0, 1.0)
         both = grid_lookup(
-            self._table, np.sqrt(z) * np.float32(ELEVATIONS - 1), self._around(d) * np.float32(AZIMUTHS - 1)
+            self.table, np.sqrt(z) * np.float32(ELEVATIONS - 1), self._around(d) * np.float32(AZIMUTHS - 1)
         )
-        cosine = d @ self._sun
+        # Not by a product of matrices: its last digit depends on where in the array a direction stands.
+        cosine = d[:, 0] * self._sun[0] + d[:, 1] * self._sun[1] + d[:, 2] * self._sun[2]
         out: Colours = both[:, 3:] * mie_phase(cosine)[:, None]
         out += both[:, :3]
         if disc and self._radius > 0 and self._sun[2] > -self._radius:
@@ -140,7 +151,7 @@ class Atmosphere:
                 # float32 cosines cannot tell such small angles: the length of the difference can.
                 angle = 2 * np.arcsin(np.linalg.norm(d[close] - self._sun, axis=1) / 2)
                 out[close] += (
-                    np.clip((self._radius - angle) / (0.1 * self._radius) + 0.5, 0.0, 1.0)[:, None] * self._disc
+                    np.clip((self._radius - angle) / (0.1 * self._radius) + 0.5, 0.0, 1.0)[:, None] * self.disc
                 )
         return out
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import kernel
 from orograph.errors import UsageError
+from orograph.picture.kept import Kept
 from orograph.picture.memory import amount, available
 from orograph.picture.scene import Scene
 from orograph.progress import SILENT, Progress
@@ -35,7 +36,7 @@ ENGINE_MEMORY = 1 << 30
 """Bytes of tiles that an engine may hold where no limit is given."""
 
 
-def refined(scene: Scene, progress: Progress = SILENT) -> Tessellation:
+def refined(scene: Scene, progress: Progress = SILENT, kept: Kept | None = None) -> Tessellation:
     """What the scene's engine makes of its terrain for its view, or for its ``mesh_view``.
 
     Raises:
@@ -44,13 +45,18 @@ def refined(scene: Scene, progress: Progress = SILENT) -> Tessellation:
     from orograph.lod import engine_of
 
     assert scene.engine is not None
-    view = scene.view if scene.mesh_view is None else scene.mesh_view
+    kept = Kept() if kept is None else kept
+    view = scene.view.whole if scene.mesh_view is None else scene.mesh_view
     if view.projection == "plan":
         progress.warn("in a plan no height moves a pixel: the coarsest mesh is as good as any.")
     make = engine_of(scene.engine)
     memory = ENGINE_MEMORY if scene.max_memory is None else scene.max_memory // 2
     with progress.task(f"Refining ({scene.engine})"):
-        engine = make(scene.terrain, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs)
+        engine = kept(
+            "engine", (scene.engine, scene.exaggeration, memory, scene.jobs),
+            lambda: make(scene.terrain, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs),
+            scene.terrain,
+        )  # fmt: skip
         return engine.refine(view, tolerance=TOLERANCE if scene.tolerance is None else scene.tolerance)
 
 
