@@ -138,15 +138,23 @@ class Plain:
         d = camera.to_camera(self.at) @ planes[:, :3].T + planes[:, 3]
         return (d < -np.abs(self.r)[..., None] * max(1.0, camera.exaggeration)).any(-1)
 
-    def sphere_errors(self, camera: Camera):
-        """(N + 1, N + 1): the anisotropic bound over each sphere, pixels."""
+    def sphere_errors(self, camera: Camera, loose=False):
+        """(N + 1, N + 1): the anisotropic bound over each sphere, pixels; ``loose``: in ROAM's form."""
         p = camera.to_camera(self.at)
         radius = np.abs(self.r) * max(1.0, camera.exaggeration)
-        near = np.maximum(p[..., 2] - radius, camera.view.near)
+        depth = p[..., 2] - radius
+        near = np.maximum(depth, camera.view.near)
         with np.errstate(invalid="ignore", divide="ignore"):
             moved = near - self.e * abs(camera.up[2])
-            size = camera.stretch_of(p) + radius * np.linalg.norm(camera.up)
-            bound = camera.focal * self.e * size / (near * moved)
+            if loose:
+                lean = (camera.stretch_of(p) + radius * np.linalg.norm(camera.up)) / near
+            else:
+                size = radius * np.linalg.norm(p, axis=-1) / (p[..., 2] * depth)  # of the sphere, on a screen at 1
+                lean = camera.stretch_of(p) / p[..., 2] + abs(camera.up[2]) * size
+                half = np.array([camera.view.width, camera.view.height]) / 2 / camera.focal
+                corners = [camera.up[:2] - camera.up[2] * half * (i, j) for i in (-1, 1) for j in (-1, 1)]
+                lean = np.fmin(np.where(depth > 0, lean, np.inf), np.linalg.norm(corners, axis=-1).max())
+            bound = camera.focal * self.e * lean / moved
         return np.where(self.e <= 0, 0.0, np.where(moved > 0, bound, np.inf))
 
     def judge(self, front: fronts.Front, camera: Camera, cull=True, metric="wedgie"):

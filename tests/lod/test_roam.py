@@ -30,7 +30,7 @@ class Recursion:
         side = p.z.shape[0]
         self.wanted = np.zeros((side, side), bool)
         self.out: set[tuple] = set()
-        self.spheres = p.sphere_errors(camera)
+        self.spheres = p.sphere_errors(camera, loose=True)
         low, high = p.t.height_range
         n = side - 1
         self.visit((0, 0), (n, n), (0, n), low, high)

@@ -8,9 +8,11 @@ A point at camera coordinates (x right, y up, w depth), moved by δ along the ve
 (Duchaineau et al. 1997, sec. 6.2, whose wedgies move from −e to +e: the delayed division by w). Every metric bounds
 this from above, or, the published ones, estimates it, for all points of a bounding volume and all |δ| ≤ e:
 
-* ``anisotropic``: over a sphere of radius r around a diamond's vertex. The vector in the numerator is a linear map of
-  the point with norm at most |(a, b, c)|, so it grows by at most r·|(a, b, c)|; depth falls by at most r. Nested
-  spheres and monotonic errors make it monotonic.
+* ``anisotropic``: over a sphere of radius r around a diamond's vertex. The vector in the numerator over depth, the
+  *lean* G, is how long one metre of height is on the screen at unit depth. It is c times the distance on the screen
+  from the point where all verticals vanish, so it grows by at most |c| · the size of the sphere on the screen, and in
+  view it is at most what it is in one of the picture's corners; depth falls by at most r. Nested spheres and monotonic
+  errors make it monotonic.
 * ``isotropic``: the same for a displacement of length e in any direction (Lindstrom & Pascucci 2001), held away from
   the axis too: distance over depth.
 * ``wedgie``: over the prism of a triangle ± e. The numerator is convex and does not change along the vertical, depth is
@@ -39,11 +41,11 @@ from orograph.view import View
 ANISOTROPIC, ISOTROPIC, WEDGIE, ISOTROPIC_PUBLISHED, ANISOTROPIC_PUBLISHED, LOCALISED = 0, 1, 2, 3, 4, 5
 
 # What a lens holds: the camera as one float64 vector, for kernels.
-MATRIX, FOCAL, TOLERANCE, NEAR, STRETCH, UP, PLANES, COLOR, TEXEL, SWAY, LENGTH = (
-    0, 12, 13, 14, 15, 16, 20, 44, 45, 46, 52,
+MATRIX, FOCAL, TOLERANCE, NEAR, STRETCH, UP, PLANES, COLOR, TEXEL, SWAY, LEAN, LENGTH = (
+    0, 12, 13, 14, 15, 16, 20, 44, 45, 46, 52, 53,
 )  # fmt: skip
 """Offsets: 3 × 4 matrix; focal length; tolerance; near; factor on radii; |(a, b, c)|; 6 planes × 4; γ; pixels of γ;
-2 × 3: (a·w − c·x, b·w − c·y) by column and row (it does not depend on the height)."""
+2 × 3: (a·w − c·x, b·w − c·y) by column and row (it does not depend on the height); the largest lean in the picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +139,10 @@ def lens(
     if not plan:
         # pixels of γ are measured with the same focal length
         result[TEXEL] = texel / result[FOCAL]
+        half_x, half_y = view.pixel_slope * view.width / 2, view.pixel_slope * view.height / 2
+        a, b, c = (float(v) for v in matrix[:, 2])
+        # (The margin holds a sample on the picture's very edge.)
+        result[LEAN] = math.hypot(abs(a) + abs(c) * half_x, abs(b) + abs(c) * half_y) * (1 + 1e-12)
     return result
 
 
@@ -157,14 +163,17 @@ def sphere_exceeds(lens, metric, x, y, w, e, r):
         return False
     tolerance = lens[13]
     if metric == 0:
-        nearest = max(w - r, lens[14])
-        moved = nearest - e * abs(lens[10])
+        depth = w - r
+        moved = max(depth, lens[14]) - e * abs(lens[10])
         if not moved > 0.0:
             return True
-        rest = tolerance * nearest * moved - focal * e * r * lens[16]
+        if focal * e * lens[52] <= tolerance * moved:
+            return False
         p = lens[2] * w - lens[10] * x
         q = lens[6] * w - lens[10] * y
-        return rest < 0.0 or focal * focal * e * e * (p * p + q * q) > rest * rest
+        rest = tolerance * w * depth * moved - focal * e * r * abs(lens[10]) * np.sqrt(x * x + y * y + w * w)
+        reach = focal * e * depth
+        return depth <= 0.0 or rest < 0.0 or reach * reach * (p * p + q * q) > rest * rest
     e *= lens[16]
     d = np.sqrt(x * x + y * y + w * w)
     if metric == 1:
@@ -177,16 +186,31 @@ def sphere_exceeds(lens, metric, x, y, w, e, r):
 
 @inlined
 def anisotropic_exceeds(lens, col, row, z, e, r):
-    """``sphere_exceeds`` of the anisotropic metric for a vertex, straight from the ground and without a branch."""
+    """(``sphere_exceeds`` of the anisotropic metric for a vertex, its depth), straight from the ground.
+
+    The roots of the bound lie between two numbers without: the vertex's own displacement, and ``loose_bound``. Few
+    diamonds need more, so the one branch goes as foreseen.
+    """
     w = lens[8] * col + lens[9] * row + lens[10] * z + lens[11]
     p = lens[46] * col + lens[47] * row + lens[48]
     q = lens[49] * col + lens[50] * row + lens[51]
-    nearest = max(w - r, lens[14])
+    square = p * p + q * q
+    depth = w - r
+    nearest = max(depth, lens[14])
     moved = nearest - e * abs(lens[10])
     pixels = lens[12] * e
-    rest = lens[13] * nearest * moved - pixels * r * lens[16]
-    far = pixels * pixels * (p * p + q * q) > rest * rest
-    return (e > 0.0) & (lens[12] > 0.0) & (far | (rest < 0.0) | ~(moved > 0.0)) | (e == np.inf), w
+    size = pixels * pixels * square
+    most = lens[13] * moved
+    rest = most * nearest - pixels * r * lens[16]
+    own = most * w
+    exceeds = (e > 0.0) & (lens[12] > 0.0) & ((size > rest * rest) | (rest < 0.0) | ~(moved > 0.0)) | (e == np.inf)
+    if exceeds & ~((size > own * own) & (pixels * lens[52] > most)) & (moved > 0.0) & (e < np.inf):
+        # c² times the square of the distance from the eye, by what is known: p = a·w − c·x, q = b·w − c·y.
+        away = np.sqrt(abs(square + w * (w * lens[16] * lens[16] - 2.0 * (lens[2] * p + lens[6] * q))))
+        rest = own * depth - pixels * r * away
+        exceeds = (depth <= 0.0) | (rest < 0.0) | (size * depth * depth > rest * rest)
+        exceeds &= pixels * lens[52] > most
+    return exceeds, w
 
 
 @inlined
@@ -196,13 +220,17 @@ def sphere_bound(lens, metric, x, y, w, e, r):
     if e <= 0.0 or (focal == 0.0 and e < np.inf):
         return 0.0
     if metric == 0:
-        nearest = max(w - r, lens[14])
-        moved = nearest - e * abs(lens[10])
+        depth = w - r
+        moved = max(depth, lens[14]) - e * abs(lens[10])
         if not moved > 0.0:
             return np.inf
-        p = lens[2] * w - lens[10] * x
-        q = lens[6] * w - lens[10] * y
-        return focal * e * (np.sqrt(p * p + q * q) + r * lens[16]) / (nearest * moved)
+        lean = lens[52]
+        if depth > 0.0:
+            p = lens[2] * w - lens[10] * x
+            q = lens[6] * w - lens[10] * y
+            away = np.sqrt(x * x + y * y + w * w)
+            lean = min(lean, (np.sqrt(p * p + q * q) + r * abs(lens[10]) * away / depth) / w)
+        return focal * e * lean / moved
     e *= lens[16]
     d = np.sqrt(x * x + y * y + w * w)
     if metric == 1:
@@ -211,6 +239,24 @@ def sphere_bound(lens, metric, x, y, w, e, r):
     if metric == 4:
         e *= 1.0 - abs(lens[2] * x + lens[6] * y + lens[10] * w) / max(d * lens[16], 1e-300)
     return focal * e / (d - r) if d > r else np.inf
+
+
+@inlined
+def loose_bound(lens, x, y, w, e, r):
+    """A looser form of the anisotropic ``sphere_bound`` that depends on motion in a simple way (for ROAM's slack).
+
+    The vector in the numerator grows by at most r·|(a, b, c)|: the largest numerator over the least depth.
+    """
+    focal = lens[12]
+    if e <= 0.0 or (focal == 0.0 and e < np.inf):
+        return 0.0
+    nearest = max(w - r, lens[14])
+    moved = nearest - e * abs(lens[10])
+    if not moved > 0.0:
+        return np.inf
+    p = lens[2] * w - lens[10] * x
+    q = lens[6] * w - lens[10] * y
+    return focal * e * (np.sqrt(p * p + q * q) + r * lens[16]) / (nearest * moved)
 
 
 @inlined

@@ -15,7 +15,8 @@ and part hole; else, with the metric ``wedgie``, the paper's bound in pixels,
 with N at the footprint's corners, a the least depth of the volume (of a sample that is seen: at least ``near``), b that
 of the mesh (at least a − e·|c_u|). Everything in it can only grow from a triangle to its parent: priorities are
 monotonic, so the mesh in which no triangle exceeds the tolerance, and no merge is left that would not make one, is
-unique. With a sphere metric the bound is ``sphere_bound``'s; the published metrics promise nothing.
+unique. With a sphere metric the bound is ``sphere_bound``'s (of the anisotropic one
+``loose_bound``); the published metrics promise nothing.
 
 *Slack* (sec. 5.3). A camera motion changes each depth, each distance to a plane of the frustum, and N / |u|, by at most
 x = s + D·θ (see ``queues``), u the vertical unit. With m the depth and E = f·e: a bound that is below a threshold t
@@ -28,7 +29,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import leaf
-from orograph.error.screen import color_exceeds, sphere_bound
+from orograph.error.screen import color_exceeds, loose_bound, sphere_bound
 from orograph.lod.field import find
 from orograph.lod.roam.mesh import (
     COMPUTED,
@@ -343,7 +344,7 @@ def screen(node, edge, lens, options, low, high):
             moved = max(depth, nearest - e * abs(lens[10]))
             bound = focal * e * numerator / (nearest * moved) if moved > 0.0 else np.inf
         else:
-            bound = sphere_bound(lens, metric, x, y, w, e, r)
+            bound = loose_bound(lens, x, y, w, e, r) if metric == 0 else sphere_bound(lens, metric, x, y, w, e, r)
             depth = w - r
             nearest, taken = max(depth, near), e * up
             if metric == 0:
