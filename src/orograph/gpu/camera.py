@@ -1,0 +1,73 @@
+"""The camera as shaders see it: axes and focal lengths, the eye split into whole cells and what is left of one.
+
+All differences between large coordinates are taken here in float64; on the GPU every position is relative to the eye.
+A mesh vertex is whole cells away from the eye's cell, exactly, whichever tile it comes from; so meshes have no cracks,
+and a camera moving by a millimetre moves the picture by just that.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+CAMERA = np.dtype(
+    [
+        ("right", "<f4", 4), ("up", "<f4", 4), ("forward", "<f4", 4), ("linear", "<f4", 4), ("inverse", "<f4", 4),
+        ("eye_frac", "<f4", 2), ("centre", "<f4", 2), ("eye_cell", "<i4", 2), ("last", "<i4", 2),
+        ("eye_height", "<f4", 2), ("near", "<f4"), ("far", "<f4"), ("size", "<f4", 2), ("plan", "<u4"),
+        ("pixel", "<f4"),
+    ]
+)  # fmt: skip
+"""The uniform ``Camera`` of ``shaders/camera.wgsl``."""
+
+
+def nearest(view: View) -> float:
+    """Metres before which nothing is drawn: reversed depth needs no more than that it is not 0."""
+    return max(view.near, 0.02)
+
+
+def camera_of(
+    view: View, terrain: Terrain, exaggeration: float, *, scale: float = 1.0, shift: tuple[float, float] = (0.0, 0.0)
+) -> NDArray[np.void]:
+    """The uniform for a view of a terrain.
+
+    Args:
+        scale: pixels of the target per pixel of the view (supersampling).
+        shift: where in a pixel its sample lies, pixels from its centre (jitter).
+    """
+    grid = terrain.grid
+    out = np.zeros((), CAMERA)
+    right, up, forward = view.axes(exaggeration)
+    left, top, whole_width, whole_height = view.frame
+    plan = view.projection == "plan"
+    pixel = view.pixel_metres if plan else view.pixel_slope
+    out["right"][:3], out["up"][:3], out["forward"][:3] = right, up, forward
+    out["right"][3], out["up"][3] = 2.0 / (view.width * pixel), 2.0 / (view.height * pixel)
+    out["forward"][3] = exaggeration
+    # The optical axis in the target, from its left upper corner; a sample lies ``shift`` from its pixel's centre.
+    x, y = whole_width / 2 - left - shift[0], whole_height / 2 - top - shift[1]
+    out["centre"] = 2 * x / view.width - 1, 1 - 2 * y / view.height
+    a, b, _, d, e, _ = grid.samples[:6]
+    out["linear"] = a, b, d, e
+    inverse = np.linalg.inv(np.array([[a, b], [d, e]]))
+    out["inverse"] = inverse.ravel()
+    eye = view.target[:2] if plan else view.eye[:2]
+    col, row = (float(v) for v in grid.index(*eye))
+    out["eye_cell"] = math.floor(col), math.floor(row)
+    out["eye_frac"] = col - math.floor(col), row - math.floor(row)
+    out["last"] = grid.cols - 1, grid.rows - 1
+    high = np.float32(view.eye[2])
+    out["eye_height"] = high, view.eye[2] - float(high)
+    out["near"], out["far"] = nearest(view), 0.0
+    if plan:
+        low, top_height = terrain.height_range
+        out["near"] = max(view.near, (view.eye[2] - top_height) * exaggeration - 1.0)
+        out["far"] = min(view.far, (view.eye[2] - low) * exaggeration + 1.0)
+    out["size"] = view.width * scale, view.height * scale
+    out["plan"], out["pixel"] = plan, pixel
+    return out

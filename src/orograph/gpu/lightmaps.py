@@ -1,0 +1,151 @@
+"""Maps of light for the GPU: what of the sky and of the sun ground sees, water, over windows of a terrain.
+
+The sky-view factor and the water are those of the CPU's pictures (``picture.mapgrid``). Whether the sun is seen is a
+horizon towards its azimuth, swept over nested windows from the coarsest, which holds the whole terrain, to the finest
+around what is in view (``light.nested``): shadows reach as far as the terrain does, their resolution is that of the
+pixels, and they are as soft as the sun's disc is wide. None of it depends on the camera but the choice of windows, so
+it is made aside, when the sun or what is in view has changed, while pictures go on being drawn with what there is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.light.nested import Nested, sunward
+from orograph.light.sun import Sun
+from orograph.picture.kept import Kept
+from orograph.picture.mapgrid import MapGrid
+from orograph.picture.scene import Scene
+from orograph.raycast.select import Rectangle, rectangles
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+Array = NDArray[np.float64]
+Values = NDArray[np.float32]
+
+WINDOW = 3_000_000
+"""Samples of a window of horizons towards the sun, at most."""
+
+FAR = 64.0
+"""Radii of the sun's disc beyond which it does not matter how far the horizon is from it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LightMaps:
+    """Maps ready for a storage buffer.
+
+    Attributes:
+        pool: float32: the sky-view factor, water (as large, if there is any), then the windows of the sun.
+        light: offset, rows, cols, level of the sky-view factor. first: its first block (row, col).
+        wet: whether there is water.
+        windows: (n, 8) int32: offset, rows, cols, level, first row and column, two unused; outermost first.
+        strength: factor on slopes for shading that suits the ground in view.
+        water_fraction: of the map.
+    """
+
+    pool: Values
+    light: tuple[int, int, int, int]
+    first: tuple[int, int]
+    wet: bool
+    windows: NDArray[np.int32]
+    strength: float
+    water_fraction: float
+
+
+def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) -> LightMaps:
+    """Make the maps for a scene.
+
+    Args:
+        points: (n, ≥ 2) sample coordinates of the ground in view.
+        kept: what earlier maps left.
+        detail: pixels that a sample of the sun's finest window may be as large as.
+    """
+    grid = MapGrid(scene, _ground(scene), _Seen(points), kept)  # type: ignore[arg-type]
+    parts: list[Values] = [np.nan_to_num(grid.sky_view, nan=1.0).ravel()]  # where nothing is known, the sky is open
+    wet = grid.water.size > 0
+    if wet:
+        parts.append(grid.water.ravel())
+    rows, cols = grid.sky_view.shape
+    windows: NDArray[np.int32] = np.zeros((0, 8), np.int32)
+    if scene.shadows:
+        chosen = sun_windows(scene.terrain, scene.view, scene.exaggeration, detail)
+        found = kept(
+            "sun", (tuple(chosen), scene.sun, scene.exaggeration),
+            lambda: sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, kept, scene.jobs), scene.terrain,
+        )  # fmt: skip
+        windows = np.zeros((len(chosen), 8), np.int32)
+        offset = sum(p.size for p in parts)
+        for k, (r, values) in enumerate(zip(chosen, found)):
+            windows[k, :6] = offset, *values.shape, r.level, r.row0, r.col0
+            offset += values.size
+            parts.append(values.ravel())
+    level = round(math.log2(grid.scale))
+    pool = np.concatenate(parts)
+    return LightMaps(
+        pool, (0, rows, cols, level), (grid.row0, grid.col0), wet, windows, grid.strength, grid.water_fraction
+    )
+
+
+def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float) -> list[Rectangle]:
+    """Nested windows of box means, outermost first, whose samples are about ``detail`` pixels large where they show."""
+    found = rectangles(terrain, view, exaggeration, detail, by="spacing")
+    out: list[Rectangle] = []
+    for r in found:
+        rows, cols = terrain.mean_shape(r.level)
+        row1, col1 = min(r.row1, rows), min(r.col1, cols)
+        row0, col0 = min(r.row0, row1 - 1), min(r.col0, col1 - 1)
+        if (row1 - row0) * (col1 - col0) > WINDOW and out:
+            continue  # too large: the coarser one around it has to do, until a finer and smaller one comes
+        out.append(Rectangle(r.level, row0, row1, col0, col1))
+    return out
+
+
+def sun_maps(
+    terrain: Terrain, windows: list[Rectangle], sun: Sun, exaggeration: float, kept: Kept, jobs: int | None
+) -> list[Values]:
+    """How far the horizon stands above the sun's centre, in radii of its disc, for every sample of the windows.
+
+    Beyond ±``FAR`` it is cut. Missing ground is told not to be in the way.
+    """
+
+    def means(r: Rectangle) -> Nested:
+        box = r.row0, r.row1, r.col0, r.col1
+        heights = kept("means", (r.level, *box), lambda: terrain.read_mean(r.level, *box), terrain, 8)
+        return Nested(heights * np.float32(exaggeration), r.level, r.row0, r.col0)
+
+    nested = [means(r) for r in windows]
+    a, b, _, d, e, _ = terrain.grid.samples[:6]
+    lowest = math.tan(math.radians(max(sun.altitude - 89.0 * sun.diameter, -89.0)))
+    out = []
+    radius = max(sun.diameter / 2, 1e-3)
+    for slopes in sunward(nested, np.array([[a, b], [d, e]]), sun.azimuth, lowest=lowest, jobs=jobs):
+        with np.errstate(invalid="ignore"):
+            above = (np.degrees(np.arctan(slopes)) - np.float32(sun.altitude)) / np.float32(radius)
+        out.append(np.clip(np.nan_to_num(above, nan=-FAR), -FAR, FAR).astype(np.float32))
+    return out
+
+
+class _Seen:
+    """What ``MapGrid`` asks of a survey: where the ground in view is."""
+
+    def __init__(self, points: Array) -> None:
+        self.hits = self
+        self.points = points
+
+
+class _ground:
+    """What ``MapGrid`` asks of the ground: how far apart samples are."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.rays = self
+        self.spacing = math.sqrt(abs(scene.terrain.grid.transform.determinant))
+
+
+def whole(terrain: Terrain) -> Array:
+    """Points that stand for all of a terrain."""
+    rows, cols = terrain.grid.shape
+    return np.array([[0.0, 0.0], [cols - 1.0, rows - 1.0]])

@@ -1,0 +1,85 @@
+"""What a scene looks like, as the shading shader wants it: colours, light and air in one uniform and one table."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis.colour import Tint, tint_of
+from orograph.gpu.lightmaps import LightMaps
+from orograph.picture.kept import Kept
+from orograph.picture.kernels import SHORE
+from orograph.picture.scene import Scene
+from orograph.picture.shading import BOUNCE, MISSING, PAPER, WATER, illumination
+from orograph.picture.sky import FADE, Atmosphere
+
+SHADE = np.dtype(
+    [
+        ("sun", "<f4", 4), ("sunlight", "<f4", 4), ("skylight", "<f4", 4), ("water", "<f4", 4), ("paper", "<f4", 4),
+        ("extinction", "<f4", 4), ("mist", "<f4", 4), ("disc", "<f4", 4), ("tint", "<f4", 4), ("contour", "<f4", 4),
+        ("contour_colour", "<f4", 4), ("side", "<f4", 2), ("sky_at", "<u4"), ("sky_rows", "<u4"), ("sky_cols", "<u4"),
+        ("ring_at", "<u4"), ("land_at", "<u4"), ("land_count", "<u4"), ("sea_at", "<u4"), ("sea_count", "<u4"),
+        ("levels", "<u4"), ("flags", "<u4"), ("light", "<i4", 4), ("light_first", "<i4", 2), ("windows", "<u4"),
+        ("hatch", "<u4"),
+    ]
+)  # fmt: skip
+"""The uniform ``Shade`` of ``shaders/shade.wgsl``."""
+
+SHADOWS, WATERS, DRAPE, WIREFRAME, LEVELS = 1, 2, 4, 8, 16
+
+
+class Look:
+    """The numbers of one scene.
+
+    Attributes:
+        uniform: of ``SHADE``. tables: float32, colours one after the other.
+        tint: how heights become colours.
+    """
+
+    def __init__(
+        self, scene: Scene, maps: LightMaps, visible_range: tuple[float, float], kept: Kept, *, wireframe: bool = False,
+        levels: bool = False, drape_opacity: float = 1.0,
+    ) -> None:  # fmt: skip
+        terrain = scene.terrain
+        sea = None if scene.water is not None else False
+        self.tint: Tint = kept(
+            "tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain
+        )
+        parts: list[NDArray[np.float32]] = []
+
+        def put(values: NDArray[np.floating]) -> int:
+            at = sum(p.size for p in parts)
+            parts.append(np.ascontiguousarray(values, np.float32).ravel())
+            return at
+
+        u = np.zeros((), SHADE)
+        to_sun, sunlight, skylight = illumination(scene.sun)
+        u["sun"] = *to_sun, math.radians(scene.sun.diameter) / 2
+        u["sunlight"] = *sunlight, maps.strength if scene.relief is None else scene.relief
+        u["skylight"] = *skylight, BOUNCE
+        u["water"] = *WATER, SHORE
+        u["paper"] = *PAPER, math.sqrt(abs(terrain.grid.transform.determinant))
+        u["tint"] = self.tint.low, self.tint.high, self.tint.floor, drape_opacity
+        u["land_at"], u["land_count"] = put(self.tint.land), len(self.tint.land)
+        u["sea_at"], u["sea_count"] = put(self.tint.sea), len(self.tint.sea)
+        u["hatch"] = put(MISSING)
+        if scene.sky:
+            air = Atmosphere(scene, visible_range, kept)
+            u["sky_at"] = put(air.table)
+            u["sky_rows"], u["sky_cols"] = air.table.shape[:2]
+            u["ring_at"] = put(air.ring)
+            u["side"] = air.side
+            u["mist"] = *air.mist, FADE
+            u["disc"] = *air.disc, 1.0
+            u["extinction"] = *air.extinction, air.near
+        u["levels"] = terrain.levels
+        flags = (SHADOWS if len(maps.windows) else 0) | (WATERS if maps.wet else 0)
+        flags |= (WIREFRAME if wireframe else 0) | (LEVELS if levels else 0)
+        flags |= DRAPE if scene.drape is not None else 0
+        u["flags"] = flags
+        u["light"], u["light_first"] = maps.light, maps.first
+        u["windows"] = len(maps.windows)
+        self.uniform = u
+        self.tables = np.concatenate(parts)

@@ -1,0 +1,244 @@
+"""The passes of a frame: patches into depth and marks, light and colour per pixel, resolving to the display.
+
+Shading is deferred: patches leave only depth and a word of marks per pixel, so that light is computed once a pixel
+whatever lies behind another, and one shader holds all of it (``shaders/shade.wgsl``).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+
+DEPTH, MARKS, LIGHT = "depth32float", "r32uint", "rgba16float"
+
+
+class Targets:
+    """What a frame is drawn into: depth, marks and linear light, of one size in pixels."""
+
+    def __init__(self, device: Device, width: int, height: int) -> None:
+        self.width, self.height = width, height
+        attach = "RENDER_ATTACHMENT|TEXTURE_BINDING|COPY_SRC"
+        size = (width, height)
+        self.depth = device.texture(size, DEPTH, attach, label="depth")
+        self.marks = device.texture(size, MARKS, attach, label="marks")
+        self.light = device.texture(size, LIGHT, attach, label="light")
+        self.depth_view, self.marks_view = self.depth.create_view(), self.marks.create_view()
+        self.light_view = self.light.create_view()
+
+
+class PatchPass:
+    """Draws instances of patches: one indexed draw of the shared index buffer.
+
+    Args:
+        camera: the uniform buffer (``camera.CAMERA``). heights: the atlas's texture.
+        vertices: (n, 2) uint lattice positions (i, j). indices: (m, 3) of them.
+    """
+
+    def __init__(
+        self, device: Device, camera: Any, heights: Any, vertices: NDArray[Any], indices: NDArray[Any], stride: int
+    ) -> None:
+        self.device = device
+        handle = device.handle
+        module = device.shader("patches")
+        self.count = int(indices.size)
+        self.vertices = device.buffer(np.ascontiguousarray(vertices, np.uint32), "VERTEX", "lattice")
+        self.indices = device.buffer(np.ascontiguousarray(indices, np.uint32), "INDEX", "triangles")
+        self.stride, self.capacity = stride, 0
+        self.instances: Any = None
+        self.pipeline = handle.create_render_pipeline(
+            label="patches",
+            layout="auto",
+            vertex={
+                "module": module,
+                "entry_point": "vertex",
+                "buffers": [
+                    {
+                        "array_stride": 8,
+                        "step_mode": "vertex",
+                        "attributes": [{"format": "uint32x2", "offset": 0, "shader_location": 0}],
+                    },
+                    {
+                        "array_stride": stride,
+                        "step_mode": "instance",
+                        "attributes": [
+                            {"format": "sint32x2", "offset": 0, "shader_location": 1},
+                            {"format": "uint32", "offset": 8, "shader_location": 2},
+                            {"format": "uint32", "offset": 12, "shader_location": 3},
+                            {"format": "float32", "offset": 16, "shader_location": 4},
+                            {"format": "sint32", "offset": 20, "shader_location": 5},
+                        ],
+                    },
+                ],
+            },
+            primitive={"topology": "triangle-list", "cull_mode": "none"},
+            depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
+            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": MARKS}]},
+        )
+        layout = self.pipeline.get_bind_group_layout
+        self.groups = [
+            handle.create_bind_group(layout=layout(0), entries=[{"binding": 0, "resource": {"buffer": camera}}]),
+            handle.create_bind_group(
+                layout=layout(1), entries=[{"binding": 0, "resource": heights.create_view(dimension="2d-array")}]
+            ),
+        ]
+
+    def draw(self, encoder: Any, targets: Targets, instances: NDArray[Any]) -> None:
+        """Clear the targets and draw."""
+        n = len(instances)
+        if n > self.capacity:
+            self.capacity = max(256, 1 << (n - 1).bit_length())
+            self.instances = self.device.buffer(self.capacity * self.stride, "VERTEX", "instances")
+        if n:
+            self.device.queue.write_buffer(self.instances, 0, np.ascontiguousarray(instances))
+        pass_ = encoder.begin_render_pass(
+            color_attachments=[
+                {"view": targets.marks_view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}
+            ],
+            depth_stencil_attachment={
+                "view": targets.depth_view, "depth_clear_value": 0.0, "depth_load_op": "clear",
+                "depth_store_op": "store",
+            },
+        )  # fmt: skip
+        if n:
+            pass_.set_pipeline(self.pipeline)
+            for k, group in enumerate(self.groups):
+                pass_.set_bind_group(k, group)
+            pass_.set_vertex_buffer(0, self.vertices)
+            pass_.set_vertex_buffer(1, self.instances)
+            pass_.set_index_buffer(self.indices, "uint32")
+            pass_.draw_indexed(self.count, n)
+        pass_.end()
+
+
+class ShadePass:
+    """Light and colour of every pixel, from depth and marks, added to what the target holds or replacing it."""
+
+    def __init__(self, device: Device, camera: Any) -> None:
+        self.device, self.camera = device, camera
+        handle = device.handle
+        module = device.shader("shade")
+        add = {"src_factor": "one", "dst_factor": "one", "operation": "add"}
+        layouts = [
+            handle.create_bind_group_layout(entries=[_uniform(0, "VERTEX|FRAGMENT")]),
+            handle.create_bind_group_layout(
+                entries=[
+                    _uniform(0, "FRAGMENT"),
+                    _texture(1, "depth"), _texture(2, "uint"), _texture(3, "unfilterable-float", "2d-array"),
+                    *(_storage(k) for k in (4, 5, 6, 7, 8)),
+                    _texture(9, "float"), {"binding": 10, "visibility": _stage("FRAGMENT"), "sampler": {}},
+                    _storage(11),
+                ]
+            ),
+        ]  # fmt: skip
+        self.layouts = layouts
+        self.pipeline = handle.create_render_pipeline(
+            label="shade",
+            layout=handle.create_pipeline_layout(bind_group_layouts=layouts),
+            vertex={"module": module, "entry_point": "vertex"},
+            primitive={"topology": "triangle-list"},
+            fragment={
+                "module": module, "entry_point": "fragment",
+                "targets": [{"format": LIGHT, "blend": {"color": add, "alpha": add}}],
+            },
+        )  # fmt: skip
+        self.camera_group = handle.create_bind_group(
+            layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]
+        )
+        self.sampler = handle.create_sampler(
+            mag_filter="linear", min_filter="linear", mipmap_filter="linear", max_anisotropy=1
+        )
+
+    def group(self, targets: Targets, resources: dict[int, Any]) -> Any:
+        """The bind group of what a frame looks up: buffers and texture views by binding (1, 2, 10 are put in)."""
+        entries = [
+            {"binding": 1, "resource": targets.depth_view},
+            {"binding": 2, "resource": targets.marks_view},
+            {"binding": 10, "resource": self.sampler},
+        ]
+        entries += [
+            {"binding": k, "resource": {"buffer": r} if hasattr(r, "map_state") else r} for k, r in resources.items()
+        ]
+        return self.device.handle.create_bind_group(
+            layout=self.layouts[1], entries=sorted(entries, key=lambda e: e["binding"])
+        )
+
+    def draw(self, encoder: Any, targets: Targets, group: Any, *, add: bool = False) -> None:
+        pass_ = encoder.begin_render_pass(
+            color_attachments=[
+                {
+                    "view": targets.light_view, "clear_value": (0, 0, 0, 0), "load_op": "load" if add else "clear",
+                    "store_op": "store",
+                }
+            ]
+        )  # fmt: skip
+        pass_.set_pipeline(self.pipeline)
+        pass_.set_bind_group(0, self.camera_group)
+        pass_.set_bind_group(1, group)
+        pass_.draw(3)
+        pass_.end()
+
+
+class ResolvePass:
+    """The mean over a pixel's samples and over accumulated frames, encoded for the display."""
+
+    def __init__(self, device: Device, format: str) -> None:
+        self.device = device
+        handle = device.handle
+        module = device.shader("resolve")
+        self.encode = 0 if format.endswith("-srgb") else 1
+        self.uniform = device.buffer(16, "UNIFORM", "resolve")
+        self.pipeline = handle.create_render_pipeline(
+            label="resolve",
+            layout="auto",
+            vertex={"module": module, "entry_point": "vertex"},
+            primitive={"topology": "triangle-list"},
+            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": format}]},
+        )
+
+    def draw(self, encoder: Any, targets: Targets, view: Any, *, scale: int = 1, frames: int = 1) -> None:
+        values = np.zeros(4, np.uint32)
+        values[0], values[2] = scale, self.encode
+        values[1:2].view(np.float32)[0] = frames
+        self.device.queue.write_buffer(self.uniform, 0, values)
+        group = self.device.handle.create_bind_group(
+            layout=self.pipeline.get_bind_group_layout(0),
+            entries=[
+                {"binding": 0, "resource": {"buffer": self.uniform}},
+                {"binding": 1, "resource": targets.light_view},
+            ],
+        )
+        pass_ = encoder.begin_render_pass(
+            color_attachments=[{"view": view, "clear_value": (0, 0, 0, 1), "load_op": "clear", "store_op": "store"}]
+        )
+        pass_.set_pipeline(self.pipeline)
+        pass_.set_bind_group(0, group)
+        pass_.draw(3)
+        pass_.end()
+
+
+def _stage(names: str) -> int:
+    import wgpu
+
+    flags = 0
+    for name in names.split("|"):
+        flags |= int(getattr(wgpu.ShaderStage, name))
+    return flags
+
+
+def _uniform(binding: int, stages: str) -> dict[str, Any]:
+    return {"binding": binding, "visibility": _stage(stages), "buffer": {"type": "uniform"}}
+
+
+def _storage(binding: int) -> dict[str, Any]:
+    return {"binding": binding, "visibility": _stage("FRAGMENT"), "buffer": {"type": "read-only-storage"}}
+
+
+def _texture(binding: int, kind: str, dimension: str = "2d") -> dict[str, Any]:
+    return {
+        "binding": binding, "visibility": _stage("FRAGMENT"),
+        "texture": {"sample_type": kind, "view_dimension": dimension},
+    }  # fmt: skip

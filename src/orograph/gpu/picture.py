@@ -1,0 +1,86 @@
+"""The GPU backend of pictures: a scene drawn off screen, every tile there, read back.
+
+The same scene as the CPU caster's (``picture.cpu``), the same light and colours (the shader follows it line by line):
+depth differs by no more than the tolerance promises, colours by what docs/gpu.md states. What only the caster can do
+(``engine``, ``wireframe`` of one, more than the device's largest texture) is refused with the reason.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from orograph.errors import NothingInViewError, UsageError
+from orograph.gpu.device import Device, open_device
+from orograph.gpu.renderer import PLAIN, Overlay, Renderer
+from orograph.picture.result import Picture, plan_grid
+from orograph.picture.scene import Scene
+from orograph.progress import SILENT, Progress
+
+TOLERANCE = 1.0
+"""Pixels, where the scene does not say."""
+
+
+def draw(
+    scene: Scene,
+    progress: Progress = SILENT,
+    *,
+    device: Device | None = None,
+    renderer: Renderer | None = None,
+    overlay: Overlay = PLAIN,
+) -> Picture:
+    """Draw ``scene`` on a GPU.
+
+    Args:
+        scene: what is drawn.
+        progress: hears of it.
+        device: where; None: the best there is.
+        renderer: of the scene's terrain, to use again for several pictures; None: one for this picture.
+        overlay: what is drawn besides.
+
+    Raises:
+        NoAdapterError: there is no GPU.
+        NothingInViewError: no ground is in view.
+        UsageError: the scene has what only the CPU draws.
+    """
+    if scene.engine is not None or scene.mesh_view is not None:
+        raise UsageError("Meshes of other engines are drawn by the CPU.", remedy="Use --backend cpu.")
+    begun = time.perf_counter()
+    device = device or open_device()
+    view = scene.view
+    most = int(device.handle.limits["max-texture-dimension-2d"])
+    if max(view.width, view.height) > most:
+        raise UsageError(
+            f"{device.adapter.name} draws at most {most} × {most} pixels, not {view.width} × {view.height}.",
+            remedy="Use --backend cpu.",
+        )
+    if scene.tolerance is None:
+        scene = replace(scene, tolerance=TOLERANCE)
+    own = renderer is None
+    renderer = renderer or Renderer(device, scene.terrain, jobs=scene.jobs)
+    try:
+        with progress.task(f"Drawing on {device.adapter.name}"):
+            texture = device.texture((view.width, view.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
+            target = texture.create_view()
+            stats = renderer.draw(target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=1)
+            depth = renderer.depth()
+            if not np.isfinite(depth).any():
+                raise NothingInViewError(
+                    "Nothing of the terrain is in view.", path=scene.terrain.name,
+                    remedy="Leave the camera options away to see all of it.",
+                )  # fmt: skip
+            if scene.samples > 1:
+                stats = renderer.draw(target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=scene.samples)
+            pixels = device.read_texture(texture, np.uint8, 4)[..., :3].copy()
+    finally:
+        if own:
+            renderer.close()
+    facts: dict[str, Any] = {
+        "backend": "gpu", "adapter": device.adapter.name, "patches": stats.patches, "triangles": stats.triangles,
+        "tolerance_px": scene.tolerance, "tiles": stats.tiles_resident, "warnings": [],
+        "hit_fraction": float(np.isfinite(depth).mean()), "seconds": {"all": round(time.perf_counter() - begun, 4)},
+    }  # fmt: skip
+    return Picture(pixels, depth, view, facts, plan_grid(view, scene.terrain.grid.crs))

@@ -1,0 +1,480 @@
+"""The terrain renderer: a scene becomes a frame, out of core, at the rate of the screen.
+
+A frame: tiles that were read meanwhile are brought to the atlases; the engine ``batched`` selects patches among those
+whose tiles are there (coarser ones stand in, so there is neither hole nor crack nor waiting); one instanced draw leaves
+depth and marks; one pass gives every pixel its light. What the frame would have liked to have goes to the streamer,
+largest error first. Maps of light follow the camera from a thread of their own. When nothing changes any more, further
+frames are drawn with samples elsewhere in the pixels and averaged: a picture at rest is smooth everywhere.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import OrographError
+from orograph.gpu.camera import CAMERA, camera_of, nearest
+from orograph.gpu.device import Device
+from orograph.gpu.lightmaps import LightMaps, light_maps, whole
+from orograph.gpu.look import SHADE, Look
+from orograph.gpu.passes import PatchPass, ResolvePass, ShadePass, Targets
+from orograph.gpu.tiles import Atlas, Key, Kind, Streamer
+from orograph.gpu.wanted import SlopeTiles
+from orograph.lod.batched import Batched, Patches
+from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
+from orograph.picture.kept import Kept
+from orograph.picture.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+Array = NDArray[np.float64]
+
+UPLOAD = 16
+"""Tiles brought to the GPU in a frame, at most: what does not make it stutter."""
+
+SAMPLES = 16
+"""Samples of a pixel that a picture at rest gathers."""
+
+DRAPE_NODE = np.dtype([("node", "<f4", 4)])
+
+
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """What is drawn over the ground to look at the engine.
+
+    Attributes:
+        wireframe: edges of triangles. levels: a colour for every size of patches.
+        drape_opacity: of the image.
+        contours: metres between contour lines, 0: none; ``index``: every how many a thick one.
+        contour_width: pixels. contour_opacity: 0 to 1.
+    """
+
+    wireframe: bool = False
+    levels: bool = False
+    drape_opacity: float = 1.0
+    contours: float = 0.0
+    index: int = 5
+    contour_width: float = 1.0
+    contour_opacity: float = 0.7
+
+
+PLAIN = Overlay()
+
+
+@dataclass(frozen=True, slots=True)
+class FrameStats:
+    """What a frame took.
+
+    Attributes:
+        patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles there are.
+        select_ms: selection. cpu_ms: all of the frame's Python. gpu_ms: what the GPU worked, if it was waited for.
+        tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of both kinds; wanted: not there yet.
+        samples: how many are averaged in the picture.
+        failed: a tile that could not be read, and why, or "".
+    """
+
+    patches: int
+    triangles: int
+    error_px: float
+    select_ms: float
+    cpu_ms: float
+    gpu_ms: float | None
+    tiles_loaded: int
+    bytes_uploaded: int
+    tiles_resident: int
+    tiles_wanted: int
+    samples: int
+    failed: str = ""
+
+
+class Renderer:
+    """Draws one terrain on one device.
+
+    Args:
+        device: where.
+        terrain: what; it is read from several threads.
+        gpu_memory: bytes of the atlases. memory: bytes of the engine's tables.
+        jobs: threads that read tiles.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        terrain: Terrain,
+        *,
+        gpu_memory: int = 1 << 29,
+        memory: int = 1 << 30,
+        jobs: int | None = None,
+    ) -> None:
+        self.device, self.terrain = device, terrain
+        self.engine = Batched(terrain, max_memory=memory, jobs=jobs)
+        self.kept = Kept()
+        self.heights = Atlas(device, terrain, "heights", gpu_memory // 2)
+        self.slopes = Atlas(device, terrain, "slopes", gpu_memory // 2)
+        self._atlases: dict[Kind, Atlas] = {"heights": self.heights, "slopes": self.slopes}
+        self._slope_tiles = SlopeTiles(terrain)
+        self.streamer = Streamer(terrain, jobs or 2)
+        self.frame = 0
+        self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
+        self._shade = device.buffer(SHADE.itemsize, "UNIFORM", "shade")
+        legs = self.engine.legs
+        self._patches = PatchPass(
+            device, self._camera, self.heights.texture, patch_vertices(legs), patch_indices(legs), INSTANCE.itemsize
+        )
+        self._shading = ShadePass(device, self._camera)
+        self._resolves: dict[str, ResolvePass] = {}
+        self._targets: Targets | None = None
+        self._buffers: dict[str, tuple[Any, Any]] = {}
+        self._levels = self._level_table()
+        self._drape = self._no_drape()
+        self._maps: LightMaps | None = None
+        self._light = _Aside()
+        self._at_rest: Any = None
+        self._gathered = 0
+        self._missing = 0
+        self._last_range = (1.0, 1e5)
+        self._load_coarsest()
+
+    # ---- drawing ---------------------------------------------------------------------------------------------------
+
+    def draw(
+        self, target: Any, format: str, scene: Scene, *, overlay: Overlay = PLAIN, freeze: View | None = None,
+        wait: bool = False, samples: int | None = None,
+    ) -> FrameStats:  # fmt: skip
+        """Draw a frame.
+
+        Args:
+            target: a texture view of the scene's view's size, to be overwritten. format: its format.
+            scene: what; its terrain must be the renderer's.
+            overlay: what is shown besides.
+            freeze: the camera that patches are selected for, if not the scene's view.
+            wait: first wait for all tiles and maps that the picture wants.
+            samples: draw with so many samples per pixel at once; None: one, and one more every further frame at rest.
+
+        Raises:
+            OrographError: with ``wait``, a tile or a map could not be made.
+        """
+        begun = time.perf_counter()
+        self.frame += 1
+        view = scene.view
+        loaded = self._upload(UPLOAD)
+        patches, wanted, took = self._select(scene, freeze or view)
+        while wait and (wanted or self.streamer.waiting):
+            self.streamer.wait(1.0)
+            loaded += self._upload(1 << 16)
+            patches, wanted, more = self._select(scene, freeze or view)
+            took += more
+            self._raise_failed(wanted)
+        self._missing = len(wanted)
+        targets = self._fit(view.width, view.height)
+        state = (scene, overlay, freeze, loaded, len(patches.instances), self._maps_key(scene))
+        if samples is None and state == self._at_rest and not self.busy:
+            if self._gathered >= SAMPLES:
+                begin, count = self._gathered, 0
+            else:
+                begin, count = self._gathered, 1
+        else:
+            begin, count = 0, samples or 1
+        self._at_rest = state
+        instances = patches.instances
+        instances["slot"] = self.heights.slots(instances["level"], instances["tile_row"], instances["tile_col"])
+        self._light_for(scene, targets, instances, wait=wait, moved=begin == 0)
+        assert self._maps is not None
+        look = Look(
+            scene, self._maps, scene.depths or self._last_range, self.kept, wireframe=overlay.wireframe,
+            levels=overlay.levels, drape_opacity=overlay.drape_opacity,
+        )  # fmt: skip
+        u = look.uniform
+        u["contour"] = overlay.contours, overlay.index, overlay.contour_width, overlay.contour_opacity
+        u["contour_colour"] = 0.12, 0.075, 0.04, 0.0
+        self.device.queue.write_buffer(self._shade, 0, u)
+        group = self._group(targets, look)
+        for k in range(begin, begin + count):
+            shift = _sample(k, samples or SAMPLES) if (samples or SAMPLES) > 1 else (0.0, 0.0)
+            if k == 0 and samples is None:
+                shift = (0.0, 0.0)
+            self._pass(targets, scene, instances, group, shift, k > 0)
+        self._gathered = begin + count
+        encoder = self.device.handle.create_command_encoder()
+        if format not in self._resolves:
+            self._resolves[format] = ResolvePass(self.device, format)
+        self._resolves[format].draw(encoder, targets, target, frames=max(self._gathered, 1))
+        self.device.queue.submit([encoder.finish()])
+        failed = next((f"{kind} tile {key}: {why}" for (kind, key), (_, why) in self.streamer.failed.items()), "")
+        return FrameStats(
+            len(instances), patches.stats["triangles"], patches.stats["pixels"], took * 1e3,
+            (time.perf_counter() - begun) * 1e3, None, loaded, loaded * 4 * 257 * 257,
+            self.heights.count + self.slopes.count, self._missing, self._gathered, failed,
+        )  # fmt: skip
+
+    @property
+    def busy(self) -> bool:
+        """Whether tiles or maps are on their way: the next frame will be better."""
+        return self._missing > 0 or self.streamer.waiting > 0 or self._light.busy
+
+    @property
+    def resting(self) -> bool:
+        """Whether the picture is as good as it gets."""
+        return not self.busy and self._gathered >= SAMPLES
+
+    def depth_at(self, x: float, y: float) -> float | None:
+        """View-space depth of the last frame at a pixel position, metres; None where there is no ground."""
+        t = self._targets
+        if t is None or not (0 <= x < t.width and 0 <= y < t.height):
+            return None
+        values = self._read(t.depth, int(x), int(y), 1, 1)
+        return float(values[0, 0]) if np.isfinite(values[0, 0]) else None
+
+    def depth(self) -> NDArray[np.float32]:
+        """View-space depth (height, width) of the last frame, metres, NaN where there is no ground."""
+        t = self._targets
+        assert t is not None
+        return self._read(t.depth, 0, 0, t.width, t.height)
+
+    def close(self) -> None:
+        """Stop reading."""
+        self.streamer.close()
+        self._light.close()
+
+    # ---- parts of a frame ------------------------------------------------------------------------------------------
+
+    def _select(self, scene: Scene, view: View) -> tuple[Patches, list[tuple[float, Kind, Key]], float]:
+        """The patches to draw, the tiles that are missing, and the seconds that took."""
+        begun = time.perf_counter()
+        tolerance = scene.tolerance or 1.0
+        patches = self.engine.select(view, tolerance, resident=self.heights.resident, exaggeration=scene.exaggeration)
+        took = time.perf_counter() - begun
+        wanted: list[tuple[float, Kind, Key]] = []
+        keys = list(zip(*(patches.wanted[n].tolist() for n in ("level", "row", "col", "pixels")), strict=True))
+        here = [(level, row, col) for level, row, col, _ in keys]
+        self.heights.touch(here, self.frame)
+        used = patches.instances
+        drawn = np.unique(np.stack([used["level"].astype(np.int64), used["tile_row"], used["tile_col"]], 1), axis=0)
+        self.heights.touch(map(tuple, drawn.tolist()), self.frame)
+        wanted += [(p, "heights", key) for key, (*_, p) in zip(here, keys) if self.heights.slot(key) < 0]
+        slopes = self._slope_tiles.of(view, scene.exaggeration)
+        self.slopes.touch((key for _, key in slopes), self.frame)
+        wanted += [(p, "slopes", key) for p, key in slopes if self.slopes.slot(key) < 0]
+        self.streamer.want(wanted)
+        return patches, [w for w in wanted if (w[1], w[2]) not in self.streamer.failed], took
+
+    def _upload(self, most: int) -> int:
+        taken = self.streamer.take(most)
+        for kind, key, data in taken:
+            self._atlases[kind].insert(key, data, self.frame)
+        for atlas in self._atlases.values():
+            atlas.flush()
+        return len(taken)
+
+    def _pass(
+        self, targets: Targets, scene: Scene, instances: NDArray[Any], group: Any, shift: tuple[float, float], add: bool
+    ) -> None:  # fmt: skip
+        camera = camera_of(scene.view, self.terrain, scene.exaggeration, shift=shift)
+        self.device.queue.write_buffer(self._camera, 0, camera)
+        encoder = self.device.handle.create_command_encoder()
+        self._patches.draw(encoder, targets, instances)
+        self._shading.draw(encoder, targets, group, add=add)
+        self.device.queue.submit([encoder.finish()])
+
+    def _fit(self, width: int, height: int) -> Targets:
+        if self._targets is None or (self._targets.width, self._targets.height) != (width, height):
+            self._targets = Targets(self.device, width, height)
+            self._at_rest = None
+        return self._targets
+
+    # ---- light -----------------------------------------------------------------------------------------------------
+
+    def _maps_key(self, scene: Scene) -> Any:
+        return scene.sun, scene.shadows, scene.exaggeration, scene.water
+
+    def _light_for(
+        self, scene: Scene, targets: Targets, instances: NDArray[Any], *, wait: bool, moved: bool
+    ) -> None:  # fmt: skip
+        """Have maps of light for the scene: at once if ``wait``, else aside while old ones serve."""
+        if wait:
+            camera = camera_of(scene.view, self.terrain, scene.exaggeration)
+            self.device.queue.write_buffer(self._camera, 0, camera)
+            encoder = self.device.handle.create_command_encoder()
+            self._patches.draw(encoder, targets, instances)
+            self.device.queue.submit([encoder.finish()])
+            points, self._last_range = self._seen(scene)
+            self._maps = light_maps(scene, points, self.kept)
+            self._light.done = self._key(scene)
+            return
+        done = self._light.take()
+        if done is not None:
+            self._maps, self._last_range = done
+        if self._maps is None:
+            quick = replace(scene, shadows=False)
+            self._maps = light_maps(quick, whole(self.terrain), self.kept)
+        key = self._key(scene)
+        if self._light.wants(key):
+            points, visible = self._seen(scene) if self.frame > 1 else (whole(self.terrain), self._last_range)
+            self._light.start(key, lambda: (light_maps(scene, points, Kept(), detail=1.5), visible))
+
+    def _key(self, scene: Scene) -> Any:
+        view = scene.view
+        eye = np.asarray(view.eye)
+        step = 0.15 * max(view.distance, 1.0)
+        return (
+            *self._maps_key(scene),
+            tuple(np.floor(eye / step).tolist()),
+            tuple(np.floor(np.array(view.target) / step)),
+        )
+
+    def _seen(self, scene: Scene) -> tuple[Array, tuple[float, float]]:
+        """Sample coordinates (n, 2) of some of the ground in view, by the last frame's depth, and the depths' range."""
+        depth = self.depth()
+        step = max(1, int(np.sqrt(depth.size / 40_000)))
+        some = depth[::step, ::step]
+        rows, cols = np.nonzero(np.isfinite(some))
+        if len(rows) == 0:
+            return whole(self.terrain), self._last_range
+        o0, ou, ov, d0, du, dv = scene.view.ray_basis(scene.exaggeration)
+        px, py = cols * step + 0.5, rows * step + 0.5
+        t = some[rows, cols].astype(np.float64)[:, None]
+        at = o0 + px[:, None] * ou + py[:, None] * ov + t * (d0 + px[:, None] * du + py[:, None] * dv)
+        col, row = self.terrain.grid.index(at[:, 0], at[:, 1])
+        col = np.clip(col, 0, self.terrain.grid.cols - 1)
+        row = np.clip(row, 0, self.terrain.grid.rows - 1)
+        return np.stack([col, row], 1), (float(t.min()), float(t.max()))
+
+    # ---- resources -------------------------------------------------------------------------------------------------
+
+    def _group(self, targets: Targets, look: Look) -> Any:
+        assert self._maps is not None
+        windows = self._maps.windows if len(self._maps.windows) else np.zeros((1, 8), np.int32)
+        texture, lattice = self._drape
+        return self._shading.group(
+            targets,
+            {
+                0: self._shade,
+                3: self.slopes.texture.create_view(dimension="2d-array"),
+                4: self.slopes.page_buffer,
+                5: self._stored("tables", look.tables),
+                6: self._stored("maps", self._maps.pool),
+                7: self._levels,
+                8: self._stored("windows", windows),
+                9: texture.create_view(),
+                11: lattice,
+            },
+        )
+
+    def _stored(self, name: str, values: NDArray[Any]) -> Any:
+        """A storage buffer with these values; written again only if they are other ones."""
+        held = self._buffers.get(name)
+        if held is not None and held[1] is values:
+            return held[0]
+        if held is not None and held[0].size == -(-values.nbytes // 4) * 4:
+            if not np.array_equal(held[1], values):
+                self.device.queue.write_buffer(held[0], 0, np.ascontiguousarray(values))
+            self._buffers[name] = held[0], values
+            return held[0]
+        buffer = self.device.buffer(values, "STORAGE", name)
+        self._buffers[name] = buffer, values
+        return buffer
+
+    def _level_table(self) -> Any:
+        terrain, tables = self.terrain, self.slopes.tables
+        table = np.zeros((terrain.levels, 8), np.uint32)
+        for k in range(terrain.levels):
+            table[k, :5] = tables.offsets[k], *tables.shapes[k], *terrain.mean_shape(k)
+        return self.device.buffer(table, "STORAGE", "levels")
+
+    def _no_drape(self) -> tuple[Any, Any]:
+        texture = self.device.texture((1, 1), "rgba8unorm-srgb", "TEXTURE_BINDING|COPY_DST", label="no drape")
+        return texture, self.device.buffer(np.zeros((7, 4), np.float32), "STORAGE", "no drape")
+
+    def _load_coarsest(self) -> None:
+        """The coarsest tiles of both kinds, to stay: there is always something to draw."""
+        from orograph.gpu.tiles import height_tile, slope_tile
+
+        top = self.terrain.levels - 1
+        for make, atlas in ((height_tile, self.heights), (slope_tile, self.slopes)):
+            rows, cols = atlas.tables.shapes[top]
+            for row in range(rows):
+                for col in range(cols):
+                    atlas.insert((top, row, col), make(self.terrain, (top, row, col)), 0, pin=True)
+            atlas.flush()
+
+    def _read(self, texture: Any, x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
+        data = self.device.queue.read_texture(
+            {"texture": texture, "origin": (x, y, 0), "aspect": "depth-only"},
+            {"offset": 0, "bytes_per_row": 4 * width, "rows_per_image": height},
+            (width, height, 1),
+        )
+        return self._metres(np.frombuffer(data, np.float32).reshape(height, width))
+
+    def _metres(self, stored: NDArray[np.float32]) -> NDArray[np.float32]:
+        near, far, plan = self._depth_range
+        with np.errstate(divide="ignore"):
+            metres = far - stored * (far - near) if plan else near / stored
+        return np.where(stored > 0, metres, np.nan).astype(np.float32)
+
+    @property
+    def _depth_range(self) -> tuple[float, float, bool]:
+        scene = self._at_rest[0]
+        camera = camera_of(scene.view, self.terrain, scene.exaggeration)
+        return float(camera["near"]), float(camera["far"]), bool(camera["plan"])
+
+    def _raise_failed(self, wanted: list[Any]) -> None:
+        for (kind, key), (_, why) in self.streamer.failed.items():
+            raise OrographError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
+
+
+class _Aside:
+    """One thing made at a time in a thread, the newest wish next."""
+
+    def __init__(self) -> None:
+        self.done: Any = None
+        self._thread: threading.Thread | None = None
+        self._result: Any = None
+        self._key: Any = None
+        self._closed = False
+
+    @property
+    def busy(self) -> bool:
+        return self._thread is not None
+
+    def wants(self, key: Any) -> bool:
+        """Whether something is to be made for ``key`` and nothing is under way."""
+        return not self._closed and self._thread is None and self.done != key
+
+    def start(self, key: Any, make: Any) -> None:
+        def work() -> None:
+            try:
+                self._result = make()
+            except Exception as error:
+                self._result = error
+
+        self._key = key
+        self._thread = threading.Thread(target=work, name="light", daemon=True)
+        self._thread.start()
+
+    def take(self) -> Any:
+        """What was made since it was last asked for, or None."""
+        if self._thread is None or self._thread.is_alive():
+            return None
+        self._thread.join()
+        self._thread, self.done = None, self._key
+        result, self._result = self._result, None
+        return None if isinstance(result, Exception) else result
+
+    def close(self) -> None:
+        self._closed = True
+
+
+def _sample(k: int, n: int) -> tuple[float, float]:
+    """Where the k-th of n samples lies, pixels from the middle: as the CPU's pictures have it (``cpu.pattern``)."""
+    from orograph.picture.cpu import pattern
+
+    x, y = pattern(n)[k % n]
+    return float(x) - 0.5, float(y) - 0.5
+
+
+__all__ = ["PLAIN", "FrameStats", "Overlay", "Renderer", "nearest"]

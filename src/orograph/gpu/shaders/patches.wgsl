@@ -1,0 +1,96 @@
+// Patches of regularly bisected right triangles: vertices are cells of the raster, heights are pulled from the atlas.
+// One instance a patch; all patches share one index buffer.
+// include: camera.wgsl
+
+@group(1) @binding(0) var heights: texture_2d_array<f32>;
+
+const SIDE: i32 = 257;      // samples along a tile's side
+const PER_SIDE: i32 = 4;    // tiles along a layer's side
+const GONE: f32 = -1e29;    // heights below this are missing
+
+struct Instance {
+  @location(1) apex: vec2<i32>,      // row, col on the padded grid
+  @location(2) kind: u32,            // orientation, exponent of the lattice step, level of its tile, flags: a byte each
+  @location(3) tile: u32,            // tile row and column, 16 bits each
+  @location(4) morph: f32,
+  @location(5) slot: i32,
+};
+
+struct Vertex {
+  @builtin(position) position: vec4<f32>,
+  @location(0) there: f32,                        // 1 where all corners of the triangle have ground
+  @location(1) lattice: vec2<f32>,                // (i, j) along the legs: edges of triangles lie on whole numbers
+  @location(2) @interpolate(flat) what: u32,
+};
+
+// By the way the apex points (``lod/patches/shape.py``): e1 and e2 as (row, col).
+const STEPS = array<vec4<i32>, 8>(
+  vec4<i32>(1, 1, -1, 1), vec4<i32>(1, 0, 0, 1), vec4<i32>(1, -1, 1, 1), vec4<i32>(0, -1, 1, 0),
+  vec4<i32>(-1, -1, 1, -1), vec4<i32>(-1, 0, 0, -1), vec4<i32>(-1, 1, -1, -1), vec4<i32>(0, 1, -1, 0),
+);
+
+struct Corner {
+  position: vec3<f32>,   // relative to the eye, metres, height not yet stretched: as stored
+  there: bool,
+};
+
+fn corner(at: vec2<i32>, level: u32, tile: vec2<i32>, slot: i32) -> Corner {
+  let inside = min(at, camera.last.yx);                                  // squeezed onto the last row and column
+  let local = (at >> vec2<u32>(level)) - tile * 256;
+  let place = slot % (PER_SIDE * PER_SIDE);
+  let origin = vec2<i32>(place % PER_SIDE, place / PER_SIDE) * SIDE;
+  let height = textureLoad(heights, origin + clamp(local.yx, vec2<i32>(0), vec2<i32>(SIDE - 1)), slot / (PER_SIDE * PER_SIDE), 0).r;
+  let cell = vec2<f32>(inside.yx - camera.eye_cell);
+  return Corner(vec3<f32>(from_eye(cell), height), height > GONE);
+}
+
+@vertex
+fn vertex(@location(0) lattice: vec2<u32>, instance: Instance) -> Vertex {
+  let e = instance.kind & 7u;
+  let s = (instance.kind >> 8u) & 255u;
+  let level = (instance.kind >> 16u) & 255u;
+  let tile = vec2<i32>(i32(instance.tile & 0xffffu), i32(instance.tile >> 16u));
+  let e1 = STEPS[e].xy << vec2<u32>(s);
+  let e2 = STEPS[e].zw << vec2<u32>(s);
+  let ij = vec2<i32>(lattice);
+  let at = instance.apex + ij.x * e1 + ij.y * e2;
+  var here = corner(at, level, tile, instance.slot);
+  if (((ij.x + ij.y) & 1) == 1 && instance.morph < 1.0) {
+    let along = select(e2, e1, (ij.x & 1) == 1);
+    let a = corner(at - along, level, tile, instance.slot);
+    let b = corner(at + along, level, tile, instance.slot);
+    let inside = all(max(at - along, at + along) <= camera.last.yx);
+    if (a.there && b.there && inside) {
+      here.position.z = mix(0.5 * (a.position.z + b.position.z), here.position.z, instance.morph);
+    }
+  }
+  var out: Vertex;
+  let z = select(0.0, above_eye(here.position.z), here.there);
+  out.position = to_clip(vec3<f32>(here.position.xy, z));
+  out.there = select(0.0, 1.0, here.there);
+  out.lattice = vec2<f32>(lattice);
+  out.what = (s << 8u) | (e << 4u) | 1u;
+  return out;
+}
+
+// What a pixel of ground is: bit 0 ground, bits 4–6 orientation, 8–15 exponent of the lattice step, 16–23 how much of the
+// pixel an edge of a triangle covers.
+@fragment
+fn fragment(in: Vertex) -> @location(0) u32 {
+  if (in.there < 0.9999) {
+    discard;
+  }
+  return in.what | (edges(in.lattice) << 16u);
+}
+
+// Coverage (0–255) of the pixel by the triangles' edges, a pixel wide.
+fn edges(at: vec2<f32>) -> u32 {
+  let width = max(fwidth(at), vec2<f32>(1e-6));
+  let straight = abs(fract(at - 0.5) - 0.5) / width;
+  // Each cell is cut from its (even, even) or (odd, odd) corner: lines i ± j = even.
+  let sum = (at.x + at.y) * 0.5;
+  let difference = (at.x - at.y) * 0.5;
+  let slant = abs(fract(vec2<f32>(sum, difference) - 0.5) - 0.5) / max(fwidth(vec2<f32>(sum, difference)), vec2<f32>(1e-6));
+  let nearest = min(min(straight.x, straight.y), min(slant.x, slant.y));
+  return u32(255.0 * clamp(1.0 - nearest, 0.0, 1.0));
+}

@@ -1,0 +1,29 @@
+// Linear light to the display: the mean over a pixel's samples and over accumulated frames, then sRGB.
+
+struct Resolve { scale: u32, frames: f32, encode: u32, pad: u32 };
+
+@group(0) @binding(0) var<uniform> resolve: Resolve;
+@group(0) @binding(1) var light: texture_2d<f32>;
+
+@vertex
+fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
+  return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
+}
+
+fn srgb(x: vec3<f32>) -> vec3<f32> {
+  let c = clamp(x, vec3<f32>(0.0), vec3<f32>(1.0));
+  return select(1.055 * pow(c, vec3<f32>(1.0 / 2.4)) - 0.055, 12.92 * c, c <= vec3<f32>(0.0031308));
+}
+
+@fragment
+fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
+  let first = vec2<i32>(at.xy) * i32(resolve.scale);
+  var sum = vec3<f32>(0.0);
+  for (var y = 0; y < i32(resolve.scale); y++) {
+    for (var x = 0; x < i32(resolve.scale); x++) {
+      sum += textureLoad(light, first + vec2<i32>(x, y), 0).rgb;
+    }
+  }
+  let mean = sum / (f32(resolve.scale * resolve.scale) * resolve.frames);
+  return vec4<f32>(select(mean, srgb(mean), resolve.encode == 1u), 1.0);
+}

@@ -1,0 +1,270 @@
+// From the depth of a pixel to its colour: picture/shading.py and picture/kernels.py on the GPU, in the same order and
+// with the same constants. Light is linear; slopes are means over the pixel, from the atlas of slope tiles.
+// include: camera.wgsl
+
+struct Shade {
+  sun: vec4<f32>,           // towards the sun (east, north, up); w: the disc's radius, radians
+  sunlight: vec4<f32>,      // w: strength, the factor on slopes
+  skylight: vec4<f32>,      // w: bounce
+  water: vec4<f32>,         // colour; w: what the shore's field is half the width of
+  paper: vec4<f32>,         // background; w: metres between samples
+  extinction: vec4<f32>,    // per metre; w: depth where the air begins
+  mist: vec4<f32>,          // w: how fast it fades
+  disc: vec4<f32>,          // radiance of the sun's disc; w: 1 if there is a sky
+  tint: vec4<f32>,          // low, high, floor (metres), opacity of the drape
+  contour: vec4<f32>,       // interval (metres, 0: none), every how many an index contour, width in pixels, opacity
+  contour_colour: vec4<f32>,
+  side: vec2<f32>,          // horizontal direction towards the sun
+  sky_at: u32, sky_rows: u32,
+  sky_cols: u32, ring_at: u32,
+  land_at: u32, land_count: u32,
+  sea_at: u32, sea_count: u32,
+  levels: u32, flags: u32,  // 1 shadows, 2 water, 4 drape, 8 wireframe, 16 colours of levels, 32 light of faces (facets)
+  light: vec4<i32>,         // the map of light: offset, rows, cols, level
+  light_first: vec2<i32>,   // its first block (row, col)
+  windows: u32, hatch: u32,
+};
+
+struct Level { offset: u32, tile_rows: u32, tile_cols: u32, rows: u32, cols: u32, pad0: u32, pad1: u32, pad2: u32 };
+struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: i32, pad0: i32, pad1: i32 };
+
+@group(1) @binding(0) var<uniform> shade: Shade;
+@group(1) @binding(1) var depths: texture_depth_2d;
+@group(1) @binding(2) var marks: texture_2d<u32>;
+@group(1) @binding(3) var slopes: texture_2d_array<f32>;
+@group(1) @binding(4) var<storage, read> pages: array<u32>;
+@group(1) @binding(5) var<storage, read> tables: array<f32>;
+@group(1) @binding(6) var<storage, read> maps: array<f32>;
+@group(1) @binding(7) var<storage, read> levels: array<Level>;
+@group(1) @binding(8) var<storage, read> windows: array<Window>;
+@group(1) @binding(9) var drape: texture_2d<f32>;
+@group(1) @binding(10) var drape_sampler: sampler;
+@group(1) @binding(11) var<storage, read> lattice: array<vec4<f32>>;
+// include: sky.wgsl
+// include: drape.wgsl
+
+const PI: f32 = 3.14159265358979;
+const SLOPE_SIDE: i32 = 258;
+const PER_SIDE: i32 = 4;
+
+// A place on the raster: whole sample and what is left of one, so that no digits are lost far from its corner.
+struct Place { whole: vec2<i32>, part: vec2<f32> };   // (col, row)
+
+// Position in blocks of 2^level samples: the block before it, and the fraction towards the next.
+fn in_blocks(at: Place, level: u32) -> Place {
+  let scale = f32(1u << level);
+  let base = at.whole >> vec2<u32>(level);
+  let rest = vec2<f32>(at.whole - (base << vec2<u32>(level)));
+  let u = (rest + at.part + 0.5) / scale - 0.5;
+  let down = floor(u);
+  return Place(base + vec2<i32>(down), u - down);
+}
+
+fn load_slope(slot: i32, at: vec2<i32>) -> vec2<f32> {
+  let place = slot % (PER_SIDE * PER_SIDE);
+  let origin = vec2<i32>(place % PER_SIDE, place / PER_SIDE) * SLOPE_SIDE;
+  return textureLoad(slopes, origin + at, slot / (PER_SIDE * PER_SIDE), 0).rg;
+}
+
+// Slope (per sample, along columns and rows) of a level's means; xy and 1, or 0 where the tile is not there.
+fn slope_of(at: Place, level: u32) -> vec3<f32> {
+  let l = levels[level];
+  var p = in_blocks(at, level);
+  let most = vec2<i32>(max(i32(l.cols) - 2, 0), max(i32(l.rows) - 2, 0));
+  let clamped = clamp(p.whole, vec2<i32>(0), most);
+  let f = clamp(p.part + vec2<f32>(p.whole - clamped), vec2<f32>(0.0), vec2<f32>(1.0));
+  let tile = min(clamped >> vec2<u32>(8u), vec2<i32>(i32(l.tile_cols), i32(l.tile_rows)) - 1);
+  let page = pages[l.offset + u32(tile.y) * l.tile_cols + u32(tile.x)];
+  if (page == 0u) {
+    return vec3<f32>(0.0);
+  }
+  let slot = i32(page) - 1;
+  let local = clamped - tile * 256 + 1;
+  let a = mix(load_slope(slot, local), load_slope(slot, local + vec2<i32>(1, 0)), f.x);
+  let b = mix(load_slope(slot, local + vec2<i32>(0, 1)), load_slope(slot, local + vec2<i32>(1, 1)), f.x);
+  return vec3<f32>(mix(a, b, f.y), 1.0);
+}
+
+// The finest level from ``wanted`` on that is there.
+fn resident_slope(at: Place, wanted: u32) -> vec2<f32> {
+  for (var level = min(wanted, shade.levels - 1u); level < shade.levels; level++) {
+    let found = slope_of(at, level);
+    if (found.z > 0.0) {
+      return found.xy;
+    }
+  }
+  return vec2<f32>(0.0);
+}
+
+// Mean slope over a footprint of so many samples, trilinear.
+fn slope(at: Place, footprint: f32) -> vec2<f32> {
+  let level = log2(max(footprint, 1.0));
+  let whole = floor(level);
+  let part = level - whole;
+  let fine = resident_slope(at, u32(whole));
+  if (part < 1e-3) {
+    return fine;
+  }
+  return mix(fine, resident_slope(at, u32(whole) + 1u), part);
+}
+
+fn map_value(offset: i32, size: vec2<i32>, first: vec2<i32>, level: i32, at: Place) -> f32 {
+  let p = in_blocks(at, u32(level));
+  let q = p.whole - first;
+  let most = max(size - 2, vec2<i32>(0));
+  let clamped = clamp(q, vec2<i32>(0), most);
+  let f = clamp(p.part + vec2<f32>(q - clamped), vec2<f32>(0.0), vec2<f32>(1.0));
+  let next = min(clamped + 1, size - 1);
+  let top = mix(maps[offset + clamped.y * size.x + clamped.x], maps[offset + clamped.y * size.x + next.x], f.x);
+  let low = mix(maps[offset + next.y * size.x + clamped.x], maps[offset + next.y * size.x + next.x], f.x);
+  return mix(top, low, f.y);
+}
+
+// The part of the sun's disc that stands above the horizon, given the horizon's height over the disc's centre in radii.
+fn disc_part(d: f32) -> f32 {
+  let c = clamp(d, -1.0, 1.0);
+  return (acos(c) - c * sqrt(1.0 - c * c)) / PI;
+}
+
+// How much of the sun is seen: the finest window of horizons that holds the place.
+fn sunlit(at: Place) -> f32 {
+  for (var w = i32(shade.windows) - 1; w >= 0; w--) {
+    let window = windows[w];
+    let p = in_blocks(at, u32(window.level));
+    let q = p.whole - vec2<i32>(window.col0, window.row0);
+    if (w == 0 || (all(q >= vec2<i32>(1)) && all(q < vec2<i32>(window.cols, window.rows) - 2))) {
+      return disc_part(map_value(window.offset, vec2<i32>(window.cols, window.rows), vec2<i32>(window.col0, window.row0), window.level, at));
+    }
+  }
+  return 1.0;
+}
+
+fn shoulder(x: vec3<f32>) -> vec3<f32> {
+  return select(0.82 + 0.18 * (1.0 - exp((0.82 - x) / 0.18)), x, x < vec3<f32>(0.82));
+}
+
+fn tint_of(height: f32) -> vec3<f32> {
+  let below = shade.sea_count > 0u && height < 0.0;
+  let count = select(shade.land_count, shade.sea_count, below);
+  let start = select(shade.land_at, shade.sea_at, below);
+  let t = select((height - shade.tint.x) / (shade.tint.y - shade.tint.x), (height - shade.tint.z) / -shade.tint.z, below);
+  let z = clamp(t * f32(count - 1u), 0.0, f32(count - 1u) - 1e-3);
+  let k = u32(z);
+  return mix(rgb(start + k * 3u), rgb(start + k * 3u + 3u), z - f32(k));
+}
+
+struct Ground {
+  colour: vec3<f32>,
+  slope: vec2<f32>,     // metres per metre east and north, of the true ground
+};
+
+// Colour of ground at a place, seen over a footprint (samples).
+fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>) -> Ground {
+  let s = slope(at, footprint);
+  let g = vec2<f32>(s.x * camera.inverse.x + s.y * camera.inverse.z, s.x * camera.inverse.y + s.y * camera.inverse.w);
+  let stretched = g * (camera.forward.w * shade.sunlight.w);
+  let up = inverseSqrt(1.0 + dot(stretched, stretched));
+  let cosine = max((shade.sun.z - dot(stretched, shade.sun.xy)) * up, 0.0);
+  var lit = cosine;
+  if ((shade.flags & 1u) != 0u && cosine > 0.0) {
+    lit *= sunlit(at);
+  }
+  let size = shade.light.zy;
+  let first = shade.light_first.yx;
+  let open = map_value(shade.light.x, size, first, shade.light.w, at);
+  var albedo = tint_of(height);
+  if ((shade.flags & 4u) != 0u) {
+    let image = drape_colour(position, footprint * shade.paper.w);
+    albedo = mix(albedo, image.rgb, image.a * shade.tint.w);
+  }
+  if ((shade.flags & 2u) != 0u) {
+    var wet = map_value(shade.light.x + size.x * size.y, size, first, shade.light.w, at);
+    wet = clamp((wet - (0.5 - shade.water.w)) / (2.0 * shade.water.w), 0.0, 1.0);
+    albedo = mix(albedo, shade.water.rgb, wet * wet * (3.0 - 2.0 * wet));
+  }
+  let sky_part = open * (0.5 + 0.5 * up);
+  let light = lit * shade.sunlight.rgb + sky_part * shade.skylight.rgb
+    + (1.0 - open) * shade.skylight.w * (shade.sunlight.rgb + shade.skylight.rgb);
+  return Ground(shoulder(albedo * light), g);
+}
+
+// Part of a pixel that contour lines cover: the height's change from pixel to pixel on the tangent plane says how far
+// the next contour is.
+fn contours(height: f32, position: vec3<f32>, normal: vec3<f32>, pixel: vec2<f32>) -> f32 {
+  let d = dot(normal, position);
+  var change = vec2<f32>(0.0);
+  for (var k = 0; k < 2; k++) {
+    let ray = ray_of(pixel + select(vec2<f32>(0.0, 1.0), vec2<f32>(1.0, 0.0), k == 0));
+    let t = (d - dot(normal, ray.origin)) / dot(normal, ray.direction);
+    let z = ray.origin.z + t * ray.direction.z;
+    change[k] = (z - position.z) / camera.forward.w;
+  }
+  let rate = max(length(change), 1e-9);
+  let n = height / shade.contour.x;
+  let far = abs(n - round(n)) * shade.contour.x / rate;
+  let index = abs(round(n) - shade.contour.y * round(n / shade.contour.y)) < 0.25;
+  let half = 0.5 * shade.contour.z * select(1.0, 2.0, index);
+  // Where lines would stand closer than some pixels they fade: first the plain ones, then the index contours.
+  let apart = shade.contour.x / rate * select(1.0, shade.contour.y, index);
+  return clamp(half - far + 0.5, 0.0, 1.0) * smoothstep(3.0, 7.0, apart) * shade.contour.w;
+}
+
+@vertex
+fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
+  return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
+}
+
+@fragment
+fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
+  let pixel = vec2<i32>(at.xy);
+  let stored = textureLoad(depths, pixel, 0);
+  let mark = textureLoad(marks, pixel, 0).r;
+  let ray = ray_of(at.xy);
+  let far = length(ray.direction);
+  let d = ray.direction / far;
+  if ((mark & 1u) == 0u) {
+    if (shade.disc.w > 0.0) {
+      return vec4<f32>(sky(d), 1.0);
+    }
+    return vec4<f32>(shade.paper.rgb, 1.0);
+  }
+  let depth = depth_of(stored);
+  let position = ray.origin + ray.direction * depth;
+  let cells = vec2<f32>(dot(camera.inverse.xy, position.xy), dot(camera.inverse.zw, position.xy)) + camera.eye_frac;
+  let down = floor(cells);
+  let place = Place(camera.eye_cell + vec2<i32>(down), cells - down);
+  let height = camera.eye_height.x + camera.eye_height.y + position.z / camera.forward.w;
+  let slant = inverseSqrt(clamp(abs(d.z), 0.1, 1.0));
+  let footprint = camera.pixel * select(depth, 1.0, camera.plan == 1u) * slant / shade.paper.w;
+  if ((mark & 2u) != 0u) {   // a patch over missing data
+    let line = (u32(at.x) + u32(at.y)) % 7u < 2u;
+    var veil = select(rgb(shade.hatch), rgb(shade.hatch + 3u), line);
+    if (shade.disc.w > 0.0) {
+      veil = haze(veil, d, depth);
+    }
+    return vec4<f32>(veil, 1.0);
+  }
+  let seen = ground(place, height, footprint, position);
+  var colour = seen.colour;
+  if ((shade.flags & 16u) != 0u) {
+    colour = mix(colour, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(colour, vec3<f32>(0.4)), 0.65);
+  }
+  if (shade.contour.x > 0.0) {
+    let normal = vec3<f32>(-seen.slope * camera.forward.w, 1.0);
+    colour = mix(colour, shade.contour_colour.rgb, contours(height, position, normal, at.xy));
+  }
+  if (shade.disc.w > 0.0) {
+    colour = haze(colour, d, depth);
+  }
+  if ((shade.flags & 8u) != 0u) {
+    colour = mix(colour, vec3<f32>(0.02), 0.75 * f32((mark >> 16u) & 255u) / 255.0);
+  }
+  return vec4<f32>(colour, 1.0);
+}
+
+// A colour for the spacing of a patch's lattice and whether its legs are diagonal.
+fn level_colour(step: u32, diagonal: u32) -> vec3<f32> {
+  let hue = f32(step) * 0.381966 + f32(diagonal) * 0.08;
+  let h = abs(fract(vec3<f32>(hue, hue + 0.3333, hue + 0.6667)) * 6.0 - 3.0) - 1.0;
+  return mix(vec3<f32>(1.0), clamp(h, vec3<f32>(0.0), vec3<f32>(1.0)), 0.8) * 2.0;
+}
