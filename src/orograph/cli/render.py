@@ -109,7 +109,13 @@ OWN = {*SCENE, *CAMERA, "sun", "water", "backend"}
 @click.option("--save-view", type=FILE, metavar="VIEW.json", help="Also write the camera that was used.")
 @click.option("--crs", help="Projected CRS to draw in.  [default: the file's own, or its UTM zone]")
 @click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
-@click.option("--backend", type=click.Choice(["cpu"]), default="cpu", show_default=True, help="What draws.")
+@click.option(
+    "--backend",
+    type=click.Choice(["cpu", "gpu"]),
+    default="cpu",
+    show_default=True,
+    help="What draws; gpu: the CPU instead where there is none (see orograph doctor).",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @source_options
 @vertical_options
@@ -155,7 +161,7 @@ def command(
         from orograph.errors import DamagedChunkError, NothingInViewError
         from orograph.geovis.colour import colour_table
         from orograph.output import Beside, check_folder
-        from orograph.picture.cpu import draw
+        from orograph.picture.backends import draw
         from orograph.picture.memory import check_memory
         from orograph.picture.prepare import cache_folder, prepare
         from orograph.picture.result import picture_format
@@ -183,7 +189,7 @@ def command(
         **{k: options[k] for k in SCENE},
     )  # fmt: skip
     try:
-        picture = draw(scene, progress)
+        picture = draw(scene, progress, backend=options["backend"])
     except DamagedChunkError as error:
         if error.path is not None and Path(error.path).parent == cache_folder():
             error.remedy = "It is a copy that was kept: delete it, and the next picture builds it again."

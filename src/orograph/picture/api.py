@@ -10,6 +10,7 @@ from typing import Any, Literal
 from orograph.dem.raster import Dem
 from orograph.errors import UsageError
 from orograph.light.sun import Given, sun_of
+from orograph.picture.backends import BACKENDS, draw
 from orograph.picture.memory import check_memory
 from orograph.picture.result import Picture
 from orograph.picture.scene import Scene
@@ -44,7 +45,7 @@ def render(
     mesh_view: View | None = None,
     max_memory: int | None = None,
     jobs: int | None = None,
-    backend: Literal["cpu"] = "cpu",
+    backend: Literal["cpu", "gpu"] = "cpu",
     progress: Progress = SILENT,
     **unknown: Any,
 ) -> Picture:
@@ -80,7 +81,8 @@ def render(
         mesh_view: the camera that the engine refines for, to look at its mesh from elsewhere. Default None: ``view``.
         max_memory: bytes to keep within. Default None: no limit.
         jobs: threads. Default None: all processors.
-        backend: "cpu".
+        backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU where
+            there is none). Default "cpu".
         progress: hears of what is being done, and of warnings. Default: nothing is said.
 
     Returns:
@@ -93,8 +95,8 @@ def render(
     """
     if unknown:
         raise _unknown(next(iter(unknown)))
-    if backend != "cpu":
-        raise UsageError(f"There is no backend {backend!r}; there is 'cpu'.")
+    if backend not in BACKENDS:
+        raise UsageError(f"There is no backend {backend!r}; there are {', '.join(BACKENDS)}.")
     check_memory((view.width, view.height) if view is not None else size, max_memory)
     if isinstance(terrain, (str, os.PathLike)):
         from orograph.picture.prepare import prepare
@@ -115,10 +117,7 @@ def render(
         water=water, relief=relief, samples=samples, tolerance=tolerance, engine=engine, wireframe=wireframe,
         mesh_view=mesh_view, furniture=furniture, title=title, depths=depths, max_memory=max_memory, jobs=jobs,
     )  # fmt: skip
-
-    from orograph.picture.cpu import draw
-
-    return draw(scene, progress)
+    return draw(scene, progress, backend=backend)
 
 
 def _unknown(name: str) -> UsageError:
