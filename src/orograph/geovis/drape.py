@@ -117,6 +117,20 @@ class Drape:
         mipmap.fill(pool, levels)
         return cls(name, placement, lattice, window, (pool, levels), warnings)
 
+    @property
+    def lattice(self) -> Lattice:
+        """Image positions of nodes over the terrain, pixels from the image's upper left corner."""
+        return self._lattice
+
+    @property
+    def window(self) -> Window:
+        """The part of the image that is held, and how many of its pixels a texel is wide."""
+        return self._window
+
+    def levels(self) -> list[Bytes]:
+        """The pyramid, finest first: (rows, cols, 4) sRGB and opacity, colours not multiplied by it (``mipmap``)."""
+        return [self._pool[b : b + r * c].reshape(r, c, 4) for b, r, c in self._levels.tolist()]
+
     def positions(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Where places in the terrain's CRS (n,) lie in the image: u, v in pixels from its upper left corner, NaN where
         there is no such place, and image pixels per metre there."""

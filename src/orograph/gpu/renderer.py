@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OrographError
+from orograph.geovis.drape import Drape
 from orograph.gpu.camera import CAMERA, camera_of, nearest
 from orograph.gpu.device import Device
+from orograph.gpu.drape import DrapeTexture
 from orograph.gpu.lightmaps import LightMaps, light_maps, whole
 from orograph.gpu.look import SHADE, Look
 from orograph.gpu.passes import PatchPass, ResolvePass, ShadePass, Targets
@@ -39,8 +41,6 @@ UPLOAD = 16
 
 SAMPLES = 16
 """Samples of a pixel that a picture at rest gathers."""
-
-DRAPE_NODE = np.dtype([("node", "<f4", 4)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class Renderer:
         self._targets: Targets | None = None
         self._buffers: dict[str, tuple[Any, Any]] = {}
         self._levels = self._level_table()
-        self._drape = self._no_drape()
+        self._bare = self._no_drape()
         self._maps: LightMaps | None = None
         self._light = _Aside()
         self._at_rest: Any = None
@@ -193,7 +193,7 @@ class Renderer:
         u["contour"] = overlay.contours, overlay.index, overlay.contour_width, overlay.contour_opacity
         u["contour_colour"] = 0.12, 0.075, 0.04, 0.0
         self.device.queue.write_buffer(self._shade, 0, u)
-        group = self._group(targets, look)
+        group = self._group(targets, look, scene)
         for k in range(begin, begin + count):
             shift = _sample(k, samples or SAMPLES) if (samples or SAMPLES) > 1 else (0.0, 0.0)
             if k == 0 and samples is None:
@@ -346,10 +346,14 @@ class Renderer:
 
     # ---- resources -------------------------------------------------------------------------------------------------
 
-    def _group(self, targets: Targets, look: Look) -> Any:
+    def _group(self, targets: Targets, look: Look, scene: Scene) -> Any:
         assert self._maps is not None
         windows = self._maps.windows if len(self._maps.windows) else np.zeros((1, 8), np.int32)
-        texture, lattice = self._drape
+        image, lattice = self._bare
+        if scene.drape is not None:
+            draped = self._draped(scene)
+            draped.aim(scene.view)
+            image, lattice = draped.view, draped.lattice
         return self._shading.group(
             targets,
             {
@@ -360,7 +364,7 @@ class Renderer:
                 6: self._stored("maps", self._maps.pool),
                 7: self._levels,
                 8: self._stored("windows", windows),
-                9: texture.create_view(),
+                9: image,
                 11: lattice,
             },
         )
@@ -388,7 +392,17 @@ class Renderer:
 
     def _no_drape(self) -> tuple[Any, Any]:
         texture = self.device.texture((1, 1), "rgba8unorm-srgb", "TEXTURE_BINDING|COPY_DST", label="no drape")
-        return texture, self.device.buffer(np.zeros((7, 4), np.float32), "STORAGE", "no drape")
+        return texture.create_view(), self.device.buffer(np.zeros((7, 4), np.float32), "STORAGE", "no drape")
+
+    def _draped(self, scene: Scene) -> DrapeTexture:
+        """The scene's image, read and uploaded when it is first asked for."""
+        path, terrain, memory = scene.drape, self.terrain, scene.max_memory
+        assert path is not None
+
+        def upload() -> DrapeTexture:
+            return DrapeTexture(self.device, Drape.open(path, terrain.grid, memory))
+
+        return self.kept("drape on the GPU", (path, memory), upload, terrain)
 
     def _load_coarsest(self) -> None:
         """The coarsest tiles of both kinds, to stay: there is always something to draw."""
