@@ -20,11 +20,26 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from orograph.dem import Dem, read
     from orograph.geo import Grid
+    from orograph.light.bake import bake
     from orograph.picture import Picture, Sun, camera, render
     from orograph.store import Terrain, build, open, terrain
     from orograph.view import View
 
-__all__ = ["Dem", "Grid", "Picture", "Sun", "Terrain", "View", "build", "camera", "open", "read", "render", "terrain"]
+__all__ = [
+    "Dem",
+    "Grid",
+    "Picture",
+    "Sun",
+    "Terrain",
+    "View",
+    "bake",
+    "build",
+    "camera",
+    "open",
+    "read",
+    "render",
+    "terrain",
+]
 
 _HOMES = {
     "Dem": "orograph.dem",
@@ -33,6 +48,7 @@ _HOMES = {
     "Sun": "orograph.picture",
     "Terrain": "orograph.store",
     "View": "orograph.view",
+    "bake": "orograph.light.bake",
     "build": "orograph.store",
     "camera": "orograph.picture",
     "open": "orograph.store",

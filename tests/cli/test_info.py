@@ -37,6 +37,7 @@ KEYS = {
     "nodata",
     "vertical_datum",
     "errors",
+    "layers",
     "levels",
     "side",
     "size_bytes",

@@ -16,9 +16,11 @@ from orograph.errors import OrographError
 VERBS = {
     "demo": "Draw the built-in sample, step by step.",
     "build": "Build a terrain store from DEM files.",
+    "bake": "Put light into a store: sky, occlusion, apertures, at all levels.",
     "info": "Tell what a DEM or a store is, and what is suspicious about it.",
     "render": "Draw a relief picture of a DEM or a store.",
     "light": "Make maps of light: slope, hillshade, horizons, sky, openness…",
+    "measure": "Measure heights, lengths, areas and what is seen, on the true surface.",
     "tessellate": "Triangulate a DEM or a store for a view.",
     "compare": "Measure the engines side by side.",
     "doctor": "Tell what this machine offers for drawing, and what to install.",

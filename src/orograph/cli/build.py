@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from orograph.cli.light import Names
 from orograph.cli.options import jobs_option, memory_option, progress_of, source_options, vertical_options
 
 if TYPE_CHECKING:
@@ -63,6 +64,13 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
 @click.option(
     "--overwrite", is_flag=True, help="Replace a store that is there; it stays until the new one is complete."
 )
+@click.option(
+    "--bake",
+    "products",
+    type=Names(),
+    metavar="NAMES",
+    help="Put light into it as well: sky-view-factor,aperture… (see orograph bake --help, which has options for it).",
+)
 @click.option("--resume", is_flag=True, help="Finish an interrupted build of the same files with the same options.")
 @click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
 @click.pass_context
@@ -76,6 +84,7 @@ def command(
     max_memory: int,
     jobs: int | None,
     errors: tuple[ErrorKind, ...],
+    products: tuple[str, ...] | None,
     as_json: bool,
     **options: Any,
 ) -> None:
@@ -92,10 +101,15 @@ def command(
       orograph build dem.tif -o area.oro
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
+      orograph build tiles/*.tif -o area.oro --bake sky-view-factor,aperture
       orograph build N44W072.hgt -o area.oro --to-vertical ellipsoidal --geoid egm96_15.gtx
     """
     from orograph.store.build import as_source, build
 
+    if products:
+        from orograph.light.bake import check
+
+        check(products)
     progress = progress_of(ctx)
     started = time.perf_counter()
     source = as_source(dem, progress, **options)
@@ -115,6 +129,11 @@ def command(
     except KeyboardInterrupt:
         click.echo(f"\n{store} is not complete; run the same command with --resume to finish it.", err=True)
         raise
+    if products:
+        from orograph.cli.bake import run
+
+        terrain.close()
+        terrain = run(store, products, progress, max_memory=max_memory, jobs=jobs)
     grid, size = terrain.grid, terrain.size_bytes
     low, high = terrain.height_range
     known = low == low
@@ -129,6 +148,7 @@ def command(
         "height_range": [low, high] if known else None,
         "valid_fraction": terrain.valid_fraction,
         "errors": list(terrain.errors),
+        "layers": list(terrain.layers),
         "vertical_datum": terrain.vertical,
         "seconds": round(time.perf_counter() - started, 3),
         "peak_memory_bytes": peak_memory(),

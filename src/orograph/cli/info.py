@@ -2,8 +2,8 @@
 
 The keys of the JSON object are fixed: kind ("dem" or "store"), path, crs, transform (a b c d e f as in GDAL and
 affine), shape [rows, cols], spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction,
-dtype, nodata, vertical_datum, levels, side, errors (the kinds that a store has), size_bytes, warnings. What is unknown,
-and every number that is not finite, is null. Several paths give a list.
+dtype, nodata, vertical_datum, levels, side, errors (the kinds that a store has), layers (those baked into it),
+size_bytes, warnings. What is unknown, and every number that is not finite, is null. Several paths give a list.
 """
 
 from __future__ import annotations
@@ -87,6 +87,7 @@ def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | No
         "levels": level_count(source.shape),
         "side": (1 << exponent(source.shape)) + 1,
         "errors": [],
+        "layers": [],
         "size_bytes": _size(path),
         "warnings": warnings,
         "_format": source.driver,
@@ -122,6 +123,7 @@ def _store_facts(path: str) -> Facts:
             "levels": terrain.levels,
             "side": terrain.side,
             "errors": list(terrain.errors),
+            "layers": list(terrain.layers),
             "size_bytes": _size(path),
             "warnings": [],
             "_format": "terrain store",
@@ -175,6 +177,7 @@ def describe(facts: Facts) -> str:
     )
     if facts["kind"] == "store":
         line("errors", ", ".join(facts["errors"]) or "none (orograph build --errors)")
+        line("layers", ", ".join(facts["layers"]) or "none (orograph bake)")
     for text in facts["warnings"]:
         lines.append(click.style("  ! ", fg="yellow", bold=True) + text)
     return "\n".join(lines)

@@ -70,12 +70,7 @@ def produce(context: Context, products: Sequence[Product]) -> Iterator[tuple[int
     Raises:
         UsageError: what is asked of a product makes no sense (said before any of them is made).
     """
-    made = [p.make(context) for p in products]
-    canvases: dict[int, Canvas] = {}
-    for k, each in enumerate(made):
-        if isinstance(each, Sweep) and k not in canvases:
-            together = [i for i, m in enumerate(made) if isinstance(m, Sweep) and m.group == each.group]
-            canvases.update(_swept(context, {i: made[i] for i in together}, [products[i].name for i in together]))  # type: ignore[misc]
+    made, canvases = _begun(context, products)
     for k, each in enumerate(made):
         if not isinstance(each, Sweep):
             yield from ((k, row, col, values) for row, col, values in each)
@@ -86,6 +81,44 @@ def produce(context: Context, products: Sequence[Product]) -> Iterator[tuple[int
                 yield k, window[0], window[2], each.finish(canvas.values, window)
                 canvas.release()
                 task.advance()
+
+
+def readers(context: Context, products: Sequence[Product]) -> Iterator[Callable[[Window], Values]]:
+    """Make products, each as a function that gives any window of it: window → values (bands, rows, cols).
+
+    A function holds what its product takes; it is let go of with the last reference to the function.
+    """
+    made, canvases = _begun(context, products)
+    for k, each in enumerate(made):
+        if isinstance(each, Sweep):
+            yield _finisher(each, canvases.pop(k))
+            continue
+        canvas = context.canvas(len(products[k].bands(context.options)))
+        for row, col, values in each:
+            canvas.values[:, row : row + values.shape[1], col : col + values.shape[2]] = values
+            canvas.release()
+        yield _finisher(None, canvas)
+
+
+def _finisher(sweep: Sweep | None, canvas: Canvas) -> Callable[[Window], Values]:
+    def read(window: Window) -> Values:
+        row0, row1, col0, col1 = window
+        made = canvas.values[:, row0:row1, col0:col1] if sweep is None else sweep.finish(canvas.values, window)
+        canvas.release()
+        return np.asarray(made)
+
+    return read
+
+
+def _begun(context: Context, products: Sequence[Product]) -> tuple[list[Blocks | Sweep], dict[int, Canvas]]:
+    """What the products make of a context, and the canvases of those that are swept, by their place."""
+    made = [p.make(context) for p in products]
+    canvases: dict[int, Canvas] = {}
+    for k, each in enumerate(made):
+        if isinstance(each, Sweep) and k not in canvases:
+            alike = {i: m for i, m in enumerate(made) if isinstance(m, Sweep) and m.group == each.group}
+            canvases.update(_swept(context, alike, [products[i].name for i in alike]))
+    return made, canvases
 
 
 def _swept(context: Context, sweeps: dict[int, Sweep], names: Sequence[str]) -> dict[int, Canvas]:

@@ -95,7 +95,7 @@ class ArraySpec:
             "data_type": self.dtype,
             "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [self.shard, self.shard]}},
             "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-            "fill_value": "NaN" if np.isnan(self.fill) else self.fill if size > 1 else int(self.fill),
+            "fill_value": "NaN" if np.isnan(self.fill) else np.dtype(self.dtype).type(self.fill).item(),
             "codecs": [{"name": "sharding_indexed", "configuration": sharding}],
             "dimension_names": list(self.dimensions),
             "attributes": attributes,

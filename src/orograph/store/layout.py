@@ -9,6 +9,7 @@ A store is a Zarr v3 group::
     tiles/{k}/minimum, maximum, error (float32), valid (uint8)
     diamonds/{k}/radius        uint8, coded: spheres of the diamonds of octave k (see ``Terrain.diamonds``)
     diamonds/{k}/exact…        uint8, coded: their errors, of each kind that was built
+    layers/NAME/{k}/BAND       uint8 or uint16, coded: layers that were put in later, such as baked light (``layers``)
 
 so that ``xarray.open_zarr(store, group="heights/3")`` opens a level with its coordinates. The root carries the
 *multiscales*, *spatial* and *proj* conventions (versions below), and Orograph's own record with a checksum over itself.
@@ -33,6 +34,7 @@ from orograph.errors import StoreError
 from orograph.geo.grid import Grid, compose
 from orograph.store.arrays import ArraySpec, crc32c
 from orograph.store.diamonds import metric
+from orograph.store.layers import GROUP, LayerRecord, layer_spec
 from orograph.store.terrain import Shape, diamond_shape, exponent, level_count, level_shape, mean_shape, tile_shape
 
 FORMAT = 2
@@ -114,6 +116,7 @@ class Record:
         source: fingerprint of what it was built from.
         errors: the kinds of errors it has of its diamonds, and how they are coded.
         radius: how their radii are coded; None if it has no errors.
+        layers: by name.
     """
 
     grid: Grid
@@ -126,6 +129,7 @@ class Record:
     source: str
     errors: dict[ErrorKind, ErrorCode] = field(default_factory=dict)
     radius: RadiusCode | None = None
+    layers: dict[str, LayerRecord] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         crs = self.grid.crs
@@ -147,6 +151,8 @@ class Record:
             "errors": {kind: code.to_json() for kind, code in self.errors.items()},
             "radius": None if self.radius is None else self.radius.to_json(),
         }
+        if self.layers:
+            record["layers"] = {name: layer.to_json() for name, layer in self.layers.items()}
         return {**record, "checksum": _checksum(record)}
 
     @classmethod
@@ -189,6 +195,7 @@ class Record:
             record["source"],
             {kind: ErrorCode(**code) for kind, code in record["errors"].items()},
             None if radius is None else RadiusCode(nominal_radii(metric(grid), exponent(grid.shape)), **radius),
+            {name: LayerRecord.from_json(name, layer) for name, layer in record.get("layers", {}).items()},
         )
 
 
@@ -247,6 +254,9 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
             for diamond, code in codes.items():
                 spec = diamond_spec(grid.shape, level, diamond, shard, chunk)
                 nodes[spec.path] = spec.metadata({"long_name": f"{diamond} of diamonds, coded", "code": code})
+    for layer in record.layers.values():
+        nodes.setdefault(GROUP, _group())
+        _layer(record, layer, nodes, data)
     for path in [path for path, node in nodes.items() if node["node_type"] == "group"]:
         below = {p[len(path) + 1 :]: node for p, node in nodes.items() if p.startswith(path + "/")}
         nodes[path] = {**nodes[path], "consolidated_metadata": _consolidated(below)}
@@ -258,6 +268,23 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
     }
     data.update({f"{path}/{ROOT}": dumps(node) for path, node in nodes.items()})
     return data, {ROOT: dumps(root)}
+
+
+def _layer(record: Record, layer: LayerRecord, nodes: dict[str, dict[str, Any]], data: dict[str, bytes]) -> None:
+    """The groups and arrays of a layer."""
+    said = {"long_name": layer.doc, "averaging": layer.averaging, "made_with": layer.options}
+    nodes[f"{GROUP}/{layer.name}"] = _group(said)
+    for level in range(level_count(record.grid.shape)):
+        grid = Grid(
+            mean_shape(record.grid.shape, level), level_transform(record.grid, level, mean=True), record.grid.crs
+        )  # fmt: skip
+        path = f"{GROUP}/{layer.name}/{level}"
+        nodes[path] = _group(_spatial(grid))
+        for band in layer.bands:
+            spec = layer_spec(record.grid.shape, layer.name, level, band, record.shard, record.chunk)
+            name = {"long_name": f"{layer.doc}, {band.name}, level {level}"}
+            nodes[spec.path] = spec.metadata({**name, **band.attributes()})
+        _coordinates(path, grid, nodes, data)
 
 
 def _consolidated(nodes: dict[str, dict[str, Any]]) -> dict[str, Any]:

@@ -161,6 +161,15 @@ class FolderStorage(Storage):
         except OSError as error:
             raise self._failed("removed", key, error) from error
 
+    def rename(self, key: str, to: str) -> None:
+        """Give what lies below a key another place, which must be free."""
+        try:
+            (self.path / key).rename(self.path / to)
+        except OSError as error:
+            raise self._failed("moved", key, error) from error
+        with self._lock:
+            self._open.clear()
+
     def size(self) -> int | None:
         return sum(entry.stat().st_size for entry in self.path.rglob("*") if entry.is_file())
 

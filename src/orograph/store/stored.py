@@ -15,6 +15,7 @@ from orograph.errors import DamagedChunkError, StoreError, UsageError
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.diamonds import place
+from orograph.store.layers import Layer, LayerBand, LayerRecord, layer_spec
 from orograph.store.layout import (
     PLAN,
     ROOT,
@@ -134,6 +135,37 @@ class StoredTerrain(Terrain):
             self._top = radii
         return self._top
 
+    @property
+    def layers(self) -> tuple[str, ...]:
+        return tuple(self.record.layers)
+
+    def layer(self, name: str, **options: Any) -> Layer:
+        record = self.record.layers.get(name)
+        if record is None:
+            return super().layer(name)
+        again = f"Bake it again (orograph bake {self.url} --products {name})."
+        if record.source != self.record.source:
+            raise StoreError(f"Its layer {name!r} was made from other heights.", path=self.url, remedy=again)
+        for key, wanted in options.items():
+            if key not in record.options:
+                raise UsageError(f"Layer {name!r} is not made with {key!r}, but {', '.join(record.options)}.")
+            if record.options[key] != wanted:
+                raise StoreError(
+                    f"Its layer {name!r} was made with {key} {_said(record.options[key])}, not {_said(wanted)}.",
+                    path=self.url,
+                    remedy=again,
+                )
+        return Layer(record, self.grid.shape, lambda band, level: self._coded(record, band, level))
+
+    def _coded(self, record: LayerRecord, band: LayerBand, level: int) -> ShardedArray:
+        key = f"{record.name}/{band.name}", level
+        found = self._arrays.get(key)
+        if found is None:
+            spec = layer_spec(self.grid.shape, record.name, level, band, self.record.shard, self.record.chunk)
+            with self._lock:
+                found = self._arrays.setdefault(key, ShardedArray(spec, self.storage, self.cache, self._jobs))
+        return found
+
     def close(self) -> None:
         self.cache.clear()
         self.storage.close()
@@ -156,11 +188,12 @@ class StoredTerrain(Terrain):
 
     def check(self) -> list[str]:
         """Read every chunk and return the keys of the damaged ones."""
-        damaged = []
+        damaged: list[str] = []
         kinds = ["heights", "mean", *self.record.errors, *(["radius"] if self.record.radius else [])]
         for level in range(self.levels):
-            for kind in kinds if level else [k for k in kinds if k != "mean"]:
-                spec = self._array(kind, level).spec
+            arrays = [self._array(kind, level) for kind in kinds if level or kind != "mean"]
+            arrays += [self._coded(layer, b, level) for layer in self.record.layers.values() for b in layer.bands]
+            for spec in (array.spec for array in arrays):
                 array = ShardedArray(spec, self.storage, ChunkCache(0), self._jobs)
                 for row in range(0, spec.shape[0], spec.chunk):
                     for col in range(0, spec.shape[1], spec.chunk):
@@ -175,6 +208,10 @@ class StoredTerrain(Terrain):
             except DamagedChunkError as error:
                 damaged.append(error.chunk)
         return damaged
+
+
+def _said(value: Any) -> str:
+    return "unlimited" if value is None else str(value)
 
 
 def open(

@@ -15,14 +15,17 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error import ErrorKind
-from orograph.errors import UsageError
+from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
+
+if TYPE_CHECKING:
+    from orograph.store.layers import Layer
 
 TILE = 256
 """Cells along the side of a tile, at every level."""
@@ -186,6 +189,28 @@ class Terrain(ABC):
             StoreError: the store was built without errors of that kind.
             DamagedChunkError: a chunk of a store fails its checksum.
         """
+
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """The names of the layers it has (``layer``)."""
+        return ()
+
+    def layer(self, name: str, **options: Any) -> Layer:
+        """A raster that rides on the terrain at every level, such as baked light (``orograph bake``).
+
+        Args:
+            name: "sky-view-factor", "aperture"…
+            options: what it must have been made with (``radius=600.0``, ``azimuths=64``…).
+
+        Raises:
+            StoreError: it has no such layer, or one that was made with other options or from other heights.
+        """
+        there = f"; it has {', '.join(self.layers)}" if self.layers else ""
+        raise StoreError(
+            f"This terrain has no layer {name!r}{there}.",
+            path=self.name,
+            remedy=f"Put it into a store: orograph bake STORE --products {name}.",
+        )
 
     def close(self) -> None:  # noqa: B027 (most terrains have nothing to close)
         """Let go of files and caches; the terrain cannot be read afterwards."""

@@ -1,0 +1,131 @@
+"""``orograph bake``: light products into a store, as layers at all its levels."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orograph.cli.light import MORE, Names
+from orograph.cli.options import jobs_option, memory_option, progress_of
+from orograph.errors import UsageError
+
+if TYPE_CHECKING:
+    from orograph.light.products import Options
+    from orograph.progress import Progress
+    from orograph.store.stored import StoredTerrain
+
+
+@click.command("bake", short_help="Put light into a store: sky, occlusion, apertures, at all levels.")
+@click.argument("store", metavar="STORE")
+@click.option(
+    "--products",
+    "--product",
+    type=Names(),
+    required=True,
+    multiple=True,
+    metavar="NAMES",
+    help="What to bake (see above), with commas between or given again.",
+)
+@click.option(
+    "--azimuths",
+    type=click.IntRange(3, 720),
+    default=32,
+    show_default=True,
+    help="Directions in which horizons are looked for, evenly spread from north.",
+)
+@click.option("--radius", type=float, metavar="METRES", help="How far away ground can hide the sky.  [default: any]")
+@click.option("--curvature", is_flag=True, help="Let the Earth (or another body) be round, and its air refract.")
+@click.option(
+    "--refraction",
+    type=float,
+    default=0.13,
+    show_default=True,
+    help="With --curvature: how much rays bend, relative to the ground.",
+)
+@click.option(
+    "--rays", type=click.IntRange(min=1), default=256, show_default=True, help="With --method rays: rays per sample."
+)
+@click.option("--rho", type=click.Choice(["step", "linear"]), help="Of ambient occlusion.  [default: step]")
+@click.option(
+    "--method", type=click.Choice(["horizon", "rays"]), help="Of ambient occlusion and apertures.  [default: horizon]"
+)
+@click.option("--date", metavar="DATE", help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026).")
+@click.option("--step", type=float, metavar="MINUTES", help="Of insolation: between two suns.  [default: 10]")
+@click.option("--turbidity", type=float, help="Of insolation: Linke's, of the air.  [default: 3]")
+@click.option(
+    "--bits", type=click.Choice(["8", "16"]), help="Of a value in the store.  [default: 16 of apertures, else 8]"
+)
+@click.option("--overwrite", is_flag=True, help="Bake also what is there already; begin an interrupted bake anew.")
+@click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
+@memory_option
+@jobs_option
+@click.pass_context
+def command(
+    ctx: click.Context, /, store: str, products: tuple[tuple[str, ...], ...], bits: str | None, overwrite: bool,
+    as_json: bool, max_memory: int, jobs: int | None, **options: Any,
+) -> None:  # fmt: skip
+    """Put light products into a store as layers: at all levels, averaged, quantised, readable by any Zarr tool.
+
+    \b
+    sky-view-factor, sky-view-horizontal, visible-sky   what is seen of the sky
+    ambient-occlusion    share of ambient light (--radius, --rho, --method)
+    aperture             the sky that is seen as one cap
+    openness, openness-negative, horizon, insolation (--date)
+
+    render --light ao and --light aperture use what is baked. A layer of the same name is replaced when the new one is
+    complete. A bake that is interrupted goes on when the same command is run again.
+
+    \b
+    Examples:
+      orograph bake area.oro --products sky-view-factor,aperture
+      orograph bake area.oro --products ambient-occlusion --radius 600 --rho linear
+    """
+    from orograph.light.products import Options
+
+    began = time.perf_counter()
+    wanted = [name for names in products for name in names]
+    if "insolation" in wanted and options["date"] is None:
+        raise UsageError("Insolation is over a period.", remedy="Give a year, a month or a day (--date 2026-06-21).")
+    more = {k: options.pop(k) for k in MORE}
+    chosen = Options(**options, more={k: v for k, v in more.items() if v is not None})
+    terrain = run(
+        store, wanted, progress_of(ctx), chosen, bits=None if bits is None else int(bits), overwrite=overwrite,
+        max_memory=max_memory, jobs=jobs,
+    )  # fmt: skip
+    seconds = time.perf_counter() - began
+    if as_json:
+        from orograph.cli.build import peak_memory
+
+        layers = {name: terrain.record.layers[name].to_json() for name in dict.fromkeys(wanted)}
+        told = {"path": terrain.url, "layers": layers, "size_bytes": terrain.size_bytes, "seconds": round(seconds, 3),
+                "peak_memory_bytes": peak_memory()}  # fmt: skip
+        click.echo(json.dumps(told, allow_nan=False))
+        return
+    for name in dict.fromkeys(wanted):
+        layer = terrain.layer(name)
+        band = layer.bands[0]
+        error = f"within {band.error:.2g} {band.unit}" if band.unit != "1" else f"within {band.error:.2g}"
+        count = f"{len(layer.bands)} bands of " if len(layer.bands) > 1 else ""
+        click.echo(f"{terrain.url}  {name}: {layer.levels} levels, {count}{band.bits} bits ({error})")
+    click.echo(f"baked in {seconds:.1f} s")
+
+
+def run(
+    store: str, names: Sequence[str], progress: Progress, options: Options | None = None, **how: Any
+) -> StoredTerrain:
+    """``light.bake.bake``, which says after Ctrl-C how it goes on."""
+    from orograph.light.bake import bake
+
+    try:
+        return bake(store, names, options, progress=progress, **how)
+    except KeyboardInterrupt:
+        resumes = "what has been swept is kept" if "://" not in store else "it begins anew"
+        click.echo(
+            f"\n{store} is as it was; run orograph bake {store} again with the same products to finish ({resumes}).",
+            err=True,
+        )
+        raise

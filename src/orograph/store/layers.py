@@ -1,0 +1,178 @@
+"""Named layers of a store: rasters that ride on the terrain's grid at every level, quantised, such as baked light.
+
+A layer ``NAME`` lies beside the heights as ``layers/NAME/{k}/BAND``, one array per level and band. Level 0 has the
+terrain's samples; a sample of level k stands for the block of 2^k × 2^k of them that a box mean of the heights stands
+for (``Terrain.mean_shape``), averaged out of the exact values of level 0 in the way the layer says.
+
+Values v between ``low`` and ``high`` are codes 1 to n = 2^bits − 1: v = low + (code − 1) · (high − low) / (n − 1),
+rounded to the nearest, those beyond to the end of the range; 0 is missing. That is CF's ``scale_factor``,
+``add_offset`` and ``_FillValue``, which the arrays carry, so other tools read physical units; half a step is the
+largest error, and is stated as ``quantisation_error``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.terrain import Heights, Shape, level_count, mean_shape
+
+Codes = NDArray[np.uint8] | NDArray[np.uint16]
+Bits = Literal[8, 16]
+
+GROUP = "layers"
+"""The group of a store that holds its layers."""
+
+
+@dataclass(frozen=True, slots=True)
+class LayerBand:
+    """One raster of a layer, and how its values are coded.
+
+    Attributes:
+        name: of its arrays; letters, digits, hyphens and points.
+        unit: of its values.
+        low, high: what the codes 1 and 2^bits − 1 mean.
+        bits: of a code.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    bits: Bits = 8
+
+    @property
+    def dtype(self) -> str:
+        return f"uint{self.bits}"
+
+    @property
+    def step(self) -> float:
+        """Between two codes."""
+        return float((self.high - self.low) / (2**self.bits - 2))
+
+    @property
+    def error(self) -> float:
+        """The largest error of a value between ``low`` and ``high``."""
+        return self.step / 2
+
+    def encode(self, values: NDArray[Any]) -> Codes:
+        """Codes of values of any shape; 0 for NaN."""
+        scaled = (np.clip(values, self.low, self.high) - self.low) / self.step + 1.5
+        return np.where(np.isnan(values), 0.0, scaled).astype(self.dtype)
+
+    def decode(self, codes: Codes) -> Heights:
+        """float32 values of codes; NaN for 0."""
+        table = (self.low + (np.arange(2**self.bits) - 1.0) * self.step).astype(np.float32)
+        table[0] = np.nan
+        return np.asarray(table[codes])
+
+    def attributes(self) -> dict[str, Any]:
+        """Of its arrays, after CF."""
+        return {
+            "units": self.unit, "scale_factor": self.step, "add_offset": self.low - self.step, "_FillValue": 0,
+            "quantisation_error": self.error, "valid_range": [1, 2**self.bits - 1], "grid_mapping": "spatial_ref",
+        }  # fmt: skip
+
+    def to_json(self) -> dict[str, Any]:
+        return {"name": self.name, "unit": self.unit, "low": self.low, "high": self.high, "bits": self.bits}
+
+
+@dataclass(frozen=True, slots=True)
+class LayerRecord:
+    """What a store says of a layer.
+
+    Attributes:
+        name: of the layer.
+        doc: what it is.
+        bands: its rasters.
+        averaging: how samples of coarser levels come about.
+        options: what it was made with (JSON).
+        source: fingerprint of the heights it was made from (``Record.source``).
+    """
+
+    name: str
+    doc: str
+    bands: tuple[LayerBand, ...]
+    averaging: str
+    options: dict[str, Any]
+    source: str
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "doc": self.doc, "bands": [band.to_json() for band in self.bands], "averaging": self.averaging,
+            "options": self.options, "source": self.source,
+        }  # fmt: skip
+
+    @classmethod
+    def from_json(cls, name: str, record: dict[str, Any]) -> LayerRecord:
+        bands = tuple(LayerBand(**band) for band in record["bands"])
+        return cls(name, record["doc"], bands, record["averaging"], record["options"], record["source"])
+
+
+def layer_spec(shape: Shape, name: str, level: int, band: LayerBand, shard: int, chunk: int) -> ArraySpec:
+    """The codes of a band at a level; ``shape`` is the terrain's, ``name`` that of the layer (or of its folder)."""
+    return ArraySpec(
+        f"{GROUP}/{name}/{level}/{band.name}", mean_shape(shape, level), shard, chunk, band.dtype, 0.0
+    )  # fmt: skip
+
+
+class Layer:
+    """A layer of a terrain, opened for reading from any number of threads; ask a terrain for it (``Terrain.layer``).
+
+    Attributes:
+        name, doc, averaging, options: see ``LayerRecord``.
+        bands: its rasters, in the order in which ``read`` has them.
+        levels: as many as the terrain has.
+    """
+
+    def __init__(self, record: LayerRecord, shape: Shape, array: Callable[[LayerBand, int], ShardedArray]) -> None:
+        self.record = record
+        self.name, self.doc, self.averaging, self.options = record.name, record.doc, record.averaging, record.options
+        self.bands = record.bands
+        self.levels = level_count(shape)
+        self._shape, self._array = shape, array
+
+    def shape(self, level: int) -> Shape:
+        """(rows, cols) of a level: blocks of 2^level × 2^level samples, like ``Terrain.mean_shape``."""
+        if not 0 <= level < self.levels:
+            raise UsageError(f"Layer {self.name!r} has levels 0 to {self.levels - 1}, not {level}.")
+        return mean_shape(self._shape, level)
+
+    def codes(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Codes:
+        """Codes of a window as they are stored, for those who decode them elsewhere (a shader).
+
+        Args:
+            level: of the layer. row0, row1, col0, col1: a half-open window inside ``shape(level)``.
+
+        Returns:
+            (bands, rows, cols) uint8 or uint16; 0 is missing, see ``LayerBand`` for the others.
+
+        Raises:
+            UsageError: there is no such level, or the window is not inside it.
+            DamagedChunkError: a chunk fails its checksum.
+        """
+        rows, cols = self.shape(level)
+        if not (0 <= row0 <= row1 <= rows and 0 <= col0 <= col1 <= cols):
+            raise UsageError(
+                f"The window of rows {row0} to {row1} and columns {col0} to {col1} is not inside the {rows}×{cols} "
+                f"samples of this level of {self.name!r}."
+            )
+        return np.stack([self._array(band, level).read(row0, row1, col0, col1) for band in self.bands])
+
+    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """Values of a window: (bands, rows, cols) float32 in the bands' units, NaN where missing.
+
+        Args and raises: as ``codes``.
+        """
+        codes = self.codes(level, row0, row1, col0, col1)
+        return np.stack([band.decode(each) for band, each in zip(self.bands, codes, strict=True)])
+
+    def __repr__(self) -> str:
+        said = ", ".join(f"{key} {value}" for key, value in self.options.items() if value is not None)
+        return f"<Layer {self.name!r} ({said}), {len(self.bands)} bands, {self.levels} levels>"
