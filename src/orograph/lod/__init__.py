@@ -16,6 +16,7 @@ ENGINES = {
     "blow": ("orograph.lod.blow", "Blow"),
     "stateless": ("orograph.lod.stateless", "Stateless"),
     "soar": ("orograph.lod.soar", "Soar"),
+    "batched": ("orograph.lod.batched", "Batched"),
 }
 """Name to (module, class)."""
 
