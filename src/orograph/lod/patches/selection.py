@@ -157,15 +157,15 @@ def select_patches(
         known = slot >= 0
         flags = 1
         pixels = 0.0
-        empty, mixed = False, False
         inside = masks[at]
-        z, r = 0.0, 0.0
+        z, e, r = np.float64(0.0), np.float64(0.0), np.float64(0.0)
+        empty, mixed = r < 0.0, e < 0.0
         if known:
             z = np.float64(pages.data[slot, u, v, 0])
             e = np.float64(pages.data[slot, u, v, 1])
             r = np.float64(pages.data[slot, u, v, 2])
-            empty = bool(r < 0.0)
-            mixed = bool(e < 0.0)
+            empty = r < 0.0
+            mixed = e < 0.0
             e, r = abs(e), abs(r)
             reach = r * lens[15]
             mr, mc = min(row, last_row), min(col, last_col)
