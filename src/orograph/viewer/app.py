@@ -1,0 +1,161 @@
+"""A window of its own: a glfw canvas, a renderer, the loop, and what to say where there is no screen."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from orograph.errors import OrographError
+from orograph.gpu.device import Device, NoAdapterError
+from orograph.progress import SILENT, Progress
+from orograph.store.terrain import Terrain
+
+if TYPE_CHECKING:
+    from orograph.viewer.session import Session
+    from orograph.viewer.window import Drawer, Window
+
+MOST_FRAMES = 120.0
+"""Frames in a second, at most."""
+
+
+class NoWindowError(OrographError):
+    """No window can be opened: there is no screen, or a library is missing."""
+
+    exit_code = 6
+
+
+def check() -> None:
+    """Raise NoWindowError, before any work, where no window can be opened; NoAdapterError without wgpu."""
+    for module in ("wgpu", "rendercanvas", "glfw", "imgui_bundle"):
+        try:
+            __import__(module)
+        except ImportError as error:
+            raise NoWindowError(
+                f"The window needs {module}.",
+                remedy="Install it: pip install 'orograph[view]'. See orograph doctor for what else there is.",
+            ) from error
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise NoWindowError(
+            "There is no screen to open a window on: neither DISPLAY nor WAYLAND_DISPLAY is set.",
+            remedy="Draw pictures with orograph render, or see orograph doctor.",
+        )
+
+
+def make_canvas(title: str, size: tuple[int, int]) -> Any:
+    """A glfw window.
+
+    Raises:
+        NoWindowError: the screen gives none.
+    """
+    import glfw
+    from rendercanvas.glfw import RenderCanvas
+
+    try:
+        return RenderCanvas(
+            size=size, title=title, update_mode="ondemand", max_fps=MOST_FRAMES, vsync=True
+        )  # fmt: skip
+    except (glfw.GLFWError, RuntimeError, TypeError, ValueError) as error:
+        raise NoWindowError(
+            f"The screen gives no window: {error}.", remedy="See orograph doctor, or use orograph render."
+        ) from error
+
+
+def clipboard() -> tuple[Callable[[], str], Callable[[str], None]]:
+    """The screen's clipboard."""
+    import glfw
+
+    any_window: Any = None  # the argument is of no use since GLFW 3.3
+
+    def get() -> str:
+        found: Any = glfw.get_clipboard_string(any_window)
+        return found.decode("utf-8", "replace") if found else ""
+
+    return get, lambda text: glfw.set_clipboard_string(any_window, text)
+
+
+def renderer_of(
+    gpu_memory: int | None = None, memory: int | None = None, jobs: int | None = None
+) -> Callable[[Device, Terrain], Drawer]:
+    """What makes the renderer of a window."""
+
+    def make(device: Device, terrain: Terrain) -> Drawer:
+        from orograph.gpu.renderer import Renderer
+
+        budget = {k: v for k, v in (("gpu_memory", gpu_memory), ("memory", memory)) if v is not None}
+        return Renderer(device, terrain, jobs=jobs, **budget)
+
+    return make
+
+
+def show(
+    session: Session,
+    *,
+    size: tuple[int, int] = (1280, 800),
+    make: Callable[[Device, Terrain], Drawer] | None = None,
+    adapter: str | None = None,
+    screenshot: Path | None = None,
+    frames: int = 1,
+    progress: Progress = SILENT,
+) -> None:
+    """Open a window on a session, and return when it is closed.
+
+    Args:
+        size: of the window, logical pixels.
+        make: makes the renderer.
+        adapter: a part of the GPU's name.
+        screenshot: write the window's terrain there after so many ``frames``, then close.
+        progress: hears of what comes before the window.
+
+    Raises:
+        NoWindowError, NoAdapterError: there is no screen, or no GPU.
+        OutputError: the screenshot cannot be written.
+    """
+    check()
+    from rendercanvas.glfw import loop
+
+    from orograph.gpu.device import open_device
+    from orograph.viewer.window import Window
+
+    with progress.task("Opening the window"):
+        device = open_device(adapter)
+        make = make or renderer_of()
+        renderer = make(device, session.terrain)
+        canvas = make_canvas(f"{session.terrain.name} — Orograph", size)
+        try:
+            window = Window(
+                session, canvas, lambda d, t: renderer if d is device else make(d, t), device=device,
+                clipboard=clipboard(), adapter=adapter,
+            )  # fmt: skip
+        except Exception as error:
+            canvas.close()
+            if isinstance(error, OrographError):
+                raise
+            raise NoAdapterError(
+                f"{device.adapter.name} does not draw to this window: {error}.", remedy="See orograph doctor."
+            ) from error
+    failure: list[BaseException] = []
+    if screenshot is not None:
+        _shoot(window, screenshot, frames, failure)
+    loop.run()
+    if failure:
+        raise failure[0]
+
+
+def _shoot(window: Window, path: Path, frames: int, failure: list[BaseException]) -> None:
+    """Save a picture after so many frames, and close."""
+
+    def hook(w: Window) -> None:
+        if w.drawn >= frames and not failure:
+            w.on_frame.remove(hook)
+            try:
+                w.write_picture(path)
+            except BaseException as error:
+                failure.append(error)
+            w.canvas.close()
+        else:
+            w.refresh()
+
+    window.on_frame.append(hook)

@@ -1,0 +1,173 @@
+"""Dear ImGui on a canvas: fonts, colours, the layout that is kept, and whom an event is for.
+
+wgpu-py's own glue decides by the last frame's state whether an event is ImGui's; where frames are drawn on demand that
+state is stale (a move and a press arrive together), so here the window under the pointer is looked up when a press
+comes. Events are taken from ``rendercanvas``; positions are logical pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from imgui_bundle import imgui, implot
+
+from orograph.gpu.device import Device
+
+FONT = 15.0
+"""Logical pixels."""
+
+INK = (0.93, 0.94, 0.95, 1.0)
+PAPER = (0.105, 0.115, 0.13, 0.94)
+ACCENT = (0.35, 0.62, 0.86, 1.0)
+
+_MODIFIERS = {"Shift": "mod_shift", "Control": "mod_ctrl", "Alt": "mod_alt", "Meta": "mod_super"}
+
+
+class Gui:
+    """ImGui's context and its renderer on a device.
+
+    Args:
+        device: where it draws; ``format``: of the canvas's textures.
+        layout: the file that positions of panels are kept in, or None.
+        clipboard: functions that get and set the clipboard's text, or None for ImGui's own.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        format: str,
+        layout: Path | None = None,
+        clipboard: tuple[Callable[[], str], Callable[[str], None]] | None = None,
+    ) -> None:
+        self.context = imgui.create_context()
+        imgui.set_current_context(self.context)
+        self.plots = implot.create_context()
+        self.rebuild(device, format)
+        io = imgui.get_io()
+        io.config_flags |= imgui.ConfigFlags_.docking_enable
+        io.config_windows_move_from_title_bar_only = True
+        io.config_error_recovery_enable_assert = False
+        # The backend sets an empty name of the layout's file; it is ours to set after that.
+        self.fresh = layout is None or not layout.exists()
+        io.set_ini_filename("" if layout is None else str(layout))
+        if clipboard is not None:
+            get, put = clipboard
+            platform = imgui.get_platform_io()
+            platform.platform_get_clipboard_text_fn = lambda _: get()
+            platform.platform_set_clipboard_text_fn = lambda _, text: put(text)
+        font = files("imgui_bundle").joinpath("assets", "fonts", "DroidSans.ttf")
+        if font.is_file():
+            io.fonts.add_font_from_file_ttf(str(font), FONT)
+        _style()
+
+    def rebuild(self, device: Device, format: str) -> None:
+        """Draw with another device: the last one was lost."""
+        from wgpu.utils.imgui import ImguiWgpuBackend
+
+        imgui.set_current_context(self.context)
+        self.backend = ImguiWgpuBackend(device.handle, format)
+
+    # ---- events --------------------------------------------------------------------------------------------------
+
+    def pointer(self, x: float, y: float) -> None:
+        """The pointer is at (x, y)."""
+        self._io().add_mouse_pos_event(x, y)
+
+    def button(self, button: int, down: bool) -> None:
+        """A button (1 left, 2 right, 3 middle) goes down or up."""
+        if 1 <= button <= 5:
+            self._io().add_mouse_button_event(button - 1, down)
+
+    def wheel(self, dx: float, dy: float) -> None:
+        """The wheel turns, in notches."""
+        self._io().add_mouse_wheel_event(dx, dy)
+
+    def key(self, name: str, down: bool) -> None:
+        """A key goes down or up, by ``rendercanvas``'s name."""
+        from wgpu.utils.imgui import ImguiRenderer
+
+        key: Any = ImguiRenderer.KEY_MAP.get(name)
+        if key is None:
+            letter = name.lower()
+            if len(letter) != 1:
+                return
+            if letter.isdigit():
+                key = imgui.Key(imgui.Key._0.value + int(letter))
+            elif "a" <= letter <= "z":
+                key = imgui.Key(imgui.Key.a.value + ord(letter) - ord("a"))
+            else:
+                return
+        io = self._io()
+        io.add_key_event(key, down)
+        if name in _MODIFIERS:
+            io.add_key_event(getattr(imgui.Key, _MODIFIERS[name]), down)
+
+    def text(self, characters: str) -> None:
+        """Characters were typed."""
+        if characters:
+            self._io().add_input_characters_utf8(characters)
+
+    def over(self, x: float, y: float) -> bool:
+        """Whether a panel (or a menu that is open) is at (x, y)."""
+        imgui.set_current_context(self.context)
+        if imgui.get_frame_count() == 0:
+            return False
+        imgui.internal.update_hovered_window_and_capture_flags((x, y))
+        return bool(imgui.get_io().want_capture_mouse)
+
+    @property
+    def typing(self) -> bool:
+        """Whether keys are for a text field."""
+        return bool(self._io().want_text_input)
+
+    def _io(self) -> Any:
+        imgui.set_current_context(self.context)
+        return imgui.get_io()
+
+    # ---- frames --------------------------------------------------------------------------------------------------
+
+    def begin(self, size: tuple[float, float], ratio: float, seconds: float) -> None:
+        """Begin a frame of ``size`` logical pixels."""
+        io = self._io()
+        io.display_size = size
+        io.display_framebuffer_scale = (ratio, ratio)
+        io.delta_time = max(seconds, 1e-4)
+        imgui.new_frame()
+
+    def end(self) -> Any:
+        """End the frame; what is to be drawn."""
+        imgui.render()
+        return imgui.get_draw_data()
+
+    def close(self) -> None:
+        """Let go of the context; the layout is saved."""
+        imgui.set_current_context(self.context)
+        implot.destroy_context(self.plots)
+        imgui.destroy_context(self.context)
+
+
+def _style() -> None:
+    """Quiet dark panels beside the picture."""
+    imgui.style_colors_dark()
+    style: Any = imgui.get_style()
+    style.window_rounding = 4.0
+    style.frame_rounding = 3.0
+    style.grab_rounding = 3.0
+    style.popup_rounding = 4.0
+    style.window_border_size = 0.0
+    style.item_spacing = (8.0, 6.0)
+    style.window_padding = (10.0, 8.0)
+    c = imgui.Col_
+    for which, colour in (
+        (c.window_bg, PAPER), (c.text, INK), (c.title_bg, (0.08, 0.09, 0.10, 1)),
+        (c.title_bg_active, (0.13, 0.15, 0.18, 1)),
+        (c.frame_bg, (0.18, 0.20, 0.23, 1)), (c.frame_bg_hovered, (0.23, 0.26, 0.30, 1)),
+        (c.frame_bg_active, (0.25, 0.30, 0.36, 1)), (c.slider_grab, ACCENT), (c.slider_grab_active, ACCENT),
+        (c.check_mark, ACCENT), (c.button, (0.20, 0.25, 0.31, 1)), (c.button_hovered, (0.26, 0.36, 0.46, 1)),
+        (c.button_active, ACCENT), (c.header, (0.20, 0.25, 0.31, 1)), (c.header_hovered, (0.26, 0.36, 0.46, 1)),
+        (c.tab, (0.12, 0.14, 0.16, 1)), (c.tab_selected, (0.20, 0.25, 0.31, 1)), (c.tab_hovered, (0.26, 0.36, 0.46, 1)),
+    ):  # fmt: skip
+        style.set_color_(which, colour)

@@ -1,0 +1,205 @@
+"""What is drawn over the terrain: north arrow, scale bar, colour bar, read-out, messages, the help.
+
+Everything lies on slips of dark translucent paper, so that it reads on snow and on shade alike. Lengths are logical
+pixels; the scale bar holds at the middle of the picture, in metres on the ground (not of a stretched grid).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from imgui_bundle import imgui
+
+from orograph.geovis.colour import linear_to_srgb, tint_of
+from orograph.picture.legend import north_on_screen, stretch
+from orograph.picture.pieces import bar_length, number, ticks
+from orograph.viewer.keys import HELD, MOUSE, help_rows
+from orograph.viewer.navigation import heading_pitch
+from orograph.viewer.session import Message
+
+if TYPE_CHECKING:
+    from orograph.viewer.window import Window
+
+MARGIN = 14.0
+PAD = 8.0
+
+
+def colour(r: float, g: float, b: float, a: float = 1.0) -> int:
+    """ImGui's number of a colour."""
+    return int(imgui.get_color_u32((r, g, b, a)))
+
+
+def slip(draw: Any, x: float, y: float, w: float, h: float) -> None:
+    """Paper for a piece at (x, y)."""
+    draw.add_rect_filled((x, y), (x + w, y + h), colour(0.06, 0.07, 0.08, 0.62), 5.0)
+
+
+def furniture(window: Window) -> None:
+    """North arrow, scale bar, colour bar and read-out, in the corners of the terrain's area."""
+    draw = imgui.get_background_draw_list()
+    x, y, w, h = window.area
+    if w < 240 or h < 160:
+        return
+    _north(window, draw, x + w - MARGIN - 46, y + MARGIN)
+    _scale(window, draw, x + MARGIN, y + h - MARGIN - 40)
+    if h > 360 and not (window.session.settings.drape and window.session.settings.draped):
+        _colours(window, draw, x + w - MARGIN, y + h - MARGIN)
+    _readout(window, draw, x + w / 2, y + h - MARGIN - 24)
+
+
+def _north(window: Window, draw: Any, x: float, y: float) -> None:
+    """A needle that points to grid north, foreshortened as the ground is."""
+    session = window.session
+    scene = session.scene()
+    angle = north_on_screen(scene)
+    size = 46.0
+    slip(draw, x, y, size, size + 16)
+    cx, cy = x + size / 2, y + size / 2
+    if angle is not None:
+        a = math.radians(angle)
+        _, pitch = heading_pitch(session.view, session.settings.exaggeration)
+        length = 18.0 * max(0.45, abs(math.sin(math.radians(pitch))))
+        up, side = (math.sin(a), -math.cos(a)), (math.cos(a), math.sin(a))
+        tip = cx + up[0] * length, cy + up[1] * length
+        tail = cx - up[0] * length, cy - up[1] * length
+        left, right = ((cx - s * side[0] * 6, cy - s * side[1] * 6) for s in (1, -1))
+        draw.add_triangle_filled(tip, left, right, colour(0.86, 0.27, 0.22))
+        draw.add_triangle_filled(tail, left, right, colour(0.85, 0.87, 0.9))
+    text = f"{heading_pitch(session.view, session.settings.exaggeration)[0] % 360:.0f}°"
+    wide = imgui.calc_text_size(text).x
+    draw.add_text((cx - wide / 2, y + size - 2), colour(0.95, 0.95, 0.95), text)
+
+
+def _scale(window: Window, draw: Any, x: float, y: float) -> None:
+    """A bar for the ground in the middle of the picture."""
+    view = window.session.view
+    point = window.middle()
+    if point is None:
+        return
+    depth = float(view.project(point, window.session.settings.exaggeration)[1])
+    metres = depth * view.pixel_slope * window.ratio / window.cached("stretch", lambda: stretch(window.session.scene()))
+    if not (metres > 0 and math.isfinite(metres)):
+        return
+    length, parts, text = bar_length(160.0 * metres)
+    wide = length / metres
+    slip(draw, x, y, wide + 2 * PAD, 38)
+    draw.add_text((x + PAD, y + 4), colour(0.95, 0.95, 0.95), text)
+    for k in range(parts):
+        shade = colour(0.95, 0.95, 0.95) if k % 2 == 0 else colour(0.35, 0.37, 0.4)
+        draw.add_rect_filled(
+            (x + PAD + wide * k / parts, y + 25), (x + PAD + wide * (k + 1) / parts, y + 31), shade
+        )  # fmt: skip
+
+
+def _colours(window: Window, draw: Any, right: float, bottom: float) -> None:
+    """The colours of heights, highest on top."""
+    name = window.session.settings.colormap
+    low, high, table = window.cached(("tint", name), lambda: _table(window, name))
+    tall, wide = 170.0, 14.0
+    marks = ticks(low, high, 6)
+    texts = [number(v, marks) for v in marks]
+    space = max((imgui.calc_text_size(t).x for t in texts), default=0.0)
+    w, h = wide + space + 3 * PAD, tall + 2 * PAD + 18
+    x, y = right - w, bottom - h
+    slip(draw, x, y, w, h)
+    draw.add_text((x + PAD, y + 3), colour(0.95, 0.95, 0.95), "m")
+    top = y + PAD + 14
+    n = len(table)
+    for k in range(n):
+        a, b = top + tall * k / n, top + tall * (k + 1) / n
+        draw.add_rect_filled((x + PAD, a), (x + PAD + wide, b + 0.5), table[n - 1 - k])
+    for v, text in zip(marks, texts):
+        at = top + tall * (high - v) / (high - low)
+        draw.add_line((x + PAD + wide, at), (x + PAD + wide + 4, at), colour(0.95, 0.95, 0.95))
+        draw.add_text((x + 2 * PAD + wide, at - 8), colour(0.95, 0.95, 0.95), text)
+
+
+def _table(window: Window, name: str | None) -> tuple[float, float, list[int]]:
+    low, high, linear = tint_of(window.session.terrain, name).scale(64)
+    at = np.linspace(0, len(linear) - 1, 64).round().astype(int)
+    return low, high, [colour(*(float(v) for v in c)) for c in linear_to_srgb(linear[at])]
+
+
+def _readout(window: Window, draw: Any, middle: float, y: float) -> None:
+    """Where the cursor is on the ground, and how high that is."""
+    hit = window.session.probe.hit
+    if hit is None or window.pointer is None:
+        return
+    parts = [f"{hit.easting:.1f}  {hit.northing:.1f}"]
+    if hit.longitude is not None and hit.latitude is not None:
+        parts.append(lonlat(hit.longitude, hit.latitude))
+    if hit.height is not None:
+        parts.append(f"{hit.height:.1f} m")
+    if hit.slope is not None:
+        parts.append(f"slope {hit.slope:.0f}°")
+    text = "    ".join(parts)
+    wide = imgui.calc_text_size(text).x
+    slip(draw, middle - wide / 2 - PAD, y, wide + 2 * PAD, 24)
+    draw.add_text((middle - wide / 2, y + 4), colour(0.95, 0.95, 0.95), text)
+
+
+def lonlat(lon: float, lat: float) -> str:
+    """Degrees with their hemispheres."""
+    return f"{abs(lat):.5f}° {'N' if lat >= 0 else 'S'}  {abs(lon):.5f}° {'E' if lon >= 0 else 'W'}"
+
+
+def pivot(window: Window) -> None:
+    """A mark on the point that is orbited."""
+    point = window.session.nav.pivot
+    if point is None:
+        return
+    (px, py), depth = window.session.view.project(np.array(point), window.session.settings.exaggeration)
+    if depth > 0:
+        at = window.to_canvas(float(px), float(py))
+        draw = imgui.get_background_draw_list()
+        draw.add_circle(at, 6.0, colour(0, 0, 0, 0.6), 24, 3.5)
+        draw.add_circle(at, 6.0, colour(1, 1, 1), 24, 1.5)
+
+
+def messages(window: Window) -> None:
+    """Sentences at the top of the terrain's area; errors have a button."""
+    x, y, w, _ = window.area
+    top = y + MARGIN
+    for k, message in enumerate(list(window.session.messages.shown)):
+        imgui.set_next_window_pos((x + w / 2, top), imgui.Cond_.always, (0.5, 0.0))
+        imgui.set_next_window_size_constraints((120, 0), (max(200.0, 0.7 * w), 10_000))
+        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize
+        flags |= imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_focus_on_appearing
+        flags |= imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_nav
+        imgui.push_style_color(
+            imgui.Col_.window_bg, (0.42, 0.12, 0.10, 0.95) if message.error else (0.10, 0.12, 0.14, 0.9)
+        )
+        imgui.begin(f"##message{k}", None, flags)
+        _message(window, message, max(180.0, 0.6 * w))
+        top += imgui.get_window_size().y + 6
+        imgui.end()
+        imgui.pop_style_color()
+
+
+def _message(window: Window, message: Message, wide: float) -> None:
+    imgui.push_text_wrap_pos(wide)
+    imgui.text_wrapped(message.text) if imgui.calc_text_size(message.text).x > wide else imgui.text(message.text)
+    imgui.pop_text_wrap_pos()
+    if message.error and imgui.button("OK"):
+        window.session.messages.dismiss(message)
+
+
+def help(window: Window) -> None:
+    """All keys."""
+    x, y, w, h = window.area
+    imgui.set_next_window_pos((x + w / 2, y + h / 2), imgui.Cond_.always, (0.5, 0.5))
+    flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
+    flags |= imgui.WindowFlags_.no_saved_settings
+    imgui.begin("##help", None, flags)
+    for title, rows in (("Mouse", MOUSE), ("Flying", HELD), ("Keys", help_rows())):
+        imgui.separator_text(title)
+        if imgui.begin_table(title, 2 if title != "Keys" else 4, imgui.TableFlags_.sizing_fixed_fit):
+            for key, what in rows:
+                imgui.table_next_column()
+                imgui.text_colored((0.62, 0.80, 0.96, 1), key)
+                imgui.table_next_column()
+                imgui.text(what + "   ")
+            imgui.end_table()
+    imgui.end()

@@ -1,0 +1,70 @@
+"""The panels: docked to the right at first, to be moved, stacked or floated; the layout is kept between sessions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from imgui_bundle import imgui
+
+from orograph.viewer.panels import camera, detail, layers, light, statistics
+
+if TYPE_CHECKING:
+    from orograph.viewer.window import Area, Window
+
+WIDTH = 300.0
+PANELS = (
+    ("Camera", camera.draw, "top"),
+    ("Light", light.draw, "middle"),
+    ("Layers", layers.draw, "middle"),
+    ("Detail", detail.draw, "bottom"),
+    ("Statistics", statistics.draw, "bottom"),
+)
+DOCK = 0x0609_2A11
+"""The dock space's number in the layout's file."""
+
+
+def dock(window: Window) -> Area:
+    """Lay out the dock space; the area that it leaves to the terrain."""
+    viewport = imgui.get_main_viewport()
+    whole = (viewport.pos.x, viewport.pos.y, viewport.size.x, viewport.size.y)
+    if not window.session.settings.panels:
+        flags = imgui.DockNodeFlags_.keep_alive_only
+        imgui.dock_space_over_viewport(DOCK, viewport, flags)
+        return whole
+    if window.gui.fresh:
+        window.gui.fresh = False
+        _layout(viewport)
+    flags = imgui.DockNodeFlags_.passthru_central_node | imgui.DockNodeFlags_.no_docking_over_central_node
+    imgui.dock_space_over_viewport(DOCK, viewport, flags)
+    node = imgui.internal.dock_builder_get_central_node(DOCK)
+    if node is None or node.size.x < 16 or node.size.y < 16:
+        return whole
+    return node.pos.x, node.pos.y, node.size.x, node.size.y
+
+
+def _layout(viewport: imgui.Viewport) -> None:
+    """The layout of the first time."""
+    build = imgui.internal
+    build.dock_builder_remove_node(DOCK)
+    build.dock_builder_add_node(DOCK, imgui.internal.DockNodeFlagsPrivate_.dock_space)
+    build.dock_builder_set_node_size(DOCK, viewport.size)
+    share = min(0.4, WIDTH / max(viewport.size.x, 1.0))
+    _, right, _ = build.dock_builder_split_node_py(DOCK, imgui.Dir.right, share)
+    _, top, rest = build.dock_builder_split_node_py(right, imgui.Dir.up, 0.36)
+    _, middle, bottom = build.dock_builder_split_node_py(rest, imgui.Dir.up, 0.5)
+    places = {"top": top, "middle": middle, "bottom": bottom}
+    for name, _, place in PANELS:
+        build.dock_builder_dock_window(name, places[place])
+    build.dock_builder_finish(DOCK)
+
+
+def draw(window: Window) -> None:
+    """All panels."""
+    for name, content, _ in PANELS:
+        imgui.set_next_window_size((WIDTH, 260), imgui.Cond_.first_use_ever)
+        shown, _ = imgui.begin(name)
+        if shown:
+            imgui.push_item_width(-110.0)
+            content(window)
+            imgui.pop_item_width()
+        imgui.end()

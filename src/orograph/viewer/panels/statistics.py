@@ -1,0 +1,47 @@
+"""What the last frame took and held."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from imgui_bundle import imgui
+
+if TYPE_CHECKING:
+    from orograph.viewer.window import Window
+
+
+def rows(window: Window) -> list[tuple[str, str]]:
+    """(name, value) of what is known of the last frame."""
+    stats = window.stats
+
+    def get(name: str) -> Any:
+        return getattr(stats, name, None)
+
+    found = [("between frames", f"{window.interval * 1e3:.1f} ms")]
+    for name, what, pattern in (
+        ("cpu_ms", "Python", "{:.1f} ms"), ("gpu_ms", "GPU", "{:.1f} ms"), ("triangles", "triangles", "{:,}"),
+        ("patches", "patches", "{:,}"), ("tiles_resident", "tiles held", "{:,}"),
+        ("tiles_wanted", "tiles wanted", "{:,}"), ("tiles_loaded", "tiles loaded", "{:,}"),
+        ("error_px", "error", "{:.2f} px"),
+    ):  # fmt: skip
+        value = get(name)
+        if value is not None:
+            found.append((what, pattern.format(value).replace(",", " ")))
+    uploaded = get("bytes_uploaded")
+    if uploaded is not None:
+        found.append(("uploaded", f"{uploaded / 1e6:.1f} MB"))
+    width, height = window.session.view.width, window.session.view.height
+    found.append(("picture", f"{width} × {height}" + (f" at {window.draft.scale:g}" if window.draft.step else "")))
+    found.append(("device", window.device.adapter.name))
+    return found
+
+
+def draw(window: Window) -> None:
+    """The content of the panel."""
+    if imgui.begin_table("statistics", 2, imgui.TableFlags_.sizing_stretch_prop):
+        for name, value in rows(window):
+            imgui.table_next_column()
+            imgui.text_disabled(name)
+            imgui.table_next_column()
+            imgui.text(value)
+        imgui.end_table()

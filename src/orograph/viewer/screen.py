@@ -1,0 +1,103 @@
+"""The canvas's GPU side: the terrain's own picture, kept between frames, and how it comes on the screen.
+
+The terrain is drawn into a texture of its own, only when something about it changed; panels over it are drawn each
+frame. While the camera moves on a slow device the texture is smaller than the screen (a draft) and is stretched.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+
+DRAFTS = (1.0, 0.7, 0.5, 0.35, 0.25)
+"""Sizes of the picture while the camera moves."""
+TOO_SLOW, FAST_ENOUGH = 0.080, 0.030
+"""Seconds between frames from which a draft gets coarser, or finer again."""
+
+
+class Screen:
+    """The texture of the terrain's picture and the pipeline that copies it.
+
+    Args:
+        device: where; ``format``: of the canvas's textures, and of the picture's.
+    """
+
+    def __init__(self, device: Device, format: str) -> None:
+        import wgpu
+
+        self.device, self.format = device, format
+        self.texture: Any = None
+        self.view: Any = None
+        module = device.shader("blit")
+        self._pipeline = device.handle.create_render_pipeline(
+            layout="auto",
+            vertex={"module": module, "entry_point": "corner"},
+            primitive={"topology": wgpu.PrimitiveTopology.triangle_list},
+            fragment={"module": module, "entry_point": "shade", "targets": [{"format": format}]},
+        )
+        self._sampler = device.handle.create_sampler(mag_filter="linear", min_filter="linear")
+        self._binding: Any = None
+
+    def prepare(self, width: int, height: int) -> bool:
+        """Have a texture of this size; whether it is new (and black)."""
+        if self.texture is not None and tuple(self.texture.size[:2]) == (width, height):
+            return False
+        self.texture = self.device.texture(
+            (width, height), self.format, "RENDER_ATTACHMENT|TEXTURE_BINDING|COPY_SRC", label="terrain"
+        )
+        self.view = self.texture.create_view()
+        self._binding = self.device.handle.create_bind_group(
+            layout=self._pipeline.get_bind_group_layout(0),
+            entries=[{"binding": 0, "resource": self.view}, {"binding": 1, "resource": self._sampler}],
+        )
+        return True
+
+    def present(self, encoder: Any, target: Any, area: tuple[float, float, float, float], size: tuple[int, int]) -> Any:
+        """Begin a pass on ``target`` (of ``size`` pixels) that draws the picture into ``area``; the pass goes on."""
+        done = encoder.begin_render_pass(
+            color_attachments=[
+                {"view": target, "clear_value": (0.012, 0.014, 0.017, 1), "load_op": "clear", "store_op": "store"}
+            ]
+        )
+        x, y, w, h = area
+        w, h = min(w, size[0] - x), min(h, size[1] - y)
+        if self._binding is not None and w >= 1 and h >= 1:
+            done.set_viewport(x, y, w, h, 0, 1)
+            done.set_pipeline(self._pipeline)
+            done.set_bind_group(0, self._binding)
+            done.draw(3)
+        return done
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """The picture as it was drawn last: (height, width, 3), sRGB."""
+        found = self.device.read_texture(self.texture, np.uint8, 4)[..., :3]
+        return np.ascontiguousarray(found[..., ::-1] if self.format.startswith("bgra") else found)
+
+
+class Draft:
+    """How large the picture is while the camera moves: as large as the device keeps up with."""
+
+    def __init__(self) -> None:
+        self.step = 0
+        self._mean = 0.0
+        self._frames = 0
+
+    @property
+    def scale(self) -> float:
+        """The part of the screen's width and height."""
+        return DRAFTS[self.step]
+
+    def tell(self, seconds: float) -> None:
+        """Two frames in motion came so long after each other."""
+        self._mean = seconds if self._frames == 0 else 0.7 * self._mean + 0.3 * seconds
+        self._frames += 1
+        if self._frames < 4:
+            return
+        if self._mean > TOO_SLOW and self.step < len(DRAFTS) - 1:
+            self.step, self._frames = self.step + 1, 0
+        elif self._mean < FAST_ENOUGH and self.step > 0:
+            self.step, self._frames = self.step - 1, 0

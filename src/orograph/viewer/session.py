@@ -1,0 +1,187 @@
+"""All of a window that is not on the screen: terrain, camera, settings, what is measured, messages.
+
+Window, notebook and tests share it; it knows no GUI. Views go to the clipboard as the JSON that ``render --view``
+takes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from orograph.errors import OrographError, UsageError
+from orograph.light.sun import SunSource
+from orograph.picture import camera
+from orograph.picture.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.view import Point, View
+from orograph.viewer.bookmarks import Bookmarks
+from orograph.viewer.navigation import Limits
+from orograph.viewer.navigator import Navigator
+from orograph.viewer.probe import Probe
+from orograph.viewer.settings import Light, Settings
+
+SHOWN = 4.0
+"""Seconds that a message is shown; errors stay until they are dismissed."""
+
+
+@dataclass(slots=True)
+class Message:
+    """A sentence for the user.
+
+    Attributes:
+        text: what; ``error``: whether it stays until dismissed; ``until``: on ``time.monotonic``'s clock.
+    """
+
+    text: str
+    error: bool = False
+    until: float = math.inf
+
+
+@dataclass(slots=True)
+class Messages:
+    """What is to be said, the newest last; the same sentence is not said twice."""
+
+    shown: list[Message] = field(default_factory=list)
+
+    def say(self, text: str, *, error: bool = False) -> None:
+        """Show a sentence."""
+        self.shown = [m for m in self.shown if m.text != text]
+        self.shown.append(Message(text, error, math.inf if error else time.monotonic() + SHOWN))
+        del self.shown[:-5]
+
+    def advance(self) -> bool:
+        """Drop what has been shown long enough; whether a message still waits for its end."""
+        now = time.monotonic()
+        self.shown = [m for m in self.shown if m.until > now]
+        return any(not m.error for m in self.shown)
+
+    def dismiss(self, message: Message) -> None:
+        """Drop one."""
+        self.shown = [m for m in self.shown if m is not message]
+
+
+class Session:
+    """A terrain that is being looked at.
+
+    Args:
+        terrain: what.
+        view: where from; None: all of it, from the south.
+        size: (width, height), pixels.
+        sun, exaggeration, tolerance, drape, colormap: as the settings begin.
+        changed: called, from any thread, when the picture should be drawn again.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        view: View | None = None,
+        *,
+        size: tuple[int, int] = (1280, 720),
+        sun: SunSource | None = None,
+        exaggeration: float = 1.0,
+        tolerance: float | None = None,
+        colormap: str | None = None,
+        drape: str | None = None,
+        changed: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.terrain = terrain
+        self.changed = changed
+        self.settings = Settings(
+            Light.over(terrain, sun), exaggeration=exaggeration, colormap=colormap, drape=drape,
+        )  # fmt: skip
+        if tolerance is not None:
+            self.settings.tolerance = tolerance
+        home = camera.whole(terrain, size, exaggeration=exaggeration)
+        self.probe = Probe(terrain, lambda: self.changed())
+        farthest = 20.0 * max(math.dist(home.eye, home.target), 1000.0)
+        self.nav = Navigator(
+            home, home, self._pick, Limits(self.probe.ground, farthest=farthest), exaggeration
+        )  # fmt: skip
+        if view is not None:
+            self.nav.jump(view.resized(*size))
+        self.messages = Messages()
+        self.bookmarks = Bookmarks(terrain.grid, terrain.name)
+        if self.bookmarks.trouble:
+            self.messages.say(f"Kept views cannot be read: {self.bookmarks.trouble}", error=True)
+
+    def _pick(self, x: float, y: float) -> Point | None:
+        return self.probe.pick(self.nav.view, x, y, self.nav.exaggeration)
+
+    @property
+    def view(self) -> View:
+        """The camera."""
+        return self.nav.view
+
+    def scene(self, scale: float = 1.0) -> Scene:
+        """What is to be drawn; ``scale``: of the picture's size, for drafts."""
+        view = self.view
+        if scale != 1.0:
+            view = view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
+        return self.settings.scene(self.terrain, view)
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        self.nav.advance(seconds)
+        self.settings.light.advance(seconds)
+
+    @property
+    def moving(self) -> bool:
+        """Whether time changes the picture."""
+        light = self.settings.light
+        return self.nav.moving or (light.playing and light.mode == "moment")
+
+    def stretch(self, exaggeration: float) -> None:
+        """Set the exaggeration."""
+        self.settings.exaggeration = exaggeration
+        self.nav.stretch(exaggeration)
+
+    def freeze(self, on: bool) -> None:
+        """Keep the mesh of this view while the camera goes elsewhere; or let it follow again."""
+        self.settings.frozen = self.view if on else None
+
+    # ---- views in and out ----------------------------------------------------------------------------------------
+
+    def view_json(self) -> str:
+        """The view as ``render --view`` takes it."""
+        return json.dumps(self.view.to_dict(), indent=2)
+
+    def paste_view(self, text: str) -> bool:
+        """Fly to the view in a text; says what is wrong with it, if something is. Whether it was one."""
+        try:
+            values = json.loads(text)
+            if not isinstance(values, dict):
+                raise UsageError("A view is a JSON object with eye and target.")
+            view = View.from_dict(values, crs=self.terrain.grid.crs)
+        except ValueError:
+            self.messages.say("The clipboard holds no view (JSON with eye and target).")
+            return False
+        except OrographError as error:
+            self.messages.say(f"The clipboard holds no view: {error}")
+            return False
+        self.nav.go(view)
+        return True
+
+    def keep_view(self, slot: str) -> None:
+        """Keep the view under "1" to "9"."""
+        try:
+            self.bookmarks.keep(slot, self.view)
+        except OrographError as error:
+            self.messages.say(f"The view is kept until the window closes: {error}", error=True)
+        else:
+            self.messages.say(f"View {slot} is kept.")
+
+    def recall_view(self, slot: str) -> None:
+        """Fly to a view kept under "1" to "9"."""
+        view = self.bookmarks.get(slot)
+        if view is None:
+            self.messages.say(f"There is no view {slot} yet: Ctrl+{slot} keeps this one.")
+        else:
+            self.nav.go(view)
+
+    def close(self) -> None:
+        """Let threads end."""
+        self.probe.close()

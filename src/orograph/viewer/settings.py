@@ -1,0 +1,179 @@
+"""What the panels set and the picture shows: light, colours, exaggeration, detail. No GUI; a ``Scene`` comes out.
+
+The sun is placed by hand, or it is the real one at a time and the terrain's place (``light.sun``), and a day can be
+played. Times are shown in a zone of whole hours from UTC, at first the one of the place's longitude. Units: degrees,
+pixels, seconds.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+import os
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from orograph.errors import OrographError, UsageError
+from orograph.light.sun import Moment, Placed, Sun, SunSource, place
+from orograph.picture.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+DEFAULT_TOLERANCE = 1.0
+DAY = 86_400.0
+PLAY = 3600.0
+"""Seconds of the sun's time in a second, while a day is played."""
+
+
+@dataclass(slots=True)
+class Light:
+    """Where the light comes from.
+
+    Attributes:
+        mode: "placed" (azimuth, altitude) or "moment" (when).
+        azimuth, altitude: degrees, from grid north.
+        when: a time in ``zone``.
+        playing: whether time passes; ``speed``: seconds in a second.
+        place: (longitude, latitude) of the terrain's middle; None where only placed suns make sense.
+        trouble: why there is no place.
+    """
+
+    mode: Literal["placed", "moment"] = "placed"
+    azimuth: float = 315.0
+    altitude: float = 45.0
+    when: datetime.datetime = field(default_factory=lambda: datetime.datetime.now(datetime.UTC))
+    playing: bool = False
+    speed: float = PLAY
+    place: tuple[float, float] | None = None
+    trouble: str = ""
+
+    @classmethod
+    def over(cls, terrain: Terrain, given: SunSource | None = None) -> Light:
+        """The light of a terrain; ``given``: what the command line says."""
+        light = cls()
+        try:
+            light.place = place(terrain.grid)
+            light.zone = round(light.place[0] / 15.0)
+            light.when = light.when.replace(hour=12, minute=0, second=0, microsecond=0)
+        except OrographError as error:
+            light.trouble = str(error)
+        if isinstance(given, Placed):
+            light.azimuth, light.altitude = given.azimuth % 360.0, given.altitude
+        elif isinstance(given, Moment):
+            if light.place is None:
+                raise UsageError(light.trouble)
+            light.mode, light.when = "moment", given.when
+        return light
+
+    @property
+    def zone(self) -> float:
+        """Hours that ``when`` is ahead of UTC."""
+        offset = self.when.utcoffset()
+        return 0.0 if offset is None else offset.total_seconds() / 3600.0
+
+    @zone.setter
+    def zone(self, hours: float) -> None:
+        self.when = self.when.astimezone(datetime.timezone(datetime.timedelta(hours=hours)))
+
+    @property
+    def hour(self) -> float:
+        """Hours since midnight, in the zone."""
+        w = self.when
+        return w.hour + w.minute / 60.0 + w.second / 3600.0
+
+    @hour.setter
+    def hour(self, hours: float) -> None:
+        minutes = min(max(round(hours * 60.0), 0), 24 * 60 - 1)
+        self.when = self.when.replace(hour=minutes // 60, minute=minutes % 60, second=0, microsecond=0)
+
+    @property
+    def day(self) -> int:
+        """Day of the year, from 1."""
+        return self.when.timetuple().tm_yday
+
+    @day.setter
+    def day(self, number: int) -> None:
+        first = self.when.replace(month=1, day=1)
+        last = (first.replace(year=first.year + 1) - first).days
+        self.when = first + datetime.timedelta(days=min(max(number, 1), last) - 1)
+
+    def advance(self, seconds: float) -> bool:
+        """Let time pass; whether the light moved. A day that is played begins again at its end."""
+        if not (self.playing and self.mode == "moment"):
+            return False
+        begin = self.when.replace(hour=0, minute=0, second=0, microsecond=0)
+        gone = (self.when - begin).total_seconds() + seconds * self.speed
+        self.when = begin + datetime.timedelta(seconds=math.fmod(gone, DAY))
+        return True
+
+    def sun(self, terrain: Terrain) -> Sun:
+        """The sun over the terrain."""
+        if self.mode == "moment" and self.place is not None:
+            return Moment(self.when).over(terrain.grid)
+        return Sun(self.azimuth, self.altitude)
+
+
+@dataclass(slots=True)
+class Settings:
+    """All that can be set about the picture.
+
+    Attributes:
+        light: see ``Light``.
+        exaggeration, shadows, colormap, drape, water, sky, relief, tolerance: as in ``Scene``.
+        draped: whether the image is shown; opacity: of it.
+        wireframe, levels, contours, contour_opacity: as in ``gpu.renderer.Overlay``.
+        budget: triangles to keep near instead of a tolerance, or None.
+        frozen: the view that the mesh is made for while one flies around it, or None.
+        panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
+    """
+
+    light: Light
+    exaggeration: float = 1.0
+    shadows: bool = True
+    colormap: str | None = None
+    drape: str | os.PathLike[str] | None = None
+    draped: bool = True
+    opacity: float = 1.0
+    water: Literal["auto"] | float | None = "auto"
+    sky: bool = True
+    relief: float | None = None
+    tolerance: float = DEFAULT_TOLERANCE
+    budget: int | None = None
+    wireframe: bool = False
+    levels: bool = False
+    contours: float = 0.0
+    contour_opacity: float = 0.7
+    frozen: View | None = None
+    panels: bool = True
+    furniture: bool = True
+
+    def scene(self, terrain: Terrain, view: View) -> Scene:
+        """The picture as it is set."""
+        return Scene(
+            terrain, view, self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
+            colormap=self.colormap, drape=self.drape if self.draped else None, sky=self.sky, water=self.water,
+            relief=self.relief, tolerance=self.tolerance,
+        )  # fmt: skip
+
+    def overlay(self) -> Any:
+        """What the renderer shows besides (``gpu.renderer.Overlay``)."""
+        from orograph.gpu.renderer import Overlay
+
+        return Overlay(
+            self.wireframe, self.levels, self.opacity, self.contours, contour_opacity=self.contour_opacity
+        )  # fmt: skip
+
+    def balance(self, triangles: int) -> bool:
+        """With a budget: move the tolerance towards what a mesh of so many triangles is; whether it moved.
+
+        Triangles grow about as 1 / tolerance; a step goes most of the way, and within 5 % nothing moves.
+        """
+        if self.budget is None or triangles <= 0 or self.frozen is not None:
+            return False
+        ratio = triangles / self.budget
+        if 0.9 <= ratio <= 1.05:
+            return False
+        wanted = min(max(self.tolerance * ratio**0.8, 0.05), 100.0)
+        moved: bool = abs(wanted - self.tolerance) > 1e-3 * self.tolerance
+        self.tolerance = wanted
+        return moved

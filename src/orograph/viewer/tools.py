@@ -1,0 +1,477 @@
+"""Measuring with the mouse: click points on the ground, see what they measure, save it.
+
+All numbers are those of ``geovis.measure``: the full-resolution surface in true metres, never the drawn mesh. They are
+found by a thread; the panel shows the newest. A viewshed is painted on the ground as an image over it, which stands in
+for the user's own image until it is cleared.
+
+    place      height, coordinates, slope and aspect         line    distance along the ground, profile
+    area       plan, surface, perimeter                      sight   whether two points see each other, and what hinders
+    viewshed   what is seen from a point
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from imgui_bundle import imgui, implot
+from numpy.typing import NDArray
+
+from orograph.errors import OrographError
+from orograph.geovis import measure
+from orograph.progress import Progress, Task
+from orograph.view import Point
+from orograph.viewer.overlay import colour, lonlat
+
+if TYPE_CHECKING:
+    from orograph.viewer.window import Window
+
+Kind = Literal["place", "line", "area", "sight", "viewshed"]
+KINDS: tuple[Kind, ...] = ("place", "line", "area", "sight", "viewshed")
+HINTS: dict[Kind, str] = {
+    "place": "Click a place.",
+    "line": "Click points along a line; Backspace takes one back.",
+    "area": "Click the corners of an area.",
+    "sight": "Click the eye, then what it looks at.",
+    "viewshed": "Click the place of the eye.",
+}
+MOST = {"place": 1, "sight": 2, "viewshed": 1}
+"""Points of a measurement, where that is limited: a further click begins anew."""
+SEEN = (255, 196, 64, 150)
+HIDDEN = (20, 24, 40, 110)
+
+Array = NDArray[np.float64]
+
+
+class Tools:
+    """The measuring tool of a window.
+
+    Attributes:
+        active: whether clicks measure. kind: what. points: those that were clicked, on the ground.
+        result: of ``measure``, for these points, or None. trouble: why there is none, or "".
+        eye, target: metres above the ground for lines of sight. radius: metres of viewsheds.
+    """
+
+    def __init__(self, window: Window) -> None:
+        self.window = window
+        self.active = False
+        self.kind: Kind = "line"
+        self.points: list[Point] = []
+        self.result: Any = None
+        self.trouble = ""
+        self.eye, self.target, self.radius = 1.7, 0.0, 20_000.0
+        self.part: float | None = None
+        self._asked = 0
+        self._running = 0
+        self._painted: Path | None = None
+        self._before: tuple[Any, bool, float] | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._marked: Point | None = None
+        self._ground: tuple[Any, Array] | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being measured."""
+        return self._running > 0
+
+    def toggle(self) -> None:
+        """Begin or leave measuring."""
+        if self.active:
+            self.leave()
+        else:
+            self.active = True
+
+    def leave(self) -> None:
+        """Leave the tool; what it painted goes."""
+        self.active = False
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the points and the result."""
+        self.points, self.result, self.trouble, self._marked = [], None, "", None
+        self._asked += 1
+        if self._before is not None:
+            settings = self.window.session.settings
+            settings.drape, settings.draped, settings.opacity = self._before
+            self._before = None
+
+    def choose(self, kind: Kind) -> None:
+        """Measure something else."""
+        self.clear()
+        self.kind = kind
+
+    def hover(self) -> None:
+        """The pointer moved: ask what is under it."""
+        window = self.window
+        if window.pointer is None:
+            window.session.probe.leave()
+        else:
+            session = window.session
+            session.probe.hover(session.view, *window.pointer, session.settings.exaggeration)
+
+    def click(self, x: float, y: float) -> None:
+        """A click at a pixel of the view."""
+        if not self.active:
+            return
+        session = self.window.session
+        point = session.probe.pick(session.view, x, y, session.settings.exaggeration, 1.0)
+        if point is None:
+            session.messages.say("There is no ground there.")
+            return
+        if len(self.points) >= MOST.get(self.kind, 10_000):
+            self.points = []
+        self.points.append(point)
+        self.measure()
+
+    def undo(self) -> None:
+        """Take back the last point."""
+        if self.points:
+            self.points.pop()
+            self.measure()
+
+    def finish(self) -> None:
+        """A double click ends a line: the second click's point is the first one's again."""
+        if len(self.points) > 1 and math.dist(self.points[-1], self.points[-2]) < 1e-3 * self._scale():
+            self.points.pop()
+            self.measure()
+
+    def _scale(self) -> float:
+        return max(self.window.session.view.distance, 1.0)
+
+    # ---- measuring -------------------------------------------------------------------------------------------------
+
+    def measure(self) -> None:
+        """Have the points measured."""
+        self._asked += 1
+        self.result, self.trouble, self._marked = None, "", None
+        work = self._work([p[:2] for p in self.points])
+        if work is None:
+            return
+        asked = self._asked
+        self._running += 1
+
+        def run() -> None:
+            try:
+                found = work()
+                if asked == self._asked:
+                    self.result = found
+            except (OrographError, OSError) as error:
+                if asked == self._asked:
+                    self.trouble = str(error)
+            finally:
+                self._running -= 1
+                self.part = None
+                self.window.session.changed()
+
+        self.window.session.probe.submit(run)
+
+    def _work(self, at: list[tuple[float, float]]) -> Callable[[], Any] | None:
+        """What is to be done for points, or None if they are too few."""
+        terrain = self.window.session.terrain
+        if self.kind == "place" and at:
+            return lambda: measure.place(terrain, at[0])
+        if self.kind == "line" and len(at) > 1:
+            return lambda: measure.profile(terrain, at)
+        if self.kind == "area" and len(at) > 2:
+            return lambda: measure.area(terrain, at, jobs=1)
+        if self.kind == "sight" and len(at) == 2:
+            return lambda: measure.line_of_sight(terrain, at[0], at[1], self.eye, self.target)
+        if self.kind == "viewshed" and at:
+            asked = self._asked + 0
+            return lambda: self._viewshed(at[0], asked)
+        return None
+
+    def _viewshed(self, at: tuple[float, float], asked: int) -> Any:
+        terrain = self.window.session.terrain
+        shed = measure.viewshed(terrain, at, self.eye, self.target, radius=self.radius, jobs=1)
+        values = shed.values(_Part(self, asked))
+        return shed, values, paint(values)
+
+    def _paint(self) -> None:
+        """Lay a finished viewshed over the ground."""
+        shed, _, pixels = self.result
+        settings = self.window.session.settings
+        if self._painted is not None and settings.drape == str(self._painted) and self._shown is self.result:
+            return
+        if self._before is None:
+            self._before = settings.drape, settings.draped, settings.opacity
+        self._folder = self._folder or tempfile.TemporaryDirectory(prefix="orograph-", ignore_cleanup_errors=True)
+        self._painted = Path(self._folder.name) / f"viewshed-{self._asked}.tif"
+        save_rgba(self._painted, pixels, shed.grid)
+        settings.drape, settings.draped, settings.opacity = str(self._painted), True, 1.0
+        self._shown = self.result
+
+    _shown: Any = None
+
+    # ---- on the screen ---------------------------------------------------------------------------------------------
+
+    def draw(self) -> None:
+        """The panel, and the points on the ground."""
+        if not self.active:
+            return
+        self._marks()
+        x, y, w, h = self.window.area
+        imgui.set_next_window_pos((x + w * 0.5, y + h - 60), imgui.Cond_.first_use_ever, (0.5, 1.0))
+        imgui.set_next_window_size((min(560.0, w * 0.7), 0), imgui.Cond_.first_use_ever)
+        shown, opened = imgui.begin("Measure", True, imgui.WindowFlags_.no_focus_on_appearing)
+        if shown:
+            self._panel()
+        imgui.end()
+        if not opened:
+            self.leave()
+
+    def _panel(self) -> None:
+        for k, kind in enumerate(KINDS):
+            if k:
+                imgui.same_line()
+            if imgui.radio_button(kind, self.kind == kind) and self.kind != kind:
+                self.choose(kind)
+        if self.kind in ("sight", "viewshed"):
+            self._heights()
+        if self.trouble:
+            imgui.text_wrapped(self.trouble)
+        elif self.result is None:
+            waiting = "Measuring …" if self.part is None else f"Measuring … {self.part:.0%}"
+            imgui.text_disabled(waiting if self.busy else HINTS[self.kind])
+        else:
+            if self.kind == "viewshed":
+                self._paint()
+            for name, value in rows(self.kind, self.result):
+                imgui.text_disabled(name)
+                imgui.same_line(130)
+                imgui.text(value)
+            if self.kind in ("line", "sight"):
+                self._plot()
+        if imgui.small_button("Clear"):
+            self.clear()
+        imgui.same_line()
+        imgui.begin_disabled(self.result is None)
+        if imgui.small_button("Save"):
+            self._save()
+        imgui.end_disabled()
+
+    def _heights(self) -> None:
+        imgui.push_item_width(90)
+        changed = False
+        for name, field in (("eye", "eye"), ("target", "target")):
+            moved, value = imgui.drag_float(name, getattr(self, field), 0.1, 0.0, 10_000.0, "%.1f m")
+            if moved:
+                setattr(self, field, value)
+            changed |= imgui.is_item_deactivated_after_edit()
+            imgui.same_line()
+        if self.kind == "viewshed":
+            flags = imgui.SliderFlags_.logarithmic
+            moved, value = imgui.drag_float("radius", self.radius, 100.0, 100.0, 500_000.0, "%.0f m", flags)
+            if moved:
+                self.radius = value
+            changed |= imgui.is_item_deactivated_after_edit()
+            imgui.same_line()
+        imgui.new_line()
+        imgui.pop_item_width()
+        if changed and self.points:
+            self.measure()
+
+    def _plot(self) -> None:
+        """Heights along the line; the cursor on the plot shows its place on the ground."""
+        profile = self.result.profile if self.kind == "sight" else self.result
+        x, z = profile.distance / 1000.0, profile.heights
+        if not np.isfinite(z).any():
+            return
+        low, high = float(np.nanmin(z)), float(np.nanmax(z))
+        sight = self.result.line if self.kind == "sight" else None
+        if sight is not None:
+            high = max(high, float(np.nanmax(sight)))
+        room = 0.08 * max(high - low, 1.0)
+        self._marked = None
+        if implot.begin_plot("##profile", (-1, 170), implot.Flags_.no_legend | implot.Flags_.no_menus):
+            implot.setup_axes("km", "m")
+            implot.setup_axes_limits(0.0, max(float(x[-1]), 1e-6), low - room, high + room, implot.Cond_.always)
+            implot.plot_shaded("ground", x, np.ascontiguousarray(z), low - room)
+            implot.plot_line("ground", x, np.ascontiguousarray(z))
+            if sight is not None:
+                implot.plot_line("sight", x, np.ascontiguousarray(sight))
+            if implot.is_plot_hovered():
+                at = min(max(implot.get_plot_mouse_pos().x * 1000.0, 0.0), float(profile.distance[-1]))
+                points, heights, _ = profile.at(at)
+                self._marked = float(points[0, 0]), float(points[0, 1]), float(heights[0])
+                implot.plot_inf_lines("here", np.array([at / 1000.0]))
+                imgui.set_tooltip(f"{at / 1000.0:.3f} km   {heights[0]:.1f} m")
+            implot.end_plot()
+
+    def _marks(self) -> None:
+        """Points and lines on the ground, as far as they are before the eye."""
+        draw: Any = imgui.get_background_draw_list()
+        ink, dark = colour(1.0, 0.82, 0.25), colour(0, 0, 0, 0.65)
+        line = self._line()
+        if line is not None:
+            for part in self._on_screen(line):
+                draw.add_polyline(part, dark, 4.0, 0)
+                draw.add_polyline(part, ink, 2.0, 0)
+        for spot in self._on_screen(np.array(self.points).reshape(-1, 3), single=True):
+            draw.add_circle_filled(spot[0], 5.0, dark)
+            draw.add_circle_filled(spot[0], 3.5, ink)
+        if self.kind == "sight" and self.result is not None and self.result.obstruction is not None:
+            mark = self.result.obstruction
+            for (at,) in self._on_screen(np.array([[mark.easting, mark.northing, mark.height]]), single=True):
+                for s in (-1, 1):
+                    draw.add_line((at[0] - 7, at[1] - 7 * s), (at[0] + 7, at[1] + 7 * s), dark, 5.0)
+                    draw.add_line((at[0] - 7, at[1] - 7 * s), (at[0] + 7, at[1] + 7 * s), colour(1, 0.25, 0.2), 2.5)
+        if self._marked is not None and math.isfinite(self._marked[2]):
+            for (at,) in self._on_screen(np.array([self._marked]), single=True):
+                draw.add_circle(at, 6.0, colour(1, 1, 1), 20, 2.0)
+
+    def _line(self) -> Array | None:
+        """The ground along what was measured, (n, 3), no more than a thousand places; else the points."""
+        if len(self.points) < 2:
+            return None
+        if self.kind == "area":
+            return np.array([*self.points, self.points[0]])
+        if self.kind in ("line", "sight") and self.result is not None:
+            if self._ground is None or self._ground[0] is not self.result:
+                profile = self.result.profile if self.kind == "sight" else self.result
+                s = np.unique(np.append(np.linspace(0, profile.distance[-1], 800), profile.distance[profile.vertices]))
+                points, heights, _ = profile.at(s)
+                self._ground = self.result, np.column_stack([points, heights])
+            return self._ground[1]
+        return np.array(self.points)
+
+    def _on_screen(self, points: Array, single: bool = False) -> list[list[tuple[float, float]]]:
+        """Runs of places before the eye, logical pixels; ``single``: one run for each."""
+        if len(points) == 0:
+            return []
+        session = self.window.session
+        pixels, depth = session.view.project(points, session.settings.exaggeration)
+        runs: list[list[tuple[float, float]]] = [[]]
+        for (x, y), d in zip(pixels, depth):
+            if single:
+                runs.append([])
+            if d > 0 and math.isfinite(x) and math.isfinite(y) and abs(x) < 1e5 and abs(y) < 1e5:
+                runs[-1].append(self.window.to_canvas(float(x), float(y)))
+            elif not single:
+                runs.append([])
+        return [r for r in runs if len(r) > (0 if single else 1)]
+
+    # ---- saving ----------------------------------------------------------------------------------------------------
+
+    def _save(self) -> None:
+        """The result, beside where the window was started."""
+        session = self.window.session
+        stem = "".join(c if c.isalnum() or c in "-_." else "-" for c in session.terrain.name)
+        path = Path.cwd() / f"{stem}-{self.kind}-{time.strftime('%Y%m%d-%H%M%S')}"
+        try:
+            if self.kind in ("line", "sight"):
+                path = path.with_name(path.name + ".csv")
+                (self.result.profile if self.kind == "sight" else self.result).save_csv(path)
+            elif self.kind == "viewshed":
+                path = path.with_name(path.name + ".tif")
+                self.result[0].save(path)
+            else:
+                path = path.with_name(path.name + ".json")
+                path.write_text(json.dumps(self.result.to_dict(), indent=2) + "\n", encoding="utf-8")
+        except (OrographError, OSError) as error:
+            session.messages.say(f"It was not saved: {error}", error=True)
+        else:
+            session.messages.say(f"Saved {path.name} in {path.parent}.")
+
+
+class _Part(Progress):
+    """Tells the panel how far a viewshed is."""
+
+    def __init__(self, tools: Tools, asked: int) -> None:
+        self.tools, self.asked = tools, asked
+
+    def task(self, what: str, total: float | None = None) -> Task:
+        return _PartTask(self.tools, total)
+
+
+class _PartTask(Task):
+    def __init__(self, tools: Tools, total: float | None) -> None:
+        self.tools, self.total, self.done = tools, total, 0.0
+
+    def advance(self, n: float = 1) -> None:
+        self.done += n
+        if self.total:
+            self.tools.part = self.done / self.total
+
+
+def paint(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """A viewshed (rows, cols) as colours (rows, cols, 4): light where it is seen, shade where not, clear beyond."""
+    out = np.zeros((*values.shape, 4), np.uint8)
+    out[values > 0.5] = SEEN
+    out[values <= 0.5] = HIDDEN
+    return out
+
+
+def save_rgba(path: Path, pixels: NDArray[np.uint8], grid: Any) -> None:
+    """A GeoTIFF (rows, cols, 4) on a grid."""
+    import rasterio
+    from rasterio.enums import ColorInterp
+
+    rows, cols = pixels.shape[:2]
+    crs = {} if grid.crs is None else {"crs": grid.crs.to_wkt()}
+    with rasterio.open(
+        path, "w", driver="GTiff", width=cols, height=rows, count=4, dtype="uint8", transform=grid.transform, **crs
+    ) as file:
+        file.colorinterp = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
+        file.write(pixels.transpose(2, 0, 1))
+
+
+def length(metres: float | None) -> str:
+    """A length as people say it."""
+    if metres is None:
+        return "—"
+    return (
+        f"{metres / 1000:,.3f} km".replace(",", " ") if abs(metres) >= 10_000 else f"{metres:,.1f} m".replace(",", " ")
+    )
+
+
+def surface(square: float) -> str:
+    """An area as people say it."""
+    return f"{square / 1e6:,.4g} km²".replace(",", " ") if square >= 1e6 else f"{square:,.0f} m²".replace(",", " ")
+
+
+def rows(kind: Kind, result: Any) -> list[tuple[str, str]]:
+    """(name, value) of a result."""
+    if kind == "place":
+        found = [("place", f"{result.easting:.2f}  {result.northing:.2f}")]
+        if result.longitude is not None:
+            found.append(("", lonlat(result.longitude, result.latitude)))
+        found.append(("height", "missing" if result.height is None else f"{result.height:.2f} m"))
+        if result.slope is not None:
+            found.append(("slope", f"{result.slope:.1f}°"))
+        if result.true_aspect is not None:
+            found.append(("aspect", f"{result.true_aspect:.0f}° from true north"))
+        return found
+    if kind == "line":
+        return [
+            ("along the ground", length(result.length)), ("on the map", length(float(result.distance[-1]))),
+            ("straight", length(result.straight)), ("climb, descent", f"{result.climb:.0f} m, {result.descent:.0f} m"),
+        ] + ([("over holes", length(result.missing))] if result.missing > 0 else [])  # fmt: skip
+    if kind == "area":
+        return [
+            ("plan", surface(result.plan)), ("surface", surface(result.surface)),
+            ("perimeter", length(result.perimeter)),
+            ("mean height", "—" if result.mean_height is None else f"{result.mean_height:.1f} m"),
+        ]  # fmt: skip
+    if kind == "sight":
+        found = [("seen", "yes" if result.visible else "no")]
+        if result.obstruction is not None:
+            found.append(
+                ("hidden by", f"ground at {length(result.obstruction.distance)}, {result.obstruction.height:.0f} m")
+            )
+            found.append(("seen if raised by", length(result.needed)))
+        return [*found, ("distance", length(float(result.profile.distance[-1])))]
+    shed, values, _ = result
+    known = np.isfinite(values)
+    seen = float((values[known] > 0.5).mean()) if known.any() else 0.0
+    cell = abs(shed.grid.transform.determinant)
+    return [
+        ("seen", f"{seen:.1%} within {length(shed.radius)}"),
+        ("", surface(float((values[known] > 0.5).sum()) * cell)),
+    ]
