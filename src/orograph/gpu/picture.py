@@ -16,6 +16,8 @@ import numpy as np
 from orograph.errors import NothingInViewError, UsageError
 from orograph.gpu.device import Device, open_device
 from orograph.gpu.renderer import PLAIN, Overlay, Renderer
+from orograph.picture.furniture import furnish
+from orograph.picture.legend import Drawn, furniture_of, sampled
 from orograph.picture.result import Picture, plan_grid
 from orograph.picture.scene import Scene
 from orograph.progress import SILENT, Progress
@@ -48,6 +50,8 @@ def draw(
     """
     if scene.engine is not None or scene.mesh_view is not None:
         raise UsageError("Meshes of other engines are drawn by the CPU.", remedy="Use --backend cpu.")
+    if scene.light != "relief":
+        raise UsageError(f"The light {scene.light!r} is drawn by the CPU.", remedy="Use --backend cpu.")
     begun = time.perf_counter()
     device = device or open_device()
     view = scene.view
@@ -66,7 +70,7 @@ def draw(
             texture = device.texture((view.width, view.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
             target = texture.create_view()
             stats = renderer.draw(target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=1)
-            depth = renderer.depth()
+            depth, veiled = renderer.depth(), renderer.veiled()
             if not np.isfinite(depth).any():
                 raise NothingInViewError(
                     "Nothing of the terrain is in view.", path=scene.terrain.name,
@@ -75,12 +79,21 @@ def draw(
             if scene.samples > 1:
                 stats = renderer.draw(target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=scene.samples)
             pixels = device.read_texture(texture, np.uint8, 4)[..., :3].copy()
+            shown = renderer.shown(scene, depth, veiled)
+            if scene.furniture:
+                drawn = Drawn(
+                    renderer.tint, shown, scene.drape is not None, sampled(depth, *depth.shape),
+                    depth[:, view.width // 2].astype(np.float64),
+                )  # fmt: skip
+                pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | veiled)
     finally:
         if own:
             renderer.close()
     facts: dict[str, Any] = {
         "backend": "gpu", "adapter": device.adapter.name, "patches": stats.patches, "triangles": stats.triangles,
         "tolerance_px": scene.tolerance, "tiles": stats.tiles_resident, "warnings": [],
-        "hit_fraction": float(np.isfinite(depth).mean()), "seconds": {"all": round(time.perf_counter() - begun, 4)},
+        "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
+        "seconds": {"all": round(time.perf_counter() - begun, 4)},
     }  # fmt: skip
-    return Picture(pixels, depth, view, facts, plan_grid(view, scene.terrain.grid.crs))
+    place = plan_grid(view, scene.terrain.grid.crs)
+    return Picture(pixels, depth, view, facts, place, veiled if veiled.any() else None)

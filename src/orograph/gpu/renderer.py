@@ -26,11 +26,13 @@ from orograph.gpu.lightmaps import LightMaps, light_maps, whole
 from orograph.gpu.look import SHADE, Look
 from orograph.gpu.passes import PatchPass, ResolvePass, ShadePass, Targets
 from orograph.gpu.tiles import Atlas, Key, Kind, Streamer
+from orograph.gpu.veil import EXACT, VeilPass, veils
 from orograph.gpu.wanted import SlopeTiles
 from orograph.lod.batched import Batched, Patches
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
 from orograph.picture.kept import Kept
 from orograph.picture.scene import Scene
+from orograph.picture.survey import stride
 from orograph.store.terrain import Terrain
 from orograph.view import View
 
@@ -126,6 +128,7 @@ class Renderer:
         self._patches = PatchPass(
             device, self._camera, self.heights.texture, patch_vertices(legs), patch_indices(legs), INSTANCE.itemsize
         )
+        self._veil = VeilPass(device, self._camera)
         self._shading = ShadePass(device, self._camera)
         self._resolves: dict[str, ResolvePass] = {}
         self._targets: Targets | None = None
@@ -189,6 +192,7 @@ class Renderer:
             scene, self._maps, scene.depths or self._last_range, self.kept, wireframe=overlay.wireframe,
             levels=overlay.levels, drape_opacity=overlay.drape_opacity,
         )  # fmt: skip
+        self.tint = look.tint
         u = look.uniform
         u["contour"] = overlay.contours, overlay.index, overlay.contour_width, overlay.contour_opacity
         u["contour_colour"] = 0.12, 0.075, 0.04, 0.0
@@ -234,7 +238,37 @@ class Renderer:
         """View-space depth (height, width) of the last frame, metres, NaN where there is no ground."""
         t = self._targets
         assert t is not None
-        return self._read(t.depth, 0, 0, t.width, t.height)
+        return np.where(self.veiled(), np.float32(np.nan), self._read(t.depth, 0, 0, t.width, t.height))
+
+    def veiled(self) -> NDArray[np.bool_]:
+        """Pixels (height, width) of the last frame that show missing ground."""
+        t = self._targets
+        assert t is not None
+        if not self._veil.count:
+            return np.zeros((t.height, t.width), bool)
+        return self.device.read_texture(t.marks, np.uint32, 1)[..., 0] & 2 > 0
+
+    def shown(self, scene: Scene, depth: NDArray[np.float32], veiled: NDArray[np.bool_]) -> dict[str, int]:
+        """How many pixels show ground, of it water and imagery, and missing ground; the middle two by a sample."""
+        ground = int(np.isfinite(depth).sum())
+        points, share = self._points(scene, depth)
+        maps = self._maps
+        wet = np.zeros(len(points), bool)
+        if maps is not None and maps.wet:
+            _, rows, cols, level = maps.light
+            field = maps.pool[rows * cols : 2 * rows * cols].reshape(rows, cols)
+            at = np.rint((points + 0.5) / 2.0**level - 0.5).astype(np.intp) - np.array(maps.first)[::-1]
+            wet = field[np.clip(at[:, 1], 0, rows - 1), np.clip(at[:, 0], 0, cols - 1)] > 0.5
+        covered = 0
+        if scene.drape is not None and len(points):
+            x, y = self.terrain.grid.xy(points[:, 0], points[:, 1])
+            spacing = float(np.mean(self.terrain.grid.spacing))
+            image = self._draped(scene).drape.sample(x, y, np.full(len(points), spacing))
+            covered = int(((image[:, 3] > 0.5) & ~wet).sum())
+        return {
+            "ground": ground, "water": round(int(wet.sum()) * share), "draped": round(covered * share),
+            "missing": int(veiled.sum()),
+        }  # fmt: skip
 
     def close(self) -> None:
         """Stop reading."""
@@ -278,6 +312,7 @@ class Renderer:
         self.device.queue.write_buffer(self._camera, 0, camera)
         encoder = self.device.handle.create_command_encoder()
         self._patches.draw(encoder, targets, instances)
+        self._veil.draw(encoder, targets)
         self._shading.draw(encoder, targets, group, add=add)
         self.device.queue.submit([encoder.finish()])
 
@@ -304,18 +339,26 @@ class Renderer:
             self.device.queue.submit([encoder.finish()])
             points, self._last_range = self._seen(scene)
             self._maps = light_maps(scene, points, self.kept)
+            self._veil.load(*self._veils(scene))
             self._light.done = self._key(scene)
             return
         done = self._light.take()
         if done is not None:
-            self._maps, self._last_range = done
+            self._maps, self._last_range, veil = done
+            self._veil.load(*veil)
         if self._maps is None:
             quick = replace(scene, shadows=False)
             self._maps = light_maps(quick, whole(self.terrain), self.kept)
         key = self._key(scene)
         if self._light.wants(key):
             points, visible = self._seen(scene) if self.frame > 1 else (whole(self.terrain), self._last_range)
-            self._light.start(key, lambda: (light_maps(scene, points, Kept(), detail=1.5), visible))
+            self._light.start(key, lambda: (light_maps(scene, points, Kept(), detail=1.5), visible, self._veils(scene)))
+
+    def _veils(self, scene: Scene) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+        """Patches over the holes in view."""
+        view, terrain, tolerance = scene.view, self.terrain, scene.tolerance or 1.0
+        known = () if terrain.grid.shape[0] * terrain.grid.shape[1] <= EXACT else (view, scene.exaggeration, tolerance)
+        return self.kept("veils", known, lambda: veils(terrain, view, scene.exaggeration, tolerance), terrain)
 
     def _key(self, scene: Scene) -> Any:
         view = scene.view
@@ -330,19 +373,24 @@ class Renderer:
     def _seen(self, scene: Scene) -> tuple[Array, tuple[float, float]]:
         """Sample coordinates (n, 2) of some of the ground in view, by the last frame's depth, and the depths' range."""
         depth = self.depth()
-        step = max(1, int(np.sqrt(depth.size / 40_000)))
+        points, _ = self._points(scene, depth)
+        if len(points) == 0:
+            return whole(self.terrain), self._last_range
+        return points, (float(np.nanmin(depth)), float(np.nanmax(depth)))
+
+    def _points(self, scene: Scene, depth: NDArray[np.float32]) -> tuple[Array, float]:
+        """Sample coordinates (n, 2) of evenly spread pixels that show ground, and how many pixels each stands for."""
+        step = stride(*depth.shape)
         some = depth[::step, ::step]
         rows, cols = np.nonzero(np.isfinite(some))
-        if len(rows) == 0:
-            return whole(self.terrain), self._last_range
         o0, ou, ov, d0, du, dv = scene.view.ray_basis(scene.exaggeration)
-        px, py = cols * step + 0.5, rows * step + 0.5
+        px, py = (cols * step + 0.5)[:, None], (rows * step + 0.5)[:, None]
         t = some[rows, cols].astype(np.float64)[:, None]
-        at = o0 + px[:, None] * ou + py[:, None] * ov + t * (d0 + px[:, None] * du + py[:, None] * dv)
+        at = o0 + px * ou + py * ov + t * (d0 + px * du + py * dv)
         col, row = self.terrain.grid.index(at[:, 0], at[:, 1])
         col = np.clip(col, 0, self.terrain.grid.cols - 1)
         row = np.clip(row, 0, self.terrain.grid.rows - 1)
-        return np.stack([col, row], 1), (float(t.min()), float(t.max()))
+        return np.stack([col, row], 1), float(step * step)
 
     # ---- resources -------------------------------------------------------------------------------------------------
 

@@ -237,7 +237,8 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let slant = inverseSqrt(clamp(abs(d.z), 0.1, 1.0));
   let footprint = camera.pixel * select(depth, 1.0, camera.plan == 1u) * slant / shade.paper.w;
   if ((mark & 2u) != 0u) {   // a patch over missing data
-    let line = (u32(at.x) + u32(at.y)) % 7u < 2u;
+    let across = at.x + at.y;
+    let line = across - 7.0 * floor(across / 7.0) < 2.0;
     var veil = select(rgb(shade.hatch), rgb(shade.hatch + 3u), line);
     if (shade.disc.w > 0.0) {
       veil = haze(veil, d, depth);

@@ -1,0 +1,140 @@
+"""Pictures by the GPU are those by the CPU: the promise in pixels, colours within a stated difference, on real data.
+
+The truth for the promise is the full-resolution surface itself, interpolated here in the triangles of the hierarchy.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from orograph.errors import NothingInViewError, UsageError
+from orograph.gpu.device import Device
+from orograph.gpu.picture import draw as gpu_draw
+from orograph.picture.camera import around, plan, whole
+from orograph.picture.cpu import draw as cpu_draw
+from orograph.picture.prepare import prepare
+from orograph.picture.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+SETS = {
+    "bigtujunga": "bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif",
+    "n44w072": "n44w072-hgt/N44W072.hgt",
+    "rainier": "osgearth-srtm90m-volcano-voids/mt_rainier_90m.tif",
+    "fortbragg": "fortbragg-1m-dem-ortho/elevation_2016.tif",
+    "fuji": "osgearth-srtm90m-volcano-voids/mt_fuji_90m.tif",
+}
+
+SIZE = (320, 200)
+
+
+def surface(terrain: Terrain, col: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Height of the full-resolution surface: every cell is cut from its (even, even) or (odd, odd) corners."""
+    rows, cols = terrain.grid.shape
+    z = terrain.read(0, 0, rows, 0, cols).astype(np.float64)
+    j, i = np.clip(np.floor(col).astype(int), 0, cols - 2), np.clip(np.floor(row).astype(int), 0, rows - 2)
+    u, v = col - j, row - i
+    a, b, c, d = z[i, j], z[i, j + 1], z[i + 1, j], z[i + 1, j + 1]
+    falling = np.where(u >= v, a + u * (b - a) + v * (d - b), a + v * (c - a) + u * (d - c))
+    rising = np.where(u + v <= 1, a + u * (b - a) + v * (c - a), d + (1 - u) * (c - d) + (1 - v) * (b - d))
+    return np.where((i + j) % 2 == 0, falling, rising)
+
+
+def lab(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """CIELAB (D65) of sRGB bytes, by the CIE's formulas."""
+    c = pixels / 255.0
+    linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    m = np.array(
+        [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+    )
+    xyz = linear @ m.T / np.array([0.95047, 1.0, 1.08883])
+    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+    return np.stack([116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], -1)
+
+
+def open_set(shared_data: Path, name: str) -> Terrain:
+    path = shared_data / SETS[name]
+    if not path.exists():
+        pytest.skip(f"{path} is not there")
+    return prepare([str(path)])
+
+
+def displacement(terrain: Terrain, view: View, depth: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Pixels on the screen between what was hit and the surface above or below it."""
+    y, x = np.nonzero(np.isfinite(depth))
+    o0, ou, ov, d0, du, dv = view.ray_basis()
+    px, py, t = (x + 0.5)[:, None], (y + 0.5)[:, None], depth[y, x].astype(np.float64)[:, None]
+    hit = o0 + px * ou + py * ov + t * (d0 + px * du + py * dv)
+    col, row = terrain.grid.index(hit[:, 0], hit[:, 1])
+    rows, cols = terrain.grid.shape
+    true = hit.copy()
+    true[:, 2] = surface(terrain, np.clip(col, 0, cols - 1), np.clip(row, 0, rows - 1))
+    a, b = view.project(hit)[0], view.project(true)[0]
+    off = np.hypot(*(a - b).T)
+    return off[np.isfinite(off)]
+
+
+@pytest.mark.parametrize("name", sorted(SETS))
+@pytest.mark.parametrize("kind", ["whole", "near", "plan"])
+def test_it_is_the_cpus_picture(device: Device, shared_data: Path, name: str, kind: str) -> None:
+    terrain = open_set(shared_data, name)
+    reach = min(terrain.grid.shape) * float(np.mean(terrain.grid.spacing))
+    views = {
+        "whole": lambda: whole(terrain, SIZE),
+        "near": lambda: around(terrain, SIZE, azimuth=200, pitch=18, distance=0.2 * reach),
+        "plan": lambda: plan(terrain, SIZE),
+    }
+    scene = Scene(terrain, views[kind](), sky=kind != "plan", tolerance=1.0)
+    ours = gpu_draw(scene, device=device)
+    caster = cpu_draw(Scene(terrain, scene.view, sky=scene.sky, tolerance=0.0))
+
+    assert displacement(terrain, scene.view, ours.depth).max() <= 1.0 + 0.02
+    seen, theirs = np.isfinite(ours.depth), np.isfinite(caster.depth)
+    assert (seen != theirs).mean() < 0.005
+    difference = np.linalg.norm(lab(ours.pixels) - lab(caster.pixels), axis=-1)
+    assert difference.mean() < 1.0
+    assert np.percentile(difference, 95) < 3.0
+    assert not (ours.pixels == 0).all(-1).any()
+
+
+def test_imagery_lies_where_the_cpu_lays_it(device: Device, shared_data: Path) -> None:
+    terrain = open_set(shared_data, "fortbragg")
+    image = shared_data / "fortbragg-1m-dem-ortho/naip_2014_rgb.tif"
+    scene = Scene(terrain, around(terrain, SIZE, azimuth=150, pitch=30, distance=900), drape=image, tolerance=1.0)
+    difference = lab(gpu_draw(scene, device=device).pixels) - lab(cpu_draw(scene).pixels)
+    assert np.linalg.norm(difference, axis=-1).mean() < 1.5
+
+
+def test_missing_ground_is_hatched_and_has_no_depth(device: Device, shared_data: Path) -> None:
+    terrain = open_set(shared_data, "rainier")
+    scene = Scene(terrain, plan(terrain, SIZE), samples=1)
+    ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
+    assert ours.veiled is not None and caster.veiled is not None
+    assert (ours.veiled != caster.veiled).mean() < 0.004
+    assert not np.isfinite(ours.depth[ours.veiled]).any()
+
+
+def test_exaggeration_stretches_the_picture_only(device: Device, shared_data: Path) -> None:
+    terrain = open_set(shared_data, "bigtujunga")
+    scene = Scene(terrain, whole(terrain, SIZE, exaggeration=3.0), exaggeration=3.0, tolerance=1.0)
+    ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
+    both = np.isfinite(ours.depth) & np.isfinite(caster.depth)
+    assert (np.isfinite(ours.depth) != np.isfinite(caster.depth)).mean() < 0.005
+    assert np.percentile(np.abs(ours.depth - caster.depth)[both] / caster.depth[both], 95) < 0.01
+
+
+def test_an_empty_picture_is_an_error(device: Device, shared_data: Path) -> None:
+    terrain = open_set(shared_data, "bigtujunga")
+    up = View((390000.0, 3800000.0, 5000.0), (390000.0, 3800000.1, 9000.0), width=64, height=48)
+    with pytest.raises(NothingInViewError):
+        gpu_draw(Scene(terrain, up), device=device)
+
+
+def test_what_only_the_cpu_draws_is_refused(device: Device, shared_data: Path) -> None:
+    terrain = open_set(shared_data, "bigtujunga")
+    with pytest.raises(UsageError, match="CPU"):
+        gpu_draw(Scene(terrain, whole(terrain, SIZE), engine="soar"), device=device)
