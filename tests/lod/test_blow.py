@@ -1,8 +1,9 @@
-"""Threshold spheres: what they promise, whether they nest, and whether a flight ends where a fresh start does."""
+"""Blow's thresholds: what they promise, whether they nest, and whether a flight ends where a fresh start does."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import plain
@@ -12,10 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orograph import verify
+from orograph.error.screen import lens
 from orograph.errors import UsageError
 from orograph.hierarchy import diamonds, fronts
 from orograph.lod import engine_of
 from orograph.lod.blow import Blow
+from orograph.lod.blow_pass import decide
+from orograph.lod.soar import Soar
 
 
 def threshold(view, tolerance, exaggeration=1.0):
@@ -44,6 +48,20 @@ def plain_mesh(p, camera, tolerance, cull=True):
     return front, drawn & ~np.isnan(p.z[rows, cols]).any(1)
 
 
+def anisotropic_mesh(p, camera, tolerance, cull=True):
+    """(front, drawn): diamonds in view whose bound over their sphere exceeds the tolerance."""
+    out = p.spheres_outside(camera) if cull else np.zeros(p.z.shape, bool)
+    active = (p.sphere_errors(camera) > tolerance) & ~out
+    corners = np.ix_((0, -1), (0, -1))
+    active[corners] = out[corners] = False
+    front = fronts.front_of(diamonds.closure(active))
+    rows, cols = p.corners(front)
+    r, c = diamonds.of_triangle(*front.arrays)
+    x, y = fronts.triangles.apex(*front.arrays)
+    drawn = np.where(r < 0, ~out[y, x], ~out[r, c] & (p.r[r, c] >= 0))
+    return front, drawn & ~np.isnan(p.z[rows, cols]).any(1)
+
+
 @pytest.mark.parametrize("shape", plain.SHAPES)
 @pytest.mark.parametrize("gaps", [0.0, 0.15])
 def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
@@ -56,11 +74,16 @@ def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
         p = plain.Plain(t)
         exaggeration, tolerance = float(rng.choice([1.0, 2.0])), float(10 ** rng.uniform(-0.5, 1.5))
         for cull in (True, False):
-            engine = Blow(t, cull=cull, exaggeration=exaggeration)
+            options = {"cull": cull, "exaggeration": exaggeration}
+            engine, other = Blow(t, metric="isotropic", **options), Blow(t, **options)
             for _ in range(4):  # jumps: everything may change
                 view = plain.random_view(rng, t, fov_y=40.0)
-                front, drawn = plain_mesh(p, plain.Camera(view, exaggeration), tolerance, cull)
+                camera = plain.Camera(view, exaggeration)
+                front, drawn = plain_mesh(p, camera, tolerance, cull)
                 found = engine.refine(view, tolerance=tolerance)
+                assert plain.triangles_of(found) == p.triangle_set(front, drawn)
+                front, drawn = anisotropic_mesh(p, camera, tolerance, cull)
+                found = other.refine(view, tolerance=tolerance)
                 assert plain.triangles_of(found) == p.triangle_set(front, drawn)
 
 
@@ -77,22 +100,95 @@ def flight(rng, t, frames, step):
         yield replace(view, eye=tuple(eye), target=tuple(target))
 
 
+@pytest.mark.parametrize("metric", ["anisotropic", "isotropic"])
 @settings(max_examples=12, deadline=None)
-@given(st.integers(0, 2**32), st.sampled_from([0.0, 0.1]), st.sampled_from([0.5, 30.0, 400.0]))
-def test_random_flights_equal_fresh_starts(seed, gaps, step):
+@given(st.integers(0, 2**32), st.sampled_from([0.0, 0.1]), st.sampled_from([0.5, 30.0, 400.0]), st.booleans())
+def test_random_flights_equal_fresh_starts(metric, seed, gaps, step, cull):
     rng = np.random.default_rng(seed)
     t = plain.terrain(plain.rough(rng, (129, 100), amplitude=300, gaps=gaps))
-    engine = Blow(t)
+    engine = Blow(t, metric=metric, cull=cull)
     for view in flight(rng, t, 12, step):
         found = engine.refine(view, tolerance=2.0)
-        fresh = Blow(t).refine(view, tolerance=2.0)
+        fresh = Blow(t, metric=metric, cull=cull).refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == plain.triangles_of(fresh)
+    same = Soar(t, metric=metric, cull=cull).refine(view, tolerance=2.0)
+    if metric == "anisotropic":
+        assert plain.triangles_of(found) == plain.triangles_of(same)
+
+
+def decided(grid, exaggeration, gamma, cull, diamond, view, share=0.5):
+    """(whether a diamond is split, for how large a motion)"""
+    packed = lens(view, grid, exaggeration=exaggeration, tolerance=1.0, color_tolerance=gamma)
+    secant = np.hypot(1, view.pixel_slope * np.hypot(view.width, view.height) / 2)
+    col, row, z, e, r, color = diamond
+    return decide(packed, cull, col, row, z, e, r * packed[15], color, secant, share)
+
+
+def test_nothing_is_decided_otherwise_within_the_motion_it_was_decided_for():
+    """Random diamonds and motions of the camera: moved and turned within the slack, the answer is the same."""
+    rng = np.random.default_rng(21)
+    near_the_end = waited = 0
+    for _ in range(3000):
+        up = rng.normal(size=3) * [1, 1, 2]
+        options = {
+            "fov_y": float(rng.choice([30, 60, 110])),
+            "width": 400,
+            "height": 300,
+            "up": tuple(up / np.linalg.norm(up)),
+        }
+        view = plain.View(
+            (0.0, 0.0, float(rng.uniform(10, 500))), (*map(float, rng.normal(size=2) * 300), 0.0),
+            near=float(rng.choice([0.0, 3.0])), **options,
+        )  # fmt: skip
+        exaggeration, cull = float(rng.choice([1.0, 2.5])), bool(rng.random() < 0.6)
+        col, row = rng.uniform(-400, 400, 2)
+        z, r = rng.uniform(-50, 50), 10 ** rng.uniform(-1, 2)
+        e = 10 ** rng.uniform(-3, 1) if rng.random() < 0.95 else np.inf
+        color, gamma = float(rng.choice([0.0, 5.0])), float(rng.choice([1.0, 9.0]))
+        grid = plain.Grid((9, 9), plain.Affine.translation(-0.5, 0.5) @ plain.Affine.scale(1, -1))
+
+        asked = partial(decided, grid, exaggeration, gamma, cull, (col, row, z, e, r, color))
+        share = rng.uniform(0.1, 0.9)
+        split, motion = asked(view, share)
+        if not 0 < motion < 1e6:
+            continue
+        waited += 1
+        to_eye = (np.array(view.eye) - [col, -row, z]) * [1, 1, exaggeration]
+        away = np.linalg.norm(to_eye)
+        for _ in range(6):
+            step = rng.normal(size=3)
+            if rng.random() < 0.5:
+                step = to_eye * rng.choice([-1.0, 1.0])  # straight to it, or away
+            step *= share * motion / np.linalg.norm(step) * rng.choice([1.0, rng.random()])
+            chord = (1 - share) * motion / (away + share * motion) * rng.choice([1.0, rng.random()])
+            angle = 2 * np.arcsin(min(chord / 2, 1.0))
+            axis = rng.normal(size=3)
+            turn = rotation(axis / np.linalg.norm(axis), angle)
+            _, high, forward = view.axes(exaggeration)
+            stretch = np.array([1.0, 1.0, exaggeration])
+            eye = np.array(view.eye) + step / stretch
+            moved = replace(view, eye=tuple(eye), target=tuple(eye + 300 * (turn @ forward) / stretch),
+                            up=tuple(turn @ high))  # fmt: skip
+            np.testing.assert_allclose(moved.axes(exaggeration)[2], turn @ forward, atol=1e-9)
+            assert asked(moved)[0] == split
+        # Much farther, it is not always: the slack is no idle number.
+        step = -to_eye if not split else to_eye
+        eye = np.array(view.eye) + 4 * motion * step / np.linalg.norm(step) / [1, 1, exaggeration]
+        shift = eye - view.eye
+        near_the_end += asked(replace(view, eye=tuple(eye), target=tuple(np.add(view.target, shift))))[0] != split
+    assert waited > 2000 and near_the_end > 300
+
+
+def rotation(axis, angle):
+    """Rodrigues' matrix."""
+    k = np.cross(np.eye(3), -axis)
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
 
 
 def test_a_frame_costs_what_changes():
     rng = np.random.default_rng(3)
     t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=1500))
-    engine = Blow(t, cull=False)
+    engine = Blow(t, metric="isotropic", cull=False)
     views = list(flight(rng, t, 30, 5.0))
     first = engine.refine(views[0], tolerance=0.5).stats
     assert first["splits"] > 10_000
@@ -103,18 +199,46 @@ def test_a_frame_costs_what_changes():
     turned = replace(views[-1], target=tuple(2 * np.array(views[-1].eye) - views[-1].target))
     stats = engine.refine(turned, tolerance=0.5).stats
     assert stats["visits"] == stats["splits"] == stats["merges"] == 0
+    # Where the axis matters, turning is work, but a camera at rest is none.
+    engine = Blow(t)
+    engine.refine(views[0], tolerance=0.5)
+    at_rest = engine.refine(views[0], tolerance=0.5).stats
+    assert at_rest["visits"] == at_rest["splits"] == at_rest["merges"] == 0
+    eye, target = np.array(views[0].eye), np.array(views[0].target)
+    for number in range(1, 20):
+        away = eye + rotation(np.array([0.0, 0.0, 1.0]), np.radians(0.02 * number)) @ (target - eye)
+        view = replace(views[0], eye=tuple(eye + number * (target - eye) / 20_000), target=tuple(away))
+        stats = engine.refine(view, tolerance=0.5).stats
+        assert 0 < stats["visits"] < 0.1 * stats["front"]
+        assert stats["splits"] + stats["merges"] < 0.03 * stats["front"]
 
 
 def test_spheres_nest_and_bound_away_from_the_axis(shared_data):
     with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
         t = plain.terrain(file.read(1)[:500, :700].astype(np.float32))
     rng = np.random.default_rng(13)
-    engine = Blow(t)
-    for _ in range(12):
+    engines = {metric: Blow(t, metric=metric) for metric in ("anisotropic", "isotropic")}
+    made = dict.fromkeys(engines, 0)
+    for _ in range(8):
         view = plain.random_view(rng, t)
         for tolerance in (0.5, 2.0, 8.0):
-            report = verify.judge(engine.refine(view, tolerance=tolerance), t, view)
-            assert report.ok(tolerance), report
+            for metric, engine in engines.items():
+                found = engine.refine(view, tolerance=tolerance)
+                report = verify.judge(found, t, view)
+                assert report.ok(tolerance), report
+                made[metric] += len(found.triangles)
+    assert made["isotropic"] > 1.5 * made["anisotropic"]
+
+
+def test_a_turning_flight_keeps_the_tolerance():
+    rng = np.random.default_rng(17)
+    t = plain.terrain(plain.rough(rng, (257, 257), amplitude=900))
+    engine = Blow(t)
+    for number, view in enumerate(flight(rng, t, 40, 15.0)):
+        found = engine.refine(view, tolerance=1.5)
+        if number % 5 == 4:
+            report = verify.judge(found, t, view)
+            assert report.ok(1.5), report
 
 
 def test_published_spheres_exceed_the_tolerance_off_the_axis():
