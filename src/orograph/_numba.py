@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import numba
 import numba.extending
+from numba.core.compiler_lock import global_compiler_lock
 
 Function = Callable[..., Any]
 
@@ -32,6 +33,27 @@ def leaf(function: Function) -> Function:
     """
     options: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False}
     return cast(Function, numba.njit(**options)(function))
+
+
+def paired(function: Function) -> Function:
+    """Compile a ``leaf`` whose work on two like things is done by vector instructions where that can be (LLVM's SLP
+    vectoriser). Numba leaves it off, for it has miscompiled before: only for kernels whose tests compare every bit.
+    """
+    dispatcher: Any = leaf(function)
+    compile_plainly = dispatcher.compile
+
+    def compile_paired(signature: object) -> object:
+        config: Any = numba.config
+        with global_compiler_lock:
+            before = config.SLP_VECTORIZE
+            config.SLP_VECTORIZE = 1
+            try:
+                return compile_plainly(signature)
+            finally:
+                config.SLP_VECTORIZE = before
+
+    dispatcher.compile = compile_paired
+    return cast(Function, dispatcher)
 
 
 def shared(function: Function) -> Function:

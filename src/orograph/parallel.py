@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import os
 import threading
+import weakref
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from itertools import islice
+from queue import SimpleQueue
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -65,3 +68,45 @@ def aside(work: Callable[[], R]) -> R:
         return pool.submit(work).result()
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
+
+
+Inbox = SimpleQueue[Callable[[], object] | None]
+
+
+class Crew:
+    """Threads that stay parked between calls, for work of a few milliseconds: to make a pool each time would take one.
+
+    Nobody waits for them here: who calls must know from the work itself when it is done, and finish it alone if nobody
+    comes (threads do not survive a fork; they are made anew at the next call).
+
+    Args:
+        count: threads.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._inboxes: list[Inbox] = [SimpleQueue() for _ in range(count)]
+        self._threads: list[threading.Thread] = []
+        weakref.finalize(self, _dismiss, self._inboxes)
+
+    def call(self, work: Callable[[int], object]) -> None:
+        """Have each thread call ``work`` with its number, from 0, as soon as it wakes; returns at once."""
+        if not all(thread.is_alive() for thread in self._threads) or not self._threads:
+            self._threads = [threading.Thread(target=_attend, args=(i,), daemon=True) for i in self._inboxes]
+            for thread in self._threads:
+                thread.start()
+        for number, inbox in enumerate(self._inboxes):
+            inbox.put(partial(work, number))
+
+
+def _attend(inbox: Inbox) -> None:
+    while (work := inbox.get()) is not None:
+        try:
+            work()
+        except Exception as error:
+            threading.excepthook(threading.ExceptHookArgs((type(error), error, error.__traceback__, None)))
+        del work
+
+
+def _dismiss(inboxes: list[Inbox]) -> None:
+    for inbox in inboxes:
+        inbox.put(None)

@@ -12,10 +12,13 @@ import rasterio
 from affine import Affine
 
 from orograph import verify
+from orograph._numba import kernel
+from orograph.error import screen
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts
 from orograph.lod.soar import Soar
+from orograph.lod.soar_pass import anisotropic_exceeds
 from orograph.store.build import build
 from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
@@ -136,7 +139,7 @@ def test_strip_says_the_triangles_and_not_the_threads(large):
         triangles = {tuple(np.roll(v, -int(np.argmin(v))).tolist()) for v in first.triangles}
         assert strip_triangles(first) == triangles and len(triangles) == len(first.triangles)
         assert len(first.strip) < 1.7 * len(first.triangles) + 6 * 512  # 512 subtrees begin anew at most
-        for jobs in (2, 3):
+        for jobs in (2, 3, 5):
             other = Soar(large, jobs=jobs).refine(view, tolerance=tolerance)
             assert np.array_equal(first.strip, other.strip) and np.array_equal(first.vertices, other.vertices)
 
@@ -169,6 +172,31 @@ def test_memory_changes_what_is_read_but_not_the_mesh():
     with pytest.raises(UsageError, match="tiles"):
         tight.refine(around(t, 0.0, 9e3, 9e3, fov_y=90.0), tolerance=0.01)
     assert np.array_equal(tight.refine(view).strip, free.refine(view).strip)  # and it goes on after that
+
+
+@kernel
+def verdicts(lens, found, col, row, z, e, r):
+    found[0] = anisotropic_exceeds(lens, col, row, z, e, r)[0]
+    found[1] = screen.anisotropic_exceeds(lens, col, row, z, e, r)[0]
+    x, y, w = screen.to_camera(lens, col, row, z)
+    return screen.sphere_bound(lens, 0, x, y, w, e, r)
+
+
+def test_the_bound_without_a_root_decides_as_the_bound():
+    rng = np.random.default_rng(4)
+    t = plain.terrain(np.zeros((101, 101), np.float32))
+    found, close = np.zeros(2, bool), [0, 0]
+    for _ in range(8000):
+        lens = screen.lens(plain.random_view(rng, t), t.grid, exaggeration=rng.choice([0.4, 1, 3]), tolerance=3.0)
+        col, row, z = *rng.uniform(0, 100, 2), rng.uniform(-200, 600)
+        e, r = rng.choice([0.0, 10 ** rng.uniform(-3, 2), np.inf]), 10 ** rng.uniform(0, 2.7)
+        bound = verdicts(lens, found, col, row, z, e, r)
+        tolerance = lens[screen.TOLERANCE] = (bound if 0 < bound < np.inf else 1.0) * 2 ** rng.normal(0, 0.5)
+        assert verdicts(lens, found, col, row, z, e, r) == bound
+        if not math.isclose(bound, tolerance, rel_tol=1e-9):
+            assert found[0] == found[1] == (bound > tolerance)
+        close[int(found[0])] += 0.9 < bound / tolerance < 1.1
+    assert min(close) > 200
 
 
 def test_a_cold_start_takes_two_rounds_per_level_of_pages_at_most():

@@ -8,7 +8,7 @@ is near in the terrain is near in memory, at every octave. ``locate`` and ``find
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -94,16 +94,28 @@ def _touch(typing, array, index):
     return types.void(array, types.uint64), generate
 
 
+_call: Any = _touch  # (Numba passes the first argument.)
+
+
 @inlined
 def prefetch(pages, row, col, octave):
-    """Have a vertex's numbers ready in the cache, if its page is there."""
+    """Have a square diamond's numbers ready in the cache, if its page is there, and those of the four on its edges.
+
+    Two of these share its line; those below and to the right, which the next page may hold, are called in this page.
+    """
     level = np.uint64(min(octave, pages.edge[2]))
     i = np.uint64(row) >> level
     j = np.uint64(col) >> level
     page = np.uint64(pages.base[level]) + (i >> np.uint64(8)) * np.uint64(pages.width[level]) + (j >> np.uint64(8))
     slot = np.int64(pages.table[page])
-    at = (slot << 18) + pages.down[i & np.uint64(255)] + pages.across[j & np.uint64(255)]
-    _touch(pages.flat, np.uint64(max(at, 0)))  # type: ignore[call-arg]  # Numba passes the first one
+    at = np.uint64(max(slot, np.int64(0)) << 18)
+    down = np.uint64(pages.down[i & np.uint64(255)])
+    across = np.uint64(pages.across[j & np.uint64(255)])
+    below = np.uint64(pages.down[(i + np.uint64(1)) & np.uint64(255)])
+    beside = np.uint64(pages.across[(j + np.uint64(1)) & np.uint64(255)])
+    _call(pages.flat, at + down + across)
+    _call(pages.flat, at + below + across)
+    _call(pages.flat, at + down + beside)
 
 
 @inlined

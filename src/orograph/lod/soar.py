@@ -11,23 +11,23 @@ triangles, are never visited (and two look-ups are under way at once). Leaves ca
 holes are left out, and the strip is taken up again behind them. The metric holds away from the image centre. Geomorphs
 (2002, sec. 5.3) are those of ``lod.geomorph``, which keep the tolerance. See docs/engines/soar.md.
 
-The pass begins with a *frontier* of subtrees of one level in view (``soar_pass.frontier``), so that several threads
-can share them; their strips follow each other. What comes out does not depend on the number of threads.
+The pass begins with a *frontier* of subtrees of one level in view (``soar_pass.frontier``), which threads share
+(``lod.sharing``): one takes them from the front and writes the strip where it belongs, the others from the back, until
+they meet; what these made is put behind. What comes out does not depend on the number of threads.
 """
 
 from __future__ import annotations
 
-import threading
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.screen import FOCAL
+from orograph.lod import sharing
 from orograph.lod.engine import Engine, Mesh, by_tolerance
-from orograph.lod.soar_pass import frontier, refine_subtrees
-from orograph.parallel import map_ordered
+from orograph.lod.soar_pass import frontier, lay_out, put, refine_subtrees
+from orograph.parallel import Crew
 from orograph.view import View
 
 Strip = tuple[NDArray[np.int64], NDArray[np.float32]]
@@ -40,56 +40,8 @@ FEW = 32
 """Fewer split subtrees than this are not worth sharing (nor a strip that begins anew for each)."""
 
 
-def _buffer(size: int) -> Strip:
-    return np.empty(size, np.int64), np.empty(size, np.float32)
-
-
-class _Joint:
-    """One strip put together from parts that threads make: each is copied as soon as all before it are known.
-
-    Degenerate triangles lie between parts, and each part begins at an even place. Parts are written to few buffers that
-    stay in the processor's cache.
-
-    Args:
-        whole: where the strip goes; what does not fit is only counted.
-        free: buffers for parts, kept from pass to pass.
-    """
-
-    def __init__(self, whole: Strip, free: list[Strip]) -> None:
-        self._whole, self._free = whole, free
-        self._lock = threading.Lock()
-        self._waiting: dict[int, tuple[Strip, int]] = {}
-        self._next = 0
-        self._last: tuple[np.int64, np.float32] | None = None
-        self.length = 0
-
-    def take(self) -> Strip:
-        """A buffer for a part."""
-        with self._lock:
-            return self._free.pop() if self._free else _buffer(1 << 17)
-
-    def add(self, index: int, part: Strip, length: int) -> None:
-        """The part of an index is ready; its buffer is taken back."""
-        placed = []
-        with self._lock:
-            self._waiting[index] = part, length
-            while self._next in self._waiting:
-                (keys, zs), size = ready = self._waiting.pop(self._next)
-                self._next += 1
-                gap = 2 + self.length % 2 if self.length and size else 0
-                placed.append((ready, self.length, gap, self._last))
-                self.length += gap + size
-                if size:
-                    self._last = keys[size - 1], zs[size - 1]
-        for (ours, size), end, gap, last in placed:
-            if size and end + gap + size <= len(self._whole[0]):
-                for place in (0, 1):
-                    whole = self._whole[place]
-                    if last is not None and gap:
-                        whole[end], whole[end + 1 : end + gap] = last[place], ours[place][0]
-                    whole[end + gap : end + gap + size] = ours[place][:size]
-            with self._lock:
-                self._free.append(ours)
+def _buffer(*shape: int) -> Strip:
+    return np.empty(shape, np.int64), np.empty(shape, np.float32)
 
 
 class Soar(Engine):
@@ -113,9 +65,9 @@ class Soar(Engine):
         z = self.field.corners
         self._corners = np.array([[nw, se, ne], [se, nw, sw]], np.int64)
         self._corner_zs = np.array([[z[0, 0], z[1, 1], z[0, 1]], [z[1, 1], z[0, 0], z[1, 0]]], np.float32)
-        self._whole = _buffer(1 << 16)
-        self._parts: list[Strip] = []
-        self._spread = np.array([0.0, 1.0]), np.array([0.0, 1.0])
+        self._whole, self._parts = _buffer(1 << 16), _buffer(self.jobs - 1, 1 << 16)
+        self._places = np.zeros((size, 4), np.int64)
+        self._crew = Crew(self.jobs - 1)
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
         if tolerance is None:
@@ -147,51 +99,58 @@ class Soar(Engine):
             )
             if split >= FEW:
                 break
-        jobs = self.jobs if split >= FEW else 1
-        if jobs == 1:
-            while True:
-                counts = np.zeros(3, np.int64)
-                refine_subtrees(*common, *self._frontier, 0, count, stack, stack_zs, *self._whole, counts)
-                if counts[0] >= 0:
-                    return (
-                        self._whole[0][: counts[0]],
-                        self._whole[1][: counts[0]],
-                        int(counts[1]),
-                        nodes + int(counts[2]),
-                    )
-                self._whole = _buffer(2 * len(self._whole[0]))
-        # Groups of about as many diamonds each as the last pass had at these places.
-        groups = 4 * jobs
-        spread = np.interp(np.linspace(0.0, 1.0, groups + 1), *self._spread)
-        bounds = np.rint(spread * count).astype(np.int64)
-        bounds[0], bounds[-1] = 0, count
-
-        def refine(joint: _Joint, group: int) -> NDArray[np.int64]:
-            part = joint.take()
-            while True:
-                counts = np.zeros(3, np.int64)
-                refine_subtrees(
-                    *common, *self._frontier, bounds[group], bounds[group + 1], *self._stack(), *part, counts
-                )
-                if counts[0] >= 0:
-                    break
-                part = _buffer(2 * len(part[0]))
-            joint.add(group, part, int(counts[0]))
-            return counts
-
+        helpers = self.jobs - 1 if split >= FEW else 0
         while True:
-            joint = _Joint(self._whole, self._parts)
-            # All groups are handed out at once: none waits for a larger one before it.
-            work = map_ordered(partial(refine, joint), range(groups), jobs, ahead=4)
-            each = np.array(list(work))
-            sums = each.sum(axis=0)
-            done = np.concatenate([[0.0], np.cumsum(each[:, 2])])
-            if done[-1] > 0:
-                self._spread = done / done[-1], bounds / count
-            if joint.length <= len(self._whole[0]):
-                keys, zs = self._whole
-                return keys[: joint.length], zs[: joint.length], int(sums[1]), nodes + int(sums[2])
-            self._whole = _buffer(joint.length + joint.length // 4)
+            counts, joins = self._share(common, count, helpers)
+            if counts[-1, 0] < 0:
+                self._whole = _buffer(2 * len(self._whole[0]))
+            elif (counts[:, 0] < 0).any():
+                self._parts = _buffer(len(self._parts[0]), 2 * self._parts[0].shape[1])
+            else:
+                break
+        whole, parts = self._whole, self._parts
+        length, made, looked, first = (int(v) for v in counts[-1, :4])
+        if first < count:
+            made, looked = (int(v) for v in counts[:, 1:3].sum(axis=0))
+            room = length + int(self._places[first:count, 2].sum()) + 3 * (count - first)
+            if room > len(whole[0]):
+                self._whole = _buffer(room + room // 4)
+                for place in (0, 1):
+                    self._whole[place][:length] = whole[place][:length]
+                whole, joins = self._whole, sharing.begin()  # helpers do not know of it
+            length = lay_out(*whole, length, *parts, self._places, first, count, joins)
+            try:
+                put(*whole, *parts, self._places, count, joins, False)
+            finally:
+                sharing.close(joins)
+        return whole[0][:length], whole[1][:length], made, nodes + looked
+
+    def _share(self, common: tuple[Any, ...], count: int, helpers: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Refine ``count`` subtrees with so many helpers.
+
+        Returns: ``counts`` of each helper and, last, of this thread; the state in which helpers wait for ``lay_out``.
+        """
+        shares, joins = sharing.begin(), sharing.begin()
+        counts = np.zeros((helpers + 1, 16), np.int64)  # 16: no two threads write to one cache line
+        parts, whole, places = self._parts, self._whole, self._places
+
+        def refine(helper: int, keys: NDArray[np.int64], zs: NDArray[np.float32]) -> None:
+            stacks = self._stack()
+            refine_subtrees(
+                *common, *self._frontier, count, shares, helper, *stacks, keys, zs, places, counts[helper]
+            )  # fmt: skip
+
+        def help_out(helper: int) -> None:
+            refine(helper, parts[0][helper], parts[1][helper])
+            put(*whole, *parts, places, count, joins, True)
+
+        if helpers:
+            self._crew.call(help_out)
+        try:
+            refine(-1, *whole)
+        finally:
+            sharing.close(shares)
+        return counts, joins
 
     def _stack(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         return np.empty((2 * self.field.n + 1, 5), np.int64), np.empty((2 * self.field.n + 1, 3), np.float32)

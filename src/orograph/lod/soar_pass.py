@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined, leaf
-from orograph.error.screen import anisotropic_exceeds, color_exceeds, outside, sphere_exceeds, to_camera
+from orograph._numba import inlined, leaf, paired
+from orograph.error.screen import color_exceeds, outside, sphere_exceeds, to_camera
 from orograph.lod.pages import BEYOND, locate, prefetch
+from orograph.lod.sharing import enters, last, leave, left, ready, stop, wait_for
 
 DROP, LEAF, SPLIT = 0, 1, 2
 """What becomes of a triangle: left out (out of view, or no surface), drawn, or split."""
@@ -20,52 +21,122 @@ MARGIN = 1024
 EVERYWHERE = 63
 """Bits of all six planes: a sphere known to be inside of them all is not tested again."""
 
-NAN = np.float32(np.nan)
+NAN, ZERO = np.float32(np.nan), np.float32(0.0)
+
+
+@inlined
+def anisotropic_exceeds(lens, col, row, z, e, r):
+    """``screen.anisotropic_exceeds`` without a root, which would keep the processor waiting: the same verdict.
+
+    With G the numerator's vector at the centre, D the distance times |c|, d = w − r and t = τ·w·d·(d − e·|c|)/(f·e),
+    the bound exceeds τ if |G|·d + r·D > t; squared twice, and decided by signs where a side is negative.
+    """
+    w = lens[8] * col + lens[9] * row + lens[10] * z + lens[11]
+    p = lens[46] * col + lens[47] * row + lens[48]
+    q = lens[49] * col + lens[50] * row + lens[51]
+    depth = w - r
+    pixels = lens[12] * e
+    moved = max(depth, lens[14]) - e * abs(lens[10])
+    goal = lens[13] * moved
+    square = p * p + q * q
+    away = square + w * (w * (lens[16] * lens[16]) - 2.0 * (lens[2] * p + lens[6] * q))
+    reach = pixels * depth
+    spread = pixels * r
+    a = w * depth * goal
+    aa = a * a
+    bq = spread * spread * abs(away)
+    rest = aa + bq - reach * reach * square
+    far = (depth <= 0.0) | (aa < bq) | (rest < 0.0) | (4.0 * aa * bq > rest * rest)
+    far &= pixels * lens[52] > goal
+    return (pixels > 0.0) & (far | ~(moved > 0.0)) | (e == np.inf), w
+
+
+@inlined
+def look_up(pages, key, octave):
+    """The four numbers of a vertex. Of one beyond all pages the radius is negative; a page that is absent is asked for,
+    and its vertices pass for accurate: this pass is not the last one."""
+    slot, at = locate(pages, key >> 32, key & 0xFFFFFFFF, octave)
+    z, e, r, c = NAN, ZERO, ZERO, ZERO
+    if slot >= 0:
+        place = np.uint64(at)
+        z = pages.flat[place]
+        e = pages.flat[place + np.uint64(1)]
+        r = pages.flat[place + np.uint64(2)]
+        c = pages.flat[place + np.uint64(3)]
+    elif slot == BEYOND:
+        r = np.float32(-1.0)
+    return z, e, r, c
+
+
+@inlined
+def place_of(pages, key):
+    """(column, row) of a vertex on the raster, float64."""
+    return np.float64(min(key & 0xFFFFFFFF, pages.edge[1])), np.float64(min(key >> 32, pages.edge[0]))
+
+
+@inlined
+def exceeds(lens, metric, col, row, z, e, r):
+    """(whether the bound of a vertex's diamond exceeds the tolerance, its depth)."""
+    if metric == 0:
+        found, w = anisotropic_exceeds(lens, col, row, z, e, r)
+    else:
+        x, y, w = to_camera(lens, col, row, z)
+        found = sphere_exceeds(lens, metric, x, y, w, e, r)
+    return found, w
+
+
+@inlined
+def colored(lens, found, z, c, w, r):
+    """What its colours add to whether a diamond is split; and its height, NaN if its own sample is missing."""
+    if c != ZERO:
+        if c < ZERO:
+            c = np.float32(-1.0) - c
+            z = NAN
+        found |= color_exceeds(lens, np.float64(c), w, r)
+    return found, z
 
 
 @inlined
 def weigh(pages, lens, metric, cull, key, octave, mask):
     """What becomes of the triangles that share the diamond at ``key``: (state, its height, planes it is inside of)."""
-    row = key >> 32
-    col = key & 0xFFFFFFFF
-    slot, at = locate(pages, row, col, octave)
-    state = LEAF  # where the page is absent: it is asked for, and this pass is not the last one
-    z = NAN
-    if slot == BEYOND:
-        state = DROP
-    elif slot >= 0:
-        place = np.uint64(at)
-        z = pages.flat[place]
-        e = np.float64(pages.flat[place + np.uint64(1)])
-        r = np.float64(pages.flat[place + np.uint64(2)]) * lens[15]
-        c = pages.flat[place + np.uint64(3)]
-        x_at = np.float64(min(col, pages.edge[1]))
-        y_at = np.float64(min(row, pages.edge[0]))
-        height = np.float64(z)
-        out = r < 0.0
-        if cull and mask != EVERYWHERE and not out:
-            out, mask = outside(lens, x_at, y_at, height, r, mask)
-        if out:
-            state = DROP
-        else:
-            if metric == 0:
-                exceeds, w = anisotropic_exceeds(lens, x_at, y_at, height, e, r)
-            else:
-                x, y, w = to_camera(lens, x_at, y_at, height)
-                exceeds = sphere_exceeds(lens, metric, x, y, w, e, r)
-            if c != np.float32(0.0):
-                if c < np.float32(0.0):
-                    c = np.float32(-1.0) - c
-                    z = NAN
-                exceeds |= color_exceeds(lens, np.float64(c), w, r)
-            if exceeds:
-                state = SPLIT
-    return state, z, mask
+    z, e, r, c = look_up(pages, key, octave)
+    col, row = place_of(pages, key)
+    radius = np.float64(r) * lens[15]
+    out = r < ZERO
+    if cull and mask != EVERYWHERE and not out:
+        out, mask = outside(lens, col, row, np.float64(z), radius, mask)
+    found, w = exceeds(lens, metric, col, row, np.float64(z), np.float64(e), radius)
+    found, z = colored(lens, found, z, c, w, radius)
+    return (DROP if out else SPLIT if found else LEAF), z, mask
+
+
+@inlined
+def weigh_both(pages, lens, metric, cull, first, second, octave, mask):
+    """``weigh`` for two diamonds of an octave, written so that the processor can do the same for both at once."""
+    z1, e1, r1, c1 = look_up(pages, first, octave)
+    z2, e2, r2, c2 = look_up(pages, second, octave)
+    col1, row1 = place_of(pages, first)
+    col2, row2 = place_of(pages, second)
+    radius1, radius2 = np.float64(r1) * lens[15], np.float64(r2) * lens[15]
+    out1, out2 = r1 < ZERO, r2 < ZERO
+    mask1 = mask2 = mask
+    if cull and mask != EVERYWHERE:
+        if not out1:
+            out1, mask1 = outside(lens, col1, row1, np.float64(z1), radius1, mask)
+        if not out2:
+            out2, mask2 = outside(lens, col2, row2, np.float64(z2), radius2, mask)
+    found1, w1 = exceeds(lens, metric, col1, row1, np.float64(z1), np.float64(e1), radius1)
+    found2, w2 = exceeds(lens, metric, col2, row2, np.float64(z2), np.float64(e2), radius2)
+    found1, z1 = colored(lens, found1, z1, c1, w1, radius1)
+    found2, z2 = colored(lens, found2, z2, c2, w2, radius2)
+    state1 = DROP if out1 else SPLIT if found1 else LEAF
+    state2 = DROP if out2 else SPLIT if found2 else LEAF
+    return state1, z1, mask1, state2, z2, mask2
 
 
 @inlined
 def call(pages, key, octave):
-    """Have the diamond at ``key`` ready in the cache."""
+    """Have the diamond at ``key``, a square, ready in the cache, and those on its edges."""
     prefetch(pages, key >> 32, key & 0xFFFFFFFF, octave)
 
 
@@ -82,14 +153,15 @@ def draws(ek, xk, ak, ez, xz, az, last_row, last_col, squeezed):
 
 
 @inlined
-def begin_strip(keys, zs, length, fresh, even, ak, az, bk, bz):
+def begin_strip(keys, zs, start, length, fresh, even, ak, az, bk, bz):
     """Append (a, b), the first two of three vertices of a triangle, to what is there; the new length.
 
     Args:
+        start: where what is there begins, an even place.
         fresh: whether what follows begins at an even place, as a strip of its own would.
         even: whether the triangle must begin at an even place to turn as it should.
     """
-    if length:
+    if length > start:
         keys[length], zs[length] = keys[length - 1], zs[length - 1]
         keys[length + 1], zs[length + 1] = ak, az
         length += 2
@@ -104,11 +176,12 @@ def begin_strip(keys, zs, length, fresh, even, ak, az, bk, bz):
     return length + 2
 
 
-@leaf
+@paired
 def refine_subtrees(
-    pages, lens, metric, cull, leaf_level, subtrees, subtree_zs, states, first, last, stack, stack_zs, keys, zs, counts
-):
-    """Refine triangles and append their strips to what there is.
+    pages, lens, metric, cull, leaf_level, subtrees, subtree_zs, states, count, shares, helper, stack, stack_zs,
+    keys, zs, places, counts,
+):  # fmt: skip
+    """Refine the subtrees that this thread takes, and write their strips.
 
     A leaf (e, x, a), hypotenuse from e to x, is entered over an edge at e and left over one at x; each is a leg or the
     hypotenuse. It is entered over a leg if it lies an even number of levels below the last triangle on the way to it
@@ -118,19 +191,32 @@ def refine_subtrees(
         pages: ``field.Pages``. lens: the camera. metric: its number.
         cull: whether what is out of view is left out.
         leaf_level: 2n.
-        subtrees, subtree_zs, states, first, last: those of a ``frontier`` that are to be refined: [first, last).
+        subtrees, subtree_zs, states: those of a ``frontier``, count of them.
+        shares: ``sharing.begin``, the state of sharing.
+        helper: number of a helper, whose strips are to be joined to the others: each begins at an even place. −1 of the
+            thread that takes from the front and makes one strip.
         stack: int64 (2n + 1, 5), stack_zs: float32 (2n + 1, 3), for the triangles that wait.
         keys: int64 (capacity,), the strip's vertices, row << 32 | col of the padded square.
         zs: float32 (capacity,), their heights.
-        counts: int64 (3,): strip length, triangles, diamonds looked at; in and out. Length −1 if the capacity did not
-            suffice.
+        places: int64 (2^(cut + 1), 4): helper, first vertex and length of each subtree's strip that helpers make; out.
+        counts: int64 (4,): strip length, triangles, diamonds looked at, subtrees taken; out. Length −1 if the capacity
+            did not suffice.
     """
+    helps = helper >= 0
+    if helps and not enters(shares):
+        return
     n = leaf_level >> 1
     last_row, last_col = pages.edge[0], pages.edge[1]
     squeezed = last_row < 1 << n or last_col < 1 << n
     capacity = len(keys) - MARGIN
-    length, triangles, nodes = counts[0], counts[1], counts[2]
-    for subtree in range(first, last):
+    start = length = triangles = nodes = taken = 0
+    while left(shares, count):
+        subtree = last(shares, count) if helps else taken
+        taken += 1
+        if helps:
+            length += length & 1
+            start = length
+            places[subtree, 0], places[subtree, 1] = helper, start
         ek, xk, ak, mk = subtrees[subtree, 0], subtrees[subtree, 1], subtrees[subtree, 2], subtrees[subtree, 3]
         ez, xz, az, mz = (
             subtree_zs[subtree, 0], subtree_zs[subtree, 1], subtree_zs[subtree, 2], subtree_zs[subtree, 3],
@@ -142,17 +228,12 @@ def refine_subtrees(
         fresh = True
         newest_is_e = False  # whether the strip's last vertex is the next leaf's e, not the one before
         top = 0
-        if length > capacity:
-            length = -1
-            break
-        if state != SPLIT:
-            if draws(ek, xk, ak, ez, xz, az, last_row, last_col, squeezed):
-                length = begin_strip(keys, zs, length, fresh, level & 1 == 1, ek, ez, ak, az)
-                keys[length], zs[length] = xk, xz
-                length += 1
-                triangles += 1
-            continue
-        while True:
+        if state != SPLIT and draws(ek, xk, ak, ez, xz, az, last_row, last_col, squeezed):
+            length = begin_strip(keys, zs, start, length, fresh, level & 1 == 1, ek, ez, ak, az)
+            keys[length], zs[length] = xk, xz
+            length += 1
+            triangles += 1
+        while state == SPLIT:
             # (e, x, a) is split at m: first child (e, a, m), second (a, x, m).
             level += 1
             first_state = second_state = LEAF
@@ -162,8 +243,9 @@ def refine_subtrees(
             second_mk = (ak + xk) >> 1
             if level < leaf_level:
                 octave = n - 1 - (level >> 1)
-                first_state, first_mz, first_mask = weigh(pages, lens, metric, cull, first_mk, octave, mask)
-                second_state, second_mz, second_mask = weigh(pages, lens, metric, cull, second_mk, octave, mask)
+                first_state, first_mz, first_mask, second_state, second_mz, second_mask = weigh_both(
+                    pages, lens, metric, cull, first_mk, second_mk, octave, mask
+                )
                 if level & 1 == 0 and level + 2 < leaf_level:
                     # What is two levels below a split triangle lies elsewhere in memory: it is called for in time.
                     if first_state == SPLIT:
@@ -189,7 +271,8 @@ def refine_subtrees(
                 by_leg = (level - second) & 1 == 0
                 keep, keep_z, new, new_z = (mk, mz, ak, az) if by_leg else (ak, az, mk, mz)
                 if not is_open:
-                    length = begin_strip(keys, zs, length, fresh, (level & 1 == 1) == by_leg, ek, ez, keep, keep_z)
+                    even = (level & 1 == 1) == by_leg
+                    length = begin_strip(keys, zs, start, length, fresh, even, ek, ez, keep, keep_z)
                     is_open, fresh, newest_is_e = True, False, False
                 keys[length], zs[length] = keep, keep_z
                 length += newest_is_e
@@ -212,9 +295,9 @@ def refine_subtrees(
                     by_leg = (level - ahead) & 1 == 0
                     if not is_open:
                         if by_leg:
-                            length = begin_strip(keys, zs, length, fresh, level & 1 == 1, ek, ez, ak, az)
+                            length = begin_strip(keys, zs, start, length, fresh, level & 1 == 1, ek, ez, ak, az)
                         else:
-                            length = begin_strip(keys, zs, length, fresh, level & 1 == 0, ak, az, ek, ez)
+                            length = begin_strip(keys, zs, start, length, fresh, level & 1 == 0, ak, az, ek, ez)
                         is_open, fresh, newest_is_e = True, False, not by_leg
                     keys[length], zs[length] = (ak, az) if by_leg else (ek, ez)
                     length += newest_is_e == by_leg
@@ -238,14 +321,71 @@ def refine_subtrees(
                 ahead = stack[top - 1, 3] if top else level0
                 if state == SPLIT:
                     break
-            if state != SPLIT:
-                break
             if length > capacity:
                 break
         if length > capacity:
             length = -1
+            stop(shares, count)
             break
-    counts[0], counts[1], counts[2] = length, triangles, nodes
+        if helps:
+            places[subtree, 2] = length - start
+    counts[0], counts[1], counts[2], counts[3] = length, triangles, nodes, taken
+    if helps:
+        leave(shares)
+
+
+@leaf
+def lay_out(keys, zs, length, part_keys, part_zs, places, first, count, shares):
+    """Say where the strips that helpers made go, behind the strip so far, and join them to it; the new length.
+
+    What comes out is what one thread would have made: degenerate triangles between the strips, each at an even place.
+
+    Args:
+        keys, zs, length: the strip so far; there is room.
+        part_keys, part_zs: (helpers, capacity), what helpers wrote.
+        places: as ``refine_subtrees`` left it, of the subtrees [first, count); their fourth column is filled here.
+        shares: ``sharing.begin``, for those who ``put`` them there.
+    """
+    key, z = keys[max(length - 1, 0)], zs[max(length - 1, 0)]
+    for subtree in range(first, count):
+        size = places[subtree, 2]
+        if size == 0:
+            continue
+        helper, start = np.uint64(places[subtree, 0]), np.uint64(places[subtree, 1])
+        if length:
+            keys[length], zs[length] = key, z
+            for _ in range(1 + (length & 1)):
+                length += 1
+                keys[length], zs[length] = part_keys[helper, start], part_zs[helper, start]
+            length += 1
+        places[subtree, 3] = length
+        length += size
+        end = start + np.uint64(size - 1)
+        key, z = part_keys[helper, end], part_zs[helper, end]
+    ready(shares, first)
+    return length
+
+
+@leaf
+def put(keys, zs, part_keys, part_zs, places, count, shares, helps):
+    """Move strips to where ``lay_out`` said, as many as this thread takes. Arguments as there.
+
+    Args:
+        helps: whether this thread is a helper, and waits for ``lay_out``.
+    """
+    first = wait_for(shares)
+    if first < 0 or (helps and not enters(shares)):
+        return
+    while left(shares, count - first):
+        subtree = first + last(shares, count - first)
+        helper = np.uint64(places[subtree, 0])
+        source, target = np.uint64(places[subtree, 1]), np.uint64(places[subtree, 3])
+        for k in range(np.uint64(places[subtree, 2])):
+            keys[target + k] = part_keys[helper, source + k]
+        for k in range(np.uint64(places[subtree, 2])):
+            zs[target + k] = part_zs[helper, source + k]
+    if helps:
+        leave(shares)
 
 
 @leaf
