@@ -19,6 +19,7 @@ VERBS = {
     "bake": "Put light into a store: sky, occlusion, apertures, at all levels.",
     "info": "Tell what a DEM or a store is, and what is suspicious about it.",
     "render": "Draw a relief picture of a DEM or a store.",
+    "view": "Explore a DEM or a store in a window.",
     "light": "Make maps of light: slope, hillshade, horizons, sky, openness…",
     "measure": "Measure heights, lengths, areas and what is seen, on the true surface.",
     "tessellate": "Triangulate a DEM or a store for a view.",
@@ -74,6 +75,7 @@ def cli(ctx: click.Context, debug: bool, quiet: bool) -> None:
     Begin with:
       orograph info dem.tif                  what is in this file?
       orograph render dem.tif -o relief.png  a relief picture of it
+      orograph view dem.tif                  a window to explore it in
       orograph build tiles/*.tif -o area.oro a store, for data larger than memory
     """
     ctx.ensure_object(dict)

@@ -21,6 +21,7 @@ from orograph.view import View
 
 DEFAULT_TOLERANCE = 1.0
 DAY = 86_400.0
+HAZE = 1.5
 PLAY = 3600.0
 """Seconds of the sun's time in a second, while a day is played."""
 
@@ -148,11 +149,19 @@ class Settings:
     furniture: bool = True
 
     def scene(self, terrain: Terrain, view: View) -> Scene:
-        """The picture as it is set."""
+        """The picture as it is set.
+
+        Haze begins as far away as the eye is high and grows over ``HAZE`` diagonals of the terrain: it changes smoothly
+        as one flies, is thin from high above and deep along the ground.
+        """
+        west, south, east, north = terrain.grid.bounds()
+        low, high = terrain.height_range
+        near = max(view.eye[2] - (low + high) / 2, 0.0) * self.exaggeration if math.isfinite(low) else 0.0
         return Scene(
             terrain, view, self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
             colormap=self.colormap, drape=self.drape if self.draped else None, sky=self.sky, water=self.water,
             relief=self.relief, tolerance=self.tolerance,
+            depths=(near, near + HAZE * math.hypot(east - west, north - south)),
         )  # fmt: skip
 
     def overlay(self) -> Any:

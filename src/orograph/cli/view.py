@@ -1,0 +1,118 @@
+"""``orograph view``: a window in which a terrain is explored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
+from orograph.cli.options import FILE, Bytes, jobs_option, progress_of, source_options, vertical_options
+from orograph.cli.suns import sun_option
+
+if TYPE_CHECKING:
+    from orograph.store.terrain import Terrain
+    from orograph.view import View
+
+WINDOW = (1280, 800)
+OWN = {*CAMERA, "sun", "exaggeration", "tolerance", "colormap", "drape", "adapter"}
+"""What is said about the window; all other options are about reading."""
+
+
+@click.command("view")
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@camera_options
+@sun_option()
+@click.option(
+    "--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
+)
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="PX",
+    help="Pixels by which the ground may be displaced on the screen.  [default: 1]",
+)
+@click.option("--colormap", metavar="NAME", help="Colours of heights.  [default: alpine]")
+@click.option("--drape", type=FILE, metavar="IMAGE", help="Lay this image over the ground; it may be in any CRS.")
+@click.option("--gpu-memory", type=Bytes(), default="512MiB", show_default=True, help="GPU memory for tiles.")
+@click.option("--memory", type=Bytes(), default="1GiB", show_default=True, help="Memory for tables and caches.")
+@click.option(
+    "--adapter",
+    metavar="NAME",
+    help="The GPU: a part of its name, or software.  [default: $OROGRAPH_ADAPTER, or the best]",
+)
+@click.option(
+    "--screenshot", type=click.Path(dir_okay=False), metavar="OUT.png", help="Save what the window shows, and close it."
+)
+@click.option(
+    "--frames", type=click.IntRange(min=1), default=1, show_default=True, help="Frames before the --screenshot."
+)
+@click.option("--crs", help="Projected CRS to draw in.  [default: the file's own, or its UTM zone]")
+@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
+@source_options
+@vertical_options
+@jobs_option
+@click.pass_context
+def command(
+    ctx: click.Context, /, paths: tuple[str, ...], gpu_memory: int, memory: int, screenshot: str | None, frames: int,
+    jobs: int | None, **options: Any,
+) -> None:  # fmt: skip
+    """Explore a DEM (one file or many) or a store in a window.
+
+    F1 or ? shows all keys. Left drag moves the ground, right drag orbits, the wheel zooms to the cursor, a double click
+    goes there, W A S D fly. A large DEM is built into a store first, which is kept: the next time it opens at once.
+
+    \b
+    Examples:
+      orograph view N44W072.hgt
+      orograph view tiles/*.tif --sun 2026-06-21T19:30-07:00
+      orograph view area.oro --view VIEW.json --exaggeration 1.5
+    """
+    progress = progress_of(ctx)
+    check_camera(options)
+    if options["projection"] == "plan" and options["view_path"] is None:
+        options["projection"] = "perspective"  # the window turns it straight down
+        options["pitch"] = 90.0
+    with progress.task("Loading Orograph"):
+        from orograph.errors import UsageError
+        from orograph.output import check_folder
+        from orograph.picture.scene import check_exaggeration
+        from orograph.viewer.app import check, renderer_of, show
+
+        check()
+        from orograph.gpu.device import choose
+        from orograph.picture.prepare import prepare
+        from orograph.viewer.session import Session
+
+    # What is wrong with the command line is said before any work is done.
+    choose(options["adapter"])
+    check_exaggeration(options["exaggeration"])
+    if screenshot is not None:
+        if Path(screenshot).suffix.lower() != ".png":
+            raise UsageError("A screenshot is a PNG.", path=screenshot, remedy="Give it the ending .png.")
+        check_folder(Path(screenshot))
+    source = {k: v for k, v in options.items() if k not in OWN}
+    if source["band"] == 1:
+        source["band"] = None
+    size = options["size"] or WINDOW
+    terrain = prepare(list(paths), max_memory=memory, jobs=jobs, progress=progress, **source)
+    with progress.task("Looking at the terrain"):
+        session = Session(
+            terrain, _view(terrain, options, size), size=size, sun=options["sun"],
+            exaggeration=options["exaggeration"], tolerance=options["tolerance"], colormap=options["colormap"],
+            drape=options["drape"],
+        )  # fmt: skip
+    make = renderer_of(gpu_memory, memory, jobs)
+    show(
+        session, size=size, make=make, adapter=options["adapter"],
+        screenshot=None if screenshot is None else Path(screenshot), frames=frames, progress=progress,
+    )  # fmt: skip
+    if screenshot is not None:
+        click.echo(screenshot)
+
+
+def _view(terrain: Terrain, options: dict[str, Any], size: tuple[int, int]) -> View | None:
+    """The camera that the command line describes; None where it says nothing."""
+    said = any(options[name] is not None for name in ("azimuth", "pitch", "distance", "lonlat", "view_path", "fov"))
+    return camera_view(terrain, {**options, "size": size}) if said else None
