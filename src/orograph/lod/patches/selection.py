@@ -92,10 +92,15 @@ def put(words, floats, at, x, y, L, omega, q, top, last_row, last_col, flags, mo
     return 1
 
 
-@inlined
-def has_no_ground(row, col, k, last_row, last_col):
-    """Whether all of a diamond of octave k lies beyond the raster."""
-    return row - (np.int64(1) << k) >= last_row or col - (np.int64(1) << k) >= last_col
+@leaf
+def has_no_ground(pages, row, col, last_row, last_col):
+    """Whether a diamond has nothing to draw: then what is beside it need not conform to it, nor wait for it."""
+    k = diamonds.octave(row, col)
+    size = np.int64(1) << k
+    if row - size >= last_row or col - size >= last_col:
+        return True
+    slot, u, v = find(pages, row, col, k)
+    return slot == BEYOND or (slot >= 0 and pages.data[slot, u, v, 2] < 0.0)
 
 
 @leaf
@@ -159,14 +164,15 @@ def select_patches(
         pixels = 0.0
         inside = masks[at]
         z, e, r = np.float64(0.0), np.float64(0.0), np.float64(0.0)
-        empty, mixed = r < 0.0, e < 0.0
+        mixed = e < 0.0
         if known:
             z = np.float64(pages.data[slot, u, v, 0])
             e = np.float64(pages.data[slot, u, v, 1])
             r = np.float64(pages.data[slot, u, v, 2])
-            empty = r < 0.0
+            if r < 0.0:
+                continue  # nothing to draw; its sphere means nothing
             mixed = e < 0.0
-            e, r = abs(e), abs(r)
+            e = abs(e)
             reach = r * lens[15]
             mr, mc = min(row, last_row), min(col, last_col)
             if cull:
@@ -195,7 +201,7 @@ def select_patches(
             if sides[at] >> side & 5 == 5:
                 continue
             pr, pc = diamonds.apex(row, col, side)
-            if not diamonds.is_diamond(pr, pc, n) or has_no_ground(pr, pc, diamonds.octave(pr, pc), last_row, last_col):
+            if not diamonds.is_diamond(pr, pc, n) or has_no_ground(pages, pr, pc, last_row, last_col):
                 continue
             may = may and (sides[at] >> side & 1) == 1
             might = might and (sides[at] >> side & 4) == 4
@@ -234,7 +240,7 @@ def select_patches(
                     continue
                 x, y, L, omega = triangles.child(x, y, L, omega, child & 1)
                 if level + 1 == finest:
-                    if may and not empty:
+                    if may:
                         if cull and prism_outside(lens, x, y, L, omega, z, r, inside, last_row, last_col):
                             continue
                         counts[0] += put(
@@ -254,7 +260,7 @@ def select_patches(
                 sides[other] |= (5 if may else 4) << side
                 morphs[other, side] = morph
                 bounds[other, side] = rest
-        if not may and not empty:
+        if not may:
             for side in range(2):
                 if sides[at] >> side & 1:
                     x, y, L, omega = diamonds.top(row, col, side)
