@@ -20,14 +20,11 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
-from affine import Affine
 from numpy.typing import NDArray
 
-from orograph.dem.synth import Synth
-from orograph.geo.grid import Grid
 from orograph.lod.soar import Soar
-from orograph.store.memory import MemoryTerrain
 from orograph.view import View
+from synthetic import synthetic
 
 Index = NDArray[np.int64]
 
@@ -73,12 +70,8 @@ def main() -> None:
     parser.add_argument("--tolerance", type=float, default=1.0)
     parser.add_argument("--seed", type=int, default=7)
     given = parser.parse_args()
-    grid = Grid((given.size, given.size), Affine(30, 0, 0, 0, -30, 0), None)
-    synth = Synth(grid.shape, given.seed)
-    heights = np.concatenate(
-        [synth.read(r, min(r + 512, given.size), 0, given.size) for r in range(0, given.size, 512)]
-    )
-    terrain = MemoryTerrain(heights, grid, "synthetic")
+    terrain = synthetic(given.size, given.seed)
+    grid, heights = terrain.grid, terrain.heights
     engine = Soar(terrain)
     orders = {"rows": rows_of(terrain.side), "tiles": tiles_of, "hierarchical": hierarchical(terrain.levels - 1)}
     sizes = {"tiles": 256, "blocks": 16}

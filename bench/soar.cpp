@@ -113,6 +113,8 @@ template <class Memory> class Refinement {
     void call(const Vertex &p, const Vertex &q, int octave) {
         const Vertex m = middle(p, q);
         __builtin_prefetch(memory.at(m.row, m.col, octave));
+        __builtin_prefetch(memory.at(m.row + (1 << octave), m.col, octave));
+        __builtin_prefetch(memory.at(m.row, m.col + (1 << octave), octave));
     }
 
     void append(const Vertex &v) {
