@@ -48,22 +48,12 @@ class Picture:
         Raises:
             UsageError: the ending is unknown. OutputError: the file cannot be written.
         """
-        from PIL import Image
-
         out = Path(path)
         kind = picture_format(out)
         if kind == "TIFF" and self.grid is not None:
             self._write_tiff(out, self.pixels.transpose(2, 0, 1), "picture", {"photometric": "RGB", "predictor": 2})
             return out
-        every: dict[str, dict[str, Any]] = {
-            "PNG": {"compress_level": 4},
-            "JPEG": {"quality": 92, "subsampling": 0},
-            "WEBP": {"lossless": True},
-            "TIFF": {"compression": "tiff_deflate"},
-        }
-        with Beside(out) as part:
-            Image.fromarray(self.pixels).save(part, format=kind, **every[kind])
-        return out
+        return save_pixels(self.pixels, out)
 
     def save_depth(self, path: str | os.PathLike[str]) -> Path:
         """Write the depth as a float32 TIFF, metres, NaN where nothing is hit; that of a plan is a GeoTIFF.
@@ -117,6 +107,26 @@ def plan_grid(view: View, crs: CRS | None) -> Grid | None:
     )
     transform = Affine(a, b, float(origin[0]), d, e, float(origin[1]))
     return Grid((view.height, view.width), transform, crs)
+
+
+def save_pixels(pixels: NDArray[np.uint8], out: Path) -> Path:
+    """Write pixels (height, width, 3) in the format that the path's ending stands for.
+
+    Raises:
+        UsageError: the ending is unknown. OutputError: the file cannot be written.
+    """
+    from PIL import Image
+
+    kind = picture_format(out)
+    every: dict[str, dict[str, Any]] = {
+        "PNG": {"compress_level": 4},
+        "JPEG": {"quality": 92, "subsampling": 0},
+        "WEBP": {"lossless": True},
+        "TIFF": {"compression": "tiff_deflate"},
+    }
+    with Beside(out) as part:
+        Image.fromarray(pixels).save(part, format=kind, **every[kind])
+    return out
 
 
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}

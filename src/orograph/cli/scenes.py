@@ -1,0 +1,154 @@
+"""What is drawn, on the command line: the options of all verbs that draw, each declared once.
+
+``@scene_options`` gives a verb ``sun`` (a ``light.sun.SunSource``), what ``SCENE`` lists, ``water``, ``mesh_view``, and
+``crs``, ``resolution`` and ``backend``; ``check_scene`` refuses what contradicts, before any work; ``scene_of`` makes
+the scene of a view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orograph.cli.engines import engine_option
+from orograph.cli.options import FILE, F, ParamType
+from orograph.cli.suns import sun_option
+
+if TYPE_CHECKING:
+    from orograph.picture.scene import Scene
+    from orograph.progress import Progress
+    from orograph.store.terrain import Terrain
+    from orograph.view import View
+
+
+class Water(ParamType):
+    """auto, none, or a level in metres."""
+
+    name = "auto|none|METRES"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
+        if isinstance(value, float) or value in ("auto", "none"):
+            return float(value) if isinstance(value, float) else str(value)
+        try:
+            return float(value)
+        except ValueError:
+            self.fail(f"{value!r} is neither auto, none nor a level in metres.", param, ctx)
+
+
+SCENE = ("shadows", "exaggeration", "colormap", "drape", "sky", "relief", "samples", "tolerance", "engine", "wireframe",
+         "furniture", "title")  # fmt: skip
+"""Options that are a scene's attributes of the same name."""
+
+DRAWING = {*SCENE, "sun", "water", "mesh_view", "backend"}
+"""All of them that are not about reading."""
+
+
+def scene_options(function: F) -> F:
+    """Give a verb the options that say what is drawn, and how."""
+    for option in reversed(
+        [
+            sun_option(),
+            click.option(
+                "--shadows/--no-shadows", default=True, show_default=True, help="Whether the ground casts shadows."
+            ),
+            click.option(
+                "--exaggeration",
+                type=float,
+                default=1.0,
+                show_default=True,
+                metavar="X",
+                help="Stretch heights on the screen.",
+            ),
+            click.option(
+                "--relief",
+                type=float,
+                metavar="X",
+                help="Stretch slopes for shading only; 1 is nature.  [default: 1 to 6, more for gentle land]",
+            ),
+            click.option(
+                "--colormap",
+                metavar="NAME",
+                help="Colours of heights: alpine, mars, grey or any name of the cmap catalogue.  [default: alpine]",
+            ),
+            click.option(
+                "--drape", type=FILE, metavar="IMAGE", help="Lay this image over the ground; it may be in any CRS."
+            ),
+            click.option(
+                "--water",
+                type=Water(),
+                metavar="auto|none|METRES",
+                default="auto",
+                show_default=True,
+                help="auto: level areas are lakes and seas; a number: all ground up to that height.",
+            ),
+            click.option("--sky", is_flag=True, help="Draw sky and haze, instead of paper."),
+            click.option("--furniture", is_flag=True, help="Add a title, a colour bar, a north arrow and a scale bar."),
+            click.option("--title", help="The title (with --furniture).  [default: the file's name]"),
+            click.option(
+                "--samples",
+                type=click.IntRange(1, 1024),
+                default=4,
+                show_default=True,
+                help="Rays per pixel where the picture has edges; 1: jagged ones.",
+            ),
+            click.option(
+                "--tolerance",
+                type=float,
+                metavar="PX",
+                help="Pixels by which the ground may be displaced; 0 draws every sample.  "
+                "[default: 0 up to 16.8 million samples, else 0.5; with --engine 1]",
+            ),
+            engine_option(help="Draw the mesh that this engine makes within --tolerance, with light on its faces."),
+            click.option("--wireframe", is_flag=True, help="With --engine: draw its triangles' edges over the relief."),
+            click.option(
+                "--mesh-view",
+                type=FILE,
+                metavar="VIEW.json",
+                help="With --engine: the camera to refine for, to look at the mesh from elsewhere.  "
+                "[default: the picture's]",
+            ),
+            click.option("--crs", help="Projected CRS to draw in.  [default: the file's own, or its UTM zone]"),
+            click.option(
+                "--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']"
+            ),
+            click.option(
+                "--backend",
+                type=click.Choice(["cpu", "gpu"]),
+                default="cpu",
+                show_default=True,
+                help="What draws; gpu: the CPU instead where there is none (see orograph doctor).",
+            ),
+        ]
+    ):
+        function = option(function)
+    return function
+
+
+def check_scene(options: Mapping[str, Any], progress: Progress) -> None:
+    """Raise UsageError where what is said of a scene contradicts itself; warn of what has no effect."""
+    from orograph.errors import UsageError
+    from orograph.geovis.colour import colour_table
+
+    if options["wireframe"] and options["engine"] is None:
+        raise UsageError("--wireframe shows what an engine made.", remedy="Choose one, such as --engine soar.")
+    if options["mesh_view"] is not None and options["engine"] is None:
+        raise UsageError("--mesh-view is what an engine refines for.", remedy="Choose one, such as --engine soar.")
+    colour_table(options["colormap"])
+    if options["title"] is not None and not options["furniture"]:
+        progress.warn("--title is drawn with --furniture only.")
+
+
+def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memory: int, jobs: int | None) -> Scene:
+    """The scene that the options describe, seen by a camera."""
+    from orograph.picture.scene import Scene
+    from orograph.view import View
+
+    mesh_view = options["mesh_view"]
+    return Scene(
+        terrain, view, options["sun"].over(terrain.grid),
+        mesh_view=None if mesh_view is None else View.load(mesh_view, crs=terrain.grid.crs),
+        water=None if options["water"] == "none" else options["water"], max_memory=max_memory, jobs=jobs,
+        **{k: options[k] for k in SCENE},
+    )  # fmt: skip
