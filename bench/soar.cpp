@@ -95,16 +95,14 @@ template <class Memory> class Refinement {
         const double p = lens[46] * col + lens[47] * row + lens[48];
         const double q = lens[49] * col + lens[50] * row + lens[51];
         const double square = p * p + q * q;
-        const double away =
-            std::sqrt(std::fabs(square + w * (w * lens[16] * lens[16] - 2.0 * (lens[2] * p + lens[6] * q))));
+        const double away = std::fabs(square + w * (w * lens[16] * lens[16] - 2.0 * (lens[2] * p + lens[6] * q)));
         const double depth = w - r;
         const double moved = std::max(depth, lens[14]) - e * std::fabs(lens[10]);
-        const double pixels = lens[12] * e;
-        const double rest = lens[13] * w * depth * moved - pixels * r * away;
-        const double reach = pixels * depth;
-        const bool far = (depth <= 0.0) | (rest < 0.0) | (reach * reach * square > rest * rest);
-        const bool exceeds =
-            (e > 0.0) & ((far & (pixels * lens[52] > lens[13] * moved)) | !(moved > 0.0));
+        const double pixels = lens[12] * e, goal = lens[13] * moved;
+        const double reach = pixels * depth, spread = pixels * r, a = w * depth * goal;
+        const double aa = a * a, bq = spread * spread * away, rest = aa + bq - reach * reach * square;
+        const bool far = (depth <= 0.0) | (aa < bq) | (rest < 0.0) | (4.0 * aa * bq > rest * rest);
+        const bool exceeds = (pixels > 0.0) & ((far & (pixels * lens[52] > goal)) | !(moved > 0.0));
         return {exceeds ? SPLIT : LEAF, z_of(entry), mask};
     }
 
