@@ -1,0 +1,442 @@
+"""``orograph measure``: pick, profile, area, line of sight and viewshed on the true surface."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orograph.cli.camera import CAMERA, Numbers, camera_options, camera_view, check_camera
+from orograph.cli.files import check_ending, check_outputs
+from orograph.cli.options import FILE, F, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.errors import UsageError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from orograph.geovis.measure import Places
+    from orograph.store.terrain import Terrain
+
+POINTS = {"ignore_unknown_options": True, "help_option_names": ["-h", "--help"]}
+"""A point may begin with a minus."""
+
+
+class Point(Numbers):
+    """Two numbers with a comma between."""
+
+    def __init__(self) -> None:
+        super().__init__("X", "Y")
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        text = str(value)
+        if text.startswith("-") and text[1:2] not in "0123456789.":
+            self.fail(f"there is no option {text!r}.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class Measures(click.Group):
+    """The measures, in the order of their use, and what to say where one is not found."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in self.commands:
+            known = ", ".join(self.commands)
+            hint = (
+                " The DEM or store comes first, then what to measure."
+                if ctx.params.get("path") in self.commands
+                else ""
+            )
+            ctx.fail(f"There is no measure {args[0]!r}; there are {known}.{hint}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group("measure", cls=Measures, context_settings={"help_option_names": ["-h", "--help"]})
+@click.argument("path", metavar="PATH")
+@click.option("--crs", help="Projected CRS to measure in.  [default: the file's own, or its UTM zone]")
+@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the file's]")
+@source_options
+@vertical_options
+@memory_option
+@jobs_option
+@click.pass_context
+def command(ctx: click.Context, /, path: str, max_memory: int, jobs: int | None, **options: Any) -> None:
+    """Measure on the surface of a DEM or a store: at full resolution, in true metres.
+
+    Points are E,N (easting, northing in the terrain's CRS, metres) or, with --lonlat, LON,LAT in degrees. Lengths and
+    areas are corrected for what the map projection stretches and for the height above the ellipsoid; what they are on
+    the grid is told beside them.
+
+    \b
+    Examples:
+      orograph measure dem.tif pick 512000,4180000
+      orograph measure dem.tif profile --lonlat -71.38,44.22 -71.30,44.27 -o profile.png -o profile.csv
+      orograph measure dem.tif area --geojson lake.geojson --level 850
+      orograph measure dem.tif los 512000,4180000 515000,4182000 --eye 1.7 -o sight.png
+      orograph measure area.oro viewshed 512000,4180000 --radius 20000 -o seen.tif --picture seen.png
+    """
+    if options["band"] == 1:
+        options["band"] = None
+    ctx.obj.update(path=path, source=options, max_memory=max_memory, jobs=jobs)
+
+
+# ---- what the measures share -----------------------------------------------------------------------------------------
+
+
+def points_option(function: F) -> F:
+    """``--lonlat`` and ``--json``."""
+    function = click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")(function)
+    return click.option("--lonlat", "degrees", is_flag=True, help="Points are LON,LAT in degrees instead of E,N.")(
+        function
+    )
+
+
+def output_option(what: str) -> Callable[[F], F]:
+    """``--output``, which may be given several times."""
+    return click.option("--output", "-o", "outputs", type=FILE, multiple=True, metavar="OUT", help=what)
+
+
+def sight_options(function: F) -> F:
+    """What line of sight and viewshed have in common."""
+    for option in reversed(
+        [
+            click.option("--eye", type=float, default=1.7, show_default=True, metavar="M", help="Eye above ground."),
+            click.option("--target", type=float, default=0.0, show_default=True, metavar="M",
+                         help="What is looked at, above ground."),
+            click.option("--flat", is_flag=True, help="No curvature of the body and no refraction."),
+            click.option("--refraction", type=float, default=0.13, show_default=True, metavar="K",
+                         help="How much rays bend, relative to the ground; 0 without air."),
+        ]
+    ):  # fmt: skip
+        function = option(function)
+    return function
+
+
+def opened(ctx: click.Context, outputs: tuple[str, ...] = (), others: tuple[str | None, ...] = ()) -> Terrain:
+    """The terrain, once it is sure that nothing will be written over it."""
+    given = {f"--output {k}" if k > 1 else "--output": path for k, path in enumerate(outputs, 1)}
+    check_outputs(
+        {**given, "--picture": others[0] if others else None},
+        {"the input": [ctx.obj["path"]], "the grid of --geoid": [ctx.obj["source"]["geoid"]]},
+    )
+    progress = progress_of(ctx)
+    with progress.task("Loading Orograph"):
+        from orograph.output import check_folder
+        from orograph.picture.prepare import prepare
+    for path in (*outputs, *filter(None, others)):
+        check_folder(Path(path))
+    return prepare(
+        [ctx.obj["path"]], max_memory=ctx.obj["max_memory"], jobs=ctx.obj["jobs"], progress=progress,
+        **ctx.obj["source"],
+    )  # fmt: skip
+
+
+def check_points(points: tuple[tuple[float, ...], ...], least: int, what: str, most: int | None = None) -> None:
+    """Raise UsageError unless there are as many points as a measure needs."""
+    if len(points) < least or (most is not None and len(points) > most):
+        count = f"{least}" if most == least else f"at least {least}"
+        raise UsageError(f"{what} needs {count} point{'s' if least > 1 else ''}, not {len(points)}.")
+
+
+def on_terrain(places: Places, points: tuple[tuple[float, ...], ...], degrees: bool) -> NDArray[np.float64]:
+    """Points (n, 2) in the terrain's CRS."""
+    import numpy as np
+
+    return places.of_lonlat(points) if degrees else np.asarray(points, np.float64)
+
+
+def kinds(outputs: tuple[str, ...], plots: bool) -> None:
+    """Raise UsageError for endings that are neither a table's nor a plot's; a missing matplotlib is told at once."""
+    from orograph.geovis.measure.plot import ENDINGS, check_plot
+
+    for path in outputs:
+        if Path(path).suffix.lower() == ".csv":
+            continue
+        if not plots or Path(path).suffix.lower() not in ENDINGS:
+            raise UsageError("--output is written as .csv, .png, .svg or .pdf.", path=path)
+        check_plot(path)
+
+
+def tell(ctx: click.Context, terrain: Terrain, told: dict[str, Any], lines: list[tuple[str, str]], as_json: bool,
+         outputs: tuple[str, ...] = ()) -> None:  # fmt: skip
+    """Print the result: names and values in columns, or JSON."""
+    if as_json:
+        crs = terrain.grid.crs
+        click.echo(json.dumps({"crs": crs.to_string() if crs else None, **told, "outputs": list(outputs)},
+                              allow_nan=False))  # fmt: skip
+        return
+    width = max(len(name) for name, _ in lines)
+    for name, value in lines:
+        click.echo(f"{name:<{width}}  {value}")
+    for path in outputs:
+        click.echo(f"{'':<{width}}  {path}")
+
+
+def metres(value: float | None, digits: int = 2) -> str:
+    """A length for people."""
+    return "–" if value is None else f"{value:,.{digits}f} m"
+
+
+def place_of(lon: float | None, lat: float | None, east: float, north: float) -> str:
+    """A place for people."""
+    degrees = "" if lon is None or lat is None else f"   lon {lon:.6f}, lat {lat:.6f}"
+    return f"{east:.2f}, {north:.2f}{degrees}"
+
+
+# ---- the measures ----------------------------------------------------------------------------------------------------
+
+
+def _without(*names: str) -> Callable[[F], F]:
+    """Take options away again that ``camera_options`` gave."""
+
+    def change(function: F) -> F:
+        kept = [p for p in function.__click_params__ if p.name not in names]  # type: ignore[attr-defined]
+        function.__click_params__ = kept  # type: ignore[attr-defined]
+        return function
+
+    return change
+
+
+@command.command("pick", context_settings=POINTS)
+@click.argument("points", nargs=-1, type=Point(), metavar="[POINT]...")
+@click.option("--pixel", "pixels", type=Point(), multiple=True, metavar="X,Y",
+              help="The ground at a pixel of the picture that orograph render draws with this camera; 0,0 is its upper "
+              "left corner.")  # fmt: skip
+@_without("lonlat", "look_at")
+@camera_options
+@click.option("--exaggeration", type=float, default=1.0, show_default=True, help="That of the picture.")
+@points_option
+@click.pass_context
+def pick(
+    ctx: click.Context, /, points: tuple[tuple[float, ...], ...], pixels: tuple[tuple[float, ...], ...],
+    degrees: bool, as_json: bool, **camera: Any,
+) -> None:  # fmt: skip
+    """Height, coordinates, slope and aspect of the ground at points, or under pixels of a picture.
+
+    Slope and aspect (in which the ground falls, clockwise from north) are those of the ground between its samples,
+    as in orograph light. A pixel's ray is cast against the full-resolution surface.
+    """
+    if not points and not pixels:
+        raise UsageError("Give a point, or a pixel with --pixel.")
+    camera = {**camera, "lonlat": None, "look_at": None}
+    check_camera({k: camera[k] for k in CAMERA})
+    terrain = opened(ctx)
+    from orograph.geovis import measure
+
+    places = measure.Places(terrain)
+    hits = [measure.place(terrain, p) for p in on_terrain(places, points, degrees)] if points else []
+    if pixels:
+        from orograph.picture.scene import check_exaggeration
+
+        check_exaggeration(camera["exaggeration"])
+        view = camera_view(terrain, camera)
+        for x, y in pixels:
+            found = measure.pick(terrain, view, (x, y), camera["exaggeration"])
+            if found is None:
+                raise UsageError(f"There is no ground at pixel {x:g},{y:g}: sky, or no data.")
+            hits.append(found)
+    lines: list[tuple[str, str]] = []
+    for hit in hits:
+        lines.append(("place", place_of(hit.longitude, hit.latitude, hit.easting, hit.northing)))
+        lines.append(("height", metres(hit.height) if hit.height is not None else "no data here"))
+        if hit.slope is not None:
+            aspect = "level" if hit.aspect is None else f"{hit.aspect:.1f}° grid, {hit.true_aspect:.1f}° true"
+            lines += [("slope", f"{hit.slope:.2f}°"), ("aspect", aspect)]
+        if hit.distance is not None:
+            lines.append(("from the eye", metres(hit.distance)))
+    tell(ctx, terrain, {"places": [hit.to_dict() for hit in hits]}, lines, as_json)
+
+
+@command.command("profile", context_settings=POINTS)
+@click.argument("points", nargs=-1, type=Point(), metavar="POINT POINT...")
+@click.option("--geojson", type=FILE, metavar="FILE", help="The line in a GeoJSON file, instead of points.")
+@click.option("--every", type=float, metavar="M", help="Rows of the table this far apart.  [default: at every edge]")
+@output_option("A table (.csv) or a plot (.png, .svg, .pdf); may be given several times.")
+@points_option
+@click.pass_context
+def profile(
+    ctx: click.Context, /, points: tuple[tuple[float, ...], ...], geojson: str | None, every: float | None,
+    outputs: tuple[str, ...], degrees: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Lengths along the ground, straight and on the ellipsoid, climb and descent, and the profile."""
+    if geojson is None:
+        check_points(points, 2, "A profile")
+    elif points:
+        raise UsageError("Give the line as points or with --geojson, not both.")
+    kinds(outputs, True)
+    if every is not None and not every > 0:
+        raise UsageError(f"--every is a positive number of metres, not {every:g}.")
+    terrain = opened(ctx, outputs)
+    from orograph.geovis import measure
+
+    places = measure.Places(terrain)
+    if geojson is None:
+        line = on_terrain(places, points, degrees)
+    else:
+        from orograph.geovis.measure.geojson import read_geojson
+
+        line = read_geojson(geojson, "LineString", places)[0]
+    with progress_of(ctx).task("Measuring"):
+        found = measure.profile(terrain, line)
+        for path in outputs:
+            if Path(path).suffix.lower() == ".csv":
+                found.save_csv(path, every)
+            else:
+                from orograph.geovis.measure.plot import save_profile
+
+                save_profile(found, path)
+    lines = [
+        ("on the ground", metres(found.length)), ("straight", metres(found.straight)),
+        ("horizontal", f"{metres(float(found.distance[-1]))}, on the grid {metres(found.grid)} (scale "
+         f"{found.scale:.6f})"),
+        ("geodesic", metres(found.geodesic)), ("climb, descent", f"+{metres(found.climb)}, −{metres(found.descent)}"),
+        ("lowest, highest", f"{metres(found.lowest)}, {metres(found.highest)}"),
+    ]  # fmt: skip
+    if found.missing:
+        lines.append(("without data", metres(found.missing)))
+    tell(ctx, terrain, found.to_dict(), lines, as_json, outputs)
+
+
+@command.command("area", context_settings=POINTS)
+@click.argument("points", nargs=-1, type=Point(), metavar="POINT POINT POINT...")
+@click.option("--geojson", type=FILE, metavar="FILE", help="The polygon in a GeoJSON file; it may have holes.")
+@click.option("--level", type=float, metavar="M", help="Also the volumes of ground above and space below this height.")
+@points_option
+@click.pass_context
+def area(
+    ctx: click.Context, /, points: tuple[tuple[float, ...], ...], geojson: str | None, level: float | None,
+    degrees: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Area of a polygon in plan and of the surface in it."""
+    if geojson is None:
+        check_points(points, 3, "A polygon")
+    elif points:
+        raise UsageError("Give the polygon as points or with --geojson, not both.")
+    terrain = opened(ctx)
+    from orograph.geovis import measure
+
+    places = measure.Places(terrain)
+    rings = [on_terrain(places, points, degrees)] if geojson is None else None
+    if geojson is not None:
+        from orograph.geovis.measure.geojson import read_geojson
+
+        rings = read_geojson(geojson, "Polygon", places)
+    assert rings is not None
+    found = measure.area(terrain, rings, level=level, jobs=ctx.obj["jobs"], progress=progress_of(ctx))
+
+    def square(value: float) -> str:
+        return f"{value:,.1f} m²" + (f"  ({value / 1e6:,.4f} km²)" if value >= 1e5 else "")
+
+    lines = [
+        ("plan", f"{square(found.plan)}, on the grid {found.plan_grid:,.1f} m²"),
+        ("surface", f"{square(found.surface)}, on the grid {found.surface_grid:,.1f} m²"),
+        ("perimeter", metres(found.perimeter)), ("mean height", metres(found.mean_height)),
+    ]  # fmt: skip
+    if found.missing_grid:
+        lines.append(("without data", f"{found.missing_grid:,.1f} m² of the grid, in no surface"))
+    if found.above is not None:
+        lines += [(f"above {level:g} m", f"{found.above:,.1f} m³"), (f"below {level:g} m", f"{found.below:,.1f} m³")]
+    tell(ctx, terrain, found.to_dict(), lines, as_json)
+
+
+@command.command("los", context_settings=POINTS)
+@click.argument("points", nargs=-1, type=Point(), metavar="FROM TO")
+@sight_options
+@output_option("A plot (.png, .svg, .pdf) or the ground under it as a table (.csv).")
+@points_option
+@click.pass_context
+def los(
+    ctx: click.Context, /, points: tuple[tuple[float, ...], ...], eye: float, target: float, flat: bool,
+    refraction: float, outputs: tuple[str, ...], degrees: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Whether one point is seen from another, and what is in the way."""
+    check_points(points, 2, "A line of sight", 2)
+    kinds(outputs, True)
+    terrain = opened(ctx, outputs)
+    from orograph.geovis import measure
+
+    ends = on_terrain(measure.Places(terrain), points, degrees)
+    with progress_of(ctx).task("Looking"):
+        found = measure.line_of_sight(terrain, ends[0], ends[1], eye, target, curvature=not flat, refraction=refraction)
+        for path in outputs:
+            if Path(path).suffix.lower() == ".csv":
+                found.profile.save_csv(path)
+            else:
+                from orograph.geovis.measure.plot import save_sight
+
+                save_sight(found, path)
+    lines = [("visible", "yes" if found.visible else "no"),
+             ("distance", metres(float(found.profile.distance[-1])))]  # fmt: skip
+    if (mark := found.obstruction) is not None:
+        lines.append(("obstructed at", f"{metres(mark.distance)}, height {metres(mark.height)}"))
+        lines.append(("", place_of(mark.longitude, mark.latitude, mark.easting, mark.northing)))
+        lines.append(("target needs", f"{metres(found.needed)} above ground"))
+    if (mark := found.tightest) is not None:
+        lines.append(("least clearance", f"{metres(mark.clearance)} at {metres(mark.distance)}"))
+    if found.profile.missing:
+        lines.append(("without data", f"{metres(found.profile.missing)}, taken as hiding nothing"))
+    tell(ctx, terrain, found.to_dict(), lines, as_json, outputs)
+
+
+@command.command("viewshed", context_settings=POINTS)
+@click.argument("points", nargs=-1, type=Point(), metavar="POINT")
+@sight_options
+@click.option("--radius", type=float, metavar="M", help="How far to look, true metres.  [default: all of the terrain]")
+@click.option("--heights", is_flag=True, help="How high a target must be to be seen, instead of 1 (seen) and 0.")
+@click.option("--output", "-o", type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
+@click.option("--picture", type=FILE, metavar="OUT.png", help="A relief picture with the seen ground painted.")
+@_without("lonlat", "look_at")
+@camera_options
+@points_option
+@click.pass_context
+def viewshed(
+    ctx: click.Context, /, points: tuple[tuple[float, ...], ...], eye: float, target: float, flat: bool,
+    refraction: float, radius: float | None, heights: bool, output: str | None, picture: str | None, degrees: bool,
+    as_json: bool, **camera: Any,
+) -> None:  # fmt: skip
+    """What is seen of the terrain from a point, sample by sample; as a raster, or painted on a picture.
+
+    Each sample has its own line of sight over the full-resolution surface. What does not fit in a third of --max-memory
+    is in a scratch file in the temporary folder.
+    """
+    check_points(points, 1, "A viewshed", 1)
+    if output is None and picture is None:
+        raise UsageError("Say where to write: --output seen.tif, --picture seen.png, or both.")
+    camera = {**camera, "lonlat": None, "look_at": None, "exaggeration": 1.0}
+    check_camera({k: camera[k] for k in CAMERA})
+    if output is not None:
+        check_ending("--output", output)
+    if picture is not None:
+        from orograph.picture.result import picture_format
+
+        picture_format(Path(picture))
+    outputs = () if output is None else (output,)
+    terrain = opened(ctx, outputs, (picture,))
+    from orograph.cli.painting import painted
+    from orograph.geovis import measure
+
+    progress = progress_of(ctx)
+    place = on_terrain(measure.Places(terrain), points, degrees)[0]
+    shed = measure.viewshed(
+        terrain, place, eye, target, radius=radius, curvature=not flat, refraction=refraction, heights=heights,
+        max_memory=ctx.obj["max_memory"], jobs=ctx.obj["jobs"], progress=progress,
+    )  # fmt: skip
+    told: dict[str, Any] = {"point": list(shed.point), "ground_m": shed.ground, "eye_m": eye, "target_m": target,
+                            "radius_m": radius, "bend_per_m": shed.bend, "shape": list(shed.grid.shape)}  # fmt: skip
+    if output is not None:
+        told |= shed.save(output, progress)
+    if picture is not None:
+        summary = painted(terrain, shed, camera, picture, progress, ctx.obj["max_memory"], ctx.obj["jobs"])
+        told |= summary
+    lines = [
+        ("from", f"{place_of(None, None, *shed.point)}, ground {metres(shed.ground)}, eye {metres(eye)} above"),
+        ("seen", f"{told['seen']:,} of {told['samples']:,} samples ({told['seen_fraction']:.1%})"),
+    ]  # fmt: skip
+    tell(ctx, terrain, told, lines, as_json, tuple(filter(None, (output, picture))))

@@ -1,0 +1,212 @@
+"""Where measurements are made: terrain coordinates, samples, degrees, and what a grid metre is on the body.
+
+A map projection stretches: a metre on the grid is not a metre on the ground (0.04 % in the middle of a UTM zone, a
+factor of two in Web Mercator at 60°). The stretch at a point is the *metric* G = DᵀD of the map from the grid to
+geocentric space, D (3, 2) its derivative, by central differences: a step d on the grid is sqrt(dᵀ G d) metres on the
+ellipsoid, in any projection, at the poles too. At height h above the ellipsoid all is longer by 1 + h / R, R the mean
+radius (2a + b) / 3. Heights are used as they are; taken above a geoid they make that factor wrong by at most 2e-5.
+A terrain without CRS is a plane of true metres.
+
+Units: metres, degrees; arrays are float64. Source: Snyder (1987), *Map Projections: A Working Manual*, §4 (distortion);
+Torge & Müller (2012), *Geodesy*, §4.1.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS, Geod
+
+from orograph.errors import UsageError
+from orograph.geo.ellipsoid import Ellipsoid
+from orograph.geo.local import LocalFrame
+from orograph.geo.operations import same_body
+from orograph.geo.transform import transformer
+from orograph.store.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+STEP = 30.0
+"""Metres of the differences that G is made of: both their rounding and their curvature are below 1e-10."""
+BORDER = 1e-6
+"""Samples beyond the border that are rounding, and count as on it."""
+WGS84 = CRS.from_epsg(4326)
+
+
+class Places:
+    """The places of a terrain.
+
+    Args:
+        terrain: whose surface is measured; at least 2 × 2 samples.
+
+    Attributes:
+        ellipsoid: of its CRS; None without one.
+        degrees: the CRS of longitudes and latitudes: WGS 84, another body's own; None without one.
+
+    Raises:
+        UsageError: the terrain has no surface.
+    """
+
+    def __init__(self, terrain: Terrain) -> None:
+        rows, cols = terrain.grid.shape
+        if rows < 2 or cols < 2:
+            raise UsageError(f"{terrain.name} has {rows} × {cols} samples: there is no surface to measure.")
+        self.terrain, self.grid = terrain, terrain.grid
+        crs = terrain.grid.crs
+        self.ellipsoid = None if crs is None else Ellipsoid.of(crs)
+        self.degrees = None if crs is None else WGS84 if same_body(crs, WGS84) else crs.geodetic_crs
+
+    @cached_property
+    def geod(self) -> Geod | None:
+        """Geodesics of the ellipsoid (Karney 2013); None without a CRS."""
+        body = self.ellipsoid
+        return None if body is None else Geod(a=body.a, f=body.f)
+
+    @property
+    def linear(self) -> Array:
+        """(2, 2) metres east and north on the grid per column and per row."""
+        t = self.grid.transform
+        return np.array([[t.a, t.b], [t.d, t.e]])
+
+    # ---- coordinates ---------------------------------------------------------------------------------------------
+
+    def points(self, given: ArrayLike, *, least: int = 1, what: str = "A point") -> Array:
+        """Points (n, 2) = easting, northing, checked to be numbers and on the terrain.
+
+        Raises:
+            UsageError: they are not, or fewer than ``least``.
+        """
+        try:
+            found = np.atleast_2d(np.asarray(given, np.float64))
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"{what} is easting and northing, two numbers each, not {given!r}.") from error
+        if found.ndim != 2 or found.shape[1] != 2 or not np.isfinite(found).all():
+            raise UsageError(f"{what} is easting and northing, two finite numbers each, not {given!r}.")
+        if len(found) < least:
+            raise UsageError(f"{what} needs at least {least} points, not {len(found)}.")
+        self.samples(found)
+        return found
+
+    def samples(self, points: Array) -> Array:
+        """Sample coordinates (n, 2) = column, row of points (n, 2); those a rounding beyond the border are on it.
+
+        Raises:
+            UsageError: a point is not on the terrain.
+        """
+        rows, cols = self.grid.shape
+        at = np.stack(self.grid.index(points[:, 0], points[:, 1]), axis=-1)
+        last = np.array([cols - 1.0, rows - 1.0])
+        outside = ((at < -BORDER) | (at > last + BORDER)).any(axis=1)
+        if outside.any():
+            first = points[int(np.argmax(outside))]
+            x, y = self.grid.xy([0, last[0], 0, last[0]], [0, 0, last[1], last[1]])
+            raise UsageError(
+                f"The point {first[0]:.10g}, {first[1]:.10g} is not on {self.terrain.name}, whose surface reaches from "
+                f"{x.min():.10g}, {y.min():.10g} to {x.max():.10g}, {y.max():.10g}{self._degrees(x, y)}.",
+                remedy="Give easting, northing in the terrain's CRS, or longitude, latitude and say so.",
+            )
+        return np.asarray(np.clip(at, 0.0, last))
+
+    def _degrees(self, x: Array, y: Array) -> str:
+        if self.degrees is None:
+            return ""
+        corners = self.lonlat(np.stack([x, y], axis=-1))
+        if corners is None or not np.isfinite(corners).all():
+            return ""
+        (west, south), (east, north) = corners.min(axis=0), corners.max(axis=0)
+        return f" (longitudes {west:.6g} to {east:.6g}, latitudes {south:.6g} to {north:.6g})"
+
+    def lonlat(self, points: Array) -> Array | None:
+        """Longitude and latitude (n, 2) of points (n, 2), degrees; None without a CRS."""
+        if self.degrees is None:
+            return None
+        return np.stack(transformer(self.grid.crs, self.degrees)(points[..., 0], points[..., 1]), axis=-1)
+
+    def of_lonlat(self, degrees: ArrayLike) -> Array:
+        """Points (n, 2) of longitudes and latitudes (n, 2).
+
+        Raises:
+            UsageError: there is no CRS, or a place has none of its coordinates.
+        """
+        if self.degrees is None:
+            raise UsageError(
+                f"{self.terrain.name} has no CRS, so longitudes and latitudes have no place on it.",
+                remedy="Give easting, northing, or the CRS with --assume-crs.",
+            )
+        given = np.atleast_2d(np.asarray(degrees, np.float64))
+        found = np.stack(transformer(self.degrees, self.grid.crs)(given[:, 0], given[:, 1]), axis=-1)
+        bad = ~np.isfinite(found).all(axis=1) | (np.abs(given[:, 1]) > 90)
+        if bad.any():
+            lon, lat = given[int(np.argmax(bad))]
+            raise UsageError(
+                f"There is no longitude {lon:.10g}, latitude {lat:.10g} in {self.grid.crs and self.grid.crs.name}.",
+                remedy="Longitude comes first, then latitude, in degrees.",
+            )
+        return found
+
+    # ---- true metres ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def radius(self) -> float:
+        """Mean radius (2a + b) / 3, metres; infinite without a CRS."""
+        body = self.ellipsoid
+        return math.inf if body is None else (2 * body.a + body.b) / 3
+
+    def gauss_radius(self, point: Array) -> float:
+        """Gauss's radius of curvature sqrt(M N) at a point (2,), metres; the Earth's mean radius without a CRS."""
+        if self.ellipsoid is None:
+            return 6_371_008.8
+        meridian, vertical = self.ellipsoid.radii(self.geodetic(point[None])[0, 1])
+        return float(np.sqrt(meridian * vertical))
+
+    def metric(self, points: Array) -> Array:
+        """G (n, 2, 2) at points (n, 2): the square of a grid step's length on the ellipsoid is dᵀ G d."""
+        if self.ellipsoid is None:
+            return np.broadcast_to(np.eye(2), (len(points), 2, 2)).copy()
+        d = self._derivative(points)
+        return np.asarray(np.einsum("nki,nkj->nij", d, d))
+
+    def jacobian(self, point: Array) -> Array:
+        """(2, 2): true metres east and north on the ellipsoid per grid metre east and north at a point (2,)."""
+        if self.ellipsoid is None:
+            return np.eye(2)
+        lon, lat = self.geodetic(point[None])[0]
+        axes = LocalFrame(float(lon), float(lat), 0.0, self.ellipsoid).axes
+        return np.asarray(axes[:2] @ self._derivative(point[None])[0])
+
+    def ecef(self, points: Array, heights: Array) -> Array:
+        """Places in space (n, 3), metres: geocentric, or as they are without a CRS."""
+        if self.ellipsoid is None:
+            return np.asarray(np.column_stack([points, heights]))
+        return np.asarray(self.ellipsoid.ecef(np.column_stack([self.geodetic(points), heights])))
+
+    def geodetic(self, points: Array) -> Array:
+        """Longitude and latitude on the CRS's own datum."""
+        crs = self.grid.crs
+        assert crs is not None
+        found = np.stack(transformer(crs, crs.geodetic_crs)(points[:, 0], points[:, 1]), axis=-1)
+        if not np.isfinite(found).all():
+            raise UsageError(
+                f"A place on {self.terrain.name} has no longitude and latitude in {crs.name}.",
+                remedy="The terrain's CRS is used beyond its area: build it in another one (--crs).",
+            )
+        return found
+
+    def _derivative(self, points: Array) -> Array:
+        """D (n, 3, 2)."""
+        assert self.ellipsoid is not None
+        moved = points[:, None, :] + STEP * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        degrees = self.geodetic(moved.reshape(-1, 2))
+        space: Array = self.ellipsoid.ecef(np.column_stack([degrees, np.zeros(len(degrees))])).reshape(
+            len(points), 4, 3
+        )
+        return np.stack([space[:, 0] - space[:, 1], space[:, 2] - space[:, 3]], axis=-1) / (2 * STEP)
+
+
+def lift(places: Places, heights: Array) -> Array:
+    """1 + h / R: how much longer a metre of the ellipsoid is at a height; 1 where it is missing."""
+    factor = 1.0 + np.asarray(heights, np.float64) / places.radius
+    return np.asarray(np.where(np.isnan(factor), 1.0, factor))
