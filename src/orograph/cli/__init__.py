@@ -18,6 +18,8 @@ VERBS = {
     "build": "Build a terrain store from DEM files.",
     "bake": "Put light into a store: sky, occlusion, apertures, at all levels.",
     "info": "Tell what a DEM or a store is, and what is suspicious about it.",
+    "movie": "Film a tour of a DEM or a store.",
+    "tour": "Make a tour: key frames for a movie.",
     "render": "Draw a relief picture of a DEM or a store.",
     "view": "Explore a DEM or a store in a window.",
     "light": "Make maps of light: slope, hillshade, horizons, sky, openness…",

@@ -8,6 +8,7 @@ depth differs by no more than the tolerance promises, colours by what docs/gpu.m
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -97,3 +98,22 @@ def draw(
     }  # fmt: skip
     place = plan_grid(view, scene.terrain.grid.crs)
     return Picture(pixels, depth, view, facts, place, veiled if veiled.any() else None)
+
+
+def session() -> Callable[[Scene], Picture]:
+    """Draws scene after scene with one renderer, as long as their terrain is the same; each waits for all its tiles.
+
+    Raises:
+        NoAdapterError: there is no GPU.
+    """
+    device = open_device()
+    held: list[Renderer] = []
+
+    def drawn(scene: Scene) -> Picture:
+        if not held or held[0].terrain is not scene.terrain:
+            for renderer in held:
+                renderer.close()
+            held[:] = [Renderer(device, scene.terrain, jobs=scene.jobs)]
+        return draw(scene, device=device, renderer=held[0])
+
+    return drawn

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from orograph.errors import OrographError, UsageError
@@ -15,6 +16,9 @@ BACKENDS = {"cpu": "orograph.picture.cpu", "gpu": "orograph.gpu.picture"}
 
 NO_GPU = 6
 """Exit code of the error that says that there is no GPU."""
+
+Session = Callable[[Scene], Picture]
+"""Draws scene after scene of one terrain: what they have in common is made once."""
 
 
 class Draw(Protocol):
@@ -47,3 +51,21 @@ def draw(scene: Scene, progress: Progress = SILENT, *, backend: str = "cpu") -> 
             raise
         progress.warn(f"{error} The CPU draws the picture instead.")
         return backend_of("cpu")(scene, progress)
+
+
+def session(progress: Progress = SILENT, *, backend: str = "cpu") -> Session:
+    """What draws many pictures of one terrain, such as a movie's frames; without a GPU, the CPU, with a warning.
+
+    Each picture is complete and the same whatever was drawn before it.
+
+    Raises: as ``backend_of``.
+    """
+    backend_of(backend)
+    try:
+        found: Session = importlib.import_module(BACKENDS[backend]).session()
+        return found
+    except OrographError as error:
+        if backend == "cpu" or error.exit_code != NO_GPU:
+            raise
+        progress.warn(f"{error} The CPU draws the pictures instead.")
+        return session(progress)

@@ -8,6 +8,7 @@ colour is linear light until the last step.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -163,6 +164,12 @@ def draw(
     facts["shown"] = shader.shown
     place = plan_grid(scene.view, scene.terrain.grid.crs)
     return Picture(pixels, t.astype(np.float32), scene.view, facts, place, veiled if veiled.any() else None)
+
+
+def session() -> Callable[[Scene], Picture]:
+    """Draws scene after scene, and keeps what they have in common (``kept``)."""
+    kept = Kept()
+    return lambda scene: draw(scene, kept=kept)
 
 
 def frame(scene: Scene) -> Area:

@@ -50,35 +50,22 @@ class MapGrid:
         t = terrain.grid.transform
         linear = np.array([[t.a, t.b], [t.d, t.e]]) * self.scale
 
-        def sky() -> tuple[NDArray[np.float32], float]:
+        def sky() -> NDArray[np.float32]:
             heights = terrain.read_mean(level, r0, r1, c0, c1)
-            seen = sky_view(heights * np.float32(scene.exaggeration), linear, AZIMUTHS, jobs=scene.jobs)
-            return seen, self._strength(heights, linear, scene.exaggeration)
+            return sky_view(heights * np.float32(scene.exaggeration), linear, AZIMUTHS, jobs=scene.jobs)
 
-        self.sky_view, self.strength = kept("sky", (window, scene.exaggeration), sky, terrain)
+        known = window, scene.exaggeration
+        self.sky_view = kept("sky", known, sky, terrain)
+        self.strength = (
+            kept("strength", known, lambda: strength_of(scene, window), terrain)
+            if scene.relief is None
+            else scene.relief
+        )
         self.water, self.water_fraction = np.empty((0, 0), np.float32), 0.0
         if scene.water is not None:
             self.water, self.water_fraction = kept(
                 "water", (window, scene.water), lambda: _water(scene, ground, window), terrain
             )
-
-    @staticmethod
-    def _strength(heights: NDArray[np.float32], linear: Array, exaggeration: float) -> float:
-        """How much slopes are strengthened for shading: 1 for rugged ground, more where a small scale or a gentle land
-        leaves little to see (cartographers' practice: relief is drawn for its form, Imhof 1965 ch. 8)."""
-        rows, cols = heights.shape
-        if rows < 3 or cols < 3:
-            return 1.0
-        down, across = heights[1:, :-1] - heights[:-1, :-1], heights[:-1, 1:] - heights[:-1, :-1]
-        to_world = np.linalg.inv(linear).T
-        gx = to_world[0, 0] * across + to_world[0, 1] * down
-        gy = to_world[1, 0] * across + to_world[1, 1] * down
-        slope = np.sqrt(gx * gx + gy * gy)
-        slope = slope[np.isfinite(slope) & (slope > 0)]  # water is level and has no say
-        if slope.size == 0:
-            return 1.0
-        typical = float(np.percentile(slope, 80)) * exaggeration
-        return float(np.clip(TYPICAL_SLOPE / max(typical, 1e-9), 1.0, MOST_STRENGTH))
 
 
 def working_window(terrain: Terrain, points: Array) -> tuple[int, int, int, int, int]:
@@ -124,3 +111,29 @@ def _water(scene: Scene, ground: Ground, window: tuple[int, int, int, int, int])
         if found.any():
             field = np.where(np.isfinite(heights), np.float32(scene.water + 0.5 + SHORE) - heights, 0)
     return field.astype(np.float32), float(found.mean()) if found.any() else 0.0
+
+
+def strength_of(scene: Scene, window: tuple[int, int, int, int, int]) -> float:
+    """How much slopes are strengthened for shading: 1 for rugged ground, more where a small scale or a gentle land
+    leaves little to see (cartographers' practice: relief is drawn for its form, Imhof 1965 ch. 8).
+
+    Args:
+        window: the ground, as ``working_window`` has it.
+    """
+    level, r0, r1, c0, c1 = window
+    heights = scene.terrain.read_mean(level, r0, r1, c0, c1)
+    t = scene.terrain.grid.transform
+    linear = np.array([[t.a, t.b], [t.d, t.e]]) * 2.0**level
+    rows, cols = heights.shape
+    if rows < 3 or cols < 3:
+        return 1.0
+    down, across = heights[1:, :-1] - heights[:-1, :-1], heights[:-1, 1:] - heights[:-1, :-1]
+    to_world = np.linalg.inv(linear).T
+    gx = to_world[0, 0] * across + to_world[0, 1] * down
+    gy = to_world[1, 0] * across + to_world[1, 1] * down
+    slope = np.sqrt(gx * gx + gy * gy)
+    slope = slope[np.isfinite(slope) & (slope > 0)]  # water is level and has no say
+    if slope.size == 0:
+        return 1.0
+    typical = float(np.percentile(slope, 80)) * scene.exaggeration
+    return float(np.clip(TYPICAL_SLOPE / max(typical, 1e-9), 1.0, MOST_STRENGTH))

@@ -1,0 +1,160 @@
+"""``orograph movie``: a tour of a DEM or a store as a film."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import replace
+from typing import Any
+
+import click
+from click.core import ParameterSource
+
+from orograph.cli.camera import Size
+from orograph.cli.files import check_outputs
+from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.scenes import DRAWING, check_scene, scene_of, scene_options
+from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
+from orograph.errors import UsageError
+
+OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
+"""What is said about the film; all other options are about reading."""
+
+
+@click.command("movie")
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.option(
+    "--output",
+    "-o",
+    required=True,
+    type=FILE,
+    help="The film: .mp4, .mov, .mkv (H.264), .webm (VP9), .gif, or pictures such as frames/%05d.png.",
+)
+@click.option("--tour", "tour_path", type=FILE, metavar="TOUR.json", help="The key frames; see docs/movies.md.")
+@tour_options
+@click.option("--size", type=Size(), help="The frames' size in pixels.  [default: the tour's, or 1280x720]")
+@click.option("--fps", type=float, metavar="N", help="Frames per second.  [default: the tour's, or 30]")
+@click.option("--from", "begin", type=float, metavar="S", help="Begin here in the tour.  [default: 0]")
+@click.option("--to", "end", type=float, metavar="S", help="End here.  [default: the tour's end]")
+@click.option(
+    "--crf",
+    type=click.IntRange(0, 63),
+    metavar="N",
+    help="Constant rate factor: lower is better and larger.  [default: 18 for H.264, 28 for VP9]",
+)
+@click.option("--overwrite", is_flag=True, help="Draw pictures anew that are there already.")
+@scene_options
+@click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
+@source_options
+@vertical_options
+@memory_option
+@jobs_option
+@click.pass_context
+def command(
+    ctx: click.Context, /, paths: tuple[str, ...], output: str, tour_path: str | None, crf: int | None,
+    overwrite: bool, as_json: bool, max_memory: int, jobs: int | None, **options: Any,
+) -> None:  # fmt: skip
+    """Film a tour of a DEM (one file or many) or of a store, every frame with all of its detail.
+
+    What an option says of the scene (--sun, --exaggeration…) holds for the whole film, whatever the tour says. Pictures
+    (frames/%05d.png) that are there already are not drawn again: an interrupted film is taken up where it stopped.
+
+    \b
+    Examples:
+      orograph movie N44W072.hgt --orbit -o orbit.mp4
+      orograph movie area.oro --tour tour.json -o tour.mp4 --size 1920x1080 --sky
+      orograph movie dem.tif --line hike.gpx --height 200 -o hike.webm
+      orograph movie dem.tif --tour tour.json -o frames/%05d.png --from 10 --to 20
+    """
+    began = time.perf_counter()
+    progress = progress_of(ctx)
+    check_tour(options)
+    check_scene(options, progress)
+    if (tour_path is not None) == bool(chosen(options)):
+        raise UsageError(
+            "Give a --tour or a kind of one (--orbit, --turntable, --line, --point), and not both.",
+            remedy="orograph tour new writes a tour to begin with.",
+        )
+    check_outputs(
+        {"--output": output},
+        {"the input": paths, "the image of --drape": [options["drape"]], "the tour": [tour_path],
+         "the line": [options["line"]], "the camera of --mesh-view": [options["mesh_view"]],
+         "the grid of --geoid": [options["geoid"]]},
+    )  # fmt: skip
+    source = {k: v for k, v in options.items() if k not in OWN}
+    if source["band"] == 1:
+        source["band"] = None
+    with progress.task("Loading Orograph"):
+        from orograph.picture.backends import session
+        from orograph.picture.memory import check_memory
+        from orograph.picture.prepare import prepare
+        from orograph.tour import Tour
+        from orograph.tour.encode import Pictures, Video, check_movie, is_numbered
+        from orograph.tour.film import Film, spoken
+
+    # What is wrong with the command line is said before any work is done.
+    check_movie(output, options["size"], crf)
+    if overwrite and not is_numbered(output):
+        progress.warn("--overwrite is about pictures: a film takes the place of what was there, when it is whole.")
+    if tour_path is not None:
+        Tour.readable(tour_path)
+    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    said = {name for name in options if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT}
+    sun = options["sun"].over(terrain.grid)
+    if tour_path is not None:
+        tour = Tour.load(tour_path, crs=terrain.grid.crs)
+        size = options["size"] or (tour.keys[0].view.width, tour.keys[0].view.height)
+        over: dict[str, Any] = dict.fromkeys(said & set(spoken(tour)))
+        tour = replace(
+            tour, keys=tuple(replace(key, **over) for key in tour.keys),
+            seconds=None if tour.speed is not None else tour.seconds,
+        )  # fmt: skip
+    else:
+        size = options["size"] or (1280, 720)
+        tour = tour_of(terrain, size, options, (sun.azimuth, sun.altitude), options["exaggeration"])
+    check_movie(output, size, crf)
+    check_memory(size, max_memory if "max_memory" in said else None)
+    scene = scene_of(terrain, tour.keys[0].view.resized(*size), options, max_memory, jobs)
+    draw = session(progress, backend=options["backend"])
+    film = Film(
+        tour, scene, draw=draw, fps=options["fps"], first=options["begin"], last=options["end"], progress=progress
+    )
+    writer: Pictures | Video
+    if is_numbered(output):
+        writer = Pictures(output, film.fingerprint(), overwrite)
+    else:
+        writer = Video(output, size, film.tour.fps, crf=crf, jobs=jobs)
+    drawn, number = 0, film.numbers[0]
+    try:
+        with writer, progress.task("Filming", total=len(film)) as task:
+            for number in film.numbers:
+                if not writer.has(number):
+                    picture = film.picture(number)
+                    for warning in picture.facts.get("warnings", ()):
+                        progress.warn(warning)
+                    writer.add(number, picture.pixels)
+                    drawn += 1
+                task.advance()
+    except KeyboardInterrupt:
+        done = number - film.numbers[0]
+        if is_numbered(output):
+            progress.note(
+                f"\nstopped after {done} of {len(film)} frames, which are kept: the same command goes on there"
+            )
+        else:
+            progress.note(
+                f"\nstopped after {done} of {len(film)} frames; {output} is as it was before. With -o frames/%05d.png "
+                "frames are kept, and the same command goes on where it stopped."
+            )
+        raise
+    seconds = time.perf_counter() - began
+    if as_json:
+        told = {
+            "movie": output, "frames": len(film), "drawn": drawn, "fps": film.tour.fps, "width": size[0],
+            "height": size[1], "tour_seconds": film.tour.duration, "seconds_in_all": round(seconds, 3),
+            "lifted_m": round(film.course.lifted, 3),
+        }  # fmt: skip
+        click.echo(json.dumps(told, allow_nan=False))
+    else:
+        there = f" ({len(film) - drawn} were there)" if drawn < len(film) else ""
+        click.echo(f"{output}  {len(film)} frames{there}, {size[0]} × {size[1]}, {film.tour.fps:g}/s  {seconds:.1f} s")

@@ -1,0 +1,92 @@
+"""``orograph tour``: make a tour to begin with, or tell what is in one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from orograph.cli.camera import Size
+from orograph.cli.files import check_outputs
+from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options
+from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
+from orograph.errors import UsageError
+
+
+@click.group("tour")
+def command() -> None:
+    """Make a tour (key frames in a file, for orograph movie), or tell what is in one."""
+
+
+@command.command("new")
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.option("--output", "-o", required=True, type=FILE, metavar="TOUR.json", help="The tour.")
+@tour_options
+@click.option("--size", type=Size(), default="1280x720", show_default=True, help="The pictures' size in pixels.")
+@click.option(
+    "--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Heights will be stretched so."
+)
+@click.option("--crs", help="Projected CRS to draw in.  [default: the file's own, or its UTM zone]")
+@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
+@source_options
+@memory_option
+@jobs_option
+@click.pass_context
+def new(
+    ctx: click.Context, /, paths: tuple[str, ...], output: str, size: tuple[int, int], exaggeration: float,
+    max_memory: int, jobs: int | None, **options: Any,
+) -> None:  # fmt: skip
+    """Write a tour of a DEM or a store, to film as it is or to change by hand.
+
+    \b
+    Examples:
+      orograph tour new N44W072.hgt --orbit -o orbit.json
+      orograph tour new area.oro --line hike.gpx --height 300 -o hike.json
+      orograph tour new dem.tif --point -71.40,44.10 --point -71.30,44.27 --seconds 30 -o flight.json
+    """
+    progress = progress_of(ctx)
+    check_tour(options)
+    if not chosen(options):
+        raise UsageError("What kind of tour?", remedy="Say --orbit, --turntable, --line FILE, or --point twice.")
+    check_outputs({"--output": output}, {"the input": paths, "the line": [options["line"]]})
+    source = {k: v for k, v in options.items() if k not in WAY}
+    if source["band"] == 1:
+        source["band"] = None
+    with progress.task("Loading Orograph"):
+        from orograph.output import Beside, check_folder
+        from orograph.picture.prepare import prepare
+
+    check_folder(Path(output))
+    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    made = tour_of(terrain, size, options, (315.0, 45.0), exaggeration)
+    with Beside(Path(output)) as part:
+        part.write_text(json.dumps(made.to_dict(), indent=1) + "\n", encoding="utf-8")
+    click.echo(f"{output}  {len(made.keys)} key frame(s), {made.duration:.1f} s")
+
+
+@command.command("info")
+@click.argument("path", type=FILE, metavar="TOUR.json")
+@click.option("--crs", help="The terrain's CRS, for tours in another.")
+@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+def info(path: str, crs: str | None, as_json: bool) -> None:
+    """Tell when a tour is where."""
+    from orograph.tour import Tour
+
+    tour = Tour.load(path, crs=crs)
+    if as_json:
+        click.echo(json.dumps({**tour.to_dict(), "duration": tour.duration, "frames": len(tour),
+                               "times": list(tour.times)}, allow_nan=False))  # fmt: skip
+        return
+    view = tour.keys[0].view
+    kind = "loop, " if tour.loop else ""
+    click.echo(f"{tour.duration:.2f} s, {kind}{len(tour)} frames at {tour.fps:g}/s, {view.width} × {view.height}")
+    for number, (key, time) in enumerate(zip(tour.keys, tour.times)):
+        said = [f"{name} {value:g}" for name in ("exaggeration", "tolerance", "relief", "water")
+                if (value := getattr(key, name)) is not None]  # fmt: skip
+        if key.sun is not None:
+            said.append(f"sun {key.to_dict()['sun']}")
+        held = f" holds {key.hold:g} s" if key.hold else " stops" if key.stop else ""
+        place = ", ".join(f"{v:.0f}" for v in key.view.eye)
+        click.echo(f"{number:4d} {time:8.2f} s  eye ({place})  {key.path}{held}  {'; '.join(said)}".rstrip())
