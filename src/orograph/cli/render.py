@@ -80,6 +80,7 @@ def command(
         from orograph.errors import DamagedChunkError, NothingInViewError
         from orograph.output import Beside, check_folder
         from orograph.picture.backends import draw
+        from orograph.picture.large import draw_large, is_large
         from orograph.picture.memory import check_memory
         from orograph.picture.prepare import cache_folder, prepare
         from orograph.picture.result import picture_format
@@ -89,14 +90,26 @@ def command(
     for file in filter(None, (output, depth, save_view)):
         check_folder(Path(file))
     said = ctx.get_parameter_source("max_memory") is not ParameterSource.DEFAULT
+
+    def by_bands(size: tuple[int, int]) -> bool:
+        """Whether a picture is drawn by bands; UsageError where it is not, and does not fit into memory."""
+        if options["backend"] == "cpu" and not options["wireframe"] and is_large(size, max_memory):
+            return True
+        check_memory(size, max_memory if said else None)
+        return False
+
     if options["size"] is not None:
-        check_memory(options["size"], max_memory if said else None)
+        by_bands(options["size"])
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
     view = camera_view(terrain, options)
-    check_memory((view.width, view.height), max_memory if said else None)
+    large = by_bands((view.width, view.height))
     scene = scene_of(terrain, view, options, max_memory, jobs)
     try:
-        picture = draw(scene, progress, backend=options["backend"])
+        if large:
+            facts = draw_large(scene, output, depth=depth, progress=progress)
+        else:
+            picture = draw(scene, progress, backend=options["backend"])
+            facts = picture.facts
     except DamagedChunkError as error:
         if error.path is not None and Path(error.path).parent == cache_folder():
             error.remedy = "It is a copy that was kept: delete it, and the next picture builds it again."
@@ -105,9 +118,10 @@ def command(
         if not any(options[name] is not None for name in PLACES):
             error.remedy = "See what the file holds with orograph info."
         raise
-    picture.save(output)
-    if depth:
-        picture.save_depth(depth)
+    if not large:
+        picture.save(output)
+        if depth:
+            picture.save_depth(depth)
     if save_view:
         with Beside(Path(save_view)) as part:
             part.write_text(json.dumps(view.to_dict(), indent=2) + "\n", encoding="utf-8")
@@ -118,10 +132,10 @@ def command(
             "picture": output, "depth": depth, "width": view.width, "height": view.height,
             "seconds_in_all": round(seconds, 3), "crs": crs.to_string() if crs else None,
             "sun": [scene.sun.azimuth, scene.sun.altitude], "view": view.to_dict(),
-            **picture.facts,
+            **facts,
         }  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))
     else:
-        stats = picture.facts.get("mesh")
+        stats = facts.get("mesh")
         mesh = f"  {stats['engine']}: {stats['triangles']:,} triangles" if stats else ""
         click.echo(f"{output}  {view.width} × {view.height}{mesh}  {seconds:.1f} s")

@@ -163,7 +163,9 @@ def draw(
     facts["shader"] = shader.facts
     facts["shown"] = shader.shown
     place = plan_grid(scene.view, scene.terrain.grid.crs)
-    return Picture(pixels, t.astype(np.float32), scene.view, facts, place, veiled if veiled.any() else None)
+    return Picture(
+        pixels, t.astype(np.float32), scene.view, facts, place, veiled if veiled.any() else None, shader.tint
+    )
 
 
 def session() -> Callable[[Scene], Picture]:

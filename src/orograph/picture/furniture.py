@@ -11,6 +11,7 @@ shrink, then go, the last first: title, legend, scale bar, north arrow, note, su
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import permutations
 from typing import Any, Literal, get_args
 
@@ -66,8 +67,78 @@ def insets(size: tuple[int, int]) -> tuple[float, float, float, float]:
     return 0.0, min(right, MOST_INSET), min(top, MOST_INSET), min(bottom, MOST_INSET)
 
 
+@dataclass(frozen=True, slots=True)
+class Cover:
+    """Where in a picture there is ground that should not be hidden, a bit for each pixel.
+
+    Attributes:
+        rows: (height, ⌈width / 8⌉) uint8, packed as ``numpy.packbits`` does. width: pixels.
+    """
+
+    rows: NDArray[np.uint8]
+    width: int
+
+    @classmethod
+    def of(cls, mask: NDArray[np.bool_]) -> Cover:
+        return cls(np.packbits(mask, axis=1), mask.shape[1])
+
+    @property
+    def size(self) -> int:
+        """Pixels in all."""
+        return int(self.rows.shape[0]) * self.width
+
+    def under(self, box: Box) -> int:
+        """Pixels of ground under a box."""
+        first = box[0] // 8
+        bits = np.unpackbits(self.rows[box[1] : box[3], first : -(-box[2] // 8)], axis=1)
+        return int(np.count_nonzero(bits[:, box[0] - 8 * first : box[2] - 8 * first]))
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Pieces of furniture in their places.
+
+    Attributes:
+        placed: the pieces and their boxes. style: their type. framed: whether they bring paper of their own.
+    """
+
+    placed: list[tuple[Piece, Box]]
+    style: Style
+    framed: bool
+
+    def paint(self, sheet: Any, corner: tuple[int, int] = (0, 0), which: int | None = None) -> None:
+        """Paint the pieces onto an image that begins at the picture's pixel ``corner`` (x, y); ``which``: one alone."""
+        for i, (piece, box) in enumerate(self.placed):
+            if which in (None, i):
+                x, y = corner
+                _paint(sheet, piece, (box[0] - x, box[1] - y, box[2] - x, box[3] - y), self.style, framed=self.framed)
+
+
 def furnish(
     pixels: Pixels,
+    *,
+    ground: NDArray[np.bool_] | None = None,
+    **pieces: Any,
+) -> Pixels:
+    """The picture with furniture drawn over it.
+
+    Args:
+        pixels: (height, width, 3) uint8, sRGB; left as it is.
+        ground: (height, width), what should not be hidden; None: everywhere alike.
+        pieces: for ``lay_out``.
+
+    Returns:
+        (height, width, 3) uint8. What does not fit is left out; see the module's text for the order.
+    """
+    from PIL import Image
+
+    sheet = Image.fromarray(np.ascontiguousarray(pixels, np.uint8)).convert("RGB")
+    lay_out(sheet.size, ground=None if ground is None else Cover.of(ground), **pieces).paint(sheet)
+    return np.asarray(sheet, np.uint8).copy()
+
+
+def lay_out(
+    size: tuple[int, int],
     *,
     title: str | None = None,
     subtitle: str | None = None,
@@ -76,42 +147,36 @@ def furnish(
     metres_per_pixel: float | None = None,
     note: str | None = None,
     grid_north: bool = False,
-    ground: NDArray[np.bool_] | None = None,
+    ground: Cover | None = None,
     paper: bool = False,
-) -> Pixels:
-    """The picture with furniture drawn over it.
+) -> Layout:
+    """Find places for furniture in a picture.
 
     Args:
-        pixels: (height, width, 3) uint8, sRGB; left as it is.
+        size: (width, height) in pixels.
         title, subtitle: text at the top left.
         legend: the colours of heights.
         north: direction of north on the screen, degrees clockwise from up.
         metres_per_pixel: for the scale bar; None (a perspective has no one scale) leaves it out.
         note: a line of small type, such as "Light from 315°, 45° · heights ×2".
         grid_north: whether the arrow must say that it is the grid's north.
-        ground: (height, width), what should not be hidden; None: everywhere alike.
+        ground: what should not be hidden; None: everywhere alike.
         paper: whether all the rest is bare paper, on which pieces need none of their own.
-
-    Returns:
-        (height, width, 3) uint8. What does not fit is left out; see the module's text for the order.
     """
-    from PIL import Image
-
-    sheet = Image.fromarray(np.ascontiguousarray(pixels, np.uint8)).convert("RGB")
     words = " ".join(t for t in (title, subtitle, note, legend.label + legend.unit if legend else None) if t)
-    style = Style.of(sheet.size, words)
-    inner = sheet.width - 2 * style.margin
+    style = Style.of(size, words)
+    inner = size[0] - 2 * style.margin
     chosen: dict[Corner, tuple[Piece, Box]] = {}
 
     def put(corner: Corner, piece: Piece | None) -> bool:
         """Place a piece, in the stead of what that corner held, if it fits."""
         if piece is None:
             return False
-        box = _box(piece, corner, sheet.size, style.margin)
+        box = _box(piece, corner, size, style.margin)
         others = [b for c, (_, b) in chosen.items() if c != corner]
         area = sum((b[2] - b[0]) * (b[3] - b[1]) for b in [*others, box])
-        inside = min(box[:2]) >= 0 and box[2] <= sheet.width and box[3] <= sheet.height
-        if not inside or area > COVER * sheet.width * sheet.height or any(_meet(box, b, style.gap) for b in others):
+        inside = min(box[:2]) >= 0 and box[2] <= size[0] and box[3] <= size[1]
+        if not inside or area > COVER * size[0] * size[1] or any(_meet(box, b, style.gap) for b in others):
             return False
         chosen[corner] = piece, box
         return True
@@ -121,7 +186,7 @@ def furnish(
     if legend is not None:
         sizes = ((12, True), (9, True), (6.5, True), (9, False), (6.5, False), (4.5, False))
         pieces = (key(legend, style, size, rows) for size, rows in sizes)
-        any(put("bottom right", p) for p in pieces if p.height < TALL * sheet.height)
+        any(put("bottom right", p) for p in pieces if p.height < TALL * size[1])
     if metres_per_pixel is not None:
         any(put("bottom left", foot(metres_per_pixel, None, style, inner, share)) for share in (0.24, 0.4))
     if north is not None:
@@ -139,19 +204,12 @@ def furnish(
     free = False
     if ground is not None:
         slips = {corner: piece for corner, (piece, _) in placed}
-        boxes = _arrange(slips, ground, sheet.size, style)
-        free = paper and not any(_under(ground, box) for box in boxes)
-    for (_, (piece, _)), box in zip(placed, boxes):
-        _paint(sheet, piece, box, style, framed=not free)
-    return np.asarray(sheet, np.uint8).copy()
+        boxes = _arrange(slips, ground, size, style)
+        free = paper and not any(ground.under(box) for box in boxes)
+    return Layout([(piece, box) for (_, (piece, _)), box in zip(placed, boxes)], style, not free)
 
 
-def _under(ground: NDArray[np.bool_], box: Box) -> int:
-    """Pixels of ground under a box."""
-    return int(np.count_nonzero(ground[box[1] : box[3], box[0] : box[2]]))
-
-
-def _arrange(pieces: dict[Corner, Piece], ground: NDArray[np.bool_], size: tuple[int, int], style: Style) -> list[Box]:
+def _arrange(pieces: dict[Corner, Piece], ground: Cover, size: tuple[int, int], style: Style) -> list[Box]:
     """A box for each piece: the corners, each for one, where they hide the least ground. What is at the top or at the
     foot because one reads it first or last stays there: titles and notes change sides only."""
     usual = list(pieces)
@@ -163,7 +221,7 @@ def _arrange(pieces: dict[Corner, Piece], ground: NDArray[np.bool_], size: tuple
         if any(_meet(a, b, style.gap) for i, a in enumerate(boxes) for b in boxes[:i]):
             continue
         moved = sum(c != u for c, u in zip(corners, usual))
-        cost = sum(_under(ground, box) for box in boxes) + MOVED * moved * ground.size
+        cost = sum(ground.under(box) for box in boxes) + MOVED * moved * ground.size
         if cost < least:
             best, least = boxes, cost
     return best

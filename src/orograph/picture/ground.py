@@ -20,7 +20,7 @@ from orograph.light.relief import Relief
 from orograph.light.sun import Sun
 from orograph.picture.kept import Kept
 from orograph.picture.kernels import beginnings, ends, incidence
-from orograph.picture.memory import BYTES_PER_PIXEL
+from orograph.picture.memory import BYTES_PER_PIXEL, band_pixels
 from orograph.picture.scene import Scene
 from orograph.raycast.caster import Caster
 from orograph.raycast.kernels import BLOCK_X, BLOCK_Y
@@ -45,7 +45,11 @@ Area = tuple[int, int, int, int]
 
 def fixed_memory(scene: Scene) -> int:
     """Bytes that drawing a scene takes besides its heights."""
-    return FIXED_MEMORY + BYTES_PER_PIXEL * scene.view.width * scene.view.height
+    _, _, width, height = scene.view.frame
+    pixels = width * height
+    if scene.view.part is not None:  # the same for all tiles, so that all are drawn from the same heights
+        pixels = min(pixels, band_pixels(scene.max_memory))
+    return FIXED_MEMORY + BYTES_PER_PIXEL * pixels
 
 
 @dataclass(frozen=True, slots=True)

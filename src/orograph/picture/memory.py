@@ -15,6 +15,11 @@ BYTES_PER_PIXEL = 50
 """Of a picture while it is drawn: depth, window, veil, linear light, bytes and masks."""
 
 
+def band_pixels(max_memory: int | None) -> int:
+    """Pixels of a large picture that are drawn at a time: an eighth of the memory allowed, 4 million at most."""
+    return min(4 << 20, (max_memory or 1 << 40) // 8 // BYTES_PER_PIXEL)
+
+
 def check_memory(size: tuple[int, int], max_memory: int | None = None) -> None:
     """Raise UsageError where a picture of so many pixels cannot be drawn within what is allowed, or available.
 

@@ -14,6 +14,7 @@ from pyproj import CRS
 
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
+from orograph.geovis.colour import Tint
 from orograph.output import Beside
 from orograph.view import View
 
@@ -29,6 +30,7 @@ class Picture:
         facts: what was measured while drawing (windows, rays, seconds by stage), and "warnings": sentences.
         grid: where the pixels of a plan lie, in the terrain's CRS; None in perspective.
         veiled: (height, width), where missing data is shown (which has no depth); None: nowhere.
+        tint: the colours of heights that were drawn; None: not known.
     """
 
     pixels: NDArray[np.uint8]
@@ -37,6 +39,7 @@ class Picture:
     facts: dict[str, Any] = field(default_factory=dict)
     grid: Grid | None = None
     veiled: NDArray[np.bool_] | None = None
+    tint: Tint | None = None
 
     def __repr__(self) -> str:
         hit = float(np.isfinite(self.depth).mean()) if self.depth.size else 0.0
