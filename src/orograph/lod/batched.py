@@ -34,6 +34,7 @@ from orograph.lod.patches.expand import expand
 from orograph.lod.patches.selection import ABSENT, BLOCKED, NODES, PATCHES, SPLIT, TOUCHED, select_patches
 from orograph.lod.patches.shape import INSTANCE, LEGS, check_legs, patch_indices, patch_vertices
 from orograph.lod.patches.tables import KAPPA, PatchTerrain, cell_size
+from orograph.progress import SILENT, Progress
 from orograph.store.terrain import tile_shape
 from orograph.view import View
 
@@ -66,6 +67,7 @@ class Batched(Engine):
         legs: segments along a patch's leg, L: 2, 4, 8, 16, 32 or 64 (less where the raster is smaller than a patch).
         geomorph: meshes are drawn as the GPU would draw them, vertices on their way included; else diamonds are split
             at the tolerance itself.
+        progress: is told how the errors of patches come along, where they must be made (seconds for large terrains).
 
     Attributes:
         legs: L.
@@ -74,14 +76,16 @@ class Batched(Engine):
     name = "batched"
     metrics = ("anisotropic", "isotropic")
 
-    def __init__(self, *args: Any, legs: int = LEGS, geomorph: bool = False, **options: Any) -> None:
+    def __init__(
+        self, *args: Any, legs: int = LEGS, geomorph: bool = False, progress: Progress = SILENT, **options: Any
+    ) -> None:
         if options.get("color_tolerance") is not None:
             raise UsageError("Patches take their colours from textures: batched has no color tolerance.")
         super().__init__(*args, **options)
         n = self.field.n
         self.legs, self.geomorph = min(check_legs(legs), 1 << n), geomorph
         self._q = self.legs.bit_length() - 1
-        ground: Any = PatchTerrain(self.terrain, self.field.kind, self.legs)
+        ground: Any = PatchTerrain(self.terrain, self.field.kind, self.legs, jobs=self.jobs, progress=progress)
         self.field = Field(ground, self.error, max_memory=options.get("max_memory", 1 << 30), jobs=self.jobs)
         shapes = [tile_shape(self.terrain.grid.shape, level) for level in range(self.field.top + 1)]
         self._widths = np.array([cols for _, cols in shapes], np.int64)

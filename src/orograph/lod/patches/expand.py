@@ -30,7 +30,7 @@ def expand(terrain: Terrain, instances: NDArray[Any], legs: int) -> tuple[NDArra
     own = heights_of(terrain, instances, rows, cols)
     at = -np.ones((legs + 1, legs + 1), np.int64)
     at[points[:, 0], points[:, 1]] = np.arange(len(points))
-    new = np.flatnonzero(points.sum(1) % 2)
+    new = np.flatnonzero((points.sum(1) % 2 == 1) & (points.sum(1) < legs))  # none, if a patch is one triangle
     odd = points[new] % 2
     before, after = (at[tuple((points[new] + sign * odd).T)] for sign in (-1, 1))
     last_row, last_col = terrain.grid.rows - 1, terrain.grid.cols - 1
