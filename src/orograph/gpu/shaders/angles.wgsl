@@ -1,0 +1,60 @@
+// Angles to float32 accuracy on every GPU. WGSL promises no more than 2⁻¹¹ of sin and cos and 4096 ULP of atan and acos,
+// and drivers use that freedom; here errors stay under 3e-7 (Cephes' sinf, cosf and atanf, Moshier 1989).
+
+const PI = 3.14159265358979;
+
+fn _sine(x: f32) -> f32 {  // |x| ≤ π/4
+    let z = x * x;
+    return ((-1.9515295891e-4 * z + 8.3321608736e-3) * z - 1.6666654611e-1) * z * x + x;
+}
+
+fn _cosine(x: f32) -> f32 {
+    let z = x * x;
+    return ((2.443315711809948e-5 * z - 1.388731625493765e-3) * z + 4.166664568298827e-2) * z * z - 0.5 * z + 1.0;
+}
+
+// Sine and cosine of an angle of up to some turns, radians.
+fn sine_cosine(angle: f32) -> vec2f {
+    let quarter = round(angle * (2.0 / PI));
+    // π/2 in two parts, the first of which quarters multiply without rounding.
+    let x = (angle - quarter * 1.5703125) - quarter * 4.83826794896619e-4;
+    let s = _sine(x);
+    let c = _cosine(x);
+    let turn = i32(quarter) & 3;
+    let swapped = select(vec2f(s, c), vec2f(c, s), (turn & 1) == 1);
+    return vec2f(select(swapped.x, -swapped.x, turn >= 2), select(swapped.y, -swapped.y, turn == 1 || turn == 2));
+}
+
+// The angle of the direction (x, y), −π … π; 0 of (0, 0).
+fn angle_of(y: f32, x: f32) -> f32 {
+    let a = abs(x);
+    let b = abs(y);
+    let most = max(a, b);
+    if (most == 0.0) {
+        return 0.0;
+    }
+    let ratio = min(a, b) / most;
+    // tan(π/8): beyond it, of the angle less π/4.
+    let far = ratio > 0.4142135623730950;
+    let t = select(ratio, (ratio - 1.0) / (ratio + 1.0), far);
+    let z = t * t;
+    var angle = ((((8.05374449538e-2 * z - 1.38776856032e-1) * z + 1.99777106478e-1) * z - 3.33329491539e-1) * z * t + t)
+        + select(0.0, 0.25 * PI, far);
+    if (b > a) {
+        angle = 0.5 * PI - angle;
+    }
+    if (x < 0.0) {
+        angle = PI - angle;
+    }
+    return select(angle, -angle, y < 0.0);
+}
+
+// The angle whose cosine is c: as good as c allows, which near 1 is not much (use angle_between there).
+fn angle_of_cosine(c: f32) -> f32 {
+    return angle_of(sqrt(max((1.0 - c) * (1.0 + c), 0.0)), c);
+}
+
+// The angle between unit vectors, also where it is small.
+fn angle_between(a: vec3f, b: vec3f) -> f32 {
+    return angle_of(length(cross(a, b)), dot(a, b));
+}

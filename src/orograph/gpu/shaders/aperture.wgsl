@@ -1,0 +1,160 @@
+// Light through ambient apertures (Oat & Sander 2007): the twin of orograph.light.caps and orograph.light.aperture_kernels,
+// with the same names. Include it and loop over lights:
+//
+//     let cap = cap_of(textureSampleLevel(caps, …));      // east, north, up, cosine of the radius
+//     var sky = sky_through(cap, normal);
+//     for each sun:  let seen = sun_through(cap, normal, sun, false); light += seen * sun.colour; sky -= covered(seen, sun);
+//     for each lamp: light += lamp_through(cap, normal, place, lamp) * lamp.colour;
+//     light += max(sky, 0.0) * ambient;
+//
+// Directions are unit vectors (east, north, up); places are metres from one origin near the eye; angles are radians.
+
+// include: angles.wgsl
+
+const POINT = 1e-5;  // radians below which a cap is seen whole or not at all
+
+struct Cap {
+    axis: vec3f,
+    rim: f32,  // cosine of the radius
+};
+
+struct Sun {
+    direction: vec3f,
+    radius: f32,
+    colour: vec3f,  // irradiance of a surface square to it, all of it seen
+    cosine: f32,    // of the radius
+    sine: f32,
+    area: f32,      // solid angle
+    pad: vec2f,
+};
+
+struct Lamp {
+    place: vec3f,
+    pad: f32,
+    colour: vec3f,  // irradiance at one metre
+    pad2: f32,
+};
+
+// Solid angle of a cap, also of a small one.
+fn cap_area(radius: f32) -> f32 {
+    let half = sine_cosine(0.5 * radius).x;
+    return 4.0 * PI * half * half;
+}
+
+// What the chord of a lens cuts off a cap: a sector of half-angle `half` less the triangle in it.
+fn _segment(radius: f32, half: f32) -> f32 {
+    let h = sine_cosine(0.5 * radius);
+    let t = sine_cosine(2.0 * half);
+    let square = h.x * h.x / (h.y * h.y);
+    return 4.0 * half * h.x * h.x - 2.0 * angle_of(square * t.x, 1.0 + square * t.y);
+}
+
+// Solid angle that two caps of radii a, b ≤ π/2 share, their centres `distance` apart: the lens as its two segments, which
+// float32 bears better than the closed form of Tovchigrechko & Vakser 2001 (their difference of angles near π).
+fn exact_overlap(distance: f32, a: f32, b: f32) -> f32 {
+    let small = min(a, b);
+    if (distance >= a + b) {
+        return 0.0;
+    }
+    if (distance <= abs(a - b)) {
+        return cap_area(small);
+    }
+    if (small < POINT) {
+        return select(0.0, cap_area(small), distance <= max(a, b));
+    }
+    // The angles at the centres by their halves, which no difference of cosines blurs.
+    let whole = sine_cosine(0.5 * (a + b + distance)).x;
+    let less_a = sine_cosine(0.5 * (b + distance - a)).x;
+    let less_b = sine_cosine(0.5 * (a + distance - b)).x;
+    let less_d = sine_cosine(0.5 * (a + b - distance)).x;
+    let at_a = 2.0 * angle_of(sqrt(max(less_a * less_d, 0.0)), sqrt(max(whole * less_b, 0.0)));
+    let at_b = 2.0 * angle_of(sqrt(max(less_b * less_d, 0.0)), sqrt(max(whole * less_a, 0.0)));
+    return clamp(_segment(a, at_a) + _segment(b, at_b), 0.0, cap_area(small));
+}
+
+// The share of the smaller of two caps that the larger covers, a smoothstep between all and nothing.
+fn smooth_share(distance: f32, a: f32, b: f32) -> f32 {
+    let least = abs(a - b);
+    if (distance >= a + b || min(a, b) <= 0.0) {
+        return 0.0;
+    }
+    if (distance <= least) {
+        return 1.0;
+    }
+    // a + b − distance over a + b − |a − b|, which is twice the smaller.
+    let x = (a + b - distance) / (2.0 * min(a, b));
+    return x * x * (3.0 - 2.0 * x);
+}
+
+// `exact_overlap` with a smoothstep for the lens.
+fn smooth_overlap(distance: f32, a: f32, b: f32) -> f32 {
+    return cap_area(min(a, b)) * smooth_share(distance, a, b);
+}
+
+// A cap out of an interpolated field: the open sky where there is none.
+fn cap_of(field: vec4f) -> Cap {
+    let size = length(field.xyz);
+    if (!(size > 0.0)) {
+        return Cap(vec3f(0.0, 0.0, 1.0), 0.0);
+    }
+    return Cap(field.xyz / size, field.w);
+}
+
+// Irradiance by the sky through a cap, as a share of what level open ground receives, before suns cover any of it.
+fn sky_through(cap: Cap, normal: vec3f) -> f32 {
+    return max(dot(normal, cap.axis), 0.0) * max(1.0 - cap.rim * cap.rim, 0.0);
+}
+
+// A sun: what its disc shares with the cap, times the cosine of incidence in the middle of what they share.
+fn sun_through(cap: Cap, normal: vec3f, sun: Sun, exact: bool) -> f32 {
+    let cosine = dot(cap.axis, sun.direction);
+    let bend = sqrt(max(1.0 - cap.rim * cap.rim, 0.0)) * sun.sine;
+    var facing = dot(normal, sun.direction);
+    var part = 1.0;
+    if (cosine < cap.rim * sun.cosine + bend || cap.rim > sun.cosine) {
+        // A margin, since in float32 these cosines cannot tell 10⁻³ of a radius near the end: the overlap can.
+        if (cosine <= cap.rim * sun.cosine - bend - 1e-6) {
+            return 0.0;
+        }
+        let radius = angle_of_cosine(cap.rim);
+        let width = sun.radius;
+        let distance = angle_between(cap.axis, sun.direction);
+        if (width <= 0.0) {
+            part = 0.0;
+        } else if (exact) {
+            part = exact_overlap(distance, radius, width) / sun.area;
+        } else {
+            part = smooth_share(distance, radius, width);
+            if (radius < width) {
+                part *= cap_area(radius) / sun.area;
+            }
+        }
+        // The middle of the lens lies on the arc from the cap's centre to the sun's.
+        let along = clamp(0.5 * (radius + distance - width), 0.0, distance);
+        if (distance > 1e-6) {
+            let straight = dot(normal, cap.axis);
+            let back = sine_cosine(distance - along).x;
+            facing = (back * straight + sine_cosine(along).x * facing) / sine_cosine(distance).x;
+        }
+    }
+    return part * max(facing, 0.0);
+}
+
+// How much of the sky's light a sun's disc takes the place of, given what sun_through says.
+fn covered(seen: f32, sun: Sun) -> f32 {
+    return seen * sun.sine * sun.sine;
+}
+
+// A lamp is seen inside the cap and hidden outside; its light falls with the square of the distance.
+fn lamp_through(cap: Cap, normal: vec3f, place: vec3f, lamp: Lamp) -> f32 {
+    let way = lamp.place - place;
+    let away = dot(way, way);
+    if (away <= 0.0) {
+        return 0.0;
+    }
+    let inverse = inverseSqrt(away);
+    if (dot(cap.axis, way) * inverse < cap.rim) {
+        return 0.0;
+    }
+    return max(dot(normal, way), 0.0) * inverse / away;
+}
