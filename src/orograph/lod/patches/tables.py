@@ -117,7 +117,9 @@ def _block(terrain: Terrain, kind: ErrorKind, k: int, q: int, begin: Shape, end:
     windows = []
     for step, shape in enumerate(shapes):
         last = [min(((v + REACH) << (q - step)) + 1, side) for v, side in zip(end, shape, strict=True)]
-        windows.append((last[0] - (first[0] << (q - step)), last[1] - (first[1] << (q - step))))
+        windows.append((max(last[0] - (first[0] << (q - step)), 0), max(last[1] - (first[1] << (q - step)), 0)))
+    if min(windows[0]) <= 0:  # the padded square goes on where finer levels end
+        return np.zeros((end[0] - begin[0], end[1] - begin[1]), np.float32)
     at = first[0] << q, first[1] << q
     errors = _window(terrain, kind, k - q, at, (at[0] + windows[0][0], at[1] + windows[0][1]))
     lifted = _lifted(_finite(errors, terrain, k - q, at, spread), q, windows)
