@@ -72,15 +72,15 @@ def command(ctx: click.Context, /, path: str, max_memory: int, jobs: int | None,
 
     Points are E,N (easting, northing in the terrain's CRS, metres) or, with --lonlat, LON,LAT in degrees. Lengths and
     areas are corrected for what the map projection stretches and for the height above the ellipsoid; what they are on
-    the grid is told beside them.
+    the grid is told beside them. The options below come before what is measured, its own after it.
 
     \b
     Examples:
       orograph measure dem.tif pick 512000,4180000
-      orograph measure dem.tif profile --lonlat -71.38,44.22 -71.30,44.27 -o profile.png -o profile.csv
+      orograph measure dem.tif profile --lonlat -71.38,44.22 -71.30,44.27 -o profile.png
       orograph measure dem.tif area --geojson lake.geojson --level 850
       orograph measure dem.tif los 512000,4180000 515000,4182000 --eye 1.7 -o sight.png
-      orograph measure area.oro viewshed 512000,4180000 --radius 20000 -o seen.tif --picture seen.png
+      orograph measure area.oro viewshed 512000,4180000 -o seen.tif --picture seen.png
     """
     if options["band"] == 1:
         options["band"] = None
@@ -204,7 +204,7 @@ def _without(*names: str) -> Callable[[F], F]:
     return change
 
 
-@command.command("pick", context_settings=POINTS)
+@command.command("pick", context_settings=POINTS, short_help="Height, coordinates, slope and aspect of places.")
 @click.argument("points", nargs=-1, type=Point(), metavar="[POINT]...")
 @click.option("--pixel", "pixels", type=Point(), multiple=True, metavar="X,Y",
               help="The ground at a pixel of the picture that orograph render draws with this camera; 0,0 is its upper "
@@ -254,7 +254,7 @@ def pick(
     tell(ctx, terrain, {"places": [hit.to_dict() for hit in hits]}, lines, as_json)
 
 
-@command.command("profile", context_settings=POINTS)
+@command.command("profile", context_settings=POINTS, short_help="Lengths, climb and descent along a line.")
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT POINT...")
 @click.option("--geojson", type=FILE, metavar="FILE", help="The line in a GeoJSON file, instead of points.")
 @click.option("--every", type=float, metavar="M", help="Rows of the table this far apart.  [default: at every edge]")
@@ -385,7 +385,7 @@ def los(
     tell(ctx, terrain, found.to_dict(), lines, as_json, outputs)
 
 
-@command.command("viewshed", context_settings=POINTS)
+@command.command("viewshed", context_settings=POINTS, short_help="What is seen of the terrain from a point.")
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT")
 @sight_options
 @click.option("--radius", type=float, metavar="M", help="How far to look, true metres.  [default: all of the terrain]")

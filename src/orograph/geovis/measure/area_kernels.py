@@ -198,7 +198,14 @@ def measure(heights, row0, col0, rings, counts, level, metrics, radius, inverse,
                 hole = not (base == base and p == p and q == q)
                 sx, sy, sc = diagonal(x, y, even, half)
                 area = mx = my = above = 0.0
-                for k in range(len(counts) if edge else 1):
+                parts = len(counts)
+                if not edge:
+                    parts = 1 if volumes else 0
+                    if not volumes:  # the whole triangle: a half, its centroid a third and two thirds into the cell
+                        area = 0.5
+                        mx = 1.0 / 6.0 if even == (half == 1) else 1.0 / 3.0
+                        my = 1.0 / 6.0 if half == 0 else 1.0 / 3.0
+                for k in range(parts):
                     if edge:
                         n = clip_box(bands[k], lengths[k], x, y, x + 1.0, y + 1.0, one, two)
                     else:

@@ -14,6 +14,7 @@ Torge & Müller (2012), *Geodesy*, §4.1.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +29,7 @@ from orograph.geo.transform import transformer
 from orograph.store.terrain import Terrain
 
 Array = NDArray[np.float64]
+Move = Callable[[ArrayLike, ArrayLike], tuple[Array, Array]]
 
 STEP = 30.0
 """Metres of the differences that G is made of: both their rounding and their curvature are below 1e-10."""
@@ -64,6 +66,15 @@ class Places:
         """Geodesics of the ellipsoid (Karney 2013); None without a CRS."""
         body = self.ellipsoid
         return None if body is None else Geod(a=body.a, f=body.f)
+
+    @cached_property
+    def _to_degrees(self) -> Move:
+        return transformer(self.grid.crs, self.degrees)  # PROJ takes milliseconds to find the way
+
+    @cached_property
+    def _to_geodetic(self) -> Move:
+        crs = self.grid.crs
+        return transformer(crs, None if crs is None else crs.geodetic_crs)
 
     @property
     def linear(self) -> Array:
@@ -123,7 +134,7 @@ class Places:
         """Longitude and latitude (n, 2) of points (n, 2), degrees; None without a CRS."""
         if self.degrees is None:
             return None
-        return np.stack(transformer(self.grid.crs, self.degrees)(points[..., 0], points[..., 1]), axis=-1)
+        return np.stack(self._to_degrees(points[..., 0], points[..., 1]), axis=-1)
 
     def of_lonlat(self, degrees: ArrayLike) -> Array:
         """Points (n, 2) of longitudes and latitudes (n, 2).
@@ -187,7 +198,7 @@ class Places:
         """Longitude and latitude on the CRS's own datum."""
         crs = self.grid.crs
         assert crs is not None
-        found = np.stack(transformer(crs, crs.geodetic_crs)(points[:, 0], points[:, 1]), axis=-1)
+        found = np.stack(self._to_geodetic(points[:, 0], points[:, 1]), axis=-1)
         if not np.isfinite(found).all():
             raise UsageError(
                 f"A place on {self.terrain.name} has no longitude and latitude in {crs.name}.",

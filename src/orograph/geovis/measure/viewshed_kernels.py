@@ -1,4 +1,4 @@
-"""The loops of a viewshed: apparent heights, their maximum pyramid, and the walk from a target to the eye.
+"""The loops of a viewshed: apparent heights, their maximum pyramid, and the walk along a line of sight.
 
 Apparent heights (see ``viewshed``) are integers, multiples of a *quantum* of at most 2⁻¹⁶ m counted from the eye's
 ground, so that half the memory of float64 holds them to 8 micrometres; ``MISSING`` stands for none. A node of level
@@ -81,40 +81,41 @@ def next_level(fine, out):
 
 
 @inlined
-def over(target, eye, ground, t, least, stop):
-    """The target's height, raised (inf with ``stop``) where ``ground`` at t is over its line to the eye."""
-    if ground - (target + t * (eye - target)) > least and t < 1.0 - 1e-12:
-        return INF if stop else eye + (ground - eye) / (1.0 - t)
-    return target
+def over(h0, h1, ground, t, last, least, stop):
+    """(h1, last): the end's height, raised (inf with ``stop``) where ``ground`` at t is above the line by ``least``."""
+    if ground - (h0 + t * (h1 - h0)) > least and t > 1e-12 and t < 1.0 - 1e-12:
+        return (INF if stop else h0 + (ground - h0) / t), t
+    return h1, last
 
 
 @leaf
-def walk(z, maxima, offset, per_row, cx, cy, x, y, target, ox, oy, eye, least, stop):
-    """How high a target at sample (x, y) must be to be seen by an eye at (ox, oy).
+def walk(z, maxima, offset, per_row, cx, cy, x, y, h0, x1, y1, h1, least, stop):
+    """How high the end of a line must be for the line to clear the ground.
 
     Args:
         z: (rows, cols) int32 apparent heights; maxima, offset, per_row: their pyramid.
         cx, cy: the first cell of the line.
-        target, eye: apparent heights in quanta, float64; ``least`` too.
+        x, y, h0: its start; x1, y1, h1: its end; apparent heights in quanta, float64; ``least`` too.
         stop: return inf at the first ground above the line.
 
     Returns:
-        the target's height, raised until no ground stands above the line.
+        (h1, t): the end's height, raised until no ground stands above the line, and where what raised it last is (−1:
+        nothing did).
     """
     nr, nc = z.shape[0] - 1, z.shape[1] - 1
     top = per_row.shape[0] - 1
-    dx, dy = ox - x, oy - y
+    dx, dy = x1 - x, y1 - y
     ix = 1.0 / dx if dx != 0.0 else 0.0
     iy = 1.0 / dy if dy != 0.0 else 0.0
     right, down = dx > 0.0, dy > 0.0
-    t = 0.0
+    t, last = 0.0, -1.0
     level = 0
     while True:
         jx, jy = cx >> level, cy >> level
         tx = INF if dx == 0.0 else ((((jx + 1) << level) if right else (jx << level)) - x) * ix
         ty = INF if dy == 0.0 else ((((jy + 1) << level) if down else (jy << level)) - y) * iy
         te = max(min(min(tx, ty), 1.0), t)
-        line = min(target + t * (eye - target), target + te * (eye - target))
+        line = min(h0 + t * (h1 - h0), h0 + te * (h1 - h0))
         if level >= 1:
             if maxima[offset[level] + jy * per_row[level] + jx] > line:
                 level -= 1
@@ -139,43 +140,85 @@ def walk(z, maxima, offset, per_row, cx, cy, x, y, target, ox, oy, eye, least, s
                     base0, p0, q0, base1, p1, q1 = a, b - a, c - a, b + c - d, d - c, d - b
                 if has0:
                     if g0 >= 0.0:
-                        target = over(target, eye, base0 + u0 * p0 + v0 * q0, t, least, stop)
+                        h1, last = over(h0, h1, base0 + u0 * p0 + v0 * q0, t, last, least, stop)
                     if g1 >= 0.0:
-                        target = over(target, eye, base0 + u1 * p0 + v1 * q0, te, least, stop)
+                        h1, last = over(h0, h1, base0 + u1 * p0 + v1 * q0, te, last, least, stop)
                 if has1:
                     if g0 <= 0.0:
-                        target = over(target, eye, base1 + u0 * p1 + v0 * q1, t, least, stop)
+                        h1, last = over(h0, h1, base1 + u0 * p1 + v0 * q1, t, last, least, stop)
                     if g1 <= 0.0:
-                        target = over(target, eye, base1 + u1 * p1 + v1 * q1, te, least, stop)
+                        h1, last = over(h0, h1, base1 + u1 * p1 + v1 * q1, te, last, least, stop)
                 if g0 * g1 < 0.0 and (has0 or has1):
                     f = g0 / (g0 - g1)
                     u, v = u0 + f * (u1 - u0), v0 + f * (v1 - v0)
                     ground = base0 + u * p0 + v * q0 if has0 else base1 + u * p1 + v * q1
-                    target = over(target, eye, ground, t + f * (te - t), least, stop)
-                if target == INF:
-                    return target
+                    h1, last = over(h0, h1, ground, t + f * (te - t), last, least, stop)
+                if h1 == INF:
+                    return h1, last
         if te >= 1.0:
-            return target
+            return h1, last
         t = te
         if tx <= ty:
             climb = ((jx & 1) == 1) == right
             cx = ((jx + 1) << level) if right else (jx << level) - 1
             if cx < 0 or cx >= nc:
-                return target
+                return h1, last
             cy = min(max(np.int64(np.floor(y + t * dy)), jy << level), min(((jy + 1) << level), nr) - 1)
         else:
             climb = ((jy & 1) == 1) == down
             cy = ((jy + 1) << level) if down else (jy << level) - 1
             if cy < 0 or cy >= nr:
-                return target
+                return h1, last
             cx = min(max(np.int64(np.floor(x + t * dx)), jx << level), min(((jx + 1) << level), nc) - 1)
         if climb and level < top:
             level += 1
 
 
+@inlined
+def first_cell(position, step, cells):
+    """The cell, along one axis, that a line enters from a position."""
+    c = np.int64(np.floor(position))
+    if step < 0.0 and position == c:
+        c -= 1
+    return min(max(c, 0), cells - 1)
+
+
+@leaf
+def along(z, maxima, offset, per_row, nc, nr, x, y, h0, x1, y1, h1, least, stop):
+    """``walk`` from its first cell; a line along a row or a column of samples has ground on either side."""
+    dx, dy = x1 - x, y1 - y
+    cx, cy = first_cell(x, dx, nc), first_cell(y, dy, nr)
+    h1, at = walk(z, maxima, offset, per_row, cx, cy, x, y, h0, x1, y1, h1, least, stop)
+    if dx == 0.0 and x == np.floor(x) and x > 0.0 and h1 < INF:
+        h1, other = walk(z, maxima, offset, per_row, np.int64(x) - 1, cy, x, y, h0, x1, y1, h1, least, stop)
+        at = other if other >= 0.0 else at
+    if dy == 0.0 and y == np.floor(y) and y > 0.0 and h1 < INF:
+        h1, other = walk(z, maxima, offset, per_row, cx, np.int64(y) - 1, x, y, h0, x1, y1, h1, least, stop)
+        at = other if other >= 0.0 else at
+    return h1, at
+
+
+@leaf
+def ground_at(z, x, y):
+    """Apparent height of the surface at a place, −inf in a hole."""
+    cx, cy = min(np.int64(x), z.shape[1] - 2), min(np.int64(y), z.shape[0] - 2)
+    ia, ib, ic, id_ = z[cy, cx], z[cy, cx + 1], z[cy + 1, cx], z[cy + 1, cx + 1]
+    if ia == MISSING or ib == MISSING or ic == MISSING or id_ == MISSING:
+        return -INF  # a guess is not worth more
+    a, b, c, d = np.float64(ia), np.float64(ib), np.float64(ic), np.float64(id_)
+    u, v = x - cx, y - cy
+    if ((cx + cy) & 1) == 0:
+        return a + u * (b - a) + v * (d - b) if u >= v else a + v * (c - a) + u * (d - c)
+    return a + u * (b - a) + v * (c - a) if u + v <= 1.0 else d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d)
+
+
 @kernel
 def look(z, maxima, offset, per_row, ox, oy, eye, height, least, stop, row0, row1, col0, col1, out):
     """Look at samples [row0, row1) × [col0, col1) from an eye at (ox, oy).
+
+    Whether a sample is seen is found from there towards the eye (what hides it is near it as a rule), the height that
+    it needs from the eye outward (beyond a ridge all that it hides is passed). What hid the sample before and the one
+    above probably hides this one too: the ground as far from the eye as that was is looked at first.
 
     Args:
         height: of targets above the ground, in quanta.
@@ -183,25 +226,36 @@ def look(z, maxima, offset, per_row, ox, oy, eye, height, least, stop, row0, row
             a target must be to be seen; NaN where the ground is missing.
     """
     nr, nc = z.shape[0] - 1, z.shape[1] - 1
+    before = np.full(col1 - col0 + 1, INF)  # how far from the eye what hides the samples above is; shifted by one
     for i in range(row0, row1):
         for j in range(col0, col1):
+            k = j - col0 + 1
             if z[i, j] == MISSING:
                 out[i - row0, j - col0] = np.nan
                 continue
-            begin = np.float64(z[i, j]) + height
+            target = np.float64(z[i, j]) + height
             x, y = np.float64(j), np.float64(i)
-            dx, dy = ox - x, oy - y
-            found = begin
-            if dx != 0.0 or dy != 0.0:
-                cx = min(max(j if dx >= 0.0 else j - 1, 0), nc - 1)
-                cy = min(max(i if dy >= 0.0 else i - 1, 0), nr - 1)
-                found = walk(z, maxima, offset, per_row, cx, cy, x, y, found, ox, oy, eye, least, stop)
-                # Along a row or a column of samples the ground may be on either side of the line.
-                if dx == 0.0 and j > 0 and found < INF:
-                    found = walk(z, maxima, offset, per_row, j - 1, cy, x, y, found, ox, oy, eye, least, stop)
-                if dy == 0.0 and i > 0 and found < INF:
-                    found = walk(z, maxima, offset, per_row, cx, i - 1, x, y, found, ox, oy, eye, least, stop)
+            far = np.hypot(x - ox, y - oy)
+            raised = target
+            hides = INF
+            for guess in range(2):
+                s = before[k - 1 + guess]
+                if s < far - 1e-6 and s > 1e-6:
+                    t = s / far
+                    ground = ground_at(z, ox + t * (x - ox), oy + t * (y - oy))
+                    if ground - (eye + t * (raised - eye)) > least:
+                        raised, hides = eye + (ground - eye) / t, s
+            if (raised == target or not stop) and far > 0.0:
+                if stop:
+                    h1, at = along(z, maxima, offset, per_row, nc, nr, x, y, target, ox, oy, eye, least, stop)
+                    if at >= 0.0:
+                        raised, hides = INF, (1.0 - at) * far
+                else:
+                    h1, at = along(z, maxima, offset, per_row, nc, nr, ox, oy, eye, x, y, raised, least, stop)
+                    if at >= 0.0:
+                        raised, hides = h1, at * far
+            before[k] = hides
             if stop:
-                out[i - row0, j - col0] = 0.0 if found == INF else 1.0
+                out[i - row0, j - col0] = 1.0 if raised == target else 0.0
             else:
-                out[i - row0, j - col0] = found - begin
+                out[i - row0, j - col0] = raised - target
