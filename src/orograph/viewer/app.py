@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,6 +44,16 @@ def check() -> None:
             "There is no screen to open a window on: neither DISPLAY nor WAYLAND_DISPLAY is set.",
             remedy="Draw pictures with orograph render, or see orograph doctor.",
         )
+    import glfw
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        if not glfw.init():  # a canvas would abort the process
+            why = re.sub(r"^\(\d+\) b'(.*)'$", r"\1", str(said[-1].message)) if said else "it does not answer"
+            raise NoWindowError(
+                f"The screen cannot be used: {why}.",
+                remedy="Draw pictures with orograph render, or see orograph doctor.",
+            )
 
 
 def make_canvas(title: str, size: tuple[int, int]) -> Any:
@@ -151,7 +163,7 @@ def _shoot(window: Window, path: Path, frames: int, failure: list[BaseException]
         if w.drawn >= frames and not failure:
             w.on_frame.remove(hook)
             try:
-                w.write_picture(path)
+                w.write_picture(path, panels=True)
             except BaseException as error:
                 failure.append(error)
             w.canvas.close()

@@ -82,6 +82,7 @@ def bindings() -> tuple[Binding, ...]:
         Binding("Backspace", "take back the last point", lambda w: w.tools.undo()),
         Binding("x", "wireframe", lambda w: w.toggle_wireframe()),
         Binding("f", "freeze the mesh and fly around it", lambda w: w.toggle_freeze()),
+        Binding("q", "close the window", lambda w: w.canvas.close(), control=True),
         Binding("F12", "save a picture", lambda w: w.save_picture()),
         Binding("F1", "this help", lambda w: w.toggle_help(), shown="F1, ?"),
     )

@@ -41,11 +41,14 @@ class Screen:
         )
         self._sampler = device.handle.create_sampler(mag_filter="linear", min_filter="linear")
         self._binding: Any = None
+        self._before: tuple[Any, Any, Any] | None = None
 
     def prepare(self, width: int, height: int) -> bool:
-        """Have a texture of this size; whether it is new (and black)."""
+        """Have a texture of this size; whether it is new (and black: ``revert`` brings the last one back)."""
         if self.texture is not None and tuple(self.texture.size[:2]) == (width, height):
+            self._before = None
             return False
+        self._before = None if self.texture is None else (self.texture, self.view, self._binding)
         self.texture = self.device.texture(
             (width, height), self.format, "RENDER_ATTACHMENT|TEXTURE_BINDING|COPY_SRC", label="terrain"
         )
@@ -55,6 +58,12 @@ class Screen:
             entries=[{"binding": 0, "resource": self.view}, {"binding": 1, "resource": self._sampler}],
         )
         return True
+
+    def revert(self) -> None:
+        """Show what was shown before ``prepare`` made a texture that nothing could be drawn into."""
+        if self._before is not None:
+            self.texture, self.view, self._binding = self._before
+            self._before = None
 
     def present(self, encoder: Any, target: Any, area: tuple[float, float, float, float], size: tuple[int, int]) -> Any:
         """Begin a pass on ``target`` (of ``size`` pixels) that draws the picture into ``area``; the pass goes on."""
@@ -74,7 +83,11 @@ class Screen:
 
     def pixels(self) -> NDArray[np.uint8]:
         """The picture as it was drawn last: (height, width, 3), sRGB."""
-        found = self.device.read_texture(self.texture, np.uint8, 4)[..., :3]
+        return self.read(self.texture)
+
+    def read(self, texture: Any) -> NDArray[np.uint8]:
+        """What a texture of the canvas's format holds: (height, width, 3), sRGB."""
+        found = self.device.read_texture(texture, np.uint8, 4)[..., :3]
         return np.ascontiguousarray(found[..., ::-1] if self.format.startswith("bgra") else found)
 
 

@@ -24,6 +24,8 @@ from orograph.viewer.navigator import Navigator
 from orograph.viewer.probe import Probe
 from orograph.viewer.settings import Light, Settings
 
+HOME_PITCH, HOME_FOV = 42.0, 30.0
+"""Degrees, as ``camera.whole`` has them."""
 SHOWN = 4.0
 """Seconds that a message is shown; errors stay until they are dismissed."""
 
@@ -95,7 +97,8 @@ class Session:
         )  # fmt: skip
         if tolerance is not None:
             self.settings.tolerance = tolerance
-        home = camera.whole(terrain, size, exaggeration=exaggeration)
+        self._outline = camera.outline(terrain)
+        home = self._home(size, exaggeration)
         self.probe = Probe(terrain, lambda: self.changed())
         farthest = 20.0 * max(math.dist(home.eye, home.target), 1000.0)
         self.nav = Navigator(
@@ -107,6 +110,20 @@ class Session:
         self.bookmarks = Bookmarks(terrain.grid, terrain.name)
         if self.bookmarks.trouble:
             self.messages.say(f"Kept views cannot be read: {self.bookmarks.trouble}", error=True)
+
+    def _home(self, size: tuple[int, int], exaggeration: float) -> View:
+        """All of the terrain in a picture of this size."""
+        return camera.fit(self._outline, camera.direction(180.0, HOME_PITCH), HOME_FOV, size, exaggeration)
+
+    def resize(self, width: int, height: int) -> None:
+        """The picture has another size; who has not left home sees all of the terrain in it."""
+        nav = self.nav
+        at_home = nav.view == nav.home
+        nav.home = self._home((max(width, 1), max(height, 1)), nav.exaggeration)
+        if at_home:
+            nav.view = nav.home
+        else:
+            nav.resize(width, height)
 
     def _pick(self, x: float, y: float) -> Point | None:
         return self.probe.pick(self.nav.view, x, y, self.nav.exaggeration)
@@ -138,6 +155,7 @@ class Session:
         """Set the exaggeration."""
         self.settings.exaggeration = exaggeration
         self.nav.stretch(exaggeration)
+        self.nav.home = self._home((self.view.width, self.view.height), exaggeration)
 
     def freeze(self, on: bool) -> None:
         """Keep the mesh of this view while the camera goes elsewhere; or let it follow again."""

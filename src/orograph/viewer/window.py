@@ -297,8 +297,8 @@ class Window:
             self.session.messages.say(f"Saved {path.name}, and its view as {path.stem}.json, in {path.parent}.")
         self._touch()
 
-    def write_picture(self, path: Path) -> None:
-        """Write the terrain's picture as it would be with all tiles there.
+    def write_picture(self, path: Path, *, panels: bool = False) -> None:
+        """Write the terrain's picture as it is with all tiles there; ``panels``: the whole window's.
 
         Raises:
             OutputError: it cannot be written.
@@ -314,8 +314,15 @@ class Window:
             samples=PICTURE_SAMPLES,
         )  # fmt: skip
         self._scene = None
+        if panels:
+            size = self.canvas.get_physical_size()
+            texture = self.device.texture(size, self.format, "RENDER_ATTACHMENT|COPY_SRC", label="window")
+            self._compose(texture.create_view(), size, imgui.get_draw_data())
+            pixels = self.screen.read(texture)
+        else:
+            pixels = self.screen.pixels()
         with Beside(path) as part:
-            Image.fromarray(self.screen.pixels()).save(part, format="PNG")
+            Image.fromarray(pixels).save(part, format="PNG")
 
     def middle(self) -> Point | None:
         """The ground in the middle of the picture, coarsely: looked up once for a view."""
@@ -360,14 +367,7 @@ class Window:
             drawing = self.gui.end()
         settled = now - self._moved > SETTLED
         self._draw_terrain(1.0 if settled else self.draft.scale, now)
-        target = self.context.get_current_texture().create_view()
-        encoder = self.device.handle.create_command_encoder()
-        ratio = self.ratio
-        x, y, w, h = (round(v * ratio) for v in self.area)
-        done = self.screen.present(encoder, target, (x, y, w, h), size)
-        self.gui.backend.render(drawing, done)
-        done.end()
-        self.device.queue.submit([encoder.finish()])
+        self._compose(self.context.get_current_texture().create_view(), size, drawing)
         for hook in list(self.on_frame):
             hook(self)
         if self._saving is not None and self._pending == 0:
@@ -379,13 +379,22 @@ class Window:
         if again or self._failed:
             self.canvas.request_draw()
 
+    def _compose(self, target: Any, size: tuple[int, int], drawing: Any) -> None:
+        """Terrain and panels onto a texture's view."""
+        encoder = self.device.handle.create_command_encoder()
+        x, y, w, h = (round(v * self.ratio) for v in self.area)
+        done = self.screen.present(encoder, target, (x, y, w, h), size)
+        self.gui.backend.render(drawing, done)
+        done.end()
+        self.device.queue.submit([encoder.finish()])
+
     def _gui(self) -> None:
         """Panels and furniture; finds the area that they leave to the terrain."""
         self.area = panels.dock(self)
         self.area = self.plan.place(self.area)
         width, height = (max(1, round(v * self.ratio)) for v in self.area[2:])
         if (width, height) != (self.session.view.width, self.session.view.height):
-            self.session.nav.resize(width, height)
+            self.session.resize(width, height)
         self.tools.draw()
         if self.session.settings.furniture:
             overlay.furniture(self)
@@ -404,12 +413,12 @@ class Window:
         try:
             scene, overlay = session.scene(scale), settings.overlay()
             state = scene, overlay, settings.frozen
-            new = self.screen.prepare(scene.view.width, scene.view.height)
-            same = state == self._scene and not new
+            same = state == self._scene
             if same and (self._resting if not self._failed else now - self._failed < RETRY):
                 return
             if same and not self._failed and self._slow and now - self._drawn_at < PATIENCE:
                 return  # on a slow device the pointer comes before a smoother picture
+            self.screen.prepare(scene.view.width, scene.view.height)
             self.stats = self.renderer.draw(
                 self.screen.view, self.format, scene, overlay=overlay, freeze=settings.frozen
             )  # fmt: skip
@@ -427,6 +436,7 @@ class Window:
                 session.messages.shown = [m for m in session.messages.shown if not m.error]
         except Exception as error:
             self._scene, self._resting = state, True
+            self.screen.revert()
             self._fail(error, now)
 
     def _fail(self, error: Exception, now: float) -> None:

@@ -1,0 +1,93 @@
+"""What panels set, without a panel."""
+
+from __future__ import annotations
+
+import datetime
+
+import pytest
+
+from orograph.errors import UsageError
+from orograph.light.sun import Moment, Placed, position
+from orograph.picture.prepare import prepare
+from orograph.viewer.settings import Light, Settings
+
+
+@pytest.fixture(scope="module")
+def terrain(dem):
+    return prepare([str(dem)])
+
+
+def test_a_day_played_ends_where_it_began(terrain):
+    light = Light.over(terrain)
+    assert light.place is not None
+    light.mode, light.playing, light.speed = "moment", True, 3600.0
+    begin = light.when
+    for _ in range(240):
+        assert light.advance(0.1)
+    assert light.when == begin
+    assert not Light.over(terrain).advance(1.0)
+
+
+def test_times_are_those_of_the_place(terrain):
+    light = Light.over(terrain)
+    assert light.zone == 1  # 14° east
+    light.when = datetime.datetime(2024, 2, 29, 12, 30, tzinfo=light.when.tzinfo)
+    assert light.hour == 12.5
+    assert light.day == 60
+    light.hour = 6.25
+    light.day = 366
+    assert (light.when.month, light.when.day, light.when.hour, light.when.minute) == (12, 31, 6, 15)
+    light.zone = -3
+    assert (light.when.hour, light.when.minute) == (2, 15)
+    light.hour = 24.0
+    assert light.when.hour == 23
+
+
+def test_the_sun_is_the_real_one(terrain):
+    when = datetime.datetime(2026, 6, 21, 10, 0, tzinfo=datetime.UTC)
+    light = Light.over(terrain, Moment(when))
+    azimuth, altitude = position(when, *light.place)
+    sun = light.sun(terrain)
+    assert sun.altitude == pytest.approx(altitude)
+    assert sun.azimuth == pytest.approx(azimuth, abs=1.5)  # grid north differs by the convergence
+    placed = Light.over(terrain, Placed(-45.0, 30.0))
+    assert (placed.sun(terrain).azimuth, placed.sun(terrain).altitude) == (315.0, 30.0)
+
+
+def test_a_terrain_without_a_place_says_why():
+    import numpy as np
+    from affine import Affine
+
+    from orograph.dem import Dem
+    from orograph.geo import Grid
+    from orograph.store import terrain as in_memory
+
+    bare = in_memory(Dem(np.zeros((9, 9), np.float32), Grid((9, 9), Affine(1, 0, 0, 0, -1, 0))))
+    light = Light.over(bare)
+    assert light.place is None
+    assert "where on Earth" in light.trouble
+    with pytest.raises(UsageError):
+        Light.over(bare, Moment(datetime.datetime.now(datetime.UTC)))
+
+
+@pytest.mark.parametrize("power", [0.6, 1.0, 1.4])
+def test_a_budget_is_reached(terrain, power):
+    settings = Settings(Light.over(terrain), budget=100_000)
+
+    def triangles() -> int:
+        return int(60_000 / settings.tolerance**power)
+
+    for _ in range(30):
+        if not settings.balance(triangles()):
+            break
+    assert 0.9 <= triangles() / 100_000 <= 1.05
+
+
+def test_scenes(terrain):
+    from orograph.picture import camera
+
+    settings = Settings(Light.over(terrain), exaggeration=2.0, drape="x.tif", draped=False)
+    scene = settings.scene(terrain, camera.whole(terrain, (100, 100)))
+    assert scene.exaggeration == 2.0
+    assert scene.drape is None
+    assert settings.overlay().drape_opacity == 1.0

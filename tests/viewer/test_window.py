@@ -1,0 +1,380 @@
+"""The window on an off-screen canvas: real renderer, real panels, events as ``rendercanvas`` gives them."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+pytest.importorskip("imgui_bundle")
+pytest.importorskip("rendercanvas")
+
+from rendercanvas.offscreen import RenderCanvas
+
+from orograph.errors import StoreError
+from orograph.picture.prepare import prepare
+from orograph.viewer import panels
+from orograph.viewer.app import renderer_of
+from orograph.viewer.keys import bindings, help_rows
+from orograph.viewer.navigation import heading_pitch
+from orograph.viewer.session import Session
+from orograph.viewer.window import Window
+
+PLAIN = 500.0
+
+
+class Hand:
+    """Moves the mouse and presses keys on a window, and lets it draw."""
+
+    def __init__(self, window: Window) -> None:
+        self.window = window
+
+    def event(self, kind: str, **values) -> None:
+        self.window.canvas.submit_event({"event_type": kind, "modifiers": (), "buttons": (), **values})
+
+    def frames(self, n: int = 3) -> np.ndarray:
+        for _ in range(n):
+            self.window.canvas._process_events()  # what a loop would do
+            out = self.window.canvas.draw()
+        return np.asarray(out)[..., :3]
+
+    def move(self, x, y) -> None:
+        self.event("pointer_move", x=x, y=y, button=0)
+
+    def press(self, x, y, button=1, modifiers=()) -> None:
+        self.move(x, y)
+        self.event("pointer_down", x=x, y=y, button=button, modifiers=modifiers)
+
+    def release(self, x, y, button=1) -> None:
+        self.event("pointer_up", x=x, y=y, button=button)
+
+    def click(self, x, y) -> None:
+        self.press(x, y)
+        self.frames(1)
+        self.release(x, y)
+        self.frames(2)
+
+    def key(self, name, *modifiers) -> None:
+        self.event("key_down", key=name, modifiers=modifiers)
+        self.event("key_up", key=name, modifiers=modifiers)
+        self.frames(1)
+
+    def until(self, what, seconds=60) -> None:
+        end = time.monotonic() + seconds
+        while not what():
+            assert time.monotonic() < end, "waited in vain"
+            self.frames(1)
+            time.sleep(0.01)
+
+    def still(self) -> None:
+        """Until the camera stands."""
+        self.until(lambda: not self.window.session.moving)
+
+    def rest(self) -> None:
+        """Until the camera stands and the picture is as good as it gets."""
+        self.until(lambda: not self.window.session.moving and self.window.renderer.resting)
+
+
+@pytest.fixture
+def window(device, dem) -> Iterator[Window]:
+    session = Session(prepare([str(dem)]), size=(640, 480), tolerance=4.0)
+    canvas = RenderCanvas(size=(900, 600))
+    kept: list[str] = [""]
+    window = Window(
+        session,
+        canvas,
+        renderer_of(64 << 20),
+        device=device,
+        clipboard=(lambda: kept[0], lambda t: kept.__setitem__(0, t)),
+    )
+    yield window
+    canvas.close()
+    window.gui.close()
+
+
+@pytest.fixture
+def hand(window) -> Hand:
+    hand = Hand(window)
+    hand.frames(3)
+    return hand
+
+
+def ground_pixel(window, x, y):
+    """Where canvas position (x, y) is on the plain, by the view's own rays."""
+    px, py = window.to_picture(x, y)
+    o0, _, _, d0, du, dv = window.session.view.ray_basis()
+    d = d0 + px * du + py * dv
+    return o0 + d * (PLAIN - o0[2]) / d[2]
+
+
+def test_it_draws_and_then_rests(window, hand):
+    hand.rest()
+    picture = hand.frames(2)
+    assert picture.shape == (600, 900, 3)
+    terrain = picture[:, : int(window.area[2])]
+    assert terrain.std() > 15
+    drawn = window.drawn
+    again = hand.frames(5)
+    assert window.drawn == drawn  # nothing changed: the terrain is not drawn again
+    assert np.array_equal(again, picture)
+
+
+def test_home_shows_all_of_the_terrain_in_what_panels_leave(window, hand):
+    view = window.session.view
+    assert (view.width, view.height) == tuple(round(v) for v in window.area[2:])
+    assert view.width < 900
+    west, south, east, north = window.session.terrain.grid.bounds()
+    corners = [(x, y, PLAIN) for x in (west, east) for y in (south, north)]
+    pixels, _ = view.project(corners)
+    assert ((pixels > -5) & (pixels < np.array([view.width, view.height]) + 5)).all()
+    hand.key("Tab")
+    hand.frames(2)
+    assert window.session.view.width == 900
+
+
+def test_a_drag_over_a_panel_is_the_panels(window, hand):
+    before = window.session.view
+    hand.press(800, 300)  # a move and a press in one batch, over the light panel
+    hand.move(820, 320)
+    hand.frames(2)
+    hand.release(820, 320)
+    hand.frames(2)
+    assert window.session.view == before
+    hand.press(200, 400)
+    hand.move(260, 400)
+    hand.frames(1)
+    hand.release(260, 400)
+    assert window.session.view != before
+
+
+def test_a_drag_that_ends_over_a_panel_goes_on(window, hand):
+    place = ground_pixel(window, 300, 420)
+    hand.press(300, 420)
+    hand.frames(1)
+    for x in (400, 600, 850):
+        hand.move(x, 420)
+        hand.frames(1)
+    pixel = window.session.view.project(place)[0]
+    assert window.to_canvas(*pixel) == pytest.approx((850, 420), abs=1e-6)
+    hand.release(850, 420)
+
+
+def test_measuring(window, hand):
+    tools = window.tools
+    hand.key("m")
+    places = []
+    for x, y in ((200, 330), (320, 350)):
+        places.append(ground_pixel(window, x, y))
+        hand.click(x, y)
+    hand.until(lambda: tools.result is not None)
+    assert tools.result.grid == pytest.approx(math.dist(*places), rel=1e-6)
+    hand.frames(2)  # the plot
+    tools.choose("area")
+    hand.click(200, 330)
+    hand.click(320, 350)
+    hand.click(260, 280)
+    hand.until(lambda: tools.result is not None)
+    assert tools.result.mean_height == pytest.approx(PLAIN, abs=0.01)
+    hand.key("Backspace")
+    assert len(tools.points) == 2
+    tools.choose("sight")
+    hand.click(300, 330)
+    hand.click(300, 350)
+    hand.until(lambda: tools.result is not None)
+    assert tools.result.visible
+    hand.key("Escape")
+    assert not tools.active
+    assert not window.session.messages.shown
+
+
+def test_a_viewshed_is_painted_and_goes_again(window, hand):
+    tools = window.tools
+    hand.key("m")
+    tools.choose("viewshed")
+    tools.radius = 3000.0
+    hand.click(300, 330)
+    hand.until(lambda: window.session.settings.drape is not None, 120)
+    hand.rest()
+    painted = hand.frames(1)
+    hand.key("Escape")
+    assert window.session.settings.drape is None
+    hand.rest()
+    assert np.abs(hand.frames(1).astype(int) - painted).max() > 40
+
+
+def test_hovering_reads_the_height(window, hand):
+    hand.move(300, 430)
+    hand.until(lambda: window.session.probe.hit is not None)
+    hit = window.session.probe.hit
+    assert hit.height == pytest.approx(PLAIN, abs=0.01)
+    assert (hit.easting, hit.northing) == pytest.approx(tuple(ground_pixel(window, 300, 430)[:2]), abs=0.01)
+
+
+def test_views_in_the_clipboard(window, hand):
+    hand.key("o")
+    hand.rest()
+    kept = window.session.view
+    hand.key("c", "Control")
+    hand.key("t")
+    hand.rest()
+    hand.key("v", "Control")
+    hand.rest()
+    assert window.session.view.eye == pytest.approx(kept.eye, abs=1e-6)
+    window.clipboard[1]("no view at all")
+    hand.key("v", "Control")
+    assert "no view" in window.session.messages.shown[-1].text
+    window.clipboard[1]('{"eye": [15.0, 45.0, 2000.0], "target": [15.01, 45.0, 500.0], "crs": "EPSG:4326"}')
+    hand.key("v", "Control")
+    hand.rest()
+    assert 100_000 < window.session.view.eye[0] < 900_000
+
+
+def test_what_fails_is_said_and_survived(window, hand, monkeypatch):
+    hand.rest()
+    before = hand.frames(1)
+    draw = window.renderer.draw
+
+    def fail(*args, **kwargs):
+        raise StoreError("The chunk c/0/0 is gone.", path="area.oro")
+
+    monkeypatch.setattr(window.renderer, "draw", fail)
+    hand.key("o")
+    hand.frames(3)
+    texts = [m.text for m in window.session.messages.shown if m.error]
+    assert any("area.oro: The chunk c/0/0 is gone." in t for t in texts)
+    after = hand.frames(1)
+    corner = np.s_[300:500, 20:300]
+    assert np.abs(after[corner].astype(int) - before[corner]).mean() < 40  # the last picture stays
+    monkeypatch.setattr(window.renderer, "draw", draw)
+    hand.key("t")
+    hand.rest()
+    assert not [m for m in window.session.messages.shown if m.error]
+
+
+def test_a_lost_device_is_opened_anew(window, hand, monkeypatch):
+    hand.rest()
+    first, renderer = window.device, window.renderer
+
+    def lost(*args, **kwargs):
+        raise RuntimeError("Validation Error: Parent device is lost")
+
+    monkeypatch.setattr(renderer, "draw", lost)
+    hand.key("o")
+    hand.rest()
+    assert window.device is not first
+    assert window.renderer is not renderer
+    assert any("new device" in m.text for m in window.session.messages.shown)
+    assert hand.frames(2)[:, : int(window.area[2])].std() > 15
+    first.lost = None
+
+
+@pytest.mark.parametrize("size", [(300, 200), (1, 1), (80, 900)])
+def test_any_size(window, hand, size):
+    window.canvas.set_logical_size(*size)
+    assert hand.frames(4).shape[:2] == size[::-1]
+    window.canvas.set_logical_size(700, 500)
+    hand.frames(4)
+    assert window.session.view.height == 500
+
+
+def test_every_key_does_something_and_is_in_the_help(window, hand):
+    said = dict(help_rows())
+    for b in bindings():
+        assert said[b.label]
+        if b.key in ("q", "F12"):
+            continue
+        hand.key(b.key, *(("Control",) if b.control else ()))
+        hand.frames(1)
+    hand.key("Escape")
+    assert window.session.settings.light.playing
+    hand.key(" ")
+    hand.still()
+    assert not [m.text for m in window.session.messages.shown if m.error]
+
+
+def test_every_panel_draws_in_every_state(window, hand):
+    settings = window.session.settings
+    for mode in ("placed", "moment"):
+        settings.light.mode = mode
+        settings.water = 510.0
+        settings.budget = 50_000 if mode == "moment" else None
+        settings.contours = 50.0
+        settings.relief = 2.0
+        hand.frames(2)
+    assert len(panels.PANELS) == 5
+    for name, content, _ in panels.PANELS:
+        assert name and callable(content)
+
+
+def test_the_mesh_can_be_frozen_and_a_budget_is_kept(window, hand):
+    settings = window.session.settings
+    hand.key("f")
+    assert settings.frozen == window.session.view
+    hand.key("t")
+    hand.rest()
+    assert settings.frozen != window.session.view
+    hand.key("f")
+    assert settings.frozen is None
+    settings.budget = 20_000
+    hand.until(lambda: 0.5 < window.stats.triangles / 20_000 <= 1.06, 60)
+
+
+def test_the_plan_is_drawn_and_takes_one_there(window, hand):
+    plan = window.plan
+    hand.until(lambda: plan.view is not None and not plan.busy, 120)
+    hand.frames(2)
+    x, y, w, h = plan._rect
+    place = plan.to_ground(x + 0.3 * w, y + 0.7 * h)
+    assert plan.to_screen(np.array([place]))[0] == pytest.approx((x + 0.3 * w, y + 0.7 * h))
+    hand.click(x + 0.3 * w, y + 0.7 * h)
+    hand.rest()
+    view = window.session.view
+    pixel, _ = view.project(np.array([*place, PLAIN]))
+    assert pixel == pytest.approx((view.width / 2, view.height / 2), abs=5.0)
+    hand.key("p")
+    hand.frames(3)
+    assert window.session.view.width < 0.6 * 900
+    hand.key("p")
+    hand.frames(3)
+    assert plan.mode == "none"
+
+
+def test_pictures(window, hand, tmp_path, monkeypatch):
+    from PIL import Image
+
+    monkeypatch.chdir(tmp_path)
+    hand.rest()
+    hand.key("F12")
+    hand.until(lambda: list(tmp_path.glob("*.json")))
+    (path,) = tmp_path.glob("*.png")
+    picture = np.asarray(Image.open(path))
+    assert picture.shape == (window.session.view.height, window.session.view.width, 3)
+    window.write_picture(tmp_path / "all.png", panels=True)
+    assert Image.open(tmp_path / "all.png").size == (900, 600)
+
+
+def test_a_played_day_moves_the_sun(window, hand):
+    light = window.session.settings.light
+    hand.key(" ")
+    before = light.when
+    hand.frames(5)
+    assert light.when != before
+    hand.key(" ")
+    assert not light.playing
+    assert light.sun(window.session.terrain).altitude > -90
+
+
+def test_keys_that_are_held_fly(window, hand):
+    before = window.session.view
+    hand.event("key_down", key="w")
+    for _ in range(6):
+        hand.frames(1)
+        time.sleep(0.02)
+    hand.event("key_up", key="w")
+    hand.rest()
+    moved = np.subtract(window.session.view.eye, before.eye)
+    assert moved @ before.axes()[2] > 0
+    assert heading_pitch(window.session.view) == pytest.approx(heading_pitch(before), abs=1e-6)
