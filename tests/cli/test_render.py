@@ -160,12 +160,34 @@ def test_a_picture_as_heights(run, tmp_path):
         (("--relief", -1), ("relief",)),
         (("--tolerance", -1), ("tolerance",)),
         (("--water", "nan"), ("water",)),
+        (("--light-at", "-117,36.1,900,400"), ("--light aperture",)),
+        (("--light-at", "-117,36.1,900,400,1", "--light", "aperture"), ("--light-at", "three")),
+        (("--light-at", "-117,36.1,900,0", "--light", "aperture"), ("reach",)),
+        (("--disc", "10,100,1", "--light", "aperture"), ("altitude",)),
         (("--colormap", "virids"), ("no colour map 'virids'", "viridis")),
     ],
 )
 def test_wrong_options(run, dem, tmp_path, options, words):
     refused(run("render", dem, "-o", tmp_path / "a.png", *options, *SMALL), 2, *words)
     assert not (tmp_path / "a.png").exists()
+
+
+def test_lights(run, dem, tmp_path):
+    """Each light draws another picture; what is baked into a store is used."""
+    path, seen = tmp_path / "s.oro", []
+    assert run("build", dem, "-o", path, "--bake", "aperture,sky-view-factor", "--quiet")[0] == 0
+    for light, told in (("ao", "baked sky-view-factor"), ("aperture", "baked aperture"), ("raytraced", "16 rays"),
+                        ("none", "none"), ("relief", None)):  # fmt: skip
+        given = ("--light", light, "--rays", 16, "--json", *SMALL)
+        code, said, err = run("render", path, "-o", tmp_path / "a.png", *given)
+        assert code == 0, err
+        assert json.loads(said)["shader"].get("light") == told
+        seen.append(np.asarray(Image.open(tmp_path / "a.png")).tobytes())
+    assert len(set(seen)) == 5
+    more = ("--light-at", "-117,36.137,900,400", "--disc", "120,30,20,1,0.5,0", "--light", "aperture")
+    code, _, err = run("render", path, "-o", tmp_path / "b.png", *more, *SMALL)
+    assert code == 0, err
+    assert np.asarray(Image.open(tmp_path / "b.png")).tobytes() not in seen
 
 
 def test_the_sun_may_be_a_time(run, dem, tmp_path):
@@ -271,7 +293,13 @@ def test_pictures_that_do_not_fit_into_memory(run, dem, tmp_path):
     for size, words in (("100000x100000", "466 GiB of memory"), ("3000000x30000", "4.093 TiB of memory")):
         refused(run("render", dem, "-o", tmp_path / "a.png", "--size", size, "--quiet"), 2, words)
     allowed = ("--size", "2000x2000", "--max-memory", "150MiB", "--quiet")
-    refused(run("render", dem, "-o", tmp_path / "a.png", *allowed), 2, "191 MiB", "--max-memory")
+    wires = ("--engine", "soar", "--wireframe")
+    refused(run("render", dem, "-o", tmp_path / "a.png", *allowed, *wires), 2, "191 MiB", "--max-memory")
+    code, said, _ = run("render", dem, "-o", tmp_path / "large.png", "--size", "1300x1200", *allowed[2:])
+    assert code == 0 and "1300 × 1200" in said  # by bands
+    run("render", dem, "-o", tmp_path / "once.png", "--size", "1300x1200", "--quiet")
+    with Image.open(tmp_path / "large.png") as a, Image.open(tmp_path / "once.png") as b:
+        assert np.array_equal(np.asarray(a), np.asarray(b))
     code, _, err = run("render", dem, "-o", tmp_path / "a.png", "--max-memory", "10")
     assert code == 2 and "64MiB" in err and not (tmp_path / "a.png").exists()
 

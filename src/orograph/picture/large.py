@@ -35,13 +35,17 @@ from orograph.progress import SILENT, Progress
 ROWS, COLUMNS = 16, 64
 """Tiles begin at multiples of these, the caster's blocks (``raycast.kernels``), which it then casts once."""
 
+MOST_PIXELS = 1 << 30
+"""Of a picture: 32768 × 32768. More would take hours, and is a slip of the keyboard."""
+
 MOST = {"JPEG": 65500, "WEBP": 16383}
 """Pixels a side that a format can hold."""
 
 
 def is_large(size: tuple[int, int], max_memory: int | None) -> bool:
     """Whether a picture of so many pixels is drawn by bands: its arrays take more than half of the memory allowed."""
-    return max_memory is not None and BYTES_PER_PIXEL * size[0] * size[1] > max_memory // 2
+    pixels = size[0] * size[1]
+    return max_memory is not None and pixels <= MOST_PIXELS and BYTES_PER_PIXEL * pixels > max_memory // 2
 
 
 def draw_large(
