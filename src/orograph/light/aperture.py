@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
+from orograph.geo.grid import Grid
 from orograph.light.arrays import context_of
 from orograph.light.caps import cap_area
 from orograph.light.gather import Sweep, Window, by_azimuth
@@ -52,6 +53,20 @@ class Lamp:
     row: float
     height: float
     colour: Colour = (1.0, 1.0, 1.0)
+
+    @classmethod
+    def at(cls, grid: Grid, x: float, y: float, height: float, reach: float, colour: Colour = (1.0, 1.0, 1.0)) -> Lamp:
+        """A lamp at a place of the grid's CRS that gives ``colour`` ((1, 1, 1) is about a sun at 45°) ``reach`` metres
+        away, square to it; four times that at half the distance.
+
+        Raises:
+            UsageError: the reach is no positive number of metres.
+        """
+        if not 0 < reach < math.inf:
+            raise UsageError(f"A lamp's reach is a positive number of metres, not {reach:g}.")
+        col, row = grid.index(x, y)
+        red, green, blue = (c * reach * reach for c in colour)
+        return cls(float(col), float(row), float(height), (red, green, blue))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel
+from orograph._numba import inlined, kernel
 from orograph.light.normal import central
 from orograph.parallel import map_ordered
 from orograph.raycast.select import Rectangle
@@ -59,10 +59,20 @@ def _gradient(pool, base, rows, cols, u, v, short_u, short_v):
     return 0.0, 0.0
 
 
+@inlined
+def finest(ints, floats, x, y, level):
+    """The window (see ``Tables``) that holds a point and is no finer than ``level``, the finest of them."""
+    chosen = 0  # the outermost window holds every point
+    for w in range(ints.shape[0] - 1, -1, -1):
+        if ints[w, 3] >= level and floats[w, 1] <= x <= floats[w, 2] and floats[w, 3] <= y <= floats[w, 4]:
+            chosen = w
+            break
+    return chosen
+
+
 @kernel
 def _gradients(pool, ints, floats, points, footprint, out, first, last):
     """Points [first, last): (n, 3) sample coordinates, footprint (n,) in samples; out (n, 2): metres per sample."""
-    windows = ints.shape[0]
     for k in range(first, last):
         x, y = points[k, 0], points[k, 1]
         if x != x:
@@ -76,15 +86,7 @@ def _gradients(pool, ints, floats, points, footprint, out, first, last):
             share = part if step == 1 else 1.0 - part
             if share == 0.0:
                 continue
-            chosen = 0  # the outermost window holds every point
-            for w in range(windows - 1, -1, -1):  # the finest that is no finer than wanted and holds the point
-                if (
-                    ints[w, 3] >= whole + step
-                    and floats[w, 1] <= x <= floats[w, 2]
-                    and floats[w, 3] <= y <= floats[w, 4]
-                ):
-                    chosen = w
-                    break
+            chosen = finest(ints, floats, x, y, whole + step)
             s = floats[chosen, 0]
             u = (x + 0.5) / s - 0.5 - floats[chosen, 5]
             v = (y + 0.5) / s - 0.5 - floats[chosen, 6]
@@ -97,22 +99,24 @@ def _gradients(pool, ints, floats, points, footprint, out, first, last):
 
 
 @dataclass(frozen=True, slots=True)
-class Relief:
-    """Box means of the heights over nested windows; ``gradient`` looks them up.
+class Tables:
+    """Nested windows of rasters of box means, as kernels take them.
 
     Attributes:
-        pool: float32, all windows, flat. ints (W, 4): offset, rows, cols, level. floats (W, 9): 2^level, then the west,
-            east, north and south limits of the window in sample coordinates, its first column and row, and by how much
-            of a block the middles of its last column and row are nearer than a block's (at the terrain's border).
+        windows: what is to be read, outermost first.
+        ints: (W, 4): samples before a window's first, rows, cols, level.
+        floats: (W, 9): 2^level, then the west, east, north and south limits of the window in sample coordinates, its
+            first column and row, and by how much of a block the middles of its last column and row are nearer than a
+            block's (at the terrain's border).
     """
 
-    pool: NDArray[np.float32]
+    windows: list[Rectangle]
     ints: NDArray[np.int64]
     floats: Array
 
     @classmethod
-    def load(cls, terrain: Terrain, rectangles: list[Rectangle], jobs: int | None = None) -> Relief:
-        """Read the means over ``rectangles`` (outermost first) and the levels between them that filtering needs."""
+    def over(cls, terrain: Terrain, rectangles: list[Rectangle]) -> Tables:
+        """Of ``rectangles`` (outermost first) and the levels between them that filtering needs."""
         wanted: list[Rectangle] = []
         for r, finer in zip(rectangles, [*rectangles[1:], None]):
             wanted.append(r)
@@ -130,12 +134,11 @@ class Relief:
                     r.level, r.row0, max(min(r.row1, rows), r.row0 + 1), r.col0, max(min(r.col1, cols), r.col0 + 1)
                 )
             )
-        arrays = list(map_ordered(lambda r: terrain.read_mean(r.level, r.row0, r.row1, r.col0, r.col1), clipped, jobs))
         ints, floats = np.zeros((len(clipped), 4), np.int64), np.zeros((len(clipped), 9))
         base = 0
-        for k, (r, a) in enumerate(zip(clipped, arrays)):
+        for k, r in enumerate(clipped):
             s = 2.0**r.level
-            ints[k] = base, *a.shape, r.level
+            ints[k] = base, r.row1 - r.row0, r.col1 - r.col0, r.level
             rows, cols = terrain.mean_shape(r.level)
             # Differences reach one block out, unless the terrain ends there; the outermost takes whatever comes.
             west, north = (f * s + s if f and k else -np.inf for f in (r.col0, r.row0))
@@ -144,9 +147,33 @@ class Relief:
             short_u = (cols - terrain.grid.cols / s) / 2 if r.col1 == cols else 0.0
             short_v = (rows - terrain.grid.rows / s) / 2 if r.row1 == rows else 0.0
             floats[k] = s, west, east, north, south, r.col0, r.row0, short_u, short_v
-            base += a.size
+            base += r.samples
+        return cls(clipped, ints, floats)
+
+
+@dataclass(frozen=True, slots=True)
+class Relief:
+    """Box means of the heights over nested windows; ``gradient`` looks them up.
+
+    Attributes:
+        pool: float32, all windows, flat. ints, floats: see ``Tables``.
+    """
+
+    pool: NDArray[np.float32]
+    ints: NDArray[np.int64]
+    floats: Array
+
+    @classmethod
+    def load(cls, terrain: Terrain, rectangles: list[Rectangle], jobs: int | None = None) -> Relief:
+        """Read the means over ``rectangles`` (outermost first) and the levels between them that filtering needs."""
+        tables = Tables.over(terrain, rectangles)
+
+        def read(r: Rectangle) -> NDArray[np.float32]:
+            return terrain.read_mean(r.level, r.row0, r.row1, r.col0, r.col1)
+
+        arrays = list(map_ordered(read, tables.windows, jobs))
         pool = arrays[0].ravel() if len(arrays) == 1 else np.concatenate([a.ravel() for a in arrays])
-        return cls(np.ascontiguousarray(pool), ints, floats)
+        return cls(np.ascontiguousarray(pool), tables.ints, tables.floats)
 
     def gradient(self, points: Array, footprint: Array) -> Array:
         """Slope at points (n, 3) in sample coordinates, averaged over a footprint (n,) in samples.

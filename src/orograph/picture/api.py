@@ -5,18 +5,22 @@ from __future__ import annotations
 import difflib
 import inspect
 import os
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 from orograph.dem.raster import Dem
 from orograph.errors import UsageError
-from orograph.light.sun import Given, sun_of
+from orograph.light.sun import Given, Sun, sun_of
 from orograph.picture.backends import BACKENDS, draw
 from orograph.picture.memory import check_memory
 from orograph.picture.result import Picture
-from orograph.picture.scene import Scene
+from orograph.picture.scene import Light, Scene
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
 from orograph.view import View
+
+if TYPE_CHECKING:
+    from orograph.light.aperture import Lamp
 
 CAMERA = ("azimuth", "pitch", "distance", "lonlat", "look_at", "fov", "fov_y", "projection", "eye", "target")
 """What the command line has options for, and here a view."""
@@ -29,6 +33,10 @@ def render(
     size: tuple[int, int] = (1280, 720),
     sun: Given = (315.0, 45.0),
     shadows: bool = True,
+    light: Light = "relief",
+    rays: int = 64,
+    lamps: Sequence[Lamp] = (),
+    discs: Sequence[tuple[Sun, tuple[float, float, float]]] = (),
     exaggeration: float = 1.0,
     relief: float | None = None,
     colormap: str | None = None,
@@ -61,6 +69,12 @@ def render(
         sun: (azimuth, altitude): degrees clockwise from grid north, degrees above the horizon; a datetime with zone,
             or such a time as text, for the real sun over the terrain's middle; or a ``Sun``. Default 315, 45.
         shadows: whether the ground casts shadows. Default True.
+        light: how it falls: "relief" (shadows by the skyline, a sky-view factor for the sky), "ao" (ambient occlusion),
+            "aperture" (ambient apertures), "raytraced" (rays to the sun's disc and to the sky) or "none". What is baked
+            into a store (``orograph.bake``) is used. Default "relief".
+        rays: with "raytraced", to each disc of light and to the sky. Default 64.
+        lamps: points of light (``light.aperture.Lamp.at``), with "aperture" and "raytraced". Default none.
+        discs: further suns, with their colours; (1, 1, 1) is about that of the sun at 45°. Default none.
         exaggeration: factor by which heights are stretched on the screen. Default 1.
         relief: factor on slopes for shading only; 1 is nature. Default None: 1 to 6, more for gentle land.
         colormap: colours of heights: alpine, mars, grey or any name of the cmap catalogue. Default None: alpine.
@@ -106,14 +120,14 @@ def render(
         from orograph.store import terrain as in_memory
 
         terrain = in_memory(terrain)
-    light = sun_of(sun, terrain.grid)
     if view is None:
         from orograph.picture.camera import NO_INSETS, whole
         from orograph.picture.furniture import insets
 
         view = whole(terrain, size, exaggeration=exaggeration, insets=insets(size) if furniture else NO_INSETS)
     scene = Scene(
-        terrain, view, light, shadows=shadows, exaggeration=exaggeration, colormap=colormap, drape=drape, sky=sky,
+        terrain, view, sun_of(sun, terrain.grid), shadows=shadows, light=light, rays=rays, lamps=tuple(lamps),
+        discs=tuple(discs), exaggeration=exaggeration, colormap=colormap, drape=drape, sky=sky,
         water=water, relief=relief, samples=samples, tolerance=tolerance, engine=engine, wireframe=wireframe,
         mesh_view=mesh_view, furniture=furniture, title=title, depths=depths, max_memory=max_memory, jobs=jobs,
     )  # fmt: skip

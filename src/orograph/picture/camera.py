@@ -187,6 +187,32 @@ def around(
     return View(tuple(eye), tuple(target), fov_y=fov_y, width=size[0], height=size[1])
 
 
+def place(terrain: Terrain, lon: float, lat: float) -> tuple[float, float]:
+    """A longitude and a latitude (WGS 84, degrees) in the terrain's CRS.
+
+    Raises:
+        UsageError: the terrain has no CRS, the place cannot be brought to it, or its two numbers seem to be swapped.
+    """
+    from orograph.geo.transform import transformer
+
+    move = transformer("EPSG:4326", terrain.grid.crs)
+
+    def inside(lon: float, lat: float) -> bool:
+        x, y = (float(v) for v in move(lon, lat))
+        return not far_outside(terrain.grid, x, y, 0.0)
+
+    x, y = (float(v) for v in move(lon, lat))
+    if far_outside(terrain.grid, x, y) and inside(lat, lon):
+        raise UsageError(
+            f"Longitude {lon:g}, latitude {lat:g} lies far outside the terrain, and {lat:g}, {lon:g} within it: "
+            "were the two swapped?",
+            remedy=f"Give the longitude first: {lat:g},{lon:g}.",
+        )
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise UsageError(f"Longitude {lon:g}, latitude {lat:g} cannot be brought to the terrain's projection.")
+    return x, y
+
+
 def standing(
     terrain: Terrain,
     size: tuple[int, int],
@@ -206,32 +232,12 @@ def standing(
     Raises:
         UsageError: the terrain has no CRS, a place cannot be brought to it, or its two numbers seem to be swapped.
     """
-    from orograph.geo.transform import transformer
-
-    move = transformer("EPSG:4326", terrain.grid.crs)
-
-    def inside(lon: float, lat: float) -> bool:
-        x, y = (float(v) for v in move(lon, lat))
-        return not far_outside(terrain.grid, x, y, 0.0)
-
-    def place(lon: float, lat: float) -> tuple[float, float]:
-        x, y = (float(v) for v in move(lon, lat))
-        if far_outside(terrain.grid, x, y) and inside(lat, lon):
-            raise UsageError(
-                f"Longitude {lon:g}, latitude {lat:g} lies far outside the terrain, and {lat:g}, {lon:g} within it: "
-                "were the two swapped?",
-                remedy=f"Give the longitude first: {lat:g},{lon:g}.",
-            )
-        if not (math.isfinite(x) and math.isfinite(y)):
-            raise UsageError(f"Longitude {lon:g}, latitude {lat:g} cannot be brought to the terrain's projection.")
-        return x, y
-
-    x, y = place(eye[0], eye[1])
+    x, y = place(terrain, eye[0], eye[1])
     points = outline(terrain)
     if look_at is None:
         tx, ty = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     else:
-        tx, ty = place(*look_at)
+        tx, ty = place(terrain, *look_at)
     z = ground(terrain, tx, ty, default=float(np.median(points[:, 2])))
     return View((x, y, eye[2]), (tx, ty, z), fov_y=fov_y, width=size[0], height=size[1])
 

@@ -110,7 +110,7 @@ def draw(
     own = slice(inner[0] - area[0], inner[1] - area[0]), slice(inner[2] - area[2], inner[3] - area[2])
     facts["hit_fraction"] = float(np.isfinite(t[own]).mean())
     with progress.task("Light and colour", total=2 * t.size) as task:
-        shader = Shader(scene, ground, survey, kept)
+        shader = Shader(scene, ground, survey, kept, progress)
         lap("light")
         wide = area[3] - area[2]
         linear = np.empty((*t.shape, 3), np.float32)

@@ -173,6 +173,7 @@ class Ground:
         self.rays = Rays(scene, self.caster, over)
         grid = terrain.grid
         linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
+        self.linear = linear  # metres east and north per column and per row
         self.to_world = np.linalg.inv(linear).T  # gradients per sample → gradients per metre
         self.to_samples = np.linalg.inv(linear)
 
@@ -220,8 +221,11 @@ class Ground:
         high = math.tan(math.radians(min(sun.altitude + radius, 89.9)))
         a = math.radians(sun.azimuth)
         step = self.to_samples @ [math.sin(a), math.cos(a)]
-        scale = 2.0 ** np.array([w.level for w in self.caster.stack.windows])
-        # Next to the point its own facet would shade it: there the normal decides. A pixel limits detail as well.
-        skip = np.maximum(scale[hits.window[which]], np.minimum(hits.width[which], 4.0)) * self.rays.spacing
-        x = self.scene.exaggeration
+        x, skip = self.scene.exaggeration, self.skip(hits, which)
         return self.rays.single.skyline(hits.points[which], (step[0], step[1]), skip, low / x, high / x) * x
+
+    def skip(self, hits: Hits, which: NDArray[np.int64]) -> Array:
+        """Metres around the hits in ``which`` where their own facet would shade them and the normal decides instead; a
+        pixel limits detail as well."""
+        scale = 2.0 ** np.array([w.level for w in self.caster.stack.windows])
+        return np.asarray(np.maximum(scale[hits.window[which]], np.minimum(hits.width[which], 4.0)) * self.rays.spacing)

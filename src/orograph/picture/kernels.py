@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import kernel
+from orograph._numba import inlined, kernel
 
 SHORE = 0.04
 """The field of water goes from dry to wet within 0.5 ± this: a crisp shore, however large its samples are."""
@@ -81,6 +81,52 @@ def _shoulder(x):
     return x if x < 0.82 else 0.82 + 0.18 * (1.0 - np.exp((0.82 - x) / 0.18))
 
 
+@inlined
+def _albedo(points, i, wet_map, water_map, u, v, land, low, high, sea, floor):
+    """Where in which table a sample's tint lies (below the sea's level?, entry, how far to the next), and its water."""
+    below = sea.shape[0] > 0 and points[i, 2] < 0.0
+    last = (sea.shape[0] if below else land.shape[0]) - 1
+    z = (points[i, 2] - floor) / -floor if below else (points[i, 2] - low) / (high - low)
+    z = min(max(z * last, 0.0), last - 1e-6)
+    k = np.int64(z)
+    wet = 0.0
+    if wet_map:
+        wet = min(max((_bilinear(water_map, u, v) - (0.5 - SHORE)) / (2.0 * SHORE), 0.0), 1.0)
+        wet = wet * wet * (3.0 - 2.0 * wet)
+    return below, k, z - k, wet
+
+
+@kernel
+def paint(points, light, water_map, scale, row0, col0, land, low, high, sea, floor, drape, water, out):
+    """Colours (n, 3) of ground under a light (n, 3) float32; other arguments as for ``compose``."""
+    wet_map, draped = water_map.shape[0] > 0, drape.shape[0] > 0
+    for i in range(len(points)):
+        if points[i, 0] != points[i, 0]:
+            continue
+        u = (points[i, 0] + 0.5) / scale - 0.5 - col0
+        v = (points[i, 1] + 0.5) / scale - 0.5 - row0
+        below, k, f, wet = _albedo(points, i, wet_map, water_map, u, v, land, low, high, sea, floor)
+        table = sea if below else land
+        alpha = drape[i, 3] if draped else 0.0
+        for c in range(3):
+            albedo = table[k, c] * (1.0 - f) + table[k + 1, c] * f
+            if draped:
+                albedo = albedo * (1.0 - alpha) + drape[i, c] * alpha
+            albedo = albedo * (1.0 - wet) + water[c] * wet
+            out[i, c] = _shoulder(albedo * light[i, c])
+
+
+@kernel
+def normals(gradient, to_world, stretch, out):
+    """Unit normals (n, 3), east, north, up, of gradients (n, 2) in metres per sample, ``stretch``-ed."""
+    for i in range(len(gradient)):
+        a, b = gradient[i, 0], gradient[i, 1]
+        gx = (to_world[0, 0] * a + to_world[0, 1] * b) * stretch
+        gy = (to_world[1, 0] * a + to_world[1, 1] * b) * stretch
+        up = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
+        out[i, 0], out[i, 1], out[i, 2] = -gx * up, -gy * up, up
+
+
 @kernel
 def compose(
     points,
@@ -122,17 +168,8 @@ def compose(
         sky = _bilinear(sky_map, u, v)
         if sky != sky:
             sky = 1.0
-        below = sea.shape[0] > 0 and points[i, 2] < 0.0
+        below, k, f, wet = _albedo(points, i, wet_map, water_map, u, v, land, low, high, sea, floor)
         table = sea if below else land
-        last = table.shape[0] - 1
-        z = (points[i, 2] - floor) / -floor if below else (points[i, 2] - low) / (high - low)
-        z = min(max(z * last, 0.0), last - 1e-6)
-        k = np.int64(z)
-        f = z - k
-        wet = 0.0
-        if wet_map:
-            wet = min(max((_bilinear(water_map, u, v) - (0.5 - SHORE)) / (2.0 * SHORE), 0.0), 1.0)
-            wet = wet * wet * (3.0 - 2.0 * wet)
         alpha = drape[i, 3] if draped else 0.0
         lit = cosine[i] * sunlit[i]
         # Light from the sky comes from around the zenith: what leans away sees less of it besides its horizon.

@@ -36,15 +36,16 @@ class MapGrid:
     """Sky-view factor and water, bilinear.
 
     Attributes:
+        window: level, first row, row after the last, first column, column after it.
         sky_view, water: (rows, cols) float32, samples of 2^level = ``scale``, first (row0, col0); water may be empty.
-            Water is where the water field, interpolated, is above 0.5.
+            Water is where the water field, interpolated, is above 0.5. The sky is swept for the light "relief" only.
         strength: by how much slopes are strengthened for shading unless the scene says.
         water_fraction: of the working grid.
     """
 
     def __init__(self, scene: Scene, ground: Ground, survey: Survey, kept: Kept) -> None:
         terrain = scene.terrain
-        window = working_window(terrain, survey.hits.points)
+        self.window = window = working_window(terrain, survey.hits.points)
         self.scale, self.row0, self.col0 = 2.0 ** window[0], window[1], window[3]
         level, r0, r1, c0, c1 = window
         t = terrain.grid.transform
@@ -55,7 +56,7 @@ class MapGrid:
             return sky_view(heights * np.float32(scene.exaggeration), linear, AZIMUTHS, jobs=scene.jobs)
 
         known = window, scene.exaggeration
-        self.sky_view = kept("sky", known, sky, terrain)
+        self.sky_view = kept("sky", known, sky, terrain) if scene.light == "relief" else np.empty((0, 0), np.float32)
         self.strength = (
             kept("strength", known, lambda: strength_of(scene, window), terrain)
             if scene.relief is None

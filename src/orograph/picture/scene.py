@@ -5,18 +5,25 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 from orograph.errors import ReadError, UsageError
 from orograph.light.sun import Sun
 from orograph.store.terrain import Terrain
 from orograph.view import View
 
+if TYPE_CHECKING:
+    from orograph.light.aperture import Lamp
+
 EXACT_SAMPLES = 4100 * 4100
 """Terrains of up to this many samples are drawn at full resolution unless a tolerance is asked for."""
 
 DEFAULT_TOLERANCE = 0.5
 """Pixels: what larger terrains may be displaced by on the screen."""
+
+
+Light = Literal["relief", "ao", "aperture", "raytraced", "none"]
+"""Ways of lighting a picture."""
 
 
 def check_exaggeration(factor: float) -> None:
@@ -32,6 +39,11 @@ class Scene:
     Attributes:
         terrain, view: what is looked at, and from where.
         sun: the light; ``shadows``: whether ground casts shadows.
+        light: how it falls (``LIGHTS``): "relief": shadows by the skyline, the sky by a sky-view factor swept for the
+            picture; "ao": the same with ambient occlusion, baked or swept; "aperture": sun and sky through ambient
+            apertures, baked or swept; "raytraced": rays to the sun's disc and to the sky; "none": the bare colours.
+        rays: of "raytraced", to each disc and to the sky. ``lamps``: points of light, ``discs``: more suns with their
+            colours ((1, 1, 1) being about that of the sun at 45°); both with "aperture" and "raytraced".
         exaggeration: heights are stretched by this on the screen (never in what is measured).
         colormap: a ``cmap`` name or one of ``geovis.colour``'s own; None: the hypsometric tint.
         drape: an image file laid over the ground, in any CRS.
@@ -58,6 +70,10 @@ class Scene:
     view: View
     sun: Sun = field(default_factory=Sun)
     shadows: bool = True
+    light: Light = "relief"
+    rays: int = 64
+    lamps: tuple[Lamp, ...] = ()
+    discs: tuple[tuple[Sun, tuple[float, float, float]], ...] = ()
     exaggeration: float = 1.0
     colormap: str | None = None
     drape: str | os.PathLike[str] | None = None
@@ -85,6 +101,15 @@ class Scene:
             raise UsageError(f"A pixel needs at least one sample, not {self.samples}.")
         if self.tolerance is not None and not self.tolerance >= 0:
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {self.tolerance:g}.")
+        if self.light not in get_args(Light):
+            raise UsageError(f"There is no light {self.light!r}; there are {', '.join(get_args(Light))}.")
+        if self.rays < 1:
+            raise UsageError(f"At least one ray is needed, not {self.rays}.")
+        if (self.lamps or self.discs) and self.light not in ("aperture", "raytraced"):
+            raise UsageError(
+                "Lamps and further discs of light shine through apertures or by rays.",
+                remedy="Choose --light aperture or --light raytraced.",
+            )
         if self.depths is not None and not 0 <= self.depths[0] <= self.depths[1] < math.inf:
             raise UsageError(f"depths are those of the nearest and the farthest ground in metres, not {self.depths}.")
         if self.mesh_view is not None and self.engine is None:

@@ -20,10 +20,12 @@ from orograph.light.shade import disc_fraction, sky_colour, sun_colour
 from orograph.light.sun import Sun
 from orograph.picture.ground import Ground, Hits
 from orograph.picture.kept import Kept
-from orograph.picture.kernels import compose
+from orograph.picture.kernels import compose, paint
+from orograph.picture.lighting import Lighting, Shine, lighting_of
 from orograph.picture.mapgrid import MapGrid
 from orograph.picture.scene import Scene
 from orograph.picture.survey import Survey
+from orograph.progress import SILENT, Progress
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
@@ -78,7 +80,7 @@ class Shader:
             water), and "missing".
     """
 
-    def __init__(self, scene: Scene, ground: Ground, survey: Survey, kept: Kept) -> None:
+    def __init__(self, scene: Scene, ground: Ground, survey: Survey, kept: Kept, progress: Progress = SILENT) -> None:
         self.scene, self.ground = scene, ground
         self.facts: dict[str, Any] = {}
         self.shown = {"ground": 0, "water": 0, "draped": 0, "missing": 0}
@@ -100,7 +102,13 @@ class Shader:
             self.drape = kept(
                 "drape", (path, scene.max_memory), lambda: Drape.open(path, terrain.grid, scene.max_memory), terrain
             )
-        self.strength = scene.relief if scene.relief is not None else self.maps.strength
+        self.strength = self.maps.strength
+        self.lighting: Lighting | None = None
+        if scene.light != "relief":
+            bounce = np.float32(BOUNCE) * (self.sunlight + self.skylight)
+            shine = Shine(self.to_sun, self.sunlight, self.skylight, bounce)
+            self.lighting = lighting_of(scene, ground, shine, self.maps.window, self.strength, kept, progress)
+            self.facts["light"] = self.lighting.told
         self.lower_limb = math.tan(math.radians(max(scene.sun.altitude - scene.sun.diameter / 2, -89.0))) * (1 + 1e-9)
         self.facts["relief"] = self.strength
         self.facts["tint_from_to_m"] = [self.tint.low, self.tint.high]
@@ -116,7 +124,7 @@ class Shader:
         if len(missed):
             out[missed] = self.background(hits.rays[missed])
         if len(missed) < len(hits.t):
-            self._lit(hits, out, counted)
+            self._lit(hits, px, py, out, counted)
         veiled = np.flatnonzero(~np.isnan(hits.veil))
         if len(veiled):
             if counted is not None:
@@ -126,8 +134,29 @@ class Shader:
                 out[veiled] = self.air.haze(out[veiled], hits.rays[veiled], hits.veil[veiled])
         return out
 
-    def _lit(self, hits: Hits, out: Colours, counted: NDArray[np.bool_] | None) -> None:
+    def _lit(self, hits: Hits, px: Array, py: Array, out: Colours, counted: NDArray[np.bool_] | None) -> None:
         """Colour the samples that met ground; count those that are ``counted``."""
+        drape = NOTHING if self.drape is None else self.drape_colours(hits)
+        if self.lighting is None:
+            self._relief(hits, drape, out)
+        else:
+            maps, tint = self.maps, self.tint
+            light = self.lighting.on(hits, px, py, self.scene.samples if counted is None else 1)
+            paint(
+                hits.points, light, maps.water, maps.scale, maps.row0, maps.col0, tint.land, tint.low, tint.high,
+                tint.sea, tint.floor, drape, WATER, out,
+            )  # fmt: skip
+        met = np.flatnonzero(~np.isnan(hits.t))
+        if counted is not None:
+            bare = np.flatnonzero(counted & ~np.isnan(hits.t) & np.isnan(hits.veil))
+            wet = self._wet(hits.points[bare])
+            covered = 0 if self.drape is None else int(((drape[bare, 3] > 0.5) & ~wet).sum())
+            self._count(ground=len(bare), water=int(wet.sum()), draped=covered)
+        if self.air is not None:
+            out[met] = self.air.haze(out[met], hits.rays[met], hits.t[met])
+
+    def _relief(self, hits: Hits, drape: Colours, out: Colours) -> None:
+        """Light by the skyline and the sky-view factor of the working grid."""
         cosine, tilt = self.ground.incidence(hits, self.to_sun, self.strength)
         sunlit = np.ones(len(cosine))
         if self.scene.shadows:
@@ -137,21 +166,12 @@ class Shader:
             sunlit[lit[shaded]] = disc_fraction(
                 np.degrees(np.arctan(slopes[shaded])), self.scene.sun.altitude, self.scene.sun.diameter
             )
-        drape = NOTHING if self.drape is None else self.drape_colours(hits)
         maps = self.maps
         compose(
             hits.points, cosine, tilt, sunlit, maps.sky_view, maps.water, maps.scale, maps.row0, maps.col0,
             self.tint.land, self.tint.low, self.tint.high, self.tint.sea, self.tint.floor, drape, WATER, self.sunlight,
             self.skylight, BOUNCE, out,
         )  # fmt: skip
-        met = np.flatnonzero(~np.isnan(hits.t))
-        if counted is not None:
-            bare = np.flatnonzero(counted & ~np.isnan(hits.t) & np.isnan(hits.veil))
-            wet = self._wet(hits.points[bare])
-            covered = 0 if self.drape is None else int(((drape[bare, 3] > 0.5) & ~wet).sum())
-            self._count(ground=len(bare), water=int(wet.sum()), draped=covered)
-        if self.air is not None:
-            out[met] = self.air.haze(out[met], hits.rays[met], hits.t[met])
 
     def _wet(self, points: Array) -> NDArray[np.bool_]:
         """Which points (n, 3) lie on samples of water."""

@@ -1,0 +1,180 @@
+"""Fields of light under a picture: baked layers in nested windows, each about as fine as the pixels that look at it.
+
+A field has one or four values per sample: a share of the sky, or a cap (direction east, north, up, and the cosine of
+its radius, side by side in memory, since they are always wanted together). At a hit the finest window that is not finer
+than the pixel's footprint is looked up, bilinearly. Samples stand for blocks of 2^k × 2^k samples of the terrain, k the
+window's level, and lie in their middles; coordinates are (column, row) of the terrain's samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import inlined, kernel
+from orograph.light.aperture_kernels import illuminate
+from orograph.light.relief import Tables, finest
+from orograph.parallel import map_ordered
+from orograph.raycast.select import Rectangle
+from orograph.store.layers import Layer, LayerBand
+from orograph.store.terrain import Terrain
+
+Array = NDArray[np.float64]
+Values = NDArray[np.float32]
+
+_STRIP = 256
+"""Rows that a thread decodes at a time."""
+
+
+@kernel
+def _decode_caps(codes, vectors, cosines, first, last, out):
+    """Rows [first, last) of codes (4, rows, cols) by tables of components and of the radius' cosine, interleaved."""
+    cols = codes.shape[2]
+    for i in range(first, last):
+        for j in range(cols):
+            out[i, j, 0] = vectors[codes[0, i, j]]
+            out[i, j, 1] = vectors[codes[1, i, j]]
+            out[i, j, 2] = vectors[codes[2, i, j]]
+            out[i, j, 3] = cosines[codes[3, i, j]]
+
+
+@kernel
+def _decode(codes, table, first, last, out):
+    """Rows [first, last) of codes (rows, cols) by a table."""
+    for i in range(first, last):
+        for j in range(codes.shape[1]):
+            out[i, j, 0] = table[codes[i, j]]
+
+
+def _table(band: LayerBand, cosine: bool = False) -> Values:
+    values = band.decode(np.arange(2**band.bits, dtype=band.dtype))
+    return np.cos(np.radians(values)) if cosine else values
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """Values over nested windows.
+
+    Attributes:
+        pool: (samples, 1 or 4) float32, all windows one after the other, row by row; NaN where missing.
+        ints, floats: see ``relief.Tables``.
+    """
+
+    pool: Values
+    ints: NDArray[np.int64]
+    floats: Array
+
+    @classmethod
+    def load(cls, layer: Layer, terrain: Terrain, rectangles: list[Rectangle], jobs: int | None = None) -> Field:
+        """Read a layer of one band, or one of caps, over ``rectangles`` (outermost first; see ``raycast.select``)."""
+        tables = Tables.over(terrain, rectangles)
+        caps = len(layer.bands) == 4
+        pool = np.empty((sum(r.samples for r in tables.windows), len(layer.bands)), np.float32)
+        first, radius = _table(layer.bands[0]), _table(layer.bands[-1], cosine=caps)
+        work = [
+            (r, int(base), row, min(row + _STRIP, r.row1 - r.row0))
+            for r, base in zip(tables.windows, tables.ints[:, 0])
+            for row in range(0, r.row1 - r.row0, _STRIP)
+        ]
+
+        def read(item: tuple[Rectangle, int, int, int]) -> None:
+            r, base, row, end = item
+            cols = r.col1 - r.col0
+            out = pool[base + row * cols : base + end * cols].reshape(end - row, cols, -1)
+            codes = layer.codes(r.level, r.row0 + row, r.row0 + end, r.col0, r.col1)
+            if caps:
+                _decode_caps(codes, first, radius, 0, end - row, out)
+            else:
+                _decode(codes[0], first, 0, end - row, out)
+
+        for _ in map_ordered(read, work, jobs):
+            pass
+        return cls(pool, tables.ints, tables.floats)
+
+    @classmethod
+    def of(cls, values: Values, level: int, row0: int, col0: int) -> Field:
+        """One window: values (rows, cols) or (rows, cols, 4), samples of ``level``, the first (row0, col0)."""
+        rows, cols = values.shape[:2]
+        floats = np.array([[2.0**level, -np.inf, np.inf, -np.inf, np.inf, col0, row0, 0.0, 0.0]])
+        pool = np.ascontiguousarray(values.reshape(rows * cols, -1), np.float32)
+        return cls(pool, np.array([[0, rows, cols, 0]], np.int64), floats)
+
+    def values(self, points: Array, footprint: Array) -> Values:
+        """Values (n, 1 or 4) at points (n, 2 or 3), seen with a footprint (n,) in samples; NaN where missing."""
+        out = np.empty((len(points), self.pool.shape[1]), np.float32)
+        _look_up(self.pool, self.ints, self.floats, points, footprint, out)
+        return out
+
+
+@inlined
+def _place(ints, floats, x, y, footprint):
+    """Where in the pool a point lies: the four samples around it, and how far between them."""
+    w = finest(ints, floats, x, y, np.floor(np.log2(max(footprint, 1.0))))
+    s = floats[w, 0]
+    rows, cols = ints[w, 1], ints[w, 2]
+    u, v = (x + 0.5) / s - 0.5 - floats[w, 5], (y + 0.5) / s - 0.5 - floats[w, 6]
+    j = min(max(np.int64(u), 0), max(cols - 2, 0))
+    i = min(max(np.int64(v), 0), max(rows - 2, 0))
+    f, g = min(max(u - j, 0.0), 1.0), min(max(v - i, 0.0), 1.0)
+    base = ints[w, 0]
+    a = base + i * cols + j
+    right, down = (1 if cols > 1 else 0), (cols if rows > 1 else 0)
+    return a, a + right, a + down, a + down + right, f, g
+
+
+@kernel
+def _look_up(pool, ints, floats, points, footprint, out):
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        if x != x:
+            out[k] = np.nan
+            continue
+        a, b, c, d, f, g = _place(ints, floats, x, y, footprint[k])
+        for m in range(pool.shape[1]):
+            top = pool[a, m] * (1.0 - f) + pool[b, m] * f
+            low = pool[c, m] * (1.0 - f) + pool[d, m] * f
+            out[k, m] = top * (1.0 - g) + low * g
+
+
+@kernel
+def light_caps(
+    pool, ints, floats, points, width, gradient, to_world, stretch, height, suns, lamps, ambient, bounce, linear, out
+):
+    """Light through the caps of a field on hits (n,) of a picture.
+
+    Args:
+        pool, ints, floats: the field.
+        points: (n, 3) sample coordinates, true heights; NaN rows are passed over. width: (n,) footprint in samples.
+        gradient: (n, 2) metres per sample. to_world: (2, 2) turns it into metres per metre; ``stretch`` multiplies it.
+        height: what true heights are stretched by, for lamps.
+        suns, lamps, ambient: see ``aperture_kernels``. linear: (2, 2) metres east and north per column and row.
+        bounce: (3,) what ground gives in place of hidden sky.
+        out: (n, 3) float32, irradiance.
+    """
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        if x != x:
+            continue
+        a, b, c, d, f, g = _place(ints, floats, x, y, width[k])
+        wa, wb, wc, wd = (1.0 - f) * (1.0 - g), f * (1.0 - g), (1.0 - f) * g, f * g
+        ce = wa * pool[a, 0] + wb * pool[b, 0] + wc * pool[c, 0] + wd * pool[d, 0]
+        cn = wa * pool[a, 1] + wb * pool[b, 1] + wc * pool[c, 1] + wd * pool[d, 1]
+        cu = wa * pool[a, 2] + wb * pool[b, 2] + wc * pool[c, 2] + wd * pool[d, 2]
+        rim = wa * pool[a, 3] + wb * pool[b, 3] + wc * pool[c, 3] + wd * pool[d, 3]
+        length = np.sqrt(ce * ce + cn * cn + cu * cu)
+        if not length > 0.0 or rim != rim:
+            ce, cn, cu, rim = 0.0, 0.0, 1.0, 0.0
+        else:
+            ce, cn, cu = ce / length, cn / length, cu / length
+        p = (to_world[0, 0] * gradient[k, 0] + to_world[0, 1] * gradient[k, 1]) * stretch
+        q = (to_world[1, 0] * gradient[k, 0] + to_world[1, 1] * gradient[k, 1]) * stretch
+        up = 1.0 / np.sqrt(1.0 + p * p + q * q)
+        px, py = linear[0, 0] * x + linear[0, 1] * y, linear[1, 0] * x + linear[1, 1] * y
+        illuminate(
+            ce, cn, cu, rim, -p * up, -q * up, up, px, py, points[k, 2] * height, suns, lamps, ambient, False, out, k
+        )  # fmt: skip
+        hidden = rim * rim  # 1 − sin² of the radius
+        for m in range(3):
+            out[k, m] += hidden * bounce[m]
