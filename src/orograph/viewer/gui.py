@@ -132,6 +132,7 @@ class Gui:
     def begin(self, size: tuple[float, float], ratio: float, seconds: float) -> None:
         """Begin a frame of ``size`` logical pixels."""
         io = self._io()
+        implot.set_current_context(self.plots)
         io.display_size = size
         io.display_framebuffer_scale = (ratio, ratio)
         io.delta_time = max(seconds, 1e-4)

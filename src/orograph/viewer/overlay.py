@@ -67,7 +67,7 @@ def _north(window: Window, draw: Any, x: float, y: float) -> None:
         left, right = ((cx - s * side[0] * 6, cy - s * side[1] * 6) for s in (1, -1))
         draw.add_triangle_filled(tip, left, right, colour(0.86, 0.27, 0.22))
         draw.add_triangle_filled(tail, left, right, colour(0.85, 0.87, 0.9))
-    text = f"{heading_pitch(session.view, session.settings.exaggeration)[0] % 360:.0f}°"
+    text = f"{heading_pitch(session.view, session.settings.exaggeration)[0]:.0f}°".replace("360", "0")
     wide = imgui.calc_text_size(text).x
     draw.add_text((cx - wide / 2, y + size - 2), colour(0.95, 0.95, 0.95), text)
 

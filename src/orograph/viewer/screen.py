@@ -92,10 +92,14 @@ class Screen:
 
 
 class Draft:
-    """How large the picture is while the camera moves: as large as the device keeps up with."""
+    """How large the picture is while the camera moves: as large as the device keeps up with.
 
-    def __init__(self) -> None:
-        self.step = 0
+    Args:
+        slow: whether the device is known to be (software): then begin small.
+    """
+
+    def __init__(self, slow: bool = False) -> None:
+        self.step = DRAFTS.index(0.5) if slow else 0
         self._mean = 0.0
         self._frames = 0
 
@@ -106,6 +110,9 @@ class Draft:
 
     def tell(self, seconds: float) -> None:
         """Two frames in motion came so long after each other."""
+        if seconds > 3 * TOO_SLOW:  # no hand waits for a mean of such frames
+            self.step, self._frames = min(self.step + 2, len(DRAFTS) - 1), 0
+            return
         self._mean = seconds if self._frames == 0 else 0.7 * self._mean + 0.3 * seconds
         self._frames += 1
         if self._frames < 4:

@@ -103,7 +103,7 @@ class Window:
         self.gui = Gui(self.device, self.format, layout, clipboard)
         self.plan = Plan(self)
         self.tools = Tools(self)
-        self.draft = Draft()
+        self.draft = Draft(self.device.adapter.software)
         self.area: Area = (0.0, 0.0, *canvas.get_logical_size())
         self.stats: Any = None
         self.interval = 0.0

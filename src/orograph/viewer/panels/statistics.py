@@ -31,7 +31,9 @@ def rows(window: Window) -> list[tuple[str, str]]:
     if uploaded is not None:
         found.append(("uploaded", f"{uploaded / 1e6:.1f} MB"))
     width, height = window.session.view.width, window.session.view.height
-    found.append(("picture", f"{width} × {height}" + (f" at {window.draft.scale:g}" if window.draft.step else "")))
+    found.append(
+        ("picture", f"{width} × {height}" + (f", {window.draft.scale:g} in motion" if window.draft.step else ""))
+    )
     found.append(("device", window.device.adapter.name))
     return found
 

@@ -1,0 +1,157 @@
+"""The window in a notebook's cell: ``terrain.view()``.
+
+The same panels, mouse and keys on ``rendercanvas``'s widget, which runs in Jupyter, VS Code, Colab and marimo. The cell
+also holds a still picture of the first view, which is what shows where there is no front end to run the widget (a
+notebook on a web page, a printed one), and all there is where the extra ``notebook`` or a GPU is missing; then the
+still is drawn by the CPU.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from typing import Any
+
+from orograph.errors import OrographError
+from orograph.light.sun import Given, Moment, Placed, SunSource, sun_of
+from orograph.picture.result import Picture
+from orograph.picture.scene import Scene
+from orograph.progress import SILENT
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+SIZE = (900, 560)
+
+
+@dataclass(slots=True, repr=False)
+class Still:
+    """A picture instead of a widget.
+
+    Attributes:
+        picture: it. why: what keeps the widget from running, a sentence, or "".
+    """
+
+    picture: Picture
+    why: str = ""
+
+    def __repr__(self) -> str:
+        return f"<Still {self.picture.view.width} × {self.picture.view.height}{': ' + self.why if self.why else ''}>"
+
+    def _repr_png_(self) -> bytes:
+        return png(self.picture)
+
+
+class Widget:
+    """A terrain in a cell.
+
+    Attributes:
+        window: the window in it (``viewer.window.Window``): its ``session`` has camera and settings.
+        canvas: the widget itself, to be put beside others.
+    """
+
+    def __init__(self, window: Any, canvas: Any, still: bytes) -> None:
+        self.window, self.canvas, self._still = window, canvas, still
+
+    @property
+    def camera(self) -> View:
+        """The camera as it is now; set it to fly there."""
+        found: View = self.window.session.view
+        return found
+
+    @camera.setter
+    def camera(self, view: View) -> None:
+        self.window.session.nav.go(view)
+        self.window.refresh()
+
+    def close(self) -> None:
+        """Stop drawing and let go of the GPU's memory."""
+        self.canvas.close()
+
+    def _repr_mimebundle_(self, **options: Any) -> Any:
+        import base64
+
+        data = self.canvas._repr_mimebundle_(**options)
+        rest: tuple[Any, ...] = ()
+        if isinstance(data, tuple):
+            data, *more = data
+            rest = tuple(more)
+        data = {**(data or {}), "image/png": base64.b64encode(self._still).decode()}
+        return (data, *rest) if rest else data
+
+
+def view(
+    terrain: Terrain,
+    camera: View | None = None,
+    *,
+    size: tuple[int, int] = SIZE,
+    sun: Given = (315.0, 45.0),
+    exaggeration: float = 1.0,
+    colormap: str | None = None,
+    drape: str | None = None,
+    tolerance: float | None = None,
+    panels: bool = False,
+    gpu_memory: int = 256 << 20,
+) -> Widget | Still:
+    """A terrain to be explored in a cell; a still picture where that cannot be.
+
+    Args:
+        terrain: what.
+        camera: where from; None: all of it, from the south.
+        size: of the cell's picture, pixels.
+        sun, exaggeration, colormap, drape, tolerance: as for ``orograph.render``.
+        panels: whether panels are shown at first (Tab shows and hides them).
+        gpu_memory: bytes of GPU memory for tiles.
+
+    Raises:
+        UsageError: an option makes no sense. NothingInViewError: the terrain has no valid sample.
+    """
+    from orograph.viewer.session import Session
+
+    light = sun if isinstance(sun, Placed | Moment) else sun_of(sun, terrain.grid)
+    source: SunSource = light if isinstance(light, Placed | Moment) else Placed(light.azimuth, light.altitude)
+    session = Session(
+        terrain, camera, size=size, sun=source, exaggeration=exaggeration, colormap=colormap, drape=drape,
+        tolerance=tolerance,
+    )  # fmt: skip
+    session.settings.panels = panels
+    scene = session.scene()
+    try:
+        from rendercanvas.anywidget import RenderCanvas
+
+        from orograph.viewer.app import renderer_of
+        from orograph.viewer.window import Window
+    except ImportError as error:
+        session.close()
+        return Still(_cpu(scene), f"the widget needs {error.name}: pip install 'orograph[notebook]'")
+    try:
+        from orograph.gpu.device import open_device
+        from orograph.gpu.picture import draw
+        from orograph.gpu.renderer import Renderer
+
+        device = open_device()
+        made = renderer_of(gpu_memory)(device, terrain)
+        assert isinstance(made, Renderer)
+        still = draw(scene, SILENT, device=device, renderer=made)
+        canvas = RenderCanvas(size=size, title="", update_mode="ondemand", max_fps=30)
+        window = Window(
+            session, canvas, lambda d, t: made if d is device else renderer_of(gpu_memory)(d, t), device=device
+        )
+    except OrographError as error:
+        session.close()
+        return Still(_cpu(scene), str(error))
+    return Widget(window, canvas, png(still))
+
+
+def _cpu(scene: Scene) -> Picture:
+    from orograph.picture.cpu import draw
+
+    return draw(scene)
+
+
+def png(picture: Picture) -> bytes:
+    """A picture as the bytes of a PNG."""
+    from PIL import Image
+
+    out = io.BytesIO()
+    Image.fromarray(picture.pixels).save(out, format="PNG")
+    return out.getvalue()
