@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from orograph.errors import NothingInViewError, UsageError
 from orograph.gpu.device import Device
@@ -78,6 +79,12 @@ def displacement(terrain: Terrain, view: View, depth: NDArray[np.float32]) -> ND
     return off[np.isfinite(off)]
 
 
+def beside_edges(seen: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+    """Pixels up to so far from where ground and no ground meet."""
+    around = np.ones((2 * pixels + 1, 2 * pixels + 1), bool)
+    return np.asarray(binary_dilation(seen, around) & binary_dilation(~seen, around))
+
+
 @pytest.mark.parametrize("name", sorted(SETS))
 @pytest.mark.parametrize("kind", ["whole", "near", "plan"])
 def test_it_is_the_cpus_picture(device: Device, shared_data: Path, name: str, kind: str) -> None:
@@ -94,7 +101,10 @@ def test_it_is_the_cpus_picture(device: Device, shared_data: Path, name: str, ki
 
     assert displacement(terrain, scene.view, ours.depth).max() <= 1.0 + 0.02
     seen, theirs = np.isfinite(ours.depth), np.isfinite(caster.depth)
-    assert (seen != theirs).mean() < 0.005
+    if ours.veiled is not None and caster.veiled is not None:  # ground may show beyond what is missing
+        seen, theirs = seen | ours.veiled, theirs | caster.veiled
+    # Two pixels from where ground ends there is ground in both, or in neither.
+    assert not (seen != theirs)[2:-2, 2:-2][~beside_edges(theirs, 2)[2:-2, 2:-2]].any()
     difference = np.linalg.norm(lab(ours.pixels) - lab(caster.pixels), axis=-1)
     assert difference.mean() < 1.0
     assert np.percentile(difference, 95) < 3.0
@@ -114,7 +124,15 @@ def test_missing_ground_is_hatched_and_has_no_depth(device: Device, shared_data:
     scene = Scene(terrain, plan(terrain, SIZE), samples=1)
     ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
     assert ours.veiled is not None and caster.veiled is not None
-    assert (ours.veiled != caster.veiled).mean() < 0.004
+    # A hole's edge is off by a triangle at most, and those there are no larger than a pixel.
+    assert (ours.veiled != caster.veiled).mean() < 0.01
+    rows, cols = terrain.grid.shape
+    row, col = np.nonzero(np.isnan(terrain.read(0, 0, rows, 0, cols)))
+    x, y = scene.view.project(np.stack([*terrain.grid.xy(col, row), 0.0 * col], -1))[0].T
+    truth = np.zeros(ours.veiled.shape, bool)
+    inside = (x >= 0) & (x < SIZE[0]) & (y >= 0) & (y < SIZE[1])
+    truth[y[inside].astype(int), x[inside].astype(int)] = True
+    assert not ours.veiled[~binary_dilation(truth, np.ones((5, 5), bool))].any()
     assert not np.isfinite(ours.depth[ours.veiled]).any()
 
 

@@ -9,6 +9,7 @@ frames are drawn with samples elsewhere in the pixels and averaged: a picture at
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from dataclasses import dataclass, replace
@@ -281,7 +282,10 @@ class Renderer:
         """The patches to draw, the tiles that are missing, and the seconds that took."""
         begun = time.perf_counter()
         tolerance = scene.tolerance or 1.0
-        patches = self.engine.select(view, tolerance, resident=self.heights.resident, exaggeration=scene.exaggeration)
+        judged, frustum = _judged(view, scene.exaggeration)
+        patches = self.engine.select(
+            judged, tolerance, resident=self.heights.resident, exaggeration=scene.exaggeration, frustum=frustum
+        )
         took = time.perf_counter() - begun
         wanted: list[tuple[float, Kind, Key]] = []
         keys = list(zip(*(patches.wanted[n].tolist() for n in ("level", "row", "col", "pixels")), strict=True))
@@ -487,6 +491,22 @@ class Renderer:
     def _raise_failed(self, wanted: list[Any]) -> None:
         for (kind, key), (_, why) in self.streamer.failed.items():
             raise OrographError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
+
+
+def _judged(view: View, exaggeration: float) -> tuple[View, Array | None]:
+    """The camera that errors are judged by, and the planes to cull with if they are not its own.
+
+    From straight above no error of a height moves anything on the screen, but it has a colour: a plan is held to its
+    tolerance as if it was seen at 45°, from afar.
+    """
+    if view.projection != "plan":
+        return view, None
+    away = 1e4 * view.pixel_metres * max(view.width, view.height)
+    target = np.asarray(view.target)
+    eye = target + away * np.array([0.0, -math.sqrt(0.5), math.sqrt(0.5) / exaggeration])
+    fov = 2 * math.degrees(math.atan(view.pixel_metres * view.frame[3] / 2 / away))
+    slanted = replace(view, eye=tuple(eye), up=(0.0, 0.0, 1.0), fov_y=fov, projection="perspective", near=0.0)
+    return slanted, view.frustum(exaggeration)
 
 
 class _Aside:

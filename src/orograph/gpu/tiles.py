@@ -2,8 +2,8 @@
 
 Two kinds of tile, both of 256 × 256 cells of a level, wait in the same way:
 
-- ``heights``: the 257 × 257 nested samples that a tile's patches take their vertices from, float32 metres, ``MISSING``
-  where there is none. Neighbours share their border samples, so no vertex depends on the tile it is read from.
+- ``heights``: the 257 × 257 nested samples that a tile's patches take their vertices from, float32 metres, with
+  ``MISSING`` added where there is none. Neighbours share their border samples: no vertex depends on its tile.
 - ``slopes``: gradients of the box means, 258 × 258 (a border of one all around, so that blending never leaves the
   tile), two float16: metres of height per sample of the raster along columns and rows. Means of gradients are gradients
   of means: the exact prefilter of slopes for pixels larger than samples (``light.relief``).
@@ -36,8 +36,9 @@ Kind = Literal["heights", "slopes"]
 Key = tuple[int, int, int]
 """(level, tile row, tile column)."""
 
-MISSING = np.float32(-1e30)
-"""Stands for missing heights in textures: shaders may not rely on NaN."""
+MISSING = np.float32(1e6)
+"""Added to what fills missing heights in textures: shaders may not rely on NaN. What fills them is near the ground
+beside them, so that the triangles there, which are not drawn, are no larger than others."""
 
 PER_SIDE = 4
 """Tiles along the side of an atlas's layer."""
@@ -84,17 +85,55 @@ def _slopes(means, rows0, rows1, short_u, short_v, out):
 
 
 def height_tile(terrain: Terrain, key: Key) -> NDArray[np.float32]:
-    """The samples (257, 257) of a tile; beyond the raster the last row and column are repeated."""
+    """The samples (257, 257) of a tile; beyond the raster the last row and column are repeated.
+
+    At coarse levels a missing sample takes the mean of the valid ones around it, if there are any within its own cell:
+    a hole smaller than a triangle is not to take all triangles around it away, and a larger one's edge stays where it
+    is to half a triangle. Patches are that coarse only where their triangles are smaller than a pixel.
+    """
     level, ty, tx = key
     rows, cols = terrain.shape(level)
     r0, c0 = ty * TILE, tx * TILE
     read = terrain.read(level, r0, min(r0 + TILE + 1, rows), c0, min(c0 + TILE + 1, cols))
-    out = np.full((TILE + 1, TILE + 1), MISSING, np.float32)
-    block = np.where(np.isnan(read), MISSING, read)
+    if level and np.isnan(read).any():
+        read = np.where(np.isnan(read), _means(terrain, level, r0, c0, read.shape), read)
+    block = _filled(read)
+    out = np.empty((TILE + 1, TILE + 1), np.float32)
     out[: read.shape[0], : read.shape[1]] = block
     out[: read.shape[0], read.shape[1] :] = block[:, -1:]
     out[read.shape[0] :] = out[read.shape[0] - 1]
     return out
+
+
+def _means(terrain: Terrain, level: int, r0: int, c0: int, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Means of the blocks that nested samples of a level are the corners of, NaN where there is none."""
+    rows, cols = terrain.mean_shape(level)
+    out = np.full(shape, np.nan, np.float32)
+    r1, c1 = min(r0 + shape[0], rows), min(c0 + shape[1], cols)
+    if r1 > r0 and c1 > c0:
+        out[: r1 - r0, : c1 - c0] = terrain.read_mean(level, r0, r1, c0, c1)
+    return out
+
+
+def _filled(heights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Heights with the mean of their neighbours, or else of all, plus ``MISSING`` where they are missing."""
+    there = np.isfinite(heights)
+    if there.all():
+        return heights
+    if not there.any():
+        return np.full(heights.shape, MISSING, np.float32)
+    known = np.where(there, heights, np.float32(0))
+    total, count = np.zeros(heights.shape, np.float32), np.zeros(heights.shape, np.float32)
+    rows, cols = heights.shape
+    padded, weights = np.pad(known, 1), np.pad(there.astype(np.float32), 1)
+    for i in range(3):
+        for j in range(3):
+            total += padded[i : i + rows, j : j + cols]
+            count += weights[i : i + rows, j : j + cols]
+    mean = np.float32(heights[there].mean())
+    around = np.where(count > 0, total / np.maximum(count, 1), mean)
+    filled: NDArray[np.float32] = np.where(there, heights, around + MISSING).astype(np.float32)
+    return filled
 
 
 def slope_tile(terrain: Terrain, key: Key) -> NDArray[np.float16]:

@@ -1,7 +1,8 @@
 """Patches over missing ground, drawn with hatching: meshes of the membranes of ``geovis.missing``.
 
 Of nested windows only the finest over a place is drawn. Vertices are whole samples of the raster, as those of the
-terrain's patches are, so that a patch meets the rim of its hole.
+terrain's patches are. A coarse mesh leaves a hole out with the triangles around it: the membrane goes on some samples
+under the ground (``MARGIN``), a thousandth of its distance farther away, so that no gap shows.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from orograph.geovis.missing import patches
 from orograph.gpu.device import Device
@@ -21,6 +23,9 @@ from orograph.view import View
 
 VERTEX = np.dtype([("row", "<i4"), ("col", "<i4"), ("height", "<f4"), ("pad", "<u4")])
 """A vertex: a sample of the raster and a height, metres."""
+
+MARGIN = 6
+"""Samples by which a membrane reaches under the ground around its hole."""
 
 EXACT = 4_000_000
 """Samples up to which holes are looked for at full resolution."""
@@ -38,9 +43,11 @@ def veils(
         chosen = [Rectangle(0, 0, rows, 0, cols)]
     else:
         chosen = rectangles(terrain, view, exaggeration, tolerance)
-    found = patches(tuple(load(terrain, chosen)), terrain.grid.shape)
+    windows = load(terrain, chosen)
+    found = patches(tuple(windows), terrain.grid.shape)
     if not found:
         return none
+    found = [_reaching(patch, window) for patch, window in zip(found, windows, strict=True)]
     vertices: list[NDArray[Any]] = []
     triangles: list[NDArray[np.uint32]] = []
     count = 0
@@ -50,6 +57,15 @@ def veils(
         triangles.append(indices + np.uint32(count))
         count += len(points)
     return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def _reaching(patch: Window, window: Window) -> Window:
+    """A patch with the samples of the ground around it."""
+    there = np.isfinite(patch.heights)
+    if not there.any():
+        return patch
+    around = binary_dilation(there, iterations=MARGIN) & ~there
+    return Window(patch.level, patch.col0, patch.row0, np.where(around, window.heights, patch.heights))
 
 
 def _mesh(window: Window, finer: Window | None, terrain: Terrain) -> tuple[NDArray[Any], NDArray[np.uint32]]:
