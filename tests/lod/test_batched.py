@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
+import time
 
 import numpy as np
 import plain
@@ -12,12 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orograph import verify
-from orograph.errors import UsageError
+from orograph.errors import StoreError, UsageError
 from orograph.hierarchy import diamonds, triangles
 from orograph.lod.batched import INSTANCE, Batched, patch_indices, patch_vertices
 from orograph.lod.patches.expand import expand
 from orograph.lod.patches.shape import MAY_MISS, STEPS
-from orograph.lod.patches.tables import KAPPA, SATURATION, patch_errors
+from orograph.store.memory import MemoryTerrain
+from orograph.store.patches import KAPPA, SATURATION, patch_errors
 from orograph.tessellation import Tessellation
 from orograph.view import View
 
@@ -458,3 +461,96 @@ def test_what_is_refused():
         engine.select(view, resident=[np.zeros((1, 2), np.uint8)])
     with pytest.raises(UsageError, match="at most 6 planes"):
         engine.select(view, frustum=np.zeros((7, 4)))
+
+
+@pytest.mark.parametrize("gaps", [0.0, 0.1])
+def test_stores_have_the_same_tables(tmp_path, gaps):
+    from orograph.store.build import build
+
+    heights = plain.rough(np.random.default_rng(14), (700, 450), gaps=gaps)
+    t = plain.terrain(heights)
+    store = build(t_source(t), tmp_path / "t.oro", shard=512, chunk=256, jobs=2)
+    assert store.has_patch_errors("exact", 16) and not store.has_patch_errors("exact", 8)
+    assert not t.has_patch_errors("exact", 16) and not store.check()
+    made = patch_errors(store, "exact", 16)
+    for level, wanted in enumerate(made):
+        if wanted.size:
+            found = store.patch_errors("exact", level, 0, wanted.shape[0], 0, wanted.shape[1])
+            assert np.array_equal(found, wanted)
+    # Errors of stores are rounded up: what they decide is conservative as well.
+    view = plain.random_view(np.random.default_rng(15), t)
+    engine = Batched(store)
+    report = verify.judge(engine.refine(view, tolerance=1.0), store, view)
+    assert report.ok(1.0)
+    few = Batched(store, max_memory=16 << 20).select(view, 0.5).instances
+    assert np.array_equal(few, engine.select(view, 0.5).instances)
+
+
+def t_source(t):
+    from orograph.store.source import ArraySource
+
+    return ArraySource(t.heights, t.grid, t.name, None)
+
+
+class Slow(MemoryTerrain):
+    """A terrain whose diamonds are slow to come, or do not come at all."""
+
+    gate: threading.Event | None = None
+    broken = False
+
+    def diamonds(self, *what):
+        if self.gate is not None:
+            self.gate.wait()
+        if self.broken:
+            raise StoreError("The disk is on fire.")
+        return super().diamonds(*what)
+
+
+def test_a_view_need_not_wait_for_errors(monkeypatch):
+    from orograph.lod.patches import pager
+
+    monkeypatch.setattr(pager, "AGAIN", 0.01)
+    heights = plain.rough(np.random.default_rng(16), (1500, 1100))
+    t = Slow(heights, plain.terrain(heights).grid, "slow")
+    view = plain.random_view(np.random.default_rng(17), t)
+    wanted = Batched(t, legs=2).select(view, 1.0).instances.copy()
+    engine = Batched(t, legs=2)
+    t.gate = threading.Event()
+    counts = []
+    for _ in range(3):
+        made = engine.select(view, 1.0, wait=False, cull=False)
+        counts.append(len(made.instances))
+        assert made.stats["absent"] and engine.field.under_way
+    assert set(counts) == {2}  # the roots stand in
+    assert not verify.judge(mesh_of(t, made.instances, 2), t, view).defects
+    t.broken = True
+    t.gate.set()
+    for _ in range(500):
+        engine.select(view, 1.0, wait=False)
+        if engine.field.failure is not None:
+            break
+        time.sleep(0.01)
+    assert "on fire" in str(engine.field.failure)
+    t.broken = False
+    for _ in range(500):
+        made = engine.select(view, 1.0, wait=False)
+        if not made.stats["absent"]:
+            break
+        time.sleep(0.01)
+    assert np.array_equal(made.instances, wanted) and engine.field.failure is None
+    assert np.array_equal(engine.select(view, 1.0).instances, wanted)
+
+
+def test_pages_that_are_used_stay_while_others_come():
+    t = plain.terrain(plain.rough(np.random.default_rng(18), (1500, 1100)))
+    engine = Batched(t, legs=2, max_memory=12 << 20)
+    whole = Batched(t, legs=2)
+    rng = np.random.default_rng(19)
+    for _ in range(6):
+        view = plain.random_view(rng, t, fov_y=20.0)
+        for _ in range(300):
+            made = engine.select(view, 4.0, wait=False)
+            if not made.stats["absent"]:
+                break
+            time.sleep(0.005)
+        assert np.array_equal(made.instances, whole.select(view, 4.0).instances)

@@ -32,7 +32,7 @@ def whole(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "s"
     store.build(source(HEIGHTS), path, **SIZES)
     found = files(path)
-    assert {name.split("/")[0] for name in found} == {"zarr.json", "heights", "mean", "tiles", "diamonds"}
+    assert {name.split("/")[0] for name in found} == {"zarr.json", "heights", "mean", "tiles", "diamonds", "patches"}
     assert not [name for name in found if name.endswith(".writing")]
     return found
 

@@ -29,12 +29,13 @@ from numpy.typing import NDArray
 from orograph.error.screen import FOCAL, PLANES
 from orograph.errors import UsageError
 from orograph.lod.engine import Engine, Mesh, by_tolerance
-from orograph.lod.field import Field
 from orograph.lod.patches.expand import expand
+from orograph.lod.patches.pager import Pager
 from orograph.lod.patches.selection import ABSENT, BLOCKED, NODES, PATCHES, SPLIT, TOUCHED, select_patches
-from orograph.lod.patches.shape import INSTANCE, LEGS, check_legs, patch_indices, patch_vertices
-from orograph.lod.patches.tables import KAPPA, PatchTerrain, cell_size
+from orograph.lod.patches.shape import INSTANCE, check_legs, patch_indices, patch_vertices
+from orograph.lod.patches.tables import PatchTerrain, cell_size
 from orograph.progress import SILENT, Progress
+from orograph.store.patches import KAPPA, LEGS
 from orograph.store.terrain import tile_shape
 from orograph.view import View
 
@@ -86,7 +87,7 @@ class Batched(Engine):
         self.legs, self.geomorph = min(check_legs(legs), 1 << n), geomorph
         self._q = self.legs.bit_length() - 1
         ground: Any = PatchTerrain(self.terrain, self.field.kind, self.legs, jobs=self.jobs, progress=progress)
-        self.field = Field(ground, self.error, max_memory=options.get("max_memory", 1 << 30), jobs=self.jobs)
+        self.field: Pager = Pager(ground, self.error, max_memory=options.get("max_memory", 1 << 30), jobs=self.jobs)
         shapes = [tile_shape(self.terrain.grid.shape, level) for level in range(self.field.top + 1)]
         self._widths = np.array([cols for _, cols in shapes], np.int64)
         ends = np.cumsum([rows * cols for rows, cols in shapes])
@@ -130,6 +131,7 @@ class Batched(Engine):
         exaggeration: float | None = None,
         geomorph: bool = True,
         exact_holes: bool = False,
+        wait: bool = True,
     ) -> Patches:
         """The patches of a view.
 
@@ -145,6 +147,8 @@ class Batched(Engine):
             exaggeration: factor on heights (default: the engine's).
             geomorph: split at τ/κ already, and let new points grow until τ.
             exact_holes: keep edges of missing ground to the sample, instead of to the tolerance on the screen.
+            wait: read the pages of errors that are lacking. Else threads do, and the patches are those that can be told
+                without them; ``stats["absent"]`` is not 0 while more will come.
 
         Raises:
             UsageError: an argument makes no sense, or more pages are needed than memory allows.
@@ -164,6 +168,9 @@ class Batched(Engine):
         if there.shape != self._all.shape or there.dtype != np.uint8:
             raise UsageError("Residency is a uint8 array (tile rows, tile cols) for each level of the terrain.")
         counts = np.zeros(6, np.int64)
+        if wait:
+            self.field.finish()
+        self.field.enter()
         while True:
             self.field.begin()
             full = select_patches(
@@ -174,8 +181,12 @@ class Batched(Engine):
             wanted = self._wanted(int(counts[TOUCHED]))
             if full:
                 self._room(2 * len(self._queue[0]))
-            elif not self.field.fetch():
+            elif wait and self.field.fetch():
+                continue
+            else:
                 break
+        if not wait:
+            self.field.fetch_later()
         made = self._instances[: counts[PATCHES]]
         stats = {
             "patches": len(made), "triangles": len(made) * self.legs**2, "split": int(counts[SPLIT]),

@@ -12,6 +12,7 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,7 @@ from orograph.store.memory import MemoryTerrain, check_metric, is_metric
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, is_store, open, partial, read_record
-from orograph.store.terrain import Shape, TileTable, level_count, level_shape
+from orograph.store.terrain import Shape, TileTable, exponent, level_count, level_shape
 
 if TYPE_CHECKING:
     from orograph.dem import Dem
@@ -272,10 +273,28 @@ def _fill(
         errors={} if survey is None else survey.codes,
         radius=None if survey is None else survey.radius,
     )
+    if kinds and seen:
+        record = _patches(record, storage, jobs, progress)
     others, root = metadata(record)
     for objects in (others, root):
         for key, data in objects.items():
             storage.put(key, [data])
+
+
+def _patches(record: Record, storage: Storage, jobs: int, progress: Progress) -> Record:
+    """The errors of patches, from those of diamonds that are there by now; the record with them."""
+    from orograph.store.patches import KAPPA, LEGS, patch_errors, spec, stored_levels
+    from orograph.store.pyramid import write
+
+    shape = record.grid.shape
+    if 1 << exponent(shape) <= LEGS:
+        return record
+    terrain = StoredTerrain(storage, record, CACHE_BYTES, 1)
+    for kind in record.errors:
+        found = patch_errors(terrain, kind, LEGS, jobs=jobs, progress=progress)
+        for level in stored_levels(shape):
+            write(storage, spec(shape, level, kind, record.shard, record.chunk), found[level])
+    return replace(record, patches={"legs": LEGS, "kappa": KAPPA})
 
 
 def _survey(

@@ -9,6 +9,8 @@ A store is a Zarr v3 group::
     tiles/{k}/minimum, maximum, error (float32), valid (uint8)
     diamonds/{k}/radius        uint8, coded: spheres of the diamonds of octave k (see ``Terrain.diamonds``)
     diamonds/{k}/exact…        uint8, coded: their errors, of each kind that was built
+    diamonds/{k}/color         uint8, coded: how much coarser triangles change colours (``geovis.color_store``)
+    patches/{k}/exact…         float32, metres: errors of patches of 16 segments a leg (see ``store.patches``)
     layers/NAME/{k}/BAND       uint8 or uint16, coded: layers that were put in later, such as baked light (``layers``)
 
 so that ``xarray.open_zarr(store, group="heights/3")`` opens a level with its coordinates. The root carries the
@@ -117,6 +119,8 @@ class Record:
         errors: the kinds of errors it has of its diamonds, and how they are coded.
         radius: how their radii are coded; None if it has no errors.
         layers: by name.
+        patches: of which patches it has the errors: legs and kappa (``store.patches``); empty if of none.
+        colors: of which colours it has the errors (``geovis.color_store``); empty if of none.
     """
 
     grid: Grid
@@ -130,6 +134,8 @@ class Record:
     errors: dict[ErrorKind, ErrorCode] = field(default_factory=dict)
     radius: RadiusCode | None = None
     layers: dict[str, LayerRecord] = field(default_factory=dict)
+    patches: dict[str, float] = field(default_factory=dict)
+    colors: dict[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         crs = self.grid.crs
@@ -153,6 +159,10 @@ class Record:
         }
         if self.layers:
             record["layers"] = {name: layer.to_json() for name, layer in self.layers.items()}
+        if self.patches:
+            record["patches"] = self.patches
+        if self.colors:
+            record["colors"] = self.colors
         return {**record, "checksum": _checksum(record)}
 
     @classmethod
@@ -196,6 +206,8 @@ class Record:
             {kind: ErrorCode(**code) for kind, code in record["errors"].items()},
             None if radius is None else RadiusCode(nominal_radii(metric(grid), exponent(grid.shape)), **radius),
             {name: LayerRecord.from_json(name, layer) for name, layer in record.get("layers", {}).items()},
+            record.get("patches", {}),
+            record.get("colors", {}),
         )
 
 
@@ -254,6 +266,27 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
             for diamond, code in codes.items():
                 spec = diamond_spec(grid.shape, level, diamond, shard, chunk)
                 nodes[spec.path] = spec.metadata({"long_name": f"{diamond} of diamonds, coded", "code": code})
+    if record.colors:
+        nodes.setdefault("diamonds", _group())
+        for level in range(levels):
+            nodes.setdefault(f"diamonds/{level}", _group())
+            spec = diamond_spec(grid.shape, level, "color", shard, chunk)
+            told: dict[str, Any] = {
+                "long_name": "color errors of diamonds, (code / 15.9)² ΔE",
+                "made_with": record.colors,
+            }
+            nodes[spec.path] = spec.metadata(told)
+    if record.patches:
+        from orograph.store.patches import spec as patch_spec
+        from orograph.store.patches import stored_levels
+
+        nodes["patches"] = _group(dict(record.patches))
+        for level in stored_levels(grid.shape, int(record.patches["legs"])):
+            nodes[f"patches/{level}"] = _group()
+            for kind in record.errors:
+                spec = patch_spec(grid.shape, level, kind, shard, chunk)
+                about = f"{kind} of patches, saturated; negative where ground is missing"
+                nodes[spec.path] = spec.metadata({"units": "m", "long_name": about})
     for layer in record.layers.values():
         nodes.setdefault(GROUP, _group())
         _layer(record, layer, nodes, data)

@@ -8,6 +8,7 @@ import threading
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph.error import KINDS, ErrorKind
 from orograph.error.quantise import RadiusCode
@@ -26,6 +27,8 @@ from orograph.store.layout import (
     mean_spec,
     table_spec,
 )
+from orograph.store.patches import KAPPA, stored_levels
+from orograph.store.patches import spec as patch_spec
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.terrain import Heights, Terrain, TileTable
 
@@ -121,6 +124,39 @@ class StoredTerrain(Terrain):
             return errors, self._top_radii(radius)[row0:row1, col0:col1]
         return errors, radius.decode(self._array("radius", level).read(*window), row0, col0, level)
 
+    def color_codes(self, level: int, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.uint8]:
+        """The codes of color errors of diamonds (see ``geovis.color_store``), a window of ``diamond_shape(level)``.
+
+        Raises:
+            StoreError: the store has none.
+        """
+        if not self.record.colors:
+            raise StoreError(
+                "This store has no color errors.", path=self.url, remedy="Build it with them (--color-errors)."
+            )
+        self._inside(self.diamond_shape(level), row0, row1, col0, col1)
+        codes: NDArray[np.uint8] = self._array("color", level).read(row0, row1, col0, col1)
+        return codes
+
+    def has_patch_errors(self, kind: ErrorKind, legs: int) -> bool:
+        said = self.record.patches
+        return said == {"legs": legs, "kappa": KAPPA} and kind in self.record.errors
+
+    def patch_errors(self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        if not self.record.patches or kind not in self.record.errors:
+            return super().patch_errors(kind, level, row0, row1, col0, col1)
+        self._inside(self.diamond_shape(level), row0, row1, col0, col1)
+        return self._patches(kind, level).read(row0, row1, col0, col1)
+
+    def _patches(self, kind: ErrorKind, level: int) -> ShardedArray:
+        key = f"patches/{kind}", level
+        found = self._arrays.get(key)
+        if found is None:
+            spec = patch_spec(self.grid.shape, level, kind, self.record.shard, self.record.chunk)
+            with self._lock:
+                found = self._arrays.setdefault(key, ShardedArray(spec, self.storage, self.cache, self._jobs))
+        return found
+
     def _top_radii(self, radius: RadiusCode) -> Heights:
         """The decoded radii of the top level, several octaves."""
         if self._top is None:
@@ -189,10 +225,13 @@ class StoredTerrain(Terrain):
     def check(self) -> list[str]:
         """Read every chunk and return the keys of the damaged ones."""
         damaged: list[str] = []
-        kinds = ["heights", "mean", *self.record.errors, *(["radius"] if self.record.radius else [])]
+        kinds = ["heights", "mean", *self.record.errors, *(["radius"] if self.record.radius else []),
+                 *(["color"] if self.record.colors else [])]  # fmt: skip
         for level in range(self.levels):
             arrays = [self._array(kind, level) for kind in kinds if level or kind != "mean"]
             arrays += [self._coded(layer, b, level) for layer in self.record.layers.values() for b in layer.bands]
+            if self.record.patches and level in stored_levels(self.grid.shape, int(self.record.patches["legs"])):
+                arrays += [self._patches(kind, level) for kind in self.record.errors]
             for spec in (array.spec for array in arrays):
                 array = ShardedArray(spec, self.storage, ChunkCache(0), self._jobs)
                 for row in range(0, spec.shape[0], spec.chunk):

@@ -12,6 +12,7 @@ open.
 
 from __future__ import annotations
 
+import importlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
@@ -211,6 +212,22 @@ class Terrain(ABC):
             path=self.name,
             remedy=f"Put it into a store: orograph bake STORE --products {name}.",
         )
+
+    def has_patch_errors(self, kind: ErrorKind, legs: int) -> bool:
+        """Whether ``patch_errors`` has errors of that kind for patches of ``legs`` segments (``store.patches``)."""
+        return False
+
+    def patch_errors(self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """Saturated errors of patches, negative where mixed; windows as for ``diamonds``. See ``store.patches``.
+
+        Raises: as ``diamonds``.
+        """
+        raise UsageError(f"{self.name} has no errors of patches; store.patches.patch_errors makes them.")
+
+    def view(self, camera: Any = None, **options: Any) -> Any:
+        """The terrain in a notebook's cell, to be explored, or a still picture of it: see ``viewer.notebook.view``."""
+        # By name: the store knows nothing of windows, and nobody pays for one who does not call this.
+        return importlib.import_module("orograph.viewer.notebook").view(self, camera, **options)
 
     def close(self) -> None:  # noqa: B027 (most terrains have nothing to close)
         """Let go of files and caches; the terrain cannot be read afterwards."""

@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
+from orograph.store.patches import LEGS
 
 Point = tuple[int, int]
-
-LEGS = 16
-"""Segments along a leg, unless something else is asked for."""
 
 LARGEST_LEGS = 64
 

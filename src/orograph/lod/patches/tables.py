@@ -1,196 +1,14 @@
-"""What decides about a patch diamond: the largest error of its patches' triangles, saturated; one number a diamond.
-
-The triangles of a patch are those d = 2·log2(L) levels further down the hierarchy. P(D), the error of a patch diamond
-D, is the largest of D's DAG descendants exactly d levels below it: its patches' triangles are among theirs, and P is
-monotonic because a child's descendants are among its parent's. It is found by passing every diamond's error d levels
-upwards, which costs about as much as making errors monotonic does.
-
-*Saturated*, P′(D) = max(P(D), κ·P′(children)): with nested spheres a parent's bound in pixels is then κ times its
-children's or more, so that its geomorph ends before theirs begins.
-
-*Missing ground*: diamonds that ground and missing ground share (``mixed``) have infinite errors. Here they count with
-what bounds the vertical distance wherever both surfaces are: the errors of the store's levels over the tile, or the
-range of heights. A negative sign marks them. Metres, float32.
-"""
+"""A terrain whose diamonds are patch diamonds (``store.patches``), and how long the edges of their triangles can be."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from orograph.error import ErrorKind
-from orograph.error.octaves import close
-from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
-from orograph.store.diamonds import blank_top, place
-from orograph.store.terrain import Heights, Shape, Terrain, TileTable
-
-KAPPA = 1.25
-"""κ: a patch is morphed while the bound of its parent's error grows from 1/κ of the tolerance to all of it."""
-
-SATURATION = KAPPA * (1.0 + 2.0**-10)
-"""κ in the tables: more than κ by what roundings could take away."""
-
-NOTHING = np.float32(2.0**-100)
-"""The P′ of a mixed diamond that is exact wherever there is ground."""
-
-
-BLOCK = 64
-"""Patch diamonds along the side of what is worked on at a time, at least."""
-
-REACH = 4
-"""Patch diamonds by which the DAG's arrows lead beyond those they come from (less than 3.5, with what is squeezed)."""
-
-
-def patch_errors(
-    terrain: Terrain, kind: ErrorKind, legs: int, *, jobs: int | None = None, progress: Progress = SILENT
-) -> list[Heights]:
-    """P′ of all patch diamonds, in the layout of ``Terrain.diamonds``: an array for each level.
-
-    Diamonds of octaves below log2(L) are none (their patches would be finer than the raster) and have 0. Errors are
-    read block by block, by several threads; what is kept is 1/L² of the raster.
-
-    Args:
-        terrain: the ground. kind: of error. legs: L.
-        jobs: threads (default: all processors). progress: is told of blocks.
-    """
-    q, n, top = legs.bit_length() - 1, terrain.n, terrain.levels - 1
-    octaves = range(q, n)
-    found = [np.zeros(_octave_shape(terrain, k), np.float32) for k in octaves]
-    size = max(BLOCK, 1024 >> q)
-    work = [
-        (k, i, j)
-        for k, P in zip(octaves, found)
-        for i in range(0, P.shape[0], size)
-        for j in range(0, P.shape[1], size)
-    ]
-    spread = terrain.height_range[1] - terrain.height_range[0]
-
-    def one(what: tuple[int, int, int]) -> None:
-        k, i, j = what
-        rows, cols = found[k - q].shape
-        end = min(i + size, rows), min(j + size, cols)
-        found[k - q][i : end[0], j : end[1]] = _block(terrain, kind, k, q, (i, j), end, spread)
-
-    with progress.task("Errors of patches", len(work)) as task:
-        for _ in map_ordered(one, work, jobs):
-            task.advance()
-    result = [np.zeros((0, 0), np.float32) for _ in range(top)]
-    result.append(blank_top(terrain.grid.shape, np.float32, 0))
-    last: Heights | None = None
-    for k, P in zip(octaves, found):
-        _saturate(P, last)
-        last = P
-        rows, cols = P.shape
-        mixed = np.isinf(_window(terrain, kind, k, (0, 0), (rows, cols)))
-        signed = np.where(mixed, -np.maximum(P, NOTHING), P)
-        if k < top:
-            result[k] = signed
-        else:
-            place(result[top], signed, k, 0, 0, top)
-    return result
-
-
-def _octave_shape(terrain: Terrain, k: int) -> Shape:
-    """Entries of an octave: those of its level, or every so manieth of the padded square at the top."""
-    level = min(k, terrain.levels - 1)
-    rows, cols = terrain.diamond_shape(level)
-    return ((rows - 1) >> (k - level)) + 1, ((cols - 1) >> (k - level)) + 1
-
-
-def _window(terrain: Terrain, kind: ErrorKind, k: int, begin: Shape, end: Shape) -> Heights:
-    """The errors of an octave's entries ``[begin, end)``."""
-    level = min(k, terrain.levels - 1)
-    s = k - level
-    spans = [(a << s, ((b - 1) << s) + 1) for a, b in zip(begin, end, strict=True)]
-    errors, _ = terrain.diamonds(kind, level, *spans[0], *spans[1])
-    return errors[:: 1 << s, :: 1 << s]
-
-
-def _block(terrain: Terrain, kind: ErrorKind, k: int, q: int, begin: Shape, end: Shape, spread: float) -> Heights:
-    """P of the patch diamonds ``[begin, end)`` of an octave."""
-    shapes = [_octave_shape(terrain, j) for j in range(k - q, k + 1)]
-    first = [max(v - REACH, 0) for v in begin]
-    windows = []
-    for step, shape in enumerate(shapes):
-        last = [min(((v + REACH) << (q - step)) + 1, side) for v, side in zip(end, shape, strict=True)]
-        windows.append((max(last[0] - (first[0] << (q - step)), 0), max(last[1] - (first[1] << (q - step)), 0)))
-    if min(windows[0]) <= 0:  # the padded square goes on where finer levels end
-        return np.zeros((end[0] - begin[0], end[1] - begin[1]), np.float32)
-    at = first[0] << q, first[1] << q
-    errors = _window(terrain, kind, k - q, at, (at[0] + windows[0][0], at[1] + windows[0][1]))
-    lifted = _lifted(_finite(errors, terrain, k - q, at, spread), q, windows)
-    here = begin[0] - first[0], begin[1] - first[1]
-    return lifted[here[0] : here[0] + end[0] - begin[0], here[1] : here[1] + end[1] - begin[1]]
-
-
-def _finite(errors: Heights, terrain: Terrain, k: int, at: Shape, spread: float) -> Heights:
-    """The errors of a window, those of mixed diamonds replaced by what holds where both surfaces are."""
-    mixed = np.isinf(errors)
-    if not mixed.any():
-        return errors
-    i, j = np.nonzero(mixed)
-    i, j = i + at[0], j + at[1]
-    top = terrain.levels - 1
-    # A square diamond's triangles are cells of level k + 1; an edge one's lie between the levels k and k + 1.
-    bound = np.full(len(i), spread)
-    if k + 1 <= top:
-        coarse, fine = _tile_bound(terrain.tiles(k + 1), k + 1, k, i, j), _tile_bound(terrain.tiles(k), k, k, i, j)
-        bound = np.minimum(bound, np.where((i & j & 1) == 1, coarse, coarse + fine))
-    result = errors.copy()
-    result[mixed] = np.nextafter(bound.astype(np.float32), np.float32(np.inf))
-    return result
-
-
-def _tile_bound(table: TileTable, level: int, k: int, i: NDArray[Any], j: NDArray[Any]) -> NDArray[np.float64]:
-    """The largest error of a level's tiles that touch the vertices (i, j) of an octave."""
-    found = np.zeros(len(i))
-    rows, cols = table.error.shape
-    shift = 8 + level - k
-    for back_row in (0, 1):
-        for back_col in (0, 1):
-            r = np.clip((i - back_row) >> shift, 0, rows - 1)
-            c = np.clip((j - back_col) >> shift, 0, cols - 1)
-            found = np.maximum(found, table.error[r, c])
-    return found
-
-
-def _lifted(errors: Heights, q: int, shapes: list[Shape]) -> Heights:
-    """The errors of a window of an octave, passed 2q levels upwards.
-
-    Args:
-        shapes: of the windows of that octave and the q above; all begin at the same sample, of even entries.
-    """
-    if q == 0:
-        return errors.copy()
-    edges = errors.copy()
-    edges[1::2, 1::2] = 0.0
-    close(np.zeros((0, 0), np.float32), 0, edges)
-    squares = np.ascontiguousarray(errors)
-    for shape in shapes[1:]:
-        below, edges = edges, np.zeros(shape, np.float32)
-        close(below, 1, edges)
-        below, squares = squares, np.zeros(shape, np.float32)
-        close(below, 1, squares)
-    edges[1::2, 1::2] = squares[1::2, 1::2]
-    return edges
-
-
-def _saturate(here: Heights, below: Heights | None) -> None:
-    """Make an octave's P into P′, given that of the octave below."""
-    factor = np.float32(SATURATION)
-    if below is not None:
-        raised = np.zeros_like(here)
-        close(below * factor, 1, raised)
-        raised[1::2, 1::2] = 0.0
-        np.maximum(here, raised, out=here)
-    edges = here * factor
-    edges[1::2, 1::2] = 0.0
-    close(np.zeros((0, 0), np.float32), 0, edges)
-    np.maximum(here[1::2, 1::2], edges[1::2, 1::2], out=here[1::2, 1::2])
+from orograph.store.patches import patch_errors
+from orograph.store.terrain import Heights, Terrain
 
 
 class PatchTerrain:
@@ -206,8 +24,10 @@ class PatchTerrain:
     def __init__(
         self, terrain: Terrain, kind: ErrorKind, legs: int, *, jobs: int | None = None, progress: Progress = SILENT
     ) -> None:
-        self._terrain, self._kind = terrain, kind
-        self._errors = patch_errors(terrain, kind, legs, jobs=jobs, progress=progress)
+        self._terrain, self._kind, self._legs = terrain, kind, legs
+        self._errors: list[Heights] | None = None
+        if not terrain.has_patch_errors(kind, legs):
+            self._errors = patch_errors(terrain, kind, legs, jobs=jobs, progress=progress)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._terrain, name)
@@ -217,6 +37,8 @@ class PatchTerrain:
     ) -> tuple[Heights, Heights]:
         """P′ (negative where mixed) and radii; see ``Terrain.diamonds``."""
         _, radii = self._terrain.diamonds(self._kind, level, row0, row1, col0, col1)
+        if self._errors is None:
+            return self._terrain.patch_errors(self._kind, level, row0, row1, col0, col1), radii
         return self._errors[level][row0:row1, col0:col1], radii
 
 

@@ -1,0 +1,115 @@
+"""Pages of patch diamonds that come while the picture goes on: asked for in one frame, there in a later one.
+
+``Field`` reads what a refinement lacks and has it begin again. An interactive view must not wait for a disk or a
+network: here threads read pages into slots that no kernel knows yet, and the next selection begins by entering those
+that have come. Until then diamonds of absent pages pass for accurate, and their patches are drawn as they are.
+
+A page that cannot be read is asked for again after a while; what went wrong is kept in ``failure``.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from orograph.errors import OrographError
+from orograph.lod.field import Field
+
+AGAIN = 2.0
+"""Seconds after which a page that could not be read is asked for again."""
+
+READERS = 2
+"""Threads that read."""
+
+RESERVED = 1 << 60
+"""Last use of a slot that is being read into: it is not taken away."""
+
+
+class Pager(Field):
+    """A field whose pages can be read in the background. See ``Field`` for the arguments.
+
+    Attributes:
+        failure: the last error met while reading in the background, None if all is well.
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.failure: OrographError | None = None
+        self._asks: SimpleQueue[tuple[int, int]] = SimpleQueue()
+        self._answers: SimpleQueue[tuple[int, int, OrographError | None]] = SimpleQueue()
+        self._under_way: set[int] = set()
+        self._not_before: dict[int, float] = {}
+        self._readers: list[threading.Thread] = []
+
+    @property
+    def under_way(self) -> int:
+        """Pages that are being read."""
+        return len(self._under_way)
+
+    def enter(self) -> int:
+        """Let kernels know the pages that have come; how many."""
+        count = 0
+        while not self._answers.empty():
+            page, slot, failure = self._answers.get()
+            self._under_way.discard(page)
+            self._last[slot] = self._round
+            if failure is None:
+                self.pages.table[page] = slot
+                self.tiles_read += 1
+                count += 1
+                self.failure = None
+            else:
+                self._holds[slot] = -1
+                self._not_before[page] = time.monotonic() + AGAIN
+                self.failure = failure
+        return count
+
+    def fetch_later(self) -> int:
+        """Have the pages that were missed since ``begin`` read in the background; how many are under way."""
+        wanted = [int(page) for page in self._asked() if int(page) not in self._under_way]
+        used = (self.pages.used == 1) & (self._last < RESERVED)
+        self._last[used] = self._round
+        now = time.monotonic()
+        wanted = [page for page in wanted if self._not_before.get(page, 0.0) <= now]
+        if not wanted:
+            return self.under_way
+        order = np.lexsort((np.arange(len(self._last)), self._last, self._holds >= 0))  # free ones, then oldest
+        order = order[(self._holds[order] < 0) | (self._last[order] < self._round)]
+        for page, slot in zip(wanted, order.tolist()):
+            if self._holds[slot] >= 0:
+                self.pages.table[self._holds[slot]] = -1
+            self._holds[slot], self._last[slot] = page, RESERVED
+            self._under_way.add(page)
+            self._asks.put((page, slot))
+        self._hire()
+        return self.under_way
+
+    def finish(self) -> None:
+        """Wait for what is under way (before pages are read at once: a page must not come twice)."""
+        while self._under_way:
+            answer = self._answers.get()
+            self._answers.put(answer)
+            self.enter()
+
+    def _hire(self) -> None:
+        """Threads that end with the program, whatever they wait for."""
+        if not any(reader.is_alive() for reader in self._readers):  # none yet, or lost by a fork
+            self._readers = [threading.Thread(target=self._read, daemon=True) for _ in range(READERS)]
+            for reader in self._readers:
+                reader.start()
+
+    def _read(self) -> None:
+        while True:
+            page, slot = self._asks.get()
+            try:
+                self._load((page, slot))
+            except OrographError as error:
+                self._answers.put((page, slot, error))
+            except Exception as error:
+                self._answers.put((page, slot, OrographError(f"A page could not be read: {error}.")))
+            else:
+                self._answers.put((page, slot, None))
