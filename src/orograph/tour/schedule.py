@@ -235,8 +235,9 @@ def _paced(
         begins = times[start] + keys[start].hold
         leg = Cruise(float(lengths[k] - lengths[start]), speed, start in still, k in still)
         legs.append((begins, float(lengths[start]), leg))
-        for j in range(start + 1, k + 1):
+        for j in range(start + 1, k):
             times.append(begins + leg.when(float(lengths[j] - lengths[start])))
+        times.append(begins + leg.seconds)
         start = k
 
     def pace(time: float) -> float:

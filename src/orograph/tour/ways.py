@@ -35,8 +35,9 @@ Pace = Callable[[float], float]
 RHO = 1.42
 """van Wijk & Nuij 2003, section 6: how much users like zooming against panning."""
 
-FINE = 128
-"""Chords by which a span of a path is measured: its length to 1e-5 where the path turns by less than 90°."""
+FINE, COARSE = 512, 128
+"""Chords by which a span of a spline, and of an orbit, is measured: lengths to 1e-5 where it turns by less than 90°,
+and speeds to 1e-3 even at the keys, where a Catmull-Rom spline's acceleration jumps."""
 
 
 class Way(Protocol):
@@ -176,7 +177,7 @@ class OrbitWay:
         """Metres that the eye has gone at each of ``times``, from the first."""
         found = [0.0]
         for a, b in pairwise(times):
-            eyes = np.array([self.view(float(t)).eye for t in np.linspace(a, b, FINE + 1)])
+            eyes = np.array([self.view(float(t)).eye for t in np.linspace(a, b, COARSE + 1)])
             found.append(found[-1] + float(np.linalg.norm(np.diff(eyes, axis=0), axis=1).sum()))
         return np.array(found)
 
