@@ -159,6 +159,10 @@ def command(
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
     views = _views(terrain, views_path, flight_path, size, options["exaggeration"])
     color = color_errors(terrain, options, max_memory, jobs, progress)
+    if color is not None and {name for name, _ in engines} == set(ENGINES):
+        for name in [name for name in ENGINES if not engine_of(name).takes_colors]:
+            progress.note(f"{name} heeds no colours and is left out.")
+            engines = [contender for contender in engines if contender[0] != name]
 
     from orograph.verify.measure import measure_flight, measure_views
 

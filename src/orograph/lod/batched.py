@@ -76,6 +76,7 @@ class Batched(Engine):
 
     name = "batched"
     metrics = ("anisotropic", "isotropic")
+    takes_colors = False
 
     def __init__(
         self, *args: Any, legs: int = LEGS, geomorph: bool = False, progress: Progress = SILENT, **options: Any

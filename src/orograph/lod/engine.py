@@ -84,6 +84,7 @@ class Engine(ABC):
 
     name: ClassVar[str]
     metrics: ClassVar[tuple[str, ...]]
+    takes_colors: ClassVar[bool] = True
 
     def __init__(
         self,
