@@ -7,18 +7,22 @@ bound; it leaves out what is out of view by the same volumes as the engine. Engi
 for comparison.
 
 Run: ``python bench/promise.py [--quick] [--data FOLDER] [--json OUT.json]``; FOLDER holds the open DEMs by the names in
-``TERRAINS`` (default: ../shared/data beside the checkout); those that are absent are left out.
+``TERRAINS`` (default: ../shared/data beside the checkout); those that are absent are left out. Processes share the
+views; each keeps its engines from view to view. Engines that make the same mesh are judged together, once.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import math
+import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +32,11 @@ from orograph import verify
 from orograph.errors import OrographError
 from orograph.lod import engine_of
 from orograph.lod.field import Field
-from orograph.lod.oracle import oracle
+from orograph.lod.oracle import oracles
 from orograph.parallel import cpu_count
 from orograph.store import Terrain
 from orograph.store.memory import MemoryTerrain
+from orograph.tessellation import Tessellation
 from orograph.view import View
 
 TERRAINS = {
@@ -49,6 +54,7 @@ ENGINES: dict[str, tuple[str, dict[str, Any]]] = {
     "stateless": ("stateless", {"queue": "fifo"}),
     "soar": ("soar", {}),
     "blow": ("blow", {}),
+    "blow isotropic": ("blow", {"metric": "isotropic"}),
     "roam": ("roam", {}),
     "soar midpoint": ("soar", {"error": "midpoint"}),
     "soar isotropic-published": ("soar", {"metric": "isotropic-published"}),
@@ -111,37 +117,56 @@ def views(terrain: Terrain, count: int, seed: int) -> Iterator[tuple[str, View]]
         yield kind, View((x, y, z + above), target, fov_y=fov, width=1280, height=720)
 
 
-def measure(name: str, terrain: MemoryTerrain, labels: list[str], count: int, seed: int) -> list[dict[str, Any]]:
-    """One record for each view, tolerance and engine."""
-    exact = Field(terrain, max_memory=1 << 40)
-    engines = {}
-    for label in labels:
-        kind, options = ENGINES[label]
-        try:
-            engines[label] = engine_of(kind)(terrain, max_memory=1 << 33, **options)
-        except ImportError:
-            continue
-        if options.get("error", "exact") == "exact":
-            engines[label].field = exact
-    found = []
-    for number, (kind, view) in enumerate(views(terrain, count, seed)):
-        for tolerance in TOLERANCES:
-            fewest = [len(oracle(terrain, view, tolerance, prisms=p, field=exact).triangles) for p in (False, True)]
-            for label, engine in engines.items():
-                start = time.perf_counter()
+class Bench:
+    """A terrain with its engines, in one process."""
+
+    def __init__(self, name: str, terrain: MemoryTerrain, labels: list[str], options: argparse.Namespace) -> None:
+        self.name, self.terrain = name, terrain
+        self.exact = Field(terrain, max_memory=1 << 40)
+        self.views = list(views(terrain, options.views, options.seed))
+        self.engines = {}
+        for label in labels:
+            kind, given = ENGINES[label]
+            self.engines[label] = engine_of(kind)(terrain, max_memory=1 << 33, jobs=1, **given)
+            if given.get("error", "exact") == "exact" and kind != "roam":  # (ROAM's nodes know their own pages)
+                self.engines[label].field = self.exact
+
+    def measure(self, number: int) -> list[dict[str, Any]]:
+        """One record for each tolerance and engine."""
+        kind, view = self.views[number]
+        found = []
+        goals = oracles(self.terrain, view, TOLERANCES, prisms=(False, True), field=self.exact, jobs=1)
+        for tolerance, meshes in zip(TOLERANCES, goals, strict=True):
+            fewest = [len(m.triangles) for m in meshes]
+            judged: dict[bytes, verify.Report] = {}
+            for label, engine in self.engines.items():
+                start = time.process_time()
                 mesh = engine.refine(view, tolerance=tolerance)
-                took = time.perf_counter() - start
-                report = verify.judge(mesh, terrain, view)
+                took = time.process_time() - start
+                same = digest(mesh)
+                if same not in judged:
+                    judged[same] = verify.judge(mesh, self.terrain, view, jobs=1)
+                report = judged[same]
                 found.append(
                     {
-                        "terrain": name, "view": number, "kind": kind, "engine": label, "tolerance": tolerance,
+                        "terrain": self.name, "view": number, "kind": kind, "engine": label, "tolerance": tolerance,
                         "conservative": engine.conservative, "triangles": len(mesh.triangles),
                         "oracle": fewest[engine.name in BY_TRIANGLES], "largest": report.largest, "rms": report.rms,
                         "defects": report.defects, "ms": 1e3 * took,
                         "kept": report.ok(tolerance) or not engine.conservative,
                     }
                 )  # fmt: skip
-    return found
+        return found
+
+
+def digest(mesh: Tessellation) -> bytes:
+    """Equal for meshes of the same triangles (turned the same way, in whatever order)."""
+    place = np.rint(mesh.vertices[:, 1]).astype(np.int64) << 32 | np.rint(mesh.vertices[:, 0]).astype(np.int64)
+    corners = place[mesh.triangles]
+    first = corners.argmin(axis=1)
+    turned = corners[np.arange(len(corners))[:, None], (first[:, None] + [0, 1, 2]) % 3]
+    order = np.lexsort(turned.T)
+    return hashlib.blake2b(np.ascontiguousarray(turned[order]).tobytes()).digest()
 
 
 def tables(found: list[dict[str, Any]]) -> str:
@@ -177,20 +202,27 @@ def tables(found: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def terrain_records(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
-    """All records of one terrain; none if it cannot be read."""
-    start = time.perf_counter()
-    try:
-        terrain = terrain_of(name, options.data)
-    except OrographError as error:
-        print(f"{name}: {error}")
-        return []
-    if terrain is None:
-        print(f"{name}: not at {options.data}")
-        return []
-    found = measure(name, terrain, options.engine or list(ENGINES), 5 if options.quick else options.views, options.seed)
-    print(f"{name}: {terrain.grid.cols} × {terrain.grid.rows}, {time.perf_counter() - start:.0f} s", flush=True)
-    return found
+_bench: dict[str, Bench | None] = {}
+"""What this process works on."""
+
+
+def records_of(task: tuple[str, int], options: argparse.Namespace) -> tuple[list[dict[str, Any]], float]:
+    """(the records of one view of a terrain, none if the terrain cannot be read; seconds of processor time)."""
+    start = time.process_time()
+    name, number = task
+    if name not in _bench:
+        _bench.clear()  # one terrain at a time in memory
+        _bench[name] = None
+        try:
+            terrain = terrain_of(name, options.data)
+            if terrain is None:
+                print(f"{name}: not at {options.data}", file=sys.stderr)
+            else:
+                _bench[name] = Bench(name, terrain, options.engine or list(ENGINES), options)
+        except OrographError as error:
+            print(f"{name}: {error}", file=sys.stderr)
+    bench = _bench[name]
+    return bench.measure(number) if bench else [], time.process_time() - start
 
 
 def main() -> None:
@@ -201,15 +233,24 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--terrain", action="append", choices=list(TERRAINS), help="only these")
     parser.add_argument("--engine", action="append", choices=list(ENGINES), help="only these")
-    parser.add_argument("--jobs", type=int, default=cpu_count(), help="terrains at a time")
+    parser.add_argument("--jobs", type=int, default=cpu_count(), help="processes")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    if options.quick:
+        options.views = 5
     names = [name for name in options.terrain or TERRAINS if TERRAINS[name] or not options.quick]
+    tasks = [(name, number) for name in names for number in range(options.views)]
     found = []
-    with ProcessPoolExecutor(min(options.jobs, len(names))) as pool:
-        for records in pool.map(terrain_records, names, [options] * len(names)):
+    spent: dict[str, float] = defaultdict(float)
+    began = time.perf_counter()
+    with ProcessPoolExecutor(min(options.jobs, len(tasks))) as pool:
+        for (name, number), (records, seconds) in zip(tasks, pool.map(partial(records_of, options=options), tasks)):
             found += records
+            spent[name] += seconds
+            if number == options.views - 1 and records:
+                print(f"{name}: {spent[name]:.0f} s of a processor", file=sys.stderr, flush=True)
     print(tables(found))
+    print(f"{time.perf_counter() - began:.0f} s in all, {min(options.jobs, len(tasks))} processes.")
     if options.json:
         options.json.write_text(json.dumps(found, indent=1))
 

@@ -11,7 +11,7 @@ from test_top_down import true_errors
 from orograph import verify
 from orograph.errors import UsageError
 from orograph.hierarchy import diamonds, fronts
-from orograph.lod.oracle import oracle
+from orograph.lod.oracle import oracle, oracles
 from orograph.lod.soar import Soar
 from orograph.lod.top_down import TopDown
 
@@ -81,3 +81,18 @@ def test_unusable_arguments_are_refused():
     for tolerance in (0.0, -1.0, float("nan")):
         with pytest.raises(UsageError):
             oracle(t, view, tolerance)
+
+
+def test_several_tolerances_at_once_are_the_same_as_one_by_one():
+    rng = np.random.default_rng(31)
+    t = plain.terrain(plain.rough(rng, (60, 65), gaps=0.05))
+    for _ in range(5):
+        view = plain.random_view(rng, t)
+        tolerances = (0.5, 1.0, 3.0, 9.0)
+        for tolerance, (spheres, prisms) in zip(tolerances, oracles(t, view, tolerances), strict=True):
+            for found, how in ((spheres, False), (prisms, True)):
+                alone = oracle(t, view, tolerance, prisms=how)
+                assert plain.triangles_of(found) == plain.triangles_of(alone)
+                assert found.stats["active"] == alone.stats["active"]
+    with pytest.raises(UsageError, match="ascending"):
+        next(oracles(t, view, (2.0, 1.0)))

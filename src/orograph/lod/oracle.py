@@ -17,6 +17,9 @@ off; the diamond's own vertex comes first. The heights of the whole raster are h
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +29,10 @@ from orograph.error.screen import lens as lens_of
 from orograph.error.screen import outside, sphere_exceeds, to_camera
 from orograph.errors import UsageError
 from orograph.hierarchy.kernels import diamonds
-from orograph.lod.field import Field, find
+from orograph.lod.field import Field, Pages, find
 from orograph.lod.localise import prism_outside
 from orograph.parallel import cpu_count, map_ordered
-from orograph.store.terrain import Terrain
+from orograph.store.terrain import Heights, Terrain
 from orograph.tessellation import Tessellation
 from orograph.view import View
 
@@ -127,11 +130,17 @@ def triangle_too_far(lens, z, ar, ac, br, bc, cr, cc):
 
 
 @leaf
-def look(pages, lens, z, found, begin, end, n, inaccurate):
-    """Look at the samples of the diamonds ``found[begin:end]``; 1 in ``inaccurate`` (the same places) where too far."""
+def look(pages, lens, z, found, begin, end, n, inaccurate, accurate):
+    """Look at the samples of the diamonds ``found[begin:end]``; 1 in ``inaccurate`` (the same places) where too far.
+
+    Args:
+        accurate: uint8 (2^n + 1, 2^n + 1), 1 where a diamond is known to be accurate; what is found is added.
+    """
     last_row, last_col = pages.edge[0], pages.edge[1]
     for at in range(begin, end):
         row, col = found[at, 0], found[at, 1]
+        if accurate[row, col]:
+            continue
         slot, i, j = find(pages, row, col, diamonds.octave(row, col))
         if pages.data[slot, i, j, 1] == np.inf:
             inaccurate[at] = 1
@@ -151,6 +160,7 @@ def look(pages, lens, z, found, begin, end, n, inaccurate):
             if triangle_too_far(lens, z, r0, c0, r1, c1, min(a, last_row), min(b, last_col)):
                 inaccurate[at] = 1
                 break
+        accurate[row, col] = 1 - inaccurate[at]
 
 
 @leaf
@@ -253,39 +263,89 @@ def oracle(
     Raises:
         UsageError: the tolerance or the view makes no sense here, or the field's memory does not suffice.
     """
-    if not tolerance > 0 or view.projection != "perspective":
+    return next(oracles(terrain, view, (tolerance,), exaggeration, prisms=(prisms,), field=field, jobs=jobs))[0]
+
+
+def oracles(
+    terrain: Terrain,
+    view: View,
+    tolerances: Sequence[float],
+    exaggeration: float = 1.0,
+    *,
+    prisms: Sequence[bool] = (False, True),
+    field: Field | None = None,
+    jobs: int | None = None,
+) -> Iterator[list[Tessellation]]:
+    """For each of several tolerances the meshes of ``oracle``, one for each of ``prisms``; cheaper than one by one.
+
+    A diamond that is accurate for one tolerance is so for the next, so all its samples are looked at once only.
+
+    Args:
+        tolerances: pixels, ascending. Others as for ``oracle``.
+    """
+    if not min(tolerances) > 0 or view.projection != "perspective":
         raise UsageError("The oracle needs a tolerance greater than 0 and a perspective view.")
-    began = time.perf_counter()
+    if list(tolerances) != sorted(tolerances):
+        raise UsageError("The oracle takes tolerances in ascending order.")
     field = field or Field(terrain, max_memory=1 << 40)
     pages, n, (rows, cols) = field.pages, field.n, terrain.grid.shape
-    lens = lens_of(view, terrain.grid, exaggeration=exaggeration, tolerance=tolerance)
     z = terrain.read(0, 0, rows, 0, cols)
-    while True:
-        field.begin()
-        marks, found, count = _candidates(field, lens)
-        if not field.fetch():
-            break
+    accurate = np.zeros(((1 << n) + 1,) * 2, np.uint8)
     jobs = jobs or cpu_count()
-    inaccurate = np.zeros(count, np.uint8)
-    step = max(1024, -(-count // (8 * jobs)))
+    for tolerance in tolerances:
+        began = time.perf_counter()
+        lens = lens_of(view, terrain.grid, exaggeration=exaggeration, tolerance=tolerance)
+        while True:
+            field.begin()
+            marks, found, count = _candidates(field, lens)
+            if not field.fetch():
+                break
+        inaccurate = np.zeros(count, np.uint8)
+        step = max(1024, -(-count // (8 * jobs)))
+        each = partial(_look_at, pages, lens, z, found, n, inaccurate, accurate, step)
+        for _ in map_ordered(each, range(0, count, step), jobs):
+            pass
+        active = int(close(marks, found, inaccurate, count, n))
+        stats = {
+            "engine": "oracle", "tolerance": tolerance, "exaggeration": exaggeration, "candidates": count,
+            "active": active, "look_ms": round((time.perf_counter() - began) * 1e3, 3),
+        }  # fmt: skip
+        yield [_drawn(terrain, field, lens, z, marks, p, active, stats) for p in prisms]
 
-    def part(begin: int) -> None:
-        look(pages, lens, z, found, begin, min(begin + step, count), n, inaccurate)
 
-    for _ in map_ordered(part, range(0, count, step), jobs):
-        pass
-    active = close(marks, found, inaccurate, count, n)
+def _look_at(
+    pages: Pages,
+    lens: NDArray[np.float64],
+    z: Heights,
+    found: NDArray[np.int64],
+    n: int,
+    inaccurate: NDArray[np.uint8],
+    accurate: NDArray[np.uint8],
+    step: int,
+    begin: int,
+) -> None:
+    look(pages, lens, z, found, begin, min(begin + step, len(inaccurate)), n, inaccurate, accurate)
+
+
+def _drawn(
+    terrain: Terrain,
+    field: Field,
+    lens: NDArray[np.float64],
+    z: Heights,
+    marks: NDArray[np.uint8],
+    prisms: bool,
+    active: int,
+    stats: dict[str, Any],
+) -> Tessellation:
+    """The mesh of closed marks."""
+    n = field.n
     while True:
         field.begin()
         keys, zs = np.empty((2 * active + 2, 3), np.int64), np.empty((2 * active + 2, 3), np.float32)
-        made = put_out(pages, lens, z, marks, prisms, 2 * n, np.empty((2 * n + 2, 4), np.int64), keys, zs)
+        made = put_out(field.pages, lens, z, marks, prisms, 2 * n, np.empty((2 * n + 2, 4), np.int64), keys, zs)
         if not field.fetch():
             break
-    stats = {
-        "engine": "oracle", "tolerance": tolerance, "exaggeration": exaggeration, "candidates": count,
-        "active": int(active), "look_ms": round((time.perf_counter() - began) * 1e3, 3),
-    }  # fmt: skip
-    result = Tessellation.from_triangles(terrain.grid, keys[:made], zs[:made], clockwise=False, stats=stats)
+    result = Tessellation.from_triangles(terrain.grid, keys[:made], zs[:made], clockwise=False, stats=dict(stats))
     result.stats["triangles"] = len(result.triangles)
     return result
 
