@@ -91,7 +91,6 @@ def plain(terrain: Terrain, point: Any, eye: float, radius: float | None) -> Non
     shed = measure.viewshed(terrain, point, eye, radius=radius, jobs=1)
     s = shed._scene
     rows, cols = shed.grid.shape
-    per = 1.0 / shed.quantum
     # A pyramid of one level, all of it above everything, is never passed.
     maxima = np.full(1 << 22, np.int32(2**31 - 1))
     offset, per_row = np.array([-1], np.int64), np.array([cols], np.int64)
@@ -101,7 +100,7 @@ def plain(terrain: Terrain, point: Any, eye: float, radius: float | None) -> Non
 
     def work() -> None:
         for r in lines:
-            args = s.z, maxima, offset, per_row, s.x, s.y, s.eye * per, 0.0, 4.0, True
+            args = s.z, maxima, offset, per_row, s.x, s.y, 0.0, np.ones((1, cols)), 4.0, True
             viewshed_kernels.look(*args, r + dr, r + dr + 1, dc, dc + cols, out)
 
     seconds = timed(work, 1)

@@ -221,7 +221,8 @@ def pick(
     """Height, coordinates, slope and aspect of the ground at points, or under pixels of a picture.
 
     Slope and aspect (in which the ground falls, clockwise from north) are those of the ground between its samples,
-    as in orograph light. A pixel's ray is cast against the full-resolution surface.
+    as in orograph light. A pixel's ray is cast against the full-resolution surface. Of a picture with --furniture the
+    camera is the view that render --json tells: save it as VIEW.json.
     """
     if not points and not pixels:
         raise UsageError("Give a point, or a pixel with --pixel.")

@@ -181,18 +181,19 @@ def test_it_does_not_depend_on_how_it_is_held(tmp_path):
 
 
 def test_in_a_stretched_projection_distances_are_true():
-    # Web Mercator at 60°: what looks 30 km away is 15 km away.
-    transform = Affine(200, 0, 1_000_000, 0, -200, 8_400_000)
+    # Web Mercator at 60°: what looks 240 km away is 120 km away, and more so to the south than to the north.
+    transform = Affine(1500, 0, 700_000, 0, -1500, 8_700_000)
     terrain = terrain_of(np.zeros((401, 401)), transform, "EPSG:3857")
-    shed = viewshed(terrain, (1_040_100, 8_359_900), 10.0)
+    shed = viewshed(terrain, (1_000_000, 8_400_000), 1000.0)
     values = shed.values()
     y, x = np.mgrid[:401, :401]
     places = Places(terrain)
     points = np.stack(terrain.grid.xy(x.ravel(), y.ravel()), axis=-1)
     there, here = places.geodetic(points), places.geodetic(np.array([shed.point]))[0]
     metres = places.geod.inv(*(np.full(len(points), v) for v in here), *there.T)[2].reshape(401, 401)
-    horizon = math.sqrt(2 * 10.0 / shed.bend)
-    assert (values[metres < horizon - 200] == 1).all() and (values[metres > horizon + 200] == 0).all()
+    horizon = math.sqrt(2 * 1000.0 / shed.bend)
+    assert 115e3 < horizon < 125e3 and metres[[0, -1]].min() > 135e3
+    assert (values[metres < horizon - 800] == 1).all() and (values[metres > horizon + 800] == 0).all()
 
 
 def test_files(tmp_path):

@@ -194,7 +194,7 @@ def _on_ellipsoid(places: Places, rings: list[Array]) -> tuple[float | None, flo
 
 def _sum(places: Places, rings: list[Array], level: float, jobs: int | None, progress: Progress) -> Array:
     """The kernel's sums over all tiles that the polygon meets."""
-    from orograph.geovis.measure.area_kernels import clipped, measure
+    from orograph.geovis.measure.area_kernels import ROOM, clip_ring, measure
 
     terrain = places.terrain
     rows, cols = terrain.grid.shape
@@ -206,8 +206,12 @@ def _sum(places: Places, rings: list[Array], level: float, jobs: int | None, pro
         sums = np.zeros(7)
         r0, c0 = at
         r1, c1 = min(r0 + TILE, rows - 1), min(c0 + TILE, cols - 1)
-        parts = [clipped(np.ascontiguousarray(ring), c0, r0, c1, r1) for ring in rings]
-        parts = [part for part in parts if len(part) > 2]
+        parts = []
+        for ring in rings:
+            one, two = np.empty((2, ROOM * len(ring), 2))
+            n = clip_ring(np.ascontiguousarray(ring), c0, r0, c1, r1, one, two)
+            if n > 2:
+                parts.append(two[:n])
         if not parts:
             return sums
         counts = np.array([len(part) for part in parts])

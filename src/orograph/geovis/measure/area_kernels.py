@@ -69,11 +69,12 @@ def clip_box(ring, n, west, north, east, south, one, two):
 
 
 @kernel
-def clipped(ring, west, north, east, south):
-    """A ring (n, 2) cut to a rectangle: (m, 2)."""
-    one, two = np.empty((ROOM * len(ring) + ROOM, 2)), np.empty((ROOM * len(ring) + ROOM, 2))
-    n = clip_box(ring, len(ring), west, north, east, south, one, two)
-    return two[:n].copy()
+def clip_ring(ring, west, north, east, south, one, two):
+    """Cut a ring (n, 2) to a rectangle; ``one`` and ``two`` (``ROOM`` · n, 2) are room; the ring is in ``two``.
+
+    Returns how many points it has. (A kernel that returned an array could not be interrupted.)
+    """
+    return clip_box(ring, len(ring), west, north, east, south, one, two)
 
 
 @leaf

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +36,12 @@ STEP = 30.0
 BORDER = 1e-6
 """Samples beyond the border that are rounding, and count as on it."""
 WGS84 = CRS.from_epsg(4326)
+
+
+@lru_cache(32)
+def _way(source: CRS | None, target: CRS | None) -> Move:
+    """``transformer``, kept: PROJ takes milliseconds to find a way."""
+    return transformer(source, target)
 
 
 class Places:
@@ -66,15 +72,6 @@ class Places:
         """Geodesics of the ellipsoid (Karney 2013); None without a CRS."""
         body = self.ellipsoid
         return None if body is None else Geod(a=body.a, f=body.f)
-
-    @cached_property
-    def _to_degrees(self) -> Move:
-        return transformer(self.grid.crs, self.degrees)  # PROJ takes milliseconds to find the way
-
-    @cached_property
-    def _to_geodetic(self) -> Move:
-        crs = self.grid.crs
-        return transformer(crs, None if crs is None else crs.geodetic_crs)
 
     @property
     def linear(self) -> Array:
@@ -134,7 +131,7 @@ class Places:
         """Longitude and latitude (n, 2) of points (n, 2), degrees; None without a CRS."""
         if self.degrees is None:
             return None
-        return np.stack(self._to_degrees(points[..., 0], points[..., 1]), axis=-1)
+        return np.stack(_way(self.grid.crs, self.degrees)(points[..., 0], points[..., 1]), axis=-1)
 
     def of_lonlat(self, degrees: ArrayLike) -> Array:
         """Points (n, 2) of longitudes and latitudes (n, 2).
@@ -148,7 +145,7 @@ class Places:
                 remedy="Give easting, northing, or the CRS with --assume-crs.",
             )
         given = np.atleast_2d(np.asarray(degrees, np.float64))
-        found = np.stack(transformer(self.degrees, self.grid.crs)(given[:, 0], given[:, 1]), axis=-1)
+        found = np.stack(_way(self.degrees, self.grid.crs)(given[:, 0], given[:, 1]), axis=-1)
         bad = ~np.isfinite(found).all(axis=1) | (np.abs(given[:, 1]) > 90)
         if bad.any():
             lon, lat = given[int(np.argmax(bad))]
@@ -194,12 +191,16 @@ class Places:
             return np.asarray(np.column_stack([points, heights]))
         return np.asarray(self.ellipsoid.ecef(np.column_stack([self.geodetic(points), heights])))
 
-    def geodetic(self, points: Array) -> Array:
-        """Longitude and latitude on the CRS's own datum."""
+    def geodetic(self, points: Array, strict: bool = True) -> Array:
+        """Longitude and latitude (n, 2) on the CRS's own datum.
+
+        Raises:
+            UsageError: a point has none (it lies where the projection does not reach); not ``strict``: inf.
+        """
         crs = self.grid.crs
         assert crs is not None
-        found = np.stack(self._to_geodetic(points[:, 0], points[:, 1]), axis=-1)
-        if not np.isfinite(found).all():
+        found = np.stack(_way(crs, crs.geodetic_crs)(points[:, 0], points[:, 1]), axis=-1)
+        if strict and not np.isfinite(found).all():
             raise UsageError(
                 f"A place on {self.terrain.name} has no longitude and latitude in {crs.name}.",
                 remedy="The terrain's CRS is used beyond its area: build it in another one (--crs).",

@@ -7,9 +7,11 @@ grows with the roughness along it, not with its length. No line is interpolated 
 
 The body is round and its air refracts as for a line of sight (``sight``): the apparent height of a sample d metres away
 is z − c d²/2. d² is a quadratic form of the step in samples, by the projection's metric at the eye, times the ratio of
-geodesic distance to that form, looked up on a lattice of ``LATTICE``² places over the window and bilinear between.
-Apparent heights are samples of the surface seen, linear between: within c·cell²/8 (16 µm for cells of 30 m) of ground
-that is straight on the round body. Where all of them do not fit in a third of the memory allowed they go to a scratch
+geodesic distance to that form, r, looked up on a lattice of ``LATTICE``² places over the window and bilinear between.
+Heights are counted from the eye and divided by √r: light, whose height is in proportion to true distance, then runs
+straight over the grid too, where metres are not all as long. Lines are straight on the grid (not geodesics, as those of
+``sight``). Apparent heights are linear between samples: within c·cell²/8 (16 µm for cells of 30 m) of ground that is
+straight on the round body. Where all of them do not fit in a third of the memory allowed they go to a scratch
 file that is mapped, 5.4 bytes for a sample; memory beyond it does not depend on the terrain's size.
 
 Units: metres above the ground for eye and targets. Results: 1 seen, 0 hidden, NaN not known (missing, or too far); or
@@ -43,6 +45,8 @@ Values = NDArray[np.float32]
 
 LATTICE = 17
 """Places along each side of the window where distances are geodesic."""
+EXTREMES = 0.01, 100.0
+"""Of r: beyond, a projection is not what it should be used for."""
 FINEST = 16
 """Apparent heights are multiples of 2^−16 m, or more where that does not hold their range in 31 bits."""
 BLOCK = 256
@@ -125,20 +129,27 @@ class Viewshed:
     def _block(self, window: tuple[int, int, int, int]) -> tuple[int, int, Values]:
         from orograph.geovis.measure.viewshed_kernels import look
 
-        row0, row1, col0, col1 = window
+        row, _, col, _ = window
         s = self._scene
-        out = np.empty((row1 - row0, col1 - col0), np.float32)
         dr, dc = self.row - s.row, self.col - s.col
+        window = (window[0] + dr, window[1] + dr, window[2] + dc, window[3] + dc)
+        out = np.empty((window[1] - window[0], window[3] - window[2]), np.float32)
         per = 1.0 / self.quantum
+        far = None
+        if self.radius is not None:
+            far = s.distance2(*window) > self.radius**2
+            if far.all():
+                out[:] = np.nan
+                return row, col, out
         look(
-            s.z, s.maxima, s.offset, s.per_row, s.x, s.y, s.eye * per, 0.0 if self.heights else self.target * per,
-            max(LEAST * per, 4.0), not self.heights, row0 + dr, row1 + dr, col0 + dc, col1 + dc, out,
+            s.z, s.maxima, s.offset, s.per_row, s.x, s.y, 0.0 if self.heights else self.target * per,
+            np.sqrt(s.ratios(*window)), max(LEAST * per, 4.0), not self.heights, *window, out,
         )  # fmt: skip
         if self.heights:
             out *= np.float32(self.quantum)
-        if self.radius is not None:
-            out[s.distance2(row0 + dr, row1 + dr, col0 + dc, col1 + dc) > self.radius**2] = np.nan
-        return row0, col0, out
+        if far is not None:
+            out[far] = np.nan
+        return row, col, out
 
 
 class Summary:
@@ -172,7 +183,6 @@ class _Scene:
     col: int
     x: float
     y: float
-    eye: float
     z: NDArray[np.int32]
     maxima: NDArray[np.int32]
     offset: NDArray[np.int64]
@@ -188,11 +198,14 @@ class _Scene:
         """Squared true distances (metres²) of a window's samples from the eye."""
         dx, dy = np.meshgrid(np.arange(col0, col1) - self.x, np.arange(row0, row1) - self.y)
         a, b, c = self.form[0, 0], self.form[0, 1], self.form[1, 1]
+        return np.asarray(self.ratios(row0, row1, col0, col1) * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
+
+    def ratios(self, row0: int, row1: int, col0: int, col1: int) -> Array:
+        """r: true squared distance by the quadratic form's, at a window's samples."""
         fx, fy = (np.arange(col0, col1) - self.rx[0]) / self.rx[1], (np.arange(row0, row1) - self.ry[0]) / self.ry[1]
         kx, ky = (np.clip(np.floor(f), 0, LATTICE - 2).astype(int) for f in (fx, fy))
         rows = self.ratio[ky] + (fy - ky)[:, None] * (self.ratio[ky + 1] - self.ratio[ky])
-        r = rows[:, kx] + (fx - kx) * (rows[:, kx + 1] - rows[:, kx])
-        return np.asarray(r * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
+        return np.asarray(rows[:, kx] + (fx - kx) * (rows[:, kx + 1] - rows[:, kx]))
 
 
 def viewshed(
@@ -268,11 +281,12 @@ def _ratios(places: Places, point: Array, x: float, y: float, cols: Array, rows:
     if places.geod is None:
         return np.ones((len(rows), len(cols)))
     at = np.stack(places.grid.xy(u, v), axis=-1)
-    there, here = places.geodetic(at), places.geodetic(point[None])[0]
+    there, here = places.geodetic(at, strict=False), places.geodetic(point[None])[0]
     _, _, metres = places.geod.inv(np.full(len(u), here[0]), np.full(len(u), here[1]), there[:, 0], there[:, 1])
-    near = squared < 1e4  # too near for a quotient; the form is as good there
-    out: Array = np.where(near, 1.0, np.asarray(metres) ** 2 / np.where(near, 1.0, squared))
-    return np.asarray(out.reshape(len(rows), len(cols)))
+    # Too near for a quotient the form is as good; where the projection does not reach there is nothing better.
+    form_only = (squared < 1e4) | ~np.isfinite(metres)
+    out: Array = np.where(form_only, 1.0, np.where(form_only, 1.0, metres) ** 2 / np.where(form_only, 1.0, squared))
+    return np.clip(out.reshape(len(rows), len(cols)), *EXTREMES)
 
 
 def _window(places: Places, point: Array, x: float, y: float, radius: float | None) -> tuple[int, int, int, int]:
@@ -305,7 +319,7 @@ def _scene(
     corners = np.array([[c - at[0], r - at[1]] for c in (col0, col1 - 1) for r in (row0, row1 - 1)])
     farthest = float(ratio.max() * np.einsum("ni,ij,nj->n", corners, form, corners).max())
     low, high = terrain.height_range
-    reach = max(high - ground, 0.0) + max(ground - low, 0.0) + 0.5 * bend * farthest + eye + 1.0
+    reach = (high - low + eye + 0.5 * bend * farthest + 1.0) / math.sqrt(float(ratio.min()))
     quantum = 2.0 ** max(-FINEST, math.ceil(math.log2(reach)) - 30)
     shapes: list[tuple[int, int]] = []
     nodes = rows - 1, cols - 1
@@ -331,8 +345,8 @@ def _scene(
         a, b, c, d = window
         part = np.ascontiguousarray(terrain.read(0, row0 + a, row0 + b, col0 + c, col0 + d))
         lower(
-            part, ground, 1.0 / quantum, bend, form[0, 0], form[0, 1], form[1, 1], col0 + c - at[0], row0 + a - at[1],
-            ratio, (rx[0] - c, rx[1]), (ry[0] - a, ry[1]), z[a:b, c:d],
+            part, ground + eye, 1.0 / quantum, bend, form[0, 0], form[0, 1], form[1, 1], col0 + c - at[0],
+            row0 + a - at[1], ratio, (rx[0] - c, rx[1]), (ry[0] - a, ry[1]), z[a:b, c:d],
         )  # fmt: skip
 
     windows = list(rectangles((rows, cols), TILE, 16 * TILE))
@@ -349,7 +363,7 @@ def _scene(
     for fine, coarse in pairwise(levels):
         next_level(fine, coarse)
     scene = _Scene(
-        row0, col0, at[0] - col0, at[1] - row0, eye, z, maxima, offset, per_row, form, ratio, rx, ry, jobs, release
+        row0, col0, at[0] - col0, at[1] - row0, z, maxima, offset, per_row, form, ratio, rx, ry, jobs, release
     )
     return scene, quantum, on_disk
 

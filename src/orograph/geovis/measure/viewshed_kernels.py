@@ -1,7 +1,7 @@
 """The loops of a viewshed: apparent heights, their maximum pyramid, and the walk along a line of sight.
 
-Apparent heights (see ``viewshed``) are integers, multiples of a *quantum* of at most 2⁻¹⁶ m counted from the eye's
-ground, so that half the memory of float64 holds them to 8 micrometres; ``MISSING`` stands for none. A node of level
+Apparent heights (see ``viewshed``) are integers, multiples of a *quantum* of at most 2⁻¹⁶ m counted from the eye, so
+that half the memory of float64 holds them to 8 micrometres; ``MISSING`` stands for none. A node of level
 L ≥ 1 of the pyramid covers 2^L × 2^L cells and holds the highest of their corners.
 
 The walk goes from node to node as ``raycast.traverse`` and ``raycast.skyline`` do: a node whose maximum lies under the
@@ -28,7 +28,7 @@ def lower(heights, base, scale, bend, a, b, c, x, y, ratio, rx, ry, out):
 
     Args:
         heights: (rows, cols) float32, NaN where missing.
-        base: metres that become 0; scale: 1 / quantum; bend: per metre.
+        base: height of the eye, metres; scale: 1 / quantum; bend: per metre.
         a, b, c: metres² of a step (dx, dy) in samples: a dx² + 2 b dx dy + c dy².
         x, y: the window's first sample, counted from the eye.
         ratio: (m, n) true squared distance by that one, on nodes rx, ry samples apart from the window's lattice.
@@ -53,7 +53,7 @@ def lower(heights, base, scale, bend, a, b, c, x, y, ratio, rx, ry, out):
                 (1.0 - fx) * ratio[ky + 1, kx] + fx * ratio[ky + 1, kx + 1]
             )
             drop = 0.5 * bend * r * (a * dx * dx + 2.0 * b * dx * dy + c * dy * dy)
-            value = np.floor((np.float64(z) - base - drop) * scale + 0.5)
+            value = np.floor((np.float64(z) - base - drop) * scale / np.sqrt(r) + 0.5)
             out[i, j] = np.int32(min(max(value, np.float64(FAR)), 2.0**31 - 1))
 
 
@@ -213,7 +213,7 @@ def ground_at(z, x, y):
 
 
 @kernel
-def look(z, maxima, offset, per_row, ox, oy, eye, height, least, stop, row0, row1, col0, col1, out):
+def look(z, maxima, offset, per_row, ox, oy, height, stretch, least, stop, row0, row1, col0, col1, out):
     """Look at samples [row0, row1) × [col0, col1) from an eye at (ox, oy).
 
     Whether a sample is seen is found from there towards the eye (what hides it is near it as a rule), the height that
@@ -222,10 +222,12 @@ def look(z, maxima, offset, per_row, ox, oy, eye, height, least, stop, row0, row
 
     Args:
         height: of targets above the ground, in quanta.
+        stretch: (rows, cols) of the block: true metres by apparent ones.
         out: (rows, cols) float32 of the block: with ``stop`` 1 (seen) or 0; without it how many quanta above the ground
             a target must be to be seen; NaN where the ground is missing.
     """
     nr, nc = z.shape[0] - 1, z.shape[1] - 1
+    eye = 0.0
     before = np.full(col1 - col0 + 1, INF)  # how far from the eye what hides the samples above is; shifted by one
     for i in range(row0, row1):
         for j in range(col0, col1):
@@ -233,7 +235,8 @@ def look(z, maxima, offset, per_row, ox, oy, eye, height, least, stop, row0, row
             if z[i, j] == MISSING:
                 out[i - row0, j - col0] = np.nan
                 continue
-            target = np.float64(z[i, j]) + height
+            true = stretch[i - row0, j - col0]
+            target = np.float64(z[i, j]) + height / true
             x, y = np.float64(j), np.float64(i)
             far = np.hypot(x - ox, y - oy)
             raised = target
@@ -258,4 +261,4 @@ def look(z, maxima, offset, per_row, ox, oy, eye, height, least, stop, row0, row
             if stop:
                 out[i - row0, j - col0] = 1.0 if raised == target else 0.0
             else:
-                out[i - row0, j - col0] = raised - target
+                out[i - row0, j - col0] = (raised - target) * true
