@@ -17,6 +17,7 @@ from click.testing import CliRunner
 
 from orograph import store
 from orograph.cli.build import command
+from orograph.progress import SILENT
 
 
 def write(path, heights, crs="EPSG:32611", **profile):
@@ -140,3 +141,28 @@ def test_kinds_of_errors(tmp_path):
     assert [json.loads(ran.stdout)["errors"] for ran in told] == [["exact"], ["exact", "wedgie"], []]
     ran = CliRunner().invoke(command, [str(dem), "-o", str(tmp_path / "d"), "--errors", "best"], obj={"quiet": True})
     assert ran.exit_code == 2 and "'best' is none of exact, wedgie, midpoint, none" in ran.output
+
+
+def test_color_errors_are_stored_and_used(tmp_path, monkeypatch):
+    from orograph.cli.engines import color_errors
+    from orograph.geovis.color_store import StoredColorErrors
+
+    dem = write(tmp_path / "dem.tif", HEIGHTS)
+    drape = tmp_path / "ortho.tif"
+    with rasterio.open(dem) as file:
+        profile = {"crs": file.crs, "transform": file.transform, "dtype": "uint8", "nodata": None}
+        size = file.width, file.height
+    with rasterio.open(drape, "w", "GTiff", *size, 3, **profile) as file:
+        file.write(np.random.default_rng(1).integers(0, 255, (3, size[1], size[0]), dtype=np.uint8))
+    path = str(tmp_path / "a.oro")
+    refused = CliRunner().invoke(command, [str(dem), "-o", path, "--drape", str(drape)], obj={"quiet": True})
+    assert refused.exit_code != 0 and "--color-errors" in str(refused.exception)
+    given = [str(dem), "-o", path, "--color-errors", "--drape", str(drape), "--json"]
+    ran = CliRunner().invoke(command, given, obj={"quiet": True})
+    assert ran.exit_code == 0, ran.output
+    assert json.loads(ran.stdout)["color_errors"]["drape"]["name"] == "ortho.tif"
+    with store.open(path) as terrain:
+        options = {"color_tolerance": 5.0, "drape": str(drape)}
+        assert isinstance(color_errors(terrain, options, 1 << 28, 1, SILENT), StoredColorErrors)
+        options["drape"] = None  # other colours are computed
+        assert not isinstance(color_errors(terrain, options, 1 << 28, 1, SILENT), StoredColorErrors)

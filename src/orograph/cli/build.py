@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.light import Names
-from orograph.cli.options import jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.errors import UsageError
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -57,6 +58,12 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
     show_default=True,
     help="Which errors of its diamonds are stored: some of exact,wedgie,midpoint, or none.",
 )
+@click.option(
+    "--color-errors",
+    is_flag=True,
+    help="Store also how much coarser triangles change colours (for --color-tolerance), of --drape or the tint, lit.",
+)
+@click.option("--drape", type=FILE, metavar="IMAGE", help="With --color-errors: the image laid over the terrain.")
 @source_options
 @vertical_options
 @memory_option
@@ -84,6 +91,8 @@ def command(
     max_memory: int,
     jobs: int | None,
     errors: tuple[ErrorKind, ...],
+    color_errors: bool,
+    drape: str | None,
     products: tuple[str, ...] | None,
     as_json: bool,
     **options: Any,
@@ -101,11 +110,14 @@ def command(
       orograph build dem.tif -o area.oro
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
+      orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
       orograph build tiles/*.tif -o area.oro --bake sky-view-factor,aperture
       orograph build N44W072.hgt -o area.oro --to-vertical ellipsoidal --geoid egm96_15.gtx
     """
     from orograph.store.build import as_source, build
 
+    if drape is not None and not color_errors:
+        raise UsageError("--drape is looked at for --color-errors.", remedy="Give --color-errors, too.")
     if products:
         from orograph.light.bake import check
 
@@ -134,6 +146,18 @@ def command(
 
         terrain.close()
         terrain = run(store, products, progress, max_memory=max_memory, jobs=jobs)
+    if color_errors:
+        from orograph.geovis.color_store import store_colors
+
+        terrain.close()
+        try:
+            terrain = store_colors(store, drape, max_memory=max_memory, jobs=jobs, progress=progress)
+        except KeyboardInterrupt:
+            click.echo(
+                f"\n{store} is complete but for its color errors; run the same command with --resume to finish them.",
+                err=True,
+            )
+            raise
     grid, size = terrain.grid, terrain.size_bytes
     low, high = terrain.height_range
     known = low == low
@@ -148,6 +172,7 @@ def command(
         "height_range": [low, high] if known else None,
         "valid_fraction": terrain.valid_fraction,
         "errors": list(terrain.errors),
+        "color_errors": terrain.record.colors or None,
         "layers": list(terrain.layers),
         "vertical_datum": terrain.vertical,
         "seconds": round(time.perf_counter() - started, 3),

@@ -99,7 +99,11 @@ def color_errors(
     if options["color_tolerance"] is None:
         return None
     from orograph.geovis.color_errors import ColorErrors as Errors
+    from orograph.geovis.color_store import stored
 
+    found = stored(terrain, options["drape"], progress=progress)
+    if found is not None:
+        return found
     with progress.task("Colour errors"):
         return Errors(terrain, drape=options["drape"], max_memory=max_memory, jobs=jobs, progress=progress)
 

@@ -16,14 +16,14 @@ from __future__ import annotations
 import math
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.diamonds import diamonds
+from orograph.error.diamonds import Surface, diamonds
 from orograph.geovis.colour import tint_of
 from orograph.light.normal import gradient
 from orograph.progress import SILENT, Progress
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float32]
 
+SUN = (315.0, 45.0)
 CODE = 15.9
 SKY = 0.35
 """The part of the light that comes from everywhere."""
@@ -54,8 +55,8 @@ def lab(linear: NDArray[np.floating]) -> Floats:
     )
 
 
-class ColorErrors:
-    """Color errors of a terrain's diamonds, called as engines want them: ``(level, row0, row1, col0, col1) → float32``.
+class Colors:
+    """The colours of a terrain's samples, at full resolution.
 
     Args:
         terrain: whose samples are coloured.
@@ -64,8 +65,10 @@ class ColorErrors:
         sun: (azimuth, altitude) in degrees of the light on the slopes; None: no light, the colours alone.
         relief: factor on slopes for the light.
         max_memory: bytes for the image.
-        jobs: threads.
-        progress: hears of the work.
+        progress: hears warnings.
+
+    Attributes:
+        step: how many pixels of the image a texel that is held is wide; 1 without an image.
 
     Raises:
         ReadError: the image cannot be read, or lies elsewhere.
@@ -77,10 +80,9 @@ class ColorErrors:
         *,
         drape: str | os.PathLike[str] | None = None,
         colormap: str | None = None,
-        sun: tuple[float, float] | None = (315.0, 45.0),
+        sun: tuple[float, float] | None = SUN,
         relief: float = 1.0,
         max_memory: int | None = None,
-        jobs: int | None = None,
         progress: Progress = SILENT,
     ) -> None:
         self.terrain, self.relief = terrain, relief
@@ -91,6 +93,7 @@ class ColorErrors:
             self._image = Drape.open(drape, terrain.grid, max_memory, metres=min(terrain.grid.spacing))
             for warning in self._image.warnings:
                 progress.warn(warning)
+        self.step = 1 if self._image is None else self._image.window.step
         self._tint = tint_of(terrain, colormap)
         self._light = None
         if sun is not None:
@@ -98,18 +101,6 @@ class ColorErrors:
             self._light = np.array(
                 [math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude)]
             )
-        self._lock = threading.Lock()
-        self._waiting: dict[tuple[int, ...], tuple[Future[Floats], list[int]]] = {}
-        self._codes = self._all(jobs, progress)
-
-    def __call__(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Floats:
-        codes = self._codes[level][row0:row1, col0:col1].astype(np.float32)
-        return (codes / np.float32(CODE)) ** 2
-
-    @property
-    def size_bytes(self) -> int:
-        """What is kept, one byte per diamond."""
-        return sum(codes.nbytes for codes in self._codes)
 
     def colors(self, row0: int, row1: int, col0: int, col1: int) -> Floats:
         """CIELAB colours (rows, cols, 3) of a window's samples, NaN where heights are missing."""
@@ -146,29 +137,88 @@ class ColorErrors:
             result = np.where(found[..., 3:] > 0.5, found[..., :3], result)
         return result
 
+    def nested(self) -> Floats:
+        """The colours of every 16th sample, the last ones repeated where the step leads beyond the raster."""
+        rows, cols = self.terrain.grid.shape
+        step = 1 << NESTED
+        columns = np.minimum(np.arange(0, cols - 1 + step, step), cols - 1)
+        lines = np.minimum(np.arange(0, rows - 1 + step, step), rows - 1)
+        return np.stack([self.colors(int(row), int(row) + 1, 0, cols)[0, columns] for row in lines])
+
+
+def codes_of(errors: Sequence[Floats]) -> NDArray[np.uint8]:
+    """Codes of color errors, rounded up, from those of the three channels; 0 where they are infinite (mixed)."""
+    total = np.sqrt(sum(e.astype(np.float64) ** 2 for e in errors))
+    # Mixed diamonds are split anyway.
+    code = np.where(np.isfinite(total), np.minimum(np.ceil(np.sqrt(total) * CODE), 255), 0)
+    return code.astype(np.uint8)
+
+
+def decoded(codes: NDArray[np.uint8]) -> Floats:
+    """Color errors, ΔE, of codes."""
+    return (codes.astype(np.float32) / np.float32(CODE)) ** 2
+
+
+def blank(terrain: Terrain) -> Surface:
+    """A terrain's raster for surveys that make no spheres."""
+    return surface(terrain.grid, np.zeros((1, 1), np.float32), 0.0)
+
+
+class ColorErrors(Colors):
+    """Color errors of a terrain's diamonds, called as engines want them: ``(level, row0, row1, col0, col1) → float32``.
+
+    Computed at once and kept in memory; see ``color_store`` for those kept with the terrain.
+
+    Args:
+        terrain, drape, colormap, sun, relief, max_memory: see ``Colors``.
+        jobs: threads.
+        progress: hears of the work.
+
+    Raises:
+        ReadError: the image cannot be read, or lies elsewhere.
+    """
+
+    def __init__(
+        self, terrain: Terrain, *, jobs: int | None = None, progress: Progress = SILENT, **options: Any
+    ) -> None:
+        super().__init__(terrain, progress=progress, **options)
+        self._lock = threading.Lock()
+        self._waiting: dict[tuple[int, ...], tuple[Future[Floats], list[int]]] = {}
+        self._codes = self._all(jobs, progress)
+
+    def __call__(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Floats:
+        return decoded(self._codes[level][row0:row1, col0:col1])
+
+    @property
+    def size_bytes(self) -> int:
+        """What is kept, one byte per diamond."""
+        return sum(codes.nbytes for codes in self._codes)
+
     def _all(self, jobs: int | None, progress: Progress) -> list[NDArray[np.uint8]]:
         terrain = self.terrain
         shape = terrain.grid.shape
         top = terrain.levels - 1
         codes = [np.zeros(diamond_shape(shape, level), np.uint8) for level in range(terrain.levels)]
-        blank = surface(terrain.grid, np.zeros((1, 1), np.float32), 0.0)
         blocks = -(-shape[0] // 1024) * -(-shape[1] // 1024)
         with progress.task("Color errors", total=blocks) as task:
-            nested = self._nested()
+            nested = self.nested()
             # One channel after the other in lock step: their parts come in the same order.
             channels = [
                 diamonds(
-                    self._channel(k), np.ascontiguousarray(nested[..., k]), blank, ("exact",), radii=False, jobs=jobs
+                    self._channel(k),
+                    np.ascontiguousarray(nested[..., k]),
+                    blank(terrain),
+                    ("exact",),
+                    radii=False,
+                    jobs=jobs,
                 )
                 for k in range(3)
             ]
             for parts in zip(*channels, strict=True):
-                total = np.sqrt(sum(part.errors["exact"].astype(np.float64) ** 2 for part in parts))
-                # Mixed diamonds are split anyway.
-                code = np.where(np.isfinite(total), np.minimum(np.ceil(np.sqrt(total) * CODE), 255), 0)
+                code = codes_of([part.errors["exact"] for part in parts])
                 part = parts[0]
                 level = min(part.octave, top)
-                place(codes[level], code.astype(np.uint8), part.octave, part.i, part.j, level)
+                place(codes[level], code, part.octave, part.i, part.j, level)
                 if part.octave == 0:
                     task.advance()
         return codes
@@ -198,11 +248,3 @@ class ColorErrors:
             if not left[0]:
                 del self._waiting[window]
         return result
-
-    def _nested(self) -> Floats:
-        """The colours of every 16th sample, the last ones repeated where the step leads beyond the raster."""
-        rows, cols = self.terrain.grid.shape
-        step = 1 << NESTED
-        columns = np.minimum(np.arange(0, cols - 1 + step, step), cols - 1)
-        lines = np.minimum(np.arange(0, rows - 1 + step, step), rows - 1)
-        return np.stack([self.colors(int(row), int(row) + 1, 0, cols)[0, columns] for row in lines])
