@@ -2,13 +2,15 @@
 
 Run: ``python bench/aperture.py [DEM] [--size 256] [--pictures DIR]``. Without a DEM the terrain is a fractal at 30 m.
 Light is that of one sun relative to a surface square to it, so errors are in parts of full light. ``--pictures`` saves,
-for every sun, rays, aperture and their difference side by side. The cost is that of a 1280 × 720 perspective of the
-same ground: rays cast, slopes looked up and tints composed without light through caps, and then with it.
+for every sun, rays, aperture and their difference side by side. What a picture costs is measured twice: whole pictures
+of 1280 × 720 from a store with baked apertures, by every light; and what the kernel alone adds per hit.
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -103,22 +105,45 @@ def cost(h: np.ndarray, linear: np.ndarray) -> None:
     print(f"{1e9 * b / len(points):.0f} ns per hit")
 
 
-def pipeline(h: np.ndarray, linear: np.ndarray) -> None:
-    """The same against the whole of ``orograph.render``, without shadows: 1280 × 720, one thread."""
+def pictures(h: np.ndarray, linear: np.ndarray, rounds: int = 7) -> None:
+    """Whole pictures of 1280 × 720 from a store with baked apertures, by each light: as a command, in a process."""
+    import tempfile
+
     from affine import Affine
 
+    import orograph
     from orograph.geo.grid import Grid
-    from orograph.picture.api import render
-    from orograph.store.memory import MemoryTerrain
+    from orograph.light.bake import bake
+    from orograph.store.source import ArraySource
 
     (a, b), (d, e) = linear
-    terrain = MemoryTerrain(h, Grid(h.shape, Affine(a, b, 0, d, e, 0)), "ground")
-    best = np.inf
-    for _ in range(3):
-        start = time.process_time()
-        render(terrain, size=(1280, 720), shadows=False, jobs=1)
-        best = min(best, time.process_time() - start)
-    print(f"orograph.render without shadows: {1e3 * best:.0f} ms")
+    source = ArraySource(h, Grid(h.shape, Affine(a, b, 0, d, e, 0)), "ground")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "ground.oro"
+        orograph.build(source, path, errors=()).close()
+        bake(path, ["aperture", "ambient-occlusion"]).close()
+        lights = ("none", "aperture", "ao", "relief")
+        wall, cpu, command, stages = (dict.fromkeys(lights, np.inf) for _ in range(4))
+        for _ in range(rounds):
+            for light in lights:
+                begun, used = time.perf_counter(), time.process_time()
+                with orograph.open(path) as terrain:
+                    picture = orograph.render(terrain, size=(1280, 720), sun=(300, 30), light=light)
+                wall[light] = min(wall[light], time.perf_counter() - begun)
+                used = time.process_time() - used
+                if used < cpu[light]:
+                    cpu[light], stages[light] = used, picture.facts["seconds"]
+        for _ in range(rounds - 2):
+            for light in lights:
+                begun = time.perf_counter()
+                given = ["render", str(path), "-o", str(Path(folder) / "a.jpg"), "--sun", "300,30", "--light", light]
+                subprocess.run([sys.executable, "-m", "orograph", *given, "--quiet"], check=True, capture_output=True)
+                command[light] = min(command[light], time.perf_counter() - begun)
+    print("\n| light of a 1280 × 720 picture | command s | beside unlit | in a process, s | | processor s | | stages |")
+    print("|---|---|---|---|---|---|---|---|")
+    for light in lights:
+        told = (f"{t[light]:.3f} | {t[light] / t['none']:.2f}" for t in (command, wall, cpu))
+        print(f"| {light} | {' | '.join(told)} | {stages[light]} |")
 
 
 def main() -> None:
@@ -127,13 +152,16 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--rays", type=int, default=256)
     parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--cost", action="store_true", help="only what a picture costs")
     args = parser.parse_args()
     h, linear = ground(args.dem, args.size)
     print(f"{args.size}² samples, {np.ptp(h):.0f} m of relief; {args.rays} rays to each sun")
     if args.pictures:
         args.pictures.mkdir(parents=True, exist_ok=True)
+    pictures(h, linear)
+    if args.cost:
+        return
     cost(h, linear)
-    pipeline(h, linear)
     errors(h, linear, args.rays, args.pictures)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
 from orograph.light.aperture_kernels import illuminate
-from orograph.light.relief import Tables, finest
+from orograph.light.relief import Tables, _gradient, finest
 from orograph.parallel import map_ordered
 from orograph.raycast.select import Rectangle
 from orograph.store.layers import Layer, LayerBand
@@ -140,14 +140,18 @@ def _look_up(pool, ints, floats, points, footprint, out):
 
 @kernel
 def light_caps(
-    pool, ints, floats, points, width, gradient, to_world, stretch, height, suns, lamps, ambient, bounce, linear, out
-):
+    pool, ints, floats, means, mean_ints, mean_floats, points, width, to_world, stretch, height, suns, lamps, ambient,
+    bounce, linear, out,
+):  # fmt: skip
     """Light through the caps of a field on hits (n,) of a picture.
 
+    The slope is that of the level of means nearest to the pixel's footprint: caps change as slowly as their own level
+    does, so blending two levels of slopes would be twice the work for nothing to be seen.
+
     Args:
-        pool, ints, floats: the field.
+        pool, ints, floats: the field. means, mean_ints, mean_floats: the relief (``relief.Relief``).
         points: (n, 3) sample coordinates, true heights; NaN rows are passed over. width: (n,) footprint in samples.
-        gradient: (n, 2) metres per sample. to_world: (2, 2) turns it into metres per metre; ``stretch`` multiplies it.
+        to_world: (2, 2) turns metres per sample into metres per metre; ``stretch`` multiplies slopes.
         height: what true heights are stretched by, for lamps.
         suns, lamps, ambient: see ``aperture_kernels``. linear: (2, 2) metres east and north per column and row.
         bounce: (3,) what ground gives in place of hidden sky.
@@ -168,8 +172,14 @@ def light_caps(
             ce, cn, cu, rim = 0.0, 0.0, 1.0, 0.0
         else:
             ce, cn, cu = ce / length, cn / length, cu / length
-        p = (to_world[0, 0] * gradient[k, 0] + to_world[0, 1] * gradient[k, 1]) * stretch
-        q = (to_world[1, 0] * gradient[k, 0] + to_world[1, 1] * gradient[k, 1]) * stretch
+        w = finest(mean_ints, mean_floats, x, y, np.floor(np.log2(max(width[k], 1.0)) + 0.5))
+        s = mean_floats[w, 0]
+        u, v = (x + 0.5) / s - 0.5 - mean_floats[w, 5], (y + 0.5) / s - 0.5 - mean_floats[w, 6]
+        across, down = _gradient(
+            means, mean_ints[w, 0], mean_ints[w, 1], mean_ints[w, 2], u, v, mean_floats[w, 7], mean_floats[w, 8]
+        )
+        p = (to_world[0, 0] * across + to_world[0, 1] * down) * stretch / s
+        q = (to_world[1, 0] * across + to_world[1, 1] * down) * stretch / s
         up = 1.0 / np.sqrt(1.0 + p * p + q * q)
         px, py = linear[0, 0] * x + linear[0, 1] * y, linear[1, 0] * x + linear[1, 1] * y
         illuminate(

@@ -36,6 +36,10 @@ Colours = NDArray[np.float32]
 EDGE = 11
 """Difference of neighbouring pixels (sRGB bytes, largest channel) from which both are antialiased."""
 
+BREAK = 6.0
+"""Widths of a pixel from one pixel's ground to the next one's, along the ray, from which on there is an edge: ground
+seen at less than 10°, or a silhouette."""
+
 BLOCK = 1 << 15
 """Samples shaded at a time by a thread."""
 
@@ -118,18 +122,24 @@ def draw(
         mine = np.zeros(t.shape, bool)
         mine[own] = True
         counted = mine.ravel()
+        wet = np.zeros(t.shape if shader.smooth else (0, 0), bool)
+        shores = wet.ravel()
 
         def block(start: int) -> int:
             i = np.arange(start, min(start + BLOCK, len(ft)))
             px, py = (a.astype(np.float64) + 0.5 for a in (area[2] + i % wide, area[0] + i // wide))
-            flat[i] = shader.colour(ground.rays.meet(px, py, ft[i], fw[i], fv[i]), px, py, counted[i])
+            water = shores[i[0] : i[-1] + 1] if shader.smooth else None
+            flat[i] = shader.colour(ground.rays.meet(px, py, ft[i], fw[i], fv[i]), px, py, counted[i], water)
             return len(i)
 
         for n in map_ordered(block, range(0, len(ft), BLOCK), scene.jobs):
             task.advance(n)
         lap("colour")
         if scene.samples > 1:
-            edges = np.flatnonzero(find_edges(encode(linear)).ravel() & counted)
+            found = find_edges(encode(linear))
+            if shader.smooth:
+                found &= find_breaks(t, view.whole, wet, np.isfinite(veil))
+            edges = np.flatnonzero(found.ravel() & counted)
             facts["edge_fraction"] = len(edges) / (view.width * view.height)
             offsets = pattern(scene.samples)
 
@@ -205,6 +215,25 @@ def find_edges(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
         edges[1:] |= down
         edges[:-1] |= down
     return edges
+
+
+def find_breaks(
+    depth: Array, view: View, wet: NDArray[np.bool_], veiled: NDArray[np.bool_]
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Pixels (height, width) beside which the ground breaks off (by ``BREAK`` widths of a pixel along the ray), water,
+    a veil or the terrain begins; depths are NaN where no ground is."""
+    far = np.where(np.isnan(depth), np.inf, depth)
+    pixel = np.full((), view.pixel_metres) if view.projection == "plan" else view.pixel_slope * far
+    kind = wet.astype(np.int8) + 2 * veiled + 4 * np.isinf(far)
+    out = np.zeros(depth.shape, bool)
+    for a, b in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
+        with np.errstate(invalid="ignore"):
+            near = np.minimum(far[a], far[b])
+            step = np.abs(far[a] - far[b]) > BREAK * (pixel if pixel.ndim == 0 else view.pixel_slope * near)
+        step |= kind[a] != kind[b]
+        out[a] |= step
+        out[b] |= step
+    return out
 
 
 def pattern(n: int) -> Array:

@@ -57,9 +57,11 @@ class Lighting(Protocol):
 
     Attributes:
         told: what it is, for the picture's facts.
+        smooth: whether it is as smooth as the ground's slope at the scale of a pixel: no edges of shadows.
     """
 
     told: str
+    smooth: bool
 
     def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colours:
         """Light (n, 3) on hits, seen at positions px, py (n,) of the whole picture; ``part`` of them share a pixel."""
@@ -121,6 +123,7 @@ class Bare:
     """No light: ground shows the map's own colours."""
 
     told = "none"
+    smooth = True
 
     def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colours:
         return np.ones((len(hits.t), 3), np.float32)
@@ -128,6 +131,8 @@ class Bare:
 
 class Occlusion:
     """The sun, cut by the skyline, and the light of all around by ambient occlusion or a sky-view factor."""
+
+    smooth = False
 
     def __init__(self, scene: Scene, ground: Ground, shine: Shine, strength: float, field: Field, told: str) -> None:
         self.scene, self.ground, self.shine, self.strength = scene, ground, shine, strength
@@ -149,6 +154,8 @@ class Occlusion:
 class Apertures:
     """Sun, sky and lamps through ambient apertures."""
 
+    smooth = True
+
     def __init__(self, scene: Scene, ground: Ground, shine: Shine, strength: float, field: Field, told: str) -> None:
         from orograph.light.aperture import Lamp, Lights
 
@@ -162,20 +169,22 @@ class Apertures:
     def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colours:
         from orograph.light.field import light_caps
 
-        ground, field, x = self.ground, self.field, self.scene.exaggeration
-        gradient = ground.relief.gradient(hits.points, hits.width)
+        ground, field, relief, x = self.ground, self.field, self.ground.relief, self.scene.exaggeration
         out = np.zeros((len(hits.t), 3), np.float32)
         light_caps(
-            field.pool, field.ints, field.floats, hits.points, hits.width, gradient, ground.to_world, x * self.strength,
-            x, *self.tables, self.shine.bounce, ground.linear, out,
+            field.pool, field.ints, field.floats, relief.pool, relief.ints, relief.floats, hits.points, hits.width,
+            ground.to_world, x * self.strength, x, *self.tables, self.shine.bounce, ground.linear, out,
         )  # fmt: skip
         if not self.scene.shadows:
+            gradient = relief.gradient(hits.points, hits.width)
             out += _unhidden(self.scene, ground, self.shine, gradient, self.strength)
         return out
 
 
 class Raytraced:
     """Suns by rays to their discs, the sky by cosine-weighted rays, lamps by a ray each."""
+
+    smooth = False
 
     def __init__(self, scene: Scene, ground: Ground, shine: Shine, strength: float) -> None:
         self.scene, self.ground, self.shine, self.strength = scene, ground, shine, strength

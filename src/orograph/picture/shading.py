@@ -114,10 +114,18 @@ class Shader:
         self.facts["tint_from_to_m"] = [self.tint.low, self.tint.high]
         self.facts["water_fraction"] = self.maps.water_fraction
 
-    def colour(self, hits: Hits, px: Array, py: Array, counted: NDArray[np.bool_] | None = None) -> Colours:
+    @property
+    def smooth(self) -> bool:
+        """Whether colours only change fast where the ground in view does, or from land to water."""
+        return self.drape is None and self.lighting is not None and self.lighting.smooth
+
+    def colour(
+        self, hits: Hits, px: Array, py: Array, counted: NDArray[np.bool_] | None = None,
+        wet: NDArray[np.bool_] | None = None,
+    ) -> Colours:  # fmt: skip
         """Linear colours (n, 3) of the samples in ``hits`` at pixel positions px, py (n,).
 
-        ``counted`` (n,): which of them go into ``shown``; None: none.
+        ``counted`` (n,): which of them go into ``shown``; None: none. ``wet`` (n,): gets which of them are water.
         """
         out = np.empty((len(hits.t), 3), np.float32)
         missed = np.flatnonzero(np.isnan(hits.t))
@@ -125,6 +133,9 @@ class Shader:
             out[missed] = self.background(hits.rays[missed])
         if len(missed) < len(hits.t):
             self._lit(hits, px, py, out, counted)
+            if wet is not None and self.maps.water.size:
+                met = np.flatnonzero(~np.isnan(hits.t))
+                wet[met] = self._wet(hits.points[met])
         veiled = np.flatnonzero(~np.isnan(hits.veil))
         if len(veiled):
             if counted is not None:
