@@ -18,6 +18,7 @@ Facts = dict[str, Any]
 EXTRAS = {
     "gpu": ("wgpu",),
     "view": ("rendercanvas", "glfw", "imgui-bundle"),
+    "notebook": ("anywidget",),
     "movie": ("av",),
     "mesh": ("trimesh",),
     "sample": ("matplotlib",),
@@ -29,6 +30,7 @@ EXTRAS = {
 USES = {
     "gpu": "render --backend gpu",
     "view": "the window",
+    "notebook": "the window in a notebook",
     "movie": "movie files",
     "mesh": "GLB meshes",
     "sample": "the built-in sample, plots",

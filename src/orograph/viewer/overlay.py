@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 MARGIN = 14.0
 PAD = 8.0
+BESIDE = 190.0
+"""What scale bar and colour bar take beside the read-out."""
 
 
 def colour(r: float, g: float, b: float, a: float = 1.0) -> int:
@@ -134,10 +136,16 @@ def _readout(window: Window, draw: Any, middle: float, y: float) -> None:
         parts.append(f"{hit.height:.1f} m")
     if hit.slope is not None:
         parts.append(f"slope {hit.slope:.0f}°")
-    text = "    ".join(parts)
-    wide = imgui.calc_text_size(text).x
-    slip(draw, middle - wide / 2 - PAD, y, wide + 2 * PAD, 24)
-    draw.add_text((middle - wide / 2, y + 4), colour(0.95, 0.95, 0.95), text)
+    lines = ["    ".join(parts)]
+    left, _, area, _ = window.area
+    if imgui.calc_text_size(lines[0]).x > area - 2 * BESIDE:  # one line would lie over scale and colours
+        lines = parts
+        y -= 46 + 20 * (len(lines) - 1)
+        middle = left + MARGIN + PAD + max(imgui.calc_text_size(t).x for t in lines) / 2
+    wide = max(imgui.calc_text_size(t).x for t in lines)
+    slip(draw, middle - wide / 2 - PAD, y, wide + 2 * PAD, 4 + 20 * len(lines))
+    for k, text in enumerate(lines):
+        draw.add_text((middle - wide / 2, y + 4 + 20 * k), colour(0.95, 0.95, 0.95), text)
 
 
 def lonlat(lon: float, lat: float) -> str:

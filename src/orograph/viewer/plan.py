@@ -58,6 +58,11 @@ class Plan:
         """Whether its relief is being drawn."""
         return self._drawing is not None
 
+    @property
+    def inset_width(self) -> float:
+        """Logical pixels that the inset takes at the left of the terrain's area."""
+        return self._rect[2] if self.mode == "inset" else 0.0
+
     def cycle(self) -> None:
         """Inset, half, none."""
         self.mode = NEXT[self.mode]

@@ -216,9 +216,10 @@ class Tools:
         if not self.active:
             return
         self._marks()
-        x, y, w, h = self.window.area
-        imgui.set_next_window_pos((x + w * 0.5, y + h - 60), imgui.Cond_.first_use_ever, (0.5, 1.0))
-        imgui.set_next_window_size((min(560.0, w * 0.7), 0), imgui.Cond_.first_use_ever)
+        x, y, w, _ = self.window.area
+        beside = self.window.plan.inset_width
+        imgui.set_next_window_pos((x + beside + 28, y + 14), imgui.Cond_.first_use_ever)
+        imgui.set_next_window_size((min(460.0, max(w - beside - 100.0, 260.0)), 0), imgui.Cond_.always)
         shown, opened = imgui.begin("Measure", True, imgui.WindowFlags_.no_focus_on_appearing)
         if shown:
             self._panel()

@@ -1,0 +1,82 @@
+"""The window in a cell: with a canvas in the widget's stead, and where there is none."""
+
+from __future__ import annotations
+
+import base64
+import io
+import sys
+import types
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from orograph.picture.prepare import prepare
+from orograph.viewer.notebook import Still, Widget
+
+pytest.importorskip("imgui_bundle")
+
+
+@pytest.fixture(scope="module")
+def terrain(dem):
+    return prepare([str(dem)])
+
+
+@pytest.fixture
+def front_end(monkeypatch):
+    """``rendercanvas.anywidget`` as it looks from here, drawing off screen."""
+    from rendercanvas.offscreen import OffscreenRenderCanvas
+
+    class Canvas(OffscreenRenderCanvas):
+        def _repr_mimebundle_(self, **options):
+            return {"application/vnd.jupyter.widget-view+json": {"model_id": "0"}}, {}
+
+    module = types.ModuleType("rendercanvas.anywidget")
+    module.RenderCanvas = Canvas
+    monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", module)
+
+
+def pixels(data: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(data)))
+
+
+def test_a_cell_holds_the_widget_and_a_still(terrain, device, front_end):
+    widget = terrain.view(size=(400, 300), sun="2026-06-21T12:00Z", exaggeration=2.0)
+    assert isinstance(widget, Widget)
+    data, _ = widget._repr_mimebundle_()
+    assert "application/vnd.jupyter.widget-view+json" in data
+    still = pixels(base64.b64decode(data["image/png"]))
+    assert still.shape == (300, 400, 3)
+    assert still.std() > 10
+    for _ in range(3):
+        widget.canvas._process_events()
+        shown = np.asarray(widget.canvas.draw())[..., :3]
+    assert shown.shape == (300, 400, 3)
+    home = widget.camera
+    assert (home.width, home.height) == (400, 300)  # no panels at first
+    from dataclasses import replace
+
+    widget.camera = replace(home, eye=(home.eye[0] + 1000.0, *home.eye[1:]))
+    for _ in range(1000):
+        widget.canvas.draw()
+        if not widget.window.session.moving:
+            break
+    assert widget.camera.eye[0] == pytest.approx(home.eye[0] + 1000.0)
+    widget.close()
+    widget.window.gui.close()
+
+
+def test_a_still_where_the_extra_is_missing(terrain, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", None)
+    still = terrain.view(size=(200, 150))
+    assert isinstance(still, Still)
+    assert "orograph[notebook]" in still.why
+    assert pixels(still._repr_png_()).shape == (150, 200, 3)
+
+
+def test_a_still_where_there_is_no_gpu(terrain, front_end, monkeypatch):
+    monkeypatch.setenv("OROGRAPH_ADAPTER", "nonsuch")
+    still = terrain.view(size=(200, 150))
+    assert isinstance(still, Still)
+    assert "nonsuch" in still.why
+    assert pixels(still._repr_png_()).std() > 10
