@@ -108,15 +108,16 @@ def plain(terrain: Terrain, point: Any, eye: float, radius: float | None) -> Non
 
 
 LARGE = """
-import json, resource, sys, time
+import json, sys, time
 from orograph import store
+from orograph.cli.build import peak_memory
 from orograph.geovis import measure
-terrain = store.open(sys.argv[1], cache_bytes=64 << 20)
+terrain = store.open(sys.argv[1], cache_bytes=16 << 20)
 rows, cols = terrain.grid.shape
 began = time.perf_counter()
 shed = measure.viewshed(terrain, terrain.grid.xy(cols / 2, rows / 2), 100.0, max_memory=256 << 20)
 told = shed.save(sys.argv[2])
-print(json.dumps([time.perf_counter() - began, shed.on_disk, told, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss]))
+print(json.dumps([time.perf_counter() - began, shed.on_disk, told, peak_memory()]))
 """
 
 
@@ -127,7 +128,7 @@ def large(path: Path, folder: Path) -> None:
     seconds, on_disk, told, peak = json.loads(ran.stdout)
     print(
         f"  viewshed of all of it, eye 100 m: {seconds:.1f} s for {told['samples']:,} samples, "
-        f"{'scratch file' if on_disk else 'in memory'}, {peak >> 10} MiB at most (mapped file included)"
+        f"{'scratch file' if on_disk else 'in memory'}, {peak >> 20} MiB at most (mapped file included)"
     )
 
 
