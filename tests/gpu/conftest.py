@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from orograph.gpu.device import Device, NoAdapterError, open_device
@@ -17,3 +19,14 @@ def device() -> Device:
         if os.environ.get("CI"):
             pytest.fail(f"CI tests the GPU: {error}")
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def real_ground(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
+    """32 × 32 samples of the San Gabriel Mountains, 30 m apart, and the linear part of their geotransform."""
+    import rasterio
+
+    with rasterio.open(next((shared_data / "bigtujunga-srtm30m-utm").glob("*.tif"))) as file:
+        heights = file.read(1, window=((208, 240), (308, 340))).astype(np.float32)
+        t = file.transform
+    return heights, np.array([[t.a, t.b], [t.d, t.e]])

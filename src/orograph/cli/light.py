@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 OWN = (
     "products", "azimuths", "radius", "sun", "lights", "curvature", "refraction", "exaggeration", "rays", "rho",
-    "method", "date", "step", "turbidity", "byte",
+    "method", "cones", "date", "step", "turbidity", "byte",
 )  # fmt: skip
 """What is said about the light; all other options are about reading."""
 
 AT_ONCE = ("normal", "slope", "aspect", "hillshade")
 """Products of which nothing is worth keeping."""
 
-MORE = ("rho", "method", "date", "step", "turbidity")
+MORE = ("rho", "method", "cones", "date", "step", "turbidity")
 
 
 class Names(click.ParamType["tuple[str, ...]"]):
@@ -88,12 +88,19 @@ class Names(click.ParamType["tuple[str, ...]"]):
     help="With --curvature: how much rays bend, relative to the ground.",
 )
 @click.option(
-    "--rays", type=click.IntRange(min=1), default=256, show_default=True, help="Rays per sample by Monte Carlo."
+    "--rays",
+    type=click.IntRange(min=1),
+    default=256,
+    show_default=True,
+    help="Rays per sample by Monte Carlo; directions of shadow maps.",
 )
 @click.option("--rho", type=click.Choice(["step", "linear"]), help="Of ambient occlusion.  [default: step]")
 @click.option(
-    "--method", type=click.Choice(["horizon", "rays"]), help="Of ambient occlusion and apertures.  [default: horizon]"
+    "--method",
+    type=click.Choice(["horizon", "rays", "shadow-maps", "cone-tracing"]),
+    help="Of ambient occlusion, the last two on the GPU; of apertures, the first two.  [default: horizon]",
 )
+@click.option("--cones", type=click.IntRange(min=3), help="Of cone tracing: about how many per sample.  [default: 40]")
 @click.option("--date", metavar="DATE", help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026).")
 @click.option("--step", type=float, metavar="MINUTES", help="Of insolation: between two suns.  [default: 10]")
 @click.option("--turbidity", type=float, help="Of insolation: Linke's, of the air.  [default: 3]")

@@ -42,8 +42,8 @@ Array = NDArray[np.float64]
 Method = Literal["horizon", "rays", "shadow-maps", "cone-tracing"]
 
 ELSEWHERE = {"shadow-maps": "orograph.gpu.occlusion_maps", "cone-tracing": "orograph.gpu.cone_tracing"}
-"""Methods of later layers: modules with a ``run(context) → blocks``. They are known here by name only, and imported when
-one of them is asked for: without a GPU and its extra, this layer is whole."""
+"""Methods of later layers: modules with a ``run(context) → blocks``. They are known here by name only, and imported
+when one of them is asked for: without a GPU and its extra, this layer is whole."""
 
 LIFT = 1e-4
 """Rays begin this far above the ground, in cells: the ε of p + εω, but upward, so that they begin on the lit side."""
@@ -313,7 +313,7 @@ def ambient_occlusion(
     method: Method = "horizon",
     azimuths: int = 32,
     rays: int = 256,
-    cones: int = 24,
+    cones: int = 40,
     seed: int = 0,
     jobs: int | None = None,
 ) -> Heights:

@@ -1,0 +1,242 @@
+"""Ambient occlusion by voxel cone tracing: a few cones through prefiltered voxels instead of hundreds of rays.
+
+Crassin, Neyret, Sainz, Green & Eisemann 2011 ("Interactive Indirect Illumination Using Voxel Cone Tracing", sec. 5 and
+7), for height fields; the definition of A, ρ and R is that of ``orograph.light.occlusion``.
+
+*Voxels* are columns of cells with the share of each that lies under the ground, anchored to the terrain. They form a
+clip map: level l has voxels 2^l cells wide and as thick, each the mean of 2 × 2 × 2 finer ones (made straight out of
+the heights), and reaches only as far around a tile as cones need it: a cone of half angle a wants voxels of width
+2 t tan a at distance t. So a tile takes some megabytes, whatever the radius.
+
+*Cones* fill the hemisphere around the normal in rings of equal height, as many per ring as are about square. Each
+carries the integral of the cosine over its patch of the sky. Along it voxels of its own width are read, trilinear and
+between levels. Three things make it right for terrain:
+
+- The share of a voxel that the sample's own tangent plane fills is taken off: else the lowest ring, whose patches touch
+  the plane, would be occluded on level ground.
+- Ground fills a patch from below and behind what is filled there may be more of the same: what is hidden is the largest
+  share along the cone, not the product of many transparencies. Where it grows, ρ is taken at that distance.
+- The share of a patch becomes a share of light by the integral of the cosine from the patch's lower edge up.
+
+It is smooth and quick and an approximation: see the manual for the errors. Heights and lengths in metres. Tiles do not
+matter beyond the 8 bits of a voxel. Missing samples are empty. Cells should be about square.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.gpu.binding import bind, compute, layout
+from orograph.gpu.device import Device, open_device
+from orograph.light.occlusion import Neighbourhood, check_reach, flat_only
+from orograph.light.products import Blocks, Context, Values
+from orograph.light.raster import rectangles
+from orograph.light.rho import Transmission, transmission
+
+Array = NDArray[np.float64]
+
+TILE = 128
+"""Samples along a tile's side."""
+LEVELS = 12
+"""Levels of voxels there can be: cells of 1 m see 40 km."""
+FIRST = 1.0
+"""Where cones begin: where they are this many cells wide."""
+_MISSING = np.float32(-1e30)
+_FRAME = np.dtype(
+    [("linear", "f4", 4), ("inverse", "f4", 4), ("run", "f4", 4), ("tile", "i4", 4), ("counts", "i4", 4),
+     ("ground", "i4", 4), ("levels", [("origin", "f4", 4), ("size", "f4", 4)], LEVELS)]
+)  # fmt: skip
+
+
+def cones(about: int) -> tuple[Values, float]:
+    """Cones that fill the hemisphere.
+
+    Args:
+        about: how many are wanted; there are 8 r² / π of them in r rings, rounded ring by ring.
+
+    Returns:
+        (n, 8) float32: axis (two components across, one along the normal), its share of the cosine's integral (they
+        add up to 1), elevations of its patch, tangent of its half angle, 0; and that tangent.
+    """
+    rings = max(round(math.sqrt(about * math.pi / 8)), 1)
+    height = math.pi / 2 / rings
+    rows = []
+    for ring in range(rings):
+        low, high = ring * height, (ring + 1) * height
+        middle = (low + high) / 2
+        n = max(round(2 * math.pi * math.cos(middle) / height), 3)
+        weight = (math.sin(high) ** 2 - math.sin(low) ** 2) / n
+        for k in range(n):
+            turn = 2 * math.pi * (k + 0.5 * (ring % 2)) / n
+            across = math.cos(middle)
+            axis = (across * math.cos(turn), across * math.sin(turn), math.sin(middle))
+            rows.append((*axis, weight, low, high, math.tan(height / 2), 0.0))
+    return np.array(rows, np.float32), math.tan(height / 2)
+
+
+class Tracer:
+    """Cones through a terrain's voxels on a device.
+
+    Args:
+        about: how many cones are wanted.
+    """
+
+    def __init__(self, device: Device, context: Context, ways: Transmission, about: int) -> None:
+        self.device, self.context, self.ways = device, context, ways
+        self.cell = float(np.sqrt(abs(np.linalg.det(context.linear))))
+        self.inverse = np.linalg.inv(context.linear)
+        table, self.tangent = cones(about)
+        self.count = len(table)
+        rows, cols = context.shape
+        far = float(np.linalg.norm(context.linear @ [cols, rows])) + float(
+            np.linalg.norm(context.linear @ [cols, -rows])
+        )
+        self.radius = min(ways.radius, far)
+        self.levels = min(max(math.ceil(math.log2(self.radius * 2 * self.tangent / self.cell)), 0) + 1, LEVELS)
+        self._voxelise = layout(device, "uniform", "read", "out:rgba8unorm/3d")
+        words = ("uniform", "read", "read", "read", "read", "write", "sampler", *["texture3d"] * LEVELS)
+        self._trace = layout(device, *words)
+        self.fill = compute(device, self._voxelise, "voxels")
+        self.trace = compute(device, self._trace, "cones")
+        self.cones = device.buffer(table, "STORAGE")
+        self.table = device.buffer(np.append(ways.table, ways.free).astype(np.float32), "STORAGE")
+        self.sampler = device.handle.create_sampler(
+            mag_filter="linear", min_filter="linear", address_mode_u="clamp-to-edge", address_mode_v="clamp-to-edge",
+            address_mode_w="clamp-to-edge",
+        )  # fmt: skip
+        usage = "STORAGE_BINDING|TEXTURE_BINDING"
+        self.nothing = device.texture((1, 1, 1), "rgba8unorm", usage, dimension="3d")
+
+    def reach(self, level: int) -> float:
+        """How far from a tile voxels of a level are read, in cells."""
+        far = self.radius / self.cell
+        if level < self.levels - 1:
+            far = min(far, (1 << (level + 1)) / (2 * self.tangent))
+        return far + (2 << level)
+
+    def tile(self, row0: int, row1: int, col0: int, col1: int) -> Values:
+        """A tile of the result, (rows, cols) float32."""
+        near = Neighbourhood(self.context, row0, row1, col0, col1, self.ways.radius)
+        inner = near.block(near.heights)
+        missing = np.isnan(inner)
+        if missing.all():
+            return np.full(inner.shape, np.nan, np.float32)
+        low, high = float(np.nanmin(inner)), float(np.nanmax(inner))
+        thickest = self.cell * (1 << (self.levels - 1))
+        base = math.floor(low / thickest) * thickest  # where layers of all levels begin, whatever the tile
+        sizes = [self._size(k, row0, row1, col0, col1, low - base, high - base) for k in range(self.levels)]
+        limit = int(self.device.handle.limits["max-texture-dimension-3d"])
+        if max(int(size.max()) for _, size in sizes) > limit:
+            return self._parts(row0, row1, col0, col1)
+        heights = self.device.buffer(
+            np.where(np.isnan(near.heights), _MISSING, near.heights - np.float32(base)), "STORAGE"
+        )
+        ground = (near.col0, near.row0, near.heights.shape[1], near.heights.shape[0])
+        encoder = self.device.handle.create_command_encoder()
+        textures = [self._level(encoder, k, sizes[k], ground, heights) for k in range(self.levels)]
+        frame = np.zeros(1, _FRAME)
+        linear = self.context.linear
+        frame["linear"] = *linear[:, 0], *linear[:, 1]
+        frame["inverse"] = *self.inverse[:, 0], *self.inverse[:, 1]
+        frame["run"] = self.cell, self.radius, 0.0, FIRST
+        frame["tile"] = col0, row0, col1 - col0, row1 - row0
+        frame["counts"] = self.count, self.levels, self.ways.step, 0
+        frame["ground"] = ground
+        for k, (origin, size) in enumerate(sizes):
+            frame["levels"]["origin"][0, k] = *origin, self.cell * (1 << k)
+            frame["levels"]["size"][0, k, :3] = size
+        gx, gy = near.block(near.gx), near.block(near.gy)
+        slopes = self.device.buffer(np.nan_to_num(np.stack([gx, gy], axis=-1)).astype(np.float32), "STORAGE")
+        result = self.device.buffer(4 * inner.size, "STORAGE|COPY_SRC")
+        group = bind(
+            self.device, self._trace, self.device.buffer(frame.view(np.uint8), "UNIFORM"), heights, slopes, self.cones,
+            self.table, result, self.sampler, *textures, *[self.nothing] * (LEVELS - self.levels),
+        )  # fmt: skip
+        tracing = encoder.begin_compute_pass()
+        tracing.set_pipeline(self.trace)
+        tracing.set_bind_group(0, group)
+        tracing.dispatch_workgroups(-(-inner.shape[1] // 8), -(-inner.shape[0] // 8))
+        tracing.end()
+        self.device.queue.submit([encoder.finish()])
+        out = self.device.read_buffer(result, np.float32).reshape(inner.shape).copy()
+        out[missing] = np.nan
+        return np.asarray(np.clip(out, 0.0, 1.0))
+
+    def _size(
+        self, level: int, row0: int, row1: int, col0: int, col1: int, low: float, high: float
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Origin and size of a level's voxels around a tile, in its own units: columns, rows, layers.
+
+        low, high: of the tile's heights, from what layers count from.
+        """
+        wide, reach = 1 << level, self.reach(level)
+        # In samples, a distance in cells is stretched where cells are not square.
+        over, down = (reach * self.cell * float(np.linalg.norm(v)) for v in self.inverse)
+        thick, up = self.cell * wide, reach * self.cell
+        first = [(col0 - over) / wide, (row0 - down) / wide, (low - up) / thick]
+        last = [(col1 + over) / wide, (row1 + down) / wide, (high + up) / thick]
+        origin = np.floor(first).astype(np.int64) - 1
+        return origin, np.ceil(last).astype(np.int64) + 1 - origin
+
+    def _level(self, encoder: Any, level: int, box: Any, ground: tuple[int, ...], heights: Any) -> Any:
+        """A texture of a level's voxels, and the pass that fills it."""
+        origin, size = box
+        usage = "STORAGE_BINDING|TEXTURE_BINDING"
+        texture = self.device.texture(tuple(int(v) for v in size), "rgba8unorm", usage, dimension="3d")
+        uniform = np.zeros(16, np.int32)
+        uniform[:4] = *origin, level
+        uniform[4:7] = size
+        uniform[8:12] = ground
+        uniform[12:14] = np.array([self.cell, 0.0], np.float32).view(np.int32)
+        filling = encoder.begin_compute_pass()
+        filling.set_pipeline(self.fill)
+        filling.set_bind_group(
+            0, bind(self.device, self._voxelise, self.device.buffer(uniform, "UNIFORM"), heights, texture)
+        )
+        filling.dispatch_workgroups(-(-int(size[0]) // 8), -(-int(size[1]) // 8))
+        filling.end()
+        return texture
+
+    def _parts(self, row0: int, row1: int, col0: int, col1: int) -> Values:
+        """A tile with more layers than a texture holds, in two parts."""
+        if max(row1 - row0, col1 - col0) < 2:
+            raise UsageError(
+                "Voxels as tall as this ground do not fit on the GPU.",
+                remedy="Use --method horizon or rays, which have none.",
+            )
+        if row1 - row0 >= col1 - col0:
+            half = (row0 + row1) // 2
+            return np.concatenate([self.tile(row0, half, col0, col1), self.tile(half, row1, col0, col1)], axis=0)
+        half = (col0 + col1) // 2
+        return np.concatenate([self.tile(row0, row1, col0, half), self.tile(row0, row1, half, col1)], axis=1)
+
+
+def run(context: Context, device: Device | None = None) -> Blocks:
+    """The product ``ambient-occlusion`` with ``method`` "cone-tracing": about ``cones`` of them (40) per sample.
+
+    Raises:
+        NoAdapterError: there is no GPU to do it. UsageError: too few cones, or as for rays.
+    """
+    options = context.options
+    flat_only(context)
+    about = int(options.more.get("cones", 40))
+    if about < 3:
+        raise UsageError(f"At least three cones are needed, not {about}.")
+    ways = transmission(options.more.get("rho", "step"), options.radius)
+    check_reach(context, ways.radius, TILE, TILE, 1)
+    gpu = device or open_device()
+
+    def blocks() -> Blocks:
+        tracer = Tracer(gpu, context, ways, about)
+        windows = list(rectangles(context.shape, TILE, TILE))
+        with context.progress.task("Tracing cones", total=len(windows)) as task:
+            for window in windows:
+                yield window[0], window[2], tracer.tile(*window)[None]
+                task.advance()
+
+    return blocks()

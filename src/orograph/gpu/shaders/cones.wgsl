@@ -1,0 +1,137 @@
+// Ambient occlusion by tracing cones through voxels (orograph.gpu.cone_tracing has the idea, source and units).
+
+struct Level {
+    origin: vec4f,  // voxels, of the level's own size: columns, rows, layers; metres thick
+    size: vec4f,    // voxels
+};
+
+struct Frame {
+    linear: vec4f,   // metres east and north per column, per row
+    inverse: vec4f,  // columns, rows per metre east; per metre north
+    run: vec4f,      // metres of a voxel of level 0, R, height that layers count from, first distance in voxels
+    tile: vec4i,     // first column and row, columns, rows
+    counts: vec4i,   // cones, levels, 1 for a step, 0
+    ground: vec4i,   // of the heights: first column and row, columns, rows
+    levels: array<Level, 12>,
+};
+
+struct Cone {
+    axis: vec4f,     // about the normal: along columns, along rows, along the normal; share of the cosine's integral
+    band: vec4f,     // elevations of its patch above the ground's plane, lowest and highest; tangent of its half angle
+};
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read> heights: array<f32>;
+@group(0) @binding(2) var<storage, read> gradient: array<vec2f>;
+@group(0) @binding(3) var<storage, read> cones: array<Cone>;
+@group(0) @binding(4) var<storage, read> table: array<f32>;
+@group(0) @binding(5) var<storage, read_write> result: array<f32>;
+@group(0) @binding(6) var linear_sampler: sampler;
+@group(0) @binding(7) var voxels0: texture_3d<f32>;
+@group(0) @binding(8) var voxels1: texture_3d<f32>;
+@group(0) @binding(9) var voxels2: texture_3d<f32>;
+@group(0) @binding(10) var voxels3: texture_3d<f32>;
+@group(0) @binding(11) var voxels4: texture_3d<f32>;
+@group(0) @binding(12) var voxels5: texture_3d<f32>;
+@group(0) @binding(13) var voxels6: texture_3d<f32>;
+@group(0) @binding(14) var voxels7: texture_3d<f32>;
+@group(0) @binding(15) var voxels8: texture_3d<f32>;
+@group(0) @binding(16) var voxels9: texture_3d<f32>;
+@group(0) @binding(17) var voxels10: texture_3d<f32>;
+@group(0) @binding(18) var voxels11: texture_3d<f32>;
+
+// include: rho.wgsl
+
+const MISSING = -1e30;
+
+// The ground's share of a voxel of a level at a point (columns, rows, metres), trilinear.
+fn share_of(level: i32, p: vec3f) -> f32 {
+    let l = frame.levels[level];
+    let wide = f32(1 << u32(level));
+    let at = vec3f((p.xy + 0.5) / wide, (p.z - frame.run.z) / l.origin.w) - l.origin.xyz;
+    let uvw = at / l.size.xyz;
+    switch (level) {
+        case 0: { return textureSampleLevel(voxels0, linear_sampler, uvw, 0.0).x; }
+        case 1: { return textureSampleLevel(voxels1, linear_sampler, uvw, 0.0).x; }
+        case 2: { return textureSampleLevel(voxels2, linear_sampler, uvw, 0.0).x; }
+        case 3: { return textureSampleLevel(voxels3, linear_sampler, uvw, 0.0).x; }
+        case 4: { return textureSampleLevel(voxels4, linear_sampler, uvw, 0.0).x; }
+        case 5: { return textureSampleLevel(voxels5, linear_sampler, uvw, 0.0).x; }
+        case 6: { return textureSampleLevel(voxels6, linear_sampler, uvw, 0.0).x; }
+        case 7: { return textureSampleLevel(voxels7, linear_sampler, uvw, 0.0).x; }
+        case 8: { return textureSampleLevel(voxels8, linear_sampler, uvw, 0.0).x; }
+        case 9: { return textureSampleLevel(voxels9, linear_sampler, uvw, 0.0).x; }
+        case 10: { return textureSampleLevel(voxels10, linear_sampler, uvw, 0.0).x; }
+        default: { return textureSampleLevel(voxels11, linear_sampler, uvw, 0.0).x; }
+    }
+}
+
+// The share that the sample's own tangent plane would have of a filter of width d, a height s above it: normal law with
+// the variance of a box and a tent (d² / 12 + d² / 6) along each axis.
+fn plane_share(s: f32, d: f32, g: vec2f) -> f32 {
+    let x = s / (0.5 * d * sqrt(1.0 + dot(g, g)));
+    // Φ(−x) by the logistic law's tangent form (Page 1977), within 2e-4.
+    return 1.0 / (1.0 + exp(clamp(1.5957691 * x + 0.0713548 * x * x * x, -80.0, 80.0)));
+}
+
+@compute @workgroup_size(8, 8)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    if (i32(id.x) >= frame.tile.z || i32(id.y) >= frame.tile.w) {
+        return;
+    }
+    let index = id.y * u32(frame.tile.z) + id.x;
+    let col = frame.tile.x + i32(id.x);
+    let row = frame.tile.y + i32(id.y);
+    let z = heights[(row - frame.ground.y) * frame.ground.z + (col - frame.ground.x)];
+    if (z < 0.5 * MISSING) {
+        return;
+    }
+    let g = gradient[index];
+    let normal = normalize(vec3f(-g, 1.0));
+    // A frame that turns with the normal and not about it: what a sample sees varies smoothly from one to the next.
+    let east = normalize(vec3f(1.0, 0.0, g.x));
+    let north = cross(normal, east);
+    let cell = frame.run.x;
+    let radius = frame.run.y;
+    let step = frame.counts.z == 1;
+    let last = frame.counts.y - 1;
+    var light = 0.0;
+    for (var k = 0; k < frame.counts.x; k++) {
+        let cone = cones[k];
+        let way = cone.axis.x * east + cone.axis.y * north + cone.axis.z * normal;
+        let run = vec3f(frame.inverse.xy * way.x + frame.inverse.zw * way.y, way.z);
+        let low = sin(cone.band.x);
+        let high = sin(cone.band.y);
+        let span = high * high - low * low;
+        var t = frame.run.w * cell / (2.0 * cone.band.z);
+        var dark = 0.0;
+        var lost = 0.0;
+        while (t < radius) {
+            let wide = max(2.0 * t * cone.band.z, cell);
+            let lod = clamp(log2(wide / cell), 0.0, f32(last));
+            let fine = min(i32(lod), max(last - 1, 0));
+            let p = vec3f(f32(col), f32(row), z) + t * run;
+            var share = share_of(fine, p);
+            if (last > 0) {
+                share = mix(share, share_of(fine + 1, p), lod - f32(fine));
+            }
+            // The ground's own plane is no occluder, though a filter as wide as the cone reaches into it.
+            let own = plane_share(t * (way.z - dot(g, way.xy)), cell * exp2(lod), g);
+            let filled = clamp((share - own) / max(1.0 - own, 1e-3), 0.0, 1.0);
+            // Ground fills a patch of the sky from below, where the cosine is least.
+            let edge = sin(mix(cone.band.x, cone.band.y, filled));
+            let hidden = (edge * edge - low * low) / span;
+            if (hidden > dark) {
+                // Of what is hidden now, what was free nearer by ends here.
+                lost += (hidden - dark) * (rho_free() - select(rho(t, radius), 0.0, step));
+                dark = hidden;
+            }
+            if (dark > 0.999) {
+                break;
+            }
+            t += 0.5 * wide;
+        }
+        light += cone.axis.w * (rho_free() - lost);
+    }
+    result[index] = light;
+}

@@ -1,0 +1,168 @@
+// Ambient occlusion by one shadow map per direction (orograph.gpu.occlusion_maps has the idea, source and units).
+//
+// Three stages per direction ω: the height field is rasterised along ω (vertex, fragment) into a map of layers, each
+// texel a sorted list of the depths of all faces that look away from the light; then every sample finds the first of
+// them in front of it, which is where its ray enters the ground, and adds ρ of the distance (gather).
+
+struct Direction {
+    u: vec4f,       // texel column of a point (x, y, z, 1): samples, samples, metres, from the tile's origin
+    v: vec4f,       // texel row
+    s: vec4f,       // metres behind the light's plane: smaller is nearer to the light
+    omega: vec4f,   // east, north, up; weight 1 / density
+    run: vec4f,     // samples per metre along ω: columns, rows; R in metres; 0
+    map: vec4u,     // width, height and layers of the map; 1 if front faces are in it as well
+    window: vec4u,  // first column and row of the cells that are drawn; columns; 1 if ρ is a step
+    tile: vec4u,    // first column and row of the receivers; their columns and rows
+    ground: vec4u,  // columns and rows of the heights
+    bias: vec4f,    // metres: nearest back face, nearest front face that count; width of a texel
+};
+
+@group(0) @binding(0) var<uniform> d: Direction;
+@group(0) @binding(1) var<storage, read> heights: array<f32>;       // metres above the origin; MISSING
+@group(0) @binding(2) var<storage, read_write> layers: array<atomic<u32>>;
+@group(0) @binding(3) var<storage, read_write> sums: array<vec2f>;  // per receiver Σ w ρ, Σ w
+@group(0) @binding(4) var<storage, read> gradient: array<vec2f>;    // per receiver, rise per metre east and north
+@group(0) @binding(5) var<storage, read> table: array<f32>;
+@group(0) @binding(6) var<storage, read_write> lost: array<atomic<u32>>;  // faces for which there was no layer
+
+// include: rho.wgsl
+
+const MISSING = -1e30;
+
+fn height(col: i32, row: i32) -> f32 {
+    if (col < 0 || row < 0 || col >= i32(d.ground.x) || row >= i32(d.ground.y)) {
+        return MISSING;
+    }
+    return heights[u32(row) * d.ground.x + u32(col)];
+}
+
+struct Corner {
+    @builtin(position) position: vec4f,
+    @location(0) s: f32,
+};
+
+// Six vertices per cell, one instance per row of cells; cells are cut along the diagonal of even (row + column).
+@vertex
+fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> Corner {
+    let col = i32(d.window.x + index / 6u);
+    let row = i32(d.window.y + instance);
+    let even = ((col + row) & 1) == 0;
+    let corner = index % 6u;
+    let second = corner >= 3u;
+    let a = select(vec2i(0, 0), vec2i(1, 0), second && !even);
+    let b = select(vec2i(0, 1), vec2i(1, 1), !second && even);
+    let c = select(vec2i(1, 0), vec2i(1, 1), second);
+    // All four are counter-clockwise from above where columns run east and rows south.
+    let k = corner % 3u;
+    let at = select(select(c, b, k == 1u), a, k == 0u);
+    let ha = height(col + a.x, row + a.y);
+    let hb = height(col + b.x, row + b.y);
+    let hc = height(col + c.x, row + c.y);
+    var out: Corner;
+    if (min(ha, min(hb, hc)) < 0.5 * MISSING) {  // a hole: all three corners in one place outside
+        out.position = vec4f(4.0, 4.0, 0.5, 1.0);
+        return out;
+    }
+    let z = select(select(hc, hb, k == 1u), ha, k == 0u);
+    let p = vec4f(f32(col + at.x), f32(row + at.y), z, 1.0);
+    let texel = vec2f(dot(d.u, p), dot(d.v, p));
+    out.position = vec4f(texel.x * 2.0 / f32(d.map.x) - 1.0, 1.0 - texel.y * 2.0 / f32(d.map.y), 0.5, 1.0);
+    out.s = dot(d.s, p);
+    return out;
+}
+
+// Keeps the depths of a texel sorted, the largest first, whatever the order in which faces arrive: each slot ends as
+// the largest of what is passed to it (Liu et al. 2009, multi-layer depth by atomic minima). 0 is empty; positive
+// floats are ordered as their bits. The last bit says whether the face looks towards the light.
+@fragment
+fn fragment(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+    let texel = vec2u(in.position.xy);
+    let first = (texel.y * d.map.x + texel.x) * d.map.z;
+    var value = bitcast<u32>(max(in.s, 1e-6));
+    value = (value & 0xfffffffeu) | select(0u, 1u, front && d.map.w == 1u);
+    for (var k = 0u; k < d.map.z; k++) {
+        let old = atomicMax(&layers[first + k], value);
+        value = min(old, value);
+        if (value == 0u) {
+            return vec4f(0.0);
+        }
+    }
+    atomicAdd(&lost[0], 1u);
+    return vec4f(0.0);
+}
+
+// Whether the ray begins under one of the facets that meet in its own sample: those are known without a map.
+fn buried(col: i32, row: i32, z: f32) -> bool {
+    let run = abs(d.run.xy);
+    let sx = select(-1, 1, d.run.x >= 0.0);
+    let sy = select(-1, 1, d.run.y >= 0.0);
+    var rise: f32;
+    if (((col + row) & 1) == 0) {  // eight facets, each between a neighbour along an axis and a diagonal one
+        let far = height(col + sx, row + sy);
+        let wide = run.x >= run.y;
+        let near = select(height(col, row + sy), height(col + sx, row), wide);
+        if (min(far, near) < 0.5 * MISSING) {
+            return false;
+        }
+        rise = (near - z) * abs(run.x - run.y) + (far - z) * min(run.x, run.y);
+    } else {  // four, between neighbours along the axes
+        let x = height(col + sx, row);
+        let y = height(col, row + sy);
+        if (min(x, y) < 0.5 * MISSING) {
+            return false;
+        }
+        rise = (x - z) * run.x + (y - z) * run.y;
+    }
+    return d.omega.z < rise;
+}
+
+@compute @workgroup_size(8, 8)
+fn gather(@builtin(global_invocation_id) id: vec3u) {
+    if (id.x >= d.tile.z || id.y >= d.tile.w) {
+        return;
+    }
+    let index = id.y * d.tile.z + id.x;
+    let col = i32(d.tile.x + id.x);
+    let row = i32(d.tile.y + id.y);
+    let z = height(col, row);
+    let g = gradient[index];
+    if (z < 0.5 * MISSING) {
+        return;
+    }
+    let cosine = (d.omega.z - dot(g, d.omega.xy)) * inverseSqrt(1.0 + dot(g, g));
+    let weight = d.omega.w * cosine;
+    if (weight <= 0.0) {
+        return;
+    }
+    let radius = d.run.z;
+    let step = d.window.w == 1u;
+    var through = rho_free();
+    if (buried(col, row, z)) {
+        through = select(table[0], 0.0, step);
+    } else {
+        let p = vec4f(f32(col), f32(row), z, 1.0);
+        let s = dot(d.s, p);
+        let texel = clamp(vec2i(floor(vec2f(dot(d.u, p), dot(d.v, p)))), vec2i(0), vec2i(d.map.xy) - 1);
+        let first = (u32(texel.y) * d.map.x + u32(texel.x)) * d.map.z;
+        // A ray through the texel's middle may begin under its own ground and come out of it at a grazing angle.
+        let front = d.bias.y + d.bias.z / cosine;
+        for (var k = 0u; k < d.map.z; k++) {
+            let bits = atomicLoad(&layers[first + k]);
+            if (bits == 0u) {
+                break;
+            }
+            let length = s - bitcast<f32>(bits & 0xfffffffeu);
+            if (length > select(d.bias.x, front, (bits & 1u) == 1u)) {
+                if (length < radius) {
+                    if (step) {
+                        through = 0.0;
+                    } else {
+                        through = rho(length, radius);
+                    }
+                }
+                break;
+            }
+        }
+    }
+    sums[index] += weight * vec2f(through, 1.0);
+}

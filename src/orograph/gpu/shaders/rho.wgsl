@@ -1,0 +1,13 @@
+// What an occluder at a distance lets through (orograph.light.rho): a table of ρ over [0, R), and ρ(R) apart.
+// The table lies in `table`: its last value is ρ(R) of a ray that meets nothing, those before equal parts of [0, R].
+
+fn rho(length: f32, radius: f32) -> f32 {
+    let last = arrayLength(&table) - 2u;
+    let x = clamp(length / radius, 0.0, 1.0) * f32(last);
+    let k = min(u32(x), last - 1u);
+    return mix(table[k], table[k + 1u], x - f32(k));
+}
+
+fn rho_free() -> f32 {
+    return table[arrayLength(&table) - 1u];
+}
