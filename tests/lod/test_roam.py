@@ -45,8 +45,8 @@ class Recursion:
         squeezed = bool((rows >= p.t.grid.rows).any() or (cols >= p.t.grid.cols).any())
         z = p.z[rows, cols]
         e = 0.0 if finest else p.e[m]
-        if not finest and p.r[m] < 0:
-            return  # nothing there
+        if (not finest and p.r[m] < 0) or rows.min() >= p.t.grid.rows - 1 or cols.min() >= p.t.grid.cols - 1:
+            return  # nothing there, on this side of the hypotenuse at least
         if not finest:
             low, high = max(low, p.filled[m] - p.r[m]), min(high, p.filled[m] + p.r[m])
         if not squeezed and math.isfinite(e) and not np.isnan(z).any():
@@ -168,6 +168,23 @@ def test_flights_over_real_ground_keep_the_promise_and_depend_on_the_view_alone(
         report = verify.judge(made, t, view)
         assert report.ok(tolerance), report
     assert saved > 0
+
+
+@pytest.mark.parametrize("shape, cull", [((257, 33), True), ((33, 140), True), ((257, 33), False)])
+def test_a_mesh_on_a_narrow_raster_forgets_what_it_was(shape, cull):
+    """Squeezed out of a much larger square: triangles beyond the border, of no area, must not ask for splits; and what
+    is in view (not culled) must count for no less than what goes out of it."""
+    split = 0
+    for seed in (0, 3):
+        rng = np.random.default_rng([seed, *shape])
+        t = plain.terrain(plain.rough(rng, shape))
+        carried, tolerance = Roam(t, cull=cull), float(rng.choice([0.7, 1.5, 4.0]))
+        for k, view in enumerate(flight(rng, t, 24)):
+            found = keys_of(carried, view, tolerance=tolerance)
+            if k % 4 == 2:
+                assert found == keys_of(Roam(t, cull=cull), view, tolerance=tolerance), (seed, k)
+                split = max(split, len(found))
+    assert split > 50
 
 
 def test_what_cannot_have_crossed_the_threshold_is_not_computed_again():

@@ -5,8 +5,7 @@ computed again (``priorities``, ``queues``), then the worst triangles are split 
 merged, in the order of two queues that persist (``frame``), on a bintree with explicit neighbours (``mesh``).
 
 With a tolerance the result depends on the view alone: priorities are monotonic, so the smallest conforming mesh whose
-every triangle keeps the tolerance is unique, and splits and merges end there from wherever they begin (but for a
-few triangles of squeezed rasters, and with ``cull=False``: see docs/engines/roam.md).
+every triangle keeps the tolerance is unique, and splits and merges end there from wherever they begin.
 """
 
 from __future__ import annotations
@@ -47,7 +46,8 @@ class Roam(Engine):
         back_facing: factor, 0 to 1, on priorities of ground that faces away from the eye.
         silhouette: factor, 1 or more, where a silhouette can run.
         occluded: factor, 0 to 1, on ground hidden behind other ground.
-        outside: factor, 0 to 1, on ground out of view (default: 0, with ``cull=False`` 1).
+        outside: factor, 0 to 1, on ground out of view (default: 0, with ``cull=False`` 1); what is in view counts for
+            no less.
         line_of_sight: pairs of points (column, row, height in metres) between which the view is free on the mesh iff it
             is on the full-resolution surface; what of them is out of view is in the mesh with ``cull=False``.
         objects: (column, row, radius in cells) of what stands on the ground, which is there exact to

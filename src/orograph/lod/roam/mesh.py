@@ -135,6 +135,7 @@ def begin_node(nodes, i, parent):
     node.flags &= LOOSELY
     if parent >= 0:
         above = nodes[parent]
+        node.flags |= above.flags & EMPTY
         node.level = above.level + 1
         node.low, node.high = above.low, above.high
 

@@ -78,6 +78,12 @@ def straddles(node, edge):
 
 
 @leaf
+def is_beyond(node, edge):
+    """Whether a triangle lies wholly beyond the raster's last row or column, and is squeezed to nothing."""
+    return min(node.r0, min(node.r1, node.r2)) >= edge[0] or min(node.c0, min(node.c1, node.c2)) >= edge[1]
+
+
+@leaf
 def down(x):
     """The largest float32 that is certainly not above x."""
     return np.float32(x - abs(x) * 2.0**-23 - 1e-30)
@@ -85,8 +91,14 @@ def down(x):
 
 @leaf
 def load(nodes, pages, options, terms, i):
-    """Copy the values of node i's diamond from its page, and tighten its heights; False if the page is absent."""
+    """Copy the values of node i's diamond from its page, and tighten its heights; False if the page is absent.
+
+    A triangle without surface wants nothing, whatever its diamond has on the other side, and neither does what becomes
+    of it (``mesh.begin_node``): it could else keep a split that its parent, which is empty, would not ask for.
+    """
     node = nodes[i]
+    if is_beyond(node, pages.edge):
+        node.flags |= EMPTY
     n = int(options[N])
     row, col = np.int64((node.r0 + node.r1) >> 1), np.int64((node.c0 + node.c1) >> 1)
     octave = n - 1 - (np.int64(node.level) >> 1)
@@ -273,6 +285,13 @@ def priority_of(nodes, pages, lens, clock, counts, options, terms, stack, work, 
     if factor > 0.0:
         if gap < 0.0:
             bound, slack = screen(node, edge, lens, options, options[LOW] / factor, options[HIGH] / factor)
+            if terms.factors[3] > 0.0:
+                # It counts for no less than it would out of view: else a child that is could count for more.
+                low, high = options[LOW] / (factor * terms.factors[3]), options[HIGH] / (factor * terms.factors[3])
+                aside, lasting_aside = around(node, edge, terms, lens, low, high)
+                if bound <= options[HIGH] / factor:
+                    slack = lasting_aside if aside > high else min(slack, lasting_aside)
+                bound = max(bound, aside * terms.factors[3])
         else:
             bound, slack = around(node, edge, terms, lens, options[LOW] / factor, options[HIGH] / factor)
         bound *= factor

@@ -15,7 +15,7 @@ blocks of 32 × 32 cells and the mip pyramid above them) gives [least, most] for
 by at most (1/exaggeration + the largest slope) per metre that the eye moves: that is the slack.
 
 *Outside.* What is out of view has no bound on the screen; it counts as if it lay in the middle of the screen at its
-least distance D from the eye, f·e·|u| / D, times the factor.
+least distance D from the eye, f·e·|u| / D, times the factor. What is in view counts for no less than that.
 
 *Occlusion.* Around the eye lie 720 sectors, in each the rings of distance 2^(i/4) times the block's size. A block whose
 lowest ground rises by a slope from the eye hides whatever lies behind it, in the sectors that it spans wholly, and
