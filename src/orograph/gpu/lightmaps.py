@@ -90,6 +90,12 @@ def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) 
     )
 
 
+def plain_maps() -> LightMaps:
+    """Light before any map of it is there: an open sky, no water, no shadows."""
+    nothing: NDArray[np.int32] = np.zeros((0, 8), np.int32)
+    return LightMaps(np.ones(1, np.float32), (0, 1, 1, 0), (0, 0), False, nothing, 1.0, 0.0)
+
+
 def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float) -> list[Rectangle]:
     """Nested windows of box means, outermost first, whose samples are about ``detail`` pixels large where they show."""
     found = rectangles(terrain, view, exaggeration, detail, by="spacing")

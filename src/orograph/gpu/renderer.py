@@ -23,14 +23,14 @@ from orograph.geovis.drape import Drape
 from orograph.gpu.camera import CAMERA, camera_of, nearest
 from orograph.gpu.device import Device
 from orograph.gpu.drape import DrapeTexture
-from orograph.gpu.lightmaps import LightMaps, light_maps, whole
+from orograph.gpu.lightmaps import LightMaps, light_maps, plain_maps, whole
 from orograph.gpu.look import SHADE, Look
 from orograph.gpu.passes import PatchPass, ResolvePass, ShadePass, Targets
 from orograph.gpu.tiles import Atlas, Key, Kind, Streamer
 from orograph.gpu.veil import EXACT, VeilPass, veils
 from orograph.gpu.wanted import SlopeTiles
 from orograph.lod.batched import Batched, Patches
-from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
+from orograph.lod.patches.shape import INSTANCE, STEPS, patch_indices, patch_vertices
 from orograph.picture.kept import Kept
 from orograph.picture.scene import Scene
 from orograph.picture.survey import stride
@@ -41,6 +41,9 @@ Array = NDArray[np.float64]
 
 UPLOAD = 16
 """Tiles brought to the GPU in a frame, at most: what does not make it stutter."""
+
+SETTLED = 0.25
+"""Seconds the camera must have stood still before maps of light are made for where it is."""
 
 SAMPLES = 16
 """Samples of a pixel that a picture at rest gathers."""
@@ -75,7 +78,8 @@ class FrameStats:
 
     Attributes:
         patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles there are.
-        select_ms: selection. cpu_ms: all of the frame's Python. gpu_ms: what the GPU worked, if it was waited for.
+        select_ms: selection. cpu_ms: all of the frame's Python, but for what the driver does when it is given the work
+            (software drivers do all of it then). gpu_ms: what the GPU worked, if it was waited for.
         tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of both kinds; wanted: not there yet.
         samples: how many are averaged in the picture.
         failed: a tile that could not be read, and why, or "".
@@ -115,7 +119,7 @@ class Renderer:
         jobs: int | None = None,
     ) -> None:
         self.device, self.terrain = device, terrain
-        self.engine = Batched(terrain, max_memory=memory, jobs=jobs)
+        self.engine = Batched(terrain, max_memory=memory, jobs=jobs, rim=0.5)
         self.kept = Kept()
         self.heights = Atlas(device, terrain, "heights", gpu_memory // 2)
         self.slopes = Atlas(device, terrain, "slopes", gpu_memory // 2)
@@ -142,6 +146,9 @@ class Renderer:
         self._gathered = 0
         self._missing = 0
         self._last_range = (1.0, 1e5)
+        self._last_view: View | None = None
+        self._moved = 0.0
+        self._wish: Any = None
         self._load_coarsest()
 
     # ---- drawing ---------------------------------------------------------------------------------------------------
@@ -186,41 +193,41 @@ class Renderer:
             begin, count = 0, samples or 1
         self._at_rest = state
         instances = patches.instances
-        instances["slot"] = self.heights.slots(instances["level"], instances["tile_row"], instances["tile_col"])
         self._light_for(scene, targets, instances, wait=wait, moved=begin == 0)
         assert self._maps is not None
-        look = Look(
-            scene, self._maps, scene.depths or self._last_range, self.kept, wireframe=overlay.wireframe,
-            levels=overlay.levels, drape_opacity=overlay.drape_opacity,
-        )  # fmt: skip
+        look = self._look(scene, overlay, exact=wait)
         self.tint = look.tint
         u = look.uniform
         u["contour"] = overlay.contours, overlay.index, overlay.contour_width, overlay.contour_opacity
         u["contour_colour"] = 0.12, 0.075, 0.04, 0.0
         self.device.queue.write_buffer(self._shade, 0, u)
         group = self._group(targets, look, scene)
+        if format not in self._resolves:
+            self._resolves[format] = ResolvePass(self.device, format)
+        self._gathered = begin + count
+        encoder = self.device.handle.create_command_encoder()
         for k in range(begin, begin + count):
             shift = _sample(k, samples or SAMPLES) if (samples or SAMPLES) > 1 else (0.0, 0.0)
             if k == 0 and samples is None:
                 shift = (0.0, 0.0)
-            self._pass(targets, scene, instances, group, shift, k > 0)
-        self._gathered = begin + count
-        encoder = self.device.handle.create_command_encoder()
-        if format not in self._resolves:
-            self._resolves[format] = ResolvePass(self.device, format)
+            self._pass(encoder, targets, scene, instances, group, shift, k > 0)
+            if k + 1 < begin + count:  # the camera is written before the next pass
+                self.device.queue.submit([encoder.finish()])
+                encoder = self.device.handle.create_command_encoder()
         self._resolves[format].draw(encoder, targets, target, frames=max(self._gathered, 1))
+        took_python = time.perf_counter() - begun
         self.device.queue.submit([encoder.finish()])
         failed = next((f"{kind} tile {key}: {why}" for (kind, key), (_, why) in self.streamer.failed.items()), "")
         return FrameStats(
             len(instances), patches.stats["triangles"], patches.stats["pixels"], took * 1e3,
-            (time.perf_counter() - begun) * 1e3, None, loaded, loaded * 4 * 257 * 257,
+            took_python * 1e3, None, loaded, loaded * 4 * 257 * 257,
             self.heights.count + self.slopes.count, self._missing, self._gathered, failed,
         )  # fmt: skip
 
     @property
     def busy(self) -> bool:
         """Whether tiles or maps are on their way: the next frame will be better."""
-        return self._missing > 0 or self.streamer.waiting > 0 or self._light.busy
+        return self._missing > 0 or self.streamer.waiting > 0 or self._light.busy or self._light.done != self._wish
 
     @property
     def resting(self) -> bool:
@@ -287,17 +294,22 @@ class Renderer:
             judged, tolerance, resident=self.heights.resident, exaggeration=scene.exaggeration, frustum=frustum
         )
         took = time.perf_counter() - begun
-        wanted: list[tuple[float, Kind, Key]] = []
-        keys = list(zip(*(patches.wanted[n].tolist() for n in ("level", "row", "col", "pixels")), strict=True))
-        here = [(level, row, col) for level, row, col, _ in keys]
-        self.heights.touch(here, self.frame)
-        used = patches.instances
-        drawn = np.unique(np.stack([used["level"].astype(np.int64), used["tile_row"], used["tile_col"]], 1), axis=0)
-        self.heights.touch(map(tuple, drawn.tolist()), self.frame)
-        wanted += [(p, "heights", key) for key, (*_, p) in zip(here, keys) if self.heights.slot(key) < 0]
-        slopes = self._slope_tiles.of(view, scene.exaggeration)
-        self.slopes.touch((key for _, key in slopes), self.frame)
-        wanted += [(p, "slopes", key) for p, key in slopes if self.slopes.slot(key) < 0]
+        used, w = patches.instances, patches.wanted
+        places = self.heights.places(used["level"], used["tile_row"].astype(np.int64), used["tile_col"])
+        slots = self.heights.slots(places)
+        self.heights.touch(slots, self.frame)
+        used["slot"] = slots
+        places = self.heights.places(w["level"], w["row"].astype(np.int64), w["col"])
+        slots = self.heights.slots(places)
+        self.heights.touch(slots, self.frame)
+        lacking = w[slots < 0].tolist()
+        wanted: list[tuple[float, Kind, Key]] = [(p, "heights", (k, i, j)) for k, i, j, p in lacking]
+        which, priority = self._slope_tiles.of(view, scene.exaggeration)
+        slots = self.slopes.slots(self._slope_tiles.index[which])
+        self.slopes.touch(slots, self.frame)
+        lack = slots < 0
+        for p, key in zip(priority[lack].tolist(), self._slope_tiles.keys[which[lack]].tolist(), strict=True):
+            wanted.append((p, "slopes", (key[0], key[1], key[2])))
         self.streamer.want(wanted)
         return patches, [w for w in wanted if (w[1], w[2]) not in self.streamer.failed], took
 
@@ -310,15 +322,37 @@ class Renderer:
         return len(taken)
 
     def _pass(
-        self, targets: Targets, scene: Scene, instances: NDArray[Any], group: Any, shift: tuple[float, float], add: bool
+        self, encoder: Any, targets: Targets, scene: Scene, instances: NDArray[Any], group: Any,
+        shift: tuple[float, float], add: bool,
     ) -> None:  # fmt: skip
         camera = camera_of(scene.view, self.terrain, scene.exaggeration, shift=shift)
         self.device.queue.write_buffer(self._camera, 0, camera)
-        encoder = self.device.handle.create_command_encoder()
         self._patches.draw(encoder, targets, instances)
         self._veil.draw(encoder, targets)
         self._shading.draw(encoder, targets, group, add=add)
-        self.device.queue.submit([encoder.finish()])
+
+    def _look(self, scene: Scene, overlay: Overlay, *, exact: bool) -> Look:
+        """The scene's colours and light: made again only if something of it changed.
+
+        Unless it is to be ``exact`` the range of depths that haze spans is rounded, so that it does not change always.
+        """
+        assert self._maps is not None
+        near, far = scene.depths or self._last_range
+        if not exact:
+            near, far = (math.exp(round(10 * math.log(max(v, 1e-3))) / 10) for v in (near, far))
+        key = (
+            scene.sun, scene.sky, scene.colormap, scene.water, scene.relief, scene.drape is None, near, far,
+            overlay.wireframe, overlay.levels, overlay.drape_opacity,
+        )  # fmt: skip
+
+        def make() -> Look:
+            assert self._maps is not None
+            return Look(
+                scene, self._maps, (near, far), self.kept, wireframe=overlay.wireframe, levels=overlay.levels,
+                drape_opacity=overlay.drape_opacity,
+            )  # fmt: skip
+
+        return self.kept("look", key, make, self._maps)
 
     def _fit(self, width: int, height: int) -> Targets:
         if self._targets is None or (self._targets.width, self._targets.height) != (width, height):
@@ -344,18 +378,22 @@ class Renderer:
             points, self._last_range = self._seen(scene)
             self._maps = light_maps(scene, points, self.kept)
             self._veil.load(*self._veils(scene))
-            self._light.done = self._key(scene)
+            self._light.done = self._wish = self._key(scene)
             return
         done = self._light.take()
         if done is not None:
             self._maps, self._last_range, veil = done
             self._veil.load(*veil)
         if self._maps is None:
-            quick = replace(scene, shadows=False)
-            self._maps = light_maps(quick, whole(self.terrain), self.kept)
-        key = self._key(scene)
-        if self._light.wants(key):
-            points, visible = self._seen(scene) if self.frame > 1 else (whole(self.terrain), self._last_range)
+            self._maps, self._last_range = plain_maps(), self._about(scene, instances)[1]
+        key = self._wish = self._key(scene)
+        now = time.monotonic()
+        if scene.view != self._last_view:
+            self._last_view, self._moved = scene.view, now
+        # While the camera moves the maps there are serve on; a new sun, or the first, is not waited with.
+        settled = now - self._moved > SETTLED or self._light.done is None or self._light.done[:4] != key[:4]
+        if settled and self._light.wants(key):
+            points, visible = self._about(scene, instances)
             self._light.start(key, lambda: (light_maps(scene, points, Kept(), detail=1.5), visible, self._veils(scene)))
 
     def _veils(self, scene: Scene) -> tuple[NDArray[Any], NDArray[np.uint32]]:
@@ -373,6 +411,28 @@ class Renderer:
             tuple(np.floor(eye / step).tolist()),
             tuple(np.floor(np.array(view.target) / step)),
         )
+
+    def _about(self, scene: Scene, instances: NDArray[Any]) -> tuple[Array, tuple[float, float]]:
+        """What ``_seen`` finds, by where patches lie: without asking the GPU, which would have to be waited for."""
+        if not len(instances):
+            return whole(self.terrain), self._last_range
+        grid = self.terrain.grid
+        reach = self.engine.legs * (1 << instances["step"].astype(np.int64))
+        steps = STEPS[instances["omega"]].astype(np.int64)
+        row, col = instances["row"].astype(np.int64), instances["col"].astype(np.int64)
+        rows = np.concatenate([row, row + reach * steps[:, 0, 0], row + reach * steps[:, 1, 0]])
+        cols = np.concatenate([col, col + reach * steps[:, 0, 1], col + reach * steps[:, 1, 1]])
+        points = np.stack([np.clip(cols, 0, grid.cols - 1), np.clip(rows, 0, grid.rows - 1)], 1).astype(np.float64)
+        x, y = grid.xy(points[:, 0], points[:, 1])
+        middle = sum(self.terrain.height_range) / 2
+        pixels, depth = scene.view.project(np.stack([x, y, np.full(len(x), middle)], -1), scene.exaggeration)
+        inside = (depth > 0) & (
+            np.abs(pixels - [scene.view.width / 2, scene.view.height / 2])
+            <= [0.6 * scene.view.width, 0.6 * scene.view.height]
+        ).all(-1)
+        if not inside.any():
+            return points, self._last_range
+        return points[inside], (float(depth[inside].min()), float(depth[inside].max()))
 
     def _seen(self, scene: Scene) -> tuple[Array, tuple[float, float]]:
         """Sample coordinates (n, 2) of some of the ground in view, by the last frame's depth, and the depths' range."""

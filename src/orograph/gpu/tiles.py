@@ -212,25 +212,26 @@ class Atlas:
         self._used = np.full(self.capacity, -1, np.int64)
         self._pinned = np.zeros(self.capacity, bool)
         self._changed = False
+        self._offsets = np.asarray(self.tables.offsets, np.int64)
+        self._widths = np.asarray([shape[1] for shape in self.tables.shapes], np.int64)
 
     def slot(self, key: Key) -> int:
         """Where a tile is, −1 if it is not there."""
         return self._slots.get(key, -1)
 
-    def slots(self, level: NDArray[Any], row: NDArray[Any], col: NDArray[Any]) -> NDArray[np.int32]:
-        """Where tiles are (arrays of the same shape), −1 for those that are not there."""
-        offsets = np.asarray(self.tables.offsets, np.int64)
-        widths = np.asarray([shape[1] for shape in self.tables.shapes], np.int64)
-        index = offsets[level] + row.astype(np.int64) * widths[level] + col
-        found: NDArray[np.int32] = self.pages[index].astype(np.int32) - np.int32(1)
+    def slots(self, index: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Where tiles are, by their places in the page table; −1 for those that are not there."""
+        found: NDArray[np.int32] = self.pages[index].view(np.int32) - np.int32(1)
         return found
 
-    def touch(self, keys: Iterable[Key], frame: int) -> None:
-        """Note that tiles are wanted in a frame, so that they stay."""
-        for key in keys:
-            slot = self._slots.get(key)
-            if slot is not None:
-                self._used[slot] = frame
+    def places(self, level: NDArray[Any], row: NDArray[Any], col: NDArray[Any]) -> NDArray[np.int64]:
+        """Places in the page table of tiles, arrays of one shape."""
+        found: NDArray[np.int64] = self._offsets[level] + row * self._widths[level] + col
+        return found
+
+    def touch(self, slots: NDArray[np.int32], frame: int) -> None:
+        """Note that the tiles in slots are wanted in a frame, so that they stay; −1 is none."""
+        self._used[slots[slots >= 0]] = frame
 
     def insert(self, key: Key, data: NDArray[Any], frame: int, *, pin: bool = False) -> bool:
         """Upload a tile; False if all slots hold tiles that this frame wants."""

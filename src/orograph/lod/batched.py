@@ -68,6 +68,8 @@ class Batched(Engine):
         legs: segments along a patch's leg, L: 2, 4, 8, 16, 32 or 64 (less where the raster is smaller than a patch).
         geomorph: meshes are drawn as the GPU would draw them, vertices on their way included; else diamonds are split
             at the tolerance itself.
+        rim: how much of a triangle's longest edge counts as the error where ground ends: 1 where triangles with a
+            missing corner are left out, 0.5 for a renderer that fills corners whose surroundings are half there.
         progress: is told how the errors of patches come along, where they must be made (seconds for large terrains).
 
     Attributes:
@@ -79,8 +81,9 @@ class Batched(Engine):
     takes_colors = False
 
     def __init__(
-        self, *args: Any, legs: int = LEGS, geomorph: bool = False, progress: Progress = SILENT, **options: Any
-    ) -> None:
+        self, *args: Any, legs: int = LEGS, geomorph: bool = False, rim: float = 1.0, progress: Progress = SILENT,
+        **options: Any,
+    ) -> None:  # fmt: skip
         if options.get("color_tolerance") is not None:
             raise UsageError("Patches take their colours from textures: batched has no color tolerance.")
         super().__init__(*args, **options)
@@ -99,7 +102,7 @@ class Batched(Engine):
         self._shapes = shapes
         size = cell_size(self.terrain)
         levels = np.arange(2 * n + 1)
-        self._holes = size * np.sqrt(2.0) ** (2.0 * (n - self._q) - levels + 1.0)
+        self._holes = rim * size * np.sqrt(2.0) ** (2.0 * (n - self._q) - levels + 1.0)
         self._unbounded = np.full(2 * n + 1, np.inf)
         self._room(1 << 12)
 
