@@ -78,7 +78,7 @@ def command(
         from orograph.errors import UsageError
         from orograph.output import check_folder
         from orograph.picture.scene import check_exaggeration
-        from orograph.viewer.app import check, renderer_of, show
+        from orograph.viewer.app import check, renderer_of, show, warm
 
         check()
         from orograph.gpu.device import choose
@@ -96,6 +96,7 @@ def command(
     if source["band"] == 1:
         source["band"] = None
     size = options["size"] or WINDOW
+    warming = warm(options["adapter"])
     terrain = prepare(list(paths), max_memory=memory, jobs=jobs, progress=progress, **source)
     with progress.task("Looking at the terrain"):
         session = Session(
@@ -103,6 +104,7 @@ def command(
             exaggeration=options["exaggeration"], tolerance=options["tolerance"], colormap=options["colormap"],
             drape=options["drape"],
         )  # fmt: skip
+    warming.join()
     make = renderer_of(gpu_memory, memory, jobs)
     show(
         session, size=size, make=make, adapter=options["adapter"],

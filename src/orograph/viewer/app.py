@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 import sys
+import threading
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -54,6 +56,24 @@ def check() -> None:
                 f"The screen cannot be used: {why}.",
                 remedy="Draw pictures with orograph render, or see orograph doctor.",
             )
+
+
+def warm(adapter: str | None = None) -> threading.Thread:
+    """Open the GPU and load what a window needs in a thread, while the terrain is read."""
+
+    def work() -> None:
+        import contextlib
+
+        from orograph.gpu.device import open_device
+
+        with contextlib.suppress(OrographError):  # it is opened again, and said then
+            open_device(adapter)
+        importlib.import_module("orograph.viewer.window")
+        importlib.import_module("orograph.gpu.renderer")
+
+    thread = threading.Thread(target=work, name="warm", daemon=True)
+    thread.start()
+    return thread
 
 
 def make_canvas(title: str, size: tuple[int, int]) -> Any:
@@ -129,17 +149,17 @@ def show(
     from rendercanvas.glfw import loop
 
     from orograph.gpu.device import open_device
-    from orograph.viewer.window import Window
+    from orograph.viewer.window import Window, announce, open_canvas
 
     with progress.task("Opening the window"):
         device = open_device(adapter)
-        make = make or renderer_of()
-        renderer = make(device, session.terrain)
         canvas = make_canvas(f"{session.terrain.name} — Orograph", size)
         try:
+            opened = open_canvas(canvas, device, clipboard())
+            announce(canvas, device, opened, f"Opening {session.terrain.name} …")
             window = Window(
-                session, canvas, lambda d, t: renderer if d is device else make(d, t), device=device,
-                clipboard=clipboard(), adapter=adapter,
+                session, canvas, make or renderer_of(), device=device, clipboard=clipboard(), adapter=adapter,
+                opened=opened,
             )  # fmt: skip
         except Exception as error:
             canvas.close()

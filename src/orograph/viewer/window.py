@@ -61,6 +61,54 @@ class Drawer(Protocol):
         """Let go of everything."""
 
 
+Opened = tuple[Gui, Any, str]
+"""What draws panels on a canvas, its context, and the format of its textures."""
+
+
+def open_canvas(
+    canvas: Any, device: Device, clipboard: tuple[Callable[[], str], Callable[[str], None]] | None = None
+) -> Opened:
+    """Make a canvas ready to be drawn on by a device, with panels laid out as they were the last time."""
+    context = canvas.get_wgpu_context()
+    format = str(context.get_preferred_format(device.adapter.handle))
+    context.configure(device=device.handle, format=format)
+    layout: Path | None = config_folder() / "layout.ini"
+    try:
+        config_folder().mkdir(parents=True, exist_ok=True)
+    except OSError:
+        layout = None
+    return Gui(device, format, layout, clipboard), context, format
+
+
+def announce(canvas: Any, device: Device, opened: Opened, text: str) -> None:
+    """Draw a sentence on a canvas at once: something to see while a terrain is opened."""
+    gui, context, _ = opened
+
+    def draw() -> None:
+        gui.begin(canvas.get_logical_size(), float(canvas.get_pixel_ratio()) or 1.0, 1 / 60)
+        width, height = canvas.get_logical_size()
+        ink = imgui.get_background_draw_list()
+        ink.add_text(
+            ((width - imgui.calc_text_size(text).x) / 2, height / 2), imgui.get_color_u32((0.8, 0.82, 0.85, 1)), text
+        )  # fmt: skip
+        drawing = gui.end()
+        encoder = device.handle.create_command_encoder()
+        target = context.get_current_texture().create_view()
+        done = encoder.begin_render_pass(
+            color_attachments=[
+                {"view": target, "clear_value": (0.012, 0.014, 0.017, 1), "load_op": "clear", "store_op": "store"}
+            ]
+        )
+        gui.backend.render(drawing, done)
+        done.end()
+        device.queue.submit([encoder.finish()])
+
+    canvas.request_draw(draw)
+    for _ in range(2):  # fonts come with the first frame
+        canvas._process_events()
+        canvas.force_draw()
+
+
 class Window:
     """A session on a canvas.
 
@@ -70,6 +118,7 @@ class Window:
         make: makes the renderer on a device.
         device: where; None: the one ``open_device`` gives.
         clipboard: functions that get and set the clipboard's text.
+        opened: what ``open_canvas`` gave for the canvas, if something was drawn on it before.
 
     Attributes:
         stats: what the last frame of the terrain told; interval: seconds between frames in motion; drawn: how many
@@ -86,21 +135,14 @@ class Window:
         device: Device | None = None,
         clipboard: tuple[Callable[[], str], Callable[[str], None]] | None = None,
         adapter: str | None = None,
+        opened: Opened | None = None,
     ) -> None:
         self.session, self.canvas, self.make, self.adapter = session, canvas, make, adapter
         self.clipboard = clipboard or (lambda: imgui.get_clipboard_text(), lambda text: imgui.set_clipboard_text(text))
         self.device = device or open_device(adapter)
-        self.context = canvas.get_wgpu_context()
-        self.format = str(self.context.get_preferred_format(self.device.adapter.handle))
-        self.context.configure(device=self.device.handle, format=self.format)
+        self.gui, self.context, self.format = opened or open_canvas(canvas, self.device, clipboard)
         self.renderer: Drawer = make(self.device, session.terrain)
         self.screen = Screen(self.device, self.format)
-        layout = config_folder() / "layout.ini"
-        try:
-            layout.parent.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            layout = None  # type: ignore[assignment]
-        self.gui = Gui(self.device, self.format, layout, clipboard)
         self.plan = Plan(self)
         self.tools = Tools(self)
         self.draft = Draft(self.device.adapter.software)
