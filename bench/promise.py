@@ -153,7 +153,7 @@ class Bench:
                         "conservative": engine.conservative, "triangles": len(mesh.triangles),
                         "oracle": fewest[engine.name in BY_TRIANGLES], "largest": report.largest, "rms": report.rms,
                         "defects": report.defects, "ms": 1e3 * took,
-                        "kept": report.ok(tolerance) or not engine.conservative,
+                        "kept": bool(report.ok(tolerance) or not engine.conservative),
                     }
                 )  # fmt: skip
         return found
