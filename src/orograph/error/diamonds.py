@@ -13,20 +13,21 @@ diamonds (part surface, part hole); radii metres, float32, negative for *empty* 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error import KINDS, ErrorKind, holes, octaves
+from orograph.error import ErrorKind, holes, octaves
+from orograph.error.climb import NOTHING, Climb, halve
 from orograph.error.encode import Encoder
-from orograph.error.spheres import edge_spheres, square_spheres
+from orograph.error.parts import Floats, Part, Rest, Shape, Surface
 from orograph.parallel import map_ordered
 
-Floats = NDArray[np.float32]
-Shape = tuple[int, int]
+__all__ = [
+    "ALIGNED", "BLOCK", "NOTHING", "REACH", "SMALL", "Part", "Rest", "Surface", "Survey", "diamonds", "halve",
+]  # fmt: skip
+
 Read = Callable[[int, int, int, int], Floats]
 
 SMALL = 5
@@ -36,110 +37,6 @@ REACH = 48
 ALIGNED = 64
 """Windows begin at multiples of this."""
 BLOCK = 1024
-NOTHING = np.float32(-1e-30)
-"""The radius of an empty diamond whose sphere would be a point."""
-
-
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """What the spheres must know of a raster.
-
-    Attributes:
-        shape: (rows, cols).
-        metric: float64 (2, 2), metres of easting and northing per column and row.
-        minimum: float32 (tile rows, tile cols), lowest height of each 256-cell tile, NaN where there is none.
-        lowest: the lowest height of all (any number if nothing is valid).
-    """
-
-    shape: Shape
-    metric: NDArray[np.float64]
-    minimum: Floats
-    lowest: float
-
-    @property
-    def n(self) -> int:
-        """The exponent of the enclosing square's side, 2^n + 1 samples."""
-        return max(max(self.shape) - 2, 0).bit_length()
-
-    @property
-    def squeezed(self) -> bool:
-        """Whether the raster is less than the whole square."""
-        side = (1 << self.n) + 1
-        return self.shape != (side, side)
-
-    def octave_shape(self, k: int) -> Shape:
-        """Entries of an octave's arrays: the vertices whose diamonds reach into the raster."""
-        rows, cols = self.shape
-        return -((1 - rows) >> k) + 1, -((1 - cols) >> k) + 1
-
-    def filled(self, heights: Floats, row0: int, col0: int, k: int) -> Floats:
-        """Heights at spacing 2^k that begin at a sample, missing ones replaced by the lowest of their tile."""
-        gaps = np.isnan(heights)
-        if not gaps.any():
-            return heights
-        i, j = np.nonzero(gaps)
-        rows, cols = (
-            np.minimum(at + (index << k), side - 1) for at, index, side in zip((row0, col0), (i, j), self.shape)
-        )
-        table = np.where(np.isnan(self.minimum), np.float32(self.lowest), self.minimum)
-        result = heights.copy()
-        result[i, j] = table[np.minimum(rows >> 8, table.shape[0] - 1), np.minimum(cols >> 8, table.shape[1] - 1)]
-        return result
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """The diamonds of one octave in a window: entries from (i, j) on.
-
-    Attributes:
-        octave, i, j: where.
-        errors: kind to float32 (height, width).
-        radii: float32, the same shape; negative where empty. None if they were not asked for.
-    """
-
-    octave: int
-    i: int
-    j: int
-    errors: dict[ErrorKind, Floats]
-    radii: Floats | None
-
-
-@dataclass(frozen=True, slots=True)
-class Rest:
-    """What larger diamonds need of a block.
-
-    Attributes:
-        part: its diamonds of the last octave that blocks finish.
-        sums, states: of that octave's square diamonds (see ``octaves`` and ``holes``); None where they tell nothing.
-        raw: octave, first entry (i, j), deviations of the block's samples from the octave's coarse triangles.
-    """
-
-    part: Part
-    sums: Floats | None
-    states: NDArray[np.uint8] | None
-    raw: list[tuple[int, int, int, Floats]]
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """All of it under names, to be kept."""
-        part = self.part
-        arrays: dict[str, NDArray[Any]] = {"at": np.array([part.octave, part.i, part.j])}
-        arrays.update({f"errors.{kind}": e for kind, e in part.errors.items()})
-        others = {"radii": part.radii, "sums": self.sums, "states": self.states}
-        arrays.update({name: array for name, array in others.items() if array is not None})
-        arrays.update({f"raw.{k}.{i}.{j}": raw for k, i, j, raw in self.raw})
-        return arrays
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Rest:
-        """Back from ``to_arrays``."""
-        octave, i, j = (int(v) for v in arrays["at"])
-        errors = {kind: arrays[f"errors.{kind}"] for kind in KINDS if f"errors.{kind}" in arrays}
-        raw = []
-        for name, array in arrays.items():
-            if name.startswith("raw."):
-                k, a, b = (int(v) for v in name.split(".")[1:])
-                raw.append((k, a, b, array))
-        return cls(Part(octave, i, j, errors, arrays.get("radii")), arrays.get("sums"), arrays.get("states"), raw)
 
 
 def diamonds(
@@ -231,7 +128,7 @@ class Survey:
         # At a squeezed border diamonds may lie beyond the surface; elsewhere only missing samples make holes.
         states = np.zeros((2, 0, 0), np.uint8) if gaps or (self.surface.squeezed and any(end)) else None
         none = np.zeros((0, 0), np.float32)
-        climb = _Climb(
+        climb = Climb(
             self.surface,
             self.kinds,
             self.rounding,
@@ -308,110 +205,8 @@ class Survey:
         """The diamonds of the octaves that no block finishes."""
         filled = self.surface.filled(self.nested, 0, 0, SMALL - 1)
         at = self.surface, self.kinds, self.rounding, 0, 0
-        climb = _Climb(*at, self.errors, self.sums, self.states, self.radii, filled, gaps=True)
+        climb = Climb(*at, self.errors, self.sums, self.states, self.radii, filled, gaps=True)
         for k in range(SMALL, self.surface.n):
             z = self.heights[k - SMALL]
             climb.step(k, z, z, self.raw[k - SMALL] if self.raw else None)
             yield climb.part(k, 0, 0, (slice(None), slice(None)))
-
-
-class _Climb:
-    """Goes up octave after octave over a window, and keeps what the next one needs.
-
-    Args:
-        surface, kinds, rounding: as in ``Survey``.
-        row0, col0: the window's first sample.
-        errors, sums, states, radii, filled: of the octave below the first (none: it begins with octave 0). ``sums`` are
-            kept only for wedgies, ``states`` only where there may be holes, ``radii`` only where they are wanted.
-        gaps: whether samples may be missing; if not, only what the border squeezes may be empty.
-    """
-
-    def __init__(
-        self,
-        surface: Surface,
-        kinds: tuple[ErrorKind, ...],
-        rounding: Encoder | None,
-        row0: int,
-        col0: int,
-        errors: dict[ErrorKind, Floats],
-        sums: Floats | None,
-        states: NDArray[np.uint8] | None,
-        radii: Floats | None,
-        filled: Floats,
-        *,
-        gaps: bool,
-    ) -> None:
-        self.surface, self.kinds, self.rounding, self.row0, self.col0 = surface, kinds, rounding, row0, col0
-        self.errors, self.sums, self.states, self.radii, self.filled = errors, sums, states, radii, filled
-        self.gaps, self.found = gaps, np.zeros((0, 0), np.uint8)
-
-    def step(self, k: int, fine: Floats, z: Floats, exact: Floats | None = None) -> None:
-        """Find octave k's values.
-
-        Args:
-            fine: the window's samples (what it holds matters for k = 0 and for ``exact`` errors).
-            z: its heights at spacing 2^k.
-            exact: the octave's deviations, if they are known already.
-        """
-        rows, cols = self.surface.shape
-        at = self.row0, self.col0, k, rows, cols
-        half = z.shape[0] // 2, z.shape[1] // 2
-        if self.states is not None:
-            below, self.states = self.states, np.full((2, *half), holes.WHOLE, np.uint8)
-            self.found = np.full(z.shape, holes.WHOLE, np.uint8)
-            beyond = (at[i] + ((z.shape[i] - 1) << k) >= self.surface.shape[i] for i in (0, 1))
-            # Without gaps all is whole that ends within the raster.
-            known = (0, 0) if self.gaps else ((rows - 1 - self.row0) >> k, (cols - 1 - self.col0) >> k)
-            holes.states(fine, below, k, self.states, self.found, *known, *beyond)
-        finer, self.errors = self.errors, {}
-        for kind in self.kinds:
-            e = exact if kind == "exact" and exact is not None else np.zeros(z.shape, np.float32)
-            if kind == "midpoint":
-                octaves.midpoints(z, *at, octaves.MIDPOINT, e)
-            elif kind == "wedgie":
-                octaves.midpoints(z, *at, octaves.WEDGIE, e)
-                sums = np.zeros((2, *half), np.float32)
-                octaves.wedgie_sums(self.sums, *at, sums, e)
-                self.sums = sums
-            elif exact is None:
-                octaves.deviations(fine, z, *at, e)
-            if self.states is not None:
-                holes.mark(self.found, e)
-            octaves.close(finer[kind], k, e)
-            self.errors[kind] = e
-        if self.radii is not None:
-            filled = self.surface.filled(z, self.row0, self.col0, k) if self.states is not None else z
-            radii = np.empty(z.shape, np.float32)
-            edge_spheres(filled, self.filled, self.radii, *at, self.surface.metric, radii)
-            if self.rounding is not None:
-                self.rounding.round_up(radii, k, squares=False)
-            square_spheres(filled, *at, self.surface.metric, radii)
-            if self.rounding is not None:
-                self.rounding.round_up(radii, k, squares=True)
-            self.radii, self.filled = radii, filled
-
-    def part(self, k: int, i: int, j: int, area: tuple[slice, slice]) -> Part:
-        """What has been found of octave k in an ``area`` whose first entry is (i, j)."""
-        radii = self.radii
-        if radii is not None:
-            radii = radii[area]
-            if self.states is not None:
-                empty = (self.found[area] != holes.WHOLE) & (self.found[area] != holes.MIXED)
-                if empty.any():
-                    radii = np.where(empty, np.minimum(-radii, NOTHING), radii)
-        return Part(k, i, j, {kind: e[area] for kind, e in self.errors.items()}, radii)
-
-
-def halve(heights: Floats, end: tuple[bool, bool] = (True, True)) -> Floats:
-    """Every second sample each way; where an axis is at the raster's ``end`` its last sample closes the row. A copy."""
-    rows, cols = ((side + at_end + 1) // 2 for side, at_end in zip(heights.shape, end, strict=True))
-    kept = heights[::2, ::2]
-    result = np.empty((rows, cols), np.float32)
-    result[: kept.shape[0], : kept.shape[1]] = kept
-    if cols > kept.shape[1]:
-        result[: kept.shape[0], -1] = heights[::2, -1]
-    if rows > kept.shape[0]:
-        result[-1, : kept.shape[1]] = heights[-1, ::2]
-        if cols > kept.shape[1]:
-            result[-1, -1] = heights[-1, -1]
-    return result
