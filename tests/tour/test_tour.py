@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from orograph.errors import ReadError, UsageError
 from orograph.flight import Flight
 from orograph.light.sun import Moment, Placed
-from orograph.tour import Key, Tour
+from orograph.tour import Key, Tour, moves
 from orograph.tour.ways import RHO, zoom_path
 from orograph.view import View
 
@@ -299,6 +299,18 @@ def test_a_flight_is_a_tour():
     tour = Tour.from_dict(flight.to_dict())
     assert len(tour) == len(flight) and tour.fps == 25
     assert [tour.at(t) for t in (0, 2, 3)] == [flight.at(t) for t in (0, 2, 3)]
+
+
+def test_a_tour_can_stand_where_a_flight_does(tmp_path):
+    flight = Flight((0.0, 2.0), (look((0, 0, 900)), look((900, 0, 900))), 2.0, 25.0)
+    path = tmp_path / "way.json"
+    path.write_text(json.dumps(flight.to_dict()))
+    assert moves(path) == flight
+    path.write_text(json.dumps({**flight.to_dict(), "ease": False}))
+    assert isinstance(moves(path), Tour) and len(list(moves(path).frames())) == 50
+    path.write_text(json.dumps({"keys": []}))
+    with pytest.raises(UsageError, match="keys"):
+        moves(path)
 
 
 KEY = {"time": 0, "eye": [0, 0, 10], "target": [5, 5, 0]}

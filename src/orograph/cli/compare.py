@@ -221,11 +221,11 @@ def _views(
     terrain: Terrain, views_path: str | None, flight_path: str | None, size: tuple[int, int] | None, exaggeration: float
 ) -> dict[str, View]:
     """The views by name; a flight's frames by number."""
-    from orograph.flight import Flight
+    from orograph.tour import moves
 
     crs = terrain.grid.crs
     if flight_path is not None:
-        frames = Flight.load(flight_path, crs=crs).frames()
+        frames = moves(flight_path, crs=crs).frames()
         views = {str(k): view for k, view in enumerate(frames)}
     elif views_path is not None:
         views = load_views(views_path, crs)

@@ -260,6 +260,8 @@ def _gpx(text: str) -> list[list[tuple[float, float]]]:
 
 def _geojson(value: Any) -> list[list[tuple[float, float]]]:
     """LineStrings of a GeoJSON object, however deep."""
+    if not isinstance(value, dict):
+        raise ValueError("it holds no JSON object")
     kind = value.get("type")
     if kind == "FeatureCollection":
         return [line for feature in value["features"] for line in _geojson(feature)]

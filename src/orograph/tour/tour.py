@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from orograph.documents import load_object, naming, number
 from orograph.errors import UsageError
-from orograph.flight import SAME
+from orograph.flight import SAME, Flight
 from orograph.light.sun import Moment, Placed
 from orograph.splines import Monotone
 from orograph.tour.keys import INHERITED, SETTINGS, Key
@@ -296,3 +296,18 @@ class Tour:
         """The same tour in pictures of another size."""
         return replace(self, keys=tuple(replace(k, view=k.view.resized(width, height)) for k in self.keys),
                        seconds=None if self.speed is not None else self.seconds)  # fmt: skip
+
+
+def moves(path: str | Path, *, crs: Any = None) -> Flight | Tour:
+    """A moving camera from a file: a flight, gone along as flights always are, or a tour if it says what only tours do.
+
+    Raises:
+        ReadError, UsageError: as ``Flight.load`` and ``Tour.load``.
+    """
+    values = load_object(path, "flight or tour", "keys")
+    words = {"time", *(f.name for f in fields(View)), "crs"}
+    keys = values.get("keys")
+    plain = set(values) <= {"fps", "seconds", "keys"} and isinstance(keys, list)
+    if plain and all(isinstance(key, dict) and set(key) <= words for key in keys or ()):
+        return Flight.load(path, crs=crs)
+    return Tour.load(path, crs=crs)
