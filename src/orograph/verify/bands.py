@@ -18,8 +18,8 @@ from orograph.store.terrain import TILE, Heights, Terrain
 from orograph.tessellation import Tessellation, turn
 from orograph.verify.edges import survey
 from orograph.verify.frustum import Camera
+from orograph.verify.spans import bucket
 from orograph.verify.strips import LONGEST
-from orograph.verify.sweep import bucket
 
 Ints = NDArray[np.int64]
 Flags = NDArray[np.uint8]

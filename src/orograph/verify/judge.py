@@ -19,6 +19,7 @@ from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.verify import sweep as kernels
 from orograph.verify.bands import Band, Mesh, bands, take_apart
+from orograph.verify.beyond import OF_HIDDEN, OF_MISSING, OF_SEEN, look_beyond
 from orograph.verify.edges import classify_edges, lie_on_others
 from orograph.verify.frustum import Camera
 from orograph.verify.report import Report, Sample
@@ -70,9 +71,7 @@ def _judge(tessellation: Tessellation, terrain: Terrain, view: View, exaggeratio
         heights, top = band.read(terrain)
         span = np.array([band.first, band.last])
         beside = np.flatnonzero((low <= band.last + 1) & (high >= band.first))
-        kernels.look_beyond(
-            heights, top, band.west, rows, cols, span, edges, beside, camera.matrix, camera.lens, findings
-        )
+        look_beyond(heights, top, band.west, rows, cols, span, edges, beside, camera.matrix, camera.lens, findings)
         found: Found = kernels.sweep(
             heights, top, band.west, rows, span, tessellation.triangles, band.members, tessellation.vertices,
             mesh.columns, mesh.rows, mesh.row_start, mesh.by_row, camera.matrix, camera.lens, junctions, overlapping,
@@ -90,9 +89,9 @@ def _judge(tessellation: Tessellation, terrain: Terrain, view: View, exaggeratio
         total += squares
         if error > largest:
             largest, worst = error, (int(column), int(row))
-    inner = lie_on_others(edges[:, :4]) | (findings[:, kernels.OF_SEEN] > 0)
-    hidden = ~inner & (findings[:, kernels.OF_HIDDEN] > 0)
-    missing = ~inner & ~hidden & (findings[:, kernels.OF_MISSING] > 0)
+    inner = lie_on_others(edges[:, :4]) | (findings[:, OF_SEEN] > 0)
+    hidden = ~inner & (findings[:, OF_HIDDEN] > 0)
+    missing = ~inner & ~hidden & (findings[:, OF_MISSING] > 0)
 
     def first(name: str, flags: NDArray[np.bool_], vertex: NDArray[np.integer]) -> int:
         """Note where the first of some flags is, and count them."""

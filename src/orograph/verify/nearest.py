@@ -23,8 +23,9 @@ from orograph.parallel import aside
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.verify.bands import bands, take_apart
+from orograph.verify.ground import existing_units, on_surface
+from orograph.verify.spans import ordered, span_row
 from orograph.verify.strips import R0, R2
-from orograph.verify.sweep import existing_units, on_surface, ordered, span_row
 
 LEAF = 4
 """Triangles in a leaf of the tree."""

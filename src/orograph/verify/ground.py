@@ -1,0 +1,74 @@
+"""The full-resolution surface by rows: which unit triangles exist, which samples lie on one, what of it is in view.
+
+A unit is half a cell; of each cell bit 0 is the upper one and bit 1 the lower one (``strips``). Metres; indices are
+rows and columns of the raster, windows begin at (``top``, ``west``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import inlined, leaf
+from orograph.verify.frustum import outcode, place, polygon_in_view
+from orograph.verify.strips import corners
+
+
+@leaf
+def existing_units(heights, i, row, west, units):
+    """The units that exist in each cell of the strip below row i of ``heights``: bit 0, bit 1; one cell to the right
+    in ``units``, whose first and last entries stay 0. Returns how many are missing."""
+    missing = 0
+    for j in range(heights.shape[1] - 1):
+        a, b, c, d = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
+        whole = a + b + c + d
+        if whole == whole:
+            units[j + 1] = 3
+            continue
+        bits = 0
+        if (row + west + j) & 1 == 0:
+            upper, lower = a + b + d, a + c + d
+        else:
+            upper, lower = a + b + c, b + c + d
+        if upper == upper:
+            bits |= 1
+        else:
+            missing += 1
+        if lower == lower:
+            bits |= 2
+        else:
+            missing += 1
+        units[j + 1] = bits
+    return missing
+
+
+@inlined
+def on_surface(over, under, j, odd):
+    """Whether a sample lies on a unit triangle, given those of the strips above and below its row.
+
+    A sample with an odd sum of column and row is a corner of one unit in each of its four cells, the one on its side.
+    """
+    if odd:
+        return ((under[j] | under[j + 1]) & 1) | ((over[j] | over[j + 1]) & 2) != 0
+    return (under[j] | under[j + 1] | over[j] | over[j + 1]) != 0
+
+
+@leaf
+def row_codes(heights, i, row, west, matrix, lens, codes):
+    """The outcodes of a row of samples (255 where missing)."""
+    for j in range(heights.shape[1]):
+        h = heights[i, j]
+        if h != h:
+            codes[j] = 255
+            continue
+        x, y, w = place(matrix, west + j, row, np.float64(h))
+        codes[j] = outcode(lens, x, y, w)
+
+
+@leaf
+def unit_in_view(heights, top, west, column, row, half, matrix, lens, points, scratch):
+    """Whether an existing unit triangle reaches into the frustum."""
+    c0, r0, c1, r1, c2, r2 = corners(column, row, half)
+    for k in range(3):
+        c, r = (c0, r0) if k == 0 else ((c1, r1) if k == 1 else (c2, r2))
+        points[k, 0], points[k, 1], points[k, 2] = place(matrix, c, r, np.float64(heights[r - top, c - west]))
+    return polygon_in_view(lens, points, 3, scratch)
