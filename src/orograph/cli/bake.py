@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.light import MORE, Names
+from orograph.cli.light import Names
 from orograph.cli.options import jobs_option, memory_option, progress_of
 from orograph.errors import UsageError
 
@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from orograph.light.products import Options
     from orograph.progress import Progress
     from orograph.store.stored import StoredTerrain
+
+
+MORE = ("rho", "method", "date", "step", "turbidity")
+"""Options of single products."""
 
 
 @click.command("bake", short_help="Put light into a store: sky, occlusion, apertures, at all levels.")
