@@ -50,6 +50,8 @@ EXTREMES = 0.01, 100.0
 FINEST = 16
 """Apparent heights are multiples of 2^−16 m, or more where that does not hold their range in 31 bits."""
 BLOCK = 256
+RELEASE = 8
+"""Blocks after which the scratch file's pages are let go of (they stay in the system's cache)."""
 MEMORY = 1 << 30
 SEEN = Band("visible", "1", "1: seen from the eye, 0: hidden; missing where no height is known or beyond the radius")
 NEEDED = Band("height needed", "m", "how high above the ground a target must be to be seen; 0: the ground itself is")
@@ -95,7 +97,7 @@ class Viewshed:
             for k, made in enumerate(map_ordered(self._block, windows, self._scene.jobs)):
                 yield made
                 task.advance()
-                if self._scene.release is not None and k % 64 == 63:
+                if self._scene.release is not None and k % RELEASE == RELEASE - 1:
                     self._scene.release()
 
     def values(self, progress: Progress = SILENT) -> Values:
@@ -356,12 +358,12 @@ def _scene(
             if release is not None and k % 16 == 15:
                 release()
     levels = [maxima[o : o + s].reshape(shape) for o, s, shape in zip(offset[1:], sizes, shapes)]
-    strips = [(r, min(r + TILE, shapes[0][0])) for r in range(0, shapes[0][0], TILE)]
-    for _ in map_ordered(lambda s: first_level(z, levels[0], *s), strips, jobs):
-        if release is not None:
-            release()
-    for fine, coarse in pairwise(levels):
-        next_level(fine, coarse)
+    for fine, coarse in pairwise([z, *levels]):
+        kernel = first_level if fine is z else next_level
+        strips = [(r, min(r + TILE, len(coarse))) for r in range(0, len(coarse), TILE)]
+        for _ in map_ordered(lambda s: kernel(fine, coarse, *s), strips, jobs):  # noqa: B023 (used at once)
+            if release is not None:
+                release()
     scene = _Scene(
         row0, col0, at[0] - col0, at[1] - row0, z, maxima, offset, per_row, form, ratio, rx, ry, jobs, release
     )

@@ -71,10 +71,10 @@ def first_level(z, out, row0, row1):
 
 
 @kernel
-def next_level(fine, out):
-    """The level above: the largest of up to four children."""
+def next_level(fine, out, row0, row1):
+    """Node rows [row0, row1) of the level above: the largest of up to four children."""
     rows, cols = fine.shape
-    for i in range(out.shape[0]):
+    for i in range(row0, row1):
         for j in range(out.shape[1]):
             r, c = min(2 * i + 1, rows - 1), min(2 * j + 1, cols - 1)
             out[i, j] = max(max(fine[2 * i, 2 * j], fine[2 * i, c]), max(fine[r, 2 * j], fine[r, c]))
