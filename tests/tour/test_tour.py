@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -271,6 +272,7 @@ def test_files(tmp_path):
     assert again == tour and [again.at(t) for t in (0.3, 6.2)] == [tour.at(t) for t in (0.3, 6.2)]
     fast = Tour((Key(look((0, 0, 900))), Key(look((900, 0, 900)))), speed=100.0)
     assert Tour.from_dict(fast.to_dict()) == fast
+    assert fast.resized(64, 32).duration == replace(fast, fps=5.0).duration == fast.duration
     assert fast.duration == pytest.approx(10.0)  # 9 s, and half a second for each ramp
 
 

@@ -105,10 +105,7 @@ def command(
         tour = Tour.load(tour_path, crs=terrain.grid.crs)
         size = options["size"] or (tour.keys[0].view.width, tour.keys[0].view.height)
         over: dict[str, Any] = dict.fromkeys(said & set(spoken(tour)))
-        tour = replace(
-            tour, keys=tuple(replace(key, **over) for key in tour.keys),
-            seconds=None if tour.speed is not None else tour.seconds,
-        )  # fmt: skip
+        tour = replace(tour, keys=tuple(replace(key, **over) for key in tour.keys))
     else:
         size = options["size"] or (1280, 720)
         tour = tour_of(terrain, size, options, (sun.azimuth, sun.altitude), options["exaggeration"])

@@ -53,7 +53,7 @@ class Tour:
 
     Attributes:
         keys: the key frames.
-        seconds: how long it takes; None: to the last key and its hold (in a loop, at the mean speed back).
+        seconds: how long it takes; None: to the last key and its hold, or with a speed as long as that needs.
         fps: frames per second.
         loop: the last key leads to the first again.
         ease: it begins and ends at rest (never in a loop).
@@ -88,7 +88,8 @@ class Tour:
             )
         # Slots of a frozen dataclass are set so.
         object.__setattr__(self, "_schedule", schedule)
-        object.__setattr__(self, "seconds", schedule.seconds)
+        if self.speed is None:
+            object.__setattr__(self, "seconds", schedule.seconds)
         channels = {}
         for name in SETTINGS:
             values = [getattr(key, name) for key in self.keys]
@@ -294,8 +295,7 @@ class Tour:
 
     def resized(self, width: int, height: int) -> Self:
         """The same tour in pictures of another size."""
-        return replace(self, keys=tuple(replace(k, view=k.view.resized(width, height)) for k in self.keys),
-                       seconds=None if self.speed is not None else self.seconds)  # fmt: skip
+        return replace(self, keys=tuple(replace(k, view=k.view.resized(width, height)) for k in self.keys))
 
 
 def moves(path: str | Path, *, crs: Any = None) -> Flight | Tour:
