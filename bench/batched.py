@@ -1,0 +1,163 @@
+"""Batched triangles, measured: the time to select patches, triangles beside other engines', a flight over a store.
+
+    python bench/batched.py [--data FOLDER] [--store STORE.oro] [--frames 200] [--part select|triangles|flight]
+
+*select*: ``Batched.select`` alone, all pages there, on views of a 4097² synthetic terrain that make about so many
+patches (medians of 25, and what one diamond looked at costs).
+
+*triangles*: how many triangles ``batched`` draws beside ``soar`` and ``top-down`` (triangle by triangle, the same
+promise), over views of ``bench/promise.py``; with geomorphs and without; and how far the worst sample really is.
+
+*flight*: a straight flight over a store (default: built of ``california-3s-tiles`` into a temporary folder), at 60
+frames a second, pages of errors read in the background (``wait=False``): ms of Python a frame, patches, tiles wanted
+that the frame before did not want, frames until nothing is lacking.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+import promise
+from orograph import store, verify
+from orograph.lod import engine_of
+from orograph.lod.batched import Batched
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+SPEED = 2000.0
+"""Metres a second of the flight (some 7,000 km/h: a frame of 1/60 s is 33 m)."""
+
+
+def select(data: Path) -> None:
+    """Milliseconds a selection, by the number of patches."""
+    terrain = promise.terrain_of("synthetic 4097", data)
+    assert terrain is not None
+    print("\nselect: 4097² synthetic, one thread")
+    print(f"{'patches':>8} {'diamonds':>9} {'τ px':>6} {'ms':>7} {'worst':>7} {'ns a diamond':>13}")
+    engine = Batched(terrain)
+    views = [view for kind, view in promise.views(terrain, 20, 1) if kind in ("grazing", "wide angle", "far away")]
+    for wanted in (250, 500, 1000, 2000, 4000, 8000):
+        best = None
+        for view in views:
+            for tolerance in 2.0 ** np.arange(-3, 5, 0.5):
+                count = len(engine.select(view, float(tolerance)).instances)
+                if best is None or abs(count - wanted) < abs(best[0] - wanted):
+                    best = count, view, float(tolerance)
+        assert best is not None
+        _, view, tolerance = best
+        times = []
+        for _ in range(25):
+            begin = time.perf_counter()
+            made = engine.select(view, tolerance)
+            times.append(1e3 * (time.perf_counter() - begin))
+        nodes, ms = made.stats["nodes"], statistics.median(times)
+        print(
+            f"{len(made.instances):8,} {nodes:9,} {tolerance:6.2f} {ms:7.3f} {max(times):7.3f} {1e6 * ms / nodes:13.0f}"
+        )
+
+
+def triangles(data: Path, count: int) -> None:
+    """Triangles beside other engines'."""
+    print(f"\ntriangles: mean of {count} views; in brackets the largest error of all over the tolerance")
+    labels = ("batched", "morphing", "L = 8", "L = 32", "soar", "top-down")
+    print(f"{'':16}{'τ px':>6} " + " ".join(f"{label:>14}" for label in labels))
+    for name in ("bigtujunga", "synthetic 4097"):
+        terrain = promise.terrain_of(name, data)
+        if terrain is None:
+            print(f"{name}: not at {data}")
+            continue
+        views = [view for _, view in promise.views(terrain, count, 1)]
+        engines = {
+            "batched": Batched(terrain), "morphing": Batched(terrain, geomorph=True), "L = 8": Batched(terrain, legs=8),
+            "L = 32": Batched(terrain, legs=32), "soar": engine_of("soar")(terrain),
+            "top-down": engine_of("top-down")(terrain),
+        }  # fmt: skip
+        for tolerance in (0.5, 1.0, 2.0, 4.0, 8.0):
+            cells = []
+            for label, engine in engines.items():
+                made, worst = [], 0.0
+                for view in views:
+                    mesh = engine.refine(view, tolerance=tolerance)
+                    made.append(len(mesh.triangles))
+                    if label in ("batched", "morphing"):
+                        worst = max(worst, verify.judge(mesh, terrain, view).largest)
+                error = f" ({worst / tolerance:.2f})" if worst else ""
+                cells.append(f"{statistics.mean(made):,.0f}{error}")
+            print(f"{name:16}{tolerance:6.1f} " + " ".join(f"{cell:>14}" for cell in cells), flush=True)
+
+
+def path_of(terrain: Terrain, seconds: float) -> View:
+    """Where a flight across the middle of a terrain is."""
+    rows, cols = terrain.grid.shape
+    t = terrain.grid.transform
+    x0, y0 = (float(v) for v in terrain.grid.xy(0.2 * cols, 0.55 * rows))
+    east, north = t.a, t.d
+    size = math.hypot(east, north)
+    x, y = x0 + SPEED * seconds * east / size, y0 + SPEED * seconds * north / size
+    high = terrain.height_range[1] + 1500.0
+    return View((x, y, high), (x + 20000 * east / size, y + 20000 * north / size, high - 5000), fov_y=45.0)
+
+
+def flight(terrain: Terrain, frames: int, tolerance: float) -> None:
+    """A flight over a store."""
+    engine = Batched(terrain)
+    warm = Batched(terrain)
+    for k in range(3):  # compiled, but with cold pages: another engine's
+        warm.select(path_of(terrain, k), tolerance, wait=False)
+    times, counts, fresh, lacking, seen = [], [], [], [], set()
+    for frame in range(frames):
+        begin = time.perf_counter()
+        made = engine.select(path_of(terrain, frame / 60), tolerance, wait=False)
+        took = time.perf_counter() - begin
+        times.append(1e3 * took)
+        counts.append(len(made.instances))
+        lacking.append(made.stats["absent"])
+        wanted = {tuple(w) for w in made.wanted[["level", "row", "col"]].tolist()}
+        fresh.append(len(wanted - seen))
+        seen = wanted
+        time.sleep(max(0.0, 1 / 60 - took))
+    whole = next((i for i, absent in enumerate(lacking) if absent == 0), None)
+    rows, cols = terrain.grid.shape
+    print(f"\nflight: {terrain.name}, {cols} × {rows}, {frames} frames at {tolerance:g} px, {SPEED:.0f} m/s")
+    print(f"  select     median {statistics.median(times):.2f} ms, 99 % {np.quantile(times, 0.99):.2f}, worst "
+          f"{max(times):.2f}")  # fmt: skip
+    print(f"  patches    median {statistics.median(counts):,.0f}, most {max(counts):,}")
+    print(f"  tiles      {len(seen)} wanted at the end; new ones a frame: mean {statistics.mean(fresh[1:]):.2f}, "
+          f"most {max(fresh[1:])} (first frame {fresh[0]})")  # fmt: skip
+    print(f"  pages      all there at frame {whole}; frames that lacked some: {sum(v > 0 for v in lacking)}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
+    parser.add_argument("--store", type=Path, help="the store of the flight")
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--views", type=int, default=10)
+    parser.add_argument("--part", choices=("select", "triangles", "flight"), action="append")
+    options = parser.parse_args()
+    parts = options.part or ["select", "triangles", "flight"]
+    if "select" in parts:
+        select(options.data)
+    if "triangles" in parts:
+        triangles(options.data, options.views)
+    if "flight" in parts:
+        if options.store is not None:
+            flight(store.open(options.store), options.frames, 1.0)
+            return
+        files = sorted((options.data / "california-3s-tiles").glob("*.tif"))
+        if not files:
+            print(f"flight: california-3s-tiles is not at {options.data}")
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            flight(store.build(files, Path(folder) / "california.oro"), options.frames, 1.0)
+
+
+if __name__ == "__main__":
+    main()
