@@ -161,7 +161,7 @@ def test_tours_are_made_and_told(run, hilly, tmp_path):
     code, said, _ = run("tour", "info", path)
     assert code == 0 and "1280 × 720" in said and "spline" in said
     code, said, _ = run("tour", "info", path, "--json")
-    assert code == 0 and json.loads(said)["duration"] == pytest.approx(10, abs=0.5)
+    assert code == 0 and json.loads(said)["duration"] == pytest.approx(9)
     code, _, err = run("tour", "new", hilly, "-o", path)
     assert code == 2 and "What kind" in err
 

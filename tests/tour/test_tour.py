@@ -386,5 +386,9 @@ def test_the_length_of_a_ramp():
     leg = Cruise(500.0, 100.0, True, False)
     distance, _ = quad(lambda t: (leg(t + 1e-5) - leg(t - 1e-5)) / 2e-5, 1e-4, leg.seconds - 1e-4, limit=200)
     assert distance == pytest.approx(500, rel=1e-3) and leg.seconds == pytest.approx(5.5)
+    for speed, seconds in ((100.0, 5.5), (100.0, 1.2), (7.0, 2.0)):
+        length = Cruise.length_of(seconds, speed)
+        assert Cruise(length, speed, True, True).seconds == pytest.approx(seconds)
+        assert Cruise.speed_for(length, seconds) == pytest.approx(speed)
     short = Cruise(10.0, 100.0, True, True)
     assert short(short.seconds / 2) == pytest.approx(5.0) and short(short.when(3.0)) == pytest.approx(3.0)

@@ -26,6 +26,7 @@ from orograph.picture import camera
 from orograph.store.terrain import Terrain
 from orograph.tour.course import highest
 from orograph.tour.keys import Key
+from orograph.tour.schedule import Cruise
 from orograph.tour.tour import Tour
 from orograph.view import View
 
@@ -101,7 +102,7 @@ def flyover(
     Args:
         line: (n, 2) places in the terrain's CRS.
         height: metres above the ground; None: a fifteenth of the line, from 50 to 3000 m.
-        speed: metres per second; None: ``seconds``, or one that suits the height.
+        speed: metres per second; None: one that suits the height. seconds: how long it takes, instead of a speed.
 
     Raises:
         UsageError: the line has no length or lies beside the terrain, or a number is out of its range.
@@ -120,10 +121,8 @@ def flyover(
         height = min(max(far[-1] / 15, 50.0), 3000.0)
     if not 0 < height < math.inf:
         raise UsageError(f"--height is in metres above the ground, more than 0, not {height:g}.")
-    if seconds is not None and speed is None:
-        if not 0 < seconds < math.inf:
-            raise UsageError(f"A tour takes some seconds, more than 0, not {seconds:g}.")
-        speed = far[-1] / seconds
+    if seconds is not None and not 0 < seconds < math.inf:
+        raise UsageError(f"A tour takes some seconds, more than 0, not {seconds:g}.")
     ahead = AHEAD * height
     speed = ahead / CRUISE * 3 if speed is None else speed
     count = max(2, math.ceil(far[-1] / (ahead / KEYS_PER_LOOK)) + 1)
@@ -147,7 +146,12 @@ def flyover(
         Key(View((x, y, z + height), (tx, ty, tz), fov_y=fov_y, width=size[0], height=size[1]))
         for (x, y), z, (tx, ty), tz in zip(eyes, below, targets, seen)
     ]
-    return Tour(tuple(keys), speed=speed, above_ground=height / 2)
+    tour = Tour(tuple(keys), speed=speed, above_ground=height / 2)
+    if seconds is None:
+        return tour
+    # The way's length follows from the time at a speed, and the speed from the time there is: both have ramps.
+    length = Cruise.length_of(tour.duration, speed)
+    return Tour(tuple(keys), speed=Cruise.speed_for(length, seconds), above_ground=height / 2)
 
 
 def _ground(terrain: Terrain, place: Array, around: float, default: float) -> float:

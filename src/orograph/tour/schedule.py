@@ -275,6 +275,16 @@ class Cruise:
             return self.length - self.speed * self.down * _ramped((self.seconds - time) / self.down)
         return self.speed * (time - self.up / 2)
 
+    @staticmethod
+    def length_of(seconds: float, speed: float) -> float:
+        """Metres gone from rest to rest in so many seconds at a speed."""
+        return speed * (seconds - RAMP if seconds >= 2 * RAMP else seconds / 2)
+
+    @staticmethod
+    def speed_for(length: float, seconds: float) -> float:
+        """The speed at which so many metres take so long from rest to rest."""
+        return length / (seconds - RAMP if seconds >= 2 * RAMP else seconds / 2)
+
     def when(self, gone: float) -> float:
         """Seconds after which so many metres are gone."""
         low, high = 0.0, self.seconds
