@@ -36,7 +36,7 @@ OWN = {*CAMERA, *REFINE, "seconds", "metric", "exaggeration", "geomorph"}
 @refine_options
 @click.option("--seconds", type=float, metavar="S", help="Instead: what can be done in so much time.")
 @click.option("--metric", metavar="NAME", help="How errors become pixels.  [default: the engine's own]")
-@click.option("--geomorph", is_flag=True, help="Let vertices grow out of their edges as they come (soar).")
+@click.option("--geomorph", is_flag=True, help="Let vertices grow out of their edges as they come (soar, batched).")
 @camera_options
 @click.option(
     "--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
