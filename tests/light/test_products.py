@@ -142,3 +142,19 @@ def test_every_product_is_registered_where_it_is(heights):
         found = product(name)
         assert found.name == name and found.unit and found.doc and found.bands(Options())
     assert set(SWEPT) < set(products.names())
+
+
+def test_a_sun_is_a_pair_a_sun_or_a_moment(heights):
+    from orograph.light.shadow import shadow
+    from orograph.light.sun import Sun, sun_of
+
+    wide = Sun(200.0, 20.0, 10.0)
+    made = light.make(heights, "shadow", cell=CELL, sun=wide)
+    np.testing.assert_array_equal(made, np.stack(shadow(heights, np.diag([CELL, -CELL]), wide)))
+    narrow = light.make(heights, "shadow", cell=CELL, sun=(200.0, 20.0))
+    assert not np.array_equal(made, narrow, equal_nan=True)
+    dem = Dem(heights, grid_of(heights))
+    when = "2026-03-21T16:00Z"
+    there = sun_of(when, dem.grid)
+    by_time = light.make(dem, "hillshade", sun=when).values
+    np.testing.assert_array_equal(by_time, light.make(dem, "hillshade", sun=(there.azimuth, there.altitude)).values)
