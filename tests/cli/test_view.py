@@ -41,6 +41,12 @@ def test_contradictions_are_found_first():
     assert done.returncode == 2
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems always have a screen")
+def test_no_display_comes_before_the_file():
+    """What is missing of the machine is said before what is wrong with the input."""
+    assert "no-such-file" not in run("no-such-file.tif").stderr
+
+
 def test_help():
     done = run("--help")
     assert done.returncode == 0

@@ -75,7 +75,8 @@ def command(
         options["projection"] = "perspective"  # the window turns it straight down
         options["pitch"] = 90.0
     with progress.task("Loading Orograph"):
-        from orograph.errors import UsageError
+        from orograph.errors import ReadError, UsageError
+        from orograph.geovis.colour import colour_table
         from orograph.output import check_folder
         from orograph.picture.scene import check_exaggeration
         from orograph.viewer.app import check, renderer_of, show, warm
@@ -88,6 +89,9 @@ def command(
     # What is wrong with the command line is said before any work is done.
     choose(options["adapter"])
     check_exaggeration(options["exaggeration"])
+    colour_table(options["colormap"])
+    if options["drape"] is not None and not Path(options["drape"]).is_file():
+        raise ReadError("There is no such image.", path=options["drape"])
     if screenshot is not None:
         if Path(screenshot).suffix.lower() != ".png":
             raise UsageError("A screenshot is a PNG.", path=screenshot, remedy="Give it the ending .png.")

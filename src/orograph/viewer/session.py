@@ -99,6 +99,7 @@ class Session:
             self.settings.tolerance = tolerance
         self._outline = camera.outline(terrain)
         home = self._home(size, exaggeration)
+        self.settings.scene(terrain, home)  # says what cannot be drawn before there is a window
         self.probe = Probe(terrain, lambda: self.changed())
         farthest = 20.0 * max(math.dist(home.eye, home.target), 1000.0)
         self.nav = Navigator(

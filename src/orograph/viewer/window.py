@@ -11,6 +11,7 @@ any of ``rendercanvas``: a glfw window, or a notebook's widget.
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -33,6 +34,8 @@ from orograph.viewer.session import Session
 from orograph.viewer.tools import Tools
 
 RETRY = 2.0
+PROGRESS = 0.2
+"""Seconds between frames that show how far a measurement is."""
 SETTLED = 0.12
 """Seconds without motion after which the picture is drawn at full size."""
 PATIENCE = 0.4
@@ -52,6 +55,10 @@ class Drawer(Protocol):
         wait: bool = False, samples: int | None = None,
     ) -> Any:  # fmt: skip
         """Draw a scene into a texture's view; statistics."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether tiles are on their way."""
 
     @property
     def resting(self) -> bool:
@@ -159,6 +166,8 @@ class Window:
         self._last = time.perf_counter()
         self._was_moving = False
         self._viewed: View | None = None
+        self._trouble = ""
+        self._alarm: threading.Timer | None = None
         self._moved = 0.0
         self._pending = AFTER
         self._held = False
@@ -415,11 +424,26 @@ class Window:
         if self._saving is not None and self._pending == 0:
             path, self._saving = self._saving, None
             self._save(path)
-        waiting = session.messages.advance()
-        again = moving or not self._resting or self._pending or not settled or waiting or self.tools.busy
-        again = again or self._saving is not None
-        if again or self._failed:
+        self._go_on(moving or not settled)
+
+    def _go_on(self, moving: bool) -> None:
+        """Ask for the next frame: at once, later, or not before something happens."""
+        talking = self.session.messages.advance()
+        patient = self._slow and not self.renderer.busy
+        if moving or self._pending or self._saving is not None or not (self._resting or patient):
             self.canvas.request_draw()
+            return
+        waits = [RETRY] if self._failed else []
+        if not self._resting:
+            waits.append(PATIENCE)
+        if self.tools.busy:
+            waits.append(PROGRESS)
+        if talking:
+            waits.append(1.0)
+        if waits and (self._alarm is None or not self._alarm.is_alive()):
+            self._alarm = threading.Timer(min(waits), self.refresh)
+            self._alarm.daemon = True
+            self._alarm.start()
 
     def _compose(self, target: Any, size: tuple[int, int], drawing: Any) -> None:
         """Terrain and panels onto a texture's view."""
@@ -458,7 +482,8 @@ class Window:
             same = state == self._scene
             if same and (self._resting if not self._failed else now - self._failed < RETRY):
                 return
-            if same and not self._failed and self._slow and now - self._drawn_at < PATIENCE:
+            calm = self._slow and not self._failed and not self.renderer.busy
+            if same and calm and now - self._drawn_at < PATIENCE:
                 return  # on a slow device the pointer comes before a smoother picture
             self.screen.prepare(scene.view.width, scene.view.height)
             self.stats = self.renderer.draw(
@@ -469,7 +494,8 @@ class Window:
             self._drawn_at = time.perf_counter()
             self._slow = self._drawn_at - now > TOO_SLOW
             trouble = getattr(self.stats, "failed", "")
-            if trouble:
+            before, self._trouble = self._trouble, trouble
+            if trouble and trouble != before:
                 session.messages.say(f"A part of the terrain cannot be read: {trouble}", error=True)
             if settings.balance(int(self.stats.triangles)):
                 self._touch()
