@@ -158,3 +158,23 @@ def test_a_sun_is_a_pair_a_sun_or_a_moment(heights):
     there = sun_of(when, dem.grid)
     by_time = light.make(dem, "hillshade", sun=when).values
     np.testing.assert_array_equal(by_time, light.make(dem, "hillshade", sun=(there.azimuth, there.altitude)).values)
+
+
+def test_keeping_canvases_on_disk_takes_no_memory(tmp_path, monkeypatch):
+    """Their pages are let go of behind what is written and read."""
+    from orograph.light import raster_resume
+    from orograph.light.raster import Canvas
+
+    monkeypatch.setattr(raster_resume, "_CHUNK", 100)
+    released, release = [], Canvas.release
+    monkeypatch.setattr(Canvas, "release", lambda self: released.append(self) or release(self))
+    canvases = [Canvas(2, (13, 17), on_disk) for on_disk in (True, False)]
+    for k, canvas in enumerate(canvases):
+        canvas.values[:] = np.arange(442).reshape(2, 13, 17) + k
+    kept = raster_resume.Kept(tmp_path / "kept", {"plan": 1})
+    kept.save("a+b", canvases, [3, 1])
+    assert len(released) == 10
+    again = [Canvas(2, (13, 17), True) for _ in canvases]
+    assert kept.load("a+b", again) == [3, 1]
+    for one, other in zip(canvases, again):
+        np.testing.assert_array_equal(one.values, other.values)

@@ -124,9 +124,9 @@ def _begun(context: Context, products: Sequence[Product]) -> tuple[list[Blocks |
 def _swept(context: Context, sweeps: dict[int, Sweep], names: Sequence[str]) -> dict[int, Canvas]:
     """The canvases of sweeps of one group."""
     canvases = {k: context.canvas(sweep.bands) for k, sweep in sweeps.items()}
-    arrays = [canvas.values for canvas in canvases.values()]
+    all_of_them = list(canvases.values())
     key, kept = "+".join(names), context.kept
-    done = [] if kept is None else kept.load(key, arrays)
+    done = [] if kept is None else kept.load(key, all_of_them)
 
     def add(block: Block, first: int, last: int) -> None:
         for k, sweep in sweeps.items():
@@ -135,7 +135,7 @@ def _swept(context: Context, sweeps: dict[int, Sweep], names: Sequence[str]) -> 
     def after(block: Block) -> None:
         if kept is not None and block.ends:
             done.extend(int(k) for k in block.azimuths)
-            kept.save(key, arrays, done)
+            kept.save(key, all_of_them, done)
         for canvas in canvases.values():
             canvas.release()
 

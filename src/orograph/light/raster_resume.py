@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OutputError
+from orograph.light.raster import Canvas
 from orograph.store.memory import MemoryTerrain
 from orograph.store.terrain import Terrain
 
@@ -69,8 +70,8 @@ class Kept:
         except OSError as error:
             raise _unwritable(folder, error) from error
 
-    def load(self, key: str, canvases: Sequence[Values]) -> list[int]:
-        """Fill canvases (bands, rows, cols) with what is kept; the azimuths in them, [] if there is nothing."""
+    def load(self, key: str, canvases: Sequence[Canvas]) -> list[int]:
+        """Fill canvases with what is kept; the azimuths in them, [] if there is nothing."""
         state = self.folder / f"{key}.json"
         if not state.is_file():
             return []
@@ -88,7 +89,7 @@ class Kept:
             ) from error
         return [int(k) for k in kept["azimuths"]]
 
-    def save(self, key: str, canvases: Sequence[Values], azimuths: Iterable[int]) -> None:
+    def save(self, key: str, canvases: Sequence[Canvas], azimuths: Iterable[int]) -> None:
         """Keep canvases after a pass."""
         done = list(azimuths)
         name = f"{key}.{len(done)}.f32"
@@ -131,12 +132,13 @@ class Kept:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def _parts(canvases: Sequence[Values]) -> Iterator[Values]:
-    """All values, a few at a time."""
-    for values in canvases:
-        flat = values.reshape(-1)
+def _parts(canvases: Sequence[Canvas]) -> Iterator[Values]:
+    """All values, a few at a time; the memory of canvases on disk is let go of behind them."""
+    for canvas in canvases:
+        flat = canvas.values.reshape(-1)
         for start in range(0, flat.size, _CHUNK):
             yield flat[start : start + _CHUNK]
+            canvas.release()
 
 
 def _replace(path: Path, text: str) -> None:
