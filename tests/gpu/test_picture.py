@@ -6,6 +6,7 @@ The truth for the promise is the full-resolution surface itself, interpolated he
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from scipy.ndimage import binary_dilation
 from orograph.errors import NothingInViewError, UsageError
 from orograph.gpu.device import Device
 from orograph.gpu.picture import draw as gpu_draw
+from orograph.light.aperture import Lamp
+from orograph.light.sun import Sun
 from orograph.picture.camera import around, plan, whole
 from orograph.picture.cpu import draw as cpu_draw
 from orograph.picture.prepare import prepare
@@ -117,6 +120,23 @@ def test_imagery_lies_where_the_cpu_lays_it(device: Device, shared_data: Path) -
     scene = Scene(terrain, around(terrain, SIZE, azimuth=150, pitch=30, distance=900), drape=image, tolerance=1.0)
     difference = lab(gpu_draw(scene, device=device).pixels) - lab(cpu_draw(scene).pixels)
     assert np.linalg.norm(difference, axis=-1).mean() < 1.5
+
+
+@pytest.mark.parametrize("light", ["none", "ao", "aperture", "lamps"])
+def test_light_falls_as_on_the_cpu(device: Device, shared_data: Path, light: str) -> None:
+    terrain = open_set(shared_data, "bigtujunga")
+    view = around(terrain, SIZE, azimuth=200, pitch=20, distance=9000)
+    more: dict[str, Any] = {}
+    if light == "lamps":
+        high = float(terrain.read(0, 400, 401, 600, 601)[0, 0]) + 300
+        more["lamps"] = (Lamp(600.0, 300.0, high, (4e5, 2e5, 1e5)),)
+        more["discs"] = ((Sun(90, 30, 10.0), (0.2, 0.2, 0.6)),)
+        light = "aperture"
+    scene = Scene(terrain, view, Sun(290, 20), light=light, tolerance=1.0, **more)  # type: ignore[arg-type]
+    ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
+    difference = np.linalg.norm(lab(ours.pixels) - lab(caster.pixels), axis=-1)
+    assert difference.mean() < 1.0
+    assert np.percentile(difference, 95) < 3.0
 
 
 def test_missing_ground_is_hatched_and_has_no_depth(device: Device, shared_data: Path) -> None:

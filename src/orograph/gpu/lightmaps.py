@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from orograph.light.nested import Nested, sunward
 from orograph.light.sun import Sun
 from orograph.picture.kept import Kept
+from orograph.picture.lighting import SKIES, field_of
 from orograph.picture.mapgrid import MapGrid
 from orograph.picture.scene import Scene
+from orograph.progress import SILENT
 from orograph.raycast.select import Rectangle, rectangles
 from orograph.store.terrain import Terrain
 from orograph.view import View
@@ -29,6 +31,9 @@ Values = NDArray[np.float32]
 
 WINDOW = 3_000_000
 """Samples of a window of horizons towards the sun, at most."""
+
+FIELDS = {"ao": SKIES, "aperture": ("aperture",)}
+"""The layers that a way of lighting looks up, the best first."""
 
 FAR = 64.0
 """Radii of the sun's disc beyond which it does not matter how far the horizon is from it."""
@@ -43,6 +48,8 @@ class LightMaps:
         light: offset, rows, cols, level of the sky-view factor. first: its first block (row, col).
         wet: whether there is water.
         windows: (n, 8) int32: offset, rows, cols, level, first row and column, two unused; outermost first.
+        fields: (n, 8) int32: windows of a share of the sky or of caps (``light.field``): offset, rows, cols, level,
+            first row and column, values per sample, unused; outermost first. told: what they are.
         strength: factor on slopes for shading that suits the ground in view.
         water_fraction: of the map.
     """
@@ -52,6 +59,8 @@ class LightMaps:
     first: tuple[int, int]
     wet: bool
     windows: NDArray[np.int32]
+    fields: NDArray[np.int32]
+    told: str
     strength: float
     water_fraction: float
 
@@ -65,35 +74,56 @@ def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) 
         detail: pixels that a sample of the sun's finest window may be as large as.
     """
     grid = MapGrid(scene, _ground(scene), _Seen(points), kept)  # type: ignore[arg-type]
-    parts: list[Values] = [np.nan_to_num(grid.sky_view, nan=1.0).ravel()]  # where nothing is known, the sky is open
+    level, row0, row1, col0, col1 = grid.window
+    rows, cols = row1 - row0, col1 - col0
+    open_sky = np.ones(rows * cols, np.float32)  # where nothing is known, the sky is open
+    parts: list[Values] = [np.nan_to_num(grid.sky_view, nan=1.0).ravel() if grid.sky_view.size else open_sky]
     wet = grid.water.size > 0
     if wet:
         parts.append(grid.water.ravel())
-    rows, cols = grid.sky_view.shape
+    offset = sum(p.size for p in parts)
     windows: NDArray[np.int32] = np.zeros((0, 8), np.int32)
-    if scene.shadows:
+    if scene.shadows and scene.light in ("relief", "ao"):
         chosen = sun_windows(scene.terrain, scene.view, scene.exaggeration, detail)
         found = kept(
             "sun", (tuple(chosen), scene.sun, scene.exaggeration),
             lambda: sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, kept, scene.jobs), scene.terrain,
         )  # fmt: skip
         windows = np.zeros((len(chosen), 8), np.int32)
-        offset = sum(p.size for p in parts)
         for k, (r, values) in enumerate(zip(chosen, found)):
             windows[k, :6] = offset, *values.shape, r.level, r.row0, r.col0
             offset += values.size
             parts.append(values.ravel())
-    level = round(math.log2(grid.scale))
-    pool = np.concatenate(parts)
+    fields: NDArray[np.int32] = np.zeros((0, 8), np.int32)
+    told = ""
+    if scene.light in FIELDS:
+        field, told = field_of(scene, _ground(scene), grid.window, FIELDS[scene.light], kept, SILENT)  # type: ignore[arg-type]
+        channels = field.pool.shape[1]
+        fields = np.zeros((len(field.ints), 8), np.int32)
+        for k, (ints, floats) in enumerate(zip(field.ints, field.floats)):
+            first_col, first_row = round(floats[5]), round(floats[6])
+            window_level = round(math.log2(floats[0]))
+            fields[k, :7] = (
+                offset + int(ints[0]) * channels,
+                ints[1],
+                ints[2],
+                window_level,
+                first_row,
+                first_col,
+                channels,
+            )
+        neutral = np.array([0.0, 0.0, 1.0, 0.0] if channels == 4 else [1.0], np.float32)  # the open sky
+        parts.append(np.where(np.isnan(field.pool), neutral, field.pool).astype(np.float32).ravel())
     return LightMaps(
-        pool, (0, rows, cols, level), (grid.row0, grid.col0), wet, windows, grid.strength, grid.water_fraction
-    )
+        np.concatenate(parts), (0, rows, cols, level), (row0, col0), wet, windows, fields, told, grid.strength,
+        grid.water_fraction,
+    )  # fmt: skip
 
 
 def plain_maps() -> LightMaps:
     """Light before any map of it is there: an open sky, no water, no shadows."""
     nothing: NDArray[np.int32] = np.zeros((0, 8), np.int32)
-    return LightMaps(np.ones(1, np.float32), (0, 1, 1, 0), (0, 0), False, nothing, 1.0, 0.0)
+    return LightMaps(np.ones(1, np.float32), (0, 1, 1, 0), (0, 0), False, nothing, nothing, "", 1.0, 0.0)
 
 
 def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float) -> list[Rectangle]:
@@ -148,7 +178,9 @@ class _ground:
 
     def __init__(self, scene: Scene) -> None:
         self.rays = self
-        self.spacing = math.sqrt(abs(scene.terrain.grid.transform.determinant))
+        t = scene.terrain.grid.transform
+        self.spacing = math.sqrt(abs(t.determinant))
+        self.linear = np.array([[t.a, t.b], [t.d, t.e]])
 
 
 def whole(terrain: Terrain) -> Array:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.colour import Tint, tint_of
 from orograph.gpu.lightmaps import LightMaps
+from orograph.light.aperture import Lights
 from orograph.picture.kept import Kept
 from orograph.picture.kernels import SHORE
 from orograph.picture.scene import Scene
@@ -22,19 +24,21 @@ SHADE = np.dtype(
         ("contour_colour", "<f4", 4), ("side", "<f4", 2), ("sky_at", "<u4"), ("sky_rows", "<u4"), ("sky_cols", "<u4"),
         ("ring_at", "<u4"), ("land_at", "<u4"), ("land_count", "<u4"), ("sea_at", "<u4"), ("sea_count", "<u4"),
         ("levels", "<u4"), ("flags", "<u4"), ("light", "<i4", 4), ("light_first", "<i4", 2), ("windows", "<u4"),
-        ("hatch", "<u4"),
+        ("hatch", "<u4"), ("fields", "<u4"), ("suns", "<u4"), ("lamps", "<u4"), ("pad", "<u4"),
     ]
 )  # fmt: skip
 """The uniform ``Shade`` of ``shaders/shade.wgsl``."""
 
 SHADOWS, WATERS, DRAPE, WIREFRAME, LEVELS = 1, 2, 4, 8, 16
+LIGHTS = {"relief": 0, "none": 32, "ao": 64, "aperture": 128}
+"""Flags of the shader; "raytraced" is the CPU's."""
 
 
 class Look:
     """The numbers of one scene.
 
     Attributes:
-        uniform: of ``SHADE``. tables: float32, colours one after the other.
+        lights: what shines through apertures. uniform: of ``SHADE``. tables: float32, colours one after the other.
         tint: how heights become colours.
     """
 
@@ -77,9 +81,20 @@ class Look:
         u["levels"] = terrain.levels
         flags = (SHADOWS if len(maps.windows) else 0) | (WATERS if maps.wet else 0)
         flags |= (WIREFRAME if wireframe else 0) | (LEVELS if levels else 0)
+        flags |= LIGHTS[scene.light] | (SHADOWS if scene.shadows and scene.light == "aperture" else 0)
         flags |= DRAPE if scene.drape is not None else 0
         u["flags"] = flags
         u["light"], u["light_first"] = maps.light, maps.first
         u["windows"] = len(maps.windows)
+        u["water"][3], u["fields"] = SHORE, len(maps.fields)
+        discs = [] if not scene.shadows else [(scene.sun, _colour(sunlight)), *scene.discs]
+        lamps = [replace(lamp, height=lamp.height * scene.exaggeration) for lamp in scene.lamps]
+        self.lights = Lights(discs, lamps, _colour(skylight)) if scene.light == "aperture" else Lights()
+        u["suns"], u["lamps"] = len(self.lights.suns), len(self.lights.lamps)
         self.uniform = u
         self.tables = np.concatenate(parts)
+
+
+def _colour(colour: NDArray[np.float32]) -> tuple[float, float, float]:
+    red, green, blue = (float(c) for c in colour)
+    return red, green, blue

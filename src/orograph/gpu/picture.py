@@ -51,8 +51,8 @@ def draw(
     """
     if scene.engine is not None or scene.mesh_view is not None:
         raise UsageError("Meshes of other engines are drawn by the CPU.", remedy="Use --backend cpu.")
-    if scene.light != "relief":
-        raise UsageError(f"The light {scene.light!r} is drawn by the CPU.", remedy="Use --backend cpu.")
+    if scene.light == "raytraced":
+        raise UsageError("Rays of light are traced by the CPU.", remedy="Use --backend cpu, or --light aperture.")
     begun = time.perf_counter()
     device = device or open_device()
     view = scene.view
@@ -92,7 +92,7 @@ def draw(
             renderer.close()
     facts: dict[str, Any] = {
         "backend": "gpu", "adapter": device.adapter.name, "patches": stats.patches, "triangles": stats.triangles,
-        "tolerance_px": scene.tolerance, "tiles": stats.tiles_resident, "warnings": [],
+        "tolerance_px": scene.tolerance, "light": renderer.light, "tiles": stats.tiles_resident, "warnings": [],
         "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
         "seconds": {"all": round(time.perf_counter() - begun, 4)},
     }  # fmt: skip

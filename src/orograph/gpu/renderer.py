@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import OrographError
 from orograph.geovis.drape import Drape
+from orograph.gpu.aperture import tables as light_tables
 from orograph.gpu.camera import CAMERA, camera_of, nearest
 from orograph.gpu.device import Device
 from orograph.gpu.drape import DrapeTexture
@@ -278,6 +279,11 @@ class Renderer:
             "missing": int(veiled.sum()),
         }  # fmt: skip
 
+    @property
+    def light(self) -> str:
+        """Where the light of the last frame came from, if it was looked up in a layer."""
+        return self._maps.told if self._maps is not None else ""
+
     def close(self) -> None:
         """Stop reading."""
         self.streamer.close()
@@ -341,8 +347,9 @@ class Renderer:
         if not exact:
             near, far = (math.exp(round(10 * math.log(max(v, 1e-3))) / 10) for v in (near, far))
         key = (
-            scene.sun, scene.sky, scene.colormap, scene.water, scene.relief, scene.drape is None, near, far,
-            overlay.wireframe, overlay.levels, overlay.drape_opacity,
+            scene.sun, scene.light, scene.lamps, scene.discs, scene.shadows, scene.sky, scene.colormap, scene.water,
+            scene.relief, scene.exaggeration, scene.drape is None, near, far, overlay.wireframe, overlay.levels,
+            overlay.drape_opacity,
         )  # fmt: skip
 
         def make() -> Look:
@@ -363,7 +370,7 @@ class Renderer:
     # ---- light -----------------------------------------------------------------------------------------------------
 
     def _maps_key(self, scene: Scene) -> Any:
-        return scene.sun, scene.shadows, scene.exaggeration, scene.water
+        return scene.sun, scene.shadows, scene.exaggeration, scene.water, scene.light
 
     def _light_for(
         self, scene: Scene, targets: Targets, instances: NDArray[Any], *, wait: bool, moved: bool
@@ -391,7 +398,7 @@ class Renderer:
         if scene.view != self._last_view:
             self._last_view, self._moved = scene.view, now
         # While the camera moves the maps there are serve on; a new sun, or the first, is not waited with.
-        settled = now - self._moved > SETTLED or self._light.done is None or self._light.done[:4] != key[:4]
+        settled = now - self._moved > SETTLED or self._light.done is None or self._light.done[:5] != key[:5]
         if settled and self._light.wants(key):
             points, visible = self._about(scene, instances)
             self._light.start(key, lambda: (light_maps(scene, points, Kept(), detail=1.5), visible, self._veils(scene)))
@@ -460,7 +467,10 @@ class Renderer:
 
     def _group(self, targets: Targets, look: Look, scene: Scene) -> Any:
         assert self._maps is not None
-        windows = self._maps.windows if len(self._maps.windows) else np.zeros((1, 8), np.int32)
+        windows = np.concatenate([self._maps.windows, self._maps.fields])
+        if not len(windows):
+            windows = np.zeros((1, 8), np.int32)
+        suns, lamps = light_tables(look.lights, *self._from_eye(scene))
         image, lattice = self._bare
         if scene.drape is not None:
             draped = self._draped(scene)
@@ -478,8 +488,18 @@ class Renderer:
                 8: self._stored("windows", windows),
                 9: image,
                 11: lattice,
+                12: self._stored("suns", suns),
+                13: self._stored("lamps", lamps),
             },
         )
+
+    def _from_eye(self, scene: Scene) -> tuple[Array, Array]:
+        """Metres east and north per column and row, and where the eye is from sample (0, 0), stretched height."""
+        a, b, c, d, e, f = self.terrain.grid.samples[:6]
+        view = scene.view
+        x, y = view.target[:2] if view.projection == "plan" else view.eye[:2]
+        origin = np.array([x - c, y - f, view.eye[2] * scene.exaggeration])
+        return np.array([[a, b], [d, e]]), origin
 
     def _stored(self, name: str, values: NDArray[Any]) -> Any:
         """A storage buffer with these values; written again only if they are other ones."""

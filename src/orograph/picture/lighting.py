@@ -80,13 +80,13 @@ def lighting_of(
     if scene.light == "raytraced":
         return Raytraced(scene, ground, shine, strength)
     if scene.light == "aperture":
-        field, told = _field(scene, ground, window, ("aperture",), kept, progress)
+        field, told = field_of(scene, ground, window, ("aperture",), kept, progress)
         return Apertures(scene, ground, shine, strength, field, told)
-    field, told = _field(scene, ground, window, SKIES, kept, progress)
+    field, told = field_of(scene, ground, window, SKIES, kept, progress)
     return Occlusion(scene, ground, shine, strength, field, told)
 
 
-def _field(
+def field_of(
     scene: Scene, ground: Ground, window: Window, names: tuple[str, ...], kept: Kept, progress: Progress
 ) -> tuple[Field, str]:
     """The first of the layers that is baked; else the first of the products, swept."""

@@ -19,14 +19,16 @@ struct Shade {
   sky_cols: u32, ring_at: u32,
   land_at: u32, land_count: u32,
   sea_at: u32, sea_count: u32,
-  levels: u32, flags: u32,  // 1 shadows, 2 water, 4 drape, 8 wireframe, 16 colours of levels, 32 light of faces (facets)
+  levels: u32, flags: u32,  // 1 shadows, 2 water, 4 drape, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures
   light: vec4<i32>,         // the map of light: offset, rows, cols, level
   light_first: vec2<i32>,   // its first block (row, col)
   windows: u32, hatch: u32,
+  fields: u32, suns: u32,   // windows of shares of the sky or caps; discs of light
+  lamps: u32, pad: u32,     // points of light
 };
 
 struct Level { offset: u32, tile_rows: u32, tile_cols: u32, rows: u32, cols: u32, pad0: u32, pad1: u32, pad2: u32 };
-struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: i32, pad0: i32, pad1: i32 };
+struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: i32, channels: i32, pad: i32 };
 
 @group(1) @binding(0) var<uniform> shade: Shade;
 @group(1) @binding(1) var depths: texture_depth_2d;
@@ -36,14 +38,16 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(5) var<storage, read> tables: array<f32>;
 @group(1) @binding(6) var<storage, read> maps: array<f32>;
 @group(1) @binding(7) var<storage, read> levels: array<Level>;
-@group(1) @binding(8) var<storage, read> windows: array<Window>;
+@group(1) @binding(8) var<storage, read> windows: array<Window>;   // of the sun, then of the field
 @group(1) @binding(9) var drape: texture_2d<f32>;
 @group(1) @binding(10) var drape_sampler: sampler;
 @group(1) @binding(11) var<storage, read> lattice: array<vec4<f32>>;
+@group(1) @binding(12) var<storage, read> suns: array<Sun>;
+@group(1) @binding(13) var<storage, read> lamps: array<Lamp>;
+// include: aperture.wgsl
 // include: sky.wgsl
 // include: drape.wgsl
 
-const PI: f32 = 3.14159265358979;
 const SLOPE_SIDE: i32 = 258;
 const PER_SIDE: i32 = 4;
 
@@ -139,6 +143,51 @@ fn sunlit(at: Place) -> f32 {
   return 1.0;
 }
 
+// Values (one or four) of the finest window of the field that is not finer than a pixel.
+fn field_value(at: Place, footprint: f32) -> vec4<f32> {
+  let wanted = i32(floor(log2(max(footprint, 1.0))));
+  for (var w = i32(shade.fields) - 1; w >= 0; w--) {
+    let window = windows[i32(shade.windows) + w];
+    let p = in_blocks(at, u32(window.level));
+    let size = vec2<i32>(window.cols, window.rows);
+    let q = p.whole - vec2<i32>(window.col0, window.row0);
+    if (w > 0 && (window.level < wanted || any(q < vec2<i32>(1)) || any(q >= size - 2))) {
+      continue;
+    }
+    let clamped = clamp(q, vec2<i32>(0), max(size - 2, vec2<i32>(0)));
+    let f = clamp(p.part + vec2<f32>(q - clamped), vec2<f32>(0.0), vec2<f32>(1.0));
+    let next = min(clamped + 1, size - 1);
+    var out = vec4<f32>(0.0);
+    for (var k = 0; k < window.channels; k++) {
+      let top = mix(field_at(window, clamped, k), field_at(window, vec2<i32>(next.x, clamped.y), k), f.x);
+      let low = mix(field_at(window, vec2<i32>(clamped.x, next.y), k), field_at(window, next, k), f.x);
+      out[k] = mix(top, low, f.y);
+    }
+    return out;
+  }
+  return vec4<f32>(1.0);
+}
+
+fn field_at(window: Window, at: vec2<i32>, channel: i32) -> f32 {
+  return maps[window.offset + (at.y * window.cols + at.x) * window.channels + channel];
+}
+
+// Light through the cap over a place: discs, points, the sky between them, and ground where sky is hidden.
+fn through_apertures(cap: Cap, normal: vec3<f32>, place: vec3<f32>) -> vec3<f32> {
+  var sky = sky_through(cap, normal);
+  var light = vec3<f32>(0.0);
+  for (var k = 0u; k < shade.suns; k++) {
+    let seen = sun_through(cap, normal, suns[k], false);
+    light += seen * suns[k].colour;
+    sky -= covered(seen, suns[k]);
+  }
+  for (var k = 0u; k < shade.lamps; k++) {
+    light += lamp_through(cap, normal, place, lamps[k]) * lamps[k].colour;
+  }
+  let around = shade.skylight.w * (shade.sunlight.rgb + shade.skylight.rgb);
+  return light + max(sky, 0.0) * shade.skylight.rgb + cap.rim * cap.rim * around;
+}
+
 fn shoulder(x: vec3<f32>) -> vec3<f32> {
   return select(0.82 + 0.18 * (1.0 - exp((0.82 - x) / 0.18)), x, x < vec3<f32>(0.82));
 }
@@ -165,13 +214,29 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>) -> Ground
   let stretched = g * (camera.forward.w * shade.sunlight.w);
   let up = inverseSqrt(1.0 + dot(stretched, stretched));
   let cosine = max((shade.sun.z - dot(stretched, shade.sun.xy)) * up, 0.0);
-  var lit = cosine;
-  if ((shade.flags & 1u) != 0u && cosine > 0.0) {
-    lit *= sunlit(at);
-  }
   let size = shade.light.zy;
   let first = shade.light_first.yx;
-  let open = map_value(shade.light.x, size, first, shade.light.w, at);
+  let around = shade.skylight.w * (shade.sunlight.rgb + shade.skylight.rgb);
+  var light = vec3<f32>(1.0);
+  if ((shade.flags & 128u) != 0u) {
+    let normal = vec3<f32>(-stretched * up, up);
+    light = through_apertures(cap_of(field_value(at, footprint)), normal, position);
+    if ((shade.flags & 1u) == 0u) {
+      light += cosine * shade.sunlight.rgb;
+    }
+  } else if ((shade.flags & 32u) == 0u) {
+    var lit = cosine;
+    if ((shade.flags & 1u) != 0u && cosine > 0.0) {
+      lit *= sunlit(at);
+    }
+    if ((shade.flags & 64u) != 0u) {
+      let share = field_value(at, footprint).x;
+      light = lit * shade.sunlight.rgb + share * shade.skylight.rgb + (1.0 - share) * around;
+    } else {
+      let open = map_value(shade.light.x, size, first, shade.light.w, at);
+      light = lit * shade.sunlight.rgb + open * (0.5 + 0.5 * up) * shade.skylight.rgb + (1.0 - open) * around;
+    }
+  }
   var albedo = tint_of(height);
   if ((shade.flags & 4u) != 0u) {
     let image = drape_colour(position, footprint * shade.paper.w);
@@ -182,9 +247,6 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>) -> Ground
     wet = clamp((wet - (0.5 - shade.water.w)) / (2.0 * shade.water.w), 0.0, 1.0);
     albedo = mix(albedo, shade.water.rgb, wet * wet * (3.0 - 2.0 * wet));
   }
-  let sky_part = open * (0.5 + 0.5 * up);
-  let light = lit * shade.sunlight.rgb + sky_part * shade.skylight.rgb
-    + (1.0 - open) * shade.skylight.w * (shade.sunlight.rgb + shade.skylight.rgb);
   return Ground(shoulder(albedo * light), g);
 }
 
