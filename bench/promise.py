@@ -252,7 +252,7 @@ def main() -> None:
     print(tables(found))
     print(f"{time.perf_counter() - began:.0f} s in all, {min(options.jobs, len(tasks))} processes.")
     if options.json:
-        options.json.write_text(json.dumps(found, indent=1))
+        options.json.write_text(json.dumps(found, indent=1, default=lambda number: number.item()))
 
 
 if __name__ == "__main__":
