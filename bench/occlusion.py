@@ -1,9 +1,10 @@
 """Ambient occlusion: every way of getting L beside 4,096 rays per sample, with time and error.
 
-Run: ``python bench/occlusion.py [DEM] [--size 128] [--radius 600]``. Without a DEM the terrain is a
-fractal at 30 m. Errors are over samples more than a few cells from the border of the cut-out; times are on one thread,
-processor seconds per million samples. Of 4,096 rays a second set (another seed) says how far the reference can be
-trusted.
+Run: ``python bench/occlusion.py [DEM] [--size 128] [--radius 600] [--only WORDS] [--figures FOLDER]``. Without a DEM
+the terrain is a fractal at 30 m. Errors are over samples more than a few cells from the border of the cut-out. Times
+are processor seconds per million samples on one thread; of the GPU's methods seconds of a clock, or of a software
+adapter processor seconds of all its threads. Of 4,096 rays a second set (another seed) says how far the reference can
+be trusted. Screen-space occlusion is judged where a picture sees the ground, against 4,096 rays from the same points.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
+from orograph.gpu.cone_tracing import cones
 from orograph.light.occlusion import ambient_occlusion
 
 LINEAR = np.array([[30.0, 0.0], [0.0, -30.0]])
@@ -34,14 +37,135 @@ def ground(path: str | None, size: int) -> tuple[np.ndarray, np.ndarray]:
     return heights, np.array([[t.a, t.b], [t.d, t.e]])
 
 
-def timed(work: Callable[[], np.ndarray]) -> tuple[np.ndarray, float]:
-    """A result and the processor time of its second run (the first compiles)."""
-    start = time.process_time()
+def timed(work: Callable[[], np.ndarray], clock: Callable[[], float] = time.process_time) -> tuple[np.ndarray, float]:
+    """A result and the time of its second run (the first compiles)."""
+    start = clock()
     made = work()
-    if time.process_time() - start < 20:
-        start = time.process_time()
+    if clock() - start < 20:
+        start = clock()
         made = work()
-    return made, time.process_time() - start
+    return made, clock() - start
+
+
+def gpu_clock() -> Callable[[], float] | None:
+    """How to time the GPU, or None if there is none."""
+    from orograph.gpu.device import NoAdapterError, open_device
+
+    try:
+        adapter = open_device().adapter
+    except NoAdapterError as error:
+        print(f"Without the GPU's methods: {error}")
+        return None
+    print(f"GPU: {adapter.name}, {adapter.backend}")
+    return time.process_time if adapter.software else time.perf_counter
+
+
+def methods(rho: str, radius: float | None, gpu: bool) -> list[tuple[str, dict[str, object], bool]]:
+    """What is compared: a label, the method's arguments, whether the GPU does it."""
+    rows = [("4,096 other rays", {"method": "rays", "rays": 4096, "seed": 1}, False)]
+    rows += [(f"{n:,} rays", {"method": "rays", "rays": n}, False) for n in (16, 64, 256, 1024)]
+    name = "sweeps" if radius is None else "walks"
+    rows += [(f"{name} in {n} azimuths", {"azimuths": n}, False) for n in (8, 16, 32, 64, 128)]
+    if gpu:
+        rows += [(f"{n:,} shadow maps", {"method": "shadow-maps", "rays": n}, True) for n in (64, 256, 1024)]
+        rows += [(f"{len(cones(n)[0])} cones", {"method": "cone-tracing", "cones": n}, True) for n in (10, 24, 40, 92)]
+    return rows
+
+
+def seen(h: np.ndarray, linear: np.ndarray, size: tuple[int, int] = (640, 400)) -> tuple[np.ndarray, ...]:
+    """A picture of the ground from obliquely above: depth (height, width), points (n, 3), normals, slope of a pixel."""
+    from orograph.light.normal import normals
+    from orograph.raycast.caster import Caster
+    from orograph.view import View
+
+    rows, cols = h.shape
+    width, height = size
+    middle = linear @ [cols / 2, rows / 2]
+    across = float(np.linalg.norm(linear @ [cols, 0]))
+    low = float(np.nanmean(h))
+    view = View(
+        (middle[0], middle[1] - 0.75 * across, low + 0.55 * across), (middle[0], middle[1] - 0.02 * across, low),
+        fov_y=38.0, width=width, height=height,
+    )  # fmt: skip
+    right, up, forward = view.axes()
+    _, _, _, d0, du, dv = view.ray_basis()
+    inverse = np.linalg.inv(linear)
+
+    def samples(v: np.ndarray) -> np.ndarray:
+        return np.array([*(inverse @ v[:2]), v[2]])
+
+    eye, *basis = (samples(np.asarray(v, np.float64)) for v in (view.eye, d0, du, dv))
+    depth, _ = Caster.of(h, 1).cast_pinhole(eye, *basis, (height, width))
+    py, px = np.mgrid[:height, :width] + 0.5
+    points = eye + depth[..., None] * (basis[0] + px[..., None] * basis[1] + py[..., None] * basis[2])
+    field = normals(h, linear, 1)
+    world = np.stack([between(field[..., k], points) for k in range(3)], axis=-1)
+    world /= np.linalg.norm(world, axis=-1, keepdims=True)
+    facing = world @ np.stack([right, up, forward], axis=1)
+    return depth, points, facing, np.float64(view.pixel_slope)
+
+
+def between(values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """A raster at points (…, 3), linear between samples; NaN outside."""
+    from scipy.ndimage import map_coordinates
+
+    at = np.nan_to_num(points[..., [1, 0]], nan=-9.0)
+    return map_coordinates(values.astype(float), np.moveaxis(at, -1, 0), order=1, cval=np.nan)
+
+
+def screen(h: np.ndarray, linear: np.ndarray, truth: np.ndarray, radius: float, clock: Callable[[], float]) -> None:
+    """Screen-space occlusion of a picture against the ground's own."""
+    from orograph.gpu.ssao import Quality, screen_occlusion
+
+    depth, points, facing, slope = seen(h, linear)
+    known = between(truth, points)
+    print(f"\nScreen space, {depth.shape[1]} × {depth.shape[0]}, R {radius:g} m\n")
+    print("| slices × steps a side | s per Mpx | mean error | mean abs. error | largest |\n|---|---|---|---|---|")
+    for quality in (Quality(2, 6), Quality(), Quality(16, 64, falloff=0.02, most=4096)):
+        made, spent = timed(lambda q=quality: screen_occlusion(depth, facing, float(slope), radius, quality=q), clock)
+        d = (made - known)[np.isfinite(known)]
+        how = f"| {quality.slices} × {quality.steps} | {spent / depth.size * 1e6:.1f}"
+        print(f"{how} | {d.mean():+.4f} | {np.abs(d).mean():.4f} | {np.abs(d).max():.2f} |", flush=True)
+
+
+def grey(values: np.ndarray, low: float = 0.45) -> np.ndarray:
+    return np.uint8(255 * np.clip((np.nan_to_num(values, nan=1.0) - low) / (1 - low), 0, 1)[..., None].repeat(3, -1))
+
+
+def redblue(values: np.ndarray, most: float = 0.2) -> np.ndarray:
+    """White is 0, red too light, blue too dark, full at ±``most``."""
+    x = np.clip(np.nan_to_num(values) / most, -1, 1)
+    rgb = np.ones((*x.shape, 3))
+    rgb[x > 0] -= x[x > 0, None] * [0.1, 0.85, 0.8]
+    rgb[x < 0] += x[x < 0, None] * [0.85, 0.65, 0.1]
+    return np.uint8(255 * rgb)
+
+
+def figures(h: np.ndarray, linear: np.ndarray, radius: float, folder: Path) -> None:
+    """The pictures of the manual: the methods as maps with their errors, and screen space beside object space."""
+    from PIL import Image
+
+    from orograph.gpu.ssao import screen_occlusion
+    from orograph.light.normal import gradient
+    from orograph.light.surface import hillshade_of
+
+    truth = ambient_occlusion(h, linear, radius=radius, azimuths=64)
+    ways = ({"method": "shadow-maps", "rays": 256}, {"method": "cone-tracing"}, {"method": "rays", "rays": 64})
+    made = [ambient_occlusion(h, linear, radius=radius, **how) for how in ways]  # type: ignore[arg-type]
+    relief = grey(hillshade_of(*gradient(h, linear), [(315.0, 45.0, 1.0)])[0], 0.0)
+    columns = [(grey(truth), relief), *((grey(m), redblue(m - truth, 0.1)) for m in made)]
+    rows = [
+        np.concatenate([np.pad(c[k], [(0, 6), (0, 6), (0, 0)], constant_values=255) for c in columns], 1)
+        for k in (0, 1)
+    ]
+    Image.fromarray(np.concatenate(rows)[:-6, :-6]).save(folder / "occlusion-gpu.jpg", quality=88)
+    depth, points, facing, slope = seen(h, linear)
+    known = between(truth, points)
+    gap = np.full((len(depth), 6, 3), 255, np.uint8)
+    there = np.isfinite(depth) & np.isfinite(known)
+    got = np.where(there, screen_occlusion(depth, facing, float(slope), radius), np.nan)
+    sheet = np.concatenate([grey(known), gap, grey(got), gap, redblue(got - known)], axis=1)
+    Image.fromarray(sheet).save(folder / "occlusion-screen.jpg", quality=88)
 
 
 def main() -> None:
@@ -49,32 +173,35 @@ def main() -> None:
     parser.add_argument("dem", nargs="?")
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--radius", type=float, default=600.0)
+    parser.add_argument(
+        "--only", default="", help="words, with commas between, one of which is in the rows that are run"
+    )
+    parser.add_argument("--figures", type=Path, help="a folder: write the manual's pictures instead")
     args = parser.parse_args()
     h, linear = ground(args.dem, args.size)
+    if args.figures:
+        figures(h, linear, args.radius, args.figures)
+        return
+    clock = gpu_clock()
     inner = np.s_[3:-3, 3:-3]
+    words = [w.strip() for w in args.only.split(",")]
     print(f"{args.size}² samples, {np.ptp(h):.0f} m of relief, R = {args.radius:g} m")
     cases: list[tuple[str, float | None]] = [("step", args.radius), ("linear", args.radius), ("step", None)]
     for rho, radius in cases:
         print(f"\nρ {rho}, R {'unlimited' if radius is None else f'{radius:g} m'}\n")
         print("| L by | s per Mpx | mean error | mean abs. error | largest |\n|---|---|---|---|---|")
-
-        def run(how: dict[str, object], rho: str = rho, radius: float | None = radius) -> tuple[np.ndarray, float]:
-            return timed(lambda: ambient_occlusion(h, linear, rho=rho, radius=radius, jobs=1, **how))  # type: ignore[arg-type]
-
-        truth, seconds = run({"method": "rays", "rays": 4096})
-        rows = [("4,096 rays", truth, seconds)]
-        rows += [("4,096 other rays", *run({"method": "rays", "rays": 4096, "seed": 1}))]
-        rows += [(f"{n:,} rays", *run({"method": "rays", "rays": n})) for n in (16, 64, 256, 1024)]
-        name = "sweeps" if radius is None else "walks"
-        rows += [(f"{name} in {n} azimuths", *run({"azimuths": n})) for n in (8, 16, 32, 64, 128)]
-        for label, made, spent in rows:
+        law = {"rho": rho, "radius": radius, "jobs": 1}
+        truth = ambient_occlusion(h, linear, method="rays", rays=4096, **law)  # type: ignore[arg-type]
+        for label, how, on_gpu in methods(rho, radius, clock is not None):
+            if not any(word in label for word in words):
+                continue
+            ticks = clock if on_gpu and clock else time.process_time
+            made, spent = timed(lambda how=how, law=law: ambient_occlusion(h, linear, **law, **how), ticks)
             d = (made.astype(float) - truth)[inner]
-            values = (
-                "| – | – | –"
-                if made is truth
-                else f"| {d.mean():+.5f} | {np.abs(d).mean():.5f} | {np.abs(d).max():.4f}"
-            )
-            print(f"| {label} | {spent / h.size * 1e6:.2f} {values} |", flush=True)
+            values = f"{d.mean():+.5f} | {np.abs(d).mean():.5f} | {np.abs(d).max():.4f}"
+            print(f"| {label} | {spent / h.size * 1e6:.2f} | {values} |", flush=True)
+        if clock and radius and rho == "step" and any(word in "screen space" for word in words):
+            screen(h, linear, truth, radius, clock)
 
 
 if __name__ == "__main__":
