@@ -482,6 +482,11 @@ def test_what_is_refused():
     with pytest.raises(UsageError, match="color tolerance"):
         Batched(t, color_tolerance=1.0, color=lambda *_: np.zeros((1, 1), np.float32))
     engine = Batched(t)
+    before = engine.select(view, 1.0).instances.copy()
+    engine.select(view, 1.0, exaggeration=5.0)
+    assert np.array_equal(engine.select(view, 1.0).instances, before) and engine.exaggeration == 1.0
+    with pytest.raises(UsageError, match="exaggeration"):
+        engine.select(view, exaggeration=0.0)
     with pytest.raises(UsageError, match="pixels, 0 or more"):
         engine.select(view, -1.0)
     with pytest.raises(UsageError, match="Residency"):

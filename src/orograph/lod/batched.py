@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.screen import FOCAL, PLANES
+from orograph.error.screen import lens as lens_of
 from orograph.errors import UsageError
 from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.lod.patches.expand import expand
@@ -159,13 +160,14 @@ class Batched(Engine):
         """
         if not 0 <= tolerance < math.inf:
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance!r}.")
-        if exaggeration is not None and exaggeration != self.exaggeration:
-            self.exaggeration = exaggeration
-        lens = self._lens(view, tolerance)
+        stretch = self.exaggeration if exaggeration is None else exaggeration
+        if not 0 < stretch < math.inf:
+            raise UsageError(f"The exaggeration is a factor greater than 0, not {exaggeration}.")
+        lens = lens_of(view, self.terrain.grid, exaggeration=stretch, tolerance=tolerance)
         eye = np.zeros(0)
         if frustum is not None:
             eye = lens.copy()
-            lens[PLANES : PLANES + 24] = self._planes(frustum)
+            lens[PLANES : PLANES + 24] = self._planes(frustum, stretch)
         plan = 1.0 / view.pixel_metres if lens[FOCAL] == 0.0 else 0.0
         tolerances = np.array([tolerance / KAPPA if geomorph else tolerance, tolerance, plan])
         there = self._all if resident is None else np.concatenate([np.ravel(level) for level in resident])
@@ -199,13 +201,13 @@ class Batched(Engine):
         }  # fmt: skip
         return Patches(made, wanted, stats)
 
-    def _planes(self, frustum: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _planes(self, frustum: NDArray[np.float64], stretch: float) -> NDArray[np.float64]:
         """Planes in stretched space as a lens has them: (24,), over column, row and height."""
         planes = np.asarray(frustum, np.float64)
         if planes.ndim != 2 or planes.shape[1] != 4 or len(planes) > 6:
             raise UsageError(f"A frustum is at most 6 planes (m, 4), not an array of {planes.shape}.")
         a, b, c, d, e, f = self.terrain.grid.samples[:6]
-        whole = np.array([[a, b, 0.0, c], [d, e, 0.0, f], [0.0, 0.0, self.exaggeration, 0.0], [0.0, 0.0, 0.0, 1.0]])
+        whole = np.array([[a, b, 0.0, c], [d, e, 0.0, f], [0.0, 0.0, stretch, 0.0], [0.0, 0.0, 0.0, 1.0]])
         table = np.zeros((6, 4))
         table[:, 3] = np.inf
         table[: len(planes)] = planes @ whole
