@@ -82,7 +82,7 @@ def _sum(total):
 def _finest_inside(z, i, across, begin, end, edges, found):
     """``states`` of the finest edge diamonds [begin, end) of row i, inside the window."""
     above, here, under = z[i - 1], z[i], z[i + 1]
-    one, two, all_of_it = edges[0, i], edges[1, i], found[i]
+    one, two, all_of_it = edges[i % 3, 0], edges[i % 3, 1], found[i]
     for u in range(np.uint64((end - begin + 1) >> 1)):
         j = np.uint64(begin) + np.uint64(2) * u
         m = here[j]
@@ -100,7 +100,7 @@ def _finest_inside(z, i, across, begin, end, edges, found):
 def _edges_inside(below, i, across, begin, end, edges, found):
     """``states`` of the edge diamonds [begin, end) of row i, inside the window, from the squares below them."""
     north, south = below[1, i - 1], below[0, i]
-    one, two, all_of_it = edges[0, i], edges[1, i], found[i]
+    one, two, all_of_it = edges[i % 3, 0], edges[i % 3, 1], found[i]
     for u in range(np.uint64((end - begin + 1) >> 1)):
         j = np.uint64(begin) + np.uint64(2) * u
         nw, ne, sw, se = north[j - np.uint64(1)], north[j], south[j - np.uint64(1)], south[j]
@@ -112,7 +112,8 @@ def _edges_inside(below, i, across, begin, end, edges, found):
 @inlined
 def _squares_inside(edges, i, begin, end, squares, found):
     """``states`` of the square diamonds [begin, end) of row i, inside the window, from the edges on their sides."""
-    to_north, to_south, to_west, to_east = edges[1, i - 1], edges[0, i + 1], edges[1, i], edges[0, i]
+    to_north, to_south = edges[(i - 1) % 3, 1], edges[(i + 1) % 3, 0]
+    to_west, to_east = edges[i % 3, 1], edges[i % 3, 0]
     one, two, all_of_it = squares[0, i >> 1], squares[1, i >> 1], found[i]
     for u in range(np.uint64((end - begin + 1) >> 1)):
         j = np.uint64(begin) + np.uint64(2) * u
@@ -121,6 +122,28 @@ def _squares_inside(edges, i, begin, end, squares, found):
         a, b, c, d = children_of_square(north, south, west, east, falling)
         one[j >> np.uint64(1)], two[j >> np.uint64(1)] = a | b, c | d
         all_of_it[j] = a | b | c | d
+
+
+@kernel
+def _squares(edges, i, first, done, squares, found):
+    """``states`` of the square diamonds of row i from column ``first`` on, where a run nearby was looked at."""
+    height, width = found.shape
+    for run in range(first // RUN, done.shape[1] - 2):
+        if not (_near(done, i, run) | done[i - 1, run + 1] | done[i + 1, run + 1]):
+            continue
+        begin, end = max(first, run * RUN + 1), min(run * RUN + RUN, width)
+        if i + 1 < height and end < width:
+            _squares_inside(edges, i, begin, end, squares, found)
+            continue
+        for j in range(begin, end, 2):
+            south = edges[(i + 1) % 3, 0, j] if i + 1 < height else np.uint8(NONE)
+            east = edges[i % 3, 0, j + 1] if j + 1 < width else np.uint8(NONE)
+            falling = (i >> 1) + (j >> 1) & 1 == 0
+            north, west = edges[(i - 1) % 3, 1, j], edges[i % 3, 1, j - 1]
+            a, b, c, d = children_of_square(north, south, west, east, falling)
+            squares[0, i >> 1, j >> 1] = a | b
+            squares[1, i >> 1, j >> 1] = c | d
+            found[i, j] = a | b | c | d
 
 
 @kernel
@@ -143,9 +166,10 @@ def states(z, below, k, squares, found, i_end, j_end, squeezed_row, squeezed_col
         _dirty_squares(below, dirty)
     else:
         _dirty_samples(z, dirty)
-    edges = np.full((2, height, width), np.uint8(WHOLE))
+    edges = np.empty((3, 2, width), np.uint8)  # edge diamonds of rows i − 2, i − 1, i
     done = np.zeros((height + 1, runs + 2), np.uint8)  # runs whose edge diamonds were looked at
     for i in range(height):
+        edges[i % 3] = WHOLE
         across = 1 - (i & 1)
         down = i & 1
         inside_row = 0 < i < height - 1
@@ -179,25 +203,13 @@ def states(z, below, k, squares, found, i_end, j_end, squeezed_row, squeezed_col
                 else:
                     one = np.uint8(_two_units(z, i, j, down, across, i - across, j - down))
                     two = np.uint8(_two_units(z, i, j, down, across, i + across, j + down))
-                edges[0, i, j] = one
-                edges[1, i, j] = two
+                edges[i % 3, 0, j] = one
+                edges[i % 3, 1, j] = two
                 found[i, j] = one | two
-    for i in range(1, height, 2):
-        first = 1 if i >= i_end else j_end | 1
-        for run in range(first // RUN, runs):
-            if not (_near(done, i, run) | done[i - 1, run + 1] | done[i + 1, run + 1]):
-                continue
-            begin, end = max(first, run * RUN + 1), min(run * RUN + RUN, width)
-            if i + 1 < height and end < width:
-                _squares_inside(edges, i, begin, end, squares, found)
-                continue
-            for j in range(begin, end, 2):
-                south, east = entry(edges, 0, i + 1, j), entry(edges, 0, i, j + 1)
-                falling = (i >> 1) + (j >> 1) & 1 == 0
-                a, b, c, d = children_of_square(edges[1, i - 1, j], south, edges[1, i, j - 1], east, falling)
-                squares[0, i >> 1, j >> 1] = a | b
-                squares[1, i >> 1, j >> 1] = c | d
-                found[i, j] = a | b | c | d
+        if i and i & 1 == 0:
+            _squares(edges, i - 1, 1 if i - 1 >= i_end else j_end | 1, done, squares, found)
+    if height & 1 == 0:
+        _squares(edges, height - 1, 1 if height - 1 >= i_end else j_end | 1, done, squares, found)
     if squeezed_row:
         for j in range(width):
             _add_squares(found, height - 1, j)
@@ -223,8 +235,16 @@ def mark(found, errors):
     """Give mixed diamonds an infinite error and empty ones 0."""
     height, width = errors.shape
     for i in range(height):
-        for j in range(width):
-            if found[i, j] == MIXED:
-                errors[i, j] = np.inf
-            elif found[i, j] != WHOLE:
-                errors[i, j] = 0.0
+        row, e = found[i], errors[i]
+        for begin in range(0, width, RUN):
+            first, count = np.uint64(begin), np.uint64(min(RUN, width - begin))
+            other = 0
+            for j in range(count):
+                other |= row[first + j] ^ WHOLE
+            if other == 0:
+                continue
+            for j in range(begin, min(begin + RUN, width)):
+                if row[j] == MIXED:
+                    e[j] = np.inf
+                elif row[j] != WHOLE:
+                    e[j] = 0.0
