@@ -19,6 +19,11 @@ from orograph.light.products import Blocks, Context, Product, Values
 from orograph.light.raster import Canvas, rectangles
 from orograph.light.sweep import Block, fold
 
+_AROUND = 1 << 16
+"""Bytes that the system maps around a touched place of a file."""
+_TOUCHED = 16 << 20
+"""Bytes of a canvas on disk that a thread may have in memory before it lets go of them."""
+
 Add = Callable[[Values, Block, int, int], None]
 """(canvas (bands, rows, cols), block, first, last): add a block's rows [first, last); from threads, rows apart."""
 AddOne = Callable[[Values, Values, Values, Values, int, int, int], None]
@@ -130,7 +135,15 @@ def _swept(context: Context, sweeps: dict[int, Sweep], names: Sequence[str]) -> 
 
     def add(block: Block, first: int, last: int) -> None:
         for k, sweep in sweeps.items():
-            sweep.add(canvases[k].values, block, first, last)
+            canvas = canvases[k]
+            if not canvas.on_disk:
+                sweep.add(canvas.values, block, first, last)
+                continue
+            # Each row of a band of columns that is touched brings the pages around it into memory.
+            rows = max(8, _TOUCHED // (_AROUND * sweep.bands))
+            for row in range(first, last, rows):
+                sweep.add(canvas.values, block, row, min(row + rows, last))
+                canvas.release()
 
     def after(block: Block) -> None:
         if kept is not None and block.ends:
