@@ -53,8 +53,8 @@ def test_a_tile_is_the_whole_there(tmp_path, name):
     whole = draw(scene)
     kept = Kept()
     counts = dict.fromkeys(whole.facts["shown"], 0)
-    for x, y, w, h in (*CUTS, *((x, y, min(90, SIZE[0] - x), min(70, SIZE[1] - y))
-                                for y in range(0, SIZE[1], 70) for x in range(0, SIZE[0], 90))):  # fmt: skip
+    for x, y, w, h in (*CUTS, *((x, y, min(170, SIZE[0] - x), min(100, SIZE[1] - y))
+                                for y in range(0, SIZE[1], 100) for x in range(0, SIZE[0], 170))):  # fmt: skip
         tile = draw(replace(scene, view=scene.view.tile(x, y, w, h)), kept=kept)
         np.testing.assert_array_equal(tile.pixels, whole.pixels[y : y + h, x : x + w])
         np.testing.assert_array_equal(tile.depth, whole.depth[y : y + h, x : x + w])
