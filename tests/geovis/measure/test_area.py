@@ -142,6 +142,8 @@ def test_the_whole_raster_over_many_tiles_is_the_sum_of_its_triangles():
     ground = found.plan_grid - found.missing_grid
     assert found.above - found.below == pytest.approx((found.mean_height - 500) * ground, rel=1e-9)
     assert area(terrain, corners, level=500.0, jobs=1) == found
+    plain = area(terrain, corners)  # triangles inside are not clipped then
+    assert (plain.surface, plain.mean_height) == pytest.approx((found.surface, found.mean_height), rel=1e-12)
 
 
 TERRAIN = terrain_of(rough((40, 40), 6, True))
