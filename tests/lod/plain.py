@@ -194,6 +194,22 @@ class Plain:
             r, c = diamonds.of_triangle(*front.arrays)
             front = fronts.split(front, r[bad], c[bad])
 
+    def closure_mesh(self, active, out) -> tuple:
+        """(front, drawn): all that active diamonds force; drawn unless out, without surface, or short of a corner."""
+        corners = np.ix_((0, -1), (0, -1))
+        active[corners] = out[corners] = False  # they are no diamonds
+        front = fronts.front_of(diamonds.closure(active))
+        rows, cols = self.corners(front)
+        r, c = diamonds.of_triangle(*front.arrays)
+        x, y = fronts.triangles.apex(*front.arrays)  # a finest triangle goes with the diamond that it is part of
+        drawn = np.where(r < 0, ~out[y, x], ~out[r, c] & (self.r[r, c] >= 0))
+        return front, drawn & ~np.isnan(self.z[rows, cols]).any(1)
+
+    def sphere_mesh(self, camera: Camera, tolerance: float, cull: bool = True) -> tuple:
+        """(front, drawn): diamonds in view whose bound over their sphere exceeds the tolerance."""
+        out = self.spheres_outside(camera) if cull else np.zeros(self.z.shape, bool)
+        return self.closure_mesh((self.sphere_errors(camera) > tolerance) & ~out, out)
+
     def triangle_set(self, front: fronts.Front, drawn) -> set:
         """The squeezed corners (col, row) of the drawn triangles with area."""
         rows, cols = self.corners(front)

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from orograph import verify
 from orograph.error.screen import lens
 from orograph.errors import UsageError
-from orograph.hierarchy import diamonds, fronts
 from orograph.lod import engine_of
 from orograph.lod.blow import Blow
 from orograph.lod.blow_pass import decide
@@ -38,28 +37,7 @@ def plain_mesh(p, camera, tolerance, cull=True):
     reach = threshold(camera.view, tolerance, camera.exaggeration) * p.e + stretch * np.abs(p.r)
     # (mixed diamonds out of view are above nothing that is drawn)
     active = np.where(np.isinf(p.e), ~out, (p.e > 0) & (gap < reach))
-    corners = np.ix_((0, -1), (0, -1))
-    active[corners] = out[corners] = False  # they are no diamonds
-    front = fronts.front_of(diamonds.closure(active))
-    rows, cols = p.corners(front)
-    r, c = diamonds.of_triangle(*front.arrays)
-    x, y = fronts.triangles.apex(*front.arrays)
-    drawn = np.where(r < 0, ~out[y, x], ~out[r, c] & (p.r[r, c] >= 0))
-    return front, drawn & ~np.isnan(p.z[rows, cols]).any(1)
-
-
-def anisotropic_mesh(p, camera, tolerance, cull=True):
-    """(front, drawn): diamonds in view whose bound over their sphere exceeds the tolerance."""
-    out = p.spheres_outside(camera) if cull else np.zeros(p.z.shape, bool)
-    active = (p.sphere_errors(camera) > tolerance) & ~out
-    corners = np.ix_((0, -1), (0, -1))
-    active[corners] = out[corners] = False
-    front = fronts.front_of(diamonds.closure(active))
-    rows, cols = p.corners(front)
-    r, c = diamonds.of_triangle(*front.arrays)
-    x, y = fronts.triangles.apex(*front.arrays)
-    drawn = np.where(r < 0, ~out[y, x], ~out[r, c] & (p.r[r, c] >= 0))
-    return front, drawn & ~np.isnan(p.z[rows, cols]).any(1)
+    return p.closure_mesh(active, out)
 
 
 @pytest.mark.parametrize("shape", plain.SHAPES)
@@ -82,7 +60,7 @@ def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
                 front, drawn = plain_mesh(p, camera, tolerance, cull)
                 found = engine.refine(view, tolerance=tolerance)
                 assert plain.triangles_of(found) == p.triangle_set(front, drawn)
-                front, drawn = anisotropic_mesh(p, camera, tolerance, cull)
+                front, drawn = p.sphere_mesh(camera, tolerance, cull)
                 found = other.refine(view, tolerance=tolerance)
                 assert plain.triangles_of(found) == p.triangle_set(front, drawn)
 

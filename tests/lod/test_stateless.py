@@ -5,31 +5,12 @@ from __future__ import annotations
 import numpy as np
 import plain
 import pytest
-import rasterio
 
 from orograph import verify
 from orograph.errors import UsageError
-from orograph.hierarchy import diamonds, fronts
 from orograph.lod import engine_of
 from orograph.lod.soar import Soar
 from orograph.lod.stateless import Stateless
-
-
-def plain_mesh(p, camera, tolerance, cull=True):
-    """(front, drawn) of all diamonds whose bound exceeds the tolerance and whose sphere is in view."""
-    out = p.spheres_outside(camera) if cull else np.zeros(p.z.shape, bool)
-    active = (p.sphere_errors(camera) > tolerance) & ~out
-    corners = np.ix_((0, -1), (0, -1))
-    active[corners] = out[corners] = False  # they are no diamonds
-    front = fronts.front_of(diamonds.closure(active))
-    rows, cols = p.corners(front)
-    r, c = diamonds.of_triangle(*front.arrays)
-    finest = r < 0
-    # a finest triangle goes with the diamond that it is part of
-    up = fronts.triangles.apex(*front.arrays)
-    drawn = np.where(finest, ~out[up[1], up[0]], ~out[r, c] & (p.r[r, c] >= 0))
-    # what hangs below a diamond out of view was not reached
-    return front, drawn & ~np.isnan(p.z[rows, cols]).any(1)
 
 
 @pytest.mark.parametrize("shape", plain.SHAPES)
@@ -47,7 +28,7 @@ def test_mesh_is_the_closure_of_the_criterion(shape, gaps):
         tolerance = float(10 ** rng.uniform(-1, 1))
         camera = plain.Camera(view, exaggeration)
         for cull in (True, False):
-            front, drawn = plain_mesh(p, camera, tolerance, cull)
+            front, drawn = p.sphere_mesh(camera, tolerance, cull)
             queue = "fifo" if case % 2 else "priority"
             engine = Stateless(t, cull=cull, queue=queue, exaggeration=exaggeration)
             found = engine.refine(view, tolerance=tolerance)
@@ -93,51 +74,6 @@ def test_ties_are_closed_at_every_budget():
     assert len(counts) > 200
 
 
-def test_budgets_with_holes_and_culling_keep_the_mesh_conforming():
-    rng = np.random.default_rng(8)
-    t = plain.terrain(plain.rough(rng, (33, 29), gaps=0.1))
-    view = plain.random_view(rng, t)
-    engine = Stateless(t)
-    least = len(engine.refine(view, triangles=2).triangles)
-    assert 50 < least < 550
-    for budget in range(2, 600, 7):
-        found = engine.refine(view, triangles=budget)
-        report = verify.judge(found, t, view)
-        assert not report.defects
-        assert len(found.triangles) <= max(budget, least)
-        assert found.stats["within_budget"] is (budget >= least)
-        assert budget >= least or not found.stats["conservative"]
-        if found.stats["conservative"]:
-            assert report.ok(found.stats["tolerance"])
-
-
-def test_no_budget_stops_before_all_edges_of_missing_ground(shared_data):
-    with rasterio.open(shared_data / "osgearth-srtm90m-volcano-voids" / "mt_everest_90m.tif") as file:
-        z = file.read(1)[300:700, 300:700].astype(np.float32)
-        t = plain.terrain(np.where(z == file.nodata, np.nan, z), cell=90)
-    rng = np.random.default_rng(15)
-    engine = Stateless(t, cull=False)
-    for view in (plain.random_view(rng, t), plain.random_view(rng, t, projection="plan")):
-        for goal in ({"triangles": 1000}, {"seconds": 1e-6}):
-            found = engine.refine(view, **goal)
-            assert not verify.judge(found, t, view).defects
-            assert len(found.triangles) > 1000
-        assert engine.refine(view, triangles=1000).stats["within_budget"] is False
-
-
-def test_colours_do_not_exceed_a_budget():
-    rng = np.random.default_rng(16)
-    t = plain.terrain(plain.rough(rng, (65, 65)))
-    view = plain.random_view(rng, t)
-
-    def color(level, row0, row1, col0, col1):
-        return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
-
-    found = Stateless(t, color=color, color_tolerance=1.0).refine(view, triangles=300)
-    assert len(found.triangles) <= 300 and found.stats["within_budget"] is True
-    assert not found.stats["conservative"] and not verify.judge(found, t, view).defects
-
-
 def test_time_is_kept_and_the_mesh_is_closed():
     rng = np.random.default_rng(10)
     t = plain.terrain(plain.rough(rng, (513, 513), amplitude=400))
@@ -166,35 +102,6 @@ def test_little_memory_gives_the_same_mesh():
         if queue == "priority":
             a, b = (e.refine(view, triangles=5000) for e in (much, little))
             assert plain.triangles_of(a) == plain.triangles_of(b)
-
-
-def test_colours_force_splits():
-    rng = np.random.default_rng(12)
-    t = plain.terrain(np.zeros((65, 65), np.float32))
-    view = plain.random_view(rng, t)
-
-    def color(level, row0, row1, col0, col1):
-        return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
-
-    flat = Stateless(t).refine(view, tolerance=1.0)
-    coarse = Stateless(t, color=color, color_tolerance=6.0).refine(view, tolerance=1.0)
-    fine = Stateless(t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
-    assert len(flat.triangles) == len(coarse.triangles) == 2
-    assert len(fine.triangles) > 2
-    assert verify.judge(fine, t, view).ok(0.0)
-
-
-def test_promise_on_mountains(shared_data):
-    with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
-        t = plain.terrain(file.read(1)[:500, :700].astype(np.float32))
-    rng = np.random.default_rng(13)
-    for metric in ("anisotropic", "isotropic"):
-        engine = Stateless(t, metric=metric)
-        for _ in range(8):
-            view = plain.random_view(rng, t)
-            for tolerance in (0.5, 2.0, 8.0):
-                report = verify.judge(engine.refine(view, tolerance=tolerance), t, view)
-                assert report.ok(tolerance), report
 
 
 def test_unusable_options_are_refused():

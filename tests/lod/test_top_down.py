@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import plain
 import pytest
-import rasterio
 
 from orograph import verify
 from orograph.errors import UsageError
@@ -110,51 +109,6 @@ def test_every_budget_is_kept_by_a_valid_mesh(shape, metric):
     assert reached == 0.0
 
 
-def test_budgets_with_holes_and_culling_keep_the_mesh_conforming():
-    rng = np.random.default_rng(8)
-    t = plain.terrain(plain.rough(rng, (33, 29), gaps=0.1))
-    view = plain.random_view(rng, t)
-    engine = TopDown(t)
-    least = len(engine.refine(view, triangles=2).triangles)
-    assert 50 < least < 550
-    for budget in range(2, 600, 7):
-        found = engine.refine(view, triangles=budget)
-        report = verify.judge(found, t, view)
-        assert not report.defects
-        assert len(found.triangles) <= max(budget, least)
-        assert found.stats["within_budget"] is (budget >= least)
-        assert budget >= least or not found.stats["conservative"]
-        if found.stats["conservative"]:
-            assert report.ok(found.stats["tolerance"])
-
-
-def test_no_budget_stops_before_all_edges_of_missing_ground(shared_data):
-    with rasterio.open(shared_data / "osgearth-srtm90m-volcano-voids" / "mt_everest_90m.tif") as file:
-        z = file.read(1)[300:700, 300:700].astype(np.float32)
-        t = plain.terrain(np.where(z == file.nodata, np.nan, z), cell=90)
-    rng = np.random.default_rng(15)
-    engine = TopDown(t, cull=False)
-    for view in (plain.random_view(rng, t), plain.random_view(rng, t, projection="plan")):
-        for goal in ({"triangles": 1000}, {"seconds": 1e-6}):
-            found = engine.refine(view, **goal)
-            assert not verify.judge(found, t, view).defects
-            assert len(found.triangles) > 1000
-        assert engine.refine(view, triangles=1000).stats["within_budget"] is False
-
-
-def test_colours_do_not_exceed_a_budget():
-    rng = np.random.default_rng(16)
-    t = plain.terrain(plain.rough(rng, (65, 65)))
-    view = plain.random_view(rng, t)
-
-    def color(level, row0, row1, col0, col1):
-        return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
-
-    found = TopDown(t, color=color, color_tolerance=1.0).refine(view, triangles=300)
-    assert len(found.triangles) <= 300 and found.stats["within_budget"] is True
-    assert not found.stats["conservative"] and not verify.judge(found, t, view).defects
-
-
 def test_fifo_reaches_a_budget_by_tolerance():
     rng = np.random.default_rng(9)
     t = plain.terrain(plain.rough(rng, (65, 65)))
@@ -194,35 +148,6 @@ def test_little_memory_gives_the_same_mesh():
                 a, b = (e.refine(view, triangles=5000) for e in (much, little))
                 assert plain.triangles_of(a) == plain.triangles_of(b)
     assert verify.judge(found, t, view).ok(2.0)
-
-
-def test_colours_force_splits():
-    rng = np.random.default_rng(12)
-    t = plain.terrain(np.zeros((65, 65), np.float32))
-    view = plain.random_view(rng, t)
-
-    def color(level, row0, row1, col0, col1):
-        return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
-
-    flat = TopDown(t).refine(view, tolerance=1.0)
-    coarse = TopDown(t, color=color, color_tolerance=6.0).refine(view, tolerance=1.0)
-    fine = TopDown(t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
-    assert len(flat.triangles) == len(coarse.triangles) == 2
-    assert len(fine.triangles) > 2
-    assert verify.judge(fine, t, view).ok(0.0)
-
-
-def test_promise_on_mountains(shared_data):
-    with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
-        t = plain.terrain(file.read(1)[:500, :700].astype(np.float32))
-    rng = np.random.default_rng(13)
-    for metric in ("wedgie", "localised"):
-        engine = TopDown(t, metric=metric)
-        for _ in range(8):
-            view = plain.random_view(rng, t)
-            for tolerance in (0.5, 2.0, 8.0):
-                report = verify.judge(engine.refine(view, tolerance=tolerance), t, view)
-                assert report.ok(tolerance), report
 
 
 def test_plans_need_only_holes():

@@ -14,11 +14,26 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined
+from orograph.errors import UsageError
+from orograph.store.terrain import Terrain
 
 LEVEL_SHIFT = 54
 ROW_SHIFT = 27
 LARGEST_N = 26
 """The largest n for which a diamond's place fits into a code."""
+
+
+def usable_queue(queue: str, engine: str, terrain: Terrain) -> str:
+    """The kind of queue, fifo or priority, that an engine was asked to use.
+
+    Raises:
+        UsageError: there is none of that name, or the terrain is too large for its codes.
+    """
+    if queue not in ("fifo", "priority"):
+        raise UsageError(f"There is no queue {queue!r}; there are fifo and priority.")
+    if terrain.n > LARGEST_N:
+        raise UsageError(f"{engine} takes up to 2^{LARGEST_N} samples a side; {terrain.name} has more.")
+    return queue
 
 
 @inlined

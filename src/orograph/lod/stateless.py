@@ -31,11 +31,10 @@ from numpy.typing import NDArray
 
 from orograph._numba import leaf
 from orograph.error.screen import color_exceeds, outside, sphere_bound, sphere_exceeds, to_camera
-from orograph.errors import UsageError
 from orograph.lod.engine import UNBOUNDED, Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.pages import BEYOND
-from orograph.lod.queues import LARGEST_N, code_of, heap_pop, heap_push
+from orograph.lod.queues import code_of, heap_pop, heap_push, usable_queue
 from orograph.view import View
 
 DONE, MISSED, GROW, PAUSED, FULL = 0, 1, 2, 3, 4
@@ -268,11 +267,7 @@ class Stateless(Engine):
 
     def __init__(self, *args: Any, queue: str = "priority", **options: Any) -> None:
         super().__init__(*args, **options)
-        if queue not in ("fifo", "priority"):
-            raise UsageError(f"There is no queue {queue!r}; there are fifo and priority.")
-        if self.field.n > LARGEST_N:
-            raise UsageError(f"{self.name} takes up to 2^{LARGEST_N} samples a side; {self.terrain.name} has more.")
-        self.queue = queue
+        self.queue = usable_queue(queue, self.name, self.terrain)
         self._capacity = 1 << 12
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:

@@ -32,7 +32,7 @@ from orograph.lod.engine import UNBOUNDED, Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.localise import STACK, localised_bound, prism_outside
 from orograph.lod.pages import BEYOND
-from orograph.lod.queues import LARGEST_N, LEVEL_SHIFT, code_of, heap_pop, heap_push
+from orograph.lod.queues import LEVEL_SHIFT, code_of, heap_pop, heap_push, usable_queue
 from orograph.view import View
 
 DONE, MISSED, GROW, PAUSED, FULL = 0, 1, 2, 3, 4
@@ -304,15 +304,11 @@ class TopDown(Engine):
 
     def __init__(self, *args: Any, queue: str = "priority", depth: int = 6, **options: Any) -> None:
         super().__init__(*args, **options)
-        if queue not in ("fifo", "priority"):
-            raise UsageError(f"There is no queue {queue!r}; there are fifo and priority.")
         if not 0 <= depth <= 64:
             raise UsageError(f"The metric can look 0 to 64 halvings ahead, not {depth}.")
-        if self.field.n > LARGEST_N:
-            raise UsageError(f"{self.name} takes up to 2^{LARGEST_N} samples a side; {self.terrain.name} has more.")
         if self.metric.number == LOCALISED and not self.conservative:
             raise UsageError(f"The metric 'localised' needs an error that is a bound, not {self.error!r}.")
-        self.queue, self.depth = queue, depth
+        self.queue, self.depth = usable_queue(queue, self.name, self.terrain), depth
         self._capacity = 1 << 12
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
