@@ -15,7 +15,7 @@ from orograph.view import View
 pytest.importorskip("imgui_bundle")
 
 from orograph.viewer.plan import AROUND, centred, footprint
-from orograph.viewer.tools import paint, rows, save_rgba
+from orograph.viewer.results import paint, rows, save_rgba
 
 
 @pytest.fixture(scope="module")

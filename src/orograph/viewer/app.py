@@ -149,7 +149,8 @@ def show(
     from rendercanvas.glfw import loop
 
     from orograph.gpu.device import open_device
-    from orograph.viewer.window import Window, announce, open_canvas
+    from orograph.viewer.opening import announce, open_canvas
+    from orograph.viewer.window import Window
 
     with progress.task("Opening the window"):
         device = open_device(adapter)

@@ -1,0 +1,94 @@
+"""What measuring comes to: names and values for the panel, and a viewshed as an image to lay over the ground."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.viewer.overlay import lonlat
+
+Kind = Literal["place", "line", "area", "sight", "viewshed"]
+KINDS: tuple[Kind, ...] = ("place", "line", "area", "sight", "viewshed")
+
+SEEN = (255, 196, 64, 150)
+HIDDEN = (20, 24, 40, 110)
+
+
+def paint(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """A viewshed (rows, cols) as colours (rows, cols, 4): light where it is seen, shade where not, clear beyond."""
+    out = np.zeros((*values.shape, 4), np.uint8)
+    out[values > 0.5] = SEEN
+    out[values <= 0.5] = HIDDEN
+    return out
+
+
+def save_rgba(path: Path, pixels: NDArray[np.uint8], grid: Any) -> None:
+    """A GeoTIFF (rows, cols, 4) on a grid."""
+    import rasterio
+    from rasterio.enums import ColorInterp
+
+    rows, cols = pixels.shape[:2]
+    crs = {} if grid.crs is None else {"crs": grid.crs.to_wkt()}
+    with rasterio.open(
+        path, "w", driver="GTiff", width=cols, height=rows, count=4, dtype="uint8", transform=grid.transform, **crs
+    ) as file:
+        file.colorinterp = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
+        file.write(pixels.transpose(2, 0, 1))
+
+
+def length(metres: float | None) -> str:
+    """A length as people say it."""
+    if metres is None:
+        return "—"
+    return (
+        f"{metres / 1000:,.3f} km".replace(",", " ") if abs(metres) >= 10_000 else f"{metres:,.1f} m".replace(",", " ")
+    )
+
+
+def surface(square: float) -> str:
+    """An area as people say it."""
+    return f"{square / 1e6:,.4g} km²".replace(",", " ") if square >= 1e6 else f"{square:,.0f} m²".replace(",", " ")
+
+
+def rows(kind: Kind, result: Any) -> list[tuple[str, str]]:
+    """(name, value) of a result."""
+    if kind == "place":
+        found = [("place", f"{result.easting:.2f}  {result.northing:.2f}")]
+        if result.longitude is not None:
+            found.append(("", lonlat(result.longitude, result.latitude)))
+        found.append(("height", "missing" if result.height is None else f"{result.height:.2f} m"))
+        if result.slope is not None:
+            found.append(("slope", f"{result.slope:.1f}°"))
+        if result.true_aspect is not None:
+            found.append(("aspect", f"{result.true_aspect:.0f}° from true north"))
+        return found
+    if kind == "line":
+        return [
+            ("along the ground", length(result.length)), ("on the map", length(float(result.distance[-1]))),
+            ("straight", length(result.straight)), ("climb, descent", f"{result.climb:.0f} m, {result.descent:.0f} m"),
+        ] + ([("over holes", length(result.missing))] if result.missing > 0 else [])  # fmt: skip
+    if kind == "area":
+        return [
+            ("plan", surface(result.plan)), ("surface", surface(result.surface)),
+            ("perimeter", length(result.perimeter)),
+            ("mean height", "—" if result.mean_height is None else f"{result.mean_height:.1f} m"),
+        ]  # fmt: skip
+    if kind == "sight":
+        found = [("seen", "yes" if result.visible else "no")]
+        if result.obstruction is not None:
+            found.append(
+                ("hidden by", f"ground at {length(result.obstruction.distance)}, {result.obstruction.height:.0f} m")
+            )
+            found.append(("seen if raised by", length(result.needed)))
+        return [*found, ("distance", length(float(result.profile.distance[-1])))]
+    shed, values, _ = result
+    known = np.isfinite(values)
+    seen = float((values[known] > 0.5).mean()) if known.any() else 0.0
+    cell = abs(shed.grid.transform.determinant)
+    return [
+        ("seen", f"{seen:.1%} within {length(shed.radius)}"),
+        ("", surface(float((values[known] > 0.5).sum()) * cell)),
+    ]
