@@ -234,7 +234,9 @@ def _write(
 
     def run(spot: tuple[int, int]) -> None:
         row, col = spot[0] * shard, spot[1] * shard
-        values = read((row, min(row + shard, shape[0]), col, min(col + shard, shape[1])))
+        last, right = min(row + shard, shape[0]), min(col + shard, shape[1])
+        strips = [read((r, min(r + 256, last), col, right)) for r in range(row, last, 256)]  # what they take besides
+        values = np.concatenate(strips, axis=1)
         for band, spec, plane in zip(layer.bands, specs[0], values, strict=True):
             storage.put(spec.key(spot), spec.encode(band.encode(plane)))
         sums = [BoxMeans(np.ascontiguousarray(plane, np.float32)) for plane in (_linear(values) if cap else values)]
@@ -245,7 +247,7 @@ def _write(
         for part, s in zip(rest, sums):
             part.add(row >> direct, col >> direct, s)
 
-    need = shard * shard * 4 * (5 * len(layer.bands) if cap else 2 * len(layer.bands) + 3)
+    need = shard * shard * 4 * (8 * len(layer.bands) if cap else 2 * len(layer.bands) + 3)
     at_once = max(1, min(context.jobs, context.budget // need))
     with context.progress.task(f"Baking {layer.name}", total=len(spots)) as task:
         for _ in map_ordered(run, spots, at_once):
