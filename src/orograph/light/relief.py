@@ -118,6 +118,10 @@ class Tables:
     def over(cls, terrain: Terrain, rectangles: list[Rectangle]) -> Tables:
         """Of ``rectangles`` (outermost first) and the levels between them that filtering needs."""
         wanted: list[Rectangle] = []
+        # A window that covers all the terrain hides those around it; pixels larger than its samples want them.
+        for level in range(terrain.levels - 1, rectangles[0].level, -1):
+            rows, cols = terrain.mean_shape(level)
+            wanted.append(Rectangle(level, 0, rows, 0, cols))
         for r, finer in zip(rectangles, [*rectangles[1:], None]):
             wanted.append(r)
             # Between two windows that are several levels apart lie levels that a pixel may want: cover the finer one.
