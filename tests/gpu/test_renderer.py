@@ -222,6 +222,24 @@ def test_overlays_show_the_engine(bench) -> None:
         assert changed > 0.01, overlay
 
 
+def test_screen_space_occlusion_darkens_hollows_and_not_plains(bench) -> None:
+    heights = np.zeros((400, 400), np.float32)
+    heights[150:250, 150:250] = -400.0  # a shaft of two kilometres
+    terrain = make(heights)
+    b = bench(terrain)
+    scene = Scene(terrain, above(terrain), tolerance=1.0, colormap="grey", water=None, light="none")
+    b.draw(scene, wait=True, samples=1)
+    plain = b.pixels().sum(-1)
+    b.draw(scene, wait=True, samples=1, overlay=Overlay(occlusion=1.0, reach=500.0))
+    darker = (plain - b.pixels().sum(-1)).astype(float)
+    x, y = (float(v) for v in terrain.grid.xy(156, 200))
+    foot, middle, far = (
+        scene.view.project([east, y, z])[0] for east, z in ((x, -400.0), (x + 44 * 20.0, -400.0), (x - 100 * 20.0, 0.0))
+    )
+    at = [darker[round(float(p[1])), round(float(p[0]))] for p in (foot, middle, far)]
+    assert at[0] > 40 and at[1] < 25 and at[2] < 5, at
+
+
 def test_contours_lie_where_heights_are_multiples(bench) -> None:
     """A plane that rises by 100 m in a kilometre: lines every 20 m are 200 m apart."""
     col = np.mgrid[:512, :512][1]

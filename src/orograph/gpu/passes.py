@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
+from orograph.gpu.ssao import Ssao
 
 DEPTH, MARKS, LIGHT = "depth32float", "r32uint", "rgba16float"
 
@@ -145,6 +146,15 @@ class ShadePass:
                 "targets": [{"format": LIGHT, "blend": {"color": add, "alpha": add}}],
             },
         )  # fmt: skip
+        self.surface_pipeline = handle.create_render_pipeline(
+            label="surface",
+            layout=handle.create_pipeline_layout(bind_group_layouts=layouts),
+            vertex={"module": module, "entry_point": "vertex"},
+            primitive={"topology": "triangle-list"},
+            fragment={
+                "module": module, "entry_point": "surface", "targets": [{"format": "r32float"}, {"format": LIGHT}],
+            },
+        )  # fmt: skip
         self.camera_group = handle.create_bind_group(
             layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]
         )
@@ -182,6 +192,45 @@ class ShadePass:
         pass_.end()
 
 
+class ScreenOcclusion:
+    """Ambient occlusion in screen space of what the targets hold (``ssao``): depth and normals from the shading's data.
+
+    Args:
+        shading: knows how to look up the ground's slope.
+    """
+
+    def __init__(self, device: Device, shading: ShadePass) -> None:
+        self.device, self.shading = device, shading
+        self.passes = Ssao(device)
+        self._surface: list[Any] = []
+
+    def encode(self, encoder: Any, targets: Targets, group: Any, pixel: float, radius: float, perspective: bool) -> Any:
+        """Add the passes; the view of a texture of how open each pixel's surroundings are.
+
+        Args:
+            pixel: metres of a pixel at depth 1, or anywhere in a plan. radius: metres.
+        """
+        size = targets.width, targets.height
+        if not self._surface or tuple(self._surface[0].size[:2]) != size:
+            usage = "RENDER_ATTACHMENT|TEXTURE_BINDING"
+            self._surface = [self.device.texture(size, kind, usage, label="surface") for kind in ("r32float", LIGHT)]
+        views = [texture.create_view() for texture in self._surface]
+        pass_ = encoder.begin_render_pass(
+            color_attachments=[
+                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"} for view in views
+            ]
+        )
+        pass_.set_pipeline(self.shading.surface_pipeline)
+        pass_.set_bind_group(0, self.shading.camera_group)
+        pass_.set_bind_group(1, group)
+        pass_.draw(3)
+        pass_.end()
+        made = self.passes.encode(
+            encoder, self._surface[0], self._surface[1], size, (pixel, pixel), radius, perspective=perspective
+        )
+        return made.create_view()
+
+
 class ResolvePass:
     """The mean over a pixel's samples and over accumulated frames, encoded for the display."""
 
@@ -191,24 +240,33 @@ class ResolvePass:
         module = device.shader("resolve")
         self.encode = 0 if format.endswith("-srgb") else 1
         self.uniform = device.buffer(16, "UNIFORM", "resolve")
+        self.layout = handle.create_bind_group_layout(
+            entries=[_uniform(0, "FRAGMENT"), _texture(1, "unfilterable-float"), _texture(2, "unfilterable-float")]
+        )
         self.pipeline = handle.create_render_pipeline(
             label="resolve",
-            layout="auto",
+            layout=handle.create_pipeline_layout(bind_group_layouts=[self.layout]),
             vertex={"module": module, "entry_point": "vertex"},
             primitive={"topology": "triangle-list"},
             fragment={"module": module, "entry_point": "fragment", "targets": [{"format": format}]},
         )
 
-    def draw(self, encoder: Any, targets: Targets, view: Any, *, scale: int = 1, frames: int = 1) -> None:
+    def draw(
+        self, encoder: Any, targets: Targets, view: Any, *, scale: int = 1, frames: int = 1, occlusion: Any = None,
+        strength: float = 0.0,
+    ) -> None:  # fmt: skip
+        """Bring the light to a view; ``occlusion``: a texture's view that it is multiplied by, as ``strength`` says."""
         values = np.zeros(4, np.uint32)
         values[0], values[2] = scale, self.encode
         values[1:2].view(np.float32)[0] = frames
+        values[3:4].view(np.float32)[0] = strength if occlusion is not None else 0.0
         self.device.queue.write_buffer(self.uniform, 0, values)
         group = self.device.handle.create_bind_group(
-            layout=self.pipeline.get_bind_group_layout(0),
+            layout=self.layout,
             entries=[
                 {"binding": 0, "resource": {"buffer": self.uniform}},
                 {"binding": 1, "resource": targets.light_view},
+                {"binding": 2, "resource": targets.light_view if occlusion is None else occlusion},
             ],
         )
         pass_ = encoder.begin_render_pass(

@@ -10,27 +10,24 @@ frames are drawn with samples elsewhere in the pixels and averaged: a picture at
 from __future__ import annotations
 
 import math
-import threading
 import time
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import OrographError
 from orograph.geovis.drape import Drape
 from orograph.gpu.aperture import tables as light_tables
+from orograph.gpu.aside import Aside
 from orograph.gpu.camera import CAMERA, camera_of, nearest
 from orograph.gpu.device import Device
 from orograph.gpu.drape import DrapeTexture
+from orograph.gpu.frame import PLAIN, FrameStats, Overlay
 from orograph.gpu.lightmaps import LightMaps, light_maps, plain_maps, whole
 from orograph.gpu.look import SHADE, Look
-from orograph.gpu.passes import PatchPass, ResolvePass, ShadePass, Targets
-from orograph.gpu.tiles import Atlas, Key, Kind, Streamer
+from orograph.gpu.passes import PatchPass, ResolvePass, ScreenOcclusion, ShadePass, Targets
+from orograph.gpu.residency import Residency
 from orograph.gpu.veil import EXACT, VeilPass, veils
-from orograph.gpu.wanted import SlopeTiles
-from orograph.lod.batched import Batched, Patches
 from orograph.lod.patches.shape import INSTANCE, STEPS, patch_indices, patch_vertices
 from orograph.picture.kept import Kept
 from orograph.picture.scene import Scene
@@ -40,64 +37,11 @@ from orograph.view import View
 
 Array = NDArray[np.float64]
 
-UPLOAD = 16
-"""Tiles brought to the GPU in a frame, at most: what does not make it stutter."""
-
 SETTLED = 0.25
 """Seconds the camera must have stood still before maps of light are made for where it is."""
 
 SAMPLES = 16
 """Samples of a pixel that a picture at rest gathers."""
-
-
-@dataclass(frozen=True, slots=True)
-class Overlay:
-    """What is drawn over the ground to look at the engine.
-
-    Attributes:
-        wireframe: edges of triangles. levels: a colour for every size of patches.
-        drape_opacity: of the image.
-        contours: metres between contour lines, 0: none; ``index``: every how many a thick one.
-        contour_width: pixels. contour_opacity: 0 to 1.
-    """
-
-    wireframe: bool = False
-    levels: bool = False
-    drape_opacity: float = 1.0
-    contours: float = 0.0
-    index: int = 5
-    contour_width: float = 1.0
-    contour_opacity: float = 0.7
-
-
-PLAIN = Overlay()
-
-
-@dataclass(frozen=True, slots=True)
-class FrameStats:
-    """What a frame took.
-
-    Attributes:
-        patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles there are.
-        select_ms: selection. cpu_ms: all of the frame's Python, but for what the driver does when it is given the work
-            (software drivers do all of it then). gpu_ms: what the GPU worked, if it was waited for.
-        tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of both kinds; wanted: not there yet.
-        samples: how many are averaged in the picture.
-        failed: a tile that could not be read, and why, or "".
-    """
-
-    patches: int
-    triangles: int
-    error_px: float
-    select_ms: float
-    cpu_ms: float
-    gpu_ms: float | None
-    tiles_loaded: int
-    bytes_uploaded: int
-    tiles_resident: int
-    tiles_wanted: int
-    samples: int
-    failed: str = ""
 
 
 class Renderer:
@@ -120,14 +64,9 @@ class Renderer:
         jobs: int | None = None,
     ) -> None:
         self.device, self.terrain = device, terrain
-        self.engine = Batched(terrain, max_memory=memory, jobs=jobs, rim=0.5)
         self.kept = Kept()
-        self.heights = Atlas(device, terrain, "heights", gpu_memory // 2)
-        self.slopes = Atlas(device, terrain, "slopes", gpu_memory // 2)
-        self._atlases: dict[Kind, Atlas] = {"heights": self.heights, "slopes": self.slopes}
-        self._slope_tiles = SlopeTiles(terrain)
-        self.streamer = Streamer(terrain, jobs or 2)
-        self.frame = 0
+        self.tiles = Residency(device, terrain, gpu_memory, memory, jobs)
+        self.heights, self.slopes, self.engine = self.tiles.heights, self.tiles.slopes, self.tiles.engine
         self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
         self._shade = device.buffer(SHADE.itemsize, "UNIFORM", "shade")
         legs = self.engine.legs
@@ -136,13 +75,14 @@ class Renderer:
         )
         self._veil = VeilPass(device, self._camera)
         self._shading = ShadePass(device, self._camera)
+        self._corners = ScreenOcclusion(device, self._shading)
         self._resolves: dict[str, ResolvePass] = {}
         self._targets: Targets | None = None
         self._buffers: dict[str, tuple[Any, Any]] = {}
         self._levels = self._level_table()
         self._bare = self._no_drape()
         self._maps: LightMaps | None = None
-        self._light = _Aside()
+        self._light = Aside()
         self._at_rest: Any = None
         self._gathered = 0
         self._missing = 0
@@ -150,7 +90,6 @@ class Renderer:
         self._last_view: View | None = None
         self._moved = 0.0
         self._wish: Any = None
-        self._load_coarsest()
 
     # ---- drawing ---------------------------------------------------------------------------------------------------
 
@@ -172,19 +111,12 @@ class Renderer:
             OrographError: with ``wait``, a tile or a map could not be made.
         """
         begun = time.perf_counter()
-        self.frame += 1
         view = scene.view
-        loaded = self._upload(UPLOAD)
-        patches, wanted, took = self._select(scene, freeze or view)
-        while wait and (wanted or self.streamer.waiting):
-            self.streamer.wait(1.0)
-            loaded += self._upload(1 << 16)
-            patches, wanted, more = self._select(scene, freeze or view)
-            took += more
-            self._raise_failed(wanted)
-        self._missing = len(wanted)
+        chosen = self.tiles.choose(freeze or view, scene.tolerance or 1.0, scene.exaggeration, wait=wait)
+        patches = chosen.patches
+        self._missing = chosen.missing
         targets = self._fit(view.width, view.height)
-        state = (scene, overlay, freeze, loaded, len(patches.instances), self._maps_key(scene))
+        state = (scene, overlay, freeze, chosen.loaded, len(patches.instances), self._maps_key(scene))
         if samples is None and state == self._at_rest and not self.busy:
             if self._gathered >= SAMPLES:
                 begin, count = self._gathered, 0
@@ -215,20 +147,28 @@ class Renderer:
             if k + 1 < begin + count:  # the camera is written before the next pass
                 self.device.queue.submit([encoder.finish()])
                 encoder = self.device.handle.create_command_encoder()
-        self._resolves[format].draw(encoder, targets, target, frames=max(self._gathered, 1))
+        dark = None
+        if overlay.occlusion > 0 and overlay.reach != 0:
+            plan = view.projection == "plan"
+            dark = self._corners.encode(
+                encoder, targets, group, view.pixel_metres if plan else view.pixel_slope,
+                overlay.reach or view.distance / 12, not plan,
+            )  # fmt: skip
+        self._resolves[format].draw(
+            encoder, targets, target, frames=max(self._gathered, 1), occlusion=dark, strength=overlay.occlusion
+        )
         took_python = time.perf_counter() - begun
         self.device.queue.submit([encoder.finish()])
-        failed = next((f"{kind} tile {key}: {why}" for (kind, key), (_, why) in self.streamer.failed.items()), "")
         return FrameStats(
-            len(instances), patches.stats["triangles"], patches.stats["pixels"], took * 1e3,
-            took_python * 1e3, None, loaded, loaded * 4 * 257 * 257,
-            self.heights.count + self.slopes.count, self._missing, self._gathered, failed,
+            len(instances), patches.stats["triangles"], patches.stats["pixels"], chosen.seconds * 1e3,
+            took_python * 1e3, None, chosen.loaded, chosen.loaded * 4 * 257 * 257, self.tiles.count, self._missing,
+            self._gathered, self.tiles.failure,
         )  # fmt: skip
 
     @property
     def busy(self) -> bool:
         """Whether tiles or maps are on their way: the next frame will be better."""
-        return self._missing > 0 or self.streamer.waiting > 0 or self._light.busy or self._light.done != self._wish
+        return self._missing > 0 or self.tiles.waiting > 0 or self._light.busy or self._light.done != self._wish
 
     @property
     def resting(self) -> bool:
@@ -286,46 +226,10 @@ class Renderer:
 
     def close(self) -> None:
         """Stop reading."""
-        self.streamer.close()
+        self.tiles.close()
         self._light.close()
 
     # ---- parts of a frame ------------------------------------------------------------------------------------------
-
-    def _select(self, scene: Scene, view: View) -> tuple[Patches, list[tuple[float, Kind, Key]], float]:
-        """The patches to draw, the tiles that are missing, and the seconds that took."""
-        begun = time.perf_counter()
-        tolerance = scene.tolerance or 1.0
-        judged, frustum = _judged(view, scene.exaggeration)
-        patches = self.engine.select(
-            judged, tolerance, resident=self.heights.resident, exaggeration=scene.exaggeration, frustum=frustum
-        )
-        took = time.perf_counter() - begun
-        used, w = patches.instances, patches.wanted
-        places = self.heights.places(used["level"], used["tile_row"].astype(np.int64), used["tile_col"])
-        slots = self.heights.slots(places)
-        self.heights.touch(slots, self.frame)
-        used["slot"] = slots
-        places = self.heights.places(w["level"], w["row"].astype(np.int64), w["col"])
-        slots = self.heights.slots(places)
-        self.heights.touch(slots, self.frame)
-        lacking = w[slots < 0].tolist()
-        wanted: list[tuple[float, Kind, Key]] = [(p, "heights", (k, i, j)) for k, i, j, p in lacking]
-        which, priority = self._slope_tiles.of(view, scene.exaggeration)
-        slots = self.slopes.slots(self._slope_tiles.index[which])
-        self.slopes.touch(slots, self.frame)
-        lack = slots < 0
-        for p, key in zip(priority[lack].tolist(), self._slope_tiles.keys[which[lack]].tolist(), strict=True):
-            wanted.append((p, "slopes", (key[0], key[1], key[2])))
-        self.streamer.want(wanted)
-        return patches, [w for w in wanted if (w[1], w[2]) not in self.streamer.failed], took
-
-    def _upload(self, most: int) -> int:
-        taken = self.streamer.take(most)
-        for kind, key, data in taken:
-            self._atlases[kind].insert(key, data, self.frame)
-        for atlas in self._atlases.values():
-            atlas.flush()
-        return len(taken)
 
     def _pass(
         self, encoder: Any, targets: Targets, scene: Scene, instances: NDArray[Any], group: Any,
@@ -536,18 +440,6 @@ class Renderer:
 
         return self.kept("drape on the GPU", (path, memory), upload, terrain)
 
-    def _load_coarsest(self) -> None:
-        """The coarsest tiles of both kinds, to stay: there is always something to draw."""
-        from orograph.gpu.tiles import height_tile, slope_tile
-
-        top = self.terrain.levels - 1
-        for make, atlas in ((height_tile, self.heights), (slope_tile, self.slopes)):
-            rows, cols = atlas.tables.shapes[top]
-            for row in range(rows):
-                for col in range(cols):
-                    atlas.insert((top, row, col), make(self.terrain, (top, row, col)), 0, pin=True)
-            atlas.flush()
-
     def _read(self, texture: Any, x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
         data = self.device.queue.read_texture(
             {"texture": texture, "origin": (x, y, 0), "aspect": "depth-only"},
@@ -567,68 +459,6 @@ class Renderer:
         scene = self._at_rest[0]
         camera = camera_of(scene.view, self.terrain, scene.exaggeration)
         return float(camera["near"]), float(camera["far"]), bool(camera["plan"])
-
-    def _raise_failed(self, wanted: list[Any]) -> None:
-        for (kind, key), (_, why) in self.streamer.failed.items():
-            raise OrographError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
-
-
-def _judged(view: View, exaggeration: float) -> tuple[View, Array | None]:
-    """The camera that errors are judged by, and the planes to cull with if they are not its own.
-
-    From straight above no error of a height moves anything on the screen, but it has a colour: a plan is held to its
-    tolerance as if it was seen at 45°, from afar.
-    """
-    if view.projection != "plan":
-        return view, None
-    away = 1e4 * view.pixel_metres * max(view.width, view.height)
-    target = np.asarray(view.target)
-    eye = target + away * np.array([0.0, -math.sqrt(0.5), math.sqrt(0.5) / exaggeration])
-    fov = 2 * math.degrees(math.atan(view.pixel_metres * view.frame[3] / 2 / away))
-    slanted = replace(view, eye=tuple(eye), up=(0.0, 0.0, 1.0), fov_y=fov, projection="perspective", near=0.0)
-    return slanted, view.frustum(exaggeration)
-
-
-class _Aside:
-    """One thing made at a time in a thread, the newest wish next."""
-
-    def __init__(self) -> None:
-        self.done: Any = None
-        self._thread: threading.Thread | None = None
-        self._result: Any = None
-        self._key: Any = None
-        self._closed = False
-
-    @property
-    def busy(self) -> bool:
-        return self._thread is not None
-
-    def wants(self, key: Any) -> bool:
-        """Whether something is to be made for ``key`` and nothing is under way."""
-        return not self._closed and self._thread is None and self.done != key
-
-    def start(self, key: Any, make: Any) -> None:
-        def work() -> None:
-            try:
-                self._result = make()
-            except Exception as error:
-                self._result = error
-
-        self._key = key
-        self._thread = threading.Thread(target=work, name="light", daemon=True)
-        self._thread.start()
-
-    def take(self) -> Any:
-        """What was made since it was last asked for, or None."""
-        if self._thread is None or self._thread.is_alive():
-            return None
-        self._thread.join()
-        self._thread, self.done = None, self._key
-        result, self._result = self._result, None
-        return None if isinstance(result, Exception) else result
-
-    def close(self) -> None:
-        self._closed = True
 
 
 def _sample(k: int, n: int) -> tuple[float, float]:

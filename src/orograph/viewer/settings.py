@@ -122,7 +122,8 @@ class Settings:
         light: see ``Light``.
         exaggeration, shadows, colormap, drape, water, sky, relief, tolerance: as in ``Scene``.
         draped: whether the image is shown; opacity: of it.
-        wireframe, levels, contours, contour_opacity: as in ``gpu.renderer.Overlay``.
+        wireframe, levels, contours, contour_opacity: as in ``gpu.frame.Overlay``.
+        way: how light falls, as in ``Scene.light`` but for rays. occlusion: strength of what screen space darkens.
         budget: triangles to keep near instead of a tolerance, or None.
         frozen: the view that the mesh is made for while one flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
@@ -144,6 +145,8 @@ class Settings:
     levels: bool = False
     contours: float = 0.0
     contour_opacity: float = 0.7
+    way: Literal["relief", "ao", "aperture", "none"] = "relief"
+    occlusion: float = 0.0
     frozen: View | None = None
     panels: bool = True
     furniture: bool = True
@@ -160,16 +163,17 @@ class Settings:
         return Scene(
             terrain, view, self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
             colormap=self.colormap, drape=self.drape if self.draped else None, sky=self.sky, water=self.water,
-            relief=self.relief, tolerance=self.tolerance,
+            relief=self.relief, tolerance=self.tolerance, light=self.way,
             depths=(near, near + HAZE * math.hypot(east - west, north - south)),
         )  # fmt: skip
 
     def overlay(self) -> Any:
-        """What the renderer shows besides (``gpu.renderer.Overlay``)."""
-        from orograph.gpu.renderer import Overlay
+        """What the renderer shows besides (``gpu.frame.Overlay``)."""
+        from orograph.gpu.frame import Overlay
 
         return Overlay(
-            self.wireframe, self.levels, self.opacity, self.contours, contour_opacity=self.contour_opacity
+            self.wireframe, self.levels, self.opacity, self.contours, contour_opacity=self.contour_opacity,
+            occlusion=self.occlusion,
         )  # fmt: skip
 
     def balance(self, triangles: int) -> bool:

@@ -1,9 +1,10 @@
 // Linear light to the display: the mean over a pixel's samples and over accumulated frames, then sRGB.
 
-struct Resolve { scale: u32, frames: f32, encode: u32, pad: u32 };
+struct Resolve { scale: u32, frames: f32, encode: u32, occlusion: f32 };   // strength of what darkens corners
 
 @group(0) @binding(0) var<uniform> resolve: Resolve;
 @group(0) @binding(1) var light: texture_2d<f32>;
+@group(0) @binding(2) var open: texture_2d<f32>;   // how open the surroundings of a pixel are, 1: all
 
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
@@ -24,6 +25,9 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
       sum += textureLoad(light, first + vec2<i32>(x, y), 0).rgb;
     }
   }
-  let mean = sum / (f32(resolve.scale * resolve.scale) * resolve.frames);
+  var mean = sum / (f32(resolve.scale * resolve.scale) * resolve.frames);
+  if (resolve.occlusion > 0.0) {
+    mean *= mix(1.0, textureLoad(open, first, 0).r, resolve.occlusion);
+  }
   return vec4<f32>(select(mean, srgb(mean), resolve.encode == 1u), 1.0);
 }

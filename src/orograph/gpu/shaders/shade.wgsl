@@ -271,6 +271,22 @@ fn contours(height: f32, position: vec3<f32>, normal: vec3<f32>, pixel: vec2<f32
   return clamp(half - far + 0.5, 0.0, 1.0) * smoothstep(3.0, 7.0, apart) * shade.contour.w;
 }
 
+// What a pixel of ground shows: where it is relative to the eye, on the raster, and how much of it a pixel covers.
+struct Hit { depth: f32, position: vec3<f32>, place: Place, height: f32, footprint: f32 };
+
+fn hit_at(stored: f32, ray: Ray) -> Hit {
+  let depth = depth_of(stored);
+  let position = ray.origin + ray.direction * depth;
+  let cells = vec2<f32>(dot(camera.inverse.xy, position.xy), dot(camera.inverse.zw, position.xy)) + camera.eye_frac;
+  let down = floor(cells);
+  let place = Place(camera.eye_cell + vec2<i32>(down), cells - down);
+  let height = camera.eye_height.x + camera.eye_height.y + position.z / camera.forward.w;
+  let tilt = abs(ray.direction.z) * inverseSqrt(dot(ray.direction, ray.direction));
+  let slant = inverseSqrt(clamp(tilt, 0.1, 1.0));
+  let footprint = camera.pixel * select(depth, 1.0, camera.plan == 1u) * slant / shade.paper.w;
+  return Hit(depth, position, place, height, footprint);
+}
+
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
   return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
@@ -290,14 +306,9 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     }
     return vec4<f32>(shade.paper.rgb, 1.0);
   }
-  let depth = depth_of(stored);
-  let position = ray.origin + ray.direction * depth;
-  let cells = vec2<f32>(dot(camera.inverse.xy, position.xy), dot(camera.inverse.zw, position.xy)) + camera.eye_frac;
-  let down = floor(cells);
-  let place = Place(camera.eye_cell + vec2<i32>(down), cells - down);
-  let height = camera.eye_height.x + camera.eye_height.y + position.z / camera.forward.w;
-  let slant = inverseSqrt(clamp(abs(d.z), 0.1, 1.0));
-  let footprint = camera.pixel * select(depth, 1.0, camera.plan == 1u) * slant / shade.paper.w;
+  let hit = hit_at(stored, ray);
+  let depth = hit.depth;
+  let position = hit.position;
   if ((mark & 2u) != 0u) {   // a patch over missing data
     let across = at.x + at.y;
     let line = across - 7.0 * floor(across / 7.0) < 2.0;
@@ -307,14 +318,14 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     }
     return vec4<f32>(veil, 1.0);
   }
-  let seen = ground(place, height, footprint, position);
+  let seen = ground(hit.place, hit.height, hit.footprint, position);
   var colour = seen.colour;
   if ((shade.flags & 16u) != 0u) {
     colour = mix(colour, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(colour, vec3<f32>(0.4)), 0.65);
   }
   if (shade.contour.x > 0.0) {
     let normal = vec3<f32>(-seen.slope * camera.forward.w, 1.0);
-    colour = mix(colour, shade.contour_colour.rgb, contours(height, position, normal, at.xy));
+    colour = mix(colour, shade.contour_colour.rgb, contours(hit.height, position, normal, at.xy));
   }
   if (shade.disc.w > 0.0) {
     colour = haze(colour, d, depth);
@@ -330,4 +341,20 @@ fn level_colour(step: u32, diagonal: u32) -> vec3<f32> {
   let hue = f32(step) * 0.381966 + f32(diagonal) * 0.08;
   let h = abs(fract(vec3<f32>(hue, hue + 0.3333, hue + 0.6667)) * 6.0 - 3.0) - 1.0;
   return mix(vec3<f32>(1.0), clamp(h, vec3<f32>(0.0), vec3<f32>(1.0)), 0.8) * 2.0;
+}
+
+struct Surface { @location(0) depth: f32, @location(1) normal: vec4<f32> };
+
+// Depth along the axis (0: no ground) and the true ground's normal in view space, for what works on the screen.
+@fragment
+fn surface(@builtin(position) at: vec4<f32>) -> Surface {
+  let pixel = vec2<i32>(at.xy);
+  if ((textureLoad(marks, pixel, 0).r & 1u) == 0u) {
+    return Surface(0.0, vec4<f32>(0.0));
+  }
+  let hit = hit_at(textureLoad(depths, pixel, 0), ray_of(at.xy));
+  let s = slope(hit.place, hit.footprint);
+  let g = vec2<f32>(s.x * camera.inverse.x + s.y * camera.inverse.z, s.x * camera.inverse.y + s.y * camera.inverse.w);
+  let n = normalize(vec3<f32>(-g * camera.forward.w, 1.0));
+  return Surface(hit.depth, vec4<f32>(dot(camera.right.xyz, n), dot(camera.up.xyz, n), dot(camera.forward.xyz, n), 1.0));
 }

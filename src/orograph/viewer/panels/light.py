@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from imgui_bundle import imgui
 
@@ -10,6 +10,14 @@ if TYPE_CHECKING:
     from orograph.viewer.window import Window
 
 PRESETS = (("Map", 315.0, 45.0), ("Morning", 100.0, 18.0), ("Noon", 180.0, 60.0), ("Evening", 280.0, 12.0))
+
+WAYS: tuple[tuple[str, Literal["relief", "ao", "aperture", "none"]], ...] = (
+    ("sky view", "relief"),
+    ("ambient occlusion", "ao"),
+    ("ambient aperture", "aperture"),
+    ("none", "none"),
+)
+"""How light falls (``Scene.light``); baked layers of the store are used where there are some."""
 
 
 def draw(window: Window) -> None:
@@ -39,6 +47,14 @@ def draw(window: Window) -> None:
     _, settings.shadows = imgui.checkbox("cast shadows", settings.shadows)
     imgui.same_line()
     _, settings.sky = imgui.checkbox("sky and haze", settings.sky)
+    names = [name for name, _ in WAYS]
+    here = next(k for k, (_, way) in enumerate(WAYS) if way == settings.way)
+    changed, chosen = imgui.combo("light", here, names)
+    if changed:
+        settings.way = WAYS[chosen][1]
+    _, settings.occlusion = imgui.slider_float("dark corners", settings.occlusion, 0.0, 1.0, "%.2f")
+    if imgui.is_item_hovered():
+        imgui.set_tooltip("Ambient occlusion in screen space: quick, and only of what is in the picture.")
 
 
 def _moment(window: Window) -> None:

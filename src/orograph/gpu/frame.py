@@ -1,0 +1,59 @@
+"""What a frame shows besides its scene, and what it took."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """What is drawn over the ground to look at the engine.
+
+    Attributes:
+        wireframe: edges of triangles. levels: a colour for every size of patches.
+        drape_opacity: of the image.
+        contours: metres between contour lines, 0: none; ``index``: every how many a thick one.
+        contour_width: pixels. contour_opacity: 0 to 1.
+        occlusion: strength of ambient occlusion in screen space (``gpu.ssao``), 0 to 1, 0: none; its ``reach``, metres;
+            None: a twelfth of the distance to the target.
+    """
+
+    wireframe: bool = False
+    levels: bool = False
+    drape_opacity: float = 1.0
+    contours: float = 0.0
+    index: int = 5
+    contour_width: float = 1.0
+    contour_opacity: float = 0.7
+    occlusion: float = 0.0
+    reach: float | None = None
+
+
+PLAIN = Overlay()
+
+
+@dataclass(frozen=True, slots=True)
+class FrameStats:
+    """What a frame took.
+
+    Attributes:
+        patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles there are.
+        select_ms: selection. cpu_ms: all of the frame's Python, but for what the driver does when it is given the work
+            (software drivers do all of it then). gpu_ms: what the GPU worked, if it was waited for.
+        tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of both kinds; wanted: not there yet.
+        samples: how many are averaged in the picture.
+        failed: a tile that could not be read, and why, or "".
+    """
+
+    patches: int
+    triangles: int
+    error_px: float
+    select_ms: float
+    cpu_ms: float
+    gpu_ms: float | None
+    tiles_loaded: int
+    bytes_uploaded: int
+    tiles_resident: int
+    tiles_wanted: int
+    samples: int
+    failed: str = ""
