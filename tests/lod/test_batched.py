@@ -419,7 +419,7 @@ def test_without_geomorphs_something_would_jump():
     t = plain.terrain(plain.rough(rng, (65, 65), amplitude=200))
     engine = Batched(t, legs=8, cull=False)
     view = plain.random_view(rng, t)
-    a, b = (engine.select(view, tolerance, geomorph=False).instances.copy() for tolerance in (4.0, 3.0))
+    a, b = (engine.select(view, tolerance, geomorph=False).instances.copy() for tolerance in (24.0, 20.0))
     assert len(a) != len(b) and np.nanmax(np.abs(surface(t, a, 8) - surface(t, b, 8))) > 0.1
 
 
@@ -468,7 +468,7 @@ def test_a_raster_smaller_than_a_patch():
 
 def test_budgets():
     t = plain.terrain(plain.rough(np.random.default_rng(12), (257, 257)))
-    view = plain.random_view(np.random.default_rng(13), t)
+    view = plain.random_view(np.random.default_rng(14), t)  # the eye is above the ground, not in it
     engine = Batched(t, legs=8)
     for budget in (1000, 5000, 20000):
         mesh = engine.refine(view, triangles=budget)
