@@ -33,6 +33,8 @@ SHADOWS, WATERS, DRAPE, WIREFRAME, LEVELS = 1, 2, 4, 8, 16
 LIGHTS = {"relief": 0, "none": 32, "ao": 64, "aperture": 128}
 """Flags of the shader; "raytraced" is the CPU's."""
 
+SKY, CONTOURS, VEILED = 256, 512, 1024
+
 
 class Look:
     """The numbers of one scene.
@@ -82,7 +84,7 @@ class Look:
         flags = (SHADOWS if len(maps.windows) else 0) | (WATERS if maps.wet else 0)
         flags |= (WIREFRAME if wireframe else 0) | (LEVELS if levels else 0)
         flags |= LIGHTS[scene.light] | (SHADOWS if scene.shadows and scene.light == "aperture" else 0)
-        flags |= DRAPE if scene.drape is not None else 0
+        flags |= (DRAPE if scene.drape is not None else 0) | (SKY if scene.sky else 0)
         u["flags"] = flags
         u["light"], u["light_first"] = maps.light, maps.first
         u["windows"] = len(maps.windows)

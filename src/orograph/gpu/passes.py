@@ -44,51 +44,64 @@ class PatchPass:
     ) -> None:
         self.device = device
         handle = device.handle
-        module = device.shader("patches")
         self.count = int(indices.size)
         self.vertices = device.buffer(np.ascontiguousarray(vertices, np.uint32), "VERTEX", "lattice")
         self.indices = device.buffer(np.ascontiguousarray(indices, np.uint32), "INDEX", "triangles")
         self.stride, self.capacity = stride, 0
         self.instances: Any = None
-        self.pipeline = handle.create_render_pipeline(
-            label="patches",
-            layout="auto",
-            vertex={
-                "module": module,
-                "entry_point": "vertex",
-                "buffers": [
-                    {
-                        "array_stride": 8,
-                        "step_mode": "vertex",
-                        "attributes": [{"format": "uint32x2", "offset": 0, "shader_location": 0}],
-                    },
-                    {
-                        "array_stride": stride,
-                        "step_mode": "instance",
-                        "attributes": [
-                            {"format": "sint32x2", "offset": 0, "shader_location": 1},
-                            {"format": "uint32", "offset": 8, "shader_location": 2},
-                            {"format": "uint32", "offset": 12, "shader_location": 3},
-                            {"format": "float32", "offset": 16, "shader_location": 4},
-                            {"format": "sint32", "offset": 20, "shader_location": 5},
-                        ],
-                    },
-                ],
-            },
-            primitive={"topology": "triangle-list", "cull_mode": "none"},
-            depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
-            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": MARKS}]},
-        )
-        layout = self.pipeline.get_bind_group_layout
+        layouts = [
+            handle.create_bind_group_layout(entries=[_uniform(0, "VERTEX|FRAGMENT")]),
+            handle.create_bind_group_layout(
+                entries=[{**_texture(0, "unfilterable-float", "2d-array"), "visibility": _stage("VERTEX")}]
+            ),
+        ]
+        self.pipeline_layout = handle.create_pipeline_layout(bind_group_layouts=layouts)
+        self._pipelines: dict[bool, Any] = {}
         self.groups = [
-            handle.create_bind_group(layout=layout(0), entries=[{"binding": 0, "resource": {"buffer": camera}}]),
+            handle.create_bind_group(layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]),
             handle.create_bind_group(
-                layout=layout(1), entries=[{"binding": 0, "resource": heights.create_view(dimension="2d-array")}]
+                layout=layouts[1], entries=[{"binding": 0, "resource": heights.create_view(dimension="2d-array")}]
             ),
         ]
 
-    def draw(self, encoder: Any, targets: Targets, instances: NDArray[Any]) -> None:
-        """Clear the targets and draw."""
+    def pipeline(self, edges: bool) -> Any:
+        """The pipeline, with or without the edges of triangles among the marks."""
+        if edges not in self._pipelines:
+            module = self.device.shader("patches", {"EDGES": int(edges)})
+            stride = self.stride
+            self._pipelines[edges] = self.device.handle.create_render_pipeline(
+                label="patches",
+                layout=self.pipeline_layout,
+                vertex={
+                    "module": module,
+                    "entry_point": "vertex",
+                    "buffers": [
+                        {
+                            "array_stride": 8,
+                            "step_mode": "vertex",
+                            "attributes": [{"format": "uint32x2", "offset": 0, "shader_location": 0}],
+                        },
+                        {
+                            "array_stride": stride,
+                            "step_mode": "instance",
+                            "attributes": [
+                                {"format": "sint32x2", "offset": 0, "shader_location": 1},
+                                {"format": "uint32", "offset": 8, "shader_location": 2},
+                                {"format": "uint32", "offset": 12, "shader_location": 3},
+                                {"format": "float32", "offset": 16, "shader_location": 4},
+                                {"format": "sint32", "offset": 20, "shader_location": 5},
+                            ],
+                        },
+                    ],
+                },
+                primitive={"topology": "triangle-list", "cull_mode": "none"},
+                depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
+                fragment={"module": module, "entry_point": "fragment", "targets": [{"format": MARKS}]},
+            )
+        return self._pipelines[edges]
+
+    def draw(self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False) -> None:
+        """Clear the targets and draw; ``edges``: mark those of triangles."""
         n = len(instances)
         if n > self.capacity:
             self.capacity = max(256, 1 << (n - 1).bit_length())
@@ -105,7 +118,7 @@ class PatchPass:
             },
         )  # fmt: skip
         if n:
-            pass_.set_pipeline(self.pipeline)
+            pass_.set_pipeline(self.pipeline(edges))
             for k, group in enumerate(self.groups):
                 pass_.set_bind_group(k, group)
             pass_.set_vertex_buffer(0, self.vertices)
@@ -121,8 +134,6 @@ class ShadePass:
     def __init__(self, device: Device, camera: Any) -> None:
         self.device, self.camera = device, camera
         handle = device.handle
-        module = device.shader("shade")
-        add = {"src_factor": "one", "dst_factor": "one", "operation": "add"}
         layouts = [
             handle.create_bind_group_layout(entries=[_uniform(0, "VERTEX|FRAGMENT")]),
             handle.create_bind_group_layout(
@@ -136,25 +147,7 @@ class ShadePass:
             ),
         ]  # fmt: skip
         self.layouts = layouts
-        self.pipeline = handle.create_render_pipeline(
-            label="shade",
-            layout=handle.create_pipeline_layout(bind_group_layouts=layouts),
-            vertex={"module": module, "entry_point": "vertex"},
-            primitive={"topology": "triangle-list"},
-            fragment={
-                "module": module, "entry_point": "fragment",
-                "targets": [{"format": LIGHT, "blend": {"color": add, "alpha": add}}],
-            },
-        )  # fmt: skip
-        self.surface_pipeline = handle.create_render_pipeline(
-            label="surface",
-            layout=handle.create_pipeline_layout(bind_group_layouts=layouts),
-            vertex={"module": module, "entry_point": "vertex"},
-            primitive={"topology": "triangle-list"},
-            fragment={
-                "module": module, "entry_point": "surface", "targets": [{"format": "r32float"}, {"format": LIGHT}],
-            },
-        )  # fmt: skip
+        self._pipelines: dict[tuple[int, str], Any] = {}
         self.camera_group = handle.create_bind_group(
             layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]
         )
@@ -176,19 +169,53 @@ class ShadePass:
             layout=self.layouts[1], entries=sorted(entries, key=lambda e: e["binding"])
         )
 
-    def draw(self, encoder: Any, targets: Targets, group: Any, *, add: bool = False) -> None:
+    def pipeline(self, flags: int, entry: str = "fragment") -> Any:
+        """The pipeline for what is drawn (``look``'s flags), compiled when it is first asked for.
+
+        ``entry``: "fragment" (ground, where there is depth) or "background" (where there is none), which add light to
+        the target; or "surface" (depth and normals).
+        """
+        found = self._pipelines.get((flags, entry))
+        if found is None:
+            module = self.device.shader("shade", {"FLAGS": flags})
+            add = {"src_factor": "one", "dst_factor": "one", "operation": "add"}
+            light: list[dict[str, Any]] = [{"format": LIGHT, "blend": {"color": add, "alpha": add}}]
+            found = self.device.handle.create_render_pipeline(
+                label=f"shade {entry} {flags}",
+                layout=self.device.handle.create_pipeline_layout(bind_group_layouts=self.layouts),
+                vertex={"module": module, "entry_point": "vertex"},
+                primitive={"topology": "triangle-list"},
+                fragment={
+                    "module": module, "entry_point": entry,
+                    "targets": [{"format": "r32float"}, {"format": LIGHT}] if entry == "surface" else light,
+                },
+                depth_stencil=None if entry == "surface" else {
+                    "format": DEPTH, "depth_write_enabled": False,
+                    "depth_compare": "less" if entry == "fragment" else "greater-equal",  # than the triangle's 0
+                },
+            )  # fmt: skip
+            self._pipelines[flags, entry] = found
+        return found
+
+    def draw(self, encoder: Any, targets: Targets, group: Any, flags: int, *, add: bool = False) -> None:
+        """Add the light of all pixels to the target, or have it replace what is there.
+
+        The depth test tells ground from background, so that no pixel goes through both.
+        """
         pass_ = encoder.begin_render_pass(
             color_attachments=[
                 {
                     "view": targets.light_view, "clear_value": (0, 0, 0, 0), "load_op": "load" if add else "clear",
                     "store_op": "store",
                 }
-            ]
+            ],
+            depth_stencil_attachment={"view": targets.depth_view, "depth_read_only": True},
         )  # fmt: skip
-        pass_.set_pipeline(self.pipeline)
         pass_.set_bind_group(0, self.camera_group)
         pass_.set_bind_group(1, group)
-        pass_.draw(3)
+        for entry in ("fragment", "background"):
+            pass_.set_pipeline(self.pipeline(flags, entry))
+            pass_.draw(3)
         pass_.end()
 
 
@@ -220,7 +247,7 @@ class ScreenOcclusion:
                 {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"} for view in views
             ]
         )
-        pass_.set_pipeline(self.shading.surface_pipeline)
+        pass_.set_pipeline(self.shading.pipeline(0, "surface"))
         pass_.set_bind_group(0, self.shading.camera_group)
         pass_.set_bind_group(1, group)
         pass_.draw(3)

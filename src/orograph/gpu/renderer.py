@@ -24,7 +24,7 @@ from orograph.gpu.device import Device
 from orograph.gpu.drape import DrapeTexture
 from orograph.gpu.frame import PLAIN, FrameStats, Overlay
 from orograph.gpu.lightmaps import LightMaps, light_maps, plain_maps, whole
-from orograph.gpu.look import SHADE, Look
+from orograph.gpu.look import CONTOURS, SHADE, VEILED, WIREFRAME, Look
 from orograph.gpu.passes import PatchPass, ResolvePass, ScreenOcclusion, ShadePass, Targets
 from orograph.gpu.residency import Residency
 from orograph.gpu.veil import EXACT, VeilPass, veils
@@ -135,6 +135,7 @@ class Renderer:
         u["contour_colour"] = 0.12, 0.075, 0.04, 0.0
         self.device.queue.write_buffer(self._shade, 0, u)
         group = self._group(targets, look, scene)
+        flags = int(u["flags"]) | (CONTOURS if overlay.contours > 0 else 0) | (VEILED if self._veil.count else 0)
         if format not in self._resolves:
             self._resolves[format] = ResolvePass(self.device, format)
         self._gathered = begin + count
@@ -143,7 +144,7 @@ class Renderer:
             shift = _sample(k, samples or SAMPLES) if (samples or SAMPLES) > 1 else (0.0, 0.0)
             if k == 0 and samples is None:
                 shift = (0.0, 0.0)
-            self._pass(encoder, targets, scene, instances, group, shift, k > 0)
+            self._pass(encoder, targets, scene, instances, group, flags, shift, k > 0)
             if k + 1 < begin + count:  # the camera is written before the next pass
                 self.device.queue.submit([encoder.finish()])
                 encoder = self.device.handle.create_command_encoder()
@@ -232,14 +233,14 @@ class Renderer:
     # ---- parts of a frame ------------------------------------------------------------------------------------------
 
     def _pass(
-        self, encoder: Any, targets: Targets, scene: Scene, instances: NDArray[Any], group: Any,
+        self, encoder: Any, targets: Targets, scene: Scene, instances: NDArray[Any], group: Any, flags: int,
         shift: tuple[float, float], add: bool,
     ) -> None:  # fmt: skip
         camera = camera_of(scene.view, self.terrain, scene.exaggeration, shift=shift)
         self.device.queue.write_buffer(self._camera, 0, camera)
-        self._patches.draw(encoder, targets, instances)
+        self._patches.draw(encoder, targets, instances, edges=bool(flags & WIREFRAME))
         self._veil.draw(encoder, targets)
-        self._shading.draw(encoder, targets, group, add=add)
+        self._shading.draw(encoder, targets, group, flags, add=add)
 
     def _look(self, scene: Scene, overlay: Overlay, *, exact: bool) -> Look:
         """The scene's colours and light: made again only if something of it changed.

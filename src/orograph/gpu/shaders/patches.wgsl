@@ -4,6 +4,7 @@
 
 @group(1) @binding(0) var heights: texture_2d_array<f32>;
 
+const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover
 const SIDE: i32 = 257;      // samples along a tile's side
 const PER_SIDE: i32 = 4;    // tiles along a layer's side
 const MISSING: f32 = 1e6;   // added to heights that are missing
@@ -82,6 +83,9 @@ fn fragment(in: Vertex) -> @location(0) u32 {
   let sliver = camera.plan == 0u && fwidth(in.position.z) > 4.0 * in.position.z;
   if (in.there < 0.9999 || sliver) {
     discard;
+  }
+  if (EDGES == 0u) {
+    return in.what;
   }
   return in.what | (edges(in.lattice) << 16u);
 }

@@ -19,7 +19,7 @@ struct Shade {
   sky_cols: u32, ring_at: u32,
   land_at: u32, land_count: u32,
   sea_at: u32, sea_count: u32,
-  levels: u32, flags: u32,  // 1 shadows, 2 water, 4 drape, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures
+  levels: u32, flags: u32,
   light: vec4<i32>,         // the map of light: offset, rows, cols, level
   light_first: vec2<i32>,   // its first block (row, col)
   windows: u32, hatch: u32,
@@ -48,6 +48,10 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 // include: sky.wgsl
 // include: drape.wgsl
 
+// What is drawn, known when the shader is compiled: software renderers work through branches whether they are taken or
+// not. 1 shadows, 2 water, 4 drape, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
+// 512 contour lines, 1024 missing ground.
+const FLAGS: u32 = {{FLAGS}}u;
 const SLOPE_SIDE: i32 = 258;
 const PER_SIDE: i32 = 4;
 
@@ -218,18 +222,18 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>) -> Ground
   let first = shade.light_first.yx;
   let around = shade.skylight.w * (shade.sunlight.rgb + shade.skylight.rgb);
   var light = vec3<f32>(1.0);
-  if ((shade.flags & 128u) != 0u) {
+  if ((FLAGS & 128u) != 0u) {
     let normal = vec3<f32>(-stretched * up, up);
     light = through_apertures(cap_of(field_value(at, footprint)), normal, position);
-    if ((shade.flags & 1u) == 0u) {
+    if ((FLAGS & 1u) == 0u) {
       light += cosine * shade.sunlight.rgb;
     }
-  } else if ((shade.flags & 32u) == 0u) {
+  } else if ((FLAGS & 32u) == 0u) {
     var lit = cosine;
-    if ((shade.flags & 1u) != 0u && cosine > 0.0) {
+    if ((FLAGS & 1u) != 0u && cosine > 0.0) {
       lit *= sunlit(at);
     }
-    if ((shade.flags & 64u) != 0u) {
+    if ((FLAGS & 64u) != 0u) {
       let share = field_value(at, footprint).x;
       light = lit * shade.sunlight.rgb + share * shade.skylight.rgb + (1.0 - share) * around;
     } else {
@@ -238,11 +242,11 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>) -> Ground
     }
   }
   var albedo = tint_of(height);
-  if ((shade.flags & 4u) != 0u) {
+  if ((FLAGS & 4u) != 0u) {
     let image = drape_colour(position, footprint * shade.paper.w);
     albedo = mix(albedo, image.rgb, image.a * shade.tint.w);
   }
-  if ((shade.flags & 2u) != 0u) {
+  if ((FLAGS & 2u) != 0u) {
     var wet = map_value(shade.light.x + size.x * size.y, size, first, shade.light.w, at);
     wet = clamp((wet - (0.5 - shade.water.w)) / (2.0 * shade.water.w), 0.0, 1.0);
     albedo = mix(albedo, shade.water.rgb, wet * wet * (3.0 - 2.0 * wet));
@@ -292,45 +296,47 @@ fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
   return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
 }
 
+// What is seen where the depth buffer is empty (the depth test says so).
+@fragment
+fn background(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
+  if ((FLAGS & 256u) != 0u) {
+    return vec4<f32>(sky(normalize(ray_of(at.xy).direction)), 1.0);
+  }
+  return vec4<f32>(shade.paper.rgb, 1.0);
+}
+
 @fragment
 fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let pixel = vec2<i32>(at.xy);
   let stored = textureLoad(depths, pixel, 0);
   let mark = textureLoad(marks, pixel, 0).r;
   let ray = ray_of(at.xy);
-  let far = length(ray.direction);
-  let d = ray.direction / far;
-  if ((mark & 1u) == 0u) {
-    if (shade.disc.w > 0.0) {
-      return vec4<f32>(sky(d), 1.0);
-    }
-    return vec4<f32>(shade.paper.rgb, 1.0);
-  }
+  let d = normalize(ray.direction);
   let hit = hit_at(stored, ray);
   let depth = hit.depth;
   let position = hit.position;
-  if ((mark & 2u) != 0u) {   // a patch over missing data
+  if ((FLAGS & 1024u) != 0u && (mark & 2u) != 0u) {   // a patch over missing data
     let across = at.x + at.y;
     let line = across - 7.0 * floor(across / 7.0) < 2.0;
     var veil = select(rgb(shade.hatch), rgb(shade.hatch + 3u), line);
-    if (shade.disc.w > 0.0) {
+    if ((FLAGS & 256u) != 0u) {
       veil = haze(veil, d, depth);
     }
     return vec4<f32>(veil, 1.0);
   }
   let seen = ground(hit.place, hit.height, hit.footprint, position);
   var colour = seen.colour;
-  if ((shade.flags & 16u) != 0u) {
+  if ((FLAGS & 16u) != 0u) {
     colour = mix(colour, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(colour, vec3<f32>(0.4)), 0.65);
   }
-  if (shade.contour.x > 0.0) {
+  if ((FLAGS & 512u) != 0u) {
     let normal = vec3<f32>(-seen.slope * camera.forward.w, 1.0);
     colour = mix(colour, shade.contour_colour.rgb, contours(hit.height, position, normal, at.xy));
   }
-  if (shade.disc.w > 0.0) {
+  if ((FLAGS & 256u) != 0u) {
     colour = haze(colour, d, depth);
   }
-  if ((shade.flags & 8u) != 0u) {
+  if ((FLAGS & 8u) != 0u) {
     colour = mix(colour, vec3<f32>(0.02), 0.75 * f32((mark >> 16u) & 255u) / 255.0);
   }
   return vec4<f32>(colour, 1.0);
