@@ -121,7 +121,7 @@ def make_engine(
     special: dict[str, Any] = {}
     if geomorph:
         if "geomorph" not in inspect.signature(kind).parameters:
-            raise UsageError(f"{name} makes no geomorphs.", remedy="Use --engine soar.")
+            raise UsageError(f"{name} makes no geomorphs.", remedy="Use --engine soar or --engine batched.")
         special["geomorph"] = True
     return kind(
         terrain, error=options["error"], metric=metric, cull=not options["no_cull"],
