@@ -222,6 +222,18 @@ def test_overlays_show_the_engine(bench) -> None:
         assert changed > 0.01, overlay
 
 
+@pytest.mark.parametrize("light", ["ao", "aperture"])
+def test_the_first_frame_has_an_open_sky(bench, light: str) -> None:
+    """Before maps of light are made nothing is hidden, and no frame is dark or late."""
+    terrain = make(np.zeros((300, 300), np.float32))
+    b = bench(terrain)
+    scene = Scene(terrain, above(terrain), tolerance=1.0, colormap="grey", water=None, light=light)  # type: ignore[arg-type]
+    b.draw(scene)
+    first = b.pixels()
+    b.draw(scene, wait=True, samples=1)
+    assert np.abs(first - b.pixels())[30:-30, 30:-30].max() < 12
+
+
 def test_screen_space_occlusion_darkens_hollows_and_not_plains(bench) -> None:
     heights = np.zeros((400, 400), np.float32)
     heights[150:250, 150:250] = -400.0  # a shaft of two kilometres

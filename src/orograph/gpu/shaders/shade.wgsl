@@ -147,33 +147,42 @@ fn sunlit(at: Place) -> f32 {
   return 1.0;
 }
 
-// Values (one or four) of the finest window of the field that is not finer than a pixel.
-fn field_value(at: Place, footprint: f32) -> vec4<f32> {
+// The window of the field to look up: the finest that is not finer than a pixel and holds the place.
+fn field_window(at: Place, footprint: f32) -> u32 {
   let wanted = i32(floor(log2(max(footprint, 1.0))));
-  for (var w = i32(shade.fields) - 1; w >= 0; w--) {
-    let window = windows[i32(shade.windows) + w];
-    let p = in_blocks(at, u32(window.level));
-    let size = vec2<i32>(window.cols, window.rows);
-    let q = p.whole - vec2<i32>(window.col0, window.row0);
-    if (w > 0 && (window.level < wanted || any(q < vec2<i32>(1)) || any(q >= size - 2))) {
-      continue;
+  for (var w = i32(shade.fields) - 1; w > 0; w--) {
+    let window = windows[shade.windows + u32(w)];
+    let q = in_blocks(at, u32(window.level)).whole - vec2<i32>(window.col0, window.row0);
+    if (window.level >= wanted && all(q >= vec2<i32>(1)) && all(q < vec2<i32>(window.cols, window.rows) - 2)) {
+      return u32(w);
     }
-    let clamped = clamp(q, vec2<i32>(0), max(size - 2, vec2<i32>(0)));
-    let f = clamp(p.part + vec2<f32>(q - clamped), vec2<f32>(0.0), vec2<f32>(1.0));
-    let next = min(clamped + 1, size - 1);
-    var out = vec4<f32>(0.0);
-    for (var k = 0; k < window.channels; k++) {
-      let top = mix(field_at(window, clamped, k), field_at(window, vec2<i32>(next.x, clamped.y), k), f.x);
-      let low = mix(field_at(window, vec2<i32>(clamped.x, next.y), k), field_at(window, next, k), f.x);
-      out[k] = mix(top, low, f.y);
-    }
-    return out;
   }
-  return vec4<f32>(1.0);
+  return 0u;
 }
 
-fn field_at(window: Window, at: vec2<i32>, channel: i32) -> f32 {
-  return maps[window.offset + (at.y * window.cols + at.x) * window.channels + channel];
+// The field at a sample: one number, or the four of a cap.
+fn field_at(window: Window, at: vec2<i32>) -> vec4<f32> {
+  if ((FLAGS & 128u) == 0u) {
+    return vec4<f32>(maps[window.offset + at.y * window.cols + at.x], 0.0, 0.0, 0.0);
+  }
+  let k = window.offset + (at.y * window.cols + at.x) * 4;
+  return vec4<f32>(maps[k], maps[k + 1], maps[k + 2], maps[k + 3]);
+}
+
+fn field_value(at: Place, footprint: f32) -> vec4<f32> {
+  if (shade.fields == 0u) {   // not made yet: the open sky
+    return select(vec4<f32>(1.0), vec4<f32>(0.0, 0.0, 1.0, 0.0), (FLAGS & 128u) != 0u);
+  }
+  let window = windows[shade.windows + field_window(at, footprint)];
+  let p = in_blocks(at, u32(window.level));
+  let size = vec2<i32>(window.cols, window.rows);
+  let q = p.whole - vec2<i32>(window.col0, window.row0);
+  let first = clamp(q, vec2<i32>(0), max(size - 2, vec2<i32>(0)));
+  let f = clamp(p.part + vec2<f32>(q - first), vec2<f32>(0.0), vec2<f32>(1.0));
+  let next = min(first + 1, size - 1);
+  let top = mix(field_at(window, first), field_at(window, vec2<i32>(next.x, first.y)), f.x);
+  let low = mix(field_at(window, vec2<i32>(first.x, next.y)), field_at(window, next), f.x);
+  return mix(top, low, f.y);
 }
 
 // Light through the cap over a place: discs, points, the sky between them, and ground where sky is hidden.
