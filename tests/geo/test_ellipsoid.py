@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pyproj import CRS, Transformer
 
@@ -60,6 +60,9 @@ def test_the_inverse_undoes_it(name: str, lon: float, lat: float, height: float)
 
 
 @given(st.floats(-6.3e6, 6.3e6), st.floats(-6.3e6, 6.3e6), st.floats(-6.3e6, 6.3e6))
+@example(0.0, 0.0, 3.134223416023137e-150)
+@example(2e4, 0.0, -1e-155)
+@example(1e-150, 0.0, 1e-149)
 def test_the_inverse_holds_inside_the_body(x: float, y: float, z: float) -> None:
     """Deep inside, other methods fail; geodetic → ECEF must give the point back from anywhere, the evolute included."""
     np.testing.assert_allclose(EARTH.ecef(EARTH.geodetic([x, y, z])), [x, y, z], rtol=0, atol=2e-8)

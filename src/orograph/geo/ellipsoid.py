@@ -101,6 +101,8 @@ class Ellipsoid:
     def _meridian(self, r: F64, z: F64) -> tuple[F64, F64]:
         """Latitude (radians) and height in the meridian plane; the letters are Vermeille's and Karney's."""
         e2, e4, e2m = self.e2, self.e2**2, 1 - self.e2
+        # Squares of what is smaller than any length would lose their digits: it is 0.
+        r, z = (np.where(np.abs(v) < _NOTHING, np.copysign(0.0, v), v) for v in (r, z))
         p, q = (r / self.a) ** 2, e2m * (z / self.a) ** 2
         rho = (p + q - e4) / 6
         disc_s = e4 * p * q / 4
@@ -125,6 +127,9 @@ class Ellipsoid:
             lat = np.where(singular, np.copysign(np.arctan2(zz, xx), np.where(z < 0, -1.0, 1.0)), lat)
             height = np.where(singular, -self.a * e2m * np.hypot(zz, xx) / e2, height)
         return lat, height
+
+
+_NOTHING = 1e-80  # metres
 
 
 def _columns(points: ArrayLike) -> tuple[F64, F64, F64]:
