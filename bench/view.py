@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from orograph.gpu.device import open_device
-from orograph.gpu.renderer import FrameStats, Renderer
+from orograph.gpu.frame import FrameStats
+from orograph.gpu.renderer import Renderer
 from orograph.picture.camera import around
 from orograph.picture.prepare import prepare
 from orograph.picture.scene import Scene

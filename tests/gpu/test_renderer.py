@@ -18,7 +18,8 @@ from orograph.dem.raster import Dem
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
 from orograph.gpu.device import Device
-from orograph.gpu.renderer import FrameStats, Overlay, Renderer
+from orograph.gpu.frame import FrameStats, Overlay
+from orograph.gpu.renderer import Renderer
 from orograph.picture.scene import Scene
 from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain

@@ -279,12 +279,12 @@ class ResolvePass:
         )
 
     def draw(
-        self, encoder: Any, targets: Targets, view: Any, *, scale: int = 1, frames: int = 1, occlusion: Any = None,
+        self, encoder: Any, targets: Targets, view: Any, *, frames: int = 1, occlusion: Any = None,
         strength: float = 0.0,
     ) -> None:  # fmt: skip
         """Bring the light to a view; ``occlusion``: a texture's view that it is multiplied by, as ``strength`` says."""
         values = np.zeros(4, np.uint32)
-        values[0], values[2] = scale, self.encode
+        values[2] = self.encode
         values[1:2].view(np.float32)[0] = frames
         values[3:4].view(np.float32)[0] = strength if occlusion is not None else 0.0
         self.device.queue.write_buffer(self.uniform, 0, values)

@@ -16,7 +16,8 @@ import numpy as np
 
 from orograph.errors import NothingInViewError, UsageError
 from orograph.gpu.device import Device, open_device
-from orograph.gpu.renderer import PLAIN, Overlay, Renderer
+from orograph.gpu.frame import PLAIN, Overlay
+from orograph.gpu.renderer import Renderer
 from orograph.picture.furniture import furnish
 from orograph.picture.legend import Drawn, furniture_of, sampled
 from orograph.picture.result import Picture, plan_grid

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from orograph.geovis.drape import Drape
 from orograph.gpu.aperture import tables as light_tables
 from orograph.gpu.aside import Aside
-from orograph.gpu.camera import CAMERA, camera_of, nearest
+from orograph.gpu.camera import CAMERA, camera_of
 from orograph.gpu.device import Device
 from orograph.gpu.drape import DrapeTexture
 from orograph.gpu.frame import PLAIN, FrameStats, Overlay
@@ -126,7 +126,7 @@ class Renderer:
             begin, count = 0, samples or 1
         self._at_rest = state
         instances = patches.instances
-        self._light_for(scene, targets, instances, wait=wait, moved=begin == 0)
+        self._light_for(scene, targets, instances, wait=wait)
         assert self._maps is not None
         look = self._look(scene, overlay, exact=wait)
         self.tint = look.tint
@@ -278,7 +278,7 @@ class Renderer:
         return scene.sun, scene.shadows, scene.exaggeration, scene.water, scene.light
 
     def _light_for(
-        self, scene: Scene, targets: Targets, instances: NDArray[Any], *, wait: bool, moved: bool
+        self, scene: Scene, targets: Targets, instances: NDArray[Any], *, wait: bool
     ) -> None:  # fmt: skip
         """Have maps of light for the scene: at once if ``wait``, else aside while old ones serve."""
         if wait:
@@ -468,6 +468,3 @@ def _sample(k: int, n: int) -> tuple[float, float]:
 
     x, y = pattern(n)[k % n]
     return float(x) - 0.5, float(y) - 0.5
-
-
-__all__ = ["PLAIN", "FrameStats", "Overlay", "Renderer", "nearest"]

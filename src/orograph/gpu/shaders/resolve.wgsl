@@ -1,6 +1,6 @@
-// Linear light to the display: the mean over a pixel's samples and over accumulated frames, then sRGB.
+// Linear light to the display: the mean over accumulated frames, then sRGB.
 
-struct Resolve { scale: u32, frames: f32, encode: u32, occlusion: f32 };   // strength of what darkens corners
+struct Resolve { pad: u32, frames: f32, encode: u32, occlusion: f32 };   // strength of what darkens corners
 
 @group(0) @binding(0) var<uniform> resolve: Resolve;
 @group(0) @binding(1) var light: texture_2d<f32>;
@@ -18,16 +18,10 @@ fn srgb(x: vec3<f32>) -> vec3<f32> {
 
 @fragment
 fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
-  let first = vec2<i32>(at.xy) * i32(resolve.scale);
-  var sum = vec3<f32>(0.0);
-  for (var y = 0; y < i32(resolve.scale); y++) {
-    for (var x = 0; x < i32(resolve.scale); x++) {
-      sum += textureLoad(light, first + vec2<i32>(x, y), 0).rgb;
-    }
-  }
-  var mean = sum / (f32(resolve.scale * resolve.scale) * resolve.frames);
+  let pixel = vec2<i32>(at.xy);
+  var mean = textureLoad(light, pixel, 0).rgb / resolve.frames;
   if (resolve.occlusion > 0.0) {
-    mean *= mix(1.0, textureLoad(open, first, 0).r, resolve.occlusion);
+    mean *= mix(1.0, textureLoad(open, pixel, 0).r, resolve.occlusion);
   }
   return vec4<f32>(select(mean, srgb(mean), resolve.encode == 1u), 1.0);
 }
