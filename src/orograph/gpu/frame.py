@@ -39,7 +39,7 @@ class FrameStats:
     Attributes:
         patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles there are.
         select_ms: selection. cpu_ms: all of the frame's Python, but for what the driver does when it is given the work
-            (software drivers do all of it then). gpu_ms: what the GPU worked, if it was waited for.
+            (software drivers do all of it then).
         tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of both kinds; wanted: not there yet.
         samples: how many are averaged in the picture.
         failed: a tile that could not be read, and why, or "".
@@ -50,7 +50,6 @@ class FrameStats:
     error_px: float
     select_ms: float
     cpu_ms: float
-    gpu_ms: float | None
     tiles_loaded: int
     bytes_uploaded: int
     tiles_resident: int

@@ -162,7 +162,7 @@ class Renderer:
         self.device.queue.submit([encoder.finish()])
         return FrameStats(
             len(instances), patches.stats["triangles"], patches.stats["pixels"], chosen.seconds * 1e3,
-            took_python * 1e3, None, chosen.loaded, chosen.loaded * 4 * 257 * 257, self.tiles.count, self._missing,
+            took_python * 1e3, chosen.loaded, chosen.loaded * 4 * 257 * 257, self.tiles.count, self._missing,
             self._gathered, self.tiles.failure,
         )  # fmt: skip
 

@@ -19,7 +19,7 @@ def rows(window: Window) -> list[tuple[str, str]]:
 
     found = [("between frames", f"{window.interval * 1e3:.1f} ms")]
     for name, what, pattern in (
-        ("cpu_ms", "Python", "{:.1f} ms"), ("gpu_ms", "GPU", "{:.1f} ms"), ("triangles", "triangles", "{:,}"),
+        ("cpu_ms", "Python", "{:.1f} ms"), ("triangles", "triangles", "{:,}"),
         ("patches", "patches", "{:,}"), ("tiles_resident", "tiles held", "{:,}"),
         ("tiles_wanted", "tiles wanted", "{:,}"), ("tiles_loaded", "tiles loaded", "{:,}"),
         ("error_px", "error", "{:.2f} px"),
