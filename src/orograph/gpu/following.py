@@ -1,0 +1,105 @@
+"""Maps of light and membranes over holes that follow the camera: made at once for a picture that may take its time, in
+a thread of their own for frames that may not wait; the old ones serve until new ones are there.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.aside import Aside
+from orograph.gpu.lightmaps import LightMaps, light_maps, plain_maps, whole
+from orograph.gpu.seen import about
+from orograph.gpu.veil import EXACT, VeilPass, veils
+from orograph.picture.kept import Kept
+from orograph.picture.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+Array = NDArray[np.float64]
+
+SETTLED = 0.25
+"""Seconds the camera must have stood still before maps of light are made for where it is."""
+
+
+def maps_key(scene: Scene) -> tuple[Any, ...]:
+    """What of a scene the maps of light depend on besides the camera."""
+    return scene.sun, scene.shadows, scene.exaggeration, scene.water, scene.light
+
+
+class Following:
+    """What is made for where the camera is.
+
+    Args:
+        kept: what earlier maps left. veil: takes the membranes. legs: segments of a patch's leg.
+
+    Attributes:
+        maps: those to draw with; None before the first frame. range: of the depths in view, metres.
+    """
+
+    def __init__(self, terrain: Terrain, kept: Kept, veil: VeilPass, legs: int) -> None:
+        self.terrain, self.kept, self.veil, self.legs = terrain, kept, veil, legs
+        self.maps: LightMaps | None = None
+        self.range = (1.0, 1e5)
+        self._aside = Aside()
+        self._wish: Any = None
+        self._last_view: View | None = None
+        self._moved = 0.0
+
+    @property
+    def busy(self) -> bool:
+        """Whether better maps are on their way, or are to be made."""
+        return self._aside.busy or self._aside.done != self._wish
+
+    def at_once(self, scene: Scene, seen: Callable[[], tuple[Array, tuple[float, float] | None]]) -> None:
+        """Have maps for the scene; ``seen`` gives the ground in view as ``seen.about`` does."""
+        points, found = seen()
+        self.range = found or self.range
+        self.maps = light_maps(scene, points if found else whole(self.terrain), self.kept)
+        self.veil.load(*self._veils(scene))
+        self._aside.done = self._wish = self._key(scene)
+
+    def aside(self, scene: Scene, instances: NDArray[Any]) -> None:
+        """Take the maps that were made meanwhile, and have new ones made if the scene wants others."""
+        done = self._aside.take()
+        if done is not None:
+            self.maps, self.range, veil = done
+            self.veil.load(*veil)
+        if self.maps is None:
+            self.maps, self.range = plain_maps(), self._about(scene, instances)[1]
+        key = self._wish = self._key(scene)
+        now = time.monotonic()
+        if scene.view != self._last_view:
+            self._last_view, self._moved = scene.view, now
+        # While the camera moves the maps there are serve on; a new sun, or the first, is not waited with.
+        settled = now - self._moved > SETTLED or self._aside.done is None or self._aside.done[:5] != key[:5]
+        if settled and self._aside.wants(key):
+            points, visible = self._about(scene, instances)
+            self._aside.start(key, lambda: (light_maps(scene, points, Kept(), detail=1.5), visible, self._veils(scene)))
+
+    def close(self) -> None:
+        self._aside.close()
+
+    def _about(self, scene: Scene, instances: NDArray[Any]) -> tuple[Array, tuple[float, float]]:
+        if not len(instances):
+            return whole(self.terrain), self.range
+        points, found = about(self.terrain, scene.view, scene.exaggeration, instances, self.legs)
+        return points, found or self.range
+
+    def _veils(self, scene: Scene) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+        """Patches over the holes in view."""
+        view, terrain, tolerance = scene.view, self.terrain, scene.tolerance or 1.0
+        known = () if terrain.grid.shape[0] * terrain.grid.shape[1] <= EXACT else (view, scene.exaggeration, tolerance)
+        return self.kept("veils", known, lambda: veils(terrain, view, scene.exaggeration, tolerance), terrain)
+
+    def _key(self, scene: Scene) -> Any:
+        view = scene.view
+        eye = np.asarray(view.eye)
+        step = 0.15 * max(view.distance, 1.0)
+        return (
+            *maps_key(scene), tuple(np.floor(eye / step).tolist()), tuple(np.floor(np.array(view.target) / step)),
+        )  # fmt: skip

@@ -1,0 +1,104 @@
+"""What the shading pass looks up, brought to the GPU once and kept: tables, maps, windows, lights, the draped image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis.drape import Drape
+from orograph.gpu.aperture import tables as light_tables
+from orograph.gpu.device import Device
+from orograph.gpu.drape import DrapeTexture
+from orograph.gpu.lightmaps import LightMaps
+from orograph.gpu.look import SHADE, Look
+from orograph.gpu.tiles import Atlas
+from orograph.picture.kept import Kept
+from orograph.picture.scene import Scene
+from orograph.store.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+
+class Resources:
+    """Buffers and textures by what they hold.
+
+    Args:
+        slopes: the atlas of slope tiles. kept: what earlier pictures left.
+    """
+
+    def __init__(self, device: Device, terrain: Terrain, slopes: Atlas, kept: Kept) -> None:
+        self.device, self.terrain, self.slopes, self.kept = device, terrain, slopes, kept
+        self.shade = device.buffer(SHADE.itemsize, "UNIFORM", "shade")
+        self._buffers: dict[str, tuple[Any, Any]] = {}
+        self._levels = self._level_table()
+        self._bare = self._no_drape()
+
+    def bound(self, look: Look, maps: LightMaps, scene: Scene) -> dict[int, Any]:
+        """Buffers and views by binding of ``shade.wgsl``, for ``passes.ShadePass.group``."""
+        windows = np.concatenate([maps.windows, maps.fields])
+        if not len(windows):
+            windows = np.zeros((1, 8), np.int32)
+        suns, lamps = light_tables(look.lights, *self._from_eye(scene))
+        image, lattice = self._bare
+        if scene.drape is not None:
+            draped = self.draped(scene)
+            draped.aim(scene.view)
+            image, lattice = draped.view, draped.lattice
+        return {
+            0: self.shade,
+            3: self.slopes.texture.create_view(dimension="2d-array"),
+            4: self.slopes.page_buffer,
+            5: self.stored("tables", look.tables),
+            6: self.stored("maps", maps.pool),
+            7: self._levels,
+            8: self.stored("windows", windows),
+            9: image,
+            11: lattice,
+            12: self.stored("suns", suns),
+            13: self.stored("lamps", lamps),
+        }
+
+    def stored(self, name: str, values: NDArray[Any]) -> Any:
+        """A storage buffer with these values; written again only if they are other ones."""
+        held = self._buffers.get(name)
+        if held is not None and held[1] is values:
+            return held[0]
+        if held is not None and held[0].size == -(-values.nbytes // 4) * 4:
+            if not np.array_equal(held[1], values):
+                self.device.queue.write_buffer(held[0], 0, np.ascontiguousarray(values))
+            self._buffers[name] = held[0], values
+            return held[0]
+        buffer = self.device.buffer(values, "STORAGE", name)
+        self._buffers[name] = buffer, values
+        return buffer
+
+    def draped(self, scene: Scene) -> DrapeTexture:
+        """The scene's image, read and uploaded when it is first asked for."""
+        path, terrain, memory = scene.drape, self.terrain, scene.max_memory
+        assert path is not None
+
+        def upload() -> DrapeTexture:
+            return DrapeTexture(self.device, Drape.open(path, terrain.grid, memory))
+
+        return self.kept("drape on the GPU", (path, memory), upload, terrain)
+
+    def _from_eye(self, scene: Scene) -> tuple[Array, Array]:
+        """Metres east and north per column and row, and where the eye is from sample (0, 0), stretched height."""
+        a, b, c, d, e, f = self.terrain.grid.samples[:6]
+        view = scene.view
+        x, y = view.target[:2] if view.projection == "plan" else view.eye[:2]
+        origin = np.array([x - c, y - f, view.eye[2] * scene.exaggeration])
+        return np.array([[a, b], [d, e]]), origin
+
+    def _level_table(self) -> Any:
+        terrain, tables = self.terrain, self.slopes.tables
+        table = np.zeros((terrain.levels, 8), np.uint32)
+        for k in range(terrain.levels):
+            table[k, :5] = tables.offsets[k], *tables.shapes[k], *terrain.mean_shape(k)
+        return self.device.buffer(table, "STORAGE", "levels")
+
+    def _no_drape(self) -> tuple[Any, Any]:
+        texture = self.device.texture((1, 1), "rgba8unorm-srgb", "TEXTURE_BINDING|COPY_DST", label="no drape")
+        return texture.create_view(), self.device.buffer(np.zeros((7, 4), np.float32), "STORAGE", "no drape")
