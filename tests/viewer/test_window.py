@@ -77,7 +77,7 @@ class Hand:
 
     def rest(self) -> None:
         """Until the camera stands and the picture is as good as it gets."""
-        self.until(lambda: not self.window.session.moving and self.window.renderer.resting)
+        self.until(lambda: not self.window.session.moving and self.window.drawing.renderer.resting)
 
 
 @pytest.fixture
@@ -118,9 +118,9 @@ def test_it_draws_and_then_rests(window, hand):
     assert picture.shape == (600, 900, 3)
     terrain = picture[:, : int(window.area[2])]
     assert terrain.std() > 15
-    drawn = window.drawn
+    drawn = window.drawing.drawn
     again = hand.frames(5)
-    assert window.drawn == drawn  # nothing changed: the terrain is not drawn again
+    assert window.drawing.drawn == drawn  # nothing changed: the terrain is not drawn again
     assert np.array_equal(again, picture)
 
 
@@ -237,12 +237,12 @@ def test_views_in_the_clipboard(window, hand):
 def test_what_fails_is_said_and_survived(window, hand, monkeypatch):
     hand.rest()
     before = hand.frames(1)
-    draw = window.renderer.draw
+    draw = window.drawing.renderer.draw
 
     def fail(*args, **kwargs):
         raise StoreError("The chunk c/0/0 is gone.", path="area.oro")
 
-    monkeypatch.setattr(window.renderer, "draw", fail)
+    monkeypatch.setattr(window.drawing.renderer, "draw", fail)
     hand.key("o")
     hand.frames(3)
     texts = [m.text for m in window.session.messages.shown if m.error]
@@ -250,7 +250,7 @@ def test_what_fails_is_said_and_survived(window, hand, monkeypatch):
     after = hand.frames(1)
     corner = np.s_[300:500, 20:300]
     assert np.abs(after[corner].astype(int) - before[corner]).mean() < 40  # the last picture stays
-    monkeypatch.setattr(window.renderer, "draw", draw)
+    monkeypatch.setattr(window.drawing.renderer, "draw", draw)
     hand.key("t")
     hand.rest()
     assert not [m for m in window.session.messages.shown if m.error]
@@ -258,7 +258,7 @@ def test_what_fails_is_said_and_survived(window, hand, monkeypatch):
 
 def test_a_lost_device_is_opened_anew(window, hand, monkeypatch):
     hand.rest()
-    first, renderer = window.device, window.renderer
+    first, renderer = window.device, window.drawing.renderer
 
     def lost(*args, **kwargs):
         raise RuntimeError("Validation Error: Parent device is lost")
@@ -267,7 +267,7 @@ def test_a_lost_device_is_opened_anew(window, hand, monkeypatch):
     hand.key("o")
     hand.rest()
     assert window.device is not first
-    assert window.renderer is not renderer
+    assert window.drawing.renderer is not renderer
     assert any("new device" in m.text for m in window.session.messages.shown)
     assert hand.frames(2)[:, : int(window.area[2])].std() > 15
     first.lost = None
@@ -321,7 +321,7 @@ def test_the_mesh_can_be_frozen_and_a_budget_is_kept(window, hand):
     hand.key("f")
     assert settings.frozen is None
     settings.budget = 20_000
-    hand.until(lambda: 0.5 < window.stats.triangles / 20_000 <= 1.06, 60)
+    hand.until(lambda: 0.5 < window.drawing.stats.triangles / 20_000 <= 1.06, 60)
 
 
 def test_the_plan_is_drawn_and_takes_one_there(window, hand):
@@ -354,7 +354,7 @@ def test_pictures(window, hand, tmp_path, monkeypatch):
     (path,) = tmp_path.glob("*.png")
     picture = np.asarray(Image.open(path))
     assert picture.shape == (window.session.view.height, window.session.view.width, 3)
-    window.write_picture(tmp_path / "all.png", panels=True)
+    window.pictures.write(tmp_path / "all.png", panels=True)
     assert Image.open(tmp_path / "all.png").size == (900, 600)
 
 

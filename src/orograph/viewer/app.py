@@ -18,8 +18,9 @@ from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
 
 if TYPE_CHECKING:
+    from orograph.viewer.drawing import Drawer
     from orograph.viewer.session import Session
-    from orograph.viewer.window import Drawer, Window
+    from orograph.viewer.window import Window
 
 MOST_FRAMES = 120.0
 """Frames in a second, at most."""
@@ -181,10 +182,10 @@ def _shoot(window: Window, path: Path, frames: int, failure: list[BaseException]
     """Save a picture after so many frames, and close."""
 
     def hook(w: Window) -> None:
-        if w.drawn >= frames and not failure:
+        if w.drawing.drawn >= frames and not failure:
             w.on_frame.remove(hook)
             try:
-                w.write_picture(path, panels=True)
+                w.pictures.write(path, panels=True)
             except BaseException as error:
                 failure.append(error)
             w.canvas.close()

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
+from orograph.viewer import commands
+
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
 
@@ -69,22 +71,22 @@ def bindings() -> tuple[Binding, ...]:
         Binding("o", "oblique", lambda w: w.session.nav.oblique()),
         Binding("[", "turn by a quarter", lambda w: w.session.nav.turn_quarter(-1), shown="[ ]"),
         Binding("]", "turn by a quarter", lambda w: w.session.nav.turn_quarter(1), shown="[ ]"),
-        Binding("=", "nearer, farther", lambda w: w.zoom_middle(1.0), shown="+ -"),
-        Binding("-", "nearer, farther", lambda w: w.zoom_middle(-1.0), shown="+ -"),
+        Binding("=", "nearer, farther", lambda w: commands.zoom_middle(w, 1.0), shown="+ -"),
+        Binding("-", "nearer, farther", lambda w: commands.zoom_middle(w, -1.0), shown="+ -"),
         *digits,
-        Binding("c", "copy the view as JSON", lambda w: w.copy_view(), control=True),
-        Binding("v", "go to the view in the clipboard", lambda w: w.paste_view(), control=True),
-        Binding("Tab", "panels", lambda w: w.toggle_panels()),
+        Binding("c", "copy the view as JSON", commands.copy_view, control=True),
+        Binding("v", "go to the view in the clipboard", commands.paste_view, control=True),
+        Binding("Tab", "panels", commands.toggle_panels),
         Binding("p", "plan: inset, half, none", lambda w: w.plan.cycle()),
         Binding("m", "measure", lambda w: w.tools.toggle()),
-        Binding("Escape", "leave the tool, the help or a flight", lambda w: w.escape()),
-        Binding(" ", "play the day", lambda w: w.play_day(), shown="Space"),
+        Binding("Escape", "leave the tool, the help or a flight", commands.escape),
+        Binding(" ", "play the day", commands.play_day, shown="Space"),
         Binding("Backspace", "take back the last point", lambda w: w.tools.undo()),
-        Binding("x", "wireframe", lambda w: w.toggle_wireframe()),
-        Binding("f", "freeze the mesh and fly around it", lambda w: w.toggle_freeze()),
+        Binding("x", "wireframe", commands.toggle_wireframe),
+        Binding("f", "freeze the mesh and fly around it", commands.toggle_freeze),
         Binding("q", "close the window", lambda w: w.canvas.close(), control=True),
-        Binding("F12", "save a picture", lambda w: w.save_picture()),
-        Binding("F1", "this help", lambda w: w.toggle_help(), shown="F1, ?"),
+        Binding("F12", "save a picture", lambda w: w.pictures.ask()),
+        Binding("F1", "this help", commands.toggle_help, shown="F1, ?"),
     )
 
 

@@ -139,7 +139,7 @@ class Plan:
         if self._pixels is not None and self.view is not None:
             self._upload(self._pixels)
             self._pixels = None
-        if self._drawing is None and have != size and not self.trouble and self.window.drawn > 2:
+        if self._drawing is None and have != size and not self.trouble and self.window.drawing.drawn > 2:
             self._drawing = size
             self.window.session.probe.submit(lambda: self._make(size))
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from imgui_bundle import imgui
 
 from orograph.geovis.measure import Places
+from orograph.viewer import commands
 from orograph.viewer.navigation import heading_pitch
 from orograph.viewer.overlay import lonlat
 
@@ -40,13 +41,13 @@ def draw(window: Window) -> None:
         if imgui.small_button(name):
             do()
     if imgui.small_button("Copy JSON"):
-        window.copy_view()
+        commands.copy_view(window)
     imgui.same_line()
     if imgui.small_button("Paste"):
-        window.paste_view()
+        commands.paste_view(window)
     imgui.same_line()
     if imgui.small_button("Save picture"):
-        window.save_picture()
+        window.pictures.ask()
     imgui.text_disabled("kept views (Ctrl + digit keeps)")
     for slot in "123456789":
         if slot != "1":

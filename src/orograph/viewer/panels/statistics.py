@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 def rows(window: Window) -> list[tuple[str, str]]:
     """(name, value) of what is known of the last frame."""
-    stats = window.stats
+    stats = window.drawing.stats
 
     def get(name: str) -> Any:
         return getattr(stats, name, None)
@@ -31,9 +31,8 @@ def rows(window: Window) -> list[tuple[str, str]]:
     if uploaded is not None:
         found.append(("uploaded", f"{uploaded / 1e6:.1f} MB"))
     width, height = window.session.view.width, window.session.view.height
-    found.append(
-        ("picture", f"{width} × {height}" + (f", {window.draft.scale:g} in motion" if window.draft.step else ""))
-    )
+    draft = window.drawing.draft
+    found.append(("picture", f"{width} × {height}" + (f", {draft.scale:g} in motion" if draft.step else "")))
     found.append(("device", window.device.adapter.name))
     return found
 

@@ -1,0 +1,68 @@
+"""What keys and buttons do to a window, one function each: ``keys`` binds them, panels call them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from orograph.viewer.window import Window
+
+
+def zoom_middle(window: Window, notches: float) -> None:
+    """Zoom to the middle of the picture."""
+    view = window.session.view
+    window.session.nav.wheel(view.width / 2, view.height / 2, notches)
+
+
+def copy_view(window: Window) -> None:
+    """The view, as JSON, into the clipboard."""
+    window.clipboard[1](window.session.view_json())
+    window.session.messages.say("The view is in the clipboard: render --view takes it from a file.")
+
+
+def paste_view(window: Window) -> None:
+    """Go to the view in the clipboard."""
+    window.session.paste_view(window.clipboard[0]() or "")
+
+
+def toggle_panels(window: Window) -> None:
+    """Show or hide all panels."""
+    window.session.settings.panels = not window.session.settings.panels
+
+
+def toggle_help(window: Window) -> None:
+    """Show or hide the keys."""
+    window.help = not window.help
+
+
+def toggle_wireframe(window: Window) -> None:
+    """Show or hide the edges of triangles."""
+    window.session.settings.wireframe = not window.session.settings.wireframe
+
+
+def toggle_freeze(window: Window) -> None:
+    """Keep the mesh of this view, or let it follow again."""
+    frozen = window.session.settings.frozen is None
+    window.session.freeze(frozen)
+    window.session.messages.say(
+        "The mesh is that of this view: fly around it; F lets it follow again." if frozen else "The mesh follows."
+    )
+
+
+def play_day(window: Window) -> None:
+    """Let the sun's time pass, or stop it."""
+    light = window.session.settings.light
+    if light.place is None:
+        window.session.messages.say(light.trouble)
+        return
+    light.mode, light.playing = "moment", not light.playing
+
+
+def escape(window: Window) -> None:
+    """Leave the help, the tool, or a flight: the first that is on."""
+    if window.help:
+        window.help = False
+    elif window.tools.active:
+        window.tools.leave()
+    else:
+        window.session.nav.stop()

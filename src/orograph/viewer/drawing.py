@@ -1,0 +1,171 @@
+"""Drawing the terrain for a window: only when its picture would be another one, and on, whatever fails.
+
+What fails while a frame is drawn (a file that vanished, a device that was lost) becomes a message; the last picture
+stays, and drawing is tried again when something changes or after ``RETRY`` seconds. A lost device is opened anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+from orograph.errors import OrographError
+from orograph.gpu.device import Device, open_device
+from orograph.picture.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.view import View
+from orograph.viewer.screen import TOO_SLOW, Draft, Screen
+
+if TYPE_CHECKING:
+    from orograph.viewer.window import Window
+
+RETRY = 2.0
+PATIENCE = 0.4
+"""Seconds of rest after which a slow device makes a picture smoother."""
+
+
+class Drawer(Protocol):
+    """What draws terrain: ``gpu.renderer.Renderer``."""
+
+    def draw(
+        self, target: Any, format: str, scene: Scene, *, overlay: Any = ..., freeze: View | None = None,
+        wait: bool = False, samples: int | None = None,
+    ) -> Any:  # fmt: skip
+        """Draw a scene into a texture's view; statistics."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether tiles are on their way."""
+
+    @property
+    def resting(self) -> bool:
+        """Whether further frames of the same scene would be the same."""
+
+    def close(self) -> None:
+        """Let go of everything."""
+
+
+class Drawing:
+    """The terrain of a window, on a device.
+
+    Args:
+        window: whose session is drawn.
+        make: makes the renderer on a device.
+        format: of the picture's texture.
+
+    Attributes:
+        renderer: what draws; screen: the picture that it drew last.
+        stats: what the last frame of the terrain told; drawn: how many frames of it were drawn.
+        draft: how large the picture is in motion.
+        failed: when drawing failed, on ``time.perf_counter``'s clock; 0 while it does not.
+    """
+
+    def __init__(self, window: Window, make: Callable[[Device, Terrain], Drawer], format: str) -> None:
+        self.window, self.make = window, make
+        self.renderer: Drawer = make(window.device, window.session.terrain)
+        self.screen = Screen(window.device, format)
+        self.draft = Draft(window.device.adapter.software)
+        self.stats: Any = None
+        self.drawn = 0
+        self.failed = 0.0
+        self._scene: tuple[Any, ...] | None = None
+        self._resting = True
+        self._slow = False
+        self._drawn_at = 0.0
+        self._trouble = ""
+
+    @property
+    def eager(self) -> bool:
+        """Whether the next frame should come at once: there is more to be seen, and the device is quick."""
+        return not (self._resting or self._patient)
+
+    @property
+    def waits(self) -> list[float]:
+        """Seconds after which drawing is worth another try."""
+        return ([RETRY] if self.failed else []) + ([] if self._resting else [PATIENCE])
+
+    @property
+    def _patient(self) -> bool:
+        return self._slow and not self.renderer.busy
+
+    def draw(self, scale: float, now: float) -> None:
+        """Draw the terrain if its picture would be another one; ``scale``: of the picture's size."""
+        session, settings = self.window.session, self.window.session.settings
+        state: tuple[Any, ...] = ()
+        try:
+            scene, overlay = session.scene(scale), settings.overlay()
+            state = scene, overlay, settings.frozen
+            same = state == self._scene
+            if same and (self._resting if not self.failed else now - self.failed < RETRY):
+                return
+            if same and self._patient and not self.failed and now - self._drawn_at < PATIENCE:
+                return  # on a slow device the pointer comes before a smoother picture
+            self.screen.prepare(scene.view.width, scene.view.height)
+            self.stats = self.renderer.draw(
+                self.screen.view, self.screen.format, scene, overlay=overlay, freeze=settings.frozen
+            )  # fmt: skip
+            self._scene, self._resting = state, bool(self.renderer.resting)
+            self.drawn += 1
+            self._drawn_at = time.perf_counter()
+            self._slow = self._drawn_at - now > TOO_SLOW
+            trouble = getattr(self.stats, "failed", "")
+            before, self._trouble = self._trouble, trouble
+            if trouble and trouble != before:
+                session.messages.say(f"A part of the terrain cannot be read: {trouble}", error=True)
+            if settings.balance(int(self.stats.triangles)):
+                self.window.touch()
+            if self.failed:
+                self.failed = 0.0
+                session.messages.shown = [m for m in session.messages.shown if not m.error]
+        except Exception as error:
+            self._scene, self._resting = state, True
+            self.screen.revert()
+            self._fail(error, now)
+
+    def exact(self, samples: int) -> None:
+        """Draw the terrain with all tiles and so many samples of each pixel.
+
+        Raises:
+            OrographError: a tile cannot be had.
+        """
+        scene, settings = self.window.session.scene(), self.window.session.settings
+        self.screen.prepare(scene.view.width, scene.view.height)
+        self.renderer.draw(
+            self.screen.view, self.screen.format, scene, overlay=settings.overlay(), freeze=settings.frozen, wait=True,
+            samples=samples,
+        )  # fmt: skip
+        self._scene = None
+
+    def _fail(self, error: Exception, now: float) -> None:
+        """A frame could not be drawn: say so, and try to get a device again if it was lost."""
+        first, self.failed = not self.failed, now
+        expected = isinstance(error, (OrographError, OSError))
+        what = str(error) if expected else f"{type(error).__name__}: {error}"
+        self.window.session.messages.say(f"The terrain could not be drawn. {what}", error=True)
+        if first and not expected:
+            import traceback
+
+            traceback.print_exc()
+        if self.window.device.lost is not None or "lost" in str(error).lower():
+            self._reopen()
+
+    def _reopen(self) -> None:
+        """Begin again on a new device."""
+        window = self.window
+        with contextlib.suppress(Exception):  # it is lost anyway
+            self.renderer.close()
+        try:
+            window.device.lost = window.device.lost or "lost while drawing"
+            window.device = open_device(window.adapter)
+            window.context.configure(device=window.device.handle, format=self.screen.format)
+            self.renderer = self.make(window.device, window.session.terrain)
+            self.screen = Screen(window.device, self.screen.format)
+            window.gui.rebuild(window.device, self.screen.format)
+            window.plan.forget_texture()
+        except Exception as error:
+            window.session.messages.say(f"The GPU was lost and is not to be had again: {error}", error=True)
+        else:
+            self._scene = None
+            window.session.messages.say("The GPU was lost; drawing goes on with a new device.")

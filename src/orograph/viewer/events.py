@@ -1,0 +1,96 @@
+"""What mouse and keyboard tell a window: to panels, to the camera, to the tool, or to a key's command.
+
+Events are ``rendercanvas``'s; positions are logical pixels of the canvas. A press that begins over a panel is the
+panel's, and so is all that is typed while a text field has the keyboard.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from orograph.viewer import commands
+from orograph.viewer.keys import bindings
+
+if TYPE_CHECKING:
+    from orograph.viewer.window import Window
+
+
+class Events:
+    """The handlers of a window's events."""
+
+    def __init__(self, window: Window) -> None:
+        self.window = window
+        self._keys = {(b.key, b.control): b for b in bindings()}
+        for handler, *kinds in (
+            (self._on_pointer, "pointer_move", "pointer_down", "pointer_up", "double_click", "wheel"),
+            (self._on_leave, "pointer_leave"),
+            (self._on_key, "key_down", "key_up"),
+            (self._on_text, "char"),
+            (self._on_close, "close"),
+        ):
+            window.canvas.add_event_handler(handler, *kinds)
+
+    def _on_pointer(self, event: dict[str, Any]) -> None:
+        kind, x, y = event["event_type"], event["x"], event["y"]
+        nav = self.window.session.nav
+        self.window.touch()
+        self.window.gui.pointer(x, y)
+        px, py = self.window.to_picture(x, y)
+        if kind == "pointer_move":
+            nav.move(px, py)
+            self.window.pointer = None if not nav.dragging and self.window.gui.over(x, y) else (px, py)
+            self.window.tools.hover()
+            return
+        if kind == "pointer_up":
+            self.window.gui.button(event["button"], False)
+            if nav.release(event["button"], px, py) and event["button"] == 1:
+                self.window.tools.click(px, py)
+            return
+        over = self.window.gui.over(x, y)
+        if kind == "pointer_down":
+            self.window.gui.button(event["button"], True)
+            if not over:
+                nav.press(event["button"], px, py, event["modifiers"])
+        elif kind == "wheel":
+            self.window.gui.wheel(event["dx"] / 100.0, -event["dy"] / 100.0)
+            if not over:
+                nav.wheel(px, py, -event["dy"] / 100.0)
+        elif kind == "double_click" and not over:
+            if self.window.tools.active:
+                self.window.tools.finish()
+            elif event["button"] == 1:
+                nav.double_click(px, py)
+
+    def _on_leave(self, event: dict[str, Any]) -> None:
+        self.window.pointer = None
+        self.window.session.probe.leave()
+        self.window.touch()
+
+    def _on_key(self, event: dict[str, Any]) -> None:
+        down, key, modifiers = event["event_type"] == "key_down", event["key"], event["modifiers"]
+        nav = self.window.session.nav
+        self.window.touch()
+        self.window.gui.key(key, down)
+        if not down:
+            nav.key_up(key, modifiers)
+            return
+        if self.window.gui.typing and key != "Escape":
+            return
+        control = "Control" in modifiers or "Meta" in modifiers
+        name = key.lower() if len(key) == 1 else key
+        binding = self._keys.get((name, control))
+        if binding is not None:
+            binding.do(self.window)
+        else:
+            nav.key_down(key, modifiers)
+
+    def _on_text(self, event: dict[str, Any]) -> None:
+        text = event.get("data") or event.get("char_str") or ""
+        self.window.gui.text(text)
+        if text == "?" and not self.window.gui.typing:
+            commands.toggle_help(self.window)
+        self.window.touch()
+
+    def _on_close(self, event: dict[str, Any]) -> None:
+        self.window.session.close()
+        self.window.drawing.renderer.close()
