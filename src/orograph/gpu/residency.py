@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from orograph.errors import OrographError
 from orograph.gpu.device import Device
-from orograph.gpu.tiles import Atlas, Key, Kind, Streamer, height_tile, slope_tile
+from orograph.gpu.streamer import Streamer
+from orograph.gpu.tiles import Atlas, Key, Kind, height_tile, make_tile, slope_tile
 from orograph.gpu.wanted import SlopeTiles
 from orograph.lod.batched import Batched, Patches
 from orograph.store.terrain import Terrain
@@ -59,7 +60,7 @@ class Residency:
         self.slopes = Atlas(device, terrain, "slopes", gpu_memory // 2)
         self._atlases: dict[Kind, Atlas] = {"heights": self.heights, "slopes": self.slopes}
         self._slope_tiles = SlopeTiles(terrain)
-        self.streamer = Streamer(terrain, jobs or 2)
+        self.streamer: Streamer[Kind, Key] = Streamer(lambda kind, key: make_tile(terrain, kind, key), jobs or 2)
         self._frame = 0
         self._full = False
         top = terrain.levels - 1

@@ -8,18 +8,14 @@ Two kinds of tile, both of 256 × 256 cells of a level, wait in the same way:
   tile), two float16: metres of height per sample of the raster along columns and rows. Means of gradients are gradients
   of means: the exact prefilter of slopes for pixels larger than samples (``light.relief``).
 
-An atlas is a texture array whose layers hold 4 × 4 tiles; its size is fixed when it is made. Every frame the renderer
-says which tiles it wants, by priority; ``Streamer`` threads read and convert them, the frame's thread uploads what is
-ready, a bounded number of bytes at a time, into free slots or over the tiles that were wanted the longest time ago. The
-coarsest level is loaded first and never leaves: something can always be drawn.
+Every frame the renderer says which tiles it wants, by priority; threads read and convert them (``streamer``), the
+frame's thread uploads what is ready, a bounded number of bytes at a time (``slots``). The coarsest level is loaded
+first and never leaves: something can always be drawn.
 """
 
 from __future__ import annotations
 
-import heapq
-import threading
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -27,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.errors import OrographError
 from orograph.gpu.device import Device
+from orograph.gpu.slots import Slots
 from orograph.light.normal import central
 from orograph.store.terrain import TILE, Terrain, tile_shape
 
@@ -39,9 +35,6 @@ Key = tuple[int, int, int]
 MISSING = np.float32(1e6)
 """Added to what fills missing heights in textures: shaders may not rely on NaN. What fills them is near the ground
 beside them, so that the triangles there, which are not drawn, are no larger than others."""
-
-PER_SIDE = 4
-"""Tiles along the side of an atlas's layer."""
 
 SIDES = {"heights": TILE + 1, "slopes": TILE + 2}
 _FORMATS: dict[str, tuple[str, int]] = {"heights": ("r32float", 4), "slopes": ("rg16float", 4)}
@@ -180,44 +173,25 @@ class Tables:
         return self.offsets[level] + row * self.shapes[level][1] + col
 
 
-class Atlas:
-    """One kind of tile in one texture array, and the page table that shaders find them by.
+class Atlas(Slots):
+    """One kind of tile of a terrain, and the page table that shaders find them by.
 
     Attributes:
         kind: of the tiles.
-        texture: the array. pages: uint32 (tiles of all levels): slot + 1, 0 where a tile is not there.
-        capacity: how many tiles fit.
+        pages: uint32 (tiles of all levels): slot + 1, 0 where a tile is not there.
     """
 
     def __init__(self, device: Device, terrain: Terrain, kind: Kind, budget: int) -> None:
-        side = SIDES[kind]
-        format, size = _FORMATS[kind]
-        self.device, self.kind, self.side = device, kind, side
+        self.kind = kind
         self.tables = Tables.of(terrain)
-        layer = (PER_SIDE * side) ** 2 * size
-        most = min(256, -(-self.tables.total // PER_SIDE**2))
-        layers = int(max(1, min(budget // layer, most)))
-        self.capacity = layers * PER_SIDE**2
-        self.bytes = layers * layer
-        self.texture = device.texture(
-            (PER_SIDE * side, PER_SIDE * side, layers), format, "TEXTURE_BINDING|COPY_DST|COPY_SRC", label=kind
-        )
+        super().__init__(device, SIDES[kind], *_FORMATS[kind], budget, self.tables.total, kind)
         self.pages: NDArray[np.uint32] = np.zeros(self.tables.total, np.uint32)
         self.page_buffer = device.buffer(self.pages, "STORAGE", f"{kind} pages")
         self.resident = [np.zeros(shape, np.uint8) for shape in self.tables.shapes]
         """Per level (tile rows, tile cols): 1 where a tile is there."""
-        self._slots: dict[Key, int] = {}
-        self._keys: list[Key | None] = [None] * self.capacity
-        self._free = list(range(self.capacity))[::-1]
-        self._used = np.full(self.capacity, -1, np.int64)
-        self._pinned = np.zeros(self.capacity, bool)
         self._changed = False
         self._offsets = np.asarray(self.tables.offsets, np.int64)
         self._widths = np.asarray([shape[1] for shape in self.tables.shapes], np.int64)
-
-    def slot(self, key: Key) -> int:
-        """Where a tile is, −1 if it is not there."""
-        return self._slots.get(key, -1)
 
     def slots(self, index: NDArray[np.int64]) -> NDArray[np.int32]:
         """Where tiles are, by their places in the page table; −1 for those that are not there."""
@@ -229,35 +203,16 @@ class Atlas:
         found: NDArray[np.int64] = self._offsets[level] + row * self._widths[level] + col
         return found
 
-    def touch(self, slots: NDArray[np.int32], frame: int) -> None:
-        """Note that the tiles in slots are wanted in a frame, so that they stay; −1 is none."""
-        self._used[slots[slots >= 0]] = frame
-
     def insert(self, key: Key, data: NDArray[Any], frame: int, *, pin: bool = False) -> bool:
         """Upload a tile; False if all slots hold tiles that this frame wants."""
-        if key in self._slots:
+        if self.slot(key) >= 0:
             return True
-        if self._free:
-            slot = self._free.pop()
-        else:
-            used = np.where(self._pinned, np.iinfo(np.int64).max, self._used)
-            slot = int(used.argmin())
-            if used[slot] >= frame:
-                return False
-            self._drop(slot)
-        layer, place = divmod(slot, PER_SIDE**2)
-        y, x = divmod(place, PER_SIDE)
-        self.device.queue.write_texture(
-            {"texture": self.texture, "origin": (x * self.side, y * self.side, layer)},
-            np.ascontiguousarray(data),
-            {"bytes_per_row": self.side * _FORMATS[self.kind][1], "rows_per_image": self.side},
-            (self.side, self.side, 1),
-        )
-        self._slots[key], self._keys[slot] = slot, key
-        self._used[slot], self._pinned[slot] = frame, pin
-        self.pages[self.tables.index(key)] = slot + 1
-        self.resident[key[0]][key[1], key[2]] = 1
-        self._changed = True
+        slot, before = self.put(key, data, frame, pin=pin)
+        if slot < 0:
+            return False
+        if before is not None:
+            self._mark(before, 0)
+        self._mark(key, slot + 1)
         return True
 
     def flush(self) -> None:
@@ -266,113 +221,15 @@ class Atlas:
             self.device.queue.write_buffer(self.page_buffer, 0, self.pages)
             self._changed = False
 
-    @property
-    def count(self) -> int:
-        """How many tiles are there."""
-        return len(self._slots)
-
-    def _drop(self, slot: int) -> None:
-        key = self._keys[slot]
-        assert key is not None
-        del self._slots[key]
-        self._keys[slot] = None
-        self.pages[self.tables.index(key)] = 0
-        self.resident[key[0]][key[1], key[2]] = 0
+    def _mark(self, key: Key, page: int) -> None:
+        self.pages[self.tables.index(key)] = page
+        self.resident[key[0]][key[1], key[2]] = page > 0
+        self._changed = True
 
 
 _MAKE: dict[Kind, Callable[[Terrain, Key], NDArray[Any]]] = {"heights": height_tile, "slopes": slope_tile}
 
 
-class Streamer:
-    """Threads that read tiles in the order of their priority.
-
-    Args:
-        terrain: read from any thread.
-        jobs: threads.
-
-    Attributes:
-        failed: tiles that could not be read, with the reason: they are not asked for again for ``RETRY`` seconds.
-    """
-
-    RETRY = 5.0
-
-    def __init__(self, terrain: Terrain, jobs: int = 2) -> None:
-        self.terrain = terrain
-        self.failed: dict[tuple[Kind, Key], tuple[float, str]] = {}
-        self._heap: list[tuple[float, Kind, Key]] = []
-        self._busy: set[tuple[Kind, Key]] = set()
-        self._ready: list[tuple[Kind, Key, NDArray[Any]]] = []
-        self._condition = threading.Condition()
-        self._closed = False
-        self._threads = [threading.Thread(target=self._work, name=f"tiles-{k}", daemon=True) for k in range(jobs)]
-        for thread in self._threads:
-            thread.start()
-
-    def want(self, wanted: Iterable[tuple[float, Kind, Key]]) -> None:
-        """Replace what is waited for: (priority, kind, key), the highest first. What is being read goes on."""
-        now = time.monotonic()
-        with self._condition:
-            have = self._busy | {(kind, key) for kind, key, _ in self._ready}
-            self._heap = [
-                (-priority, kind, key)
-                for priority, kind, key in wanted
-                if (kind, key) not in have and self.failed.get((kind, key), (-1e9, ""))[0] + self.RETRY < now
-            ]
-            heapq.heapify(self._heap)
-            self._condition.notify_all()
-
-    def take(self, most: int) -> list[tuple[Kind, Key, NDArray[Any]]]:
-        """Up to ``most`` tiles that have been read."""
-        with self._condition:
-            taken, self._ready = self._ready[:most], self._ready[most:]
-            self._condition.notify_all()
-            return taken
-
-    @property
-    def waiting(self) -> int:
-        """How many tiles are wanted, being read or ready."""
-        with self._condition:
-            return len(self._heap) + len(self._busy) + len(self._ready)
-
-    def wait(self, seconds: float) -> None:
-        """Return when something is ready, nothing is under way, or time is up."""
-        end = time.monotonic() + seconds
-        with self._condition:
-            while not self._ready and (self._heap or self._busy) and not self._closed:
-                left = end - time.monotonic()
-                if left <= 0:
-                    return
-                self._condition.wait(left)
-
-    def close(self) -> None:
-        """Stop the threads; one that is reading ends by itself, and is not waited for."""
-        with self._condition:
-            self._closed = True
-            self._heap.clear()
-            self._condition.notify_all()
-
-    def _work(self) -> None:
-        while True:
-            with self._condition:
-                while not self._closed and (not self._heap or len(self._ready) > 64):
-                    self._condition.wait()
-                if self._closed:
-                    return
-                _, kind, key = heapq.heappop(self._heap)
-                self._busy.add((kind, key))
-            data: NDArray[Any] | None = None
-            error = ""
-            try:
-                data = _MAKE[kind](self.terrain, key)
-            except (OrographError, OSError) as failure:
-                error = str(failure)
-            except Exception as failure:  # a thread must not die silently: the tile stays coarse, and the view says so
-                error = f"{type(failure).__name__}: {failure}"
-            with self._condition:
-                self._busy.discard((kind, key))
-                if data is not None:
-                    self._ready.append((kind, key, data))
-                    self.failed.pop((kind, key), None)
-                else:
-                    self.failed[(kind, key)] = (time.monotonic(), error)
-                self._condition.notify_all()
+def make_tile(terrain: Terrain, kind: Kind, key: Key) -> NDArray[Any]:
+    """A tile of a terrain, of either kind."""
+    return _MAKE[kind](terrain, key)

@@ -1,0 +1,91 @@
+"""An atlas of tiles: one texture array of a fixed size, in which new tiles take the place of those not wanted any more.
+
+A layer of the array holds 4 × 4 tiles. Uploads are the frame's own (``put``); which tiles are wanted is told by
+``touch``, frame by frame. Tiles that are *pinned* never leave, so that something can always be drawn.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+
+PER_SIDE = 4
+"""Tiles along the side of an atlas's layer."""
+
+
+class Slots:
+    """Places for tiles of one size in one texture array; the tiles wanted longest ago make room for new ones.
+
+    Args:
+        side: of a tile, texels. format, size: of a texel, and its bytes.
+        budget: bytes of the texture. most: how many tiles there are in all; no more places are made.
+
+    Attributes:
+        texture: layers of 4 × 4 tiles. capacity: how many tiles fit. bytes: of the texture.
+    """
+
+    def __init__(self, device: Device, side: int, format: str, size: int, budget: int, most: int, label: str) -> None:
+        self.device, self.side = device, side
+        self._row = side * size
+        layer = (PER_SIDE * side) ** 2 * size
+        layers = int(max(1, min(budget // layer, 256, -(-most // PER_SIDE**2))))
+        self.capacity = layers * PER_SIDE**2
+        self.bytes = layers * layer
+        self.texture = device.texture(
+            (PER_SIDE * side, PER_SIDE * side, layers), format, "TEXTURE_BINDING|COPY_DST|COPY_SRC", label=label
+        )
+        self._slots: dict[Any, int] = {}
+        self._keys: list[Any] = [None] * self.capacity
+        self._free = list(range(self.capacity))[::-1]
+        self._used = np.full(self.capacity, -1, np.int64)
+        self._pinned = np.zeros(self.capacity, bool)
+
+    def slot(self, key: Any) -> int:
+        """Where a tile is, −1 if it is not there."""
+        return self._slots.get(key, -1)
+
+    def touch(self, slots: NDArray[np.int32], frame: int) -> None:
+        """Note that the tiles in slots are wanted in a frame, so that they stay; −1 is none."""
+        self._used[slots[slots >= 0]] = frame
+
+    @property
+    def count(self) -> int:
+        """How many tiles are there."""
+        return len(self._slots)
+
+    def put(self, key: Any, data: NDArray[Any], frame: int, *, pin: bool = False) -> tuple[int, Any]:
+        """Upload a tile that is not there: its slot, and the key of the tile that had it before, or None.
+
+        The slot is −1 if all hold tiles that this frame wants.
+        """
+        before = None
+        if self._free:
+            slot = self._free.pop()
+        else:
+            used = np.where(self._pinned, np.iinfo(np.int64).max, self._used)
+            slot = int(used.argmin())
+            if used[slot] >= frame:
+                return -1, None
+            before = self._keys[slot]
+            del self._slots[before]
+        layer, place = divmod(slot, PER_SIDE**2)
+        y, x = divmod(place, PER_SIDE)
+        self.device.queue.write_texture(
+            {"texture": self.texture, "origin": (x * self.side, y * self.side, layer)},
+            np.ascontiguousarray(data),
+            {"bytes_per_row": self._row, "rows_per_image": self.side},
+            (self.side, self.side, 1),
+        )
+        self._slots[key], self._keys[slot] = slot, key
+        self._used[slot], self._pinned[slot] = frame, pin
+        return slot, before
+
+    def free(self, key: Any) -> None:
+        """Let a tile go."""
+        slot = self._slots.pop(key)
+        self._keys[slot], self._used[slot], self._pinned[slot] = None, -1, False
+        self._free.append(slot)

@@ -1,0 +1,117 @@
+"""Threads that read tiles in the order of their priority, beside the frames that want them.
+
+Every frame tells anew what it wants; what is not wanted any more is not read. A tile that cannot be read is a message,
+never a thread that dies: what stands in for it stays, and it is asked for again later. Units: seconds.
+"""
+
+from __future__ import annotations
+
+import heapq
+import threading
+import time
+from collections.abc import Callable, Iterable
+from typing import Any, Generic, TypeVar
+
+from numpy.typing import NDArray
+
+from orograph.errors import OrographError
+
+K = TypeVar("K")
+"""Kinds of tiles."""
+T = TypeVar("T")
+"""Keys of tiles: they are compared where priorities are the same."""
+
+
+class Streamer(Generic[K, T]):
+    """Threads that read tiles in the order of their priority.
+
+    Args:
+        make: reads the tile of a kind and key; called from any thread.
+        jobs: threads.
+
+    Attributes:
+        failed: tiles that could not be read, with the reason: they are not asked for again for ``RETRY`` seconds.
+    """
+
+    RETRY = 5.0
+
+    def __init__(self, make: Callable[[K, T], NDArray[Any]], jobs: int = 2) -> None:
+        self.make = make
+        self.failed: dict[tuple[K, T], tuple[float, str]] = {}
+        self._heap: list[tuple[float, K, T]] = []
+        self._busy: set[tuple[K, T]] = set()
+        self._ready: list[tuple[K, T, NDArray[Any]]] = []
+        self._condition = threading.Condition()
+        self._closed = False
+        self._threads = [threading.Thread(target=self._work, name=f"tiles-{k}", daemon=True) for k in range(jobs)]
+        for thread in self._threads:
+            thread.start()
+
+    def want(self, wanted: Iterable[tuple[float, K, T]]) -> None:
+        """Replace what is waited for: (priority, kind, key), the highest first. What is being read goes on."""
+        now = time.monotonic()
+        with self._condition:
+            have = self._busy | {(kind, key) for kind, key, _ in self._ready}
+            self._heap = [
+                (-priority, kind, key)
+                for priority, kind, key in wanted
+                if (kind, key) not in have and self.failed.get((kind, key), (-1e9, ""))[0] + self.RETRY < now
+            ]
+            heapq.heapify(self._heap)
+            self._condition.notify_all()
+
+    def take(self, most: int) -> list[tuple[K, T, NDArray[Any]]]:
+        """Up to ``most`` tiles that have been read."""
+        with self._condition:
+            taken, self._ready = self._ready[:most], self._ready[most:]
+            self._condition.notify_all()
+            return taken
+
+    @property
+    def waiting(self) -> int:
+        """How many tiles are wanted, being read or ready."""
+        with self._condition:
+            return len(self._heap) + len(self._busy) + len(self._ready)
+
+    def wait(self, seconds: float) -> None:
+        """Return when something is ready, nothing is under way, or time is up."""
+        end = time.monotonic() + seconds
+        with self._condition:
+            while not self._ready and (self._heap or self._busy) and not self._closed:
+                left = end - time.monotonic()
+                if left <= 0:
+                    return
+                self._condition.wait(left)
+
+    def close(self) -> None:
+        """Stop the threads; one that is reading ends by itself, and is not waited for."""
+        with self._condition:
+            self._closed = True
+            self._heap.clear()
+            self._condition.notify_all()
+
+    def _work(self) -> None:
+        while True:
+            with self._condition:
+                while not self._closed and (not self._heap or len(self._ready) > 64):
+                    self._condition.wait()
+                if self._closed:
+                    return
+                _, kind, key = heapq.heappop(self._heap)
+                self._busy.add((kind, key))
+            data: NDArray[Any] | None = None
+            error = ""
+            try:
+                data = self.make(kind, key)
+            except (OrographError, OSError) as failure:
+                error = str(failure)
+            except Exception as failure:  # a thread must not die silently: the tile stays coarse, and the view says so
+                error = f"{type(failure).__name__}: {failure}"
+            with self._condition:
+                self._busy.discard((kind, key))
+                if data is not None:
+                    self._ready.append((kind, key, data))
+                    self.failed.pop((kind, key), None)
+                else:
+                    self.failed[(kind, key)] = (time.monotonic(), error)
+                self._condition.notify_all()
