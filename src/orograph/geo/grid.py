@@ -8,7 +8,7 @@ that convention.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from affine import Affine
@@ -50,11 +50,14 @@ class Grid:
         shape: (rows, cols).
         transform: affine map from (col, row) *corner* coordinates to CRS coordinates (GDAL's convention).
         crs: the coordinate reference system, or None if unknown.
+        samples: affine map from *sample* indices (col, row) to CRS coordinates: ``transform`` moved by half a cell.
     """
 
     shape: tuple[int, int]
     transform: Affine
     crs: CRS | None = None
+    samples: Affine = field(init=False, repr=False, compare=False)
+    _inverse: Affine = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         rows, cols = self.shape
@@ -62,6 +65,9 @@ class Grid:
             raise ValueError(f"a grid needs at least one row and one column, not {self.shape}")
         if not all(math.isfinite(v) for v in self.transform[:6]) or self.transform.determinant == 0:
             raise ValueError(f"the geotransform {tuple(self.transform[:6])} is degenerate")
+        # Kept, as cameras ask for them in every frame and affine takes its time.
+        object.__setattr__(self, "samples", compose(self.transform, Affine.translation(0.5, 0.5)))
+        object.__setattr__(self, "_inverse", ~self.samples)
 
     @property
     def rows(self) -> int:
@@ -70,11 +76,6 @@ class Grid:
     @property
     def cols(self) -> int:
         return self.shape[1]
-
-    @property
-    def samples(self) -> Affine:
-        """Affine map from *sample* indices (col, row) to CRS coordinates: ``transform`` moved by half a cell."""
-        return compose(self.transform, Affine.translation(0.5, 0.5))
 
     @property
     def spacing(self) -> tuple[float, float]:
@@ -88,7 +89,7 @@ class Grid:
 
     def index(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Sample positions (col, row), fractional, of CRS coordinates: the inverse of ``xy``."""
-        return apply(~self.samples, x, y)
+        return apply(self._inverse, x, y)
 
     def window(self, row0: int, row1: int, col0: int, col1: int) -> Grid:
         """The grid of samples ``[row0, row1) × [col0, col1)`` of this one (may reach beyond it)."""
