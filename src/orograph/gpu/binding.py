@@ -81,10 +81,16 @@ def bind(device: Device, to: Layout, *resources: Any, sizes: dict[int, int] | No
     return device.handle.create_bind_group(layout=to.group, entries=entries)
 
 
-def compute(device: Device, to: Layout, shader: str, entry: str = "main", **constants: int | float) -> Any:
-    """A compute pipeline: the entry point of ``shaders/SHADER.wgsl``."""
+def compute(
+    device: Device, to: Layout, shader: str, entry: str = "main", *, beside: Layout | None = None,
+    **constants: int | float,
+) -> Any:  # fmt: skip
+    """A compute pipeline: the entry point of ``shaders/SHADER.wgsl``; ``beside``: the layout of its group 1."""
+    pipeline = to.pipeline
+    if beside is not None:
+        pipeline = device.handle.create_pipeline_layout(bind_group_layouts=[to.group, beside.group])
     return device.handle.create_compute_pipeline(
         label=f"{shader}.{entry}",
-        layout=to.pipeline,
+        layout=pipeline,
         compute={"module": device.shader(shader, constants), "entry_point": entry},
     )
