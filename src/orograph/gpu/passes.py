@@ -148,6 +148,7 @@ class ShadePass:
         ]  # fmt: skip
         self.layouts = layouts
         self._pipelines: dict[tuple[int, str], Any] = {}
+        self._bound: tuple[list[Any], Any] = ([], None)
         self.camera_group = handle.create_bind_group(
             layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]
         )
@@ -156,7 +157,13 @@ class ShadePass:
         )
 
     def group(self, targets: Targets, resources: dict[int, Any]) -> Any:
-        """The bind group of what a frame looks up: buffers and texture views by binding (1, 2, 10 are put in)."""
+        """The bind group of what a frame looks up: buffers and texture views by binding (1, 2, 10 are put in).
+
+        It is kept as long as the same objects are asked for: making one takes longer than a frame's other calls.
+        """
+        asked = [targets.depth_view, targets.marks_view, *resources.values()]
+        if len(asked) == len(self._bound[0]) and all(a is b for a, b in zip(asked, self._bound[0], strict=True)):
+            return self._bound[1]
         entries = [
             {"binding": 1, "resource": targets.depth_view},
             {"binding": 2, "resource": targets.marks_view},
@@ -165,9 +172,11 @@ class ShadePass:
         entries += [
             {"binding": k, "resource": {"buffer": r} if hasattr(r, "map_state") else r} for k, r in resources.items()
         ]
-        return self.device.handle.create_bind_group(
+        group = self.device.handle.create_bind_group(
             layout=self.layouts[1], entries=sorted(entries, key=lambda e: e["binding"])
         )
+        self._bound = asked, group
+        return group
 
     def pipeline(self, flags: int, entry: str = "fragment") -> Any:
         """The pipeline for what is drawn (``look``'s flags), compiled when it is first asked for.
@@ -267,6 +276,8 @@ class ResolvePass:
         module = device.shader("resolve")
         self.encode = 0 if format.endswith("-srgb") else 1
         self.uniform = device.buffer(16, "UNIFORM", "resolve")
+        self._told = b""
+        self._bound: tuple[Any, Any, Any] = (None, None, None)
         self.layout = handle.create_bind_group_layout(
             entries=[_uniform(0, "FRAGMENT"), _texture(1, "unfilterable-float"), _texture(2, "unfilterable-float")]
         )
@@ -287,15 +298,20 @@ class ResolvePass:
         values[2] = self.encode
         values[1:2].view(np.float32)[0] = frames
         values[3:4].view(np.float32)[0] = strength if occlusion is not None else 0.0
-        self.device.queue.write_buffer(self.uniform, 0, values)
-        group = self.device.handle.create_bind_group(
-            layout=self.layout,
-            entries=[
-                {"binding": 0, "resource": {"buffer": self.uniform}},
-                {"binding": 1, "resource": targets.light_view},
-                {"binding": 2, "resource": targets.light_view if occlusion is None else occlusion},
-            ],
-        )
+        if values.tobytes() != self._told:
+            self.device.queue.write_buffer(self.uniform, 0, values)
+            self._told = values.tobytes()
+        light, dark, group = self._bound
+        if light is not targets.light_view or dark is not occlusion:
+            group = self.device.handle.create_bind_group(
+                layout=self.layout,
+                entries=[
+                    {"binding": 0, "resource": {"buffer": self.uniform}},
+                    {"binding": 1, "resource": targets.light_view},
+                    {"binding": 2, "resource": targets.light_view if occlusion is None else occlusion},
+                ],
+            )
+            self._bound = targets.light_view, occlusion, group
         pass_ = encoder.begin_render_pass(
             color_attachments=[{"view": view, "clear_value": (0, 0, 0, 1), "load_op": "clear", "store_op": "store"}]
         )

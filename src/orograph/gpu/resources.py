@@ -14,6 +14,7 @@ from orograph.gpu.drape import DrapeTexture
 from orograph.gpu.lightmaps import LightMaps
 from orograph.gpu.look import SHADE, Look
 from orograph.gpu.tiles import Atlas
+from orograph.light.aperture import Lights
 from orograph.picture.kept import Kept
 from orograph.picture.scene import Scene
 from orograph.store.terrain import Terrain
@@ -34,26 +35,32 @@ class Resources:
         self._buffers: dict[str, tuple[Any, Any]] = {}
         self._levels = self._level_table()
         self._bare = self._no_drape()
+        self._slopes = slopes.texture.create_view(dimension="2d-array")
+        self._of: tuple[Any, NDArray[np.int32]] = (None, np.zeros((1, 8), np.int32))
+        self._dark = light_tables(Lights(), np.eye(2), np.zeros(3))
 
     def bound(self, look: Look, maps: LightMaps, scene: Scene) -> dict[int, Any]:
         """Buffers and views by binding of ``shade.wgsl``, for ``passes.ShadePass.group``."""
-        windows = np.concatenate([maps.windows, maps.fields])
-        if not len(windows):
-            windows = np.zeros((1, 8), np.int32)
-        suns, lamps = light_tables(look.lights, *self._from_eye(scene))
+        if maps is not self._of[0]:
+            windows = np.concatenate([maps.windows, maps.fields])
+            self._of = maps, windows if len(windows) else np.zeros((1, 8), np.int32)
+        lights = look.lights
+        suns, lamps = self._dark
+        if lights.suns or lights.lamps:
+            suns, lamps = light_tables(lights, *self._from_eye(scene))
         image, lattice = self._bare
-        if scene.drape is not None:
+        if scene.layers:
             draped = self.draped(scene)
             draped.aim(scene.view)
             image, lattice = draped.view, draped.lattice
         return {
             0: self.shade,
-            3: self.slopes.texture.create_view(dimension="2d-array"),
+            3: self._slopes,
             4: self.slopes.page_buffer,
             5: self.stored("tables", look.tables),
             6: self.stored("maps", maps.pool),
             7: self._levels,
-            8: self.stored("windows", windows),
+            8: self.stored("windows", self._of[1]),
             9: image,
             11: lattice,
             12: self.stored("suns", suns),
@@ -76,7 +83,7 @@ class Resources:
 
     def draped(self, scene: Scene) -> DrapeTexture:
         """The scene's image, read and uploaded when it is first asked for."""
-        path, terrain, memory = scene.drape, self.terrain, scene.max_memory
+        path, terrain, memory = scene.layers[0].path, self.terrain, scene.max_memory
         assert path is not None
 
         def upload() -> DrapeTexture:
