@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OrographError
+from orograph.gpu.ctypes_quick import quicken_wgpu
 
 BACKENDS = ("Vulkan", "Metal", "D3D12")
 """The backends that compute what they are told to."""
@@ -83,6 +84,7 @@ def adapters() -> list[Adapter]:
         import wgpu
     except ImportError as error:
         raise NoAdapterError("The GPU needs wgpu.", remedy="Install it: pip install 'orograph[gpu]'.") from error
+    quicken_wgpu()
     found = []
     with _runtime_folder():
         handles = wgpu.gpu.enumerate_adapters_sync()
