@@ -108,42 +108,37 @@ def lens(
         color_tolerance: γ, ΔE.
         texel: the least radius, in pixels, of a diamond whose colours count.
     """
-    result = np.zeros(LENGTH)
+    # In plain numbers: so few take NumPy five times as long, and cameras move at every frame.
     a, b, c, d, e, f = grid.samples[:6]
-    right, up, forward = view.axes(exaggeration)
-    axes = np.stack([right, up, forward])
     plan = view.projection == "plan"
-    eye = np.array(view.eye)
-    if plan:
-        eye[:2] = view.target[:2]
-    # Columns: metres per column, per row, per metre of height; then the first sample, relative to the eye.
-    ground = np.array(
-        [[a, b, 0.0, c - eye[0]], [d, e, 0.0, f - eye[1]], [0.0, 0.0, exaggeration, -eye[2] * exaggeration]]
-    )
-    matrix = axes @ ground
-    result[MATRIX : MATRIX + 12] = matrix.ravel()
-    result[FOCAL] = 0.0 if plan else 1.0 / view.pixel_slope
-    result[TOLERANCE] = tolerance
-    result[NEAR] = view.near
-    result[STRETCH] = max(1.0, exaggeration)
-    result[UP] = exaggeration
-    planes = view.frustum(exaggeration)
-    whole = np.array([[a, b, 0.0, c], [d, e, 0.0, f], [0.0, 0.0, exaggeration, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    table = np.zeros((6, 4))
-    table[:, 3] = np.inf  # a plane that is not there has everything inside
-    table[: len(planes)] = planes @ whole
-    result[PLANES : PLANES + 24] = table.ravel()
-    result[COLOR], result[TEXEL] = color_tolerance, texel
-    sway = np.stack([matrix[k, 2] * matrix[2] - matrix[2, 2] * matrix[k] for k in (0, 1)])
-    result[SWAY : SWAY + 6] = sway[:, [0, 1, 3]].ravel()
+    x, y = view.target[:2] if plan else view.eye[:2]
+    z = view.eye[2] * exaggeration
+    # A vector in stretched space → along a column, a row, a metre of height, and to the first sample from the eye.
+    matrix = [
+        (p * a + q * d, p * b + q * e, r * exaggeration, p * (c - x) + q * (f - y) - r * z)
+        for p, q, r in (axis.tolist() for axis in view.axes(exaggeration))
+    ]
+    planes = [
+        (p * a + q * d, p * b + q * e, r * exaggeration, p * c + q * f + s)
+        for p, q, r, s in view.frustum(exaggeration).tolist()
+    ]
+    planes += [(0.0, 0.0, 0.0, math.inf)] * (6 - len(planes))  # one that is not there has everything inside
+    focal = 0.0 if plan else 1.0 / view.pixel_slope
+    (a, b, h, c), (d, e, i, f), (u, v, w, o) = matrix  # (a, b, c of the page above are h, i, w here)
+    lean = 0.0
     if not plan:
-        # pixels of γ are measured with the same focal length
-        result[TEXEL] = texel / result[FOCAL]
         half_x, half_y = view.pixel_slope * view.width / 2, view.pixel_slope * view.height / 2
-        a, b, c = (float(v) for v in matrix[:, 2])
         # (The margin holds a sample on the picture's very edge.)
-        result[LEAN] = math.hypot(abs(a) + abs(c) * half_x, abs(b) + abs(c) * half_y) * (1 + 1e-12)
-    return result
+        lean = math.hypot(abs(h) + abs(w) * half_x, abs(i) + abs(w) * half_y) * (1 + 1e-12)
+        texel /= focal  # pixels of γ are measured with the same focal length
+    return np.array(
+        [
+            *matrix[0], *matrix[1], *matrix[2], focal, tolerance, view.near, max(1.0, exaggeration), exaggeration,
+            0.0, 0.0, 0.0, *planes[0], *planes[1], *planes[2], *planes[3], *planes[4], *planes[5],
+            color_tolerance, texel,
+            h * u - w * a, h * v - w * b, h * o - w * c, i * u - w * d, i * v - w * e, i * o - w * f, lean,
+        ]
+    )  # fmt: skip
 
 
 @inlined
