@@ -1,11 +1,11 @@
-"""How long ``orograph view`` takes until there is terrain to be seen: from the start of the process to pixels on a screen.
+"""How long ``orograph view`` takes until there is terrain to be seen: from exec to pixels on a screen.
 
     python bench/window.py PATH... [--runs N] [--size WxH] [--cold]
 
-A virtual screen (Xvfb) is looked at every few milliseconds, as an eye would: what counts is not what the program says of
-itself. Three times are told, seconds from exec: the window is there (something is drawn: panels, a sentence), the ground
-is there (a tenth of the middle of the picture is neither paper nor sky), and it rests (nothing changed for a second).
-``--cold``: also once with Mesa's shader cache empty (the first start on a machine; compiled kernels are kept).
+A virtual screen (Xvfb) is looked at every few milliseconds, as an eye would: what counts is not what the program says
+of itself. Three times are told, seconds from exec: the window is there (something is drawn: panels, a sentence), the
+ground is there (a tenth of the middle of the picture is neither paper nor sky), and it rests (nothing changed for a
+second). ``--cold``: also once with Mesa's shader cache empty (the first start on a machine; compiled kernels are kept).
 Software Vulkan unless OROGRAPH_ADAPTER says otherwise. Needs Xvfb. The first run, which fills caches, is not counted.
 """
 

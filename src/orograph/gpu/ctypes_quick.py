@@ -1,7 +1,7 @@
-"""Names of C types looked up quickly: wgpu asks cffi for hundreds, and cffi reads a thousand typedefs anew for each.
+"""Names of C types looked up quickly: wgpu asks cffi for hundreds, and cffi reads a thousand typedefs for each.
 
-wgpu-py describes every call to the GPU by C structures named in text (``ffi.new("WGPUBufferDescriptor *")``). The first
-time that cffi meets such a text it has pycparser read it, together with a ``typedef`` line for every name of wgpu's header
+wgpu-py describes calls to the GPU by C structures named in text (``ffi.new("WGPUBufferDescriptor *")``). The first time
+that cffi meets such a text it has pycparser read it, together with a ``typedef`` line for every name of wgpu's header
 (cffi's ``cparser.Parser._parse`` notes that this could be done better): 20 ms each, more than a second until a window
 shows its first frame. Only names that occur in the text matter to how it is read, so ``quicken`` shows the parser only
 those: 0.2 ms. Nothing else changes; where cffi is built otherwise than expected, nothing is done.
