@@ -21,11 +21,12 @@ if TYPE_CHECKING:
     from orograph.dem import Dem, read
     from orograph.geo import Grid
     from orograph.light.bake import bake
-    from orograph.picture import Picture, Sun, camera, render
+    from orograph.picture import Contours, Picture, Sun, camera, render
     from orograph.store import Terrain, build, open, terrain
     from orograph.view import View
 
 __all__ = [
+    "Contours",
     "Dem",
     "Grid",
     "Picture",
@@ -42,6 +43,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Contours": "orograph.picture",
     "Dem": "orograph.dem",
     "Grid": "orograph.geo",
     "Picture": "orograph.picture",

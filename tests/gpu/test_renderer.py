@@ -20,6 +20,7 @@ from orograph.geo.grid import Grid
 from orograph.gpu.device import Device
 from orograph.gpu.frame import FrameStats, Overlay
 from orograph.gpu.renderer import Renderer
+from orograph.picture.contours import Contours
 from orograph.picture.scene import Scene
 from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain
@@ -217,7 +218,7 @@ def test_overlays_show_the_engine(bench) -> None:
     scene = Scene(terrain, above(terrain), tolerance=2.0, colormap="grey", water=None)
     b.draw(scene, wait=True, samples=1)
     plain = b.pixels()
-    for overlay in (Overlay(wireframe=True), Overlay(levels=True), Overlay(contours=50.0)):
+    for overlay in (Overlay(wireframe=True), Overlay(levels=True)):
         b.draw(scene, wait=True, samples=1, overlay=overlay)
         changed = (np.abs(b.pixels() - plain).max(-1) > 8).mean()
         assert changed > 0.01, overlay
@@ -264,7 +265,7 @@ def test_contours_lie_where_heights_are_multiples(bench) -> None:
     scene = Scene(terrain, view, tolerance=1.0, shadows=False, water=None, colormap="grey")
     b.draw(scene, wait=True, samples=1)
     plain = b.pixels().sum(-1)
-    b.draw(scene, wait=True, samples=1, overlay=Overlay(contours=20.0, index=1000))
+    b.draw(replace(scene, contours=Contours(20.0, 1000, labels=False)), wait=True, samples=1)
     darker = (plain - b.pixels().sum(-1)).mean(0)
     px = np.arange(SIZE[0]) + 0.5
     east = x + (px - SIZE[0] / 2) * view.pixel_metres

@@ -15,6 +15,7 @@ pytest.importorskip("rendercanvas")
 from rendercanvas.offscreen import RenderCanvas
 
 from orograph.errors import StoreError
+from orograph.picture.contours import Contours
 from orograph.picture.prepare import prepare
 from orograph.viewer import panels
 from orograph.viewer.app import renderer_of
@@ -303,7 +304,7 @@ def test_every_panel_draws_in_every_state(window, hand):
         settings.light.mode = mode
         settings.water = 510.0
         settings.budget = 50_000 if mode == "moment" else None
-        settings.contours = 50.0
+        settings.contours = Contours(50.0)
         settings.relief = 2.0
         hand.frames(2)
     assert len(panels.PANELS) == 5

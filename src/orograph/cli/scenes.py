@@ -24,6 +24,23 @@ if TYPE_CHECKING:
     from orograph.view import View
 
 
+class Interval(ParamType):
+    """auto, or metres."""
+
+    name = "auto|METRES"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
+        if isinstance(value, float) or value == "auto":
+            return float(value) if isinstance(value, float) else "auto"
+        try:
+            metres = float(value)
+        except ValueError:
+            metres = -1.0
+        if not 0 < metres < float("inf"):
+            self.fail(f"{value!r} is neither auto nor a number of metres.", param, ctx)
+        return metres
+
+
 class Water(ParamType):
     """auto, none, or a level in metres."""
 
@@ -44,7 +61,10 @@ SCENE = ("shadows", "light", "rays", "exaggeration", "colormap", "drape", "sky",
          "engine", "wireframe", "furniture", "title")  # fmt: skip
 """Options that are a scene's attributes of the same name."""
 
-DRAWING = {*SCENE, "sun", "water", "lamps", "discs", "mesh_view", "backend"}
+LINES = ("contours", "contour_index", "contour_labels", "contour_opacity")
+"""Options of contour lines."""
+
+DRAWING = {*SCENE, *LINES, "sun", "water", "lamps", "discs", "mesh_view", "backend"}
 """All of them that are not about reading."""
 
 
@@ -116,6 +136,29 @@ def scene_options(function: F) -> F:
                 default="auto",
                 show_default=True,
                 help="auto: level areas are lakes and seas; a number: all ground up to that height.",
+            ),
+            click.option(
+                "--contours",
+                type=Interval(),
+                metavar="auto|METRES",
+                help="Draw contour lines; auto: at the interval that suits the relief and the scale.",
+            ),
+            click.option(
+                "--contour-index",
+                type=click.IntRange(min=0),
+                default=5,
+                show_default=True,
+                metavar="N",
+                help="Every how many contour lines a thick one; 0: none.",
+            ),
+            click.option(
+                "--contour-labels/--no-contour-labels",
+                default=True,
+                show_default=True,
+                help="Whether thick contour lines bear their height.",
+            ),
+            click.option(
+                "--contour-opacity", type=click.FloatRange(0, 1), default=0.7, show_default=True, help="Of the lines."
             ),
             click.option("--sky", is_flag=True, help="Draw sky and haze, instead of paper."),
             click.option("--furniture", is_flag=True, help="Add a title, a colour bar, a north arrow and a scale bar."),
@@ -189,8 +232,20 @@ def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memor
         terrain, view, options["sun"].over(terrain.grid),
         mesh_view=None if mesh_view is None else View.load(mesh_view, crs=terrain.grid.crs),
         water=None if options["water"] == "none" else options["water"], max_memory=max_memory, jobs=jobs,
-        lamps=lamps, discs=discs, **{k: options[k] for k in SCENE},
+        contours=_contours(options), lamps=lamps, discs=discs, **{k: options[k] for k in SCENE},
     )  # fmt: skip
+
+
+def _contours(options: Mapping[str, Any]) -> Any:
+    """The contour lines of a scene, or None."""
+    if options["contours"] is None:
+        return None
+    from orograph.picture.contours import Contours
+
+    interval = None if options["contours"] == "auto" else options["contours"]
+    return Contours(
+        interval, options["contour_index"], opacity=options["contour_opacity"], labels=options["contour_labels"]
+    )
 
 
 def _lights(terrain: Terrain, options: Mapping[str, Any]) -> tuple[Any, Any]:

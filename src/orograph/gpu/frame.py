@@ -12,8 +12,6 @@ class Overlay:
     Attributes:
         wireframe: edges of triangles. levels: a colour for every size of patches.
         drape_opacity: of the image.
-        contours: metres between contour lines, 0: none; ``index``: every how many a thick one.
-        contour_width: pixels. contour_opacity: 0 to 1.
         occlusion: strength of ambient occlusion in screen space (``gpu.ssao``), 0 to 1, 0: none; its ``reach``, metres;
             None: a twelfth of the distance to the target.
     """
@@ -21,10 +19,6 @@ class Overlay:
     wireframe: bool = False
     levels: bool = False
     drape_opacity: float = 1.0
-    contours: float = 0.0
-    index: int = 5
-    contour_width: float = 1.0
-    contour_opacity: float = 0.7
     occlusion: float = 0.0
     reach: float | None = None
 

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from orograph.geovis.colour import Tint, tint_of
 from orograph.gpu.lightmaps import LightMaps
 from orograph.light.aperture import Lights
+from orograph.picture.contours import Contours
 from orograph.picture.kept import Kept
 from orograph.picture.kernels import SHORE
+from orograph.picture.marks import ink
 from orograph.picture.scene import Scene
 from orograph.picture.shading import BOUNCE, MISSING, PAPER, WATER, illumination
 from orograph.picture.sky import FADE, Atmosphere
@@ -46,7 +48,7 @@ class Look:
 
     def __init__(
         self, scene: Scene, maps: LightMaps, visible_range: tuple[float, float], kept: Kept, *, wireframe: bool = False,
-        levels: bool = False, drape_opacity: float = 1.0,
+        levels: bool = False, drape_opacity: float = 1.0, contours: Contours | None = None,
     ) -> None:  # fmt: skip
         terrain = scene.terrain
         sea = None if scene.water is not None else False
@@ -80,11 +82,15 @@ class Look:
             u["mist"] = *air.mist, FADE
             u["disc"] = *air.disc, 1.0
             u["extinction"] = *air.extinction, air.near
+        if contours is not None:
+            u["contour"] = contours.interval, contours.index, contours.width, contours.opacity
+            u["contour_colour"][:3] = ink(contours)
         u["levels"] = terrain.levels
         flags = (SHADOWS if len(maps.windows) else 0) | (WATERS if maps.wet else 0)
         flags |= (WIREFRAME if wireframe else 0) | (LEVELS if levels else 0)
         flags |= LIGHTS[scene.light] | (SHADOWS if scene.shadows and scene.light == "aperture" else 0)
         flags |= (DRAPE if scene.drape is not None else 0) | (SKY if scene.sky else 0)
+        flags |= CONTOURS if contours is not None else 0
         u["flags"] = flags
         u["light"], u["light_first"] = maps.light, maps.first
         u["windows"] = len(maps.windows)

@@ -20,7 +20,7 @@ from orograph.gpu.camera import CAMERA, camera_of
 from orograph.gpu.device import Device
 from orograph.gpu.following import Following, maps_key
 from orograph.gpu.frame import PLAIN, FrameStats, Overlay
-from orograph.gpu.look import CONTOURS, VEILED, WIREFRAME, Look
+from orograph.gpu.look import VEILED, WIREFRAME, Look
 from orograph.gpu.passes import PatchPass, ResolvePass, ScreenOcclusion, ShadePass, Targets
 from orograph.gpu.readback import depth_of, veiled_of
 from orograph.gpu.residency import Residency
@@ -119,11 +119,9 @@ class Renderer:
         look = self._look(scene, overlay, exact=wait)
         self.tint = look.tint
         u = look.uniform
-        u["contour"] = overlay.contours, overlay.index, overlay.contour_width, overlay.contour_opacity
-        u["contour_colour"] = 0.12, 0.075, 0.04, 0.0
         self.device.queue.write_buffer(self._resources.shade, 0, u)
         group = self._shading.group(targets, self._resources.bound(look, maps, scene))
-        flags = int(u["flags"]) | (CONTOURS if overlay.contours > 0 else 0) | (VEILED if self._veil.count else 0)
+        flags = int(u["flags"]) | (VEILED if self._veil.count else 0)
         if format not in self._resolves:
             self._resolves[format] = ResolvePass(self.device, format)
         self._gathered = begin + count
@@ -228,19 +226,20 @@ class Renderer:
         """
         maps = self._light.maps
         assert maps is not None
+        contours = scene.contours and scene.contours.fitted(self.terrain, scene.view, self.kept)
         near, far = scene.depths or self._light.range
         if not exact:
             near, far = (math.exp(round(10 * math.log(max(v, 1e-3))) / 10) for v in (near, far))
         key = (
             scene.sun, scene.light, scene.lamps, scene.discs, scene.shadows, scene.sky, scene.colormap, scene.water,
             scene.relief, scene.exaggeration, scene.drape is None, near, far, overlay.wireframe, overlay.levels,
-            overlay.drape_opacity,
+            overlay.drape_opacity, contours,
         )  # fmt: skip
 
         def make() -> Look:
             return Look(
                 scene, maps, (near, far), self.kept, wireframe=overlay.wireframe, levels=overlay.levels,
-                drape_opacity=overlay.drape_opacity,
+                drape_opacity=overlay.drape_opacity, contours=contours,
             )  # fmt: skip
 
         return self.kept("look", key, make, maps)

@@ -3,7 +3,8 @@
 from orograph.light.sun import Sun
 from orograph.picture import camera
 from orograph.picture.api import render
+from orograph.picture.contours import Contours
 from orograph.picture.result import Picture
 from orograph.picture.scene import Scene
 
-__all__ = ["Picture", "Scene", "Sun", "camera", "render"]
+__all__ = ["Contours", "Picture", "Scene", "Sun", "camera", "render"]

@@ -12,6 +12,7 @@ from orograph.dem.raster import Dem
 from orograph.errors import UsageError
 from orograph.light.sun import Given, Sun, sun_of
 from orograph.picture.backends import BACKENDS, draw
+from orograph.picture.contours import lines_of
 from orograph.picture.memory import check_memory
 from orograph.picture.result import Picture
 from orograph.picture.scene import Light, Scene
@@ -21,6 +22,7 @@ from orograph.view import View
 
 if TYPE_CHECKING:
     from orograph.light.aperture import Lamp
+    from orograph.picture.contours import Contours
 
 CAMERA = ("azimuth", "pitch", "distance", "lonlat", "look_at", "fov", "fov_y", "projection", "eye", "target")
 """What the command line has options for, and here a view."""
@@ -42,6 +44,7 @@ def render(
     colormap: str | None = None,
     drape: str | os.PathLike[str] | None = None,
     water: Literal["auto"] | float | None = "auto",
+    contours: Contours | float | None = None,
     sky: bool = False,
     furniture: bool = False,
     title: str | None = None,
@@ -81,6 +84,8 @@ def render(
         drape: an image file laid over the ground, in any CRS. Default None.
         water: "auto" finds lakes and seas by their flatness, a number is a water level in metres, None draws none.
             Default "auto".
+        contours: lines of equal height: metres from line to line, or a ``Contours`` (``orograph.Contours()`` finds an
+            interval itself). Default None: none.
         sky: draw sky and haze instead of paper. Default False.
         furniture: add a title, a colour bar, a north arrow and a scale bar. Default False.
         title: the title of the furniture. Default None: the terrain's name.
@@ -128,8 +133,9 @@ def render(
     scene = Scene(
         terrain, view, sun_of(sun, terrain.grid), shadows=shadows, light=light, rays=rays, lamps=tuple(lamps),
         discs=tuple(discs), exaggeration=exaggeration, colormap=colormap, drape=drape, sky=sky,
-        water=water, relief=relief, samples=samples, tolerance=tolerance, engine=engine, wireframe=wireframe,
-        mesh_view=mesh_view, furniture=furniture, title=title, depths=depths, max_memory=max_memory, jobs=jobs,
+        water=water, contours=lines_of(contours), relief=relief, samples=samples, tolerance=tolerance, engine=engine,
+        wireframe=wireframe, mesh_view=mesh_view, furniture=furniture, title=title, depths=depths,
+        max_memory=max_memory, jobs=jobs,
     )  # fmt: skip
     return draw(scene, progress, backend=backend)
 

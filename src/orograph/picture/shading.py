@@ -94,6 +94,12 @@ class Shader:
             from orograph.picture.sky import Atmosphere
 
             self.air = Atmosphere(scene, scene.depths or survey.range, kept)
+        self.lines = None
+        if scene.contours is not None:
+            from orograph.picture.marks import Lines
+
+            self.lines = Lines(scene, ground, self.maps, kept)
+            self.facts["contours"] = self.lines.facts
         self.drape = None
         if scene.drape is not None:
             from orograph.geovis.drape import Drape
@@ -117,6 +123,8 @@ class Shader:
     @property
     def smooth(self) -> bool:
         """Whether colours only change fast where the ground in view does, or from land to water."""
+        if self.lines is not None:
+            return False
         return self.drape is None and self.lighting is not None and self.lighting.smooth
 
     def colour(
@@ -163,6 +171,8 @@ class Shader:
             wet = self._wet(hits.points[bare])
             covered = 0 if self.drape is None else int(((drape[bare, 3] > 0.5) & ~wet).sum())
             self._count(ground=len(bare), water=int(wet.sum()), draped=covered)
+        if self.lines is not None:
+            self.lines.draw(hits, px, py, out)
         if self.air is not None:
             out[met] = self.air.haze(out[met], hits.rays[met], hits.t[met])
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 import datetime
 import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from orograph.errors import OrographError, UsageError
 from orograph.light.sun import Moment, Placed, Sun, SunSource, place
+from orograph.picture.contours import Contours
 from orograph.picture.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.view import View
@@ -122,7 +123,7 @@ class Settings:
         light: see ``Light``.
         exaggeration, shadows, colormap, drape, water, sky, relief, tolerance: as in ``Scene``.
         draped: whether the image is shown; opacity: of it.
-        wireframe, levels, contours, contour_opacity: as in ``gpu.frame.Overlay``.
+        wireframe, levels: as in ``gpu.frame.Overlay``. contours: as in ``Scene``; a window's labels fade.
         way: how light falls, as in ``Scene.light`` but for rays. occlusion: strength of what screen space darkens.
         budget: triangles to keep near instead of a tolerance, or None.
         frozen: the view that the mesh is made for while one flies around it, or None.
@@ -143,8 +144,7 @@ class Settings:
     budget: int | None = None
     wireframe: bool = False
     levels: bool = False
-    contours: float = 0.0
-    contour_opacity: float = 0.7
+    contours: Contours | None = None
     way: Literal["relief", "ao", "aperture", "none"] = "relief"
     occlusion: float = 0.0
     frozen: View | None = None
@@ -163,7 +163,8 @@ class Settings:
         return Scene(
             terrain, view, self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
             colormap=self.colormap, drape=self.drape if self.draped else None, sky=self.sky, water=self.water,
-            relief=self.relief, tolerance=self.tolerance, light=self.way,
+            contours=self.contours and replace(self.contours, fading=True), relief=self.relief,
+            tolerance=self.tolerance, light=self.way,
             depths=(near, near + HAZE * math.hypot(east - west, north - south)),
         )  # fmt: skip
 
@@ -172,8 +173,7 @@ class Settings:
         from orograph.gpu.frame import Overlay
 
         return Overlay(
-            self.wireframe, self.levels, self.opacity, self.contours, contour_opacity=self.contour_opacity,
-            occlusion=self.occlusion,
+            self.wireframe, self.levels, self.opacity, occlusion=self.occlusion,
         )  # fmt: skip
 
     def balance(self, triangles: int) -> bool:

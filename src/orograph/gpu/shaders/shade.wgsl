@@ -218,6 +218,7 @@ fn tint_of(height: f32) -> vec3<f32> {
 struct Ground {
   colour: vec3<f32>,
   slope: vec2<f32>,     // metres per metre east and north, of the true ground
+  wet: f32,             // how much of it is water
 };
 
 // Colour of ground at a place, seen over a footprint (samples).
@@ -255,33 +256,34 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>) -> Ground
     let image = drape_colour(position, footprint * shade.paper.w);
     albedo = mix(albedo, image.rgb, image.a * shade.tint.w);
   }
+  var wet = 0.0;
   if ((FLAGS & 2u) != 0u) {
-    var wet = map_value(shade.light.x + size.x * size.y, size, first, shade.light.w, at);
+    wet = map_value(shade.light.x + size.x * size.y, size, first, shade.light.w, at);
     wet = clamp((wet - (0.5 - shade.water.w)) / (2.0 * shade.water.w), 0.0, 1.0);
-    albedo = mix(albedo, shade.water.rgb, wet * wet * (3.0 - 2.0 * wet));
+    wet = wet * wet * (3.0 - 2.0 * wet);
+    albedo = mix(albedo, shade.water.rgb, wet);
   }
-  return Ground(shoulder(albedo * light), g);
+  return Ground(shoulder(albedo * light), g, wet);
 }
 
-// Part of a pixel that contour lines cover: the height's change from pixel to pixel on the tangent plane says how far
-// the next contour is.
-fn contours(height: f32, position: vec3<f32>, normal: vec3<f32>, pixel: vec2<f32>) -> f32 {
-  let d = dot(normal, position);
-  var change = vec2<f32>(0.0);
-  for (var k = 0; k < 2; k++) {
-    let ray = ray_of(pixel + select(vec2<f32>(0.0, 1.0), vec2<f32>(1.0, 0.0), k == 0));
-    let t = (d - dot(normal, ray.origin)) / dot(normal, ray.direction);
-    let z = ray.origin.z + t * ray.direction.z;
-    change[k] = (z - position.z) / camera.forward.w;
-  }
-  let rate = max(length(change), 1e-9);
+// Part of a pixel that contour lines cover (picture/contour_kernels.py): the height's derivative along the screen's
+// axes on the tangent plane says how far the next contour is.
+fn contours(height: f32, depth: f32, direction: vec3<f32>, slope: vec2<f32>) -> f32 {
+  let normal = vec3<f32>(-slope * camera.forward.w, 1.0);
+  let facing = dot(normal, direction);
+  let size = camera.pixel * select(depth, 1.0, camera.plan == 1u);   // metres that a pixel's step goes at this depth
+  let u = camera.right.xyz * size;
+  let v = camera.up.xyz * size;
+  let change = vec2<f32>(u.z - dot(normal, u) / facing * direction.z, v.z - dot(normal, v) / facing * direction.z);
+  let rate = max(length(change) / camera.forward.w, 1e-9);
   let n = height / shade.contour.x;
   let far = abs(n - round(n)) * shade.contour.x / rate;
-  let index = abs(round(n) - shade.contour.y * round(n / shade.contour.y)) < 0.25;
+  let index = shade.contour.y > 0.0 && abs(round(n) - shade.contour.y * round(n / max(shade.contour.y, 1.0))) < 0.25;
   let half = 0.5 * shade.contour.z * select(1.0, 2.0, index);
   // Where lines would stand closer than some pixels they fade: first the plain ones, then the index contours.
   let apart = shade.contour.x / rate * select(1.0, shade.contour.y, index);
-  return clamp(half - far + 0.5, 0.0, 1.0) * smoothstep(3.0, 7.0, apart) * shade.contour.w;
+  // Ground too level has none: no line can be said to be its contour.
+  return clamp(half - far + 0.5, 0.0, 1.0) * smoothstep(3.0, 7.0, apart) * smoothstep(5e-5, 2e-4, length(slope));
 }
 
 // What a pixel of ground shows: where it is relative to the eye, on the raster, and how much of it a pixel covers.
@@ -339,8 +341,8 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     colour = mix(colour, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(colour, vec3<f32>(0.4)), 0.65);
   }
   if ((FLAGS & 512u) != 0u) {
-    let normal = vec3<f32>(-seen.slope * camera.forward.w, 1.0);
-    colour = mix(colour, shade.contour_colour.rgb, contours(hit.height, position, normal, at.xy));
+    let cover = contours(hit.height, depth, ray.direction, seen.slope) * (1.0 - seen.wet);
+    colour = mix(colour, shade.contour_colour.rgb, cover * shade.contour.w);
   }
   if ((FLAGS & 256u) != 0u) {
     colour = haze(colour, d, depth);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,8 @@ from imgui_bundle import imgui
 
 from orograph.errors import OrographError
 from orograph.geovis.colour import TINTS, colour_table
-from orograph.picture.pieces import bar_length
+from orograph.picture.contours import Contours
+from orograph.picture.kept import Kept
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -53,21 +55,40 @@ def draw(window: Window) -> None:
         low, high = session.terrain.height_range
         _, settings.water = imgui.slider_float("water level", settings.water, low, high, "%.1f m")
     _drape(window)
-    on = settings.contours > 0
-    moved, on = imgui.checkbox("contours", on)
-    if moved:
-        settings.contours = _interval(session.terrain.height_range) if on else 0.0
-    if settings.contours > 0:
-        flags = imgui.SliderFlags_.logarithmic
-        _, settings.contours = imgui.slider_float("every", settings.contours, 1.0, 1000.0, "%.0f m", flags)
-        settings.contours = float(max(round(settings.contours), 1))
-        _, settings.contour_opacity = imgui.slider_float("lines", settings.contour_opacity, 0.0, 1.0, "%.2f")
+    _contours(window)
     _, settings.furniture = imgui.checkbox("north, scale, colours", settings.furniture)
 
 
-def _interval(heights: tuple[float, float]) -> float:
-    """A round interval of which the terrain's heights hold about twenty."""
-    return max(bar_length(max(heights[1] - heights[0], 1.0) / 15.0)[0], 1.0)
+def _contours(window: Window) -> None:
+    """Lines of equal height: the interval, by itself or by hand, and how they are drawn."""
+    settings = window.session.settings
+    moved, on = imgui.checkbox("contours", settings.contours is not None)
+    if moved:
+        settings.contours = Contours() if on else None
+    lines = settings.contours
+    if lines is None:
+        return
+    imgui.same_line()
+    moved, by_hand = imgui.checkbox("interval", lines.interval is not None)
+    if moved:
+        fitted = lines.fitted(window.session.terrain, window.session.view, Kept())
+        lines = replace(lines, interval=fitted.interval if by_hand else None)
+    if lines.interval is not None:
+        flags = imgui.SliderFlags_.logarithmic
+        moved, metres = imgui.slider_float("every", lines.interval, 0.5, 1000.0, "%.4g m", flags)
+        if moved:
+            lines = replace(lines, interval=max(float(f"{metres:.2g}"), 0.5))
+    moved, opacity = imgui.slider_float("lines", lines.opacity, 0.0, 1.0, "%.2f")
+    if moved:
+        lines = replace(lines, opacity=min(max(opacity, 0.0), 1.0))
+    moved, index = imgui.slider_int("thick ones: every", lines.index, 0, 10)
+    if moved:
+        lines = replace(lines, index=min(max(index, 0), 100))
+    if lines.index:
+        moved, labels = imgui.checkbox("heights on them", lines.labels)
+        if moved:
+            lines = replace(lines, labels=labels)
+    settings.contours = lines
 
 
 def _colour_by_name(window: Window) -> None:

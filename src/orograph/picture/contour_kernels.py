@@ -1,0 +1,69 @@
+"""The inner loop of contour lines (``picture.contours``): how much of each pixel a line covers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import kernel
+from orograph.picture.kernels import SHORE, _bilinear
+
+CLOSE = 3.0, 7.0
+"""Pixels between lines at which they are gone, and from which on they are whole."""
+
+LEVEL = 5e-5, 2e-4
+"""Slopes at which ground is too level to have a contour, and from which on it has one."""
+
+
+@kernel
+def _ramp(low, high, x):
+    t = min(max((x - low) / (high - low), 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+@kernel
+def line_cover(px, py, t, points, gradient, water, scale, row0, col0, to_world, basis, interval, index, width, out):
+    """Part of each pixel (n,) that contour lines cover.
+
+    Args:
+        px, py: pixel positions. t: depths, NaN where there is no ground.
+        points: (n, 3) sample coordinates and height, metres.
+        gradient: (n, 2) metres per sample along columns and rows. water: the field of water, scale, row0, col0:
+            where it lies (``kernels.compose``).
+        to_world: (2, 2) gradients per sample → per metre.
+        basis: (6, 3) of ``View.ray_basis``, true space.
+        interval: metres; index: every how many a thick line, 0: none; width: pixels.
+        out: (n,) float32.
+    """
+    ou, ov, d0, du, dv = basis[1], basis[2], basis[3], basis[4], basis[5]
+    for i in range(len(t)):
+        out[i] = 0.0
+        if t[i] != t[i]:
+            continue
+        a, b = gradient[i, 0], gradient[i, 1]
+        gx = to_world[0, 0] * a + to_world[0, 1] * b
+        gy = to_world[1, 0] * a + to_world[1, 1] * b
+        dx = d0[0] + px[i] * du[0] + py[i] * dv[0]
+        dy = d0[1] + px[i] * du[1] + py[i] * dv[1]
+        dz = d0[2] + px[i] * du[2] + py[i] * dv[2]
+        facing = dz - gx * dx - gy * dy
+        if facing == 0.0:
+            continue
+        # The height's derivative along the screen's axes, on the tangent plane.
+        ux, uy, uz = ou[0] + t[i] * du[0], ou[1] + t[i] * du[1], ou[2] + t[i] * du[2]
+        vx, vy, vz = ov[0] + t[i] * dv[0], ov[1] + t[i] * dv[1], ov[2] + t[i] * dv[2]
+        across = uz - (uz - gx * ux - gy * uy) / facing * dz
+        down = vz - (vz - gx * vx - gy * vy) / facing * dz
+        rate = max(np.sqrt(across * across + down * down), 1e-9)
+        n = points[i, 2] / interval
+        nearest = np.floor(n + 0.5)
+        away = abs(n - nearest) * interval / rate
+        thick = index > 0 and nearest - index * np.floor(nearest / max(index, 1) + 0.5) == 0
+        half = width if thick else 0.5 * width
+        apart = interval / rate * (index if thick else 1)
+        cover = min(max(half - away + 0.5, 0.0), 1.0) * _ramp(CLOSE[0], CLOSE[1], apart)
+        cover *= _ramp(LEVEL[0], LEVEL[1], np.sqrt(gx * gx + gy * gy))
+        if cover > 0.0 and water.shape[0] > 0:
+            u = (points[i, 0] + 0.5) / scale - 0.5 - col0
+            v = (points[i, 1] + 0.5) / scale - 0.5 - row0
+            cover *= 1.0 - _ramp(0.5 - SHORE, 0.5 + SHORE, _bilinear(water, u, v))
+        out[i] = cover
