@@ -8,6 +8,7 @@ and a camera moving by a millimetre moves the picture by just that.
 from __future__ import annotations
 
 import math
+from struct import Struct
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ CAMERA = np.dtype(
 )  # fmt: skip
 """The uniform ``Camera`` of ``shaders/camera.wgsl``."""
 
+_PACKED = Struct("<24f4i6fIf")
+"""The same, packed in one go and not field by field: a frame has little time."""
+
 
 def nearest(view: View) -> float:
     """Metres before which nothing is drawn: reversed depth needs no more than that it is not 0."""
@@ -41,33 +45,27 @@ def camera_of(
         shift: where in a pixel its sample lies, pixels from its centre (jitter).
     """
     grid = terrain.grid
-    out = np.zeros((), CAMERA)
-    right, up, forward = view.axes(exaggeration)
+    right, up, forward = (axis.tolist() for axis in view.axes(exaggeration))
     left, top, whole_width, whole_height = view.frame
     plan = view.projection == "plan"
     pixel = view.pixel_metres if plan else view.pixel_slope
-    out["right"][:3], out["up"][:3], out["forward"][:3] = right, up, forward
-    out["right"][3], out["up"][3] = 2.0 / (view.width * pixel), 2.0 / (view.height * pixel)
-    out["forward"][3] = exaggeration
     # The optical axis in the target, from its left upper corner; a sample lies ``shift`` from its pixel's centre.
     x, y = whole_width / 2 - left - shift[0], whole_height / 2 - top - shift[1]
-    out["centre"] = 2 * x / view.width - 1, 1 - 2 * y / view.height
     a, b, _, d, e, _ = grid.samples[:6]
-    out["linear"] = a, b, d, e
-    inverse = np.linalg.inv(np.array([[a, b], [d, e]]))
-    out["inverse"] = inverse.ravel()
-    eye = view.target[:2] if plan else view.eye[:2]
-    col, row = (float(v) for v in grid.index(*eye))
-    out["eye_cell"] = math.floor(col), math.floor(row)
-    out["eye_frac"] = col - math.floor(col), row - math.floor(row)
-    out["last"] = grid.cols - 1, grid.rows - 1
-    high = np.float32(view.eye[2])
-    out["eye_height"] = high, view.eye[2] - float(high)
-    out["near"], out["far"] = nearest(view), 0.0
+    area = a * e - b * d
+    col, row = (float(v) for v in grid.index(*(view.target if plan else view.eye)[:2]))
+    high = float(np.float32(view.eye[2]))
+    near, far = nearest(view), 0.0
     if plan:
         low, top_height = terrain.height_range
-        out["near"] = max(view.near, (view.eye[2] - top_height) * exaggeration - 1.0)
-        out["far"] = min(view.far, (view.eye[2] - low) * exaggeration + 1.0)
-    out["size"] = view.width * scale, view.height * scale
-    out["plan"], out["pixel"] = plan, pixel
+        near = max(view.near, (view.eye[2] - top_height) * exaggeration - 1.0)
+        far = min(view.far, (view.eye[2] - low) * exaggeration + 1.0)
+    packed = _PACKED.pack(
+        *right, 2.0 / (view.width * pixel), *up, 2.0 / (view.height * pixel), *forward, exaggeration,
+        a, b, d, e, e / area, -b / area, -d / area, a / area,
+        col - math.floor(col), row - math.floor(row), 2 * x / view.width - 1, 1 - 2 * y / view.height,
+        math.floor(col), math.floor(row), grid.cols - 1, grid.rows - 1, high, view.eye[2] - high, near, far,
+        view.width * scale, view.height * scale, plan, pixel,
+    )  # fmt: skip
+    out: NDArray[np.void] = np.frombuffer(packed, CAMERA).reshape(())
     return out

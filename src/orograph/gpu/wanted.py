@@ -1,4 +1,4 @@
-"""Which slope tiles a view wants: for each place in view, those of the level whose samples are a pixel large there.
+"""Which tiles of shading a view wants: for each place in view, those of the level whose samples are a pixel large there.
 
 A tile is wanted if it is in the frustum and the tile above it is too coarse: its samples are larger than a pixel at
 the nearest point (``raycast.select.spacing_error``, tile by tile). So the tiles of all coarser levels are wanted as
@@ -66,8 +66,48 @@ def _wanted(boxes, parents, sizes, planes, eye, scale, exaggeration, per_metre, 
     return count
 
 
-class SlopeTiles:
-    """Asks all levels of a terrain at once.
+class Tree:
+    """Tiles of all levels over a terrain, asked at once.
+
+    Args:
+        terrain: below them.
+        boxes: (n, 6) west, east, north, south in sample coordinates, lowest and highest height (NaN: never wanted),
+            coarsest level first. parents: (n,) places of the tiles above, −1 at the top. sizes: (n,) metres between the
+            samples of a tile.
+    """
+
+    def __init__(self, terrain: Terrain, boxes: Array, parents: NDArray[np.int64], sizes: Array) -> None:
+        self.terrain, self._boxes, self.parents, self._sizes = terrain, boxes, parents, sizes
+        n = len(sizes)
+        self._grow, self._priority, self._out = np.zeros(n, np.uint8), np.zeros(n), np.zeros(n, np.int64)
+
+    def of(self, view: View, exaggeration: float, *, pixels: float = 1.0) -> tuple[NDArray[np.int64], Array]:
+        """The tiles wanted: which, and how many pixels their parents' samples are large.
+
+        Args:
+            pixels: how large samples may be.
+        """
+        a, b, c, d, e, f = self.terrain.grid.samples[:6]
+        planes = view.frustum(exaggeration)
+        across, down = planes[:, 0] * a + planes[:, 1] * d, planes[:, 0] * b + planes[:, 1] * e
+        offset = planes[:, 3] + planes[:, 0] * c + planes[:, 1] * f
+        table = np.stack([across, down, planes[:, 2] * exaggeration, offset], 1)
+        scale = np.linalg.svd(np.array([[a, b], [d, e]]), compute_uv=False)
+        square = abs(a * b + d * e) < 1e-9 * scale[0] ** 2
+        each = (math.hypot(a, d), math.hypot(b, e)) if square else (scale[1], scale[1])
+        col, row = self.terrain.grid.index(view.eye[0], view.eye[1])
+        plan = view.projection == "plan"
+        count = _wanted(
+            self._boxes, self.parents, self._sizes, table, np.array([float(col), float(row), view.eye[2]]),
+            np.array(each), exaggeration, 1.0 / (view.pixel_metres if plan else view.pixel_slope), plan, pixels,
+            self._grow, self._priority, self._out,
+        )  # fmt: skip
+        found = self._out[:count].copy()
+        return found, self._priority[found]
+
+
+class SlopeTiles(Tree):
+    """The slope tiles of a terrain.
 
     Attributes:
         keys: (n, 3) int64: level, row and column of every tile, coarsest level first.
@@ -75,7 +115,6 @@ class SlopeTiles:
     """
 
     def __init__(self, terrain: Terrain) -> None:
-        self.terrain = terrain
         tables = Tables.of(terrain)
         boxes, parents, sizes, keys, index = [], [], [], [], []
         begin, above = 0, 0
@@ -94,32 +133,7 @@ class SlopeTiles:
             keys.append(np.stack([np.full(len(r), level), r, c], 1))
             index.append(tables.offsets[level] + r * cols + c)
             above, begin = begin, begin + len(r)
-        self._boxes, self._sizes = np.concatenate(boxes), np.concatenate(sizes)
-        self._parents = np.concatenate(parents).astype(np.int64)
+        super().__init__(
+            terrain, np.concatenate(boxes), np.concatenate(parents).astype(np.int64), np.concatenate(sizes)
+        )
         self.keys, self.index = np.concatenate(keys).astype(np.int64), np.concatenate(index).astype(np.int64)
-        n = len(self._sizes)
-        self._grow, self._priority, self._out = np.zeros(n, np.uint8), np.zeros(n), np.zeros(n, np.int64)
-
-    def of(self, view: View, exaggeration: float, *, pixels: float = 1.0) -> tuple[NDArray[np.int64], Array]:
-        """The tiles wanted: which (into ``keys`` and ``index``), and how many pixels their parents' samples are large.
-
-        Args:
-            pixels: how large samples may be.
-        """
-        a, b, c, d, e, f = self.terrain.grid.samples[:6]
-        planes = view.frustum(exaggeration)
-        across, down = planes[:, 0] * a + planes[:, 1] * d, planes[:, 0] * b + planes[:, 1] * e
-        offset = planes[:, 3] + planes[:, 0] * c + planes[:, 1] * f
-        table = np.stack([across, down, planes[:, 2] * exaggeration, offset], 1)
-        scale = np.linalg.svd(np.array([[a, b], [d, e]]), compute_uv=False)
-        square = abs(a * b + d * e) < 1e-9 * scale[0] ** 2
-        each = (math.hypot(a, d), math.hypot(b, e)) if square else (scale[1], scale[1])
-        col, row = self.terrain.grid.index(view.eye[0], view.eye[1])
-        plan = view.projection == "plan"
-        count = _wanted(
-            self._boxes, self._parents, self._sizes, table, np.array([float(col), float(row), view.eye[2]]),
-            np.array(each), exaggeration, 1.0 / (view.pixel_metres if plan else view.pixel_slope), plan, pixels,
-            self._grow, self._priority, self._out,
-        )  # fmt: skip
-        found = self._out[:count].copy()
-        return found, self._priority[found]
