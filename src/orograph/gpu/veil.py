@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from orograph.geovis.missing import patches
 from orograph.gpu.device import Device
@@ -64,8 +63,20 @@ def _reaching(patch: Window, window: Window) -> Window:
     there = np.isfinite(patch.heights)
     if not there.any():
         return patch
-    around = binary_dilation(there, iterations=MARGIN) & ~there
+    around = _grown(there, MARGIN) & ~there
     return Window(patch.level, patch.col0, patch.row0, np.where(around, window.heights, patch.heights))
+
+
+def _grown(there: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
+    """``there``, and what is at most so many steps along rows and columns away from it."""
+    for _ in range(times):
+        grown = there.copy()
+        grown[1:] |= there[:-1]
+        grown[:-1] |= there[1:]
+        grown[:, 1:] |= there[:, :-1]
+        grown[:, :-1] |= there[:, 1:]
+        there = grown
+    return there
 
 
 def _mesh(window: Window, finer: Window | None, terrain: Terrain) -> tuple[NDArray[Any], NDArray[np.uint32]]:
