@@ -63,6 +63,39 @@ def test_central_differences_at_samples_blended_between():
     np.testing.assert_allclose(middle, [(w * g[20:22, 10:12]).sum() for g in (across, down)], atol=1e-4)
 
 
+def differences(h, axis):
+    """One-sided beside what is missing, as NumPy arrays; NaN where there is nothing."""
+    before, after = np.full(h.shape, np.nan), np.full(h.shape, np.nan)
+    np.moveaxis(before, axis, 0)[1:], np.moveaxis(after, axis, 0)[:-1] = (
+        np.moveaxis(h, axis, 0)[:-1],
+        np.moveaxis(h, axis, 0)[1:],
+    )
+    gap = (~np.isnan(before)).astype(float) + ~np.isnan(after)
+    rise = np.where(np.isnan(after), h, after) - np.where(np.isnan(before), h, before)
+    return np.where(np.isnan(h), np.nan, rise / np.maximum(gap, 1))
+
+
+@pytest.mark.parametrize("gaps", [0, 60])
+def test_slopes_between_samples_are_blended(gaps):
+    """Everywhere: the way taken beside gaps and borders, and the short one for all other places."""
+    rng = np.random.default_rng(2)
+    heights = rng.normal(0, 50, (40, 30)).astype(np.float32)
+    heights.ravel()[rng.choice(1200, gaps, replace=False)] = np.nan
+    slopes = np.stack([differences(heights.astype(np.float64), 1), differences(heights.astype(np.float64), 0)], -1)
+    at = points(3000, 40, 30)
+    got = relief(terrain(heights)).gradient(at, np.full(3000, 0.5))
+    c, r = np.minimum(at[:, 0].astype(int), 28), np.minimum(at[:, 1].astype(int), 38)
+    f, g = at[:, 0] - c, at[:, 1] - r
+    total, weight = np.zeros((3000, 2)), np.zeros(3000)
+    for i, j, w in ((0, 0, (1 - f) * (1 - g)), (0, 1, f * (1 - g)), (1, 0, (1 - f) * g), (1, 1, f * g)):
+        there = slopes[r + i, c + j]
+        w = np.where(np.isnan(there[:, 0]), 0, w)
+        total += w[:, None] * np.nan_to_num(there)
+        weight += w
+    expected = np.where(weight[:, None] > 0, total / np.maximum(weight, 1e-300)[:, None], 0)
+    np.testing.assert_allclose(got, expected, atol=1e-3)
+
+
 def test_a_pixel_of_two_samples_sees_means():
     """Footprint 2^k: central differences of box means of 2^k samples; between, a blend of both levels."""
     rng = np.random.default_rng(2)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import kernel, leaf
+from orograph._numba import inlined, kernel
 from orograph.light.caps import exact_overlap, smooth_overlap
 
 EAST, NORTH, UP, RADIUS, COSINE, SINE, AREA, RED, GREEN, BLUE = range(10)
@@ -36,7 +36,7 @@ def add_moments(slope, gx, gy, east, north, width, row0, col0, out):
             out[3, i + row0, j + col0] += np.float32((1.0 - t * np.sqrt(square)) * width)
 
 
-@leaf
+@inlined
 def illuminate(ce, cn, cu, rim, nx, ny, nz, px, py, pz, suns, lamps, ambient, exact, out, k):
     """Set ``out[k]`` (3,) to the light on ground of normal n at p through one cap; ``rim``: the cosine of its radius.
 

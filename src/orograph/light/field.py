@@ -1,21 +1,22 @@
 """Fields of light under a picture: baked layers in nested windows, each about as fine as the pixels that look at it.
 
 A field has one or four values per sample: a share of the sky, or a cap (direction east, north, up, and the cosine of
-its radius, side by side in memory, since they are always wanted together). At a hit the finest window that is not finer
-than the pixel's footprint is looked up, bilinearly. Samples stand for blocks of 2^k × 2^k samples of the terrain, k the
-window's level, and lie in their middles; coordinates are (column, row) of the terrain's samples.
+its radius, side by side in memory, since they are always wanted together). At a hit the window whose samples are
+nearest in size to the pixel's footprint is looked up, bilinearly. Samples stand for blocks of 2^k × 2^k samples of the
+terrain, k the window's level, and lie in their middles; coordinates are (column, row) of the terrain's samples.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, kernel, leaf
 from orograph.light.aperture_kernels import illuminate
-from orograph.light.relief import Tables, _gradient, finest
+from orograph.light.relief import Tables, finest, slope_at
 from orograph.parallel import map_ordered
 from orograph.raycast.select import Rectangle
 from orograph.store.layers import Layer, LayerBand
@@ -24,26 +25,28 @@ from orograph.store.terrain import Terrain
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
+PIXELS = math.sqrt(2.0)
+"""Samples are at most so many pixels apart, and at least half as many, where windows are as fine as the pixels."""
+SQRT_HALF = math.sqrt(0.5)
 _STRIP = 256
 """Rows that a thread decodes at a time."""
 
 
 @kernel
-def _decode_caps(codes, vectors, cosines, first, last, out):
-    """Rows [first, last) of codes (4, rows, cols) by tables of components and of the radius' cosine, interleaved."""
-    cols = codes.shape[2]
-    for i in range(first, last):
-        for j in range(cols):
-            out[i, j, 0] = vectors[codes[0, i, j]]
-            out[i, j, 1] = vectors[codes[1, i, j]]
-            out[i, j, 2] = vectors[codes[2, i, j]]
-            out[i, j, 3] = cosines[codes[3, i, j]]
+def _decode_caps(east, north, up, radius, vectors, cosines, out):
+    """Codes (rows, cols) by tables of components and of the radius' cosine, interleaved."""
+    for i in range(len(out)):
+        for j in range(out.shape[1]):
+            out[i, j, 0] = vectors[east[i, j]]
+            out[i, j, 1] = vectors[north[i, j]]
+            out[i, j, 2] = vectors[up[i, j]]
+            out[i, j, 3] = cosines[radius[i, j]]
 
 
 @kernel
-def _decode(codes, table, first, last, out):
-    """Rows [first, last) of codes (rows, cols) by a table."""
-    for i in range(first, last):
+def _decode(codes, table, out):
+    """Codes (rows, cols) by a table."""
+    for i in range(len(out)):
         for j in range(codes.shape[1]):
             out[i, j, 0] = table[codes[i, j]]
 
@@ -83,11 +86,11 @@ class Field:
             r, base, row, end = item
             cols = r.col1 - r.col0
             out = pool[base + row * cols : base + end * cols].reshape(end - row, cols, -1)
-            codes = layer.codes(r.level, r.row0 + row, r.row0 + end, r.col0, r.col1)
+            codes = layer.planes(r.level, r.row0 + row, r.row0 + end, r.col0, r.col1)
             if caps:
-                _decode_caps(codes, first, radius, 0, end - row, out)
+                _decode_caps(*codes, first, radius, out)
             else:
-                _decode(codes[0], first, 0, end - row, out)
+                _decode(*codes, first, out)
 
         for _ in map_ordered(read, work, jobs):
             pass
@@ -111,10 +114,10 @@ class Field:
 @inlined
 def _place(ints, floats, x, y, footprint):
     """Where in the pool a point lies: the four samples around it, and how far between them."""
-    w = finest(ints, floats, x, y, np.floor(np.log2(max(footprint, 1.0))))
-    s = floats[w, 0]
+    w = finest(ints, floats, x, y, SQRT_HALF * footprint)
+    blocks = 1.0 / floats[w, 0]
     rows, cols = ints[w, 1], ints[w, 2]
-    u, v = (x + 0.5) / s - 0.5 - floats[w, 5], (y + 0.5) / s - 0.5 - floats[w, 6]
+    u, v = (x + 0.5) * blocks - 0.5 - floats[w, 5], (y + 0.5) * blocks - 0.5 - floats[w, 6]
     j = min(max(np.int64(u), 0), max(cols - 2, 0))
     i = min(max(np.int64(v), 0), max(rows - 2, 0))
     f, g = min(max(u - j, 0.0), 1.0), min(max(v - i, 0.0), 1.0)
@@ -138,7 +141,7 @@ def _look_up(pool, ints, floats, points, footprint, out):
             out[k, m] = top * (1.0 - g) + low * g
 
 
-@kernel
+@leaf
 def light_caps(
     pool, ints, floats, means, mean_ints, mean_floats, points, width, to_world, stretch, height, suns, lamps, ambient,
     bounce, linear, out,
@@ -167,19 +170,17 @@ def light_caps(
         cn = wa * pool[a, 1] + wb * pool[b, 1] + wc * pool[c, 1] + wd * pool[d, 1]
         cu = wa * pool[a, 2] + wb * pool[b, 2] + wc * pool[c, 2] + wd * pool[d, 2]
         rim = wa * pool[a, 3] + wb * pool[b, 3] + wc * pool[c, 3] + wd * pool[d, 3]
-        length = np.sqrt(ce * ce + cn * cn + cu * cu)
-        if not length > 0.0 or rim != rim:
+        square = ce * ce + cn * cn + cu * cu
+        if not square > 0.0 or rim != rim:
             ce, cn, cu, rim = 0.0, 0.0, 1.0, 0.0
         else:
-            ce, cn, cu = ce / length, cn / length, cu / length
-        w = finest(mean_ints, mean_floats, x, y, np.floor(np.log2(max(width[k], 1.0)) + 0.5))
-        s = mean_floats[w, 0]
-        u, v = (x + 0.5) / s - 0.5 - mean_floats[w, 5], (y + 0.5) / s - 0.5 - mean_floats[w, 6]
-        across, down = _gradient(
-            means, mean_ints[w, 0], mean_ints[w, 1], mean_ints[w, 2], u, v, mean_floats[w, 7], mean_floats[w, 8]
-        )
-        p = (to_world[0, 0] * across + to_world[0, 1] * down) * stretch / s
-        q = (to_world[1, 0] * across + to_world[1, 1] * down) * stretch / s
+            length = 1.0 / np.sqrt(square)
+            ce, cn, cu = ce * length, cn * length, cu * length
+        w = finest(mean_ints, mean_floats, x, y, SQRT_HALF * width[k])
+        across, down = slope_at(means, mean_ints, mean_floats, w, x, y)
+        rise = stretch / mean_floats[w, 0]
+        p = (to_world[0, 0] * across + to_world[0, 1] * down) * rise
+        q = (to_world[1, 0] * across + to_world[1, 1] * down) * rise
         up = 1.0 / np.sqrt(1.0 + p * p + q * q)
         px, py = linear[0, 0] * x + linear[0, 1] * y, linear[1, 0] * x + linear[1, 1] * y
         illuminate(

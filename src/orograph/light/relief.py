@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, kernel, leaf
 from orograph.light.normal import central
 from orograph.parallel import map_ordered
 from orograph.raycast.select import Rectangle
@@ -22,12 +22,20 @@ from orograph.store.terrain import Terrain
 Array = NDArray[np.float64]
 
 
-@kernel
-def _gradient(pool, base, rows, cols, u, v, short_u, short_v):
-    """d/du, d/dv of the raster at fractional position (u, v), in blocks.
+@inlined
+def finest(ints, floats, x, y, least):
+    """The finest window (see ``Tables``) that holds a point and whose samples are more than ``least`` apart."""
+    chosen = 0  # the outermost window holds every point
+    for w in range(ints.shape[0] - 1, 0, -1):
+        if floats[w, 0] > least and floats[w, 1] <= x <= floats[w, 2] and floats[w, 3] <= y <= floats[w, 4]:
+            chosen = w
+            break
+    return chosen
 
-    The terrain's last block covers fewer samples than the others: its middle is nearer by ``short_u``, ``short_v``.
-    """
+
+@leaf
+def _beside_gaps(pool, base, rows, cols, u, v, short_u, short_v):
+    """``slope_at`` beside borders and missing samples: each sample's slope of what is there, then between them."""
     j0 = min(max(np.int64(np.floor(u)), 0), max(cols - 2, 0))
     i0 = min(max(np.int64(np.floor(v)), 0), max(rows - 2, 0))
     fu, fv = min(max(u - j0, 0.0), 1.0), min(max(v - i0, 0.0), 1.0)
@@ -60,14 +68,27 @@ def _gradient(pool, base, rows, cols, u, v, short_u, short_v):
 
 
 @inlined
-def finest(ints, floats, x, y, level):
-    """The window (see ``Tables``) that holds a point and is no finer than ``level``, the finest of them."""
-    chosen = 0  # the outermost window holds every point
-    for w in range(ints.shape[0] - 1, -1, -1):
-        if ints[w, 3] >= level and floats[w, 1] <= x <= floats[w, 2] and floats[w, 3] <= y <= floats[w, 4]:
-            chosen = w
-            break
-    return chosen
+def slope_at(pool, ints, floats, w, x, y):
+    """The slope of window ``w`` along columns and rows at (x, y) in sample coordinates: metres per block of it."""
+    base, rows, cols = ints[w, 0], ints[w, 1], ints[w, 2]
+    blocks = 1.0 / floats[w, 0]
+    u, v = (x + 0.5) * blocks - 0.5 - floats[w, 5], (y + 0.5) * blocks - 0.5 - floats[w, 6]
+    across = down = np.nan
+    # Away from borders all comes from twelve samples; a sum of them tells whether one is missing.
+    if 1.0 <= u < cols - 3.0 and 1.0 <= v < rows - 3.0:
+        j, i = np.int64(u), np.int64(v)
+        f, g = u - j, v - i
+        b = base + i * cols + j
+        a, c, d = b - cols, b + cols, b + 2 * cols
+        b0, b1, c0, c1 = pool[b], pool[b + 1], pool[c], pool[c + 1]
+        west = (1.0 - g) * (b1 - pool[b - 1]) + g * (c1 - pool[c - 1])
+        east = (1.0 - g) * (pool[b + 2] - b0) + g * (pool[c + 2] - c0)
+        north = (1.0 - f) * (c0 - pool[a]) + f * (c1 - pool[a + 1])
+        south = (1.0 - f) * (pool[d] - b0) + f * (pool[d + 1] - b1)
+        across, down = 0.5 * ((1.0 - f) * west + f * east), 0.5 * ((1.0 - g) * north + g * south)
+    if across + down != across + down:
+        across, down = _beside_gaps(pool, base, rows, cols, u, v, floats[w, 7], floats[w, 8])
+    return across, down
 
 
 @kernel
@@ -82,19 +103,15 @@ def _gradients(pool, ints, floats, points, footprint, out, first, last):
         whole = np.floor(level)
         part = level - whole
         gx = gy = 0.0
+        least = 0.75 * 2.0**whole
         for step in range(2):
             share = part if step == 1 else 1.0 - part
-            if share == 0.0:
-                continue
-            chosen = finest(ints, floats, x, y, whole + step)
-            s = floats[chosen, 0]
-            u = (x + 0.5) / s - 0.5 - floats[chosen, 5]
-            v = (y + 0.5) / s - 0.5 - floats[chosen, 6]
-            a, b = _gradient(
-                pool, ints[chosen, 0], ints[chosen, 1], ints[chosen, 2], u, v, floats[chosen, 7], floats[chosen, 8]
-            )
-            gx += share * a / s
-            gy += share * b / s
+            if share != 0.0:
+                w = finest(ints, floats, x, y, least)
+                across, down = slope_at(pool, ints, floats, w, x, y)
+                gx += share * across / floats[w, 0]
+                gy += share * down / floats[w, 0]
+            least *= 2.0
         out[k, 0], out[k, 1] = gx, gy
 
 

@@ -90,7 +90,7 @@ def field_of(
     scene: Scene, ground: Ground, window: Window, names: tuple[str, ...], kept: Kept, progress: Progress
 ) -> tuple[Field, str]:
     """The first of the layers that is baked; else the first of the products, swept."""
-    from orograph.light.field import Field
+    from orograph.light.field import PIXELS, Field
 
     terrain = scene.terrain
     baked = [name for name in names if name in terrain.layers]
@@ -98,7 +98,7 @@ def field_of(
         progress.warn(f"{baked[0]} is baked for true heights: for stretched ones it is swept for the picture.")
     elif baked:
         layer = terrain.layer(baked[0])
-        chosen = rectangles(terrain, scene.view.whole, 1.0, 1.0, by="spacing")
+        chosen = rectangles(terrain, scene.view.whole, 1.0, PIXELS, by="spacing")
         field = kept(
             "field", (baked[0], tuple(chosen)), lambda: Field.load(layer, terrain, chosen, scene.jobs), terrain
         )

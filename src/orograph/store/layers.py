@@ -157,13 +157,17 @@ class Layer:
             UsageError: there is no such level, or the window is not inside it.
             DamagedChunkError: a chunk fails its checksum.
         """
+        return np.stack(self.planes(level, row0, row1, col0, col1))
+
+    def planes(self, level: int, row0: int, row1: int, col0: int, col1: int) -> list[Codes]:
+        """As ``codes``, each band (rows, cols) an array of its own."""
         rows, cols = self.shape(level)
         if not (0 <= row0 <= row1 <= rows and 0 <= col0 <= col1 <= cols):
             raise UsageError(
                 f"The window of rows {row0} to {row1} and columns {col0} to {col1} is not inside the {rows}×{cols} "
                 f"samples of this level of {self.name!r}."
             )
-        return np.stack([self._array(band, level).read(row0, row1, col0, col1) for band in self.bands])
+        return [self._array(band, level).read(row0, row1, col0, col1) for band in self.bands]
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         """Values of a window: (bands, rows, cols) float32 in the bands' units, NaN where missing.
