@@ -173,7 +173,7 @@ def test_coarse_windows_are_used_far_away(tmp_path):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(type(layer), "planes", lambda *a: read.append(a[1]) or real(*a))
             far = light_on(baked, light="aperture", view=camera.plan(baked, (90, 90)), sun=Sun(300, 40))
-        assert min(read) == 3  # samples of 8: pixels are of 7.8
+        assert min(read) == 2
         near = light_on(baked, light="aperture", view=camera.plan(baked, (360, 360)), sun=Sun(300, 40))
         mean = near.reshape(90, 4, 90, 4, 3).mean((1, 3))
         assert np.nanmean(np.abs(far - mean)) < 0.03
