@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import re
-import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from surfaces import rough, source
+from webserver import serving
 
 from orograph import store
 from orograph.errors import DamagedChunkError, StoreError
@@ -107,57 +103,10 @@ def test_an_unknown_protocol_says_what_to_install():
         store.open("gopher://example.org/area.oro")
 
 
-class Ranges(BaseHTTPRequestHandler):
-    """A web server of files that understands ``Range: bytes=a-b`` and ``bytes=-n``."""
-
-    folder: Path
-    protocol_version = "HTTP/1.1"
-
-    def answer(self, body: bool) -> None:
-        path = self.folder / self.path.lstrip("/")
-        if not path.is_file():
-            self.send_error(404)
-            return
-        data = path.read_bytes()
-        found = re.fullmatch(r"bytes=(\d*)-(\d*)", self.headers.get("Range", ""))
-        size = len(data)
-        if found:
-            first, last = found.groups()
-            start, stop = (max(0, size - int(last)), size) if not first else (int(first), int(last or size - 1) + 1)
-            stop = min(stop, size)
-            if start >= size:
-                self.send_error(416)
-                return
-            data = data[start:stop]
-            self.send_response(206)
-            self.send_header("Content-Range", f"bytes {start}-{stop - 1}/{size}")
-        else:
-            self.send_response(200)
-        self.send_header("Accept-Ranges", "bytes")
-        self.send_header("Content-Length", str(len(data)))
-        self.end_headers()
-        if body:
-            self.wfile.write(data)
-
-    def do_GET(self) -> None:
-        self.answer(True)
-
-    def do_HEAD(self) -> None:
-        self.answer(False)
-
-    def log_message(self, *args: object) -> None:
-        pass
-
-
 @pytest.fixture
 def web(local):
-    handler = type("Handler", (Ranges,), {"folder": local.parent})
-    kind = type("Server", (ThreadingHTTPServer,), {"request_queue_size": 128})
-    server = kind(("127.0.0.1", 0), handler)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://127.0.0.1:{server.server_port}"
-    server.shutdown()
-    server.server_close()
+    with serving(local.parent) as server:
+        yield server.url
 
 
 def test_http(web, local, tmp_path):

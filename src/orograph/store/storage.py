@@ -3,6 +3,9 @@
 A store needs very little of its storage: whole objects by key, ranges of them, and a put after which the object is
 there entirely or not at all. A folder gives that by writing beside the place and renaming; object stores by nature.
 Keys are paths with ``/``. Every failure other than absence is a StoreError that says where.
+
+A web server that accepts and never answers must not hold a reader for long: after ``SILENCE`` seconds without a byte it
+is an error. One that answers that it is busy, or drops the connection, is asked again, ``AGAIN`` seconds later.
 """
 
 from __future__ import annotations
@@ -11,12 +14,13 @@ import errno
 import os
 import shutil
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from orograph.errors import StoreError
 
@@ -26,6 +30,11 @@ Range = tuple[str, int, int]
 OPEN_FILES = 128
 GAP = 32 << 10  # bytes fetched in vain rather than asking twice
 REQUEST = 4 << 20  # bytes asked for at once
+SILENCE = 10.0  # seconds that a web server may let pass without a byte
+AGAIN = (0.25, 1.0)  # seconds after which what failed for the moment is asked for again
+BUSY = frozenset({408, 425, 429, 500, 502, 503, 504})  # HTTP: not now
+
+T = TypeVar("T")
 
 
 class Storage(ABC):
@@ -205,7 +214,7 @@ class RemoteStorage(Storage):
 
     Args:
         url: of the store's root.
-        options: passed to the fsspec file system (``endpoint_url``, ``key``, ``anon``…).
+        options: passed to the fsspec file system (``endpoint_url``, ``key``, ``anon``, ``client_kwargs``…).
     """
 
     remote = True
@@ -214,8 +223,14 @@ class RemoteStorage(Storage):
         import fsspec
 
         self.url = url.rstrip("/")
+        given = dict(options or {})
         try:
-            self.fs, self.root = fsspec.core.url_to_fs(self.url, **(options or {}))
+            if self.url.partition("://")[0] in ("http", "https"):
+                from aiohttp import ClientTimeout
+
+                patience = ClientTimeout(total=None, sock_connect=SILENCE, sock_read=SILENCE)
+                given["client_kwargs"] = {"timeout": patience, **given.get("client_kwargs", {})}
+            self.fs, self.root = fsspec.core.url_to_fs(self.url, **given)
         except (ImportError, ValueError) as error:
             raise StoreError(
                 f"Its kind of address cannot be opened: {error}.",
@@ -233,21 +248,32 @@ class RemoteStorage(Storage):
         except (FileNotFoundError, StoreError):
             raise
         except Exception as error:  # every fsspec backend has its own family of errors
-            raise StoreError(
-                f"{key or 'It'} could not be {what}: {type(error).__name__}: {error}.", path=self.url
-            ) from error
+            why = f"{type(error).__name__}: {error}"
+            if isinstance(error, TimeoutError):
+                why = f"the server does not answer ({SILENCE:g} s without a byte)"
+            raise StoreError(f"{key or 'It'} could not be {what}: {why}.", path=self.url) from error
+
+    def _read(self, key: str, read: Callable[[], T]) -> T:
+        """What ``read`` returns, tried again where it failed for the moment only."""
+        with self._reporting("read", key):
+            for pause in AGAIN:
+                try:
+                    return read()
+                except Exception as error:
+                    if not _passing(error):
+                        raise
+                time.sleep(pause)
+            return read()
 
     def get(self, key: str) -> bytes | None:
         try:
-            with self._reporting("read", key):
-                return bytes(self.fs.cat_file(self._at(key)))
+            return self._read(key, lambda: bytes(self.fs.cat_file(self._at(key))))
         except FileNotFoundError:
             return None
 
     def tail(self, key: str, length: int) -> bytes | None:
         try:
-            with self._reporting("read", key):
-                return bytes(self.fs.cat_file(self._at(key), start=-length))
+            return self._read(key, lambda: bytes(self.fs.cat_file(self._at(key), start=-length)))
         except FileNotFoundError:
             return None
 
@@ -256,13 +282,16 @@ class RemoteStorage(Storage):
             return []
         together = merged(wanted)
         keys, starts, stops = zip(*together, strict=True)
-        with self._reporting("read", keys[0]):
+
+        def fetch() -> list[Any]:
             found = self.fs.cat_ranges([self._at(k) for k in keys], list(starts), list(stops), on_error="return")
             for part in found:
                 if isinstance(part, Exception) and not isinstance(part, FileNotFoundError):
                     raise part
+            return list(found)
+
         pieces: dict[str, list[tuple[int, bytes]]] = {}
-        for (key, start, _), part in zip(together, found, strict=True):
+        for (key, start, _), part in zip(together, self._read(keys[0], fetch), strict=True):
             pieces.setdefault(key, []).append((start, b"" if isinstance(part, Exception) else bytes(part)))
         return [_cut(pieces[key], start, stop) for key, start, stop in wanted]
 
@@ -288,6 +317,18 @@ class RemoteStorage(Storage):
             return int(self.fs.du(self.root))
         except Exception:  # a web server need not list what it has
             return None
+
+
+def _passing(error: Exception) -> bool:
+    """Whether what failed may go well in a moment: the server is busy, or the connection broke. Silence is no such."""
+    if isinstance(error, TimeoutError):
+        return False
+    status = getattr(error, "status", None)
+    if isinstance(status, int):
+        return status in BUSY
+    return isinstance(error, ConnectionError) or type(error).__name__ in (
+        "ServerDisconnectedError", "ClientPayloadError", "ClientOSError",
+    )  # fmt: skip
 
 
 def merged(wanted: Sequence[Range]) -> list[Range]:
