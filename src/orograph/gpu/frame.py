@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+Normals = Literal["computed", "derivatives", "faces"]
+"""Where the normal of the ground in a pixel comes from: see docs/gpu.md."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -11,16 +15,17 @@ class Overlay:
 
     Attributes:
         wireframe: edges of triangles. levels: a colour for every size of patches.
-        drape_opacity: of the image.
         occlusion: strength of ambient occlusion in screen space (``gpu.ssao``), 0 to 1, 0: none; its ``reach``, metres;
             None: a twelfth of the distance to the target.
+        normals: "computed" for every pixel from heights, finer than the mesh and prefiltered; "derivatives": of the
+            position on the screen; "faces": of the triangles drawn (of patches: by derivatives, too).
     """
 
     wireframe: bool = False
     levels: bool = False
-    drape_opacity: float = 1.0
     occlusion: float = 0.0
     reach: float | None = None
+    normals: Normals = "computed"
 
 
 PLAIN = Overlay()
@@ -34,9 +39,10 @@ class FrameStats:
         patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles there are.
         select_ms: selection. cpu_ms: all of the frame's Python, but for what the driver does when it is given the work
             (software drivers do all of it then).
-        tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of both kinds; wanted: not there yet.
+        tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of all kinds; wanted: not there yet.
         samples: how many are averaged in the picture.
-        failed: a tile that could not be read, and why, or "".
+        failed: a tile that could not be read, or a mesh that could not be made, and why, or "".
+        current: whether the mesh of another engine is that of this camera and tolerance; patches always are.
     """
 
     patches: int
@@ -50,3 +56,4 @@ class FrameStats:
     tiles_wanted: int
     samples: int
     failed: str = ""
+    current: bool = True

@@ -35,7 +35,7 @@ SHADOWS, WATERS, DRAPE, WIREFRAME, LEVELS = 1, 2, 4, 8, 16
 LIGHTS = {"relief": 0, "none": 32, "ao": 64, "aperture": 128}
 """Flags of the shader; "raytraced" is the CPU's."""
 
-SKY, CONTOURS, VEILED = 256, 512, 1024
+SKY, CONTOURS, VEILED, GIVEN, LABELS, SILHOUETTES = 256, 512, 1024, 2048, 4096, 8192
 
 
 class Look:

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 from orograph.gpu.ssao import Ssao
 
-DEPTH, MARKS, LIGHT = "depth32float", "r32uint", "rgba16float"
+DEPTH, MARKS, LIGHT, GIVEN = "depth32float", "r32uint", "rgba16float", "rg32float"
 
 
 class Targets:
-    """What a frame is drawn into: depth, marks and linear light, of one size in pixels."""
+    """What a frame is drawn into: depth, marks, linear light, and where it is asked for the slopes of what was drawn
+    (metres per metre east and north), of one size in pixels."""
 
     def __init__(self, device: Device, width: int, height: int) -> None:
         self.width, self.height = width, height
@@ -29,6 +30,14 @@ class Targets:
         self.light = device.texture(size, LIGHT, attach, label="light")
         self.depth_view, self.marks_view = self.depth.create_view(), self.marks.create_view()
         self.light_view = self.light.create_view()
+        self._given: Any = None
+
+    def given_view(self, device: Device) -> Any:
+        """The view of the slopes, which are made when they are first asked for."""
+        if self._given is None:
+            attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
+            self._given = device.texture((self.width, self.height), GIVEN, attach, label="slopes").create_view()
+        return self._given
 
 
 class PatchPass:
@@ -56,7 +65,7 @@ class PatchPass:
             ),
         ]
         self.pipeline_layout = handle.create_pipeline_layout(bind_group_layouts=layouts)
-        self._pipelines: dict[bool, Any] = {}
+        self._pipelines: dict[tuple[bool, bool], Any] = {}
         self.groups = [
             handle.create_bind_group(layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]),
             handle.create_bind_group(
@@ -64,12 +73,12 @@ class PatchPass:
             ),
         ]
 
-    def pipeline(self, edges: bool) -> Any:
-        """The pipeline, with or without the edges of triangles among the marks."""
-        if edges not in self._pipelines:
+    def pipeline(self, edges: bool, given: bool) -> Any:
+        """The pipeline, with or without the edges of triangles among the marks, and their slopes."""
+        if (edges, given) not in self._pipelines:
             module = self.device.shader("patches", {"EDGES": int(edges)})
             stride = self.stride
-            self._pipelines[edges] = self.device.handle.create_render_pipeline(
+            self._pipelines[edges, given] = self.device.handle.create_render_pipeline(
                 label="patches",
                 layout=self.pipeline_layout,
                 vertex={
@@ -96,12 +105,18 @@ class PatchPass:
                 },
                 primitive={"topology": "triangle-list", "cull_mode": "none"},
                 depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
-                fragment={"module": module, "entry_point": "fragment", "targets": [{"format": MARKS}]},
-            )
-        return self._pipelines[edges]
+                fragment={
+                    "module": module, "entry_point": "with_slope" if given else "fragment",
+                    "targets": [{"format": MARKS}, {"format": GIVEN}] if given else [{"format": MARKS}],
+                },
+            )  # fmt: skip
+        return self._pipelines[edges, given]
 
-    def draw(self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False) -> None:
-        """Clear the targets and draw; ``edges``: mark those of triangles."""
+    def draw(
+        self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False, given: bool = False
+    ) -> None:
+        """Clear the targets and draw; ``edges``: mark those of triangles; ``given``: leave the slope of what is drawn,
+        by the derivatives of its position on the screen."""
         n = len(instances)
         if n > self.capacity:
             self.capacity = max(256, 1 << (n - 1).bit_length())
@@ -110,7 +125,8 @@ class PatchPass:
             self.device.queue.write_buffer(self.instances, 0, np.ascontiguousarray(instances))
         pass_ = encoder.begin_render_pass(
             color_attachments=[
-                {"view": targets.marks_view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}
+                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}
+                for view in (targets.marks_view, *((targets.given_view(self.device),) if given else ()))
             ],
             depth_stencil_attachment={
                 "view": targets.depth_view, "depth_clear_value": 0.0, "depth_load_op": "clear",
@@ -118,7 +134,7 @@ class PatchPass:
             },
         )  # fmt: skip
         if n:
-            pass_.set_pipeline(self.pipeline(edges))
+            pass_.set_pipeline(self.pipeline(edges, given))
             for k, group in enumerate(self.groups):
                 pass_.set_bind_group(k, group)
             pass_.set_vertex_buffer(0, self.vertices)
@@ -143,6 +159,7 @@ class ShadePass:
                     *(_storage(k) for k in (4, 5, 6, 7, 8)),
                     _texture(9, "float"), {"binding": 10, "visibility": _stage("FRAGMENT"), "sampler": {}},
                     _storage(11), _storage(12), _storage(13),
+                    *(_texture(k, "unfilterable-float") for k in (14, 15, 16)),
                 ]
             ),
         ]  # fmt: skip

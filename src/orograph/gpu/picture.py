@@ -2,7 +2,7 @@
 
 The same scene as the CPU caster's (``picture.cpu``), the same light and colours (the shader follows it line by line):
 depth differs by no more than the tolerance promises, colours by what docs/gpu.md states. What only the caster can do
-(``engine``, ``wireframe`` of one, more than the device's largest texture) is refused with the reason.
+(rays of light, more pixels than the device's largest texture) is refused with the reason.
 """
 
 from __future__ import annotations
@@ -50,8 +50,6 @@ def draw(
         NothingInViewError: no ground is in view.
         UsageError: the scene has what only the CPU draws.
     """
-    if scene.engine is not None or scene.mesh_view is not None:
-        raise UsageError("Meshes of other engines are drawn by the CPU.", remedy="Use --backend cpu.")
     if scene.light == "raytraced":
         raise UsageError("Rays of light are traced by the CPU.", remedy="Use --backend cpu, or --light aperture.")
     begun = time.perf_counter()
@@ -65,6 +63,8 @@ def draw(
         )
     if scene.tolerance is None:
         scene = replace(scene, tolerance=TOLERANCE)
+    if scene.engine is not None and not scene.wireframe:
+        overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh
     own = renderer is None
     renderer = renderer or Renderer(device, scene.terrain, jobs=scene.jobs)
     try:
@@ -97,6 +97,8 @@ def draw(
         "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
         "seconds": {"all": round(time.perf_counter() - begun, 4)},
     }  # fmt: skip
+    if renderer.mesh is not None:
+        facts["mesh"] = renderer.mesh.stats
     place = plan_grid(view, scene.terrain.grid.crs)
     return Picture(pixels, depth, view, facts, place, veiled if veiled.any() else None)
 

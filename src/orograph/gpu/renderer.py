@@ -20,7 +20,8 @@ from orograph.gpu.camera import CAMERA, camera_of
 from orograph.gpu.device import Device
 from orograph.gpu.following import Following, maps_key
 from orograph.gpu.frame import PLAIN, FrameStats, Overlay
-from orograph.gpu.look import VEILED, WIREFRAME, Look
+from orograph.gpu.look import GIVEN, VEILED, WIREFRAME, Look
+from orograph.gpu.meshes import Meshes, MeshPass
 from orograph.gpu.passes import PatchPass, ResolvePass, ScreenOcclusion, ShadePass, Targets
 from orograph.gpu.readback import depth_of, veiled_of
 from orograph.gpu.residency import Residency
@@ -31,6 +32,7 @@ from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
 from orograph.picture.kept import Kept
 from orograph.picture.scene import Scene
 from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
 from orograph.view import View
 
 Array = NDArray[np.float64]
@@ -67,6 +69,7 @@ class Renderer:
         self._patches = PatchPass(
             device, self._camera, self.heights.texture, patch_vertices(legs), patch_indices(legs), INSTANCE.itemsize
         )
+        self._meshes, self._triangles = Meshes(terrain), MeshPass(device, self._camera)
         self._veil = VeilPass(device, self._camera)
         self._shading = ShadePass(device, self._camera)
         self._corners = ScreenOcclusion(device, self._shading)
@@ -90,12 +93,13 @@ class Renderer:
             target: a texture view of the scene's view's size, to be overwritten. format: its format.
             scene: what; its terrain must be the renderer's.
             overlay: what is shown besides.
-            freeze: the camera that patches are selected for, if not the scene's view.
+            freeze: the camera that patches are selected for, or a mesh refined, if not the scene's view (or, of a mesh,
+                its ``mesh_view``).
             wait: first wait for all tiles and maps that the picture wants.
             samples: draw with so many samples per pixel at once; None: one, and one more every further frame at rest.
 
         Raises:
-            OrographError: with ``wait``, a tile or a map could not be made.
+            OrographError: with ``wait``, a tile, a map or a mesh could not be made.
         """
         begun = time.perf_counter()
         view = scene.view
@@ -103,7 +107,9 @@ class Renderer:
         patches = chosen.patches
         self._missing = chosen.missing
         targets = self._fit(view.width, view.height)
-        state = (scene, overlay, freeze, chosen.loaded, len(patches.instances), maps_key(scene))
+        self._mesh_for(scene, freeze, wait=wait)
+        mesh = self._meshes.mesh
+        state = (scene, overlay, freeze, chosen.loaded, len(patches.instances), mesh, maps_key(scene))
         if samples is None and state == self._at_rest and not self.busy:
             if self._gathered >= SAMPLES:
                 begin, count = self._gathered, 0
@@ -113,6 +119,7 @@ class Renderer:
             begin, count = 0, samples or 1
         self._at_rest = state
         instances = patches.instances
+        given = overlay.normals != "computed"
         self._light_for(scene, targets, instances, wait=wait)
         maps = self._light.maps
         assert maps is not None
@@ -120,8 +127,8 @@ class Renderer:
         self.tint = look.tint
         u = look.uniform
         self.device.queue.write_buffer(self._resources.shade, 0, u)
-        group = self._shading.group(targets, self._resources.bound(look, maps, scene))
-        flags = int(u["flags"]) | (VEILED if self._veil.count else 0)
+        group = self._shading.group(targets, self._resources.bound(look, maps, scene, targets, given=given))
+        flags = int(u["flags"]) | (VEILED if self._veil.count else 0) | (GIVEN if given else 0)
         if format not in self._resolves:
             self._resolves[format] = ResolvePass(self.device, format)
         self._gathered = begin + count
@@ -147,15 +154,18 @@ class Renderer:
         took_python = time.perf_counter() - begun
         self.device.queue.submit([encoder.finish()])
         return FrameStats(
-            len(instances), patches.stats["triangles"], patches.stats["pixels"], chosen.seconds * 1e3,
+            len(instances) if mesh is None else 0,
+            patches.stats["triangles"] if mesh is None else len(mesh.triangles),
+            patches.stats["pixels"] if mesh is None else scene.tolerance or 1.0, chosen.seconds * 1e3,
             took_python * 1e3, chosen.loaded, chosen.loaded * 4 * 257 * 257, self.tiles.count, self._missing,
-            self._gathered, self.tiles.failure,
+            self._gathered, self.tiles.failure or self._meshes.failure,
+            scene.engine is None or self._meshes.current,
         )  # fmt: skip
 
     @property
     def busy(self) -> bool:
         """Whether tiles or maps are on their way: the next frame will be better."""
-        return self._missing > 0 or self.tiles.waiting > 0 or self._light.busy
+        return self._missing > 0 or self.tiles.waiting > 0 or self._light.busy or self._meshes.busy
 
     @property
     def resting(self) -> bool:
@@ -198,6 +208,11 @@ class Renderer:
         }  # fmt: skip
 
     @property
+    def mesh(self) -> Tessellation | None:
+        """The mesh of the scene's engine that the last frame drew; None: patches."""
+        return self._meshes.mesh
+
+    @property
     def light(self) -> str:
         """Where the light of the last frame came from, if it was looked up in a layer."""
         return self._light.maps.told if self._light.maps is not None else ""
@@ -206,6 +221,7 @@ class Renderer:
         """Stop reading."""
         self.tiles.close()
         self._light.close()
+        self._meshes.close()
 
     # ---- parts of a frame ------------------------------------------------------------------------------------------
 
@@ -215,9 +231,25 @@ class Renderer:
     ) -> None:  # fmt: skip
         camera = camera_of(scene.view, self.terrain, scene.exaggeration, shift=shift)
         self.device.queue.write_buffer(self._camera, 0, camera)
-        self._patches.draw(encoder, targets, instances, edges=bool(flags & WIREFRAME))
+        self._ground(encoder, targets, instances, edges=bool(flags & WIREFRAME), given=bool(flags & GIVEN))
         self._veil.draw(encoder, targets)
         self._shading.draw(encoder, targets, group, flags, add=add)
+
+    def _ground(
+        self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False, given: bool = False
+    ) -> None:
+        """Depth and marks of the ground: the engine's mesh, or patches."""
+        if self._meshes.mesh is None:
+            self._patches.draw(encoder, targets, instances, edges=edges, given=given)
+        else:
+            self._triangles.draw(encoder, targets, self._meshes.mesh, edges=edges, given=given)
+
+    def _mesh_for(self, scene: Scene, freeze: View | None, *, wait: bool) -> None:
+        """Have the mesh of the scene's engine: at once if ``wait``, else aside while the old one serves."""
+        if scene.engine is None:
+            self._meshes.none()
+            return
+        (self._meshes.at_once if wait else self._meshes.aside)(scene, freeze or scene.mesh_view or scene.view)
 
     def _look(self, scene: Scene, overlay: Overlay, *, exact: bool) -> Look:
         """The scene's colours and light: made again only if something of it changed.
@@ -232,13 +264,15 @@ class Renderer:
             near, far = (math.exp(round(10 * math.log(max(v, 1e-3))) / 10) for v in (near, far))
         key = (
             scene.sun, scene.light, scene.lamps, scene.discs, scene.shadows, scene.sky, scene.colormap, scene.water,
-            scene.relief, scene.exaggeration, scene.drape is None, near, far, overlay.wireframe, overlay.levels,
+            scene.relief, scene.exaggeration, scene.drape is None, near, far, overlay.wireframe, scene.wireframe,
+            overlay.levels,
             overlay.drape_opacity, contours,
         )  # fmt: skip
 
         def make() -> Look:
             return Look(
-                scene, maps, (near, far), self.kept, wireframe=overlay.wireframe, levels=overlay.levels,
+                scene, maps, (near, far), self.kept, wireframe=overlay.wireframe or scene.wireframe,
+                levels=overlay.levels,
                 drape_opacity=overlay.drape_opacity, contours=contours,
             )  # fmt: skip
 
@@ -259,7 +293,7 @@ class Renderer:
             return
         self.device.queue.write_buffer(self._camera, 0, camera_of(scene.view, self.terrain, scene.exaggeration))
         encoder = self.device.handle.create_command_encoder()
-        self._patches.draw(encoder, targets, instances)
+        self._ground(encoder, targets, instances)
         self.device.queue.submit([encoder.finish()])
         self._light.at_once(scene, lambda: self._seen(scene))
 

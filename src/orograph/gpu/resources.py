@@ -13,6 +13,7 @@ from orograph.gpu.device import Device
 from orograph.gpu.drape import DrapeTexture
 from orograph.gpu.lightmaps import LightMaps
 from orograph.gpu.look import SHADE, Look
+from orograph.gpu.passes import Targets
 from orograph.gpu.tiles import Atlas
 from orograph.light.aperture import Lights
 from orograph.picture.kept import Kept
@@ -35,12 +36,19 @@ class Resources:
         self._buffers: dict[str, tuple[Any, Any]] = {}
         self._levels = self._level_table()
         self._bare = self._no_drape()
+        self._blank = device.texture((1, 1), "rgba8unorm", "TEXTURE_BINDING", label="nothing").create_view()
         self._slopes = slopes.texture.create_view(dimension="2d-array")
         self._of: tuple[Any, NDArray[np.int32]] = (None, np.zeros((1, 8), np.int32))
         self._dark = light_tables(Lights(), np.eye(2), np.zeros(3))
 
-    def bound(self, look: Look, maps: LightMaps, scene: Scene) -> dict[int, Any]:
-        """Buffers and views by binding of ``shade.wgsl``, for ``passes.ShadePass.group``."""
+    def bound(
+        self, look: Look, maps: LightMaps, scene: Scene, targets: Targets, *, given: bool = False
+    ) -> dict[int, Any]:
+        """Buffers and views by binding of ``shade.wgsl``, for ``passes.ShadePass.group``.
+
+        Args:
+            given: slopes are those that the targets hold.
+        """
         if maps is not self._of[0]:
             windows = np.concatenate([maps.windows, maps.fields])
             self._of = maps, windows if len(windows) else np.zeros((1, 8), np.int32)
@@ -65,6 +73,9 @@ class Resources:
             11: lattice,
             12: self.stored("suns", suns),
             13: self.stored("lamps", lamps),
+            14: targets.given_view(self.device) if given else self._blank,
+            15: self._blank,
+            16: self._blank,
         }
 
     def stored(self, name: str, values: NDArray[Any]) -> Any:

@@ -22,6 +22,7 @@ struct Vertex {
   @location(0) there: f32,                        // 1 where all corners of the triangle have ground
   @location(1) lattice: vec2<f32>,                // (i, j) along the legs: edges of triangles lie on whole numbers
   @location(2) @interpolate(flat) what: u32,
+  @location(3) place: vec3<f32>,                  // relative to the eye, metres, height not stretched
 };
 
 // By the way the apex points (``lod/patches/shape.py``): e1 and e2 as (row, col).
@@ -67,7 +68,9 @@ fn vertex(@location(0) lattice: vec2<u32>, instance: Instance) -> Vertex {
     }
   }
   var out: Vertex;
-  out.position = to_clip(vec3<f32>(here.position.xy, above_eye(here.position.z)));
+  let above = above_eye(here.position.z);
+  out.position = to_clip(vec3<f32>(here.position.xy, above));
+  out.place = vec3<f32>(here.position.xy, above / camera.forward.w);
   out.there = select(0.0, 1.0, here.there);
   out.lattice = vec2<f32>(lattice);
   out.what = (s << 8u) | (e << 4u) | 1u;
@@ -76,8 +79,7 @@ fn vertex(@location(0) lattice: vec2<u32>, instance: Instance) -> Vertex {
 
 // What a pixel of ground is: bit 0 ground, bits 4–6 orientation, 8–15 exponent of the lattice step, 16–23 how much of the
 // pixel an edge of a triangle covers.
-@fragment
-fn fragment(in: Vertex) -> @location(0) u32 {
+fn marked(in: Vertex) -> u32 {
   // Seen edge on, a triangle's depth is extrapolated beyond its corners by some rasterisers: such slivers, a quarter of
   // a pixel wide at most, are left to what is beside them.
   let sliver = camera.plan == 0u && fwidth(in.position.z) > 4.0 * in.position.z;
@@ -88,6 +90,22 @@ fn fragment(in: Vertex) -> @location(0) u32 {
     return in.what;
   }
   return in.what | (edges(in.lattice) << 16u);
+}
+
+@fragment
+fn fragment(in: Vertex) -> @location(0) u32 {
+  return marked(in);
+}
+
+struct WithSlope { @location(0) marks: u32, @location(1) slope: vec2<f32> };
+
+// The same, and the slope by the derivatives of the position on the screen: that of the flat triangle, whatever the
+// ground between its corners is like; beside a triangle's edge, where derivatives reach over it, extrapolated.
+@fragment
+fn with_slope(in: Vertex) -> WithSlope {
+  let normal = cross(dpdx(in.place), dpdy(in.place));
+  let marks = marked(in);
+  return WithSlope(marks, -normal.xy / select(normal.z, 1e-20, abs(normal.z) < 1e-20));
 }
 
 // Coverage (0–255) of the pixel by the triangles' edges, a pixel wide.

@@ -44,13 +44,16 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(11) var<storage, read> lattice: array<vec4<f32>>;
 @group(1) @binding(12) var<storage, read> suns: array<Sun>;
 @group(1) @binding(13) var<storage, read> lamps: array<Lamp>;
+@group(1) @binding(14) var given: texture_2d<f32>;    // slopes of what was drawn, metres per metre
+@group(1) @binding(15) var lettering: texture_2d<f32>;  // of labels: ink, and where lines are left out around it
+@group(1) @binding(16) var breaks: texture_2d<f32>;   // between a pixel and the next one to the right, and below
 // include: aperture.wgsl
 // include: sky.wgsl
 // include: drape.wgsl
 
 // What is drawn, known when the shader is compiled: software renderers work through branches whether they are taken or
 // not. 1 shadows, 2 water, 4 drape, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
-// 512 contour lines, 1024 missing ground.
+// 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes.
 const FLAGS: u32 = {{FLAGS}}u;
 const SLOPE_SIDE: i32 = 258;
 const PER_SIDE: i32 = 4;
@@ -222,9 +225,14 @@ struct Ground {
 };
 
 // Colour of ground at a place, seen over a footprint (samples).
-fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>) -> Ground {
-  let s = slope(at, footprint);
-  let g = vec2<f32>(s.x * camera.inverse.x + s.y * camera.inverse.z, s.x * camera.inverse.y + s.y * camera.inverse.w);
+fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, pixel: vec2<i32>) -> Ground {
+  var g: vec2<f32>;
+  if ((FLAGS & 2048u) != 0u) {
+    g = textureLoad(given, pixel, 0).rg;
+  } else {
+    let s = slope(at, footprint);
+    g = vec2<f32>(s.x * camera.inverse.x + s.y * camera.inverse.z, s.x * camera.inverse.y + s.y * camera.inverse.w);
+  }
   let stretched = g * (camera.forward.w * shade.sunlight.w);
   let up = inverseSqrt(1.0 + dot(stretched, stretched));
   let cosine = max((shade.sun.z - dot(stretched, shade.sun.xy)) * up, 0.0);
@@ -335,7 +343,7 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     }
     return vec4<f32>(veil, 1.0);
   }
-  let seen = ground(hit.place, hit.height, hit.footprint, position);
+  let seen = ground(hit.place, hit.height, hit.footprint, position, pixel);
   var colour = seen.colour;
   if ((FLAGS & 16u) != 0u) {
     colour = mix(colour, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(colour, vec3<f32>(0.4)), 0.65);

@@ -1,0 +1,72 @@
+// A mesh that an engine made: vertices are samples of the raster, as those of the patches are, and so equal to the bit
+// where meshes and patches share them. Corners are pulled by number, so that each triangle knows all three of its own.
+// include: camera.wgsl
+
+struct Sample { row: i32, col: i32, height: f32, pad: u32 };
+
+@group(0) @binding(1) var<storage, read> samples: array<Sample>;
+@group(0) @binding(2) var<storage, read> corners: array<u32>;
+
+const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover
+
+struct Vertex {
+  @builtin(position) position: vec4<f32>,
+  @location(0) part: vec3<f32>,                     // of each corner
+  @location(1) @interpolate(flat) what: u32,
+  @location(2) @interpolate(flat) slope: vec2<f32>,  // of the true triangle, metres per metre east and north
+};
+
+fn place(k: u32) -> vec3<f32> {
+  let s = samples[k];
+  return vec3<f32>(from_eye(vec2<f32>(vec2<i32>(s.col, s.row) - camera.eye_cell)), s.height);
+}
+
+@vertex
+fn vertex(@builtin(vertex_index) k: u32) -> Vertex {
+  let first = k - k % 3u;
+  let here = place(corners[k]);
+  let a = samples[corners[first]];
+  let b = samples[corners[first + 1u]];
+  let c = samples[corners[first + 2u]];
+  let u = vec2<f32>(f32(b.col - a.col), f32(b.row - a.row));
+  let v = vec2<f32>(f32(c.col - a.col), f32(c.row - a.row));
+  let area = u.x * v.y - u.y * v.x;   // in samples, twice: 4^s where the legs follow rows and columns, 2 · 4^s where not
+  let rise = vec2<f32>(b.height - a.height, c.height - a.height);
+  let across = vec2<f32>(rise.x * v.y - rise.y * u.y, rise.y * u.x - rise.x * v.x) / area;
+  let size = u32(clamp(round(log2(max(abs(area), 1.0))), 0.0, 60.0));
+  var out: Vertex;
+  out.position = to_clip(vec3<f32>(here.xy, above_eye(here.z)));
+  out.part = select(vec3<f32>(0.0), vec3<f32>(1.0), vec3<u32>(0u, 1u, 2u) == vec3<u32>(k % 3u));
+  out.what = ((size >> 1u) << 8u) | ((size & 1u) << 4u) | 1u;
+  out.slope = vec2<f32>(dot(across, camera.inverse.xz), dot(across, camera.inverse.yw));
+  return out;
+}
+
+// How much of a pixel the triangle's edges cover (0–255), a pixel wide with those of its neighbours.
+fn edges(part: vec3<f32>) -> u32 {
+  let away = part / max(fwidth(part), vec3<f32>(1e-6));
+  return u32(255.0 * clamp(1.0 - min(min(away.x, away.y), away.z), 0.0, 1.0));
+}
+
+fn marked(in: Vertex) -> u32 {
+  // See patches.wgsl: seen edge on, a triangle's depth is extrapolated beyond its corners by some rasterisers.
+  if (camera.plan == 0u && fwidth(in.position.z) > 4.0 * in.position.z) {
+    discard;
+  }
+  if (EDGES == 0u) {
+    return in.what;
+  }
+  return in.what | (edges(in.part) << 16u);
+}
+
+@fragment
+fn fragment(in: Vertex) -> @location(0) u32 {
+  return marked(in);
+}
+
+struct WithSlope { @location(0) marks: u32, @location(1) slope: vec2<f32> };
+
+@fragment
+fn with_slope(in: Vertex) -> WithSlope {
+  return WithSlope(marked(in), in.slope);
+}
