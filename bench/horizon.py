@@ -1,10 +1,13 @@
 """Horizon sweeps: samples times azimuths per second on one thread and two, whole maps of light, and peers beside them.
 
-Run: ``python bench/horizon.py [DEM or STORE] [--size 2048] [--map] [--azimuths 32]``. Without a DEM the terrain is a
-fractal. ``--map`` makes the sky-view factor of all of it as ``orograph light`` does, in a process of its own, and tells
-the time per million samples and the largest memory. Rates on one thread are per second of processor time (other work on
-the machine does not count), on more threads per second of the clock. Peers, where they are installed: topocalc (Dozier
-2022, horizons of the whole raster), rvt-py (Zakšek et al. 2011, a search within 100 pixels).
+Run: ``python bench/horizon.py [DEM or STORE] [--size 2048] [--map] [--azimuths 32] [--peer-python PYTHON]``. Without a
+DEM the terrain is a fractal. ``--map`` makes the sky-view factor of all of it as ``orograph light`` does, in a process
+of its own, and tells the time per million samples and the largest memory. Rates on one thread are per second of
+processor time (other work on the machine does not count). What a second thread gains is by the clock, in rounds with a
+kernel that does nothing but arithmetic, whose gain is the machine's own limit at that moment.
+
+Peers (``horizon_peers.py``) run under ``--peer-python``, an interpreter of an environment that has them: topocalc
+(Dozier 2022, horizons of the whole raster) and rvt-py (Zakšek et al. 2011, a search within 100 pixels).
 """
 
 from __future__ import annotations
@@ -15,12 +18,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from orograph._numba import kernel
 from orograph.light.horizon import horizon, sky_view
+from orograph.parallel import map_ordered
 
 LINEAR = np.array([[30.0, 0.0], [0.0, -30.0]])
 
@@ -54,41 +60,71 @@ def sweeps(heights: np.ndarray) -> None:
         print(f"  horizon {azimuth:5.1f}°      1 thread  {one:7.1f}   within 100 samples {near:7.1f}")
     for measure in ("sky-view", "visible-sky", "sky-view-slope"):
         one = rate(lambda: sky_view(heights, LINEAR, 16, measure=measure, jobs=1), 16 * n, time.process_time, 2)  # type: ignore[arg-type] # noqa: B023
-        two = rate(lambda: sky_view(heights, LINEAR, 16, measure=measure, jobs=2), 16 * n, time.perf_counter, 2)  # type: ignore[arg-type] # noqa: B023
         both = rate(lambda: sky_view(heights, LINEAR, 16, measure=measure, jobs=2), 16 * n, time.process_time, 2)  # type: ignore[arg-type] # noqa: B023
-        print(
-            f"  {measure:14s} × 16  1 thread  {one:7.1f}   2 threads {two:7.1f} by the clock, "
-            f"{both:7.1f} per second of processor time"
-        )
+        print(f"  {measure:14s} × 16  1 thread  {one:7.1f}   2 threads {both:7.1f}, both per second of processor time")
 
 
-def peers(heights: np.ndarray) -> None:
-    part = heights[:1025, :1025]
-    n = part.size
-    try:
-        from topocalc.viewf import viewf
-    except ImportError:
-        print("  topocalc is not installed: not compared")
-    else:
-        theirs = rate(lambda: viewf(part.astype(np.float64), 30.0, nangles=16), 16 * n, time.process_time, 1)
-        ours = rate(lambda: sky_view(part, LINEAR, 16, measure="sky-view-slope", jobs=1), 16 * n, time.process_time)
-        print(f"  1025² × 16, unlimited: topocalc {theirs:.2f}, orograph {ours:.1f}: {ours / theirs:.0f} times")
-    try:
-        import rvt.vis
-    except ImportError:
-        print("  rvt-py is not installed: not compared")
-    else:
-        theirs = rate(
-            lambda: rvt.vis.sky_view_factor(part, 30.0, svf_n_dir=16, svf_r_max=100), 16 * n, time.process_time, 1
+@kernel
+def spin(count: int) -> float:
+    """Arithmetic in registers."""
+    x = 1.0
+    for _ in range(count):
+        x = x * 1.0000001 + 1e-9
+        if x > 2.0:
+            x -= 1.0
+    return x
+
+
+def threads(heights: np.ndarray, rounds: int = 9) -> None:
+    """By how much two threads are faster than one by the clock: horizons, and arithmetic alone."""
+
+    def clocked(work: Callable[[], object]) -> float:
+        start = time.perf_counter()
+        work()
+        return time.perf_counter() - start
+
+    def arithmetic(jobs: int) -> None:
+        deque(map_ordered(spin, [40_000_000 // jobs] * jobs, jobs), maxlen=0)
+
+    spin(1)
+    gained = []
+    for _ in range(rounds):
+        alone = clocked(lambda: arithmetic(1)) / clocked(lambda: arithmetic(2))
+        one = clocked(lambda: sky_view(heights, LINEAR, 16, jobs=1))
+        gained.append((one / clocked(lambda: sky_view(heights, LINEAR, 16, jobs=2)), alone))
+    for name, found in zip(("horizons", "arithmetic"), np.sort(gained, axis=0).T):
+        print(f"  two threads, {name}: {np.median(found):.2f} times one ({found[0]:.2f} to {found[-1]:.2f})")
+
+
+def peers(heights: np.ndarray, python: str) -> None:
+    part = np.ascontiguousarray(heights[:1025, :1025])
+    items = 16 * part.size
+    with tempfile.TemporaryDirectory() as folder:
+        np.save(Path(folder) / "heights.npy", part)
+        script = str(Path(__file__).with_name("horizon_peers.py"))
+        done = subprocess.run(
+            [python, script, str(Path(folder) / "heights.npy"), "30", "16", "100"], check=True, capture_output=True
         )
-        for radius, name in ((3000.0, "within 100 samples too"), (None, "unlimited")):
+    told = json.loads(done.stdout)
+    for name, ways in (
+        ("topocalc", (("sky-view-slope", None, "unlimited"),)),
+        ("rvt-py", (("visible-sky", 3000.0, "within 100 samples too"), ("visible-sky", None, "unlimited"))),
+    ):
+        if isinstance(told[name], str):
+            print(f"  {name} is not there: {told[name]}")
+            continue
+        theirs = items / told[name]["seconds"] / 1e6
+        for measure, radius, what in ways:
             ours = rate(
-                lambda: sky_view(part, LINEAR, 16, measure="visible-sky", radius=radius, jobs=1),  # noqa: B023
-                16 * n,
+                lambda: sky_view(part, LINEAR, 16, measure=measure, radius=radius, jobs=1),  # type: ignore[arg-type] # noqa: B023
+                items,
                 time.process_time,
             )
-            print(f"  1025² × 16: rvt-py within 100 samples {theirs:.2f}, orograph {name} {ours:.1f}: ", end="")
-            print(f"{ours / theirs:.1f} times")
+            reach = "unlimited" if name == "topocalc" else "within 100 samples"
+            print(
+                f"  1025² × 16: {name} {told[name]['version']} {reach} {theirs:.2f}, orograph {what} {ours:.1f}: "
+                f"{ours / theirs:.1f} times"
+            )
 
 
 def whole_map(path: str, azimuths: int) -> None:
@@ -115,6 +151,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=2048)
     parser.add_argument("--map", action="store_true", help="make the whole map, too")
     parser.add_argument("--azimuths", type=int, default=32)
+    parser.add_argument("--peer-python", metavar="PYTHON", help="an interpreter that has topocalc and rvt-py")
     options = parser.parse_args()
     if options.dem and options.map:
         whole_map(options.dem, options.azimuths)
@@ -128,8 +165,10 @@ def main() -> None:
     for measure in ("sky-view", "visible-sky", "sky-view-slope"):
         sky_view(heights[:64, :64], LINEAR, 4, measure=measure)  # type: ignore[arg-type]
     horizon(heights[:64, :64], LINEAR, 20.0, radius=300.0)
+    if options.peer_python:
+        peers(heights, options.peer_python)
     sweeps(heights)
-    peers(heights)
+    threads(heights)
 
 
 if __name__ == "__main__":
