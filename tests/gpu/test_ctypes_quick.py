@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from orograph.gpu.ctypes_quick import quicken, quicken_wgpu
+from orograph.gpu.ctypes_quick import quicken, quicken_wgpu, remembered
 
 cffi = pytest.importorskip("cffi")
 
@@ -85,3 +85,89 @@ def test_wgpus_is_quickened():
 
     assert ffi._parser._parse.quick
     assert ffi.sizeof("WGPUBufferDescriptor") > 16
+
+
+def long_header() -> str:
+    return HEADER + "\n".join(
+        f"typedef struct S{k} {{ Outer o{k}; void * p; void (*f)(void); }} S{k};" for k in range(200)
+    )
+
+
+def same(a: object, b: object, names: list[str]) -> None:
+    for name in names:
+        text = name.partition(" ")[2]
+        kind = name.partition(" ")[0]
+        if kind == "typedef":
+            x, y = a.typeof(text), b.typeof(text)
+        elif kind in ("struct", "enum", "union"):
+            x, y = a.typeof(name), b.typeof(name)
+        else:
+            continue
+        assert repr(x) == repr(y)
+        assert x.kind == y.kind
+        if x.kind == "struct" and x.fields is not None:
+            assert a.sizeof(x) == b.sizeof(y)
+            assert [(n, repr(f.type), f.offset) for n, f in x.fields] == [
+                (n, repr(f.type), f.offset) for n, f in y.fields
+            ]
+        elif x.kind == "enum":
+            assert x.elements == y.elements
+
+
+def test_remembered_declarations_are_those_that_were_read(tmp_path):
+    text = long_header()
+    plain = cffi.FFI()
+    plain.cdef(text)
+    with remembered(tmp_path):
+        first = cffi.FFI()
+        first.cdef(text)
+        (kept,) = tmp_path.iterdir()
+        again = cffi.FFI()
+        again.cdef(text)
+        small = cffi.FFI()
+        small.cdef(HEADER)
+    assert again._parser._declarations is not first._parser._declarations
+    assert list(tmp_path.iterdir()) == [kept]
+    assert cffi.FFI.cdef.__name__ == "cdef"
+    assert cffi.FFI.cdef.__module__ == "cffi.api"
+    quicken(again)
+    for ffi in (first, again):
+        same(plain, ffi, list(plain._parser._declarations))
+        assert ffi.typeof("void(*)(void)").args == ()
+        assert ffi.new("S7 *", {"p": ffi.NULL}).p == ffi.NULL
+
+
+def test_remembered_declarations_that_are_damaged_are_read_again(tmp_path):
+    text = long_header()
+    for damage in (b"", b"nonsense", b"\x80\x05K\x01."):
+        with remembered(tmp_path):
+            cffi.FFI().cdef(text)
+            (kept,) = tmp_path.iterdir()
+            kept.write_bytes(damage)
+            ffi = cffi.FFI()
+            ffi.cdef(text)
+        assert ffi.sizeof("S3") > 40
+        assert kept.read_bytes() != damage
+
+
+def test_a_folder_that_cannot_be_written_is_no_hindrance(tmp_path):
+    (tmp_path / "file").touch()
+    with remembered(tmp_path / "file" / "folder"):
+        ffi = cffi.FFI()
+        ffi.cdef(long_header())
+    assert ffi.sizeof("S3") > 40
+
+
+def test_all_of_wgpus_header_is_remembered_as_it_is_read(tmp_path):
+    wgpu = pytest.importorskip("wgpu.backends.wgpu_native._ffi")
+    text = wgpu.get_wgpu_header()
+    plain = cffi.FFI()
+    plain.cdef(text)
+    with remembered(tmp_path):
+        for _ in range(2):
+            ffi = cffi.FFI()
+            ffi.cdef(text)
+    quicken(plain)
+    quicken(ffi)
+    same(plain, ffi, list(plain._parser._declarations))
+    assert plain._parser._int_constants == ffi._parser._int_constants

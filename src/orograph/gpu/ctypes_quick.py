@@ -1,18 +1,32 @@
-"""Names of C types looked up quickly: wgpu asks cffi for hundreds, and cffi reads a thousand typedefs for each.
+"""C types of wgpu's header looked up quickly: half of the time until a window shows something went there.
 
-wgpu-py describes calls to the GPU by C structures named in text (``ffi.new("WGPUBufferDescriptor *")``). The first time
-that cffi meets such a text it has pycparser read it, together with a ``typedef`` line for every name of wgpu's header
-(cffi's ``cparser.Parser._parse`` notes that this could be done better): 20 ms each, more than a second until a window
-shows its first frame. Only names that occur in the text matter to how it is read, so ``quicken`` shows the parser only
-those: 0.2 ms. Nothing else changes; where cffi is built otherwise than expected, nothing is done.
+wgpu-py describes calls to the GPU by C structures named in text (``ffi.new("WGPUBufferDescriptor *")``), which cffi has
+pycparser read. Two things are made quick, neither changes what comes out; where cffi is built otherwise than expected,
+nothing is done:
+
+- the first time that a text is met it is read together with a ``typedef`` line for each of the header's thousand names
+  (cffi's ``cparser.Parser._parse`` notes that this could be done better): 20 ms for each of a hundred texts. Only names
+  that occur in the text matter to how it is read: with those alone it takes 0.2 ms (``quicken``);
+- the header itself is read at every start: 0.2 s. What came of it is kept in the cache folder, by the header's text and
+  the versions of all that reads it (``remembered``): 5 ms.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import importlib
+import io
+import pickle
 import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
+_LARGE = 10_000
+"""Characters of declarations that are worth being remembered."""
 
 
 def quicken(ffi: Any) -> bool:
@@ -39,10 +53,89 @@ def quicken(ffi: Any) -> bool:
     return True
 
 
-def quicken_wgpu() -> bool:
-    """``quicken`` wgpu's, if it is there; whether it was."""
+@contextlib.contextmanager
+def remembered(folder: Path) -> Iterator[None]:
+    """While this lasts, long declarations (``FFI.cdef``) are taken from a folder if they were read before."""
+    cffi: Any = importlib.import_module("cffi")
+    real = cffi.FFI.cdef
+
+    def cdef(self: Any, csource: str, *args: Any, **options: Any) -> None:
+        known = self._parser._declarations or self._parser._int_constants
+        if known or args or options or not isinstance(csource, str) or len(csource) < _LARGE:
+            real(self, csource, *args, **options)
+            return
+        path = folder / f"declarations-{_name(csource)}.pickle"
+        found = _load(path)
+        if found is None:
+            real(self, csource)
+            _keep(path, self._parser)
+            return
+        with self._lock:
+            self._cdef_version = object()
+            self._parser._declarations, self._parser._int_constants, self._parser._anonymous_counter = found
+            self._cdefsources.append(csource)
+
+    cffi.FFI.cdef = cdef
     try:
-        from wgpu.backends.wgpu_native import ffi
-    except ImportError:
+        yield
+    finally:
+        cffi.FFI.cdef = real
+
+
+def _name(csource: str) -> str:
+    """What declarations are kept under: their text, and who reads it."""
+    versions = (str(importlib.import_module(name).__version__) for name in ("cffi", "pycparser"))
+    readers = "\n".join((sys.version, sys.platform, *versions, ""))
+    return hashlib.sha256((readers + csource).encode()).hexdigest()[:24]
+
+
+def _constants() -> dict[str, Any]:
+    """Types that cffi knows by identity: they are kept by name."""
+    model = importlib.import_module("cffi.model")
+    return {name: getattr(model, name) for name in ("void_type", "voidp_type", "char_array_type")}
+
+
+def _load(path: Path) -> tuple[dict[str, Any], dict[str, int], int] | None:
+    constants = _constants()
+
+    class Reader(pickle.Unpickler):
+        def persistent_load(self, name: str) -> Any:
+            return constants[name]
+
+    try:
+        declarations, numbers, counter = Reader(io.BytesIO(path.read_bytes())).load()
+    except Exception:  # not there, damaged, of another time: then it is read from the header
+        return None
+    if not (isinstance(declarations, dict) and isinstance(numbers, dict) and isinstance(counter, int)):
+        return None
+    return declarations, numbers, counter
+
+
+def _keep(path: Path, parser: Any) -> None:
+    from orograph.output import Beside
+
+    names = {id(value): name for name, value in _constants().items()}
+
+    class Writer(pickle.Pickler):
+        def persistent_id(self, value: Any) -> str | None:
+            return names.get(id(value))
+
+    with contextlib.suppress(Exception):  # a folder that cannot be written: it is read again the next time
+        out = io.BytesIO()
+        Writer(out, 5).dump((parser._declarations, parser._int_constants, parser._anonymous_counter))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with Beside(path) as part:
+            part.write_bytes(out.getvalue())
+
+
+def quicken_wgpu() -> bool:
+    """Load wgpu's library quickly and have its types read quickly; whether it is there."""
+    try:
+        if "wgpu.backends.wgpu_native" not in sys.modules:
+            from orograph.picture.prepare import cache_folder
+
+            with remembered(cache_folder()):
+                importlib.import_module("wgpu.backends.wgpu_native")
+        return quicken(importlib.import_module("wgpu.backends.wgpu_native").ffi)
+    except (ImportError, AttributeError):
         return False
-    return quicken(ffi)
