@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from orograph.gpu.device import Device, NoAdapterError, open_device
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "store"))  # ``webserver``
 
 
 @pytest.fixture(scope="session")

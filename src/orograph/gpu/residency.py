@@ -1,7 +1,9 @@
 """Which patches a frame draws, and the tiles they are drawn from: the engine, the atlases and the streamer together.
 
 A frame asks for the patches of its view among those whose tiles are there; what it lacks is asked for, largest error in
-pixels first, and comes when it comes. The coarsest tiles are loaded at the beginning and stay.
+pixels first, and comes when it comes. While the camera moves, so is what it will lack in a moment (``prediction``): a
+tile's error then counts ``AHEAD`` times, added to what it is now. The coarsest tiles are loaded at the beginning and
+stay. If an atlas holds less than a view wants, the tiles of the largest errors share it.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import OrographError
 from orograph.gpu.device import Device
+from orograph.gpu.prediction import Prediction
 from orograph.gpu.streamer import Streamer
 from orograph.gpu.tiles import Atlas, Key, Kind, height_tile, make_tile, slope_tile
 from orograph.gpu.wanted import SlopeTiles
@@ -25,7 +28,16 @@ from orograph.view import View
 Array = NDArray[np.float64]
 
 UPLOAD = 16
-"""Tiles brought to the GPU in a frame, at most: what does not make it stutter."""
+"""Tiles brought to the GPU in a frame, at most, …"""
+
+UPLOADING = 0.002
+"""… and seconds after which no further one is begun: what does not make it stutter."""
+
+AHEAD = 0.5
+"""What a pixel of error counts that will be missing in a moment; one that is missing now counts 1."""
+
+READERS, REMOTE_READERS = 2, 8
+"""Threads that read tiles from a disk, which keep processors busy, and over a network, which mostly wait."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +46,15 @@ class Chosen:
 
     Attributes:
         patches: with the slots of their tiles. seconds: that it took to select them.
-        missing: tiles and pages of errors that would make it better. loaded: tiles that came for it.
+        missing: tiles and pages of errors that would make it better. loaded: tiles that came for it, of so many
+            ``bytes``.
     """
 
     patches: Patches
     seconds: float
     missing: int
     loaded: int
+    bytes: int
 
 
 class Residency:
@@ -51,6 +65,7 @@ class Residency:
 
     Attributes:
         heights, slopes: the atlases. engine: selects patches.
+        look_ahead: whether tiles are read for where the camera will be.
     """
 
     def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, memory: int, jobs: int | None) -> None:
@@ -60,7 +75,13 @@ class Residency:
         self.slopes = Atlas(device, terrain, "slopes", gpu_memory // 2)
         self._atlases: dict[Kind, Atlas] = {"heights": self.heights, "slopes": self.slopes}
         self._slope_tiles = SlopeTiles(terrain)
-        self.streamer: Streamer[Kind, Key] = Streamer(lambda kind, key: make_tile(terrain, kind, key), jobs or 2)
+        self.streamer: Streamer[Kind, Key] = Streamer(
+            lambda kind, key: make_tile(terrain, kind, key), jobs or (REMOTE_READERS if terrain.remote else READERS)
+        )
+        self.look_ahead = True
+        self._prediction = Prediction()
+        self._ahead: dict[int, list[tuple[float, Kind, Key]]] = {}
+        self._asked: set[tuple[Kind, Key]] = set()
         self._frame = 0
         self._full = False
         top = terrain.levels - 1
@@ -80,24 +101,32 @@ class Residency:
         Raises:
             OrographError: with ``wait``, a tile cannot be read.
         """
-        self._frame += 1
+        # (A picture that is waited for may take the place of the one before, a frame of many shares it with the last.)
+        self._frame += 2 if wait else 1
         self._full = False
-        loaded = self._upload(1 << 16 if wait else UPLOAD)
+        loaded, size = self._upload(wait)
+        if wait:
+            self._ahead.clear()
+        else:
+            self._look_ahead(view, tolerance, exaggeration)
         patches, wanted, seconds = self._select(view, tolerance, exaggeration, wait)
         while wait and (wanted or self.streamer.waiting) and not self._full:
             self.streamer.wait(1.0)
-            loaded += self._upload(1 << 16)
-            patches, wanted, more = self._select(view, tolerance, exaggeration, wait)
-            seconds += more
-            for kind, key in set(self.streamer.failed) & set(self._asked):
+            more, bytes_ = self._upload(wait)
+            loaded, size = loaded + more, size + bytes_
+            patches, wanted, took = self._select(view, tolerance, exaggeration, wait)
+            seconds += took
+            for kind, key in set(self.streamer.failed) & self._asked:
                 why = self.streamer.failed[kind, key][1]
                 raise OrographError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
-        return Chosen(patches, seconds, len(wanted) + int(patches.stats["absent"]), loaded)
+        return Chosen(patches, seconds, len(wanted) + int(patches.stats["absent"]), loaded, size)
 
     @property
     def waiting(self) -> int:
-        """How many tiles are on their way."""
-        return self.streamer.waiting
+        """How many tiles are on their way, or would be asked for again by a frame because it is time to."""
+        again = time.monotonic() - self.streamer.RETRY
+        failed = [self.streamer.failed[key][0] for key in self._asked & set(self.streamer.failed)]
+        return self.streamer.waiting + sum(when < again for when in failed)
 
     @property
     def count(self) -> int:
@@ -106,10 +135,11 @@ class Residency:
 
     @property
     def failure(self) -> str:
-        """A tile that could not be read, and why; "" if there is none."""
-        for (kind, key), (_, why) in list(self.streamer.failed.items()):
-            return f"{kind} of tile {key}: {why}"
-        return ""
+        """What this view lacks because it could not be read, and why; "" if there is nothing."""
+        for kind, key in self._asked & set(self.streamer.failed):
+            return f"{kind} of tile {key}: {self.streamer.failed[kind, key][1]}"
+        error = self.engine.field.failure
+        return "" if error is None else str(error)
 
     def close(self) -> None:
         """Stop reading."""
@@ -125,33 +155,72 @@ class Residency:
             judged, tolerance, resident=self.heights.resident, exaggeration=exaggeration, frustum=frustum, wait=wait
         )
         seconds = time.perf_counter() - begun
-        used, w = patches.instances, patches.wanted
-        places = self.heights.places(used["level"], used["tile_row"].astype(np.int64), used["tile_col"])
-        slots = self.heights.slots(places)
-        self.heights.touch(slots, self._frame)
-        used["slot"] = slots
-        places = self.heights.places(w["level"], w["row"].astype(np.int64), w["col"])
-        slots = self.heights.slots(places)
-        self.heights.touch(slots, self._frame)
-        lacking = w[slots < 0].tolist()
-        wanted: list[tuple[float, Kind, Key]] = [(p, "heights", (k, i, j)) for k, i, j, p in lacking]
+        used = patches.instances
+        used["slot"] = self.heights.slots(
+            self.heights.places(used["level"], used["tile_row"].astype(np.int64), used["tile_col"])
+        )
+        wanted = self._lacking(view, patches, exaggeration, self._frame)
+        now = {(kind, key): p for p, kind, key in wanted}
+        for some in self._ahead.values():
+            for p, kind, key in some:
+                now[kind, key] = now.get((kind, key), 0.0) + AHEAD * p / len(self._ahead)
+        self.streamer.want((p, kind, key) for (kind, key), p in now.items())
+        self._asked = {(kind, key) for _, kind, key in wanted}
+        return patches, [w for w in wanted if (w[1], w[2]) not in self.streamer.failed], seconds
+
+    def _look_ahead(self, view: View, tolerance: float, exaggeration: float) -> None:
+        """Note the tiles that will be lacking in a moment."""
+        now = time.monotonic()
+        self._prediction.see(view, now)
+        if not self.look_ahead or not self._prediction.moving:
+            self._ahead.clear()
+            return
+        ahead = self._prediction.ahead(now)
+        if ahead is None:
+            return
+        judged, frustum = _judged(ahead, exaggeration)
+        patches = self.engine.select(
+            judged, tolerance, resident=self.heights.resident, exaggeration=exaggeration, frustum=frustum, wait=False
+        )
+        # What is there already stays, if this frame and the last leave it room.
+        self._ahead[self._prediction.turn] = self._lacking(ahead, patches, exaggeration, self._frame - 2)
+
+    def _lacking(self, view: View, patches: Patches, exaggeration: float, frame: int) -> list[tuple[float, Kind, Key]]:
+        """The tiles that a view wants and that are not there; those that are there are noted as wanted in a frame.
+
+        No more are wanted than there is room for: then the tiles of the largest errors settle in the atlas, instead of
+        all taking each other's place.
+        """
+        w = patches.wanted[: self.heights.room]
+        slots = self.heights.slots(self.heights.places(w["level"], w["row"].astype(np.int64), w["col"]))
+        self.heights.touch(slots, frame)
+        wanted: list[tuple[float, Kind, Key]] = [(p, "heights", (k, i, j)) for k, i, j, p in w[slots < 0].tolist()]
         which, priority = self._slope_tiles.of(view, exaggeration)
+        if len(which) > self.slopes.room:
+            most = np.argsort(-priority, kind="stable")[: self.slopes.room]
+            which, priority = which[most], priority[most]
         slots = self.slopes.slots(self._slope_tiles.index[which])
-        self.slopes.touch(slots, self._frame)
+        self.slopes.touch(slots, frame)
         lack = slots < 0
         for p, key in zip(priority[lack].tolist(), self._slope_tiles.keys[which[lack]].tolist(), strict=True):
             wanted.append((p, "slopes", (key[0], key[1], key[2])))
-        self.streamer.want(wanted)
-        self._asked = [(w[1], w[2]) for w in wanted]
-        return patches, [w for w in wanted if (w[1], w[2]) not in self.streamer.failed], seconds
+        return wanted
 
-    def _upload(self, most: int) -> int:
-        taken = self.streamer.take(most)
-        for kind, key, data in taken:
-            self._full |= not self._atlases[kind].insert(key, data, self._frame)
+    def _upload(self, wait: bool) -> tuple[int, int]:
+        """Bring tiles that have been read to the GPU; how many, and their bytes."""
+        count = size = 0
+        end = math.inf if wait else time.perf_counter() + UPLOADING
+        while (wait or count < UPLOAD) and (not count or time.perf_counter() < end):
+            taken = self.streamer.take(1)
+            if not taken:
+                break
+            kind, key, data = taken[0]
+            # What this frame or the last one wants is not to make room.
+            self._full |= not self._atlases[kind].insert(key, data, self._frame - 1)
+            count, size = count + 1, size + data.nbytes
         for atlas in self._atlases.values():
             atlas.flush()
-        return len(taken)
+        return count, size
 
 
 def _judged(view: View, exaggeration: float) -> tuple[View, Array | None]:

@@ -38,11 +38,26 @@ class Slots:
         self.texture = device.texture(
             (PER_SIDE * side, PER_SIDE * side, layers), format, "TEXTURE_BINDING|COPY_DST|COPY_SRC", label=label
         )
+        self._clear(layers)
         self._slots: dict[Any, int] = {}
         self._keys: list[Any] = [None] * self.capacity
         self._free = list(range(self.capacity))[::-1]
         self._used = np.full(self.capacity, -1, np.int64)
         self._pinned = np.zeros(self.capacity, bool)
+
+    def _clear(self, layers: int) -> None:
+        """Have the memory cleared by the device at once, beside whatever else is done: a first frame would wait for it.
+
+        wgpu clears a layer before its first use, be it that a texel is copied out of it.
+        """
+        out = self.device.buffer(256, "COPY_SRC", "cleared")
+        encoder = self.device.handle.create_command_encoder()
+        for layer in range(layers):
+            encoder.copy_texture_to_buffer(
+                {"texture": self.texture, "origin": (0, 0, layer)},
+                {"buffer": out, "offset": 0, "bytes_per_row": 256, "rows_per_image": 1}, (1, 1, 1),
+            )  # fmt: skip
+        self.device.queue.submit([encoder.finish()])
 
     def slot(self, key: Any) -> int:
         """Where a tile is, −1 if it is not there."""
@@ -56,6 +71,11 @@ class Slots:
     def count(self) -> int:
         """How many tiles are there."""
         return len(self._slots)
+
+    @property
+    def room(self) -> int:
+        """How many tiles fit that are not pinned."""
+        return self.capacity - int(self._pinned.sum())
 
     def put(self, key: Any, data: NDArray[Any], frame: int, *, pin: bool = False) -> tuple[int, Any]:
         """Upload a tile that is not there: its slot, and the key of the tile that had it before, or None.

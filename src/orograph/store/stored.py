@@ -49,12 +49,14 @@ class StoredTerrain(Terrain):
     def __init__(self, storage: Storage, record: Record, cache_bytes: int, jobs: int | None) -> None:
         self.storage, self.record = storage, record
         self.grid, self.name, self.vertical = record.grid, record.name, record.vertical
+        self.remote = storage.remote
         self.cache = ChunkCache(cache_bytes)
         self._jobs = jobs
         self._lock = threading.Lock()
         self._arrays: dict[tuple[str, int], ShardedArray] = {}
         self._tables: dict[int, TileTable] = {}
         self._top: Heights | None = None
+        self._coarsest: Heights | None = None
 
     @property
     def url(self) -> str:
@@ -82,7 +84,12 @@ class StoredTerrain(Terrain):
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         array = self._array("heights", level)
         self._inside(array.spec.shape, row0, row1, col0, col1)
-        return array.read(row0, row1, col0, col1)
+        if level < self.levels - 1:
+            return array.read(row0, row1, col0, col1)
+        # The coarsest level is small, and what frames ask for on the spot (the range of a tint): it stays.
+        if self._coarsest is None:
+            self._coarsest = array.read(0, array.spec.shape[0], 0, array.spec.shape[1])
+        return self._coarsest[row0:row1, col0:col1].copy()
 
     def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         array = self._array("mean" if level else "heights", level)

@@ -100,6 +100,8 @@ class Terrain(ABC):
     grid: Grid
     name: str
     vertical: str | None
+    remote: bool = False
+    """Whether it is read over a network: many reads at once take hardly longer than one."""
 
     @property
     @abstractmethod

@@ -22,8 +22,8 @@ from orograph.lod.field import Field
 AGAIN = 2.0
 """Seconds after which a page that could not be read is asked for again."""
 
-READERS = 2
-"""Threads that read."""
+READERS, REMOTE_READERS = 2, 8
+"""Threads that read from a disk, and over a network."""
 
 RESERVED = 1 << 60
 """Last use of a slot that is being read into: it is not taken away."""
@@ -98,7 +98,8 @@ class Pager(Field):
     def _hire(self) -> None:
         """Threads that end with the program, whatever they wait for."""
         if not any(reader.is_alive() for reader in self._readers):  # none yet, or lost by a fork
-            self._readers = [threading.Thread(target=self._read, daemon=True) for _ in range(READERS)]
+            count = REMOTE_READERS if self.terrain.remote else READERS
+            self._readers = [threading.Thread(target=self._read, daemon=True) for _ in range(count)]
             for reader in self._readers:
                 reader.start()
 
