@@ -10,7 +10,7 @@ it is made aside, when the sun or what is in view has changed, while pictures go
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from orograph.light.nested import Nested, sunward
 from orograph.light.sun import Sun
 from orograph.picture.kept import Kept
 from orograph.picture.lighting import SKIES, field_of
-from orograph.picture.mapgrid import MapGrid
+from orograph.picture.mapgrid import MapGrid, strength_of, working_window
 from orograph.picture.scene import Scene
 from orograph.progress import SILENT
 from orograph.raycast.select import Rectangle, rectangles
@@ -118,6 +118,32 @@ def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) 
         np.concatenate(parts), (0, rows, cols, level), (row0, col0), wet, windows, fields, told, grid.strength,
         grid.water_fraction,
     )  # fmt: skip
+
+
+def quick_maps(scene: Scene, points: Array, kept: Kept, *, detail: float) -> LightMaps:
+    """Maps for the first moment: the sun's shadows, coarsely, under an open sky, and no water.
+
+    Args:
+        points, kept, detail: as ``light_maps`` has them.
+    """
+    plain = plain_maps()
+    if not scene.shadows or scene.light not in ("relief", "ao"):
+        return plain
+    strength = scene.relief
+    if strength is None:
+        strength = kept(
+            "strength", (window := working_window(scene.terrain, points), scene.exaggeration),
+            lambda: strength_of(scene, window), scene.terrain,
+        )  # fmt: skip
+    chosen = sun_windows(scene.terrain, scene.view, scene.exaggeration, detail)
+    found = sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, kept, scene.jobs)
+    windows: NDArray[np.int32] = np.zeros((len(chosen), 8), np.int32)
+    parts, offset = [plain.pool], plain.pool.size
+    for k, (r, values) in enumerate(zip(chosen, found)):
+        windows[k, :6] = offset, *values.shape, r.level, r.row0, r.col0
+        offset += values.size
+        parts.append(values.ravel())
+    return replace(plain, pool=np.concatenate(parts), windows=windows, strength=strength)
 
 
 def plain_maps() -> LightMaps:
