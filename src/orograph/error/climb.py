@@ -8,13 +8,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error import ErrorKind, holes, octaves
+from orograph.error import ErrorKind, holes, monotony, octaves
 from orograph.error.encode import Encoder
 from orograph.error.parts import Floats, Part, Surface
-from orograph.error.spheres import edge_spheres, square_spheres
+from orograph.error.spheres import edge_spheres, square_spheres, tell_empty
 
 NOTHING = np.float32(-1e-30)
 """The radius of an empty diamond whose sphere would be a point."""
+
+NO_SUMS: Floats = np.zeros((2, 0, 0), np.float32)
 
 
 class Climb:
@@ -45,7 +47,8 @@ class Climb:
     ) -> None:
         self.surface, self.kinds, self.rounding, self.row0, self.col0 = surface, kinds, rounding, row0, col0
         self.errors, self.sums, self.states, self.radii, self.filled = errors, sums, states, radii, filled
-        self.gaps, self.found = gaps, np.zeros((0, 0), np.uint8)
+        self.gaps = gaps
+        self.found = self.seen = np.zeros((0, 0), np.uint8)
 
     def step(self, k: int, fine: Floats, z: Floats, exact: Floats | None = None) -> None:
         """Find octave k's values.
@@ -64,22 +67,22 @@ class Climb:
             beyond = (at[i] + ((z.shape[i] - 1) << k) >= self.surface.shape[i] for i in (0, 1))
             # Without gaps all is whole that ends within the raster.
             known = (0, 0) if self.gaps else ((rows - 1 - self.row0) >> k, (cols - 1 - self.col0) >> k)
-            holes.states(fine, below, k, self.states, self.found, *known, *beyond)
+            self.seen = np.zeros((z.shape[0], -(-z.shape[1] // holes.RUN) + 2), np.uint8)
+            holes.states(fine, below, k, self.states, self.found, self.seen, *known, *beyond)
         finer, self.errors = self.errors, {}
         for kind in self.kinds:
             e = exact if kind == "exact" and exact is not None else np.zeros(z.shape, np.float32)
-            if kind == "midpoint":
-                octaves.midpoints(z, *at, octaves.MIDPOINT, e)
-            elif kind == "wedgie":
-                octaves.midpoints(z, *at, octaves.WEDGIE, e)
-                sums = np.zeros((2, *half), np.float32)
-                octaves.wedgie_sums(self.sums, *at, sums, e)
-                self.sums = sums
-            elif exact is None:
-                octaves.deviations(fine, z, *at, e)
-            if self.states is not None:
-                holes.mark(self.found, e)
-            octaves.close(finer[kind], k, e)
+            if kind == "exact":
+                if exact is None:
+                    octaves.deviations(fine, z, *at, e)
+                holes.mark(self.found, self.seen, e)
+                monotony.close(finer[kind], k, e)
+            else:
+                number, sums_below, sums = octaves.MIDPOINT, NO_SUMS, NO_SUMS
+                if self.sums is not None and kind == "wedgie":
+                    number, sums_below, sums = octaves.WEDGIE, self.sums, np.zeros((2, *half), np.float32)
+                    self.sums = sums
+                monotony.ascend(z, *at, number, sums_below, finer[kind], self.found, self.seen, sums, e)
             self.errors[kind] = e
         if self.radii is not None:
             filled = self.surface.filled(z, self.row0, self.col0, k) if self.states is not None else z
@@ -95,12 +98,10 @@ class Climb:
     def part(self, k: int, i: int, j: int, area: tuple[slice, slice]) -> Part:
         """What has been found of octave k in an ``area`` whose first entry is (i, j)."""
         radii = self.radii
-        if radii is not None:
-            radii = radii[area]
-            if self.states is not None:
-                empty = (self.found[area] != holes.WHOLE) & (self.found[area] != holes.MIXED)
-                if empty.any():
-                    radii = np.where(empty, np.minimum(-radii, NOTHING), radii)
+        if radii is not None and self.states is not None:
+            radii = radii.copy()  # the next octave's spheres are around these, empty or not
+            tell_empty(self.found, self.seen, NOTHING, radii)
+        radii = None if radii is None else radii[area]
         return Part(k, i, j, {kind: e[area] for kind, e in self.errors.items()}, radii)
 
 

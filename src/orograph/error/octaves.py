@@ -12,11 +12,10 @@ beyond the window are treated as absent, as beyond the square's border; whoever 
 margin and drops it afterwards.
 
 * ``midpoint``: height of the vertex above the middle of the hypotenuse (Lindstrom & Pascucci 2001, Blow 2000).
-* ``wedgie``: the nested sum of Duchaineau et al. 1997, sec. 6: of each top triangle, its own local error plus the
-  larger of its two children's sums; a diamond has the larger of its two triangles'.
+* ``wedgie``: the nested sum of Duchaineau et al. 1997, sec. 6, of local errors (``wedgies``).
 * ``exact``: the largest deviation of any full-resolution sample (``deviation``).
 
-All are then made monotonic: no less than the children's (``close``). Heights and errors in metres; arithmetic in
+All are then made monotonic: no less than the children's (``monotony``). Heights and errors in metres; arithmetic in
 float64; results are rounded up to float32.
 """
 
@@ -93,17 +92,19 @@ def _on_rim(fine, z, row0, col0, k, rows, cols, i, j, kind):
 
 
 @kernel
-def _rim_errors(fine, z, row0, col0, k, rows, cols, kind, errors):
-    """``local_errors`` on the rim."""
+def _rim_row(fine, z, row0, col0, k, rows, cols, kind, i, errors):
+    """The errors of row i on the rim; ``errors`` is that row."""
     height, width = z.shape
-    i_end, j_end = inner(row0, k, rows, height), inner(col0, k, cols, width)
-    for i in range(height):
-        all_of_them = i == 0 or i >= i_end
-        for j in range(width):
-            if not all_of_them and 0 < j < j_end:
-                continue
-            if (i | j) & 1:
-                errors[i, j] = round_up(_on_rim(fine, z, row0, col0, k, rows, cols, i, j, kind))
+    inside = 0 < i < inner(row0, k, rows, height)
+    j_end = inner(col0, k, cols, width)
+    j = 0
+    while j < width:
+        if inside and 0 < j < j_end:
+            j = j_end
+            continue
+        if (i | j) & 1:
+            errors[j] = round_up(_on_rim(fine, z, row0, col0, k, rows, cols, i, j, kind))
+        j += 1
 
 
 @inlined
@@ -114,29 +115,32 @@ def _off_middle(a, m, b):
 
 
 @kernel
-def midpoints(z, row0, col0, k, rows, cols, kind, errors):
-    """The local error of every diamond of an octave. MIDPOINT, WEDGIE and EXACT differ in squeezed diamonds only.
+def midpoints(z, row0, col0, k, rows, cols, kind, i, errors):
+    """The local error of the diamonds of row i. MIDPOINT, WEDGIE and EXACT differ in squeezed diamonds only.
 
     Args:
         z: float32, the window's heights at the octave's spacing. rows, cols: of the raster.
-        errors: the result, float32 with z's shape; entries that are no diamonds of this octave are not touched.
+        errors: float32, the result for the row; what is no diamond of this octave becomes 0 or stays.
     """
     height, width = z.shape
-    i_end, j_end = inner(row0, k, rows, height), inner(col0, k, cols, width)
-    for i in range(1, i_end):
-        above, here, below, e = z[i - 1], z[i], z[i + 1], errors[i]
-        # Two neighbours at a time, the unused entries too: stores without gaps are what the compiler makes vectors of.
-        for u in range(j_end >> 1):
-            j = 2 * u + 1
-            if i & 1 == 0:
-                e[j] = _off_middle(here[j - 1], here[j], here[j + 1])
-                e[j + 1] = 0.0
-            else:
-                falling = (i >> 1) + u & 1 == 0
-                nw, ne, sw, se = above[j - 1], above[j + 1], below[j - 1], below[j + 1]
-                e[j] = _off_middle(nw if falling else ne, here[j], se if falling else sw)
-                e[j + 1] = _off_middle(ne, here[j + 1], se)
-    _rim_errors(z, z, row0, col0, k, rows, cols, kind, errors)
+    j_end = inner(col0, k, cols, width)
+    if 0 < i < inner(row0, k, rows, height):
+        above, here, below = z[i - 1], z[i], z[i + 1]
+        # All entries of the row, those that are no diamonds too: the compiler makes vectors of what is without gaps.
+        if i & 1 == 0:
+            for u in range(np.uint64(j_end - 1)):
+                d = _off_middle(here[u], here[u + np.uint64(1)], here[u + np.uint64(2)])
+                errors[u + np.uint64(1)] = np.float32(0.0) if u & np.uint64(1) else d
+        else:
+            for u in range(np.uint64(j_end - 1)):
+                j, east = u + np.uint64(1), u + np.uint64(2)
+                nw, north, ne = above[u], above[j], above[east]
+                sw, south, se = below[u], below[j], below[east]
+                falling = np.uint64(i >> 1) + (j >> np.uint64(1)) & np.uint64(1) == 0
+                edge = u & np.uint64(1)
+                a, b = nw if falling else ne, se if falling else sw
+                errors[j] = _off_middle(north if edge else a, here[j], south if edge else b)
+    _rim_row(z, z, row0, col0, k, rows, cols, kind, i, errors)
 
 
 @kernel
@@ -145,15 +149,17 @@ def deviations(fine, z, row0, col0, k, rows, cols, errors):
 
     Args:
         fine: float32, the full-resolution samples of the window. z: its heights at the octave's spacing.
-        errors: as in ``midpoints``.
+        errors: float32 with z's shape, the result; entries that are no diamonds of this octave are 0 or untouched.
     """
     if k == 0:  # the centre is the only sample inside
-        midpoints(z, row0, col0, k, rows, cols, EXACT, errors)
+        for i in range(z.shape[0]):
+            midpoints(z, row0, col0, k, rows, cols, EXACT, i, errors[i])
         return
     s = np.int64(1) << k
     height, width = z.shape
     i_end, j_end = inner(row0, k, rows, height), inner(col0, k, cols, width)
-    _rim_errors(fine, z, row0, col0, k, rows, cols, EXACT, errors)
+    for i in range(height):
+        _rim_row(fine, z, row0, col0, k, rows, cols, EXACT, i, errors[i])
     for i in range(1, i_end):
         if i & 1 == 0:
             for j in range(1, j_end, 2):
@@ -201,156 +207,3 @@ def overlap(z, row0, col0, coarse, k, rows, cols, i0, j0, raw):
                 qy, qx, q = _vertex(coarse, qi, qj, s, y, x)
                 worst = max(worst, triangle(z, row0, col0, ay, ax, a, by, bx, b, qy, qx, q))
             raw[di, dj] = round_up(worst)
-
-
-# ---- ROAM's nested sums: one for each of a diamond's two triangles, first the upper or left one ----------------------
-
-
-@inlined
-def children_of_square(north, south, west, east, falling):
-    """The values of a square diamond's four children (two halves each), as they belong to its first, second triangle.
-
-    Args:
-        north, south, west, east: the value of that half of the child on this side which lies within the square.
-    """
-    a = east if falling else west
-    b = west if falling else east
-    return north, a, b, south
-
-
-@leaf
-def entry(values, which, i, j):
-    """An entry of an array of halves (2, height, width); 0 beyond it."""
-    if i < 0 or j < 0 or i >= values.shape[1] or j >= values.shape[2]:
-        return values.dtype.type(0)
-    return values[which, i, j]
-
-
-@kernel
-def _edge_sums(below, row0, col0, k, rows, cols, i, errors, row):
-    """The sums of the edge diamonds of row i, into ``row`` (2, width); ``errors`` become the larger ones."""
-    s = np.int64(1) << k
-    height, width = errors.shape
-    j_end = inner(col0, k, cols, width)
-    inside = 0 < i < inner(row0, k, rows, height)
-    first, second, e = row[0], row[1], errors[i]
-    odd = 1 - (i & 1)
-    if k == 0:
-        for j in range(width):
-            first[j] = second[j] = e[j]
-        return
-    for j in range(odd, width, 2):
-        if inside and 0 < j < j_end:
-            nw, ne, sw, se = below[1, i - 1, j - 1], below[1, i - 1, j], below[0, i, j - 1], below[0, i, j]
-        else:
-            nw, ne = entry(below, 1, i - 1, j - 1), entry(below, 1, i - 1, j)
-            sw, se = entry(below, 0, i, j - 1), entry(below, 0, i, j)
-        one = max(nw, ne if odd else sw)
-        two = max(se, sw if odd else ne)
-        if row0 + (i + 1) * s >= rows or col0 + (j + 1) * s >= cols:
-            one = two = max(one, two)  # squeezed: children need not lie in their parent
-        local = np.float64(e[j])
-        first[j] = round_up(local + one)
-        second[j] = round_up(local + two)
-        e[j] = max(first[j], second[j])
-
-
-@kernel
-def _square_sums(row0, col0, k, rows, cols, i, north, here, south, sums, errors):
-    """The sums of the square diamonds of row i, from those of the edge diamonds on their sides."""
-    s = np.int64(1) << k
-    width = errors.shape[1]
-    one, two, e = sums[0, i >> 1], sums[1, i >> 1], errors[i]
-    to_north, to_south, to_west, to_east = north[1], south[0], here[1], here[0]
-    parity = i >> 1
-    for u in range((width - 1) >> 1):
-        j = 2 * u + 1
-        falling = parity + u & 1 == 0
-        a, b, c, d = children_of_square(to_north[j], to_south[j], to_west[j - 1], to_east[j + 1], falling)
-        local = np.float64(e[j])
-        first, second = round_up(local + max(a, b)), round_up(local + max(c, d))
-        one[u] = first
-        two[u] = second
-        e[j] = max(first, second)
-    if width & 1 == 0:  # the last one has no eastern neighbour
-        j = width - 1
-        u = j >> 1
-        a, b, c, d = children_of_square(to_north[j], to_south[j], to_west[j - 1], np.float32(0), parity + u & 1 == 0)
-        one[u] = round_up(np.float64(e[j]) + max(a, b))
-        two[u] = round_up(np.float64(e[j]) + max(c, d))
-        e[j] = max(one[u], two[u])
-    squeezed = row0 + (i + 1) * s >= rows
-    for u in range(0 if squeezed else inner(col0, k, cols, width) >> 1, width >> 1):
-        if squeezed or col0 + (2 * u + 2) * s >= cols:
-            one[u] = two[u] = e[2 * u + 1]  # children need not lie in their parent
-
-
-@kernel
-def wedgie_sums(below, row0, col0, k, rows, cols, sums, errors):
-    """ROAM's nested sums of the diamonds of octave k.
-
-    Args:
-        below: float32 (2, height, width): the sums of the square diamonds of the octave below (nothing for k = 0).
-        row0, col0: the window's first sample. rows, cols: of the raster.
-        sums: float32 (2, height // 2, width // 2), the result for this octave's square diamonds: of their first
-            triangles and of their second ones. Entry [:, i >> 1, j >> 1] belongs to the diamond (i, j).
-        errors: float32 (height, width); in: local errors; out: the larger of a diamond's two sums.
-    """
-    height, width = errors.shape
-    recent = np.zeros((3, 2, width), np.float32)  # edge diamonds of rows i − 2, i − 1, i
-    for i in range(height + 1):
-        if i < height:
-            _edge_sums(below, row0, col0, k, rows, cols, i, errors, recent[i % 3])
-        else:
-            recent[i % 3] = 0
-        if i and i & 1 == 0:
-            north, here, south = recent[(i - 2) % 3], recent[(i - 1) % 3], recent[i % 3]
-            _square_sums(row0, col0, k, rows, cols, i - 1, north, here, south, sums, errors)
-
-
-# ---- monotony -------------------------------------------------------------------------------------------------------
-
-
-@inlined
-def _largest(e, a, b, c, d):
-    """The largest of five errors."""
-    return max(e, max(max(a, b), max(c, d)))
-
-
-@leaf
-def value(values, i, j):
-    """An entry of a window, 0 beyond it."""
-    if i < 0 or j < 0 or i >= values.shape[0] or j >= values.shape[1]:
-        return values.dtype.type(0)
-    return values[i, j]
-
-
-@kernel
-def close(below, k, errors):
-    """Make errors monotonic: each no less than its children's.
-
-    Args:
-        below: float32, the closed errors of the octave below, in a window that begins at the same sample.
-        errors: float32 (height, width), changed in place.
-    """
-    height, width = errors.shape
-    if k:
-        for i in range(height):
-            inside = i > 0 and 2 * i + 1 < below.shape[0]
-            for j in range(1 - (i & 1), width, 2):
-                y = 2 * i
-                x = 2 * j
-                if inside and j > 0 and x + 1 < below.shape[1]:
-                    nw, ne, sw, se = below[y - 1, x - 1], below[y - 1, x + 1], below[y + 1, x - 1], below[y + 1, x + 1]
-                else:
-                    nw, ne = value(below, y - 1, x - 1), value(below, y - 1, x + 1)
-                    sw, se = value(below, y + 1, x - 1), value(below, y + 1, x + 1)
-                errors[i, j] = _largest(errors[i, j], nw, ne, sw, se)
-    for i in range(1, height, 2):
-        for j in range(1, width, 2):
-            if i + 1 < height and j + 1 < width:
-                north, south, west, east = errors[i - 1, j], errors[i + 1, j], errors[i, j - 1], errors[i, j + 1]
-            else:
-                north, south = errors[i - 1, j], value(errors, i + 1, j)
-                west, east = errors[i, j - 1], value(errors, i, j + 1)
-            errors[i, j] = _largest(errors[i, j], north, south, west, east)

@@ -52,17 +52,12 @@ class Surface:
 
     def filled(self, heights: Floats, row0: int, col0: int, k: int) -> Floats:
         """Heights at spacing 2^k that begin at a sample, missing ones replaced by the lowest of their tile."""
-        gaps = np.isnan(heights)
-        if not gaps.any():
-            return heights
-        i, j = np.nonzero(gaps)
-        rows, cols = (
-            np.minimum(at + (index << k), side - 1) for at, index, side in zip((row0, col0), (i, j), self.shape)
-        )
+        from orograph.error.spheres import fill  # compiled code, which readers of stores do not need
+
         table = np.where(np.isnan(self.minimum), np.float32(self.lowest), self.minimum)
-        result = heights.copy()
-        result[i, j] = table[np.minimum(rows >> 8, table.shape[0] - 1), np.minimum(cols >> 8, table.shape[1] - 1)]
-        return result
+        filled = np.empty(heights.shape, np.float32)
+        fill(heights, row0, col0, k, *self.shape, table, filled)
+        return filled
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +83,7 @@ class Rest:
 
     Attributes:
         part: its diamonds of the last octave that blocks finish.
-        sums, states: of that octave's square diamonds (see ``octaves`` and ``holes``); None where they tell nothing.
+        sums, states: of that octave's square diamonds (see ``wedgies`` and ``holes``); None where they tell nothing.
         raw: octave, first entry (i, j), deviations of the block's samples from the octave's coarse triangles.
     """
 

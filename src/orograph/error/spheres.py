@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, kernel, leaf
+from orograph.error.holes import MIXED, RUN, WHOLE
 from orograph.error.octaves import inner
 
 
@@ -98,14 +99,14 @@ def _edge(m, west, east, north, south, across, down):
 @kernel
 def _edges(z, i, j_end, across, down, r):
     """The finest edge diamonds of a row: the corners of their regions."""
-    first = 1 + (i & 1)
     north, here, south = z[i - 1], z[i], z[i + 1]
-    for u in range((j_end - first + 1) >> 1):
-        j = 2 * u + first
+    odd = np.uint64(1 - (i & 1))
+    # All entries of the row, square diamonds found later too: the compiler makes vectors of what is without gaps.
+    for u in range(np.uint64(j_end - 1)):
+        j, east = u + np.uint64(1), u + np.uint64(2)
         m = np.float64(here[j])
-        r[j] = _rounded(_edge(m, here[j - 1], here[j + 1], north[j], south[j], across, down))
-        # Unused, or a square diamond found later: stores without gaps are what the compiler makes vectors of.
-        r[j + 1] = 0.0
+        found = _rounded(_edge(m, here[u], here[east], north[j], south[j], across, down))
+        r[j] = found if j & np.uint64(1) == odd else np.float32(0.0)
 
 
 @kernel
@@ -190,3 +191,37 @@ def square_spheres(z, row0, col0, k, rows, cols, metric, radii):
     for i in range(1, i_end, 2):
         _squares(z, radii, i, j_end, across, down, falling, rising, row)
     _rim(z, z, radii, row0, col0, k, rows, cols, metric, radii, 1)
+
+
+@kernel
+def fill(z, row0, col0, k, rows, cols, lowest, filled):
+    """Heights without gaps: missing ones replaced by the lowest of their tile of 256 cells.
+
+    Args:
+        z: heights of octave k, a window; row0, col0, rows, cols: as in ``edge_spheres``.
+        lowest: float32 (tile rows, tile cols). filled: float32 with z's shape, the result.
+    """
+    height, width = z.shape
+    for i in range(height):
+        here, found = z[i], filled[i]
+        missing = 0
+        for j in range(np.uint64(width)):
+            found[j] = here[j]
+            missing += here[j] != here[j]
+        if missing:
+            tiles = lowest[min(min(row0 + (i << k), rows - 1) >> 8, lowest.shape[0] - 1)]
+            for j in range(width):
+                if here[j] != here[j]:
+                    found[j] = tiles[min(min(col0 + (j << k), cols - 1) >> 8, lowest.shape[1] - 1)]
+
+
+@kernel
+def tell_empty(found, seen, none, radii):
+    """Make the radii of a window's empty diamonds negative (``none`` instead of 0); arguments as of ``holes.mark``."""
+    for i in range(len(found)):
+        state, r = found[i], radii[i]
+        for run in range(seen.shape[1] - 2):
+            if seen[i, run + 1]:
+                for j in range(run * RUN, min(run * RUN + RUN, len(r))):
+                    if state[j] != WHOLE and state[j] != MIXED:
+                        r[j] = min(-r[j], none)

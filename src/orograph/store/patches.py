@@ -181,7 +181,7 @@ def _lifted(errors: Heights, q: int, shapes: list[Shape]) -> Heights:
     Args:
         shapes: of the windows of that octave and the q above; all begin at the same sample, of even entries.
     """
-    from orograph.error.octaves import close  # compiled code, which readers of stores do not need
+    from orograph.error.monotony import close  # compiled code, which readers of stores do not need
 
     if q == 0:
         return errors.copy()
@@ -200,7 +200,7 @@ def _lifted(errors: Heights, q: int, shapes: list[Shape]) -> Heights:
 
 def _saturate(here: Heights, below: Heights | None) -> None:
     """Make an octave's P into P′, given that of the octave below."""
-    from orograph.error.octaves import close
+    from orograph.error.monotony import close
 
     factor = np.float32(SATURATION)
     if below is not None:
