@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from orograph.errors import NothingInViewError, UsageError
+from orograph.geovis.layers import Layer
 from orograph.gpu.device import Device
 from orograph.gpu.picture import draw as gpu_draw
 from orograph.light.aperture import Lamp
@@ -117,7 +118,8 @@ def test_it_is_the_cpus_picture(device: Device, shared_data: Path, name: str, ki
 def test_imagery_lies_where_the_cpu_lays_it(device: Device, shared_data: Path) -> None:
     terrain = open_set(shared_data, "fortbragg")
     image = shared_data / "fortbragg-1m-dem-ortho/naip_2014_rgb.tif"
-    scene = Scene(terrain, around(terrain, SIZE, azimuth=150, pitch=30, distance=900), drape=image, tolerance=1.0)
+    view = around(terrain, SIZE, azimuth=150, pitch=30, distance=900)
+    scene = Scene(terrain, view, layers=(Layer(str(image)),), tolerance=1.0)
     difference = lab(gpu_draw(scene, device=device).pixels) - lab(cpu_draw(scene).pixels)
     assert np.linalg.norm(difference, axis=-1).mean() < 1.5
 

@@ -8,6 +8,7 @@ from affine import Affine
 from pyproj import CRS
 from scenes import NORTH_UP, hills, terrain
 
+from orograph.geovis.layers import Layer
 from orograph.picture import camera, cpu, furniture, legend
 from orograph.picture.scene import Scene
 
@@ -54,11 +55,11 @@ def test_heights_are_explained_unless_an_image_hides_them(monkeypatch, tmp_path,
     with rasterio.open(path, "w", driver="GTiff", width=10, height=10, count=3, dtype="uint8", crs="EPSG:32611",
                        transform=NORTH_UP @ Affine.scale(41 * covered, 21)) as file:  # fmt: skip
         file.write(np.full((3, 10, 10), 99, np.uint8))
-    keys = told(monkeypatch, plan(ground, drape=str(path)))["legend"]
+    keys = told(monkeypatch, plan(ground, layers=(Layer(str(path)),)))["legend"]
     assert (keys is not None) == explained
     heights = hills(200, 400)
     heights[80:110, 60:90] = np.nan
-    keys = told(monkeypatch, plan(terrain(heights), drape=str(path)))["legend"]
+    keys = told(monkeypatch, plan(terrain(heights), layers=(Layer(str(path)),)))["legend"]
     assert keys.missing is not None and (keys.colours is not None) == explained
 
 

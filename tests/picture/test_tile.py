@@ -11,6 +11,7 @@ from affine import Affine
 from scenes import NORTH_UP, hills, holes, terrain
 
 from orograph.errors import NothingInViewError, UsageError
+from orograph.geovis.layers import Layer
 from orograph.light.sun import Sun
 from orograph.picture import camera
 from orograph.picture.cpu import draw
@@ -39,7 +40,7 @@ def scenes(tmp_path):
         "paper": Scene(land, oblique),
         "sky": Scene(land, camera.around(land, SIZE, azimuth=140, pitch=4, distance=2500), Sun(130, 9), sky=True),
         "turned": Scene(land, turned, exaggeration=2.0, samples=7, jobs=2),
-        "drape": Scene(land, oblique, drape=str(image), sky=True),
+        "drape": Scene(land, oblique, layers=(Layer(str(image)),), sky=True),
         "plan": Scene(land, camera.plan(land, SIZE, azimuth=150), samples=3),
         "coarse": Scene(land, oblique, tolerance=3.0),
         "plain": Scene(land, oblique, samples=1, shadows=False, water=None),

@@ -7,6 +7,7 @@ import datetime
 import pytest
 
 from orograph.errors import UsageError
+from orograph.geovis.layers import Layer
 from orograph.light.sun import Moment, Placed, position
 from orograph.picture.prepare import prepare
 from orograph.viewer.settings import Light, Settings
@@ -86,8 +87,7 @@ def test_a_budget_is_reached(terrain, power):
 def test_scenes(terrain):
     from orograph.picture import camera
 
-    settings = Settings(Light.over(terrain), exaggeration=2.0, drape="x.tif", draped=False)
+    settings = Settings(Light.over(terrain), exaggeration=2.0, layers=[Layer("x.tif", visible=False)])
     scene = settings.scene(terrain, camera.whole(terrain, (100, 100)))
     assert scene.exaggeration == 2.0
-    assert scene.drape is None
-    assert settings.overlay().drape_opacity == 1.0
+    assert scene.layers == (Layer("x.tif", visible=False),)

@@ -199,11 +199,11 @@ def test_a_viewshed_is_painted_and_goes_again(window, hand):
     tools.choose("viewshed")
     tools.radius = 3000.0
     hand.click(300, 330)
-    hand.until(lambda: window.session.settings.drape is not None, 120)
+    hand.until(lambda: window.session.settings.painted is not None, 120)
     hand.rest()
     painted = hand.frames(1)
     hand.key("Escape")
-    assert window.session.settings.drape is None
+    assert window.session.settings.painted is None
     hand.rest()
     assert np.abs(hand.frames(1).astype(int) - painted).max() > 40
 

@@ -12,6 +12,7 @@ from click.core import ParameterSource
 
 from orograph.cli.camera import Size
 from orograph.cli.files import check_outputs
+from orograph.cli.layers import layer_files
 from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
 from orograph.cli.scenes import DRAWING, check_scene, scene_of, scene_options
 from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
@@ -77,7 +78,7 @@ def command(
         )
     check_outputs(
         {"--output": output},
-        {"the input": paths, "the image of --drape": [options["drape"]], "the tour": [tour_path],
+        {"the input": paths, "a layer of --drape": layer_files(options), "the tour": [tour_path],
          "the line": [options["line"]], "the camera of --mesh-view": [options["mesh_view"]],
          "the grid of --geoid": [options["geoid"]]},
     )  # fmt: skip

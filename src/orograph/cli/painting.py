@@ -36,7 +36,7 @@ def painted(
         drape = Path(folder) / "seen.tif"
         save_paint(shed, told.over(shed.blocks(progress)), drape)
         picture = render(
-            terrain, view, drape=drape if told.seen else None, max_memory=max_memory, jobs=jobs, progress=progress,
+            terrain, view, layers=drape if told.seen else (), max_memory=max_memory, jobs=jobs, progress=progress,
         )  # fmt: skip
     replace(picture, pixels=_marked(picture, shed)).save(path)
     return told.result()

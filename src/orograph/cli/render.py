@@ -12,6 +12,7 @@ from click.core import ParameterSource
 
 from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, check_camera
 from orograph.cli.files import check_ending, check_outputs
+from orograph.cli.layers import layer_files
 from orograph.cli.options import (
     FILE,
     jobs_option,
@@ -67,7 +68,7 @@ def command(
     check_scene(options, progress)
     check_outputs(
         {"--output": output, "--depth": depth, "--save-view": save_view},
-        {"the input": paths, "the image of --drape": [options["drape"]], "the camera of --view": [options["view_path"]],
+        {"the input": paths, "a layer of --drape": layer_files(options), "the camera of --view": [options["view_path"]],
          "the camera of --mesh-view": [options["mesh_view"]],
          "the grid of --geoid": [options["geoid"]]},
     )  # fmt: skip

@@ -14,6 +14,7 @@ import click
 
 from orograph.cli.camera import Numbers
 from orograph.cli.engines import engine_option
+from orograph.cli.layers import layers_of_options, layers_option
 from orograph.cli.options import FILE, F, ParamType
 from orograph.cli.suns import sun_option
 
@@ -57,14 +58,14 @@ class Water(ParamType):
 
 LIGHTS = ("relief", "ao", "aperture", "raytraced", "none")  # orograph.picture.scene.Light, without importing it
 
-SCENE = ("shadows", "light", "rays", "exaggeration", "colormap", "drape", "sky", "relief", "samples", "tolerance",
+SCENE = ("shadows", "light", "rays", "exaggeration", "colormap", "sky", "relief", "samples", "tolerance",
          "engine", "wireframe", "furniture", "title")  # fmt: skip
 """Options that are a scene's attributes of the same name."""
 
 LINES = ("contours", "contour_index", "contour_labels", "contour_opacity")
 """Options of contour lines."""
 
-DRAWING = {*SCENE, *LINES, "sun", "water", "lamps", "discs", "mesh_view", "backend"}
+DRAWING = {*SCENE, *LINES, "layers", "sun", "water", "lamps", "discs", "mesh_view", "backend"}
 """All of them that are not about reading."""
 
 
@@ -126,9 +127,7 @@ def scene_options(function: F) -> F:
                 metavar="NAME",
                 help="Colours of heights: alpine, mars, grey or any name of the cmap catalogue.  [default: alpine]",
             ),
-            click.option(
-                "--drape", type=FILE, metavar="IMAGE", help="Lay this image over the ground; it may be in any CRS."
-            ),
+            layers_option,
             click.option(
                 "--water",
                 type=Water(),
@@ -213,6 +212,7 @@ def check_scene(options: Mapping[str, Any], progress: Progress) -> None:
     if options["mesh_view"] is not None and options["engine"] is None:
         raise UsageError("--mesh-view is what an engine refines for.", remedy="Choose one, such as --engine soar.")
     colour_table(options["colormap"])
+    layers_of_options(options)
     for name, colours in (("--light-at", [lamp[4:] for lamp in options["lamps"]]),
                           ("--disc", [disc[3:] for disc in options["discs"]])):  # fmt: skip
         if any(len(colour) not in (0, 3) for colour in colours):
@@ -232,7 +232,8 @@ def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memor
         terrain, view, options["sun"].over(terrain.grid),
         mesh_view=None if mesh_view is None else View.load(mesh_view, crs=terrain.grid.crs),
         water=None if options["water"] == "none" else options["water"], max_memory=max_memory, jobs=jobs,
-        contours=_contours(options), lamps=lamps, discs=discs, **{k: options[k] for k in SCENE},
+        contours=_contours(options), layers=layers_of_options(options), lamps=lamps, discs=discs,
+        **{k: options[k] for k in SCENE},
     )  # fmt: skip
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
-from orograph.cli.options import FILE, Bytes, jobs_option, progress_of, source_options, vertical_options
+from orograph.cli.layers import layers_of_options, layers_option
+from orograph.cli.options import Bytes, jobs_option, progress_of, source_options, vertical_options
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from orograph.view import View
 
 WINDOW = (1280, 800)
-OWN = {*CAMERA, "sun", "exaggeration", "tolerance", "colormap", "drape", "adapter"}
+OWN = {*CAMERA, "sun", "exaggeration", "tolerance", "colormap", "layers", "adapter"}
 """What is said about the window; all other options are about reading."""
 
 
@@ -34,7 +35,7 @@ OWN = {*CAMERA, "sun", "exaggeration", "tolerance", "colormap", "drape", "adapte
     help="Pixels by which the ground may be displaced on the screen.  [default: 1]",
 )
 @click.option("--colormap", metavar="NAME", help="Colours of heights.  [default: alpine]")
-@click.option("--drape", type=FILE, metavar="IMAGE", help="Lay this image over the ground; it may be in any CRS.")
+@layers_option
 @click.option("--gpu-memory", type=Bytes(), default="512MiB", show_default=True, help="GPU memory for tiles.")
 @click.option("--memory", type=Bytes(), default="1GiB", show_default=True, help="Memory for tables and caches.")
 @click.option(
@@ -75,7 +76,7 @@ def command(
         options["projection"] = "perspective"  # the window turns it straight down
         options["pitch"] = 90.0
     with progress.task("Loading Orograph"):
-        from orograph.errors import ReadError, UsageError
+        from orograph.errors import UsageError
         from orograph.geovis.colour import colour_table
         from orograph.output import check_folder
         from orograph.picture.scene import check_exaggeration
@@ -90,8 +91,7 @@ def command(
     choose(options["adapter"])
     check_exaggeration(options["exaggeration"])
     colour_table(options["colormap"])
-    if options["drape"] is not None and not Path(options["drape"]).is_file():
-        raise ReadError("There is no such image.", path=options["drape"])
+    layers = layers_of_options(options)
     if screenshot is not None:
         if Path(screenshot).suffix.lower() != ".png":
             raise UsageError("A screenshot is a PNG.", path=screenshot, remedy="Give it the ending .png.")
@@ -106,7 +106,7 @@ def command(
         session = Session(
             terrain, _view(terrain, options, size), size=size, sun=options["sun"],
             exaggeration=options["exaggeration"], tolerance=options["tolerance"], colormap=options["colormap"],
-            drape=options["drape"],
+            layers=layers,
         )  # fmt: skip
     warming.join()
     make = renderer_of(gpu_memory, memory, jobs)

@@ -2,14 +2,15 @@
 
 Red, green and blue are found by the bands' colour interpretation, else they are the first three; one band is looked up
 in its palette or is grey. Types other than bytes, and grey without a palette, are stretched between the 2nd and 98th
-percentile of what is valid in the window, colours together so that hues stay. Opacity comes from an alpha band, a mask
-or nodata. Large windows are averaged as they are read, from overviews if the file has them. Units: pixels.
+percentile of what is valid over the terrain, colours together so that hues stay. With a colour map one band's values
+are looked up there. Opacity comes from an alpha band, a mask or nodata. Large windows are averaged as they are read,
+from overviews if the file has them. Units: pixels.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from orograph._numba import kernel
 from orograph.dem.handles import HANDLES, cause_of
 from orograph.errors import ReadError
+from orograph.geovis.layers import Layer
 from orograph.geovis.mipmap import curves
 
 Bytes = NDArray[np.uint8]
@@ -32,41 +34,6 @@ PROBE = 512
 
 PIECE = 1 << 22
 """Pixels read at once."""
-
-
-@dataclass(frozen=True, slots=True)
-class Bands:
-    """What of a file is colour.
-
-    Attributes:
-        colours: three bands (red, green, blue) or one.
-        palette: (256 or 65536, 4) uint8 for one band of indices, else None.
-        stretched: whether values are stretched instead of taken as they are.
-    """
-
-    colours: tuple[int, ...]
-    palette: Bytes | None
-    stretched: bool
-
-    @classmethod
-    def of(cls, file: Any) -> Bands:
-        """What an open rasterio dataset holds."""
-        names = [c.name for c in file.colorinterp]
-        data = [i + 1 for i, name in enumerate(names) if name != "alpha"]
-        if all(c in names for c in ("red", "green", "blue")):
-            colours = tuple(names.index(c) + 1 for c in ("red", "green", "blue"))
-        else:
-            colours = tuple(data[:3]) if len(data) >= 3 else tuple(data[:1] or [1])
-        kind = np.dtype(file.dtypes[colours[0] - 1])
-        if kind.kind == "c":
-            raise ReadError("Its values are complex numbers, not colours.", path=file.name, remedy="Name an image.")
-        palette = None
-        if len(colours) == 1 and names[colours[0] - 1] == "palette" and kind in (np.uint8, np.uint16):
-            palette = np.zeros((np.iinfo(kind).max + 1, 4), np.uint8)
-            for index, colour in file.colormap(colours[0]).items():
-                if 0 <= index < len(palette):
-                    palette[index] = colour
-        return cls(colours, palette, palette is None and (kind != np.uint8 or len(colours) == 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +55,78 @@ class Window:
         return -(-(self.row1 - self.row0) // self.step), -(-(self.col1 - self.col0) // self.step)
 
 
-def read_into(out: Bytes, location: str, window: Window) -> None:
+PICKS = 8
+"""A palette's overviews hold picked pixels, not means: those are used from so many a side on for one texel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bands:
+    """What of a file is colour.
+
+    Attributes:
+        colours: three bands (red, green, blue) or one.
+        palette: (256 or 65536, 4) uint8 for one band of indices, else None.
+        stretched: whether values are stretched instead of taken as they are.
+        table: (n, 3) uint8, the colour map of one band's values, else None.
+        nodata: the value that means "nothing here" besides what the file says, or None.
+        span: the values that become black and white, or the ends of the table.
+    """
+
+    colours: tuple[int, ...]
+    palette: Bytes | None
+    stretched: bool
+    table: Bytes | None = None
+    nodata: float | None = None
+    span: tuple[float, float] = (0.0, 255.0)
+
+    @classmethod
+    def of(cls, file: Any, layer: Layer) -> Bands:
+        """What an open rasterio dataset holds, shown as a layer says; the span is not known yet (``spanned``).
+
+        Raises:
+            ReadError: it has no such band, or complex values.
+        """
+        names = [c.name for c in file.colorinterp]
+        data = [i + 1 for i, name in enumerate(names) if name != "alpha"]
+        if layer.colormap is not None:
+            if layer.band > file.count:
+                raise ReadError(
+                    f"It has no band {layer.band}.", path=file.name, remedy=f"There are bands 1 to {file.count}."
+                )
+            colours: tuple[int, ...] = (layer.band,)
+        elif all(c in names for c in ("red", "green", "blue")):
+            colours = tuple(names.index(c) + 1 for c in ("red", "green", "blue"))
+        else:
+            colours = tuple(data[:3]) if len(data) >= 3 else tuple(data[:1] or [1])
+        kind = np.dtype(file.dtypes[colours[0] - 1])
+        if kind.kind == "c":
+            raise ReadError("Its values are complex numbers, not colours.", path=file.name, remedy="Name an image.")
+        if layer.colormap is not None:
+            from orograph.geovis.colour import colour_table, linear_to_srgb
+
+            table = np.round(linear_to_srgb(colour_table(layer.colormap)) * 255).astype(np.uint8)
+            return cls(colours, None, True, table, layer.nodata)
+        palette = None
+        if len(colours) == 1 and names[colours[0] - 1] == "palette" and kind in (np.uint8, np.uint16):
+            palette = np.zeros((np.iinfo(kind).max + 1, 4), np.uint8)
+            for index, colour in file.colormap(colours[0]).items():
+                if 0 <= index < len(palette):
+                    palette[index] = colour
+        stretched = palette is None and (kind != np.uint8 or len(colours) == 1)
+        return cls(colours, palette, stretched, nodata=layer.nodata)
+
+    def spanned(self, file: Any, layer: Layer, window: Window) -> Bands:
+        """With the span of the layer's range, or else of the values in a window."""
+        if not self.stretched:
+            return self
+        return replace(self, span=layer.range or _span(file, self, window))
+
+    def factors(self, file: Any) -> list[int]:
+        """Pixels along the side of a texel of the file's overviews, finest first."""
+        return [int(f) for f in file.overviews(self.colours[0])]
+
+
+def read_into(out: Bytes, location: str, window: Window, bands: Bands) -> None:
     """Read a window into ``out`` (rows, cols, 4) of its shape: sRGB and opacity, means in linear light.
 
     Raises:
@@ -99,25 +137,38 @@ def read_into(out: Bytes, location: str, window: Window) -> None:
     step, pixels = window.step, window.col1 - window.col0
     try:
         with HANDLES.borrow(location) as file:
-            bands = Bands.of(file)
-            span = _span(file, bands, window) if bands.stretched else (0.0, 255.0)
-            # The file's own means take part of the way (a palette's are picked pixels, not means).
-            overviews = [] if bands.palette is not None else file.overviews(bands.colours[0])
-            factor = max((f for f in overviews if step % f == 0 and window.row0 % f == window.col0 % f == 0), default=1)
+            # The file's own means take part of the way.
+            picks = 1 if bands.palette is None else PICKS
+            wraps = window.col0 < 0 or window.col1 > file.width
+            factor = max(
+                (
+                    f
+                    for f in bands.factors(file)
+                    if not (wraps and file.width % f)
+                    and step % (f * picks) == 0
+                    and window.row0 % f == window.col0 % f == 0
+                ),
+                default=1,
+            )
             height = max(1, PIECE * factor // (pixels * step))
             for first in range(0, len(out), height):
                 last = min(first + height, len(out))
                 rows = window.row0 + first * step, min(window.row0 + last * step, window.row1)
-                parts = [_pixels(file, bands, span, (rows, cols), factor) for cols in _around(window, file.width)]
+                parts = [_pixels(file, bands, (rows, cols), factor) for cols in _around(window, file.width)]
                 piece = parts[0] if len(parts) == 1 else np.concatenate(parts, 1)
                 if step == factor:
                     out[first:last] = piece
                 else:
                     shrink(piece, step // factor, *curves(), out[first:last])
     except (RasterioError, OSError) as error:
-        raise ReadError(
-            f"The image cannot be read: {cause_of(error)}", path=location, remedy="Fetch it again if it was cut short."
-        ) from None
+        raise unreadable(location, error) from None
+
+
+def unreadable(location: str, error: BaseException) -> ReadError:
+    """What is said of an image that GDAL fails to read."""
+    return ReadError(
+        f"The image cannot be read: {cause_of(error)}", path=location, remedy="Fetch it again if it was cut short."
+    )
 
 
 def _around(window: Window, width: int) -> list[tuple[int, int]]:
@@ -138,27 +189,44 @@ def _options(area: Area, shape: tuple[int, ...]) -> dict[str, Any]:
     return {"window": Part(c, a, d - c, b - a), "out_shape": shape}
 
 
-def _pixels(file: Any, bands: Bands, span: tuple[float, float], area: Area, factor: int) -> Bytes:
+def _pixels(file: Any, bands: Bands, area: Area, factor: int) -> Bytes:
     """An area of the file, or of its overview of ``factor``, as RGBA."""
     shape = tuple(-(-(b - a) // factor) for a, b in area)
     values = file.read(list(bands.colours), **_options(area, (len(bands.colours), *shape)))
-    opacity = file.dataset_mask(**_options(area, shape))
+    opacity = _mask(file, bands, values, area, shape)
     if bands.palette is not None:
         out: Bytes = bands.palette[values[0]]
         out[..., 3] = np.minimum(out[..., 3], opacity)
         return out
-    if bands.stretched:
-        low, high = span
-        seen = np.isfinite(values).all(0)
-        opacity = np.where(seen, opacity, 0)
-        scaled = np.where(seen, values.astype(np.float32), low) - np.float32(low)
-        # Without a span there is but one value: grey.
-        scaled = scaled * np.float32(255 / (high - low)) if high > low else np.full_like(scaled, 128)
-        values = np.clip(np.round(scaled), 0, 255).astype(np.uint8)
     out = np.empty((*shape, 4), np.uint8)
-    out[..., :3] = np.moveaxis(np.broadcast_to(values, (3, *shape)), 0, -1)
     out[..., 3] = opacity
+    if bands.stretched:
+        low, high = bands.span
+        seen = np.isfinite(values).all(0)
+        out[..., 3] = np.where(seen, opacity, 0)
+        last = 255 if bands.table is None else len(bands.table) - 1
+        # In double precision only where single would lose digits of the value.
+        real = np.float32 if values.dtype.itemsize <= 4 and values.dtype.kind == "f" else np.float64
+        scaled = np.where(seen, values.astype(real), low) - real(low)
+        # Without a span there is but one value: grey.
+        scaled = scaled * real(last / (high - low)) if high != low else np.full_like(scaled, last / 2 + 0.5)
+        values = np.clip(np.round(scaled), 0, last).astype(np.uint16)
+        if bands.table is not None:
+            out[..., :3] = bands.table[values[0]]
+            return out
+    out[..., :3] = np.moveaxis(np.broadcast_to(values, (3, *shape)), 0, -1)
     return out
+
+
+def _mask(file: Any, bands: Bands, values: NDArray[Any], area: Area, shape: tuple[int, ...]) -> Bytes:
+    """Opacity (rows, cols) of values (bands, rows, cols) that were read: 0 where there is nothing."""
+    if bands.nodata is not None:
+        nothing = np.isnan(values).all(0) if np.isnan(bands.nodata) else (values == bands.nodata).all(0)
+        opacity: Bytes = np.where(nothing, 0, 255).astype(np.uint8)
+        return opacity
+    if bands.table is not None:  # one band of several: its own mask, not all of theirs
+        return np.asarray(file.read_masks(bands.colours[0], **_options(area, shape)))
+    return np.asarray(file.dataset_mask(**_options(area, shape)))
 
 
 def _span(file: Any, bands: Bands, window: Window) -> tuple[float, float]:
@@ -166,8 +234,9 @@ def _span(file: Any, bands: Bands, window: Window) -> tuple[float, float]:
     cols = (max(window.col0, 0), min(window.col1, file.width))
     area = ((window.row0, window.row1), cols if cols[0] < cols[1] else (0, file.width))
     shape = tuple(min(PROBE, b - a) for a, b in area)
-    values = file.read(list(bands.colours), **_options(area, (len(bands.colours), *shape))).astype(np.float64)
-    valid = (file.dataset_mask(**_options(area, shape)) > 127) & np.isfinite(values).all(0)
+    values = file.read(list(bands.colours), **_options(area, (len(bands.colours), *shape)))
+    valid = (_mask(file, bands, values, area, shape) > 127) & np.isfinite(values).all(0)
+    values = values.astype(np.float64)
     if not valid.any():
         return 0.0, 0.0
     low, high = (float(p) for p in np.percentile(values[:, valid], CUT))

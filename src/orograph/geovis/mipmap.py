@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel
+from orograph._numba import inlined, kernel
 from orograph.parallel import map_ordered
 
 Bytes = NDArray[np.uint8]
@@ -23,6 +23,9 @@ Table = NDArray[np.int64]
 
 STRIP = 1 << 18
 """Texels averaged by one task."""
+
+TAPS = 16
+"""Look-ups side by side in one footprint, at most: where it is longer they are wider."""
 
 
 @lru_cache(maxsize=1)
@@ -96,6 +99,45 @@ def halve(pool: Bytes, levels: Table, k: int, first: int, last: int, decode: Col
             pool[here, 2] = encode[np.int64(blue * scale + 0.5)]
 
 
+@inlined
+def _add(
+    pool: Bytes, levels: Table, decode: Colours, u: float, v: float, level: float, weight: float, sums: Floats
+) -> None:
+    """Add the mean at a level, which may lie between two, to ``sums`` (red, green, blue, opacity), all of them
+    multiplied by opacity (0 to 255) and ``weight``."""
+    whole = np.int64(np.floor(level))
+    part = level - whole
+    for step in range(2):
+        share = weight * (part if step == 1 else 1.0 - part)
+        if share <= 0.0:
+            continue
+        k = whole + step
+        base, rows, cols = levels[k, 0], levels[k, 1], levels[k, 2]
+        size = np.float64(np.int64(1) << k)
+        x = min(max(u / size - 0.5, 0.0), cols - 1.0)
+        y = min(max(v / size - 0.5, 0.0), rows - 1.0)
+        j, i = np.int64(x), np.int64(y)
+        fx, fy = x - j, y - i
+        j1, i1 = min(j + 1, cols - 1), min(i + 1, rows - 1)
+        for corner in range(4):
+            texel = base + (i1 if corner >= 2 else i) * cols + (j1 if corner & 1 else j)
+            w = (fy if corner >= 2 else 1.0 - fy) * (fx if corner & 1 else 1.0 - fx) * share * pool[texel, 3]
+            sums[0] += w * decode[pool[texel, 0]]
+            sums[1] += w * decode[pool[texel, 1]]
+            sums[2] += w * decode[pool[texel, 2]]
+            sums[3] += w
+
+
+@inlined
+def _give(sums: Floats, out: Colours, n: int) -> None:
+    """A mean of ``_add``: linear RGB, not multiplied by opacity, and opacity."""
+    if sums[3] > 0.0:
+        out[n, 0], out[n, 1], out[n, 2] = sums[0] / sums[3], sums[1] / sums[3], sums[2] / sums[3]
+        out[n, 3] = min(sums[3] / 255.0, 1.0)
+    else:
+        out[n, 0] = out[n, 1] = out[n, 2] = out[n, 3] = 0.0
+
+
 @kernel
 def look_up(pool: Bytes, levels: Table, decode: Colours, u: Floats, v: Floats, width: Floats, out: Colours) -> None:
     """Means over ``width`` (n,) pixels around positions u, v (n,): texel (0, 0) has its centre at (0.5, 0.5).
@@ -103,36 +145,55 @@ def look_up(pool: Bytes, levels: Table, decode: Colours, u: Floats, v: Floats, w
     Bilinear within two levels and linear between them; out (n, 4): linear RGB and opacity. Beyond the picture its
     border goes on; NaN positions become transparent.
     """
-    top = levels.shape[0] - 1
+    top = np.float64(levels.shape[0] - 1)
+    sums = np.empty(4)
     for n in range(u.shape[0]):
-        if not (u[n] == u[n] and v[n] == v[n]):
-            out[n, 0] = out[n, 1] = out[n, 2] = out[n, 3] = 0.0
-            continue
-        level = min(np.log2(max(width[n], 1.0)), np.float64(top))
-        whole = np.int64(np.floor(level))
-        part = level - whole
-        red = green = blue = opacity = 0.0
-        for step in range(2):
-            share = part if step == 1 else 1.0 - part
-            if share <= 0.0:
-                continue
-            k = whole + step
-            base, rows, cols = levels[k, 0], levels[k, 1], levels[k, 2]
-            size = np.float64(np.int64(1) << k)
-            x = min(max(u[n] / size - 0.5, 0.0), cols - 1.0)
-            y = min(max(v[n] / size - 0.5, 0.0), rows - 1.0)
-            j, i = np.int64(x), np.int64(y)
-            fx, fy = x - j, y - i
-            j1, i1 = min(j + 1, cols - 1), min(i + 1, rows - 1)
-            for corner in range(4):
-                texel = base + (i1 if corner >= 2 else i) * cols + (j1 if corner & 1 else j)
-                w = (fy if corner >= 2 else 1.0 - fy) * (fx if corner & 1 else 1.0 - fx) * share * pool[texel, 3]
-                opacity += w
-                red += w * decode[pool[texel, 0]]
-                green += w * decode[pool[texel, 1]]
-                blue += w * decode[pool[texel, 2]]
-        if opacity > 0.0:
-            out[n, 0], out[n, 1], out[n, 2] = red / opacity, green / opacity, blue / opacity
-            out[n, 3] = min(opacity / 255.0, 1.0)
-        else:
-            out[n, 0] = out[n, 1] = out[n, 2] = out[n, 3] = 0.0
+        sums[:] = 0.0
+        if u[n] == u[n] and v[n] == v[n]:
+            _add(pool, levels, decode, u[n], v[n], min(np.log2(max(width[n], 1.0)), top), 1.0, sums)
+        _give(sums, out, n)
+
+
+@kernel
+def look_along(
+    pool: Bytes,
+    levels: Table,
+    decode: Colours,
+    u: Floats,
+    v: Floats,
+    axes: Floats,
+    floor: Floats,
+    inside: Floats,
+    out: Colours,
+) -> None:
+    """Means over parallelograms around positions u, v (n,), as ``look_up`` has them over squares.
+
+    The ellipse within the parallelogram says what is averaged: look-ups as wide as its minor axis, up to ``TAPS`` of
+    them side by side along its major axis.
+
+    Args:
+        axes: (n, 4) texels, u and v of both sides of the parallelogram. floor: (n,) texels that the minor axis has at
+            least.
+        inside: (4,) first and last v, first and last u of the picture: look-ups beyond are transparent.
+    """
+    top = np.float64(levels.shape[0] - 1)
+    sums = np.empty(4)
+    for n in range(u.shape[0]):
+        sums[:] = 0.0
+        if u[n] == u[n] and v[n] == v[n]:
+            p = axes[n, 0] * axes[n, 0] + axes[n, 2] * axes[n, 2]
+            r = axes[n, 1] * axes[n, 1] + axes[n, 3] * axes[n, 3]
+            q = axes[n, 0] * axes[n, 1] + axes[n, 2] * axes[n, 3]
+            area = abs(axes[n, 0] * axes[n, 3] - axes[n, 1] * axes[n, 2])
+            major = np.sqrt(0.5 * (p + r + np.sqrt((p - r) * (p - r) + 4.0 * q * q)))
+            minor = max(max(area / max(major, 1e-30), floor[n]), 1.0)
+            taps = min(max(np.ceil(major / minor - 1e-3), 1.0), np.float64(TAPS))
+            level = min(np.log2(max(minor, major / taps)), top)
+            turn = 0.5 * np.arctan2(2.0 * q, p - r)
+            du, dv = major * np.cos(turn) / taps, major * np.sin(turn) / taps
+            for k in range(np.int64(taps)):
+                s = k + 0.5 - 0.5 * taps
+                a, b = u[n] + s * du, v[n] + s * dv
+                if b >= inside[0] - 1e-3 and b <= inside[1] + 1e-3 and a >= inside[2] - 1e-3 and a <= inside[3] + 1e-3:
+                    _add(pool, levels, decode, a, b, level, 1.0 / taps, sums)
+        _give(sums, out, n)

@@ -30,6 +30,10 @@ TOLERANCE = 0.04
 MOST_NODES = 1025
 """Nodes along a side of the finest lattice."""
 
+CELL = 4096
+"""Image pixels that a cell of the lattice spans at most (unless it has ``MOST_NODES``): in single precision a position
+within it is good to a thousandth of a pixel."""
+
 
 @dataclass(frozen=True, slots=True)
 class Placement:
@@ -112,6 +116,15 @@ class Placement:
             px = px + self.turn * np.round((centre - px) / self.turn)
         return apply(~self.image.transform, px, py)
 
+    def places(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Places in the terrain's CRS of image positions (pixels from its corner); NaN where there are none."""
+        x, y = apply(self.image.transform, np.asarray(u, np.float64), np.asarray(v, np.float64))
+        if not self.same:
+            from orograph.geo.transform import transformer
+
+            x, y = transformer(self.image.crs, self.grid.crs)(x, y)
+        return np.where(np.isfinite(x), x, np.nan), np.where(np.isfinite(y), y, np.nan)
+
 
 @dataclass(frozen=True, slots=True)
 class Lattice:
@@ -131,6 +144,10 @@ class Lattice:
     def over(cls, placement: Placement) -> Lattice:
         """The coarsest lattice that keeps ``TOLERANCE``, or the finest there is."""
         nodes = 2 if placement.same else 9
+        u, v, _ = _nodes(placement, nodes)
+        if np.isfinite(u).any() and np.isfinite(v).any():
+            span = max(float(np.nanmax(u) - np.nanmin(u)), float(np.nanmax(v) - np.nanmin(v)))
+            nodes = int(min(MOST_NODES, max(nodes, math.ceil(span / CELL) + 1)))
         while True:
             u, v, index = _nodes(placement, nodes)
             if placement.same:
@@ -229,3 +246,48 @@ def interpolate(
         b = mesh_v[i + 1, j] + (mesh_v[i + 1, j + 1] - mesh_v[i + 1, j]) * c
         v[n] = a + (b - a) * r
         scale[n] = density[i, j]
+
+
+@kernel
+def slopes_into(
+    mesh_u: Array,
+    mesh_v: Array,
+    index: Array,
+    x: Array,
+    y: Array,
+    ground: Array,
+    least: Array,
+    scale: float,
+    axes: Array,
+    floor: Array,
+) -> None:
+    """What steps on the ground are in the image: ``axes`` (n, 4), u and v of both steps of ``ground`` (n, 4), and
+    ``floor`` (n,), ``least`` (n,) metres the way in which the fewest texels lie. Arguments as for ``interpolate``;
+    ``scale``: texels per image pixel."""
+    rows, cols = mesh_u.shape
+    for n in range(x.shape[0]):
+        c = index[0] * x[n] + index[1] * y[n] + index[2]
+        r = index[3] * x[n] + index[4] * y[n] + index[5]
+        if not (c == c and r == r):
+            axes[n, :] = 0.0
+            floor[n] = 0.0
+            continue
+        j = np.int64(min(max(np.floor(c), 0.0), cols - 2.0))
+        i = np.int64(min(max(np.floor(r), 0.0), rows - 2.0))
+        c -= j
+        r -= i
+        # Derivatives of the bilinear mesh along its columns and rows, then along east and north.
+        uc = (mesh_u[i, j + 1] - mesh_u[i, j]) * (1.0 - r) + (mesh_u[i + 1, j + 1] - mesh_u[i + 1, j]) * r
+        ur = (mesh_u[i + 1, j] - mesh_u[i, j]) * (1.0 - c) + (mesh_u[i + 1, j + 1] - mesh_u[i, j + 1]) * c
+        vc = (mesh_v[i, j + 1] - mesh_v[i, j]) * (1.0 - r) + (mesh_v[i + 1, j + 1] - mesh_v[i + 1, j]) * r
+        vr = (mesh_v[i + 1, j] - mesh_v[i, j]) * (1.0 - c) + (mesh_v[i + 1, j + 1] - mesh_v[i, j + 1]) * c
+        ue, un = (uc * index[0] + ur * index[3]) * scale, (uc * index[1] + ur * index[4]) * scale
+        ve, vn = (vc * index[0] + vr * index[3]) * scale, (vc * index[1] + vr * index[4]) * scale
+        for k in range(2):
+            e, m = ground[n, 2 * k], ground[n, 2 * k + 1]
+            axes[n, 2 * k], axes[n, 2 * k + 1] = ue * e + un * m, ve * e + vn * m
+        # The lesser singular value of the map from metres to texels.
+        square = ue * ue + un * un + ve * ve + vn * vn
+        area = abs(ue * vn - un * ve)
+        greater = np.sqrt(0.5 * (square + np.sqrt(max(square * square - 4.0 * area * area, 0.0))))
+        floor[n] = least[n] * area / greater if greater > 0.0 else 0.0

@@ -48,7 +48,7 @@ class Look:
 
     def __init__(
         self, scene: Scene, maps: LightMaps, visible_range: tuple[float, float], kept: Kept, *, wireframe: bool = False,
-        levels: bool = False, drape_opacity: float = 1.0, contours: Contours | None = None,
+        levels: bool = False, contours: Contours | None = None,
     ) -> None:  # fmt: skip
         terrain = scene.terrain
         sea = None if scene.water is not None else False
@@ -69,7 +69,7 @@ class Look:
         u["skylight"] = *skylight, BOUNCE
         u["water"] = *WATER, SHORE
         u["paper"] = *PAPER, math.sqrt(abs(terrain.grid.transform.determinant))
-        u["tint"] = self.tint.low, self.tint.high, self.tint.floor, drape_opacity
+        u["tint"] = self.tint.low, self.tint.high, self.tint.floor, 0.0
         u["land_at"], u["land_count"] = put(self.tint.land), len(self.tint.land)
         u["sea_at"], u["sea_count"] = put(self.tint.sea), len(self.tint.sea)
         u["hatch"] = put(MISSING)
@@ -89,7 +89,7 @@ class Look:
         flags = (SHADOWS if len(maps.windows) else 0) | (WATERS if maps.wet else 0)
         flags |= (WIREFRAME if wireframe else 0) | (LEVELS if levels else 0)
         flags |= LIGHTS[scene.light] | (SHADOWS if scene.shadows and scene.light == "aperture" else 0)
-        flags |= (DRAPE if scene.drape is not None else 0) | (SKY if scene.sky else 0)
+        flags |= SKY if scene.sky else 0
         flags |= CONTOURS if contours is not None else 0
         u["flags"] = flags
         u["light"], u["light_first"] = maps.light, maps.first

@@ -157,7 +157,7 @@ class ShadePass:
                     _uniform(0, "FRAGMENT"),
                     _texture(1, "depth"), _texture(2, "uint"), _texture(3, "unfilterable-float", "2d-array"),
                     *(_storage(k) for k in (4, 5, 6, 7, 8)),
-                    _texture(9, "float"), {"binding": 10, "visibility": _stage("FRAGMENT"), "sampler": {}},
+                    _texture(9, "float", "2d-array"), {"binding": 10, "visibility": _stage("FRAGMENT"), "sampler": {}},
                     _storage(11), _storage(12), _storage(13),
                     *(_texture(k, "unfilterable-float") for k in (14, 15, 16)),
                 ]

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from orograph.errors import NothingInViewError, UsageError
+from orograph.geovis.layers import drawn as visible
 from orograph.gpu.device import Device, open_device
 from orograph.gpu.frame import PLAIN, Overlay
 from orograph.gpu.renderer import Renderer
@@ -72,6 +73,11 @@ def draw(
             texture = device.texture((view.width, view.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
             target = texture.create_view()
             stats = renderer.draw(target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=1)
+            warnings = renderer.imagery.told()
+            if renderer.imagery.full:
+                warnings.append("Layers are coarser than they could be: more would not fit into the GPU's memory.")
+            for warning in warnings:
+                progress.warn(warning)
             depth, veiled = renderer.depth(), renderer.veiled()
             if not np.isfinite(depth).any():
                 raise NothingInViewError(
@@ -84,7 +90,7 @@ def draw(
             shown = renderer.shown(scene, depth, veiled)
             if scene.furniture:
                 drawn = Drawn(
-                    renderer.tint, shown, scene.drape is not None, sampled(depth, *depth.shape),
+                    renderer.tint, shown, bool(visible(scene.layers)), sampled(depth, *depth.shape),
                     depth[:, view.width // 2].astype(np.float64),
                 )  # fmt: skip
                 pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | veiled)
@@ -93,7 +99,7 @@ def draw(
             renderer.close()
     facts: dict[str, Any] = {
         "backend": "gpu", "adapter": device.adapter.name, "patches": stats.patches, "triangles": stats.triangles,
-        "tolerance_px": scene.tolerance, "light": renderer.light, "tiles": stats.tiles_resident, "warnings": [],
+        "tolerance_px": scene.tolerance, "light": renderer.light, "tiles": stats.tiles_resident, "warnings": warnings,
         "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
         "seconds": {"all": round(time.perf_counter() - begun, 4)},
     }  # fmt: skip

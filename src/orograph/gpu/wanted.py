@@ -1,4 +1,4 @@
-"""Which tiles of shading a view wants: for each place in view, those of the level whose samples are a pixel large there.
+"""Which tiles of shading a view wants: for each place in view, those of the level whose samples are a pixel large.
 
 A tile is wanted if it is in the frustum and the tile above it is too coarse: its samples are larger than a pixel at
 the nearest point (``raycast.select.spacing_error``, tile by tile). So the tiles of all coarser levels are wanted as

@@ -5,12 +5,14 @@ from __future__ import annotations
 import difflib
 import inspect
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 from orograph.dem.raster import Dem
 from orograph.errors import UsageError
-from orograph.light.sun import Given, Sun, sun_of
+from orograph.geovis.layers import Given, layers_of
+from orograph.light.sun import Given as GivenSun
+from orograph.light.sun import Sun, sun_of
 from orograph.picture.backends import BACKENDS, draw
 from orograph.picture.contours import lines_of
 from orograph.picture.memory import check_memory
@@ -33,7 +35,7 @@ def render(
     view: View | None = None,
     *,
     size: tuple[int, int] = (1280, 720),
-    sun: Given = (315.0, 45.0),
+    sun: GivenSun = (315.0, 45.0),
     shadows: bool = True,
     light: Light = "relief",
     rays: int = 64,
@@ -42,7 +44,7 @@ def render(
     exaggeration: float = 1.0,
     relief: float | None = None,
     colormap: str | None = None,
-    drape: str | os.PathLike[str] | None = None,
+    layers: Given | Iterable[Given] = (),
     water: Literal["auto"] | float | None = "auto",
     contours: Contours | float | None = None,
     sky: bool = False,
@@ -81,7 +83,8 @@ def render(
         exaggeration: factor by which heights are stretched on the screen. Default 1.
         relief: factor on slopes for shading only; 1 is nature. Default None: 1 to 6, more for gentle land.
         colormap: colours of heights: alpine, mars, grey or any name of the cmap catalogue. Default None: alpine.
-        drape: an image file laid over the ground, in any CRS. Default None.
+        layers: images and rasters laid over the ground, bottom to top: paths, or ``orograph.Layer``s, which also say
+            opacity, colour map and more; in any CRS. Default: none.
         water: "auto" finds lakes and seas by their flatness, a number is a water level in metres, None draws none.
             Default "auto".
         contours: lines of equal height: metres from line to line, or a ``Contours`` (``orograph.Contours()`` finds an
@@ -132,7 +135,7 @@ def render(
         view = whole(terrain, size, exaggeration=exaggeration, insets=insets(size) if furniture else NO_INSETS)
     scene = Scene(
         terrain, view, sun_of(sun, terrain.grid), shadows=shadows, light=light, rays=rays, lamps=tuple(lamps),
-        discs=tuple(discs), exaggeration=exaggeration, colormap=colormap, drape=drape, sky=sky,
+        discs=tuple(discs), exaggeration=exaggeration, colormap=colormap, layers=layers_of(layers), sky=sky,
         water=water, contours=lines_of(contours), relief=relief, samples=samples, tolerance=tolerance, engine=engine,
         wireframe=wireframe, mesh_view=mesh_view, furniture=furniture, title=title, depths=depths,
         max_memory=max_memory, jobs=jobs,

@@ -167,7 +167,7 @@ def draw(
         from orograph.picture.furniture import furnish
         from orograph.picture.legend import Drawn, furniture_of, sampled
 
-        drawn = Drawn(shader.tint, shader.shown, scene.drape is not None, sampled(t, *t.shape), t[:, t.shape[1] // 2])
+        drawn = Drawn(shader.tint, shader.shown, bool(shader.drapes), sampled(t, *t.shape), t[:, t.shape[1] // 2])
         pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(t) | veiled)
         lap("furniture")
     facts["shader"] = shader.facts

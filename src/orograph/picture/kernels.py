@@ -14,6 +14,13 @@ SHORE = 0.04
 """The field of water goes from dry to wet within 0.5 ± this: a crisp shore, however large its samples are."""
 
 
+GRAZING = 0.02
+"""Cosine of the angle between a ray and the ground's normal below which a pixel's footprint grows no longer."""
+
+LEAST = 0.7
+"""The minor axis of a footprint, at least, in pixels on ground that faces the eye at the same distance."""
+
+
 @kernel
 def beginnings(px, py, o0, ou, ov, d0, du, dv, linear, offset, origins, directions):
     """Rays through pixel positions (n,): ``origins`` and ``directions`` (n, 3) in sample coordinates."""
@@ -49,6 +56,33 @@ def ends(
         rays[i, 0], rays[i, 1], rays[i, 2] = x * k, y * k, z * k
         slant = 1.0 / np.sqrt(min(max(abs(z * k), 0.1), 1.0))
         width[i] = (metres if parallel else metres * t[i]) * slant / spacing
+
+
+@kernel
+def footprints(px, py, t, o0, ou, ov, d0, du, dv, exaggeration, metres, parallel, slope, ground, least):
+    """What pixels cover of the ground: ``ground`` (n, 4), metres east and north from where a ray meets it to where the
+    next pixel's to the right (0, 1) and to below (2, 3) meet its tangent plane; ``least`` (n,) metres of a footprint's
+    minor axis, so that ground which is steep in the map does not want endless detail.
+
+    Args:
+        slope: (n, 2) metres per metre east and north, of the true ground. metres, parallel: as for ``ends``.
+    """
+    for i in range(len(px)):
+        # In stretched space, where distances are those of the picture.
+        x = d0[0] + px[i] * du[0] + py[i] * dv[0]
+        y = d0[1] + px[i] * du[1] + py[i] * dv[1]
+        z = (d0[2] + px[i] * du[2] + py[i] * dv[2]) * exaggeration
+        a, b = -slope[i, 0] * exaggeration, -slope[i, 1] * exaggeration
+        length = np.sqrt(x * x + y * y + z * z)
+        facing = min(a * x + b * y + z, -GRAZING * length * np.sqrt(a * a + b * b + 1.0))
+        for k in range(2):
+            ex = (ou[0] if k == 0 else ov[0]) + t[i] * (du[0] if k == 0 else dv[0])
+            ey = (ou[1] if k == 0 else ov[1]) + t[i] * (du[1] if k == 0 else dv[1])
+            ez = ((ou[2] if k == 0 else ov[2]) + t[i] * (du[2] if k == 0 else dv[2])) * exaggeration
+            along = (a * ex + b * ey + ez) / facing
+            ground[i, 2 * k] = ex - along * x
+            ground[i, 2 * k + 1] = ey - along * y
+        least[i] = LEAST * (metres if parallel else metres * t[i] * length)
 
 
 @kernel
@@ -107,11 +141,10 @@ def paint(points, light, water_map, scale, row0, col0, land, low, high, sea, flo
         v = (points[i, 1] + 0.5) / scale - 0.5 - row0
         below, k, f, wet = _albedo(points, i, wet_map, water_map, u, v, land, low, high, sea, floor)
         table = sea if below else land
-        alpha = drape[i, 3] if draped else 0.0
         for c in range(3):
             albedo = table[k, c] * (1.0 - f) + table[k + 1, c] * f
             if draped:
-                albedo = albedo * (1.0 - alpha) + drape[i, c] * alpha
+                albedo = albedo * drape[i, 3 + c] + drape[i, c]
             albedo = albedo * (1.0 - wet) + water[c] * wet
             out[i, c] = _shoulder(albedo * light[i, c])
 
@@ -156,7 +189,7 @@ def compose(
         sunlit: (n,) part of the sun seen. sky_map, water_map: fields over samples of 2^level = ``scale``, first
             (row0, col0); water_map is 0.5 on the shore and may have no samples.
         land: (k, 3) tint from height ``low`` to ``high``; sea: (m, 3) from ``floor`` to 0 m, or (0, 3).
-        drape: (n, 4) colour and opacity over the tint, or (0, 4).
+        drape: (n, 7) what layers make of the tint (``geovis.layers.composite``), or (0, 7).
         water, sunlight, skylight: (3,) colours; bounce: part of all light that ground sees instead of hidden sky.
     """
     wet_map, draped = water_map.shape[0] > 0, drape.shape[0] > 0
@@ -170,14 +203,13 @@ def compose(
             sky = 1.0
         below, k, f, wet = _albedo(points, i, wet_map, water_map, u, v, land, low, high, sea, floor)
         table = sea if below else land
-        alpha = drape[i, 3] if draped else 0.0
         lit = cosine[i] * sunlit[i]
         # Light from the sky comes from around the zenith: what leans away sees less of it besides its horizon.
         open_sky = sky * (0.5 + 0.5 * tilt[i])
         for c in range(3):
             albedo = table[k, c] * (1.0 - f) + table[k + 1, c] * f
             if draped:
-                albedo = albedo * (1.0 - alpha) + drape[i, c] * alpha
+                albedo = albedo * drape[i, 3 + c] + drape[i, c]
             albedo = albedo * (1.0 - wet) + water[c] * wet
             light = lit * sunlight[c] + open_sky * skylight[c] + (1.0 - sky) * bounce * (sunlight[c] + skylight[c])
             out[i, c] = _shoulder(albedo * light)

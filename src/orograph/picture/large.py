@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
+from orograph.geovis.layers import drawn as visible
 from orograph.output import Beside, check_folder
 from orograph.parallel import aside
 from orograph.picture.backends import Session, session
@@ -180,7 +181,7 @@ class Sheet:
 
         view = self.scene.view
         assert self.cover is not None
-        drawn = Drawn(self.tint, self.facts["shown"], self.scene.drape is not None, np.concatenate(self.samples),
+        drawn = Drawn(self.tint, self.facts["shown"], bool(visible(self.scene.layers)), np.concatenate(self.samples),
                       self.column)  # fmt: skip
         pieces = furniture_of(self.scene, drawn)
         layout = lay_out((view.width, view.height), ground=Cover(self.cover, view.width), **pieces)

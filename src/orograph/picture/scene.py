@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, get_args
 
 from orograph.errors import ReadError, UsageError
+from orograph.geovis.layers import Layer, check_count
 from orograph.light.sun import Sun
 from orograph.store.terrain import Terrain
 from orograph.view import View
@@ -47,7 +47,7 @@ class Scene:
             colours ((1, 1, 1) being about that of the sun at 45°); both with "aperture" and "raytraced".
         exaggeration: heights are stretched by this on the screen (never in what is measured).
         colormap: a ``cmap`` name or one of ``geovis.colour``'s own; None: the hypsometric tint.
-        drape: an image file laid over the ground, in any CRS.
+        layers: images and rasters laid over the ground, bottom to top.
         sky: draw sky and haze; else the background is paper.
         water: "auto" finds seas and lakes by their flatness, None draws none, a number is a water level in metres.
         contours: lines of equal height on the ground; None: none.
@@ -78,7 +78,7 @@ class Scene:
     discs: tuple[tuple[Sun, tuple[float, float, float]], ...] = ()
     exaggeration: float = 1.0
     colormap: str | None = None
-    drape: str | os.PathLike[str] | None = None
+    layers: tuple[Layer, ...] = ()
     sky: bool = False
     water: Literal["auto"] | float | None = "auto"
     contours: Contours | None = None
@@ -95,6 +95,7 @@ class Scene:
     jobs: int | None = None
 
     def __post_init__(self) -> None:
+        check_count(self.layers)
         check_exaggeration(self.exaggeration)
         if self.relief is not None and not 0 <= self.relief < math.inf:
             raise UsageError(f"The relief is a factor, 0 or more, not {self.relief:g}.")

@@ -10,22 +10,27 @@ from __future__ import annotations
 
 import math
 import threading
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.colour import srgb_to_linear, tint_of
+from orograph.geovis.layers import MOST, Layer, composite, drawn, nothing_over
 from orograph.light.shade import disc_fraction, sky_colour, sun_colour
 from orograph.light.sun import Sun
 from orograph.picture.ground import Ground, Hits
 from orograph.picture.kept import Kept
-from orograph.picture.kernels import compose, paint
+from orograph.picture.kernels import LEAST, compose, paint
 from orograph.picture.lighting import Lighting, Shine, lighting_of
 from orograph.picture.mapgrid import MapGrid
 from orograph.picture.scene import Scene
 from orograph.picture.survey import Survey
 from orograph.progress import SILENT, Progress
+
+if TYPE_CHECKING:
+    from orograph.geovis.drape import Drape
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
@@ -48,7 +53,7 @@ AMBIENT = 0.27
 BOUNCE = 0.10
 """The part of all light that ground which does not see the sky gets from lit ground instead."""
 
-NOTHING = np.empty((0, 4), np.float32)
+NOTHING = np.empty((0, 7), np.float32)
 
 
 def illumination(sun: Sun) -> tuple[Array, Colours, Colours]:
@@ -72,11 +77,36 @@ def hatching(px: Array, py: Array) -> Colours:
     return MISSING[((px + py) % HATCH < LINE).astype(np.intp)]
 
 
+def drapes_of(scene: Scene, survey: Survey, kept: Kept, progress: Progress) -> list[tuple[Layer, Drape]]:
+    """The layers that can be seen and what is held of them, bottom to top; warnings are told once."""
+    layers = drawn(scene.layers)
+    if not layers:
+        return []
+    from orograph.geovis.drape import Drape
+
+    grid, view = scene.terrain.grid, scene.view.whole
+    # Half of what the nearest ground wants that some rays have met: others may meet nearer ground.
+    pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * survey.range[0]
+    metres = 0.5 * LEAST * pixel
+    metres = 2.0 ** math.floor(math.log2(metres)) if metres > 0 else 0.0  # the same for all frames of a slow flight
+    memory = None if scene.max_memory is None else scene.max_memory // len(layers)
+
+    def held(layer: Layer) -> Drape:
+        drape = Drape.open(layer, grid, memory, metres=metres)
+        for warning in drape.warnings:
+            progress.warn(warning)
+        return drape
+
+    return [
+        (one, kept("drape", (one.content, memory, metres), partial(held, one), scene.terrain, MOST)) for one in layers
+    ]
+
+
 class Shader:
     """Colours samples of one scene.
 
     Attributes:
-        shown: pixel centres coloured so far: "ground", of it "water" and "draped" (mostly covered by the image, and not
+        shown: pixel centres coloured so far: "ground", of it "water" and "draped" (mostly covered by layers, and not
             water), and "missing".
     """
 
@@ -100,14 +130,7 @@ class Shader:
 
             self.lines = Lines(scene, ground, self.maps, kept)
             self.facts["contours"] = self.lines.facts
-        self.drape = None
-        if scene.drape is not None:
-            from orograph.geovis.drape import Drape
-
-            path = scene.drape
-            self.drape = kept(
-                "drape", (path, scene.max_memory), lambda: Drape.open(path, terrain.grid, scene.max_memory), terrain
-            )
+        self.drapes = drapes_of(scene, survey, kept, progress)
         self.strength = self.maps.strength
         self.lighting: Lighting | None = None
         if scene.light != "relief":
@@ -125,7 +148,7 @@ class Shader:
         """Whether colours only change fast where the ground in view does, or from land to water."""
         if self.lines is not None:
             return False
-        return self.drape is None and self.lighting is not None and self.lighting.smooth
+        return not self.drapes and self.lighting is not None and self.lighting.smooth
 
     def colour(
         self, hits: Hits, px: Array, py: Array, counted: NDArray[np.bool_] | None = None,
@@ -155,7 +178,7 @@ class Shader:
 
     def _lit(self, hits: Hits, px: Array, py: Array, out: Colours, counted: NDArray[np.bool_] | None) -> None:
         """Colour the samples that met ground; count those that are ``counted``."""
-        drape = NOTHING if self.drape is None else self.drape_colours(hits)
+        drape = NOTHING if not self.drapes else self.draped(hits, px, py)
         if self.lighting is None:
             self._relief(hits, drape, out)
         else:
@@ -169,7 +192,7 @@ class Shader:
         if counted is not None:
             bare = np.flatnonzero(counted & ~np.isnan(hits.t) & np.isnan(hits.veil))
             wet = self._wet(hits.points[bare])
-            covered = 0 if self.drape is None else int(((drape[bare, 3] > 0.5) & ~wet).sum())
+            covered = 0 if not self.drapes else int(((drape[bare, 6] < 0.5) & ~wet).sum())
             self._count(ground=len(bare), water=int(wet.sum()), draped=covered)
         if self.lines is not None:
             self.lines.draw(hits, px, py, out)
@@ -210,11 +233,14 @@ class Shader:
             for name, n in samples.items():
                 self.shown[name] += n
 
-    def drape_colours(self, hits: Hits) -> Colours:
-        """Colour and opacity (n, 4) of the draped image."""
-        assert self.drape is not None
+    def draped(self, hits: Hits, px: Array, py: Array) -> Colours:
+        """What the layers make of the ground's own colours (n, 7), see ``geovis.layers.composite``."""
         x, y = self.scene.terrain.grid.xy(hits.points[:, 0], hits.points[:, 1])
-        return self.drape.sample(x, y, hits.width * self.ground.rays.spacing)
+        ground, least = self.ground.footprints(hits, px, py)
+        stack = nothing_over(len(x))
+        for layer, drape in self.drapes:
+            composite(drape.spread(x, y, ground, least), layer.opacity, layer.blend == "multiply", stack)
+        return stack
 
     def background(self, directions: Array) -> Colours:
         """What is seen where no ground is."""

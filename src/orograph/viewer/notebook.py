@@ -9,10 +9,13 @@ still is drawn by the CPU.
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from orograph.errors import OrographError
+from orograph.geovis.layers import Given as GivenLayer
+from orograph.geovis.layers import layers_of
 from orograph.light.sun import Given, Moment, Placed, SunSource, sun_of
 from orograph.picture.result import Picture
 from orograph.picture.scene import Scene
@@ -87,7 +90,7 @@ def view(
     sun: Given = (315.0, 45.0),
     exaggeration: float = 1.0,
     colormap: str | None = None,
-    drape: str | None = None,
+    layers: GivenLayer | Iterable[GivenLayer] = (),
     tolerance: float | None = None,
     panels: bool = False,
     gpu_memory: int = 256 << 20,
@@ -98,7 +101,7 @@ def view(
         terrain: what.
         camera: where from; None: all of it, from the south.
         size: of the cell's picture, pixels.
-        sun, exaggeration, colormap, drape, tolerance: as for ``orograph.render``.
+        sun, exaggeration, colormap, layers, tolerance: as for ``orograph.render``.
         panels: whether panels are shown at first (Tab shows and hides them).
         gpu_memory: bytes of GPU memory for tiles.
 
@@ -110,7 +113,7 @@ def view(
     light = sun if isinstance(sun, Placed | Moment) else sun_of(sun, terrain.grid)
     source: SunSource = light if isinstance(light, Placed | Moment) else Placed(light.azimuth, light.altitude)
     session = Session(
-        terrain, camera, size=size, sun=source, exaggeration=exaggeration, colormap=colormap, drape=drape,
+        terrain, camera, size=size, sun=source, exaggeration=exaggeration, colormap=colormap, layers=layers_of(layers),
         tolerance=tolerance,
     )  # fmt: skip
     session.settings.panels = panels

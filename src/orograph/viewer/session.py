@@ -9,10 +9,11 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from orograph.errors import OrographError, UsageError
+from orograph.geovis.layers import Layer
 from orograph.light.sun import SunSource
 from orograph.picture import camera
 from orograph.picture.scene import Scene
@@ -73,7 +74,7 @@ class Session:
         terrain: what.
         view: where from; None: all of it, from the south.
         size: (width, height), pixels.
-        sun, exaggeration, tolerance, drape, colormap: as the settings begin.
+        sun, exaggeration, tolerance, layers, colormap: as the settings begin.
         changed: called, from any thread, when the picture should be drawn again.
     """
 
@@ -87,13 +88,13 @@ class Session:
         exaggeration: float = 1.0,
         tolerance: float | None = None,
         colormap: str | None = None,
-        drape: str | None = None,
+        layers: Sequence[Layer] = (),
         changed: Callable[[], None] = lambda: None,
     ) -> None:
         self.terrain = terrain
         self.changed = changed
         self.settings = Settings(
-            Light.over(terrain, sun), exaggeration=exaggeration, colormap=colormap, drape=drape,
+            Light.over(terrain, sun), exaggeration=exaggeration, colormap=colormap, layers=list(layers),
         )  # fmt: skip
         if tolerance is not None:
             self.settings.tolerance = tolerance

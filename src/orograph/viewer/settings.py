@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import datetime
 import math
-import os
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from orograph.errors import OrographError, UsageError
+from orograph.geovis.layers import Layer
 from orograph.light.sun import Moment, Placed, Sun, SunSource, place
 from orograph.picture.contours import Contours
 from orograph.picture.scene import Scene
@@ -121,8 +121,8 @@ class Settings:
 
     Attributes:
         light: see ``Light``.
-        exaggeration, shadows, colormap, drape, water, sky, relief, tolerance: as in ``Scene``.
-        draped: whether the image is shown; opacity: of it.
+        exaggeration, shadows, colormap, layers, water, sky, relief, tolerance: as in ``Scene``.
+        painted: a layer above all others for as long as a tool shows its result, or None.
         wireframe, levels: as in ``gpu.frame.Overlay``. contours: as in ``Scene``; a window's labels fade.
         way: how light falls, as in ``Scene.light`` but for rays. occlusion: strength of what screen space darkens.
         budget: triangles to keep near instead of a tolerance, or None.
@@ -134,9 +134,8 @@ class Settings:
     exaggeration: float = 1.0
     shadows: bool = True
     colormap: str | None = None
-    drape: str | os.PathLike[str] | None = None
-    draped: bool = True
-    opacity: float = 1.0
+    layers: list[Layer] = field(default_factory=list)
+    painted: Layer | None = None
     water: Literal["auto"] | float | None = "auto"
     sky: bool = True
     relief: float | None = None
@@ -162,18 +161,23 @@ class Settings:
         near = max(view.eye[2] - (low + high) / 2, 0.0) * self.exaggeration if math.isfinite(low) else 0.0
         return Scene(
             terrain, view, self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
-            colormap=self.colormap, drape=self.drape if self.draped else None, sky=self.sky, water=self.water,
+            colormap=self.colormap, layers=self.stack, sky=self.sky, water=self.water,
             contours=self.contours and replace(self.contours, fading=True), relief=self.relief,
             tolerance=self.tolerance, light=self.way,
             depths=(near, near + HAZE * math.hypot(east - west, north - south)),
         )  # fmt: skip
+
+    @property
+    def stack(self) -> tuple[Layer, ...]:
+        """All layers, bottom to top."""
+        return tuple(self.layers) if self.painted is None else (*self.layers, self.painted)
 
     def overlay(self) -> Any:
         """What the renderer shows besides (``gpu.frame.Overlay``)."""
         from orograph.gpu.frame import Overlay
 
         return Overlay(
-            self.wireframe, self.levels, self.opacity, occlusion=self.occlusion,
+            self.wireframe, self.levels, occlusion=self.occlusion,
         )  # fmt: skip
 
     def balance(self, triangles: int) -> bool:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import OrographError
 from orograph.geovis import measure
+from orograph.geovis.layers import Layer
 from orograph.progress import Progress, Task
 from orograph.view import Point
 from orograph.viewer.overlay import colour
@@ -65,8 +66,6 @@ class Tools:
         self.part: float | None = None
         self._asked = 0
         self._running = 0
-        self._painted: Path | None = None
-        self._before: tuple[Any, bool, float] | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._marked: Point | None = None
         self._ground: tuple[Any, Array] | None = None
@@ -92,10 +91,7 @@ class Tools:
         """Forget the points and the result."""
         self.points, self.result, self.trouble, self._marked = [], None, "", None
         self._asked += 1
-        if self._before is not None:
-            settings = self.window.session.settings
-            settings.drape, settings.draped, settings.opacity = self._before
-            self._before = None
+        self.window.session.settings.painted = None
 
     def choose(self, kind: Kind) -> None:
         """Measure something else."""
@@ -193,14 +189,12 @@ class Tools:
         """Lay a finished viewshed over the ground."""
         shed, _, pixels = self.result
         settings = self.window.session.settings
-        if self._painted is not None and settings.drape == str(self._painted) and self._shown is self.result:
+        if settings.painted is not None and self._shown is self.result:
             return
-        if self._before is None:
-            self._before = settings.drape, settings.draped, settings.opacity
         self._folder = self._folder or tempfile.TemporaryDirectory(prefix="orograph-", ignore_cleanup_errors=True)
-        self._painted = Path(self._folder.name) / f"viewshed-{self._asked}.tif"
-        save_rgba(self._painted, pixels, shed.grid)
-        settings.drape, settings.draped, settings.opacity = str(self._painted), True, 1.0
+        path = Path(self._folder.name) / f"viewshed-{self._asked}.tif"
+        save_rgba(path, pixels, shed.grid)
+        settings.painted = Layer(str(path), name="viewshed")
         self._shown = self.result
 
     _shown: Any = None

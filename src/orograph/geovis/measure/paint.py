@@ -1,7 +1,7 @@
 """A viewshed as an image to lay over the terrain: seen and hidden ground in colours that let the relief through.
 
 The image has one texel for each sample (means of whole blocks of samples where it would grow too large), red, green,
-blue and opacity, and lies on the viewshed's own grid, so that ``render(..., drape=path)`` puts it in its place.
+blue and opacity, and lies on the viewshed's own grid, so that ``render(..., layers=path)`` puts it in its place.
 """
 
 from __future__ import annotations

@@ -1,15 +1,19 @@
-"""What lies on the ground: the tint of heights, an image over it, water; and how far heights are stretched."""
+"""What lies on the ground: the tint of heights, layers over it, water; and how far heights are stretched."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from imgui_bundle import imgui
 
+from orograph.dem.handles import locate
 from orograph.errors import OrographError
 from orograph.geovis.colour import TINTS, colour_table
+from orograph.geovis.layers import Layer, check_count
 from orograph.picture.contours import Contours
 from orograph.picture.kept import Kept
 
@@ -54,7 +58,7 @@ def draw(window: Window) -> None:
     if isinstance(settings.water, float):
         low, high = session.terrain.height_range
         _, settings.water = imgui.slider_float("water level", settings.water, low, high, "%.1f m")
-    _drape(window)
+    _layers(window)
     _contours(window)
     _, settings.furniture = imgui.checkbox("north, scale, colours", settings.furniture)
 
@@ -107,23 +111,93 @@ def _colour_by_name(window: Window) -> None:
             settings.colormap = text.strip()
 
 
-def _drape(window: Window) -> None:
+def _layers(window: Window) -> None:
+    """Images and rasters over the ground, the topmost first as it covers the others."""
     settings = window.session.settings
-    if settings.drape is not None:
-        _, settings.draped = imgui.checkbox(f"image: {Path(settings.drape).name}", settings.draped)
-        if settings.draped:
-            _, settings.opacity = imgui.slider_float("opacity", settings.opacity, 0.0, 1.0, "%.2f")
+    stack = settings.layers
+    change: Callable[[], None] | None = None
+    for k in range(len(stack) - 1, -1, -1):
+        layer = stack[k]
+        imgui.push_id(k)
+        moved, visible = imgui.checkbox("##visible", layer.visible)
+        if moved:
+            _set(window, k, visible=visible)
         imgui.same_line()
-        if imgui.small_button("remove"):
-            settings.drape = None
+        imgui.text_unformatted(layer.label)
+        if imgui.is_item_hovered():
+            imgui.set_tooltip(_told(layer))
+        moved, opacity = imgui.slider_float("##opacity", layer.opacity, 0.0, 1.0, "opacity %.2f")
+        if moved:
+            _set(window, k, opacity=min(max(opacity, 0.0), 1.0))
+        imgui.same_line()
+        imgui.begin_disabled(k == len(stack) - 1)
+        if imgui.arrow_button("up", imgui.Dir.up):
+            change = partial(_swap, stack, k, k + 1)
+        imgui.end_disabled()
+        imgui.same_line()
+        imgui.begin_disabled(k == 0)
+        if imgui.arrow_button("down", imgui.Dir.down):
+            change = partial(_swap, stack, k, k - 1)
+        imgui.end_disabled()
+        imgui.same_line()
+        if imgui.small_button("x"):
+            change = partial(stack.__delitem__, k)
+        if imgui.is_item_hovered():
+            imgui.set_tooltip("remove")
+        moved, multiply = imgui.checkbox("multiply", layer.blend == "multiply")
+        if moved:
+            _set(window, k, blend="multiply" if multiply else "normal")
+        imgui.pop_id()
+    if change is not None:
+        change()
     entered, text = imgui.input_text_with_hint(
-        "##image", "an image to lay over it, Enter", window.texts.get("drape", ""),
+        "##image", "an image to lay over it, Enter", window.texts.get("layer", ""),
         imgui.InputTextFlags_.enter_returns_true,
     )  # fmt: skip
-    window.texts["drape"] = text
-    if entered and text.strip():
-        path = Path(text.strip().strip("'\"")).expanduser()
-        if path.is_file():
-            settings.drape, settings.draped = str(path), True
-        else:
-            window.session.messages.say(f"There is no file {path}.")
+    if imgui.is_item_hovered():
+        imgui.set_tooltip(
+            "A file in any CRS, or one dropped on the window.\nA raster: rain.tif,colormap=viridis,range=0:80"
+        )
+    window.texts["layer"] = text
+    if entered and text.strip() and add(window, text):
+        window.texts["layer"] = ""
+
+
+def _swap(stack: list[Layer], a: int, b: int) -> None:
+    stack[a], stack[b] = stack[b], stack[a]
+
+
+def _set(window: Window, k: int, **values: Any) -> None:
+    """Change one layer, unless it is too much for a picture."""
+    stack = list(window.session.settings.layers)
+    stack[k] = replace(stack[k], **values)
+    try:
+        check_count(stack)
+    except OrographError as error:
+        window.session.messages.say(str(error))
+    else:
+        window.session.settings.layers = stack
+
+
+def _told(layer: Layer) -> str:
+    """All that is said of a layer, for its tooltip."""
+    parts = [layer.path]
+    if layer.colormap is not None:
+        span = "" if layer.range is None else f" from {layer.range[0]:g} to {layer.range[1]:g}"
+        parts.append(f"band {layer.band} coloured by {layer.colormap}{span}")
+    return "\n".join(parts)
+
+
+def add(window: Window, text: str) -> bool:
+    """Lay a file over all others (``Layer.parse``); what is wrong with it is said in the window. Whether it went on."""
+    session = window.session
+    try:
+        layer = Layer.parse(text.strip().strip("'\""))
+        layer = replace(layer, path=str(Path(layer.path).expanduser()))
+        locate(layer.path)
+        check_count([*session.settings.layers, layer])
+    except OrographError as error:
+        session.messages.say(str(error))
+        return False
+    session.settings.layers = [*session.settings.layers, layer]
+    return True

@@ -1,0 +1,278 @@
+"""Layers: images and rasters laid over the ground one above another, the same description for every backend.
+
+A layer names a file in any CRS and says how it is shown. An image (RGB, RGBA, a palette, or one band as grey) shows its
+own colours; with a colour map, one band of a raster is coloured from the low to the high end of a range of its values.
+Layers are composited bottom to top over the tint of heights, in linear light (Porter & Duff 1984, *over*):
+
+    normal:   c ← c · (1 − a) + image · a         multiply:   c ← c · (1 − a) + c · image · a
+
+where a is the image's own opacity times the layer's. Units: those of the raster for ranges, opacities from 0 to 1.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel
+from orograph.documents import number
+from orograph.errors import UsageError
+
+Colours = NDArray[np.float32]
+
+Blend = Literal["normal", "multiply"]
+
+MOST = 8
+"""Layers that a picture shows at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """An image or a raster over the ground.
+
+    Attributes:
+        path: the file, in any CRS; without any georeference it is stretched over the terrain.
+        opacity: 0 to 1, times the image's own.
+        visible: whether it is drawn.
+        name: what to call it; None: the file's name.
+        blend: "normal" covers what is below, "multiply" darkens it (a scanned map over relief).
+        colormap: colours one band as values: alpine, mars, grey or any name of the cmap catalogue. None: the image's
+            own colours.
+        range: the values that become the ends of the colour map; None: the 2nd and 98th percentile over the terrain.
+        band: which band is coloured, from 1.
+        nodata: the value that means "nothing here", instead of the one the file declares.
+
+    Raises:
+        UsageError: a number is out of its range, a name is unknown.
+    """
+
+    path: str
+    opacity: float = 1.0
+    visible: bool = True
+    name: str | None = None
+    blend: Blend = "normal"
+    colormap: str | None = None
+    range: tuple[float, float] | None = None
+    band: int = 1
+    nodata: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", os.fspath(self.path))
+        if not self.path:
+            raise UsageError("A layer has no path.", remedy="Name an image or a raster.")
+        if not 0 <= self.opacity <= 1:
+            raise self._error(f"An opacity is a number from 0 to 1, not {self.opacity:g}.")
+        if self.blend not in get_args(Blend):
+            raise self._error(f"There is no blend {self.blend!r}; there are {', '.join(get_args(Blend))}.")
+        if self.band < 1:
+            raise self._error(f"Bands are counted from 1; there is no band {self.band}.")
+        if self.range is not None:
+            low, high = (float(v) for v in self.range)
+            object.__setattr__(self, "range", (low, high))
+            if not (math.isfinite(low) and math.isfinite(high) and low != high):
+                raise self._error(f"A range goes from one value to another one, not from {low:g} to {high:g}.")
+        if self.colormap is None and (self.range is not None or self.band != 1):
+            raise self._error(
+                "A range and a band are those of a raster that a colour map colours.",
+                remedy="Give a colormap, such as viridis, or leave them away.",
+            )
+        if self.colormap is not None:
+            from orograph.geovis.colour import colour_table
+
+            try:
+                colour_table(self.colormap, 2)
+            except UsageError as error:
+                raise self._error(error.what, error.remedy) from error
+
+    @property
+    def label(self) -> str:
+        """What to call it."""
+        return self.name or Path(self.path).name or self.path
+
+    @property
+    def content(self) -> Layer:
+        """The layer as far as its colours go: what of it must be read."""
+        return Layer(self.path, colormap=self.colormap, range=self.range, band=self.band, nodata=self.nodata)
+
+    @property
+    def drawn(self) -> bool:
+        """Whether anything of it can be seen."""
+        return self.visible and self.opacity > 0
+
+    @property
+    def hides(self) -> bool:
+        """Whether what lies below it cannot be told any more by its colour."""
+        return self.visible and self.blend == "normal" and self.opacity > 0.5
+
+    @classmethod
+    def parse(cls, text: str) -> Layer:
+        """A layer from the command line: ``PATH[,KEY=VALUE…]``, as in ``rain.tif,colormap=viridis,range=0:80``.
+
+        Raises:
+            UsageError: a key is unknown or its value makes no sense.
+        """
+        path = text
+        told: list[str] = []
+        while not Path(path).exists():
+            head, comma, last = path.rpartition(",")
+            if not comma or "=" not in last or not head:
+                break
+            path, told = head, [last, *told]
+        values: dict[str, Any] = {"path": path}
+        for part in told:
+            key, _, value = part.partition("=")
+            key = key.strip().lower()
+            if key in values:
+                raise UsageError(f"{key} is said twice.", path=text)
+            values[key] = value.strip()
+        return cls.from_dict(values)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Layer:
+        """A layer from its JSON: an object with ``path`` and any other attributes of ``Layer``.
+
+        Raises:
+            UsageError: something is missing, unknown or of the wrong kind; the message names it.
+        """
+        given = {k: v for k, v in values.items() if v is not None}
+        path = given.get("path")
+        if not isinstance(path, str | os.PathLike) or not os.fspath(path):
+            raise UsageError('A layer lacks its "path": a file.')
+        for key in given:
+            if key not in FIELDS:
+                close = difflib.get_close_matches(key, FIELDS, 1)
+                hint = f"Did you mean {close[0]}?" if close else f"There are {', '.join(FIELDS[1:])}."
+                raise UsageError(f"A layer has no {key!r}.", path=path, remedy=hint)
+        try:
+            for key in ("opacity", "nodata"):
+                if key in given:
+                    given[key] = _number(given[key], key)
+            if "band" in given:
+                band = _number(given["band"], "band")
+                if band != int(band):
+                    raise UsageError(f"A band is a whole number, not {band:g}.")
+                given["band"] = int(band)
+            if "visible" in given:
+                given["visible"] = _truth(given["visible"])
+            if "range" in given:
+                given["range"] = _range(given["range"])
+            for key in ("name", "blend", "colormap"):
+                if key in given and not isinstance(given[key], str):
+                    raise UsageError(f"The {key} is a text, not {given[key]!r}.")
+        except UsageError as error:
+            raise UsageError(error.what, path=path, remedy=error.remedy) from error
+        return cls(**given)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``from_dict`` reads."""
+        default = Layer(self.path)
+        told = {f.name: getattr(self, f.name) for f in fields(self)}
+        told["range"] = None if self.range is None else list(self.range)
+        return {k: v for k, v in told.items() if k == "path" or v != getattr(default, k)}
+
+    def _error(self, what: str, remedy: str = "") -> UsageError:
+        return UsageError(what, path=self.path, remedy=remedy)
+
+
+FIELDS = tuple(f.name for f in fields(Layer))
+
+Given = Layer | str | os.PathLike[str]
+"""A layer, or the path of an image that becomes one."""
+
+
+def layers_of(given: Given | Iterable[Given] | None) -> tuple[Layer, ...]:
+    """Layers, bottom to top, from what a user may give: one or several, each a ``Layer`` or a path.
+
+    Raises:
+        UsageError: there are more than ``MOST`` to be drawn.
+    """
+    if given is None:
+        return ()
+    several: Iterable[Given] = [given] if isinstance(given, Layer | str | os.PathLike) else given
+    made = tuple(one if isinstance(one, Layer) else Layer(os.fspath(one)) for one in several)
+    check_count(made)
+    return made
+
+
+def check_count(layers: Iterable[Layer]) -> None:
+    """Raise UsageError if more layers are to be drawn than a picture shows."""
+    count = sum(layer.drawn for layer in layers)
+    if count > MOST:
+        raise UsageError(
+            f"A picture shows at most {MOST} layers at once, not {count}.",
+            remedy="Hide some of them, or merge images first (gdalbuildvrt, gdal_merge.py).",
+        )
+
+
+def drawn(layers: Iterable[Layer]) -> tuple[Layer, ...]:
+    """Those that can be seen, bottom to top."""
+    return tuple(layer for layer in layers if layer.drawn)
+
+
+def found_beside(layers: Iterable[Layer], folder: Path) -> tuple[Layer, ...]:
+    """Layers whose relative paths, where they name no file as they are, are taken from a folder."""
+    return tuple(
+        replace(layer, path=str(folder / layer.path))
+        if not Path(layer.path).exists() and (folder / layer.path).exists()
+        else layer
+        for layer in layers
+    )
+
+
+def nothing_over(n: int) -> Colours:
+    """What ``composite`` begins with: no layer at all over n places."""
+    out = np.ones((n, 7), np.float32)
+    out[:, :3] = 0
+    return out
+
+
+@kernel
+def composite(image: Colours, opacity: float, multiply: bool, stack: Colours) -> None:
+    """Lay an image's colours and opacities (n, 4) over what a stack of layers makes of the ground's own colours.
+
+    That is linear in them: ``stack`` (n, 7) holds what is added (3), by what they are multiplied (3), and how much of
+    them is seen between images that cover them (1).
+    """
+    one = np.float32(1.0)
+    for i in range(len(image)):
+        a = np.float32(image[i, 3] * opacity)
+        for k in range(3):
+            factor = one - a + a * image[i, k] if multiply else one - a
+            stack[i, k] *= factor
+            stack[i, 3 + k] *= factor
+            if not multiply:
+                stack[i, k] += image[i, k] * a
+        if not multiply:
+            stack[i, 6] *= one - a
+
+
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            raise UsageError(f"The {name} is a number, not {value!r}.") from None
+    return number(value, f"The {name}")
+
+
+def _truth(value: Any) -> bool:
+    words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+    found = value if isinstance(value, bool) else words.get(str(value).lower())
+    if found is None:
+        raise UsageError(f"visible is true or false, not {value!r}.")
+    return found
+
+
+def _range(value: Any) -> tuple[float, float]:
+    ends = value.split(":") if isinstance(value, str) else list(value) if isinstance(value, list | tuple) else []
+    if len(ends) != 2:
+        raise UsageError(f"A range is two values, LOW:HIGH, not {value!r}.")
+    return _number(ends[0], "low end of the range"), _number(ends[1], "high end of the range")

@@ -1,0 +1,108 @@
+"""A layer's file over a terrain: where it lies, which part of it is wanted, what its bands mean.
+
+This is what every backend knows of a layer before it reads pixels. Units: pixels of the file.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from orograph.dem.handles import HANDLES, locate
+from orograph.errors import ReadError
+from orograph.geo.grid import Grid
+from orograph.geovis.imagery import Bands, Window, unreadable
+from orograph.geovis.layers import Layer
+from orograph.geovis.placement import Lattice, Placement, extent, grid_of
+
+OFF = 0.1
+"""Image pixels: positions that are farther off than this are worth a warning."""
+
+
+@dataclass(frozen=True, slots=True)
+class Laid:
+    """A layer over a terrain.
+
+    Attributes:
+        layer: what is shown. location: what GDAL opens.
+        placement, lattice: where it lies.
+        area: pixels of the file over the terrain with a margin for means; columns may lie beyond the borders of a file
+            that goes once around the body.
+        bands: how its values become colours.
+        overviews: pixels along the side of a texel of each of the file's overviews.
+        warnings: what a user should know, full sentences.
+    """
+
+    layer: Layer
+    location: str
+    placement: Placement
+    lattice: Lattice
+    area: Window
+    bands: Bands
+    overviews: tuple[int, ...]
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def open(cls, layer: Layer, grid: Grid) -> Laid:
+        """Find a layer's place over a terrain with this grid.
+
+        Raises:
+            ReadError: the file is missing or broken, or lies beside the terrain.
+            UsageError: its CRS cannot be reached from the terrain's.
+        """
+        from rasterio.errors import RasterioError
+
+        name = layer.path
+        location = locate(name)
+        warnings: list[str] = []
+        with HANDLES.borrow(location) as file:
+            image = grid_of(file)
+            bands = Bands.of(file, layer)
+            overviews = tuple(bands.factors(file))
+        placement = Placement.of(grid, image, name, warnings)
+        lattice = Lattice.over(placement)
+        bounds = lattice.bounds()
+        area = None if bounds is None else _window(placement, bounds)
+        if area is None:
+            raise ReadError(
+                f"The image does not overlap the terrain: it covers {extent(placement.image)}, and the terrain "
+                f"{extent(grid)}.",
+                path=name,
+                remedy="Name an image of the same area, or mend its georeference (gdal_edit.py).",
+            )
+        if lattice.error > OFF:
+            warnings.append(f"{name} may lie up to {lattice.error:.1f} of its pixels beside its place.")
+        try:
+            with HANDLES.borrow(location) as file:
+                bands = bands.spanned(file, layer, area)
+        except (RasterioError, OSError) as error:
+            raise unreadable(location, error) from None
+        return cls(layer, location, placement, lattice, area, bands, overviews, tuple(warnings))
+
+    @property
+    def cyclic(self) -> bool:
+        """Whether its right border meets its left."""
+        return self.placement.cyclic
+
+
+def empty(path: str) -> ReadError:
+    """What is said of an image that has nothing to show."""
+    return ReadError(
+        "The image has no valid pixel over the terrain (all is masked, transparent or nodata).",
+        path=path,
+        remedy="Name an image that covers it.",
+    )
+
+
+def _window(placement: Placement, bounds: tuple[float, float, float, float]) -> Window | None:
+    """Pixels of the image around ``bounds`` with a margin for its means, None if there are none."""
+    rows, cols = placement.image.shape
+    u0, u1, v0, v1 = bounds
+    if v1 <= 0 or v0 >= rows or not (placement.cyclic or (u1 > 0 and u0 < cols)):
+        return None
+    margin = 4 + 0.01 * max(u1 - u0, v1 - v0)
+    row0, row1 = max(0, math.floor(v0 - margin)), min(rows, math.ceil(v1 + margin))
+    col0, col1 = math.floor(u0 - margin), math.ceil(u1 + margin)
+    if not placement.cyclic:
+        return Window(row0, row1, max(0, col0), min(cols, col1))
+    return Window(row0, row1, col0, min(col1, col0 + cols + 2 * math.ceil(margin)))

@@ -1,0 +1,378 @@
+"""Layers on the GPU: a virtual texture. One atlas holds the tiles that views want of all layers, streamed like heights.
+
+Every frame says which tiles of which layers it wants (``sheets``, ``wanted``): those whose texels are about as large as
+a pixel, and all above them. They are read by threads of their own (``streamer``) into one atlas (``slots``) of a fixed
+size, which is made when there is a first layer. Each layer has a page table: for every tile the slot of the finest tile
+that is there for its place, itself or one above, so that shaders look up once and there is never a hole; the coarsest
+tiles never leave. A layer is opened, and its coarse levels are read, by the same threads: frames do not wait for it.
+
+One buffer holds all that ``shaders/imagery.wgsl`` asks for: heads (a layer each, in the order they are drawn), then for
+every layer its levels, its lattice of image positions (whole pixels apart from what is left of them) and its pages.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel
+from orograph.errors import OrographError
+from orograph.geovis.layers import MOST, Layer, drawn
+from orograph.gpu.device import Device
+from orograph.gpu.sheets import SIDE, Sheet
+from orograph.gpu.slots import Slots
+from orograph.gpu.streamer import Streamer
+from orograph.picture.kernels import LEAST
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+Array = NDArray[np.float64]
+Words = NDArray[np.uint32]
+
+UPLOAD = 16
+"""Tiles brought to the GPU in a frame, at most."""
+
+OPENING = -1
+"""The place of a layer's tile that stands for opening it."""
+
+HEAD, HEADS = 24, 4
+"""Words of a head, and where the first one is."""
+
+STATIC = HEADS + MOST * HEAD
+LEVEL = 8
+"""Words of a level."""
+
+THERE = np.uint32(1 << 31)
+"""A page's bit that says: this is known (perhaps that nothing is to be seen). Bits 24–28 are the level, those below 24
+the slot + 1, 0 where nothing is to be seen."""
+
+HEAD_DTYPE = np.dtype(
+    [
+        ("across", "<f4", 2), ("down", "<f4", 2), ("cell", "<i4", 2), ("part", "<f4", 2), ("nodes", "<i4", 2),
+        ("size", "<i4", 2), ("finest", "<u4"), ("coarsest", "<u4"), ("levels_at", "<u4"), ("lattice_at", "<u4"),
+        ("pages_at", "<u4"), ("opacity", "<f4"), ("multiply", "<u4"), ("bounded", "<u4"), ("pad", "<u4", 4),
+    ]
+)  # fmt: skip
+"""A head of ``shaders/imagery.wgsl``. across, down: the lattice's nodes per metre east and north; cell, part: where the
+eye is in it; nodes: how many; size: the image's columns and rows; bounded: 1 if columns end, and 2 if rows do."""
+
+
+@kernel
+def _inherit(own: Words, parents: NDArray[np.int64], out: Words) -> tuple[int, int]:
+    """Pages of all tiles from those that are there; the span [from, to) of ``out`` that changed."""
+    first, last = len(out), 0
+    for i in range(len(own)):
+        page = own[i]
+        if page == 0 and parents[i] >= 0:
+            page = out[parents[i]]
+        if out[i] != page:
+            out[i] = page
+            first, last = min(first, i), i + 1
+    return first, last
+
+
+@dataclass(slots=True)
+class Held:
+    """An open layer.
+
+    Attributes:
+        sheet: its tiles. own: pages of the tiles that are there; pages: of all places. stale: whether ``own`` is newer.
+        at: where its words begin in the buffer.
+    """
+
+    sheet: Sheet
+    own: Words
+    pages: Words
+    stale: bool = True
+    at: int = 0
+
+
+class Imagery:
+    """The layers over a terrain on a device.
+
+    Args:
+        gpu_memory: bytes of the atlas. jobs: threads that read.
+
+    Attributes:
+        missing: tiles and layers that would make the last frame better. loaded: tiles that came for it.
+        warnings: what a user should know of the layers that are open; each is told once (``told``).
+    """
+
+    def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, jobs: int | None = None) -> None:
+        self.device, self.terrain, self.gpu_memory, self.jobs = device, terrain, gpu_memory, jobs
+        self.missing = self.loaded = 0
+        self.warnings: list[str] = []
+        self._held: dict[Layer, Held] = {}
+        self._atlas: Slots | None = None
+        self._streamer: Streamer[Layer, int] | None = None
+        self._sheets: dict[Layer, Sheet] = {}
+        self._buffer: Any = None
+        self._frame = 0
+        self._full = False
+        self._asked: set[tuple[Layer, int]] = set()
+        self._none: tuple[Any, Any] | None = None
+
+    def prepare(
+        self, layers: Sequence[Layer], view: View, exaggeration: float, *, wait: bool = False
+    ) -> int:  # fmt: skip
+        """Have layers ready to be drawn as well as they can be.
+
+        Args:
+            layers: of the scene, bottom to top. view: what is drawn.
+            wait: until all tiles that the view wants are there, or the atlas holds no more.
+
+        Returns:
+            how many layers there are to draw.
+
+        Raises:
+            OrographError: with ``wait``, a layer or one of its tiles cannot be read.
+        """
+        self.missing = self.loaded = 0
+        seen = drawn(layers)
+        if not seen and not self._held:
+            return 0
+        self._frame += 1
+        self._full = False
+        self._drop({layer.content for layer in layers})
+        if self._streamer is None:
+            self._streamer = Streamer(self._make, self.jobs or 2)
+        self._upload(1 << 16 if wait else UPLOAD)
+        wanted = self._want(seen, view, exaggeration)
+        while wait and (wanted or self._streamer.waiting) and not self._full:
+            self._streamer.wait(1.0)
+            self._upload(1 << 16)
+            for layer, place in self._asked & set(self._streamer.failed):
+                raise self._error(layer, place)
+            wanted = self._want(seen, view, exaggeration)
+        self.missing = wanted
+        ready = [layer for layer in seen if layer.content in self._held]
+        if ready:
+            self._write(ready, view)
+        return len(ready)
+
+    def bound(self) -> tuple[Any, Any]:
+        """The atlas's view and the buffer of ``shaders/imagery.wgsl``."""
+        if self._atlas is not None and self._buffer is not None:
+            return self._atlas.texture.create_view(dimension="2d-array"), self._buffer
+        if self._none is None:
+            texture = self.device.texture((1, 1, 1), "rgba8unorm-srgb", "TEXTURE_BINDING|COPY_DST", label="no layers")
+            self._none = (
+                texture.create_view(dimension="2d-array"),
+                self.device.buffer(np.zeros(STATIC, np.uint32), "STORAGE", "no layers"),
+            )
+        return self._none
+
+    @property
+    def waiting(self) -> int:
+        """How many tiles are on their way."""
+        return 0 if self._streamer is None else self._streamer.waiting
+
+    @property
+    def count(self) -> int:
+        """How many tiles are there."""
+        return 0 if self._atlas is None else self._atlas.count
+
+    @property
+    def full(self) -> bool:
+        """Whether the last frame wanted more tiles than there is room for."""
+        return self._full
+
+    @property
+    def failure(self) -> str:
+        """What could not be read, and why; "" if there is nothing."""
+        if self._streamer is None:
+            return ""
+        for (layer, place), (_, why) in list(self._streamer.failed.items()):
+            if (layer, place) in self._asked:
+                return why if place == OPENING else f"{layer.label}: {why}"
+        return ""
+
+    def told(self) -> list[str]:
+        """Warnings that have not been told yet."""
+        new, self.warnings = self.warnings, []
+        return new
+
+    def covered(self, layers: Sequence[Layer], x: Array, y: Array) -> Array:
+        """How much (n,) of the ground's own colours layers hide at places in the terrain's CRS, about."""
+        clear = np.ones(len(x))
+        for layer in drawn(layers):
+            held = self._held.get(layer.content)
+            if held is not None and layer.blend == "normal":
+                clear *= 1 - layer.opacity * held.sheet.opacity_at(x, y)
+        return 1 - clear
+
+    def close(self) -> None:
+        """Stop reading."""
+        if self._streamer is not None:
+            self._streamer.close()
+
+    # ---- tiles ---------------------------------------------------------------------------------------------------
+
+    def _make(self, layer: Layer, place: int) -> NDArray[Any]:
+        """Read a tile, or open the layer; called from the streamer's threads."""
+        if place == OPENING:
+            self._sheets[layer] = Sheet(layer, self.terrain)
+            return np.empty(0, np.uint8)
+        return self._held[layer].sheet.tile(place)
+
+    def _error(self, layer: Layer, place: int) -> OrographError:
+        assert self._streamer is not None
+        failure = self._streamer.failed[layer, place][1]
+        if place == OPENING:
+            return OrographError(failure)
+        return OrographError(f"A tile cannot be read: {failure}", path=layer.path)
+
+    def _want(self, layers: Sequence[Layer], view: View, exaggeration: float) -> int:
+        """Ask for what a view lacks; how much that is, but for what cannot be read."""
+        assert self._streamer is not None
+        wanted: list[tuple[float, Layer, int]] = []
+        for content in dict.fromkeys(layer.content for layer in layers):
+            held = self._held.get(content)
+            if held is None:
+                wanted.append((math.inf, content, OPENING))
+                continue
+            assert self._atlas is not None
+            which, priority = held.sheet.tree.of(view, exaggeration, pixels=LEAST)
+            pages = held.own[which]
+            slots = (pages & np.uint32(0xFFFFFF)).astype(np.int32) - 1
+            self._atlas.touch(slots, self._frame)
+            lack = pages == 0
+            self._refresh(held)
+            # Below a tile on which nothing is to be seen there is nothing.
+            inherited = held.pages[which]
+            lack &= ~((inherited & THERE > 0) & (inherited & np.uint32(0xFFFFFF) == 0))
+            wanted += [(p, content, i) for p, i in zip(priority[lack].tolist(), which[lack].tolist(), strict=True)]
+        self._streamer.want(wanted)
+        self._asked = {(layer, place) for _, layer, place in wanted}
+        return len(self._asked - set(self._streamer.failed))
+
+    def _upload(self, most: int) -> None:
+        assert self._streamer is not None
+        for layer, place, data in self._streamer.take(most):
+            if place == OPENING:
+                self._open(layer)
+                continue
+            held = self._held.get(layer)
+            if held is None:  # gone meanwhile
+                continue
+            self.loaded += 1
+            self._insert(layer, held, place, data)
+
+    def _insert(self, layer: Layer, held: Held, place: int, data: NDArray[Any]) -> None:
+        assert self._atlas is not None
+        page = THERE | np.uint32(held.sheet.level_of(place) << 24)
+        if data.size:
+            if self._atlas.slot((layer, place)) >= 0:
+                return
+            slot, before = self._atlas.put((layer, place), data, self._frame, pin=place < held.sheet.pinned)
+            if slot < 0:
+                self._full = True
+                return
+            if before is not None:
+                other = self._held[before[0]]
+                other.own[before[1]], other.stale = 0, True
+            page |= np.uint32(slot + 1)
+        held.own[place], held.stale = page, True
+
+    def _open(self, layer: Layer) -> None:
+        """Take a layer that a thread has opened."""
+        sheet = self._sheets.pop(layer)
+        if self._atlas is None:
+            self._atlas = Slots(
+                self.device, SIDE, "rgba8unorm-srgb", 4, self.gpu_memory, 1 << 20, "imagery"
+            )  # as many tiles as there is room for: other layers may come
+        self._held[layer] = Held(sheet, np.zeros(sheet.count, np.uint32), np.zeros(sheet.count, np.uint32))
+        self.warnings += sheet.warnings
+        self._buffer = None
+
+    def _drop(self, kept: set[Layer]) -> None:
+        """Forget the layers that the scene has no more."""
+        for layer in [known for known in self._held if known not in kept]:
+            held = self._held.pop(layer)
+            assert self._atlas is not None
+            for place in np.flatnonzero(held.own & np.uint32(0xFFFFFF)).tolist():
+                self._atlas.free((layer, place))
+            self._buffer = None
+
+    # ---- the buffer ----------------------------------------------------------------------------------------------
+
+    def _refresh(self, held: Held) -> None:
+        """Bring pages up to date, on the GPU as well."""
+        if not held.stale:
+            return
+        held.stale = False
+        first, last = _inherit(held.own, held.sheet.tree.parents, held.pages)
+        if self._buffer is not None and first < last:
+            at = 4 * (held.at + self._fixed(held.sheet) + first)
+            self.device.queue.write_buffer(self._buffer, at, held.pages[first:last])
+
+    @staticmethod
+    def _fixed(sheet: Sheet) -> int:
+        """Words of a layer before its pages."""
+        return LEVEL * len(sheet.levels) + 4 * sheet.laid.lattice.u.size
+
+    def _write(self, layers: Sequence[Layer], view: View) -> None:
+        """Have the buffer hold all open layers, and heads for those to draw."""
+        for held in self._held.values():
+            self._refresh(held)
+        if self._buffer is None:
+            parts, at = [np.zeros(STATIC, np.uint32)], STATIC
+            for held in self._held.values():
+                held.at = at
+                words = [_levels(held.sheet), _nodes(held.sheet), held.pages]
+                parts += words
+                at += sum(w.size for w in words)
+            self._buffer = self.device.buffer(np.concatenate(parts), "STORAGE", "imagery")
+        head = np.zeros(STATIC, np.uint32)
+        head[0] = len(layers)
+        heads = head[HEADS:].view(HEAD_DTYPE)
+        for k, layer in enumerate(layers):
+            held = self._held[layer.content]
+            _aim(heads[k], held, view)
+            heads[k]["opacity"], heads[k]["multiply"] = layer.opacity, layer.blend == "multiply"
+        self.device.queue.write_buffer(self._buffer, 0, head)
+
+
+def _levels(sheet: Sheet) -> Words:
+    out = np.zeros((len(sheet.levels), LEVEL), np.int32)
+    for k, level in enumerate(sheet.levels):
+        out[k, :5] = level.first, level.row0, level.col0, *level.shape
+    return out.view(np.uint32).ravel()
+
+
+def _nodes(sheet: Sheet) -> Words:
+    """Positions of the lattice's nodes: whole columns and rows of pixels, and what is left of them; the least integer
+    where there is none."""
+    lattice = sheet.laid.lattice
+    out = np.empty((lattice.u.size, 4), np.uint32)
+    for k, values in enumerate((lattice.u.ravel(), lattice.v.ravel())):
+        there = np.isfinite(values) & (np.abs(values) < 2**30)
+        whole = np.floor(np.where(there, values, 0.0))
+        out[:, k] = np.where(there, whole, -(2.0**31)).astype(np.int64).astype(np.int32).view(np.uint32)
+        out[:, 2 + k] = np.where(there, values - whole, 0.0).astype(np.float32).view(np.uint32)
+    return out.ravel()
+
+
+def _aim(head: Any, held: Held, view: View) -> None:
+    """Where a layer's words are, and where the eye is in its lattice, differenced in double precision."""
+    laid = held.sheet.laid
+    a, b, c, d, e, f = laid.lattice.index[:6]
+    x, y = view.target[:2] if view.projection == "plan" else view.eye[:2]
+    place = np.array([a * x + b * y + c, d * x + e * y + f])
+    place = np.clip(place, -1e6, 1e6)
+    cell = np.floor(place)
+    head["across"], head["down"] = (a, b), (d, e)
+    head["cell"], head["part"] = cell, place - cell
+    rows, cols = laid.lattice.u.shape
+    head["nodes"] = cols, rows
+    head["size"] = laid.placement.image.cols, laid.placement.image.rows
+    head["finest"], head["coarsest"] = held.sheet.finest, held.sheet.coarsest
+    head["levels_at"] = held.at
+    head["lattice_at"] = held.at + LEVEL * len(held.sheet.levels)
+    head["pages_at"] = head["lattice_at"] + 4 * laid.lattice.u.size
+    head["bounded"] = 0 if laid.placement.stretched else 2 if laid.cyclic else 3

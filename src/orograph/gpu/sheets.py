@@ -1,0 +1,338 @@
+"""A layer as tiles of a quadtree over its file: what the GPU streams of imagery, as ``tiles`` are of heights.
+
+Level k has texels of 2^k × 2^k pixels of the file, in register with its upper left corner, as overviews are: texel
+(i, j) is the mean of the pixels [i·2^k, (i+1)·2^k) × [j·2^k, (j+1)·2^k) that exist, of linear light weighted by
+opacity. A tile is 256 × 256 of them with a border of one all around, so that blending never leaves it. Levels so coarse
+that the whole area is at most ``BASE`` texels are held in memory, read once when the layer is opened; finer tiles are
+read from the file, or from its overviews, when they are wanted. Columns go on beyond the border of a file that goes
+once around the body. Units: pixels of the file, metres on the ground.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel
+from orograph.geovis import mipmap
+from orograph.geovis.imagery import Window, read_into
+from orograph.geovis.layers import Layer
+from orograph.geovis.laying import Laid, empty
+from orograph.geovis.placement import Placement
+from orograph.gpu.wanted import Tree
+from orograph.store.terrain import TILE, Terrain
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+Places = NDArray[np.int64]
+
+SIDE = TILE + 2
+"""Texels along the side of a tile, its border included."""
+
+BASE = 1 << 21
+"""Texels of the finest level that is held in memory."""
+
+LEAST = 64
+"""Texels along a side of the area at the coarsest level, at most."""
+
+MOST_TILES = 1 << 20
+"""Tiles of a layer, at most: what is finer is left out."""
+
+SLOW = 1 << 28
+"""Pixels without overviews from which on a user is told why it takes its time."""
+
+NOTHING: Bytes = np.empty((0, 0, 4), np.uint8)
+"""A tile on which nothing is to be seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """The tiles of a level: the place of the first among all, and rows and columns of tiles [from, to)."""
+
+    first: int
+    row0: int
+    row1: int
+    col0: int
+    col1: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.row1 - self.row0, self.col1 - self.col0
+
+
+class Sheet:
+    """A layer over a terrain, as tiles.
+
+    Attributes:
+        laid: where it lies. finest, coarsest: levels. levels: by level − finest.
+        tree: says which tiles a view wants. warnings: what a user should know.
+        pinned: how many tiles, from the first, are never to leave.
+    """
+
+    def __init__(self, layer: Layer, terrain: Terrain) -> None:
+        """Open a layer: finds its place and reads its coarse levels, which may take its time.
+
+        Raises:
+            ReadError, UsageError: as ``Laid.open``; the file shows nothing over the terrain.
+        """
+        self.laid = laid = Laid.open(layer, terrain.grid)
+        self.warnings = list(laid.warnings)
+        area = laid.area
+        size = max(area.row1 - area.row0, area.col1 - area.col0)
+        self.coarsest = max(0, math.ceil(math.log2(size / LEAST)))
+        self.finest = 0
+        while _tiles(area, self.finest) > MOST_TILES:
+            self.finest += 1
+        if self.finest:
+            self.warnings.append(f"{layer.path} is drawn {1 << self.finest} times coarser than it could be: it is too "
+                                 "large for its tiles to be counted.")  # fmt: skip
+        self.levels: list[Level] = []
+        first = 0
+        for k in range(self.coarsest, self.finest - 1, -1):
+            shift = k + TILE.bit_length() - 1
+            level = Level(first, area.row0 >> shift, ((area.row1 - 1) >> shift) + 1,
+                          area.col0 >> shift, ((area.col1 - 1) >> shift) + 1)  # fmt: skip
+            first += level.shape[0] * level.shape[1]
+            self.levels.insert(0, level)
+        self.count = first
+        self.pinned = self.levels[-1].shape[0] * self.levels[-1].shape[1]
+        self._level_of = np.concatenate(
+            [
+                np.full(math.prod(self.levels[k - self.finest].shape), k)
+                for k in range(self.coarsest, self.finest - 1, -1)
+            ]
+        )
+        self._read_base()
+        self.tree = self._tree(terrain)
+
+    # ---- texels --------------------------------------------------------------------------------------------------
+
+    def level_of(self, place: int) -> int:
+        """The level of a tile."""
+        return int(self._level_of[place])
+
+    def tile(self, place: int) -> Bytes:
+        """A tile (258, 258, 4): sRGB multiplied (in linear light) by opacity, and opacity; or ``NOTHING``.
+
+        Raises:
+            ReadError: the file cannot be read there.
+        """
+        k = self.level_of(place)
+        level = self.levels[k - self.finest]
+        row, col = divmod(place - level.first, level.shape[1])
+        row, col = (row + level.row0) * TILE - 1, (col + level.col0) * TILE - 1
+        image = self.laid.placement.image
+        rows, cols = -(-image.rows >> k), -(-image.cols >> k)
+        r0, r1 = max(row, 0), min(row + SIDE, rows)
+        c0, c1 = (col, col + SIDE) if self.laid.cyclic else (max(col, 0), min(col + SIDE, cols))
+        if k >= self.base:
+            block = self._held(k, r0, r1, c0, c1)
+        else:
+            window = Window(r0 << k, min(r1 << k, image.rows), c0 << k, c1 << k, 1 << k)
+            if not self.laid.cyclic:
+                window = Window(window.row0, window.row1, window.col0, min(window.col1, image.cols), 1 << k)
+            block = np.empty((*window.shape, 4), np.uint8)
+            read_into(block, self.laid.location, window, self.laid.bands)
+        if not block[..., 3].any():
+            return NOTHING
+        around = ((r0 - row, row + SIDE - r0 - block.shape[0]), (c0 - col, col + SIDE - c0 - block.shape[1]), (0, 0))
+        return np.ascontiguousarray(np.pad(multiplied(block), around, "edge"))
+
+    def opacity_at(self, x: Array, y: Array) -> Array:
+        """The image's own opacity (n,) at places in the terrain's CRS, as its coarse levels tell."""
+        placement, scale = self.laid.placement, float(1 << self.base)
+        u, v = placement.pixels(x, y)
+        if not placement.stretched:
+            inside = (v >= 0) & (v <= placement.image.rows)
+            inside &= laid_cols(placement, u)
+            u = np.where(inside, u, np.nan)
+        out = np.empty((len(u), 4), np.float32)
+        u, v = u / scale - self._origin[1], v / scale - self._origin[0]
+        mipmap.look_up(self._pool, self._table, mipmap.curves()[0], u, v, np.ones(len(u)), out)
+        return np.asarray(out[:, 3], np.float64)
+
+    def _read_base(self) -> None:
+        area, image = self.laid.area, self.laid.placement.image
+        grain = 1 << self.coarsest
+        row0, col0 = area.row0 // grain * grain, area.col0 // grain * grain
+        row1, col1 = -(-area.row1 // grain) * grain, -(-area.col1 // grain) * grain
+        row1 = min(row1, image.rows)
+        if not self.laid.cyclic:
+            col1 = min(col1, image.cols)
+        self.base = self.finest
+        while -(-(row1 - row0) >> self.base) * -(-(col1 - col0) >> self.base) > BASE and self.base < self.coarsest:
+            self.base += 1
+        pixels = (row1 - row0) * (col1 - col0)
+        if pixels > SLOW and not any(f > 1 for f in self.laid.overviews):
+            self.warnings.append(
+                f"{self.laid.layer.path} has no overviews: {pixels / 1e6:,.0f} million pixels are read before it is "
+                "seen (gdaladdo makes overviews)."
+            )
+        window = Window(row0, row1, col0, col1, 1 << self.base)
+        self._pool, self._table = mipmap.pool_for(*window.shape)
+        finest = self._pool[: window.shape[0] * window.shape[1]].reshape(*window.shape, 4)
+        read_into(finest, self.laid.location, window, self.laid.bands)
+        if not finest[..., 3].any():
+            raise empty(self.laid.layer.path)
+        mipmap.fill(self._pool, self._table, 1)
+        self._origin = row0 >> self.base, col0 >> self.base
+
+    def _held(self, k: int, r0: int, r1: int, c0: int, c1: int) -> Bytes:
+        """Texels of a level that is in memory; beyond what is, its border goes on."""
+        base, rows, cols = (int(v) for v in self._table[k - self.base])
+        level = self._pool[base : base + rows * cols].reshape(rows, cols, 4)
+        first = self._origin[0] >> (k - self.base), self._origin[1] >> (k - self.base)
+        i = np.clip(np.arange(r0, r1) - first[0], 0, rows - 1)
+        j = np.clip(np.arange(c0, c1) - first[1], 0, cols - 1)
+        return np.asarray(level[i[:, None], j[None, :]])
+
+    # ---- places --------------------------------------------------------------------------------------------------
+
+    def _tree(self, terrain: Terrain) -> Tree:
+        """Where tiles lie on the ground, how high it is there, how large their texels are."""
+        boxes, sizes = _ground(self.laid, self.levels[0], self.finest, terrain)
+        all_boxes, all_sizes, parents = [boxes], [sizes], []
+        for k, level in enumerate(self.levels):
+            rows, cols = level.shape
+            if k + 1 == len(self.levels):
+                parents.append(np.full(rows * cols, -1))
+                break
+            above = self.levels[k + 1]
+            r = (np.arange(level.row0, level.row1) >> 1) - above.row0
+            c = (np.arange(level.col0, level.col1) >> 1) - above.col0
+            parent = (r[:, None] * above.shape[1] + c[None, :]).ravel()
+            parents.append(above.first + parent)
+            count = math.prod(above.shape)
+            larger = np.full((count, 4), np.nan)
+            for axis, union in enumerate((np.fmin, np.fmax, np.fmin, np.fmax)):
+                union.at(larger[:, axis], parent, all_boxes[-1][:, axis])
+            size = np.zeros(count)
+            np.maximum.at(size, parent, all_sizes[-1])
+            all_boxes.append(larger)
+            all_sizes.append(2 * size)
+        flat = np.concatenate(all_boxes[::-1])
+        heights = _heights(terrain, flat)
+        return Tree(
+            terrain, np.ascontiguousarray(np.concatenate([flat, heights], 1)),
+            np.concatenate(parents[::-1]).astype(np.int64), np.concatenate(all_sizes[::-1]),
+        )  # fmt: skip
+
+
+def laid_cols(placement: Placement, u: Array) -> NDArray[np.bool_]:
+    """Which columns (pixels) lie within an image, or anywhere if it goes around the body."""
+    if placement.cyclic:
+        return np.isfinite(u)
+    return np.asarray((u >= 0) & (u <= placement.image.cols))
+
+
+def multiplied(level: Bytes) -> Bytes:
+    """sRGB colours multiplied (in linear light) by their opacity."""
+    opacity = level[..., 3]
+    if opacity.min() == 255:
+        return level
+    decode, encode = mipmap.curves()
+    out = level.copy()
+    partial = opacity < 255
+    linear = decode[level[partial][:, :3]] * (opacity[partial].astype(np.float32) / 255)[:, None]
+    out[partial, :3] = encode[np.round(linear * 65535).astype(np.intp)]
+    return out
+
+
+def _tiles(area: Window, k: int) -> int:
+    side = TILE << k
+    return -(-(area.row1 - area.row0) // side + 1) * -(-(area.col1 - area.col0) // side + 1)
+
+
+def _ground(laid: Laid, level: Level, k: int, terrain: Terrain) -> tuple[Array, Array]:
+    """Of a level's tiles: boxes (n, 4) in sample coordinates, and metres (n,) that a texel is wide at most."""
+    area, side = laid.area, TILE << k
+    u = np.clip(np.arange(level.col0, level.col1 + 1) * float(side), area.col0, area.col1)
+    v = np.clip(np.arange(level.row0, level.row1 + 1) * float(side), area.row0, area.row1)
+    x, y = laid.placement.places(*np.meshgrid(u, v))
+    col, row = (np.asarray(a, np.float64) for a in terrain.grid.index(x, y))
+    corners = [(slice(i, i + len(v) - 1), slice(j, j + len(u) - 1)) for i in (0, 1) for j in (0, 1)]
+    box = np.stack(
+        [
+            union.reduce([a[c] for c in corners]).ravel()
+            for a, union in ((col, np.fmin), (col, np.fmax), (row, np.fmin), (row, np.fmax))
+        ],
+        1,
+    )
+    bend = 0.0 if laid.placement.same else _bend(laid, u, v, col, row, terrain)
+    box += np.array([-1.0, 1.0, -1.0, 1.0]) * (bend + 0.5)
+    # The greatest stretch of a tile's map from pixels to metres, by its corners.
+    wide, high = np.diff(u)[None, :], np.diff(v)[:, None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        steps = [np.diff(a, axis=1)[:-1] / wide for a in (x, y)] + [np.diff(a, axis=0)[:, :-1] / high for a in (x, y)]
+    matrix = np.nan_to_num(np.stack([[steps[0], steps[2]], [steps[1], steps[3]]]), nan=0.0, posinf=0.0, neginf=0.0)
+    stretch = np.linalg.svd(np.moveaxis(matrix, (0, 1), (-2, -1)), compute_uv=False)[..., 0]
+    return box, stretch.ravel() * 2.0**k
+
+
+def _bend(laid: Laid, u: Array, v: Array, col: Array, row: Array, terrain: Terrain) -> float:
+    """Samples by which the middles of tiles and of their edges lie off the straight lines between corners, twice the
+    most that is found among some."""
+    j = np.unique(np.linspace(0, len(u) - 2, 17).astype(int))
+    i = np.unique(np.linspace(0, len(v) - 2, 17).astype(int))
+    worst = 0.0
+    for a, b in ((0.5, 0.5), (0.5, 0.0), (0.0, 0.5)):
+        uu, vv = u[j] * (1 - a) + u[j + 1] * a, v[i] * (1 - b) + v[i + 1] * b
+        exact = terrain.grid.index(*laid.placement.places(*np.meshgrid(uu, vv)))
+        for found, nodes in zip(exact, (col, row), strict=True):
+            top = nodes[i][:, j] * (1 - a) + nodes[i][:, j + 1] * a
+            low = nodes[i + 1][:, j] * (1 - a) + nodes[i + 1][:, j + 1] * a
+            off = np.abs(found - (top * (1 - b) + low * b))
+            worst = max(worst, float(np.nanmax(off)) if np.isfinite(off).any() else 0.0)
+    return 2 * worst
+
+
+def _heights(terrain: Terrain, boxes: Array) -> Array:
+    """The lowest and highest ground (n, 2) in boxes (n, 4), NaN where there is none, from the tables of tiles."""
+    shapes, low, high = [], [], []
+    for k in range(terrain.levels):
+        table = terrain.tiles(k)
+        shapes.append(table.minimum.shape)
+        low.append(table.minimum.ravel())
+        high.append(table.maximum.ravel())
+    offsets = np.cumsum([0, *(a.size for a in low[:-1])])
+    out = np.empty((len(boxes), 2))
+    _extremes(
+        boxes, np.array(shapes, np.int64), offsets.astype(np.int64), np.concatenate(low), np.concatenate(high),
+        np.array([terrain.grid.rows - 1.0, terrain.grid.cols - 1.0]), out,
+    )  # fmt: skip
+    return out
+
+
+@kernel
+def _extremes(
+    boxes: Array, shapes: Places, offsets: Places, low: NDArray[np.float32], high: NDArray[np.float32], last: Array,
+    out: Array,
+) -> None:  # fmt: skip
+    """See ``_heights``; ``last``: the raster's last row and column."""
+    for n in range(boxes.shape[0]):
+        out[n, 0] = out[n, 1] = np.nan
+        west, east, north, south = boxes[n, 0], boxes[n, 1], boxes[n, 2], boxes[n, 3]
+        if not (east >= 0.0 and west <= last[1] and south >= 0.0 and north <= last[0]):
+            continue
+        west, east, north, south = max(west, 0.0), min(east, last[1]), max(north, 0.0), min(south, last[0])
+        k = 0
+        while k + 1 < shapes.shape[0] and max(east - west, south - north) > 3.0 * (TILE << k):
+            k += 1
+        side = np.float64(TILE << k)
+        for i in range(
+            min(np.int64(north / side), shapes[k, 0] - 1), min(np.int64(south / side), shapes[k, 0] - 1) + 1
+        ):
+            for j in range(
+                min(np.int64(west / side), shapes[k, 1] - 1), min(np.int64(east / side), shapes[k, 1] - 1) + 1
+            ):
+                place = offsets[k] + i * shapes[k, 1] + j
+                if low[place] == low[place]:
+                    out[n, 0] = (
+                        np.float64(low[place]) if out[n, 0] != out[n, 0] else min(out[n, 0], np.float64(low[place]))
+                    )
+                    out[n, 1] = (
+                        np.float64(high[place]) if out[n, 1] != out[n, 1] else max(out[n, 1], np.float64(high[place]))
+                    )
