@@ -33,6 +33,9 @@ STEEP = 0.9
 WORKING = 512
 """Samples a side of what slopes are measured on, at most."""
 
+GENTLE, LEAST = 0.25, 0.02
+"""See ``Contours.finer``."""
+
 LEVEL = 2e-4
 """Slopes below this (water, as a rule) have no say in it."""
 
@@ -84,6 +87,19 @@ class Contours:
         large = max(1.0, min(width, height) / USUAL)
         interval = self.interval or suitable(kept("steepness", (), lambda: steepness(terrain), terrain), view)
         return replace(self, interval=interval, width=self.width * large, type_size=self.type_size * large)
+
+    def finer(self, terrain: Terrain, view: View, kept: Kept) -> float:
+        """What part of a tolerance the ground may be displaced by, so that lines stay where they belong.
+
+        A height that is off by e moves a line by e / slope over the ground, and on the screen by that times the sine of
+        the angle at which it is seen; the height itself shows by its cosine. Slopes of ``GENTLE`` of the steep ones
+        are held to it.
+        """
+        slope = GENTLE * kept("steepness", (), lambda: steepness(terrain), terrain)
+        if view.projection == "plan":
+            return float(min(max(slope, LEAST), 1.0))
+        down = math.atan2(view.eye[2] - view.target[2], math.dist(view.eye[:2], view.target[:2]))
+        return float(min(max(slope / max(math.tan(min(max(down, 0.0), 1.4)), 1e-6), LEAST), 1.0))
 
     @property
     def step(self) -> float:

@@ -19,7 +19,7 @@ from orograph.geovis.missing import patches
 from orograph.light.relief import Relief
 from orograph.light.sun import Sun
 from orograph.picture.kept import Kept
-from orograph.picture.kernels import beginnings, ends, footprints, incidence
+from orograph.picture.kernels import beginnings, ends, incidence
 from orograph.picture.memory import BYTES_PER_PIXEL, band_pixels
 from orograph.picture.scene import Scene
 from orograph.raycast.caster import Caster
@@ -188,7 +188,12 @@ class Ground:
         kept = Kept() if kept is None else kept
         terrain = scene.terrain if surface is None else surface
         rows, cols = terrain.grid.shape
-        tolerance = scene.pixel_tolerance
+        tolerance, by = scene.pixel_tolerance, "error"
+        if scene.contours is not None and tolerance > 0:
+            if scene.view.projection == "plan":  # heights move nothing but lines: samples as fine as pixels
+                tolerance, by = 0.7, "spacing"
+            else:
+                tolerance *= scene.contours.finer(terrain, scene.view.whole, kept)
         # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together, the means.
         bytes_per_sample = 4 * (1 + 5 / 12) + 4 + 4
         budget = math.inf if scene.max_memory is None else max(scene.max_memory - fixed_memory(scene), LEAST_MEMORY)
@@ -196,7 +201,7 @@ class Ground:
             return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0, kept)
         tolerance = tolerance or 0.05
         while True:
-            chosen = rectangles(terrain, scene.view.whole, scene.exaggeration, tolerance)
+            chosen = rectangles(terrain, scene.view.whole, scene.exaggeration, tolerance, by=by)
             fits = sum(r.samples for r in chosen) * bytes_per_sample <= budget
             # Ground about the eye is wanted exactly at any tolerance; that much is drawn whatever the budget.
             if fits or tolerance > COARSEST or chosen[-1].level == terrain.levels - 1:
@@ -212,19 +217,6 @@ class Ground:
         cosine, tilt = np.empty(len(gradient)), np.empty(len(gradient))
         incidence(gradient, self.to_world, self.scene.exaggeration * strength, to_sun, cosine, tilt)
         return cosine, tilt
-
-    def footprints(self, hits: Hits, px: Array, py: Array) -> tuple[Array, Array]:
-        """What pixels cover of the ground (n, 4) and the least width (n,) of that, metres (``kernels.footprints``)."""
-        rays, view, n = self.rays, self.rays.view, len(px)
-        gradient = self.relief.gradient(hits.points, hits.width)
-        slope = np.asarray(gradient, np.float64) @ self.to_world.T
-        ground, least = np.empty((n, 4)), np.empty(n)
-        parallel = view.projection == "plan"
-        footprints(
-            px, py, hits.t, *rays.basis, self.scene.exaggeration,
-            view.pixel_metres if parallel else view.pixel_slope, parallel, slope, ground, least,
-        )  # fmt: skip
-        return ground, least
 
     def skyline(self, hits: Hits, sun: Sun, which: NDArray[np.int64]) -> Array:
         """tan of the horizon's angle towards the sun on the stretched ground, clamped just around the sun's disc, for

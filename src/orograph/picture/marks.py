@@ -1,9 +1,11 @@
-"""What is drawn on the ground besides its colour: contour lines, as ``picture.contours`` says them.
+"""What is drawn on the ground besides its colour: contour lines and their labels, as ``picture.contours`` says them.
 
-Lines lie on the ground: haze comes before them, and ground before them hides them.
+Lines and labels lie on the ground: haze comes before them, and ground before them hides them.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +15,20 @@ from orograph.picture.contour_kernels import line_cover
 from orograph.picture.contours import Contours
 from orograph.picture.ground import Ground, Hits
 from orograph.picture.kept import Kept
+from orograph.picture.label_type import Lettering
+from orograph.picture.labels import Placer
 from orograph.picture.mapgrid import MapGrid
 from orograph.picture.scene import Scene
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
+
+
+RIM = 8
+"""Pixels around a tile that its sheet of labels has, too: antialiasing looks there."""
+
+GLOW, STRONGER = 0.16, 0.3
+"""How much lighter the ground is under a label, and by how much a label is more opaque than lines."""
 
 
 def ink(contours: Contours) -> Colours:
@@ -37,7 +48,21 @@ class Lines:
         self.ground, self.maps = ground, maps
         self.contours = scene.contours.fitted(scene.terrain, scene.view, kept)
         self.ink = ink(self.contours)
-        self.facts = {"interval_m": self.contours.interval, "index": self.contours.index}
+        self.facts: dict[str, Any] = {"interval_m": self.contours.interval, "index": self.contours.index}
+        self.letters = Lettering(np.zeros((0, 3)), np.zeros(0), 1.0, ())
+        self._area, self._sheet = (0, 0, 0, 0), np.zeros((0, 0, 2), np.uint8)
+        if self.contours.labels and self.contours.step > 0:
+            placer = kept("labels", (), lambda: Placer(scene.terrain), scene.terrain)
+            view, exaggeration = scene.view.whole, scene.exaggeration
+            labels = kept(
+                "labels of a view", (view, exaggeration, self.contours),
+                lambda: placer.place(scene, self.contours), placer,
+            )  # fmt: skip
+            self.letters = Lettering.of(labels, view, exaggeration, self.contours.type_size)
+            left, top, _, _ = scene.view.frame
+            self._area = top - RIM, top + scene.view.height + RIM, left - RIM, left + scene.view.width + RIM
+            self._sheet = self.letters.sheet(self._area)
+        self.facts["labels"] = len(self.letters.words)
         self._basis = np.array(ground.rays.basis)
 
     def draw(self, hits: Hits, px: Array, py: Array, out: Colours) -> None:
@@ -50,5 +75,13 @@ class Lines:
             self._basis, float(c.interval or 1.0), c.index, c.width, cover,
         )  # fmt: skip
         cover *= np.float32(c.opacity)
+        if self.letters.words:
+            top, _, left, _ = self._area
+            found = self._sheet[np.floor(py).astype(np.intp) - top, np.floor(px).astype(np.intp) - left]
+            letters = np.where(np.isnan(hits.t)[:, None], np.float32(0), found * np.float32(1 / 255))
+            gaps = np.flatnonzero(letters[:, 1] > 0)
+            out[gaps] += (np.float32(GLOW) * letters[gaps, 1])[:, None] * (1 - out[gaps])
+            cover *= 1 - letters[:, 1]
+            cover += letters[:, 0] * np.float32(min(1.0, c.opacity + STRONGER))
         some = np.flatnonzero(cover > 0)
         out[some] += cover[some, None] * (self.ink - out[some])

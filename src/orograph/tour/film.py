@@ -17,11 +17,16 @@ from typing import Any
 
 from orograph.errors import UsageError
 from orograph.picture.backends import Session, session
+from orograph.picture.contours import Contours
+from orograph.picture.kept import Kept
 from orograph.picture.result import Picture
 from orograph.picture.scene import Scene
 from orograph.progress import SILENT, Progress
 from orograph.tour.course import Course, Grading
 from orograph.tour.tour import Tour
+
+WAYPOINTS = 9
+"""Places of a tour that an interval of contour lines is to suit."""
 
 
 class Film:
@@ -58,6 +63,8 @@ class Film:
                              f"{self.tour.fps:g} frames per second.")  # fmt: skip
         self.numbers = range(begin, end)
         self.course = Course(self.tour, scene.terrain, progress)
+        if scene.contours is not None:
+            self.base = replace(scene, contours=self._lines(scene.contours))
         graded = (scene.relief is None and "relief" not in self.tour.settings(0.0)) or (
             scene.sky and scene.depths is None
         )
@@ -108,6 +115,16 @@ class Film:
             "mesh_view": None if self.base.mesh_view is None else self.base.mesh_view.to_dict(),
         }  # fmt: skip
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:32]
+
+    def _lines(self, contours: Contours) -> Contours:
+        """Contour lines for a film: one interval for all of it (the median of what suits along the way), labels that
+        come and go by degrees."""
+        kept = Kept()
+        times = [self.tour.duration * k / (WAYPOINTS - 1) for k in range(WAYPOINTS)]
+        suits = sorted(
+            contours.fitted(self.base.terrain, self.course.at(t), kept).interval or 1.0 for t in times
+        )  # fmt: skip
+        return replace(contours, interval=suits[WAYPOINTS // 2], fading=True)
 
     def _scene(self, time: float) -> Scene:
         settings: dict[str, Any] = self.tour.settings(time)

@@ -1,0 +1,112 @@
+"""Contour lines and their labels on the GPU: the CPU's, and holding still while the camera moves."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from affine import Affine
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from orograph.dem.raster import Dem
+from orograph.geo.grid import Grid
+from orograph.gpu.device import Device
+from orograph.gpu.picture import draw as draw_gpu
+from orograph.gpu.renderer import Renderer
+from orograph.picture.contours import Contours
+from orograph.picture.cpu import draw as draw_cpu
+from orograph.picture.scene import Scene
+from orograph.store import terrain as in_memory
+from orograph.store.terrain import Terrain
+from orograph.view import View
+
+SIZE = (360, 240)
+EAST, NORTH = 700_000.0, 5_300_000.0
+
+
+@pytest.fixture(scope="module")
+def terrain() -> Terrain:
+    y, x = np.mgrid[:501, :620] * 20.0
+    z = 500 + 300 * np.sin(x / 1900) * np.cos(y / 1700) + 60 * np.sin(x / 670 + y / 830)
+    grid = Grid(z.shape, Affine(20.0, 0, EAST, 0, -20.0, NORTH), CRS.from_epsg(32632))
+    return in_memory(Dem(z.astype(np.float32), grid))
+
+
+def scenes(terrain: Terrain) -> dict[str, Scene]:
+    middle = (EAST + 6200.0, NORTH - 5000.0, 500.0)
+    slanted = View((EAST + 6000.0, NORTH - 14_000.0, 5000.0), middle, width=SIZE[0], height=SIZE[1])
+    plan = View((middle[0], middle[1], 12_000.0), middle, projection="plan", width=SIZE[0], height=SIZE[1])
+    lines = Contours(20.0)
+    return {
+        name: Scene(terrain, view, samples=4, tolerance=0.5, contours=lines, sky=name == "slanted")
+        for name, view in (("slanted", slanted), ("plan", plan))
+    }
+
+
+def lab(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """CIE L*a*b* (D65) of sRGB bytes."""
+    c = pixels / 255.0
+    c = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+    xyz = c @ np.array([[0.4124564, 0.2126729, 0.0193339], [0.3575761, 0.7151522, 0.1191920],
+                        [0.1804375, 0.0721750, 0.9503041]]) / [0.95047, 1.0, 1.08883]  # fmt: skip
+    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+    return np.stack([116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], -1)
+
+
+@pytest.mark.parametrize("name", ["slanted", "plan"])
+def test_both_backends_draw_the_same_lines_and_labels(device: Device, terrain: Terrain, name: str) -> None:
+    scene = scenes(terrain)[name]
+    cpu, gpu = draw_cpu(scene), draw_gpu(scene, device=device)
+    assert cpu.facts["shader"]["contours"]["labels"] >= 3
+    apart = np.linalg.norm(lab(cpu.pixels) - lab(gpu.pixels), axis=-1)
+    assert apart.mean() < 1.0 and np.quantile(apart, 0.95) < 3.0, (apart.mean(), np.quantile(apart, 0.95))
+    bare = draw_gpu(replace(scene, contours=None), device=device)
+    marked = np.linalg.norm(lab(bare.pixels) - lab(gpu.pixels), axis=-1) > 8
+    assert marked.mean() > 0.03 and apart[marked].mean() < 3.0, apart[marked].mean()
+
+
+def test_labels_hold_still_and_fade_while_the_camera_moves(device: Device, terrain: Terrain) -> None:
+    """A slow pan in a plan: labels move with the ground, by whole pixels here, and none appears in one frame."""
+    scene = scenes(terrain)["plan"]
+    scene = replace(scene, light="none", colormap="grey", contours=Contours(20.0, fading=True))
+    renderer = Renderer(device, terrain)
+    texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
+    target = texture.create_view()
+    step = scene.view.pixel_metres
+    frames = []
+    try:
+        for k in range(12):
+            view = replace(
+                scene.view, eye=(scene.view.eye[0] + k * step, *scene.view.eye[1:]),
+                target=(scene.view.target[0] + k * step, *scene.view.target[1:]),
+            )  # fmt: skip
+            renderer.draw(target, "rgba8unorm", replace(scene, view=view), wait=True, samples=1)
+            frames.append(device.read_texture(texture, np.uint8, 4)[..., :3].astype(int))
+    finally:
+        renderer.close()
+    for before, after in pairwise(frames):
+        moved = np.abs(after[:, 20:-21] - before[:, 21:-20]).max(-1)
+        assert (moved > 60).sum() < 12, (moved > 60).sum()  # a label that came at once would change dozens
+
+
+def test_frames_do_not_wait_for_labels(device: Device, terrain: Terrain) -> None:
+    scene = scenes(terrain)["slanted"]
+    renderer = Renderer(device, terrain)
+    texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
+    target = texture.create_view()
+    try:
+        renderer.draw(target, "rgba8unorm", scene)
+        assert renderer._letters.view is None and renderer.busy
+        end = time.perf_counter() + 60
+        while renderer.busy and time.perf_counter() < end:
+            time.sleep(0.02)
+            renderer.draw(target, "rgba8unorm", scene)
+        assert renderer._letters.view is not None
+        renderer.draw(target, "rgba8unorm", replace(scene, contours=None))
+        assert renderer._letters.view is None
+    finally:
+        renderer.close()
