@@ -1,11 +1,21 @@
-"""The interactive view off screen: a flight over a large terrain, frame by frame, on whatever GPU there is.
+"""The interactive view off screen: flights over large terrains, frame by frame, on whatever GPU there is.
 
-    python bench/view.py [PATH...] [--tolerance 2] [--size 1280x720] [--frames 120] [--kind orbit|flight]
+    python bench/view.py [--terrain california|synthetic-16385|synthetic-65537|PATH…] [--flight orbit|low|jump|steady]…
+        [--tolerance 2] [--size 1280x720] [--frames 120] [--judge 3] [--folder FOLDER] [--waited] [--no-look-ahead]
 
-Without a PATH: the 40 tiles of California (13201 × 4801), built into a store in the cache first. Every frame is drawn
-as the window draws it (tiles stream in meanwhile, shadows and sky on) and then waited for. Told are, as median and
-worst: ms of Python (selection within it), ms until the GPU is done, patches and triangles, tiles loaded, MB uploaded,
-and the largest error in pixels with the tiles that were there. ``--waited`` waits for all tiles in each frame.
+Terrains: the 40 tiles of California (default; 11815 × 5567 samples in metres), the synthetic terrain of so many samples
+a side as a store (``bench/synthetic.py``; built first, if it is not there, in FOLDER or the cache), or any files.
+
+Flights: *orbit*, all of the terrain in view, half a degree a frame; *low*, a straight flight close above the ground at
+300 m/s and 60 frames a second; *steady*, the same at ten times the height and speed; *jump*, to another place of the
+terrain every ten frames. Every frame is drawn as the window draws it (tiles stream in meanwhile; shadows and sky are
+on) and then waited for, and no frame is begun before its time on a clock of 60 frames a second.
+
+Told as median and worst: ms until the GPU is done, ms of the GPU by its own clock (timestamps), ms of Python (*to
+submit*: what the loop waits for besides drawing; and with submission, in which software drivers do all the work) and of
+selection, patches, triangles, tiles loaded and lacking, MB uploaded, the bound of the largest error in pixels with the
+tiles that were there; and of ``--judge`` views, with all their tiles, the largest error that the referee finds among
+all full-resolution samples in view.
 """
 
 from __future__ import annotations
@@ -13,100 +23,211 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from orograph.gpu.device import open_device
+from orograph import verify
+from orograph.gpu.clock import Clock
+from orograph.gpu.device import Device, open_device
 from orograph.gpu.frame import FrameStats
 from orograph.gpu.renderer import Renderer
+from orograph.lod.patches.expand import expand
 from orograph.picture.camera import around
 from orograph.picture.prepare import prepare
 from orograph.picture.scene import Scene
 from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
 from orograph.view import View
+from synthetic import synthetic_store
+
+RATE = 60.0
+"""Frames a second of a flight's clock."""
+
+SPEED = 300.0
+"""Metres a second, flying low."""
+
+Size = tuple[int, int]
 
 
-def orbit(terrain: Terrain, size: tuple[int, int], count: int) -> list[View]:
-    """Once around the middle of the terrain, all of it in view, half a degree a frame."""
+@dataclass(frozen=True)
+class Frame:
+    """What one took: ms of Python to the last submission, until the GPU was done, by the GPU's clock (or None)."""
+
+    python: float
+    done: float
+    gpu: float | None
+    stats: FrameStats
+
+
+def orbit(terrain: Terrain, size: Size, count: int) -> list[View]:
+    """Around the middle of the terrain, all of it in view, half a degree a frame."""
     return [around(terrain, size, azimuth=200 + 0.5 * k, pitch=30, distance=None) for k in range(count)]
 
 
-def flight(terrain: Terrain, size: tuple[int, int], count: int) -> list[View]:
-    """A straight low flight across the terrain, looking ahead and down, at 1/2 of its width in all."""
-    cols, rows = terrain.grid.cols, terrain.grid.rows
-    spacing = float(np.mean(terrain.grid.spacing))
-    level = terrain.levels - 1
-    r, c = terrain.shape(level)
-    coarse = terrain.read(level, 0, r, 0, c)
+def straight(terrain: Terrain, size: Size, count: int, above: float, speed: float) -> list[View]:
+    """A flight eastwards through the terrain's middle, looking ahead and down; metres above its coarse heights."""
+    spacing = terrain.grid.spacing[0]
+    level = max(0, terrain.levels - 3)
+    rows, cols = terrain.shape(level)
+    row = rows // 2
+    line = terrain.read(level, row, row + 1, 0, cols)[0].astype(np.float64)
+    line = np.where(np.isfinite(line), line, np.nanmean(line) if np.isfinite(line).any() else 0.0)
+    width = max(1, round(40 * above / (spacing * 2**level)))  # the flight is smoother than the ground
+    smooth = np.convolve(np.pad(line, width, mode="edge"), np.ones(2 * width + 1) / (2 * width + 1), "valid")
+    high = np.maximum.reduce([smooth, *(np.roll(line, k) for k in range(-2, 3))])
     views = []
+    begin = 0.2 * terrain.grid.cols
     for k in range(count):
-        at = 0.25 + 0.5 * k / max(count - 1, 1)
-        x, y = (float(v) for v in terrain.grid.xy(at * cols, 0.5 * rows))
-        window = coarse[max(0, r // 2 - 2) : r // 2 + 3, max(0, int(at * c) - 2) : int(at * c) + 3]
-        ground = float(np.nanmax(window)) if np.isfinite(window).any() else 0.0
-        eye = (x, y, ground + 25 * spacing)
-        views.append(View(eye, (x + 400 * spacing, y + 60 * spacing, ground), width=size[0], height=size[1]))
+        col = begin + k / RATE * speed / spacing
+        x, y = (float(v) for v in terrain.grid.xy(col, 0.5 * terrain.grid.rows))
+        ground = float(np.interp(col / 2**level, np.arange(cols), high))
+        views.append(
+            View((x, y, ground + above), (x + 40 * above, y + 6 * above, ground), width=size[0], height=size[1])
+        )
     return views
+
+
+def low(terrain: Terrain, size: Size, count: int) -> list[View]:
+    return straight(terrain, size, count, 150.0, SPEED)
+
+
+def steady(terrain: Terrain, size: Size, count: int) -> list[View]:
+    return straight(terrain, size, count, 1500.0, 10 * SPEED)
+
+
+def jump(terrain: Terrain, size: Size, count: int) -> list[View]:
+    """Ten frames at each of many places, from 600 m and from 6 km above them."""
+    rng = np.random.default_rng(4)
+    level = terrain.levels - 1
+    rows, cols = terrain.shape(level)
+    coarse = terrain.read(level, 0, rows, 0, cols)
+    views: list[View] = []
+    while len(views) < count:
+        i, j = int(rng.integers(rows // 8, rows - rows // 8)), int(rng.integers(cols // 8, cols - cols // 8))
+        if not np.isfinite(coarse[i, j]):
+            continue
+        x, y = (float(v) for v in terrain.grid.xy(j << level, i << level))
+        high = 600.0 if rng.random() < 0.5 else 6000.0
+        ground, turn = float(coarse[i, j]), float(rng.uniform(0, 2 * math.pi))
+        target = x + 5 * high * math.cos(turn), y + 5 * high * math.sin(turn), ground
+        views += [View((x, y, ground + high), target, width=size[0], height=size[1])] * 10
+    return views[:count]
+
+
+FLIGHTS = {"orbit": orbit, "low": low, "steady": steady, "jump": jump}
+
+
+def terrain_of(names: list[str], options: argparse.Namespace) -> Terrain:
+    """A terrain by its name, or of files."""
+    if names == ["california"]:
+        return prepare(sorted(map(str, (options.data / "california-3s-tiles").glob("*.tif"))))
+    if len(names) == 1 and names[0].startswith("synthetic-"):
+        return synthetic_store(int(names[0].removeprefix("synthetic-")), options.folder)
+    return prepare(names)
+
+
+def fly(renderer: Renderer, device: Device, views: list[View], scene: Scene, waited: bool) -> list[Frame]:
+    """Draw them all, one after the other, none before its time."""
+    clock = Clock(device)
+    texture = device.texture((views[0].width, views[0].height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
+    target = texture.create_view()
+    renderer.draw(target, "rgba8unorm", replace(scene, view=views[0]))  # compiles
+    device.wait()
+    frames = []
+    start = time.perf_counter()
+    for k, view in enumerate(views):
+        time.sleep(max(0.0, start + k / RATE - time.perf_counter()))
+        clock.begin()
+        begun = time.perf_counter()
+        stats = renderer.draw(target, "rgba8unorm", replace(scene, view=view), wait=waited)
+        python = time.perf_counter()
+        device.wait()
+        done = time.perf_counter()
+        clock.end()
+        seconds = clock.seconds()
+        frames.append(
+            Frame((python - begun) * 1e3, (done - begun) * 1e3, None if seconds is None else seconds * 1e3, stats)
+        )
+    return frames
+
+
+def judged(renderer: Renderer, terrain: Terrain, views: list[View], tolerance: float) -> list[float]:
+    """The largest error, pixels, of each view with the tiles that a frame has when none is waited for any more."""
+    found = []
+    for view in views:
+        patches = renderer.tiles.choose(view, tolerance, 1.0, wait=True).patches
+        keys, heights = expand(terrain, patches.instances, renderer.engine.legs)
+        mesh = Tessellation.from_triangles(terrain.grid, keys, heights, clockwise=False)
+        found.append(verify.judge(mesh, terrain, view).largest)
+    return found
 
 
 def row(name: str, values: list[float], form: str = "{:.1f}") -> str:
     middle, worst = float(np.median(values)), max(values)
-    return f"  {name:28} median {form.format(middle):>10}   worst {form.format(worst):>10}"
+    return f"  {name:30} median {form.format(middle):>10}   worst {form.format(worst):>10}"
+
+
+def told(frames: list[Frame]) -> str:
+    """The table of a flight."""
+    stats = [f.stats for f in frames]
+    worst = max(range(len(frames)), key=lambda k: frames[k].done)
+    gpu = [f.gpu for f in frames if f.gpu is not None]
+    finite = [s.error_px for s in stats if math.isfinite(s.error_px)]
+    lines = [
+        row("ms a frame", [f.done for f in frames]) + f"   (frame {worst})",
+        row("ms of the GPU, by its clock", gpu) if gpu else "  ms of the GPU, by its clock    (it tells none)",
+        row("ms of Python, to submit", [s.cpu_ms for s in stats], "{:.2f}"),
+        row("ms of Python, submission too", [f.python for f in frames], "{:.2f}"),
+        row("ms of selection", [s.select_ms for s in stats], "{:.2f}"),
+        row("patches", [s.patches for s in stats], "{:,.0f}"),
+        row("triangles", [s.triangles for s in stats], "{:,.0f}"),
+        row("M triangles a second", [s.triangles / f.done / 1e3 for s, f in zip(stats, frames, strict=True)]),
+        row("tiles loaded", [s.tiles_loaded for s in stats], "{:.0f}") + f"   all {sum(s.tiles_loaded for s in stats)}",
+        row("tiles lacking", [s.tiles_wanted for s in stats], "{:.0f}")
+        + f"   in {sum(s.tiles_wanted > 0 for s in stats)} frames, {sum(s.tiles_wanted for s in stats)} in all",
+        row("MB uploaded", [s.bytes_uploaded / 1e6 for s in stats], "{:.2f}")
+        + f"   all {sum(s.bytes_uploaded for s in stats) / 1e6:.1f}",
+        row("px of error, bound", finite or [math.inf], "{:.2f}"),
+    ]
+    return "\n".join(lines)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("paths", nargs="*")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--terrain", nargs="+", default=["california"])
+    parser.add_argument("--flight", action="append", choices=list(FLIGHTS), help="default: orbit")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
+    parser.add_argument("--folder", type=Path, help="where synthetic stores are kept; default: the cache")
     parser.add_argument("--tolerance", type=float, default=2.0)
     parser.add_argument("--size", default="1280x720")
     parser.add_argument("--frames", type=int, default=120)
-    parser.add_argument("--kind", choices=["orbit", "flight"], default="orbit")
-    parser.add_argument("--waited", action="store_true")
+    parser.add_argument("--judge", type=int, default=0, help="how many frames the referee looks at")
+    parser.add_argument("--gpu-memory", type=int, default=512, help="MiB of tiles on the GPU")
+    parser.add_argument("--waited", action="store_true", help="wait for all tiles in each frame")
+    parser.add_argument("--no-look-ahead", action="store_true", help="read nothing ahead of the camera")
     options = parser.parse_args()
     width, height = (int(v) for v in options.size.split("x"))
-    paths = options.paths or sorted(map(str, (options.data / "california-3s-tiles").glob("*.tif")))
-    terrain = prepare(paths)
+    terrain = terrain_of(options.terrain, options)
     device = open_device()
-    begun = time.perf_counter()
-    renderer = Renderer(device, terrain)
-    opened = time.perf_counter() - begun
-    views = (orbit if options.kind == "orbit" else flight)(terrain, (width, height), options.frames)
-    texture = device.texture((width, height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
-    target = texture.create_view()
-    scene = Scene(terrain, views[0], sky=True, tolerance=options.tolerance)
-    begun = time.perf_counter()
-    renderer.draw(target, "rgba8unorm", scene)
-    device.wait()
-    first = time.perf_counter() - begun
-    renderer.draw(target, "rgba8unorm", scene, wait=True)  # compiles what is left
-    frames: list[tuple[float, float, FrameStats]] = []
-    for view in views:
-        begun = time.perf_counter()
-        stats = renderer.draw(target, "rgba8unorm", replace(scene, view=view), wait=options.waited)
-        python = time.perf_counter()
-        device.wait()
-        done = time.perf_counter()
-        frames.append(((python - begun) * 1e3, (done - begun) * 1e3, stats))
-    renderer.close()
     rows, cols = terrain.grid.shape
-    print(
-        f"{device.adapter.name}: {rows} × {cols} samples, {width} × {height} pixels, {options.tolerance:g} px, "
-        f"{options.kind}"
-    )
-    print(f"  renderer opened in {opened * 1e3:.0f} ms, first frame {first * 1e3:.0f} ms")
-    print(row("ms a frame", [f[1] for f in frames]))
-    print(row("ms of Python", [f[2].cpu_ms for f in frames]))
-    print(row("ms of selection", [f[2].select_ms for f in frames]))
-    print(row("patches", [f[2].patches for f in frames], "{:,.0f}"))
-    print(row("triangles", [f[2].triangles for f in frames], "{:,.0f}"))
-    print(row("M triangles a second", [f[2].triangles / f[1] / 1e3 for f in frames]))
-    print(row("tiles loaded", [f[2].tiles_loaded for f in frames], "{:.0f}"))
-    print(row("MB uploaded", [f[2].bytes_uploaded / 1e6 for f in frames]))
-    finite = [f[2].error_px for f in frames if math.isfinite(f[2].error_px)]
-    print(row("px of error, bound", finite or [math.inf], "{:.2f}"))
+    print(f"{device.adapter.name}: {rows} × {cols} samples, {width} × {height} pixels, {options.tolerance:g} px")
+    for name in options.flight or ["orbit"]:
+        views = FLIGHTS[name](terrain, (width, height), options.frames)
+        begun = time.perf_counter()
+        renderer = Renderer(device, terrain, gpu_memory=options.gpu_memory << 20)
+        opened = time.perf_counter() - begun
+        renderer.tiles.look_ahead = not options.no_look_ahead
+        scene = Scene(terrain, views[0], sky=True, tolerance=options.tolerance)
+        frames = fly(renderer, device, views, scene, options.waited)
+        print(f"{name}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
+        print(told(frames), flush=True)
+        if options.judge:
+            some = views[:: max(1, len(views) // options.judge)][: options.judge]
+            errors = judged(renderer, terrain, some, options.tolerance)
+            print("  px of error, by the referee    " + ", ".join(f"{e:.2f}" for e in errors), flush=True)
+        renderer.close()
 
 
 if __name__ == "__main__":
