@@ -20,14 +20,16 @@ from orograph.gpu.camera import CAMERA, camera_of
 from orograph.gpu.device import Device
 from orograph.gpu.following import Following, maps_key
 from orograph.gpu.frame import PLAIN, FrameStats, Overlay
+from orograph.gpu.imagery import Imagery
 from orograph.gpu.lettering import Letters
-from orograph.gpu.look import GIVEN, LABELS, VEILED, WIREFRAME, Look
+from orograph.gpu.look import DRAPE, GIVEN, LABELS, VEILED, WIREFRAME, Look
 from orograph.gpu.meshes import Meshes, MeshPass
 from orograph.gpu.passes import PatchPass, ResolvePass, ScreenOcclusion, ShadePass, Targets
 from orograph.gpu.readback import depth_of, veiled_of
 from orograph.gpu.residency import Residency
 from orograph.gpu.resources import Resources
 from orograph.gpu.seen import points_of, wet_at
+from orograph.gpu.sheets import SIDE
 from orograph.gpu.veil import VeilPass
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
 from orograph.picture.contours import Contours
@@ -49,7 +51,8 @@ class Renderer:
     Args:
         device: where.
         terrain: what; it is read from several threads.
-        gpu_memory: bytes of the atlases. memory: bytes of the engine's tables.
+        gpu_memory: bytes of the atlases, a quarter of it for layers, if there are any.
+        memory: bytes of the engine's tables.
         jobs: threads that read tiles.
     """
 
@@ -64,7 +67,8 @@ class Renderer:
     ) -> None:
         self.device, self.terrain = device, terrain
         self.kept = Kept()
-        self.tiles = Residency(device, terrain, gpu_memory, memory, jobs)
+        self.tiles = Residency(device, terrain, 3 * (gpu_memory // 4), memory, jobs)
+        self.imagery = Imagery(device, terrain, gpu_memory // 4, jobs)
         self.heights, self.slopes, self.engine = self.tiles.heights, self.tiles.slopes, self.tiles.engine
         self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
         legs = self.engine.legs
@@ -78,7 +82,7 @@ class Renderer:
         self._corners = ScreenOcclusion(device, self._shading)
         self._resolves: dict[str, ResolvePass] = {}
         self._targets: Targets | None = None
-        self._resources = Resources(device, terrain, self.slopes, self.kept)
+        self._resources = Resources(device, terrain, self.slopes, self.imagery, self.kept)
         self._light = Following(terrain, self.kept, self._veil, legs)
         self._at_rest: Any = None
         self._gathered = 0
@@ -111,13 +115,15 @@ class Renderer:
             tolerance *= scene.contours.finer(self.terrain, view, self.kept)
         chosen = self.tiles.choose(freeze or view, tolerance, scene.exaggeration, wait=wait)
         patches = chosen.patches
-        self._missing = chosen.missing
+        layers = self.imagery.prepare(scene.layers, view, scene.exaggeration, wait=wait)
+        self._missing = chosen.missing + self.imagery.missing
+        loaded = chosen.loaded + self.imagery.loaded
         targets = self._fit(view.width, view.height)
         self._mesh_for(scene, freeze, wait=wait)
         mesh = self._meshes.mesh
         lettered = self._letters.prepare(scene, self._contours(scene), wait=wait)
         drawn = mesh, self._letters.state
-        state = (scene, overlay, freeze, chosen.loaded, len(patches.instances), drawn, maps_key(scene))
+        state = (scene, overlay, freeze, loaded, layers, len(patches.instances), drawn, maps_key(scene))
         if samples is None and state == self._at_rest and not self.busy:
             if self._gathered >= SAMPLES:
                 begin, count = self._gathered, 0
@@ -138,7 +144,7 @@ class Renderer:
         bound = self._resources.bound(look, maps, scene, targets, given=given, letters=self._letters.view)
         group = self._shading.group(targets, bound)
         flags = int(u["flags"]) | (VEILED if self._veil.count else 0) | (GIVEN if given else 0)
-        flags |= LABELS if lettered else 0
+        flags |= (LABELS if lettered else 0) | (DRAPE if layers else 0)
         if format not in self._resolves:
             self._resolves[format] = ResolvePass(self.device, format)
         self._gathered = begin + count
@@ -167,15 +173,16 @@ class Renderer:
             len(instances) if mesh is None else 0,
             patches.stats["triangles"] if mesh is None else len(mesh.triangles),
             patches.stats["pixels"] if mesh is None else scene.tolerance or 1.0, chosen.seconds * 1e3,
-            took_python * 1e3, chosen.loaded, chosen.loaded * 4 * 257 * 257, self.tiles.count, self._missing,
-            self._gathered, self.tiles.failure or self._meshes.failure,
-            scene.engine is None or self._meshes.current,
+            took_python * 1e3, loaded, chosen.bytes + 4 * SIDE**2 * self.imagery.loaded,
+            self.tiles.count + self.imagery.count, self._missing,
+            self._gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
+            current=scene.engine is None or self._meshes.current,
         )  # fmt: skip
 
     @property
     def busy(self) -> bool:
         """Whether tiles or maps are on their way: the next frame will be better."""
-        waiting = self._missing > 0 or self.tiles.waiting > 0
+        waiting = self._missing > 0 or self.tiles.waiting > 0 or self.imagery.waiting > 0
         parts = self._light, self._meshes, self._letters
         return waiting or any(part.busy for part in parts)
 
@@ -209,11 +216,9 @@ class Renderer:
         points, share = points_of(self.terrain, scene.view, scene.exaggeration, depth)
         wet = wet_at(self._light.maps, points)
         covered = 0
-        if scene.drape is not None and len(points):
+        if scene.layers and len(points):
             x, y = self.terrain.grid.xy(points[:, 0], points[:, 1])
-            spacing = float(np.mean(self.terrain.grid.spacing))
-            image = self._resources.draped(scene).drape.sample(x, y, np.full(len(points), spacing))
-            covered = int(((image[:, 3] > 0.5) & ~wet).sum())
+            covered = int(((self.imagery.covered(scene.layers, x, y) > 0.5) & ~wet).sum())
         return {
             "ground": ground, "water": round(int(wet.sum()) * share), "draped": round(covered * share),
             "missing": int(veiled.sum()),
@@ -232,6 +237,7 @@ class Renderer:
     def close(self) -> None:
         """Stop reading."""
         self.tiles.close()
+        self.imagery.close()
         self._light.close()
         self._meshes.close()
         self._letters.close()
@@ -280,16 +286,14 @@ class Renderer:
             near, far = (math.exp(round(10 * math.log(max(v, 1e-3))) / 10) for v in (near, far))
         key = (
             scene.sun, scene.light, scene.lamps, scene.discs, scene.shadows, scene.sky, scene.colormap, scene.water,
-            scene.relief, scene.exaggeration, scene.drape is None, near, far, overlay.wireframe, scene.wireframe,
-            overlay.levels,
-            overlay.drape_opacity, contours,
+            scene.relief, scene.exaggeration, near, far, overlay.wireframe, scene.wireframe,
+            overlay.levels, contours,
         )  # fmt: skip
 
         def make() -> Look:
             return Look(
                 scene, maps, (near, far), self.kept, wireframe=overlay.wireframe or scene.wireframe,
-                levels=overlay.levels,
-                drape_opacity=overlay.drape_opacity, contours=contours,
+                levels=overlay.levels, contours=contours,
             )  # fmt: skip
 
         return self.kept("look", key, make, maps)

@@ -1,4 +1,4 @@
-"""What the shading pass looks up, brought to the GPU once and kept: tables, maps, windows, lights, the draped image."""
+"""What the shading pass looks up, brought to the GPU once and kept: tables, maps, windows, lights, layers."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.drape import Drape
 from orograph.gpu.aperture import tables as light_tables
 from orograph.gpu.device import Device
-from orograph.gpu.drape import DrapeTexture
+from orograph.gpu.imagery import Imagery
 from orograph.gpu.lightmaps import LightMaps
 from orograph.gpu.look import SHADE, Look
 from orograph.gpu.passes import Targets
@@ -27,15 +26,14 @@ class Resources:
     """Buffers and textures by what they hold.
 
     Args:
-        slopes: the atlas of slope tiles. kept: what earlier pictures left.
+        slopes: the atlas of slope tiles. imagery: the layers. kept: what earlier pictures left.
     """
 
-    def __init__(self, device: Device, terrain: Terrain, slopes: Atlas, kept: Kept) -> None:
-        self.device, self.terrain, self.slopes, self.kept = device, terrain, slopes, kept
+    def __init__(self, device: Device, terrain: Terrain, slopes: Atlas, imagery: Imagery, kept: Kept) -> None:
+        self.device, self.terrain, self.slopes, self.imagery, self.kept = device, terrain, slopes, imagery, kept
         self.shade = device.buffer(SHADE.itemsize, "UNIFORM", "shade")
         self._buffers: dict[str, tuple[Any, Any]] = {}
         self._levels = self._level_table()
-        self._bare = self._no_drape()
         self._blank = device.texture((1, 1), "rgba8unorm", "TEXTURE_BINDING", label="nothing").create_view()
         self._slopes = slopes.texture.create_view(dimension="2d-array")
         self._of: tuple[Any, NDArray[np.int32]] = (None, np.zeros((1, 8), np.int32))
@@ -56,11 +54,7 @@ class Resources:
         suns, lamps = self._dark
         if lights.suns or lights.lamps:
             suns, lamps = light_tables(lights, *self._from_eye(scene))
-        image, lattice = self._bare
-        if scene.layers:
-            draped = self.draped(scene)
-            draped.aim(scene.view)
-            image, lattice = draped.view, draped.lattice
+        atlas, imagery = self.imagery.bound()
         return {
             0: self.shade,
             3: self._slopes,
@@ -69,8 +63,8 @@ class Resources:
             6: self.stored("maps", maps.pool),
             7: self._levels,
             8: self.stored("windows", self._of[1]),
-            9: image,
-            11: lattice,
+            9: atlas,
+            11: imagery,
             12: self.stored("suns", suns),
             13: self.stored("lamps", lamps),
             14: targets.given_view(self.device) if given else self._blank,
@@ -92,16 +86,6 @@ class Resources:
         self._buffers[name] = buffer, values
         return buffer
 
-    def draped(self, scene: Scene) -> DrapeTexture:
-        """The scene's image, read and uploaded when it is first asked for."""
-        path, terrain, memory = scene.layers[0].path, self.terrain, scene.max_memory
-        assert path is not None
-
-        def upload() -> DrapeTexture:
-            return DrapeTexture(self.device, Drape.open(path, terrain.grid, memory))
-
-        return self.kept("drape on the GPU", (path, memory), upload, terrain)
-
     def _from_eye(self, scene: Scene) -> tuple[Array, Array]:
         """Metres east and north per column and row, and where the eye is from sample (0, 0), stretched height."""
         a, b, c, d, e, f = self.terrain.grid.samples[:6]
@@ -116,7 +100,3 @@ class Resources:
         for k in range(terrain.levels):
             table[k, :5] = tables.offsets[k], *tables.shapes[k], *terrain.mean_shape(k)
         return self.device.buffer(table, "STORAGE", "levels")
-
-    def _no_drape(self) -> tuple[Any, Any]:
-        texture = self.device.texture((1, 1), "rgba8unorm-srgb", "TEXTURE_BINDING|COPY_DST", label="no drape")
-        return texture.create_view(), self.device.buffer(np.zeros((7, 4), np.float32), "STORAGE", "no drape")

@@ -19,7 +19,7 @@ from orograph.geovis.missing import patches
 from orograph.light.relief import Relief
 from orograph.light.sun import Sun
 from orograph.picture.kept import Kept
-from orograph.picture.kernels import beginnings, ends, incidence
+from orograph.picture.kernels import beginnings, ends, footprints, incidence
 from orograph.picture.memory import BYTES_PER_PIXEL, band_pixels
 from orograph.picture.scene import Scene
 from orograph.raycast.caster import Caster
@@ -217,6 +217,19 @@ class Ground:
         cosine, tilt = np.empty(len(gradient)), np.empty(len(gradient))
         incidence(gradient, self.to_world, self.scene.exaggeration * strength, to_sun, cosine, tilt)
         return cosine, tilt
+
+    def footprints(self, hits: Hits, px: Array, py: Array) -> tuple[Array, Array]:
+        """What pixels cover of the ground (n, 4) and the least width (n,) of that, metres (``kernels.footprints``)."""
+        rays, view, n = self.rays, self.rays.view, len(px)
+        gradient = self.relief.gradient(hits.points, hits.width)
+        slope = np.asarray(gradient, np.float64) @ self.to_world.T
+        ground, least = np.empty((n, 4)), np.empty(n)
+        parallel = view.projection == "plan"
+        footprints(
+            px, py, hits.t, *rays.basis, self.scene.exaggeration,
+            view.pixel_metres if parallel else view.pixel_slope, parallel, slope, ground, least,
+        )  # fmt: skip
+        return ground, least
 
     def skyline(self, hits: Hits, sun: Sun, which: NDArray[np.int64]) -> Array:
         """tan of the horizon's angle towards the sun on the stretched ground, clamped just around the sun's disc, for

@@ -11,7 +11,7 @@ struct Shade {
   extinction: vec4<f32>,    // per metre; w: depth where the air begins
   mist: vec4<f32>,          // w: how fast it fades
   disc: vec4<f32>,          // radiance of the sun's disc; w: 1 if there is a sky
-  tint: vec4<f32>,          // low, high, floor (metres), opacity of the drape
+  tint: vec4<f32>,          // low, high, floor (metres)
   contour: vec4<f32>,       // interval (metres, 0: none), every how many an index contour, width in pixels, opacity
   contour_colour: vec4<f32>,
   side: vec2<f32>,          // horizontal direction towards the sun
@@ -39,9 +39,9 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(6) var<storage, read> maps: array<f32>;
 @group(1) @binding(7) var<storage, read> levels: array<Level>;
 @group(1) @binding(8) var<storage, read> windows: array<Window>;   // of the sun, then of the field
-@group(1) @binding(9) var drape: texture_2d<f32>;
-@group(1) @binding(10) var drape_sampler: sampler;
-@group(1) @binding(11) var<storage, read> lattice: array<vec4<f32>>;
+@group(1) @binding(9) var atlas: texture_2d_array<f32>;
+@group(1) @binding(10) var atlas_sampler: sampler;
+@group(1) @binding(11) var<storage, read> imagery: array<u32>;
 @group(1) @binding(12) var<storage, read> suns: array<Sun>;
 @group(1) @binding(13) var<storage, read> lamps: array<Lamp>;
 @group(1) @binding(14) var given: texture_2d<f32>;    // slopes of what was drawn, metres per metre
@@ -49,10 +49,10 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(16) var breaks: texture_2d<f32>;   // between a pixel and the next one to the right, and below
 // include: aperture.wgsl
 // include: sky.wgsl
-// include: drape.wgsl
+// include: imagery.wgsl
 
 // What is drawn, known when the shader is compiled: software renderers work through branches whether they are taken or
-// not. 1 shadows, 2 water, 4 drape, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
+// not. 1 shadows, 2 water, 4 layers, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
 // 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes.
 const FLAGS: u32 = {{FLAGS}}u;
 const SLOPE_SIDE: i32 = 258;
@@ -225,7 +225,7 @@ struct Ground {
 };
 
 // Colour of ground at a place, seen over a footprint (samples).
-fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, pixel: vec2<i32>) -> Ground {
+fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f32, pixel: vec2<i32>) -> Ground {
   var g: vec2<f32>;
   if ((FLAGS & 2048u) != 0u) {
     g = textureLoad(given, pixel, 0).rg;
@@ -261,8 +261,7 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, pixel: ve
   }
   var albedo = tint_of(height);
   if ((FLAGS & 4u) != 0u) {
-    let image = drape_colour(position, footprint * shade.paper.w);
-    albedo = mix(albedo, image.rgb, image.a * shade.tint.w);
+    albedo = under_layers(albedo, position.xy, footprint_of(vec2<f32>(pixel) + 0.5, position, depth, g));
   }
   var wet = 0.0;
   if ((FLAGS & 2u) != 0u) {
@@ -343,7 +342,7 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     }
     return vec4<f32>(veil, 1.0);
   }
-  let seen = ground(hit.place, hit.height, hit.footprint, position, pixel);
+  let seen = ground(hit.place, hit.height, hit.footprint, position, depth, pixel);
   var colour = seen.colour;
   if ((FLAGS & 16u) != 0u) {
     colour = mix(colour, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(colour, vec3<f32>(0.4)), 0.65);
