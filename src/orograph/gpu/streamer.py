@@ -19,7 +19,7 @@ from orograph.errors import OrographError
 K = TypeVar("K")
 """Kinds of tiles."""
 T = TypeVar("T")
-"""Keys of tiles: they are compared where priorities are the same."""
+"""Keys of tiles."""
 
 
 class Streamer(Generic[K, T]):
@@ -38,7 +38,7 @@ class Streamer(Generic[K, T]):
     def __init__(self, make: Callable[[K, T], NDArray[Any]], jobs: int = 2) -> None:
         self.make = make
         self.failed: dict[tuple[K, T], tuple[float, str]] = {}
-        self._heap: list[tuple[float, K, T]] = []
+        self._heap: list[tuple[float, int, K, T]] = []
         self._busy: set[tuple[K, T]] = set()
         self._ready: list[tuple[K, T, NDArray[Any]]] = []
         self._condition = threading.Condition()
@@ -53,8 +53,8 @@ class Streamer(Generic[K, T]):
         with self._condition:
             have = self._busy | {(kind, key) for kind, key, _ in self._ready}
             self._heap = [
-                (-priority, kind, key)
-                for priority, kind, key in wanted
+                (-priority, n, kind, key)
+                for n, (priority, kind, key) in enumerate(wanted)
                 if (kind, key) not in have and self.failed.get((kind, key), (-1e9, ""))[0] + self.RETRY < now
             ]
             heapq.heapify(self._heap)
@@ -97,7 +97,7 @@ class Streamer(Generic[K, T]):
                     self._condition.wait()
                 if self._closed:
                     return
-                _, kind, key = heapq.heappop(self._heap)
+                _, _, kind, key = heapq.heappop(self._heap)
                 self._busy.add((kind, key))
             data: NDArray[Any] | None = None
             error = ""
