@@ -70,25 +70,26 @@ def command(
       orograph view tiles/*.tif --sun 2026-06-21T19:30-07:00
       orograph view area.oro --view VIEW.json --exaggeration 1.5
     """
+    from orograph.viewer.app import Warm, check, hurry, renderer_of, show
+
+    hurry()
     progress = progress_of(ctx)
     check_camera(options)
     if options["projection"] == "plan" and options["view_path"] is None:
         options["projection"] = "perspective"  # the window turns it straight down
         options["pitch"] = 90.0
     with progress.task("Loading Orograph"):
+        check()
+        warm = Warm(options["adapter"])
         from orograph.errors import UsageError
         from orograph.geovis.colour import colour_table
         from orograph.output import check_folder
-        from orograph.picture.scene import check_exaggeration
-        from orograph.viewer.app import check, renderer_of, show, warm
-
-        check()
-        from orograph.gpu.device import choose
         from orograph.picture.prepare import prepare
+        from orograph.picture.scene import check_exaggeration
         from orograph.viewer.session import Session
 
     # What is wrong with the command line is said before any work is done.
-    choose(options["adapter"])
+    warm.device()
     check_exaggeration(options["exaggeration"])
     colour_table(options["colormap"])
     layers = layers_of_options(options)
@@ -100,7 +101,6 @@ def command(
     if source["band"] == 1:
         source["band"] = None
     size = options["size"] or WINDOW
-    warming = warm(options["adapter"])
     terrain = prepare(list(paths), max_memory=memory, jobs=jobs, progress=progress, **source)
     with progress.task("Looking at the terrain"):
         session = Session(
@@ -108,11 +108,10 @@ def command(
             exaggeration=options["exaggeration"], tolerance=options["tolerance"], colormap=options["colormap"],
             layers=layers,
         )  # fmt: skip
-    warming.join()
     make = renderer_of(gpu_memory, memory, jobs)
     show(
         session, size=size, make=make, adapter=options["adapter"],
-        screenshot=None if screenshot is None else Path(screenshot), frames=frames, progress=progress,
+        screenshot=None if screenshot is None else Path(screenshot), frames=frames, warm=warm, progress=progress,
     )  # fmt: skip
     if screenshot is not None:
         click.echo(screenshot)

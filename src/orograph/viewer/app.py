@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import re
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 120.0
 """Frames in a second, at most."""
+_GARBAGE = gc.get_threshold()
 
 
 class NoWindowError(OrographError):
@@ -59,22 +61,59 @@ def check() -> None:
             )
 
 
-def warm(adapter: str | None = None) -> threading.Thread:
-    """Open the GPU and load what a window needs in a thread, while the terrain is read."""
+class Warm:
+    """What a window needs and the terrain does not, made in a thread while the terrain is read.
 
-    def work() -> None:
-        import contextlib
+    Nearly all of a start is Python at work in one thread or the other; what runs beside it is the GPU's driver. So the
+    GPU is opened first, then modules are loaded, then Numba is set up (a quarter of a second before its first kernel).
+    """
 
+    def __init__(self, adapter: str | None = None) -> None:
+        self._adapter = adapter
+        self._opened = threading.Event()
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, name="warm", daemon=True)
+        self._thread.start()
+
+    def _work(self) -> None:
         from orograph.gpu.device import open_device
 
-        with contextlib.suppress(OrographError):  # it is opened again, and said then
-            open_device(adapter)
+        try:
+            open_device(self._adapter)
+        except BaseException as error:
+            self._failure = error
+            return
+        finally:
+            self._opened.set()
         importlib.import_module("orograph.viewer.window")
         importlib.import_module("orograph.gpu.renderer")
+        importlib.import_module("rendercanvas.glfw")
+        importlib.import_module("orograph.gpu.tiles").warm()
 
-    thread = threading.Thread(target=work, name="warm", daemon=True)
-    thread.start()
-    return thread
+    def device(self) -> None:
+        """Return when there is a device.
+
+        Raises:
+            NoAdapterError: there is none.
+        """
+        self._opened.wait()
+        if self._failure is not None:
+            raise self._failure
+
+    def join(self) -> None:
+        """Return when all is loaded."""
+        self._thread.join()
+
+
+def hurry() -> None:
+    """Look for garbage seldom while modules are loaded: a sixth of a start is that, and none is found."""
+    gc.set_threshold(100_000, 10, 10)
+
+
+def settle() -> None:
+    """Look for garbage as always from now on, but not among what was loaded."""
+    gc.freeze()
+    gc.set_threshold(*_GARBAGE)
 
 
 def make_canvas(title: str, size: tuple[int, int]) -> Any:
@@ -131,6 +170,7 @@ def show(
     adapter: str | None = None,
     screenshot: Path | None = None,
     frames: int = 1,
+    warm: Warm | None = None,
     progress: Progress = SILENT,
 ) -> None:
     """Open a window on a session, and return when it is closed.
@@ -140,6 +180,7 @@ def show(
         make: makes the renderer.
         adapter: a part of the GPU's name.
         screenshot: write the window's terrain there after so many ``frames``, then close.
+        warm: what loads the window's modules meanwhile.
         progress: hears of what comes before the window.
 
     Raises:
@@ -151,7 +192,6 @@ def show(
 
     from orograph.gpu.device import open_device
     from orograph.viewer.opening import announce, open_canvas
-    from orograph.viewer.window import Window
 
     with progress.task("Opening the window"):
         device = open_device(adapter)
@@ -159,6 +199,10 @@ def show(
         try:
             opened = open_canvas(canvas, device, clipboard())
             announce(canvas, device, opened, f"Opening {session.terrain.name} …")
+            if warm is not None:
+                warm.join()
+            from orograph.viewer.window import Window
+
             window = Window(
                 session, canvas, make or renderer_of(), device=device, clipboard=clipboard(), adapter=adapter,
                 opened=opened,
@@ -173,6 +217,7 @@ def show(
     failure: list[BaseException] = []
     if screenshot is not None:
         _shoot(window, screenshot, frames, failure)
+    settle()
     loop.run()
     if failure:
         raise failure[0]
