@@ -124,17 +124,20 @@ def test_imagery_lies_where_the_cpu_lays_it(device: Device, shared_data: Path) -
     assert np.linalg.norm(difference, axis=-1).mean() < 1.5
 
 
-@pytest.mark.parametrize("light", ["none", "ao", "aperture", "lamps"])
+@pytest.mark.parametrize("light", ["none", "ao", "aperture", "lamps", "raytraced", "lamps by rays", "unhidden"])
 def test_light_falls_as_on_the_cpu(device: Device, shared_data: Path, light: str) -> None:
     terrain = open_set(shared_data, "bigtujunga")
     view = around(terrain, SIZE, azimuth=200, pitch=20, distance=9000)
     more: dict[str, Any] = {}
-    if light == "lamps":
+    if light == "unhidden":  # where nothing casts shadows all discs shine
+        more["discs"] = ((Sun(90, 30, 10.0), (0.2, 0.2, 0.6)),)
+        more["shadows"], light = False, "aperture"
+    if light.startswith("lamps"):
         high = float(terrain.read(0, 400, 401, 600, 601)[0, 0]) + 300
         more["lamps"] = (Lamp(600.0, 300.0, high, (4e5, 2e5, 1e5)),)
         more["discs"] = ((Sun(90, 30, 10.0), (0.2, 0.2, 0.6)),)
-        light = "aperture"
-    scene = Scene(terrain, view, Sun(290, 20), light=light, tolerance=1.0, **more)  # type: ignore[arg-type]
+        light = "raytraced" if light == "lamps by rays" else "aperture"
+    scene = Scene(terrain, view, Sun(290, 20), light=light, tolerance=1.0, rays=16, **more)  # type: ignore[arg-type]
     ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
     difference = np.linalg.norm(lab(ours.pixels) - lab(caster.pixels), axis=-1)
     assert difference.mean() < 1.0

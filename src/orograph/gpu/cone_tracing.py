@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
+from orograph.gpu.occlusion_maps import check_device
 from orograph.light.occlusion import Neighbourhood, check_reach, flat_only
 from orograph.light.products import Blocks, Context, Values
 from orograph.light.raster import rectangles
@@ -130,7 +131,7 @@ class Tracer:
         thickest = self.cell * (1 << (self.levels - 1))
         base = math.floor(low / thickest) * thickest  # where layers of all levels begin, whatever the tile
         sizes = [self._size(k, row0, row1, col0, col1, low - base, high - base) for k in range(self.levels)]
-        limit = int(self.device.handle.limits["max-texture-dimension-3d"])
+        limit = self.device.limit("max-texture-dimension-3d")
         if max(int(size.max()) for _, size in sizes) > limit:
             return self._parts(row0, row1, col0, col1)
         heights = self.device.buffer(
@@ -220,7 +221,8 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     """The product ``ambient-occlusion`` with ``method`` "cone-tracing": about ``cones`` of them (40) per sample.
 
     Raises:
-        NoAdapterError: there is no GPU to do it. UsageError: too few cones, or as for rays.
+        NoAdapterError: there is no GPU to do it. DeviceLimitError: what is within reach does not fit on it.
+        UsageError: too few cones, or as for rays.
     """
     options = context.options
     flat_only(context)
@@ -230,6 +232,7 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     ways = transmission(options.more.get("rho", "step"), options.radius)
     check_reach(context, ways.radius, TILE, TILE, 1)
     gpu = device or open_device()
+    check_device(gpu, context, ways.radius, TILE)
 
     def blocks() -> Blocks:
         tracer = Tracer(gpu, context, ways, about)

@@ -10,6 +10,7 @@ stand in for them and are the only places that know.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sys
@@ -41,12 +42,23 @@ OPTIONAL = (
 
 _ORDER = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
 _INCLUDE = re.compile(r"^//\s*include:\s*(\S+)\s*$", re.MULTILINE)
+_WHEN = re.compile(r"^ *//\s*when:\s*(\w+)\s*\n(.*?)^ *//\s*end: \1\s*$", re.MULTILINE | re.DOTALL)
 
 
 class NoAdapterError(OrographError):
     """There is no usable GPU adapter, or wgpu is not installed."""
 
     exit_code = 6
+
+
+class DeviceLimitError(OrographError):
+    """What is wanted is larger than the device allows, or than the memory it has left."""
+
+    exit_code = 6
+
+
+LESS = "Ask for less at a time (a smaller picture, part of the terrain, a shorter radius), or have the CPU do it."
+"""What to do where a device has not enough for what is asked of it, if nothing better is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,31 +183,87 @@ class Device:
             self._modules[key] = self.handle.create_shader_module(label=name, code=source(name, constants))
         return self._modules[key]
 
-    def buffer(self, data: NDArray[Any] | int, usage: str, label: str = "") -> Any:
-        """A buffer, filled with an array or of so many bytes; ``usage``: names of wgpu.BufferUsage, joined by ``|``."""
+    def limit(self, name: str) -> int:
+        """A limit of the device by WebGPU's name of it, with hyphens."""
+        return int(self.handle.limits[name])
+
+    @property
+    def largest(self) -> int:
+        """Bytes of the largest buffer that shaders can look things up in."""
+        return min(self.limit("max-buffer-size"), self.limit("max-storage-buffer-binding-size"))
+
+    def buffer(self, data: NDArray[Any] | int, usage: str, label: str = "", remedy: str = LESS) -> Any:
+        """A buffer, filled with an array or of so many bytes.
+
+        Args:
+            usage: names of wgpu.BufferUsage, joined by ``|``. label: what it holds.
+            remedy: what to do if it is too large.
+
+        Raises:
+            DeviceLimitError: it is larger than the device allows, or than what is left of its memory.
+        """
         import wgpu
 
+        words = [part.strip() for part in usage.split("|")]
         flags = wgpu.BufferUsage.COPY_DST
-        for part in usage.split("|"):
-            flags |= getattr(wgpu.BufferUsage, part.strip())
-        if isinstance(data, int):
-            return self.handle.create_buffer(label=label, size=-(-data // 4) * 4, usage=flags)
-        return self.handle.create_buffer_with_data(label=label, data=np.ascontiguousarray(data), usage=flags)
+        for part in words:
+            flags |= getattr(wgpu.BufferUsage, part)
+        size = data if isinstance(data, int) else data.nbytes
+        most = self.limit("max-buffer-size")
+        for kind in ("STORAGE", "UNIFORM"):
+            if kind in words:
+                most = min(most, self.limit(f"max-{kind.lower()}-buffer-binding-size"))
+        if size > most:
+            raise DeviceLimitError(
+                f"{self.adapter.name} holds at most {most / 2**20:.0f} MiB in one buffer; "
+                f"{label or 'what is to be computed'} takes {size / 2**20:.0f} MiB.",
+                remedy=remedy,
+            )
+        with self._spared(label, size, remedy):
+            if isinstance(data, int):
+                return self.handle.create_buffer(label=label, size=-(-data // 4) * 4, usage=flags)
+            return self.handle.create_buffer_with_data(label=label, data=np.ascontiguousarray(data), usage=flags)
+
+    @contextmanager
+    def _spared(self, label: str, size: int, remedy: str) -> Iterator[None]:
+        """Tell in plain words that memory has run out."""
+        import wgpu
+
+        try:
+            yield
+        except wgpu.GPUOutOfMemoryError as error:
+            raise DeviceLimitError(
+                f"{self.adapter.name} has no {size / 2**20:.0f} MiB of memory left for {label or 'what is computed'}.",
+                remedy=remedy,
+            ) from error
 
     def texture(
         self, size: tuple[int, ...], format: str, usage: str, *, label: str = "", levels: int = 1, samples: int = 1,
-        dimension: Literal["2d", "3d"] = "2d",
+        dimension: Literal["2d", "3d"] = "2d", remedy: str = LESS,
     ) -> Any:  # fmt: skip
-        """A texture of (width, height[, layers or depth]); ``usage``: names of wgpu.TextureUsage joined by ``|``."""
+        """A texture of (width, height[, layers or depth]); ``usage``: names of wgpu.TextureUsage joined by ``|``.
+
+        Raises:
+            DeviceLimitError: it is larger than the device allows, or than what is left of its memory.
+        """
         import wgpu
 
+        side = self.limit(f"max-texture-dimension-{dimension}")
+        deep = (*size, 1)[2] if len(size) < 4 else size[2]
+        if max(size[:2]) > side or deep > (side if dimension == "3d" else self.limit("max-texture-array-layers")):
+            raise DeviceLimitError(
+                f"{self.adapter.name} has no textures of {' × '.join(str(int(v)) for v in size)}"
+                f"{' for ' + label if label else ''}: {side} is the most along a side.",
+                remedy=remedy,
+            )
         flags = 0
         for part in usage.split("|"):
             flags |= getattr(wgpu.TextureUsage, part.strip())
-        return self.handle.create_texture(
-            label=label, size=(*size, 1)[:3] if len(size) == 2 else size, format=format, usage=flags,
-            mip_level_count=levels, sample_count=samples, dimension=dimension,
-        )  # fmt: skip
+        with self._spared(label, 4 * math.prod(size), remedy):
+            return self.handle.create_texture(
+                label=label, size=(*size, 1)[:3] if len(size) == 2 else size, format=format, usage=flags,
+                mip_level_count=levels, sample_count=samples, dimension=dimension,
+            )  # fmt: skip
 
     def wait(self) -> None:
         """Return when all work submitted so far is done."""
@@ -219,18 +287,23 @@ class Device:
 
 
 def source(name: str, constants: dict[str, int | float] | None = None) -> str:
-    """The text of ``shaders/NAME.wgsl``: ``// include: OTHER.wgsl`` replaced by that file once, constants put in."""
+    """The text of ``shaders/NAME.wgsl``: ``// include: OTHER.wgsl`` replaced by that file once, constants put in.
+
+    Lines between ``// when: NAME`` and ``// end: NAME`` are left out unless there is a constant of that name, not 0.
+    """
     seen: set[str] = set()
+    given = constants or {}
 
     def load(file: str) -> str:
         if file in seen:
             return ""
         seen.add(file)
         text = files("orograph.gpu").joinpath("shaders", file).read_text(encoding="utf-8")
+        text = _WHEN.sub(lambda m: m.group(2) if given.get(m.group(1)) else "", text)
         return _INCLUDE.sub(lambda m: load(m.group(1)), text)
 
     text = load(f"{name}.wgsl")
-    for key, value in (constants or {}).items():
+    for key, value in given.items():
         text = text.replace("{{" + key + "}}", str(value))
     return text
 
@@ -254,7 +327,8 @@ def open_device(wanted: str | None = None) -> Device:
             features = [f for f in OPTIONAL if f in have]
             limits = {}
             for name, most in (("max-buffer-size", 1 << 31), ("max-storage-buffer-binding-size", 1 << 30),
-                               ("max-texture-dimension-2d", 16384), ("max-texture-array-layers", 2048)):  # fmt: skip
+                               ("max-texture-dimension-2d", 16384), ("max-texture-array-layers", 2048),
+                               ("max-storage-buffers-per-shader-stage", 16)):  # fmt: skip
                 limits[name] = min(int(adapter.handle.limits[name]), most)
             try:
                 handle = adapter.handle.request_device_sync(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from orograph.geovis.colour import Tint, tint_of
 from orograph.gpu.lightmaps import LightMaps
+from orograph.gpu.tracing import RAYS
 from orograph.light.aperture import Lights
 from orograph.picture.contours import Contours
 from orograph.picture.kept import Kept
@@ -32,8 +33,8 @@ SHADE = np.dtype(
 """The uniform ``Shade`` of ``shaders/shade.wgsl``."""
 
 SHADOWS, WATERS, DRAPE, WIREFRAME, LEVELS = 1, 2, 4, 8, 16
-LIGHTS = {"relief": 0, "none": 32, "ao": 64, "aperture": 128}
-"""Flags of the shader; "raytraced" is the CPU's."""
+LIGHTS = {"relief": 0, "none": 32, "ao": 64, "aperture": 128, "raytraced": 32 | RAYS}
+"""Flags of the shader."""
 
 SKY, CONTOURS, VEILED, GIVEN, LABELS, SILHOUETTES = 256, 512, 1024, 2048, 4096, 8192
 
@@ -42,8 +43,8 @@ class Look:
     """The numbers of one scene.
 
     Attributes:
-        lights: what shines through apertures. uniform: of ``SHADE``. tables: float32, colours one after the other.
-        tint: how heights become colours.
+        lights: what shines through apertures or by rays. uniform: of ``SHADE``.
+        tables: float32, colours one after the other. tint: how heights become colours.
     """
 
     def __init__(
@@ -91,13 +92,14 @@ class Look:
         flags |= LIGHTS[scene.light] | (SHADOWS if scene.shadows and scene.light == "aperture" else 0)
         flags |= SKY if scene.sky else 0
         flags |= CONTOURS if contours is not None else 0
-        u["flags"] = flags
+        lamplit = scene.light in ("aperture", "raytraced")
+        u["flags"] = flags | (SHADOWS if lamplit and scene.shadows else 0)
         u["light"], u["light_first"] = maps.light, maps.first
         u["windows"] = len(maps.windows)
         u["water"][3], u["fields"] = SHORE, len(maps.fields)
-        discs = [] if not scene.shadows else [(scene.sun, _colour(sunlight)), *scene.discs]
+        discs = [(scene.sun, _colour(sunlight)), *scene.discs]
         lamps = [replace(lamp, height=lamp.height * scene.exaggeration) for lamp in scene.lamps]
-        self.lights = Lights(discs, lamps, _colour(skylight)) if scene.light == "aperture" else Lights()
+        self.lights = Lights(discs, lamps, _colour(skylight)) if lamplit else Lights()
         u["suns"], u["lamps"] = len(self.lights.suns), len(self.lights.lamps)
         self.uniform = u
         self.tables = np.concatenate(parts)

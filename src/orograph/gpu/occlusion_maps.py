@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 from orograph.gpu.binding import bind, compute, layout
-from orograph.gpu.device import Device, open_device
+from orograph.gpu.device import Device, DeviceLimitError, open_device
 from orograph.light.occlusion import Neighbourhood, check_reach, flat_only
 from orograph.light.products import Blocks, Context, Values
 from orograph.light.raster import rectangles
@@ -75,6 +75,32 @@ def directions(n: int, seed: int = 0) -> Array:
     turn = 2.0 * math.pi * (i * GOLDEN + (seed * GOLDEN) % 1.0)
     level = np.sqrt(np.maximum(1.0 - up * up, 0.0))
     return np.stack([level * np.cos(turn), level * np.sin(turn), up], axis=-1)
+
+
+def check_device(device: Device, context: Context, reach: float, tile: int) -> None:
+    """Raise DeviceLimitError if a tile of samples with what is within reach does not fit on the device, and say how far
+    reach may go."""
+    most = device.largest // 4
+    rows, cols = context.shape
+    across = [float(np.linalg.norm(v)) for v in np.linalg.inv(context.linear)]  # samples per metre
+
+    def samples(metres: float) -> float:
+        tall, wide = (min(n, tile + 2 * (metres * k + 2)) for n, k in zip((rows, cols), reversed(across)))
+        return tall * wide
+
+    if samples(min(reach, 1e9)) <= most:
+        return
+    low, high = 0.0, min(reach, 1e9)
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if samples(middle) <= most else (low, middle)
+    spacing = 10.0 ** math.floor(math.log10(max(low, 1.0)) - 1)
+    raise DeviceLimitError(
+        f"What is within reach of a sample is up to {int(samples(min(reach, 1e9))):,} samples; "
+        f"{device.adapter.name} holds at most {most:,} at a time.",
+        remedy=f"Give a radius of at most {math.floor(low / spacing) * spacing:g} m (--radius), or leave out --method: "
+        "sweeps know no limit of distance.",
+    )
 
 
 class Maps:
@@ -138,8 +164,8 @@ class Maps:
         layers = self.how.layers
         while True:
             if (
-                frames.texels * layers * 4 > self._limit("max-storage-buffer-binding-size")
-                or max(frames.size) > self._limit("max-texture-dimension-2d")
+                frames.texels * layers * 4 > self.device.largest
+                or max(frames.size) > self.device.limit("max-texture-dimension-2d")
             ):  # fmt: skip
                 return self._parts(row0, row1, col0, col1, tall)
             sums, lost = self._pass(near, frames, gx, gy, layers)
@@ -150,9 +176,6 @@ class Maps:
             out = sums[..., 0] / sums[..., 1]
         out[missing] = np.nan
         return np.asarray(np.clip(out, 0.0, 1.0))
-
-    def _limit(self, name: str) -> int:
-        return int(self.device.handle.limits[name])
 
     def _parts(self, row0: int, row1: int, col0: int, col1: int, tall: float) -> Values:
         """A tile whose maps are too large: in two parts, or below a cliff of thousands of texels with taller texels."""
@@ -297,7 +320,8 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     """The product ``ambient-occlusion`` with ``method`` "shadow-maps": ``rays`` directions.
 
     Raises:
-        NoAdapterError: there is no GPU to do it. UsageError: as for rays.
+        NoAdapterError: there is no GPU to do it. DeviceLimitError: what is within reach does not fit on it.
+        UsageError: as for rays.
     """
     options = context.options
     flat_only(context)
@@ -307,6 +331,7 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     how = SETTINGS
     check_reach(context, ways.radius, how.tile, how.tile, 1)
     gpu = device or open_device()
+    check_device(gpu, context, ways.radius, how.tile)
 
     def blocks() -> Blocks:
         maps = Maps(gpu, context, ways, options.rays, int(options.more.get("seed", 0)), how)

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
+from orograph.gpu.rays import Rays
 from orograph.gpu.ssao import Ssao
+from orograph.gpu.tracing import RAYS
 
 DEPTH, MARKS, LIGHT, GIVEN = "depth32float", "r32uint", "rgba16float", "rg32float"
 
@@ -164,6 +166,7 @@ class ShadePass:
             ),
         ]  # fmt: skip
         self.layouts = layouts
+        self.rays = Rays(device)
         self._pipelines: dict[tuple[int, str], Any] = {}
         self._bound: tuple[list[Any], Any] = ([], None)
         self.camera_group = handle.create_bind_group(
@@ -198,17 +201,19 @@ class ShadePass:
     def pipeline(self, flags: int, entry: str = "fragment") -> Any:
         """The pipeline for what is drawn (``look``'s flags), compiled when it is first asked for.
 
-        ``entry``: "fragment" (ground, where there is depth) or "background" (where there is none), which add light to
-        the target; or "surface" (depth and normals).
+        ``entry``: "fragment" (ground, where there is depth) or "background" (where there is none), which give light its
+        weight in the target's mean; or "surface" (depth and normals).
         """
         found = self._pipelines.get((flags, entry))
         if found is None:
-            module = self.device.shader("shade", {"FLAGS": flags})
-            add = {"src_factor": "one", "dst_factor": "one", "operation": "add"}
-            light: list[dict[str, Any]] = [{"format": LIGHT, "blend": {"color": add, "alpha": add}}]
+            by_rays = bool(flags & RAYS)
+            module = self.device.shader("shade", {"FLAGS": flags, "RAYS": int(by_rays), "RAY_GROUP": 2})
+            mean = {"src_factor": "constant", "dst_factor": "one-minus-constant", "operation": "add"}
+            light: list[dict[str, Any]] = [{"format": LIGHT, "blend": {"color": mean, "alpha": mean}}]
+            layouts = [*self.layouts, self.rays.layout.group] if by_rays else self.layouts
             found = self.device.handle.create_render_pipeline(
                 label=f"shade {entry} {flags}",
-                layout=self.device.handle.create_pipeline_layout(bind_group_layouts=self.layouts),
+                layout=self.device.handle.create_pipeline_layout(bind_group_layouts=layouts),
                 vertex={"module": module, "entry_point": "vertex"},
                 primitive={"topology": "triangle-list"},
                 fragment={
@@ -223,15 +228,22 @@ class ShadePass:
             self._pipelines[flags, entry] = found
         return found
 
-    def draw(self, encoder: Any, targets: Targets, group: Any, flags: int, *, add: bool = False) -> None:
-        """Add the light of all pixels to the target, or have it replace what is there.
+    def draw(
+        self, encoder: Any, targets: Targets, group: Any, flags: int, *, frame: int = 0, clear: bool = True,
+        part: tuple[int, int, int, int] | None = None,
+    ) -> None:  # fmt: skip
+        """Bring the light of all pixels to the target, which holds the mean over ``frame`` frames before this one.
 
         The depth test tells ground from background, so that no pixel goes through both.
+
+        Args:
+            clear: whether a first frame finds the target as it was left. part: x, y, width and height; None: all.
         """
+        fresh = frame == 0 and clear
         pass_ = encoder.begin_render_pass(
             color_attachments=[
                 {
-                    "view": targets.light_view, "clear_value": (0, 0, 0, 0), "load_op": "load" if add else "clear",
+                    "view": targets.light_view, "clear_value": (0, 0, 0, 0), "load_op": "clear" if fresh else "load",
                     "store_op": "store",
                 }
             ],
@@ -239,6 +251,11 @@ class ShadePass:
         )  # fmt: skip
         pass_.set_bind_group(0, self.camera_group)
         pass_.set_bind_group(1, group)
+        if flags & RAYS:
+            pass_.set_bind_group(2, self.rays.group)
+        if part is not None:
+            pass_.set_scissor_rect(*part)
+        pass_.set_blend_constant((1.0 / (frame + 1),) * 4)
         for entry in ("fragment", "background"):
             pass_.set_pipeline(self.pipeline(flags, entry))
             pass_.draw(3)

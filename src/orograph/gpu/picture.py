@@ -51,8 +51,6 @@ def draw(
         NothingInViewError: no ground is in view.
         UsageError: the scene has what only the CPU draws.
     """
-    if scene.light == "raytraced":
-        raise UsageError("Rays of light are traced by the CPU.", remedy="Use --backend cpu, or --light aperture.")
     begun = time.perf_counter()
     device = device or open_device()
     view = scene.view
@@ -69,10 +67,13 @@ def draw(
     own = renderer is None
     renderer = renderer or Renderer(device, scene.terrain, jobs=scene.jobs)
     try:
-        with progress.task(f"Drawing on {device.adapter.name}"):
+        by_rays = scene.light == "raytraced"
+        with progress.task(f"Drawing on {device.adapter.name}", total=1.0 if by_rays else None) as task:
             texture = device.texture((view.width, view.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
             target = texture.create_view()
-            stats = renderer.draw(target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=1)
+            # What is seen is asked without its light if that takes its time.
+            first = replace(scene, light="none", lamps=(), discs=()) if by_rays else scene
+            stats = renderer.draw(target, "rgba8unorm", first, overlay=overlay, wait=True, samples=1)
             warnings = renderer.imagery.told()
             if renderer.imagery.full:
                 warnings.append("Layers are coarser than they could be: more would not fit into the GPU's memory.")
@@ -84,8 +85,10 @@ def draw(
                     "Nothing of the terrain is in view.", path=scene.terrain.name,
                     remedy="Leave the camera options away to see all of it.",
                 )  # fmt: skip
-            if scene.samples > 1:
-                stats = renderer.draw(target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=scene.samples)
+            if scene.samples > 1 or by_rays:
+                stats = renderer.draw(
+                    target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=scene.samples, advance=task.advance
+                )
             pixels = device.read_texture(texture, np.uint8, 4)[..., :3].copy()
             shown = renderer.shown(scene, depth, veiled)
             if scene.furniture:

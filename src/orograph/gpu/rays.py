@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +32,9 @@ from orograph.raycast.stack import Window
 from orograph.store.terrain import TILE, Terrain
 from orograph.view import View
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from orograph.gpu.tracing import Share
+
 Values = NDArray[np.float32]
 
 EXACT = EXACT_SAMPLES
@@ -128,8 +130,7 @@ def field_of(
     Args:
         tolerance: pixels. most: bytes that there are for them.
     """
-    samples = most // 16 * 3  # heights and a third of that for maxima, 4 bytes each
-    chosen = choose(terrain, view, exaggeration, tolerance, samples)
+    chosen = choose(terrain, view, exaggeration, tolerance, samples_in(most))
     a, b, _, d, e, _ = terrain.grid.samples[:6]
 
     def make() -> Field:
@@ -138,6 +139,11 @@ def field_of(
         return Field.of(windows, terrain.grid.shape, [[a, b], [d, e]], exaggeration, turn, jobs)
 
     return chosen, make
+
+
+def samples_in(most: int) -> int:
+    """How many samples so many bytes hold: heights, and a third of that for maxima, 4 bytes each."""
+    return most // 16 * 3
 
 
 def choose(terrain: Terrain, view: View, exaggeration: float, tolerance: float, samples: int) -> tuple[Rectangle, ...]:
@@ -228,13 +234,13 @@ class Rays:
         self._field = field
         self.run()
 
-    def run(self, first: int = 0, rays: int = 1, total: int = 1, corner: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Of lattices of ``total`` rays, trace ``rays`` from the ``first`` on; ``corner``: the position in the whole
-        picture of what is the target's pixel position (0, 0)."""
+    def run(self, share: Share | None = None) -> None:
+        """Trace a share of the light in what is submitted next."""
         assert self._field is not None
         frame = self._field.frame.copy()
-        frame["first"], frame["rays"], frame["total"], frame["corner"] = first, rays, total, corner
-        frame["stride"] = _spread(total)
+        if share is not None:
+            frame["first"], frame["rays"], frame["total"] = share.first, share.rays, share.total
+            frame["corner"], frame["stride"] = share.corner, _spread(share.total)
         self.device.queue.write_buffer(self._uniform, 0, frame)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from orograph.gpu.residency import Residency
 from orograph.gpu.resources import Resources
 from orograph.gpu.seen import points_of, wet_at
 from orograph.gpu.sheets import SIDE
+from orograph.gpu.tracing import RAYS, Around, Share, parts_of
 from orograph.gpu.veil import VeilPass
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
 from orograph.picture.contours import Contours
@@ -85,14 +87,15 @@ class Renderer:
         self._resources = Resources(device, terrain, self.slopes, self.imagery, self.kept)
         self._light = Following(terrain, self.kept, self._veil, legs)
         self._at_rest: Any = None
-        self._gathered = 0
+        self._gathered, self._enough = 0, SAMPLES
+        self._around = Around(terrain, device.largest)
         self._missing = 0
 
     # ---- drawing ---------------------------------------------------------------------------------------------------
 
     def draw(
         self, target: Any, format: str, scene: Scene, *, overlay: Overlay = PLAIN, freeze: View | None = None,
-        wait: bool = False, samples: int | None = None,
+        wait: bool = False, samples: int | None = None, advance: Callable[[float], None] = lambda part: None,
     ) -> FrameStats:  # fmt: skip
         """Draw a frame.
 
@@ -104,6 +107,7 @@ class Renderer:
                 its ``mesh_view``).
             wait: first wait for all tiles and maps that the picture wants.
             samples: draw with so many samples per pixel at once; None: one, and one more every further frame at rest.
+            advance: hears how much of a picture by rays was drawn, part by part, when it is waited for.
 
         Raises:
             OrographError: with ``wait``, a tile, a map or a mesh could not be made.
@@ -125,7 +129,7 @@ class Renderer:
         drawn = mesh, self._letters.state
         state = (scene, overlay, freeze, loaded, layers, len(patches.instances), drawn, maps_key(scene))
         if samples is None and state == self._at_rest and not self.busy:
-            if self._gathered >= SAMPLES:
+            if self._gathered >= self._enough:
                 begin, count = self._gathered, 0
             else:
                 begin, count = self._gathered, 1
@@ -137,6 +141,8 @@ class Renderer:
         self._light_for(scene, targets, instances, wait=wait)
         maps = self._light.maps
         assert maps is not None
+        (self._around.at_once if wait else self._around.aside)(scene)
+        self._shading.rays.load(self._around.field)
         look = self._look(scene, overlay, exact=wait)
         self.tint = look.tint
         u = look.uniform
@@ -153,7 +159,7 @@ class Renderer:
             shift = _sample(k, samples or SAMPLES) if (samples or SAMPLES) > 1 else (0.0, 0.0)
             if k == 0 and samples is None:
                 shift = (0.0, 0.0)
-            self._pass(encoder, targets, scene, instances, group, flags, shift, k > 0)
+            encoder = self._pass(encoder, targets, scene, instances, group, flags, shift, k, samples, advance)
             if k + 1 < begin + count:  # the camera is written before the next pass
                 self.device.queue.submit([encoder.finish()])
                 encoder = self.device.handle.create_command_encoder()
@@ -164,9 +170,7 @@ class Renderer:
                 encoder, targets, group, view.pixel_metres if plan else view.pixel_slope,
                 overlay.reach or view.distance / 12, not plan,
             )  # fmt: skip
-        self._resolves[format].draw(
-            encoder, targets, target, frames=max(self._gathered, 1), occlusion=dark, strength=overlay.occlusion
-        )
+        self._resolves[format].draw(encoder, targets, target, occlusion=dark, strength=overlay.occlusion)
         took_python = time.perf_counter() - begun
         self.device.queue.submit([encoder.finish()])
         return FrameStats(
@@ -183,13 +187,13 @@ class Renderer:
     def busy(self) -> bool:
         """Whether tiles or maps are on their way: the next frame will be better."""
         waiting = self._missing > 0 or self.tiles.waiting > 0 or self.imagery.waiting > 0
-        parts = self._light, self._meshes, self._letters
+        parts = self._light, self._around, self._meshes, self._letters
         return waiting or any(part.busy for part in parts)
 
     @property
     def resting(self) -> bool:
         """Whether the picture is as good as it gets."""
-        return not self.busy and self._gathered >= SAMPLES
+        return not self.busy and self._gathered >= self._enough
 
     def depth_at(self, x: float, y: float) -> float | None:
         """View-space depth of the last frame at a pixel position, metres; None where there is no ground."""
@@ -231,7 +235,10 @@ class Renderer:
 
     @property
     def light(self) -> str:
-        """Where the light of the last frame came from, if it was looked up in a layer."""
+        """Where the light of the last frame came from, if it was looked up in a layer or by rays."""
+        scene = self._at_rest and self._at_rest[0]
+        if scene and scene.light == "raytraced":
+            return f"{scene.rays} rays"
         return self._light.maps.told if self._light.maps is not None else ""
 
     def close(self) -> None:
@@ -239,6 +246,7 @@ class Renderer:
         self.tiles.close()
         self.imagery.close()
         self._light.close()
+        self._around.close()
         self._meshes.close()
         self._letters.close()
 
@@ -246,13 +254,30 @@ class Renderer:
 
     def _pass(
         self, encoder: Any, targets: Targets, scene: Scene, instances: NDArray[Any], group: Any, flags: int,
-        shift: tuple[float, float], add: bool,
-    ) -> None:  # fmt: skip
+        shift: tuple[float, float], k: int, samples: int | None, advance: Callable[[float], None],
+    ) -> Any:  # fmt: skip
+        """Add a pass to the mean of the ``k`` before it; the encoder to go on with."""
         camera = camera_of(scene.view, self.terrain, scene.exaggeration, shift=shift)
         self.device.queue.write_buffer(self._camera, 0, camera)
         self._ground(encoder, targets, instances, edges=bool(flags & WIREFRAME), given=bool(flags & GIVEN))
         self._veil.draw(encoder, targets)
-        self._shading.draw(encoder, targets, group, flags, add=add)
+        self._enough = SAMPLES
+        if not flags & RAYS:
+            self._shading.draw(encoder, targets, group, flags, frame=k)
+            return encoder
+        share = Share.of(self.device, scene, k, SAMPLES, samples=samples, shift=shift)
+        self._enough = share.frames
+        self._shading.rays.run(share)
+        parts = parts_of(self.device, (targets.width, targets.height), share.rays * share.lights)
+        for n, part in enumerate(parts):
+            self._shading.draw(encoder, targets, group, flags, frame=k, clear=n == 0, part=part)
+            if n + 1 < len(parts):
+                self.device.queue.submit([encoder.finish()])
+                encoder = self.device.handle.create_command_encoder()
+                if samples is not None:
+                    self.device.wait()  # Ctrl-C is heard in between
+                    advance(1 / (len(parts) * samples))
+        return encoder
 
     def _ground(
         self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False, given: bool = False

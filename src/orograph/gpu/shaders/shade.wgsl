@@ -1,6 +1,7 @@
 // From the depth of a pixel to its colour: picture/shading.py and picture/kernels.py on the GPU, in the same order and
 // with the same constants. Light is linear; slopes are means over the pixel, from the atlas of slope tiles.
 // include: camera.wgsl
+// include: place.wgsl
 
 struct Shade {
   sun: vec4<f32>,           // towards the sun (east, north, up); w: the disc's radius, radians
@@ -48,6 +49,9 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(15) var lettering: texture_2d<f32>;  // of labels: ink, and where lines are left out around it
 @group(1) @binding(16) var breaks: texture_2d<f32>;   // between a pixel and the next one to the right, and below
 // include: aperture.wgsl
+// when: RAYS
+// include: rays.wgsl
+// end: RAYS
 // include: sky.wgsl
 // include: imagery.wgsl
 
@@ -57,9 +61,6 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 const FLAGS: u32 = {{FLAGS}}u;
 const SLOPE_SIDE: i32 = 258;
 const PER_SIDE: i32 = 4;
-
-// A place on the raster: whole sample and what is left of one, so that no digits are lost far from its corner.
-struct Place { whole: vec2<i32>, part: vec2<f32> };   // (col, row)
 
 // Position in blocks of 2^level samples: the block before it, and the fraction towards the next.
 fn in_blocks(at: Place, level: u32) -> Place {
@@ -193,9 +194,13 @@ fn through_apertures(cap: Cap, normal: vec3<f32>, place: vec3<f32>) -> vec3<f32>
   var sky = sky_through(cap, normal);
   var light = vec3<f32>(0.0);
   for (var k = 0u; k < shade.suns; k++) {
-    let seen = sun_through(cap, normal, suns[k], false);
-    light += seen * suns[k].colour;
-    sky -= covered(seen, suns[k]);
+    if ((FLAGS & 1u) != 0u) {
+      let seen = sun_through(cap, normal, suns[k], false);
+      light += seen * suns[k].colour;
+      sky -= covered(seen, suns[k]);
+    } else {   // nothing casts shadows
+      light += max(dot(normal, suns[k].direction), 0.0) * suns[k].colour;
+    }
   }
   for (var k = 0u; k < shade.lamps; k++) {
     light += lamp_through(cap, normal, place, lamps[k]) * lamps[k].colour;
@@ -243,9 +248,6 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
   if ((FLAGS & 128u) != 0u) {
     let normal = vec3<f32>(-stretched * up, up);
     light = through_apertures(cap_of(field_value(at, footprint)), normal, position);
-    if ((FLAGS & 1u) == 0u) {
-      light += cosine * shade.sunlight.rgb;
-    }
   } else if ((FLAGS & 32u) == 0u) {
     var lit = cosine;
     if ((FLAGS & 1u) != 0u && cosine > 0.0) {
@@ -259,6 +261,12 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
       light = lit * shade.sunlight.rgb + open * (0.5 + 0.5 * up) * shade.skylight.rgb + (1.0 - open) * around;
     }
   }
+  // when: RAYS
+  let steep = g * camera.forward.w;   // flags 65536 and 32: rays are all the light there is
+  let tilt = inverseSqrt(1.0 + dot(steep, steep));
+  light = light_by_rays(at, footprint, vec3<f32>(-steep * tilt, tilt), vec3<f32>(-stretched * up, up), position,
+    vec2<f32>(pixel) + 0.5);
+  // end: RAYS
   var albedo = tint_of(height);
   if ((FLAGS & 4u) != 0u) {
     albedo = under_layers(albedo, position.xy, footprint_of(vec2<f32>(pixel) + 0.5, position, depth, g));
