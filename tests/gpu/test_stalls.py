@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from affine import Affine
+from numpy.typing import NDArray
 from pyproj import CRS
 from webserver import Web, serving, until
 
@@ -73,6 +74,9 @@ class Loop:
         assert np.isfinite(self.renderer.depth()).all()  # no hole
         return stats
 
+    def pixels(self) -> NDArray[np.int16]:
+        return self.device.read_texture(self.texture, np.uint8, 4)[..., :3].astype(np.int16)
+
     def whole(self, scene: Scene | None = None, seconds: float = 60.0) -> FrameStats:
         """Frames until nothing is missing."""
         end = time.monotonic() + seconds
@@ -132,4 +136,30 @@ def test_a_slow_store_fills_in_while_frames_go_on(device: Device, web: Web, monk
             break
     assert time.monotonic() - begun > 0.7 and stats.tiles_wanted == 0 and stats.triangles > first.triangles
     assert statistics.median(took) < FRAME and max(took) < web.seconds, max(took)
+    loop.renderer.close()
+
+
+def test_what_must_be_compiled_holds_no_frame_up(device: Device, folder: Path) -> None:
+    """Another way to shade: the last one serves until it is there, and the picture comes to rest as if it had been."""
+    loop = Loop(device, store.open(folder / "area.oro"))
+    plain = replace(loop.scene, colormap="grey", water=None)
+    loop.whole(plain)
+    bare = replace(plain, light="none")
+    held: list[float] = []
+    wanted = loop.renderer._shading.pipeline
+
+    def slowly(flags: int, entry: str = "fragment") -> object:
+        if (flags, entry) not in loop.renderer._shading._pipelines:
+            time.sleep(0.5)
+        return wanted(flags, entry)
+
+    loop.renderer._shading.pipeline = slowly  # type: ignore[method-assign, assignment]
+    for _ in range(5):
+        held.append(loop.frame(bare).cpu_ms / 1e3)
+    assert statistics.median(held) < FRAME and max(held) < 0.4, held
+    assert loop.renderer.busy
+    assert until(lambda: loop.frame(bare) and loop.renderer.resting)
+    shown = loop.pixels()
+    loop.renderer.draw(loop.target, "rgba8unorm", bare, wait=True, samples=16)
+    assert np.abs(shown - loop.pixels()).mean() < 1.0
     loop.renderer.close()

@@ -43,6 +43,8 @@ def maps_key(scene: Scene) -> tuple[Any, ...]:
     return scene.sun, scene.shadows, scene.exaggeration, scene.water, scene.light
 
 
+Upload = Callable[[NDArray[Any]], None]
+
 KINDS = 5
 """Parts of a key that ``maps_key`` gives; the others tell where the camera is."""
 
@@ -52,13 +54,16 @@ class Following:
 
     Args:
         kept: what earlier maps left. veil: takes the membranes. legs: segments of a patch's leg.
+        upload: is given the pool of maps made aside, in their thread: frames have no time for so many bytes.
 
     Attributes:
         maps: those to draw with; None before the first frame. range: of the depths in view, metres.
     """
 
-    def __init__(self, terrain: Terrain, kept: Kept, veil: VeilPass, legs: int) -> None:
-        self.terrain, self.kept, self.veil, self.legs = terrain, kept, veil, legs
+    def __init__(
+        self, terrain: Terrain, kept: Kept, veil: VeilPass, legs: int, upload: Upload = lambda _: None
+    ) -> None:
+        self.terrain, self.kept, self.veil, self.legs, self.upload = terrain, kept, veil, legs, upload
         self.maps: LightMaps | None = None
         self.range = (1.0, 1e5)
         self._aside = Aside()
@@ -102,10 +107,15 @@ class Following:
         self._begun, own = now, self._own
         if self._aside.done is None:
             key = (*key[:KINDS], QUICK)
-            self._aside.start(key, lambda: (quick_maps(scene, points, own, detail=COARSE), visible, None))
+            self._aside.start(
+                key, lambda: (self._uploaded(quick_maps(scene, points, own, detail=COARSE)), visible, None)
+            )
             return
         self._aside.start(
-            key, lambda: (light_maps(scene, points, own, detail=DETAIL), visible, self._veils(scene, own))
+            key,
+            lambda: (
+                self._uploaded(light_maps(scene, points, own, detail=DETAIL)), visible, self._veils(scene, own)
+            ),
         )  # fmt: skip
 
     def _due(self, key: tuple[Any, ...], now: float) -> bool:
@@ -117,6 +127,10 @@ class Following:
 
     def close(self) -> None:
         self._aside.close()
+
+    def _uploaded(self, maps: LightMaps) -> LightMaps:
+        self.upload(maps.pool)
+        return maps
 
     def _about(self, scene: Scene, instances: NDArray[Any]) -> tuple[Array, tuple[float, float]]:
         if not len(instances):

@@ -6,15 +6,20 @@ whatever lies behind another, and one shader holds all of it (``shaders/shade.wg
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.gpu.aside import Aside
 from orograph.gpu.device import Device
 from orograph.gpu.rays import Rays
 from orograph.gpu.ssao import Ssao
 from orograph.gpu.tracing import RAYS
+
+SHOWN = "fragment", "background"
+"""Entries of the shading shader that make a picture."""
 
 DEPTH, MARKS, LIGHT, GIVEN = "depth32float", "r32uint", "rgba16float", "rg32float"
 
@@ -169,6 +174,8 @@ class ShadePass:
         self.rays = Rays(device)
         self._pipelines: dict[tuple[int, str], Any] = {}
         self._bound: tuple[list[Any], Any] = ([], None)
+        self._compiler = Aside()
+        self._last: int | None = None
         self.camera_group = handle.create_bind_group(
             layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]
         )
@@ -197,6 +204,28 @@ class ShadePass:
         )
         self._bound = asked, group
         return group
+
+    def at_hand(self, flags: int, also: Callable[[], Any], *, wait: bool) -> int:
+        """The flags to draw with: those wanted, or the last ones while a thread compiles what these need.
+
+        Compiling takes a hundred milliseconds and more, which no frame has but the first.
+
+        Args:
+            also: compiles what else a frame with these flags needs.
+            wait: compile at once.
+        """
+        self._compiler.take()
+        there = all((flags, entry) in self._pipelines for entry in SHOWN)
+        if wait or there or self._last is None or self._compiler.done == flags:
+            self._last = flags
+        elif self._compiler.wants(flags):
+            self._compiler.start(flags, lambda: (also(), *(self.pipeline(flags, entry) for entry in SHOWN)))
+        return self._last
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being compiled: a later frame will look otherwise."""
+        return self._compiler.busy
 
     def pipeline(self, flags: int, entry: str = "fragment") -> Any:
         """The pipeline for what is drawn (``look``'s flags), compiled when it is first asked for.
@@ -256,7 +285,7 @@ class ShadePass:
         if part is not None:
             pass_.set_scissor_rect(*part)
         pass_.set_blend_constant((1.0 / (frame + 1),) * 4)
-        for entry in ("fragment", "background"):
+        for entry in SHOWN:
             pass_.set_pipeline(self.pipeline(flags, entry))
             pass_.draw(3)
         pass_.end()

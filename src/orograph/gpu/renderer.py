@@ -85,8 +85,11 @@ class Renderer:
         self._resolves: dict[str, ResolvePass] = {}
         self._targets: Targets | None = None
         self._resources = Resources(device, terrain, self.slopes, self.imagery, self.kept)
-        self._light = Following(terrain, self.kept, self._veil, legs)
+        self._light = Following(
+            terrain, self.kept, self._veil, legs, upload=lambda pool: self._resources.upload("maps", pool)
+        )
         self._at_rest: Any = None
+        self._flags = 0
         self._gathered, self._enough = 0, SAMPLES
         self._around = Around(terrain, device.largest)
         self._missing = 0
@@ -151,6 +154,11 @@ class Renderer:
         group = self._shading.group(targets, bound)
         flags = int(u["flags"]) | (VEILED if self._veil.count else 0) | (GIVEN if given else 0)
         flags |= (LABELS if lettered else 0) | (DRAPE if layers else 0)
+        edges = bool(flags & WIREFRAME)
+        flags = self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, given), wait=wait)
+        if begin and flags != self._flags:  # it was compiled meanwhile: what was gathered looks otherwise
+            begin, count = 0, 1
+        self._flags = flags
         if format not in self._resolves:
             self._resolves[format] = ResolvePass(self.device, format)
         self._gathered = begin + count
@@ -187,7 +195,7 @@ class Renderer:
     def busy(self) -> bool:
         """Whether tiles or maps are on their way: the next frame will be better."""
         waiting = self._missing > 0 or self.tiles.waiting > 0 or self.imagery.waiting > 0
-        parts = self._light, self._around, self._meshes, self._letters
+        parts = self._light, self._around, self._meshes, self._letters, self._shading
         return waiting or any(part.busy for part in parts)
 
     @property

@@ -163,6 +163,8 @@ class Residency:
         now = {(kind, key): p for p, kind, key in wanted}
         for some in self._ahead.values():
             for p, kind, key in some:
+                if self._atlases[kind].slot(key) >= 0:
+                    continue  # it has come since
                 now[kind, key] = now.get((kind, key), 0.0) + AHEAD * p / len(self._ahead)
         self.streamer.want((p, kind, key) for (kind, key), p in now.items())
         self._asked = {(kind, key) for _, kind, key in wanted}

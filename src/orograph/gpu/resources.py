@@ -33,6 +33,7 @@ class Resources:
         self.device, self.terrain, self.slopes, self.imagery, self.kept = device, terrain, slopes, imagery, kept
         self.shade = device.buffer(SHADE.itemsize, "UNIFORM", "shade")
         self._buffers: dict[str, tuple[Any, Any]] = {}
+        self._uploaded: dict[str, tuple[Any, Any]] = {}
         self._levels = self._level_table()
         self._blank = device.texture((1, 1), "rgba8unorm", "TEXTURE_BINDING", label="nothing").create_view()
         self._slopes = slopes.texture.create_view(dimension="2d-array")
@@ -72,8 +73,16 @@ class Resources:
             16: self._blank,
         }
 
+    def upload(self, name: str, values: NDArray[Any]) -> None:
+        """Have a buffer of these values ready for ``stored``, from any thread: large ones hold a frame up."""
+        self._uploaded[name] = self.device.buffer(values, "STORAGE", name), values
+
     def stored(self, name: str, values: NDArray[Any]) -> Any:
         """A storage buffer with these values; written again only if they are other ones."""
+        ready = self._uploaded.get(name)
+        if ready is not None and ready[1] is values:
+            self._buffers[name] = ready
+            del self._uploaded[name]
         held = self._buffers.get(name)
         if held is not None and held[1] is values:
             return held[0]
