@@ -150,7 +150,7 @@ def test_resizing_hiding_and_closing_at_once(person):
     someone.do("windowmap", someone.window)
     someone.do("windowfocus", "--sync", someone.window)
     assert someone.settled()["height"] == 700
-    assert someone.wait(lambda: bool(someone.see().std() > 10), 30)  # what came back on the screen has to be drawn first
+    assert someone.wait(lambda: bool(someone.see().std() > 10), 30)  # what comes back has to be drawn first
     someone.do("mousemove", "300", "300")
     someone.do("click", "--repeat", "8", "4")  # closed while it moves and loads
     assert someone.close() == 0

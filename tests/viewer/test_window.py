@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("imgui_bundle")
 pytest.importorskip("rendercanvas")
 
+from imgui_bundle import imgui
 from rendercanvas.offscreen import RenderCanvas
 
 from orograph.errors import StoreError
@@ -21,6 +22,8 @@ from orograph.viewer import panels
 from orograph.viewer.app import renderer_of
 from orograph.viewer.keys import bindings, help_rows
 from orograph.viewer.navigation import heading_pitch
+from orograph.viewer.panels import statistics
+from orograph.viewer.panels.detail import METHODS
 from orograph.viewer.session import Session
 from orograph.viewer.window import Window
 
@@ -307,7 +310,7 @@ def test_every_panel_draws_in_every_state(window, hand):
         settings.contours = Contours(50.0)
         settings.relief = 2.0
         hand.frames(2)
-    assert len(panels.PANELS) == 5
+    assert len(panels.PANELS) == 6
     for name, content, _ in panels.PANELS:
         assert name and callable(content)
 
@@ -409,3 +412,91 @@ def test_a_terrain_that_says_not_where_it_is(device):
     assert not [m.text for m in window.session.messages.shown if m.error]
     canvas.close()
     window.gui.close()
+
+
+@pytest.mark.parametrize("engine", [name for name, _ in METHODS if name])
+def test_every_engine_draws_the_ground_and_says_what_it_made(window, hand, engine):
+    settings = window.session.settings
+    settings.tolerance = 2.0
+    hand.rest()
+    before = hand.frames(1)
+    settings.engine = engine
+    made = lambda: window.drawing.renderer.mesh is not None and window.drawing.renderer.resting  # noqa: E731
+    hand.until(made, 300)  # its kernels may have to be compiled
+    assert window.drawing.stats.triangles == len(window.drawing.renderer.mesh.triangles) > 2
+    rows = dict(statistics.rows(window))
+    assert rows[engine].endswith(" ms")
+    after = hand.frames(1)
+    ground = np.s_[250:560, 20:560]
+    assert np.abs(after[ground].astype(int) - before[ground]).mean() < 6  # the same ground in the same light
+    hand.key("x")
+    hand.until(lambda: np.abs(hand.frames(1)[ground].astype(int) - after[ground]).mean() > 0.3)  # its edges
+    hand.key("f")
+    made = window.drawing.renderer.mesh
+    hand.key("t")
+    hand.rest()
+    assert window.drawing.renderer.mesh is made  # it stands still
+    hand.key("f")
+    hand.rest()
+    assert window.drawing.renderer.mesh is not made
+    settings.engine = None
+    hand.until(lambda: window.drawing.renderer.mesh is None)
+    assert not [m.text for m in window.session.messages.shown if m.error]
+
+
+def test_normals_are_chosen(window, hand):
+    settings = window.session.settings
+    settings.tolerance = 16.0
+    hand.rest()
+    smooth = hand.frames(1)[:, :560].astype(int)
+    settings.normals = "derivatives"
+    hand.until(lambda: np.abs(hand.frames(1)[:, :560] - smooth).max() > 10)  # facets
+
+
+def test_a_tour_is_made_played_and_drawn_in_the_plan(window, hand, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    touring = window.touring
+    hand.key("l")
+    assert "keep some cameras" in window.session.messages.shown[-1].text
+    hand.key("k")
+    hand.key("o")
+    hand.still()
+    hand.key("]")
+    hand.still()
+    hand.key("k")
+    assert len(touring.stops) == 2
+    first, last = (s.key.view for s in touring.stops)
+    hand.until(lambda: window.plan.view is not None and not window.plan.busy, 120)
+    hand.frames(2)
+    with_way = hand.frames(1)
+    x, y, w, h = (round(v) for v in window.plan._rect)
+    kept, touring.stops = touring.stops, []
+    without = hand.frames(2)
+    assert np.abs(with_way.astype(int) - without)[y : y + h, x : x + w].max() > 60
+    touring.stops = kept
+    touring.stops[0].leg = 0.5
+    hand.key("l")
+    assert touring.playing
+    hand.until(lambda: not touring.playing)
+    assert window.session.view.eye == pytest.approx(last.eye, abs=1e-6)
+    touring.show(0.0)
+    assert window.session.view.eye == pytest.approx(first.eye, abs=1e-6)
+    touring.stops[0].leg = 100.0
+    hand.key("l")
+    hand.frames(3)
+    assert touring.playing
+    hand.press(300, 400)  # a hand takes the camera
+    hand.move(340, 400)
+    hand.frames(2)
+    hand.release(340, 400)
+    assert not touring.playing
+    hand.key("l")
+    hand.key("Escape")
+    assert not touring.playing
+    for loop, above, chosen in ((True, 30.0, 0), (False, None, 1)):
+        touring.loop, touring.above_ground, touring.chosen = loop, above, chosen
+        touring.change(0, path="orbit" if loop else "spline")
+        imgui.set_window_focus("Tour")
+        hand.frames(2)
+    assert touring.save(tmp_path / "tour.json")
+    assert not [m.text for m in window.session.messages.shown if m.error]

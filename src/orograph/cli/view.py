@@ -106,7 +106,7 @@ def command(
         session = Session(
             terrain, _view(terrain, options, size), size=size, sun=options["sun"],
             exaggeration=options["exaggeration"], tolerance=options["tolerance"], colormap=options["colormap"],
-            layers=layers,
+            layers=layers, paths=paths,
         )  # fmt: skip
     make = renderer_of(gpu_memory, memory, jobs)
     show(

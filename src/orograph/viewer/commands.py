@@ -58,10 +58,25 @@ def play_day(window: Window) -> None:
     light.mode, light.playing = "moment", not light.playing
 
 
+def add_stop(window: Window) -> None:
+    """Keep this camera in the tour."""
+    touring = window.touring
+    touring.add()
+    k = touring.chosen or 0
+    window.session.messages.say(f"Stop {k + 1} of {len(touring.stops)}, at {touring.times[k]:.1f} s of the tour.")
+
+
+def play_tour(window: Window) -> None:
+    """Play the tour, or pause it."""
+    window.touring.play()
+
+
 def escape(window: Window) -> None:
     """Leave the help, the tool, or a flight: the first that is on."""
     if window.help:
         window.help = False
+    elif window.touring.playing:
+        window.touring.playing = False
     elif window.tools.active:
         window.tools.leave()
     else:

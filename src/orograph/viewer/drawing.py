@@ -114,7 +114,7 @@ class Drawing:
             before, self._trouble = self._trouble, trouble
             if trouble and trouble != before:
                 session.messages.say(f"A part of the terrain cannot be read: {trouble}", error=True)
-            if settings.balance(int(self.stats.triangles)):
+            if getattr(self.stats, "current", True) and settings.balance(int(self.stats.triangles)):
                 self.window.touch()
             if self.failed:
                 self.failed = 0.0

@@ -101,6 +101,7 @@ class Plan:
             imgui.text_wrapped(self.trouble)
         if self.view is not None:
             canvas.push_clip_rect((x, y), (x + w, y + h), True)
+            self._tour(canvas)
             self._footprint(canvas)
             self._scale(canvas)
             canvas.pop_clip_rect()
@@ -199,6 +200,22 @@ class Plan:
         if hit is not None and self.window.pointer is not None:
             at = tuple(self.to_screen(np.array([[hit.easting, hit.northing]]))[0])
             canvas.add_circle(at, 4.0, imgui.get_color_u32((0.9, 0.2, 0.15, 1)), 16, 1.6)
+
+    def _tour(self, canvas: Any) -> None:
+        """The way of the tour, its stops, and where it is while it plays."""
+        touring = self.window.touring
+        way = touring.way()
+        if not len(way):
+            return
+        dark, ink = imgui.get_color_u32((0, 0, 0, 0.55)), imgui.get_color_u32((0.35, 0.75, 1.0, 1))
+        line = [tuple(p) for p in self.to_screen(way[:, :2])]
+        canvas.add_polyline(line, dark, 3.5, 0)
+        canvas.add_polyline(line, ink, 1.6, 0)
+        places = self.to_screen(np.array([s.key.view.eye[:2] for s in touring.stops]))
+        for k, place in enumerate(places):
+            at = tuple(place)
+            canvas.add_circle_filled(at, 5.0 if k == touring.chosen else 3.8, dark)
+            canvas.add_circle_filled(at, 4.0 if k == touring.chosen else 2.8, ink)
 
     def _far(self) -> float:
         """Metres beyond which a footprint tells nothing: twice the terrain's diagonal."""

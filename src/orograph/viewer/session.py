@@ -75,6 +75,7 @@ class Session:
         view: where from; None: all of it, from the south.
         size: (width, height), pixels.
         sun, exaggeration, tolerance, layers, colormap: as the settings begin.
+        paths: what the terrain was opened from, for command lines that are shown.
         changed: called, from any thread, when the picture should be drawn again.
     """
 
@@ -89,9 +90,11 @@ class Session:
         tolerance: float | None = None,
         colormap: str | None = None,
         layers: Sequence[Layer] = (),
+        paths: Sequence[str] = (),
         changed: Callable[[], None] = lambda: None,
     ) -> None:
         self.terrain = terrain
+        self.paths = tuple(paths)
         self.changed = changed
         self.settings = Settings(
             Light.over(terrain, sun), exaggeration=exaggeration, colormap=colormap, layers=list(layers),

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from orograph.errors import OrographError, UsageError
 from orograph.geovis.layers import Layer
+from orograph.gpu.frame import Normals
 from orograph.light.sun import Moment, Placed, Sun, SunSource, place
 from orograph.picture.contours import Contours
 from orograph.picture.scene import Scene
@@ -126,6 +127,8 @@ class Settings:
         wireframe, levels: as in ``gpu.frame.Overlay``. contours: as in ``Scene``; a window's labels fade.
         way: how light falls, as in ``Scene.light`` but for rays. occlusion: strength of what screen space darkens.
         budget: triangles to keep near instead of a tolerance, or None.
+        engine: as in ``Scene``: which method makes the mesh; None: batched patches, the window's own.
+        normals: as in ``gpu.frame.Overlay``.
         frozen: the view that the mesh is made for while one flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
     """
@@ -146,6 +149,8 @@ class Settings:
     contours: Contours | None = None
     way: Literal["relief", "ao", "aperture", "none"] = "relief"
     occlusion: float = 0.0
+    engine: str | None = None
+    normals: Normals = "computed"
     frozen: View | None = None
     panels: bool = True
     furniture: bool = True
@@ -163,7 +168,7 @@ class Settings:
             terrain, view, self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
             colormap=self.colormap, layers=self.stack, sky=self.sky, water=self.water,
             contours=self.contours and replace(self.contours, fading=True), relief=self.relief,
-            tolerance=self.tolerance, light=self.way,
+            tolerance=self.tolerance, light=self.way, engine=self.engine,
             depths=(near, near + HAZE * math.hypot(east - west, north - south)),
         )  # fmt: skip
 
@@ -177,7 +182,7 @@ class Settings:
         from orograph.gpu.frame import Overlay
 
         return Overlay(
-            self.wireframe, self.levels, occlusion=self.occlusion,
+            self.wireframe, self.levels and self.engine is None, occlusion=self.occlusion, normals=self.normals,
         )  # fmt: skip
 
     def balance(self, triangles: int) -> bool:

@@ -26,6 +26,7 @@ from orograph.viewer.pictures import Pictures
 from orograph.viewer.plan import Plan
 from orograph.viewer.session import Session
 from orograph.viewer.tools import Tools
+from orograph.viewer.touring import Touring
 
 PROGRESS = 0.2
 """Seconds between frames that show how far a measurement is."""
@@ -50,6 +51,7 @@ class Window:
 
     Attributes:
         drawing: the terrain's picture; pictures: what saves it; plan, tools: the map inset and the measuring tool.
+        touring: the tour that is being made or played.
         area: where the terrain is: (x, y, width, height), logical pixels.
         pointer: where the mouse is over the terrain, pixels of the view, or None.
         interval: seconds between frames in motion.
@@ -75,6 +77,7 @@ class Window:
         self.drawing = Drawing(self, make, format)
         self.plan = Plan(self)
         self.tools = Tools(self)
+        self.touring = Touring(session)
         self.pictures = Pictures(self)
         self.area: Area = (0.0, 0.0, *canvas.get_logical_size())
         self.interval = 0.0
@@ -145,8 +148,10 @@ class Window:
         now = time.perf_counter()
         passed, self._last = now - self._last, now
         session = self.session
-        session.advance(min(passed, 0.25) if self._was_moving else 1 / 60)
-        moving = session.moving
+        gone = min(passed, 0.25) if self._was_moving else 1 / 60
+        session.advance(gone)
+        self.touring.advance(gone)
+        moving = session.moving or self.touring.playing
         if moving or session.view != self._viewed:
             if self._was_moving:
                 self.interval = passed

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from orograph.viewer.panels import camera, detail, layers, light, statistics
+from orograph.viewer.panels import camera, detail, layers, light, statistics, tour
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Area, Window
@@ -17,6 +17,7 @@ PANELS = (
     ("Light", light.draw, "middle"),
     ("Layers", layers.draw, "middle"),
     ("Detail", detail.draw, "bottom"),
+    ("Tour", tour.draw, "bottom"),
     ("Statistics", statistics.draw, "bottom"),
 )
 DOCK = 0x0609_2A11
@@ -62,6 +63,9 @@ def draw(window: Window) -> None:
     """All panels."""
     for name, content, _ in PANELS:
         imgui.set_next_window_size((WIDTH, 260), imgui.Cond_.first_use_ever)
+        beside = imgui.internal.find_window_by_name(PANELS[-2 if name == "Statistics" else -1][0])
+        if beside is not None and beside.dock_id:  # a panel that the kept layout does not know goes beside another
+            imgui.set_next_window_dock_id(beside.dock_id, imgui.Cond_.first_use_ever)
         shown, _ = imgui.begin(name)
         if shown:
             imgui.push_item_width(-110.0)

@@ -27,6 +27,7 @@ def rows(window: Window) -> list[tuple[str, str]]:
         value = get(name)
         if value is not None:
             found.append((what, pattern.format(value).replace(",", " ")))
+    found += _mesh(window)
     uploaded = get("bytes_uploaded")
     if uploaded is not None:
         found.append(("uploaded", f"{uploaded / 1e6:.1f} MB"))
@@ -34,6 +35,23 @@ def rows(window: Window) -> list[tuple[str, str]]:
     draft = window.drawing.draft
     found.append(("picture", f"{width} × {height}" + (f", {draft.scale:g} in motion" if draft.step else "")))
     found.append(("device", window.device.adapter.name))
+    return found
+
+
+def _mesh(window: Window) -> list[tuple[str, str]]:
+    """What another engine says of the mesh that it made: how long that took, and what it changed of the one before."""
+    mesh = getattr(window.drawing.renderer, "mesh", None)
+    if mesh is None:
+        return []
+    stats = mesh.stats
+    found = [(f"{window.session.settings.engine or 'engine'}", f"{stats.get('refine_ms', 0.0):.1f} ms")]
+    if "splits" in stats and "merges" in stats:
+        counts = (f"{stats[name]:,}".replace(",", " ") for name in ("splits", "merges"))
+        found.append(("split, merged", ", ".join(counts)))
+    if "changed" in stats and len(mesh.triangles):
+        found.append(("new triangles", f"{stats['changed'] / len(mesh.triangles):.2%}"))
+    if not getattr(window.drawing.stats, "current", True):
+        found.append(("mesh", "is being refined"))
     return found
 
 

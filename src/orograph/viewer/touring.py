@@ -1,0 +1,335 @@
+"""A tour made by hand: cameras kept one after another, gone through with the interpolation of ``tour``. No GUI.
+
+A tour is a list of *stops*, each a key frame (``tour.keys``) and the seconds that the way from it to the next takes, so
+that stops can be moved, taken out and put in wherever, and times always increase. What is shown while it plays is what
+``orograph movie --tour`` films: the same ``Tour``, kept above the ground by the same ``Course``. Units: seconds and
+metres.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import OrographError
+from orograph.light.sun import Moment, Placed
+from orograph.output import Beside
+from orograph.tour.course import Course
+from orograph.tour.keys import Key
+from orograph.tour.tour import DEFAULT_FPS, Tour
+from orograph.view import View
+
+if TYPE_CHECKING:
+    from orograph.viewer.session import Session
+
+LEG = 4.0
+"""Seconds from a stop to the next, unless said otherwise."""
+SHORTEST = 0.1
+ALONG = 240
+"""Places along the way that is drawn in the plan."""
+
+
+@dataclass(slots=True)
+class Stop:
+    """A key frame and the seconds from leaving it to the next (in a loop, of the last: to the first)."""
+
+    key: Key
+    leg: float = LEG
+
+
+class Touring:
+    """The tour of a window.
+
+    Args:
+        session: whose camera and light it goes through.
+
+    Attributes:
+        stops: in order. chosen: the one that edits are about, or None.
+        loop, ease, aim, fps, above_ground: as in ``Tour``; ``begin``: when the camera is at the first stop.
+        time: where in the tour the window is; ``playing``: whether time passes.
+        trouble: why there is no tour, or "".
+    """
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.stops: list[Stop] = []
+        self.chosen: int | None = None
+        self.loop, self.ease = False, True
+        self.aim: Literal["target", "direction"] = "target"
+        self.fps, self.begin = DEFAULT_FPS, 0.0
+        self.above_ground: float | None = None
+        self.time, self.playing, self.trouble = 0.0, False, ""
+        self._made: tuple[object, Tour | None] = (None, None)
+        self._course: tuple[Tour | None, Course | None] = (None, None)
+        self._way: tuple[Tour | None, NDArray[np.float64]] = (None, np.zeros((0, 3)))
+        self._shown: View | None = None
+
+    # ---- the tour ------------------------------------------------------------------------------------------------
+
+    @property
+    def times(self) -> list[float]:
+        """When the camera arrives at each stop."""
+        out, time = [], self.begin
+        for stop in self.stops:
+            out.append(time)
+            time += stop.key.hold + stop.leg
+        return out
+
+    @property
+    def tour(self) -> Tour | None:
+        """What the stops make, or None: then ``trouble`` says why."""
+        state = (
+            tuple((s.key, s.leg) for s in self.stops), self.loop, self.ease, self.aim, self.fps, self.above_ground,
+            self.begin,
+        )  # fmt: skip
+        if self._made[0] != state:
+            self._made = state, self._make() if self.stops else None
+        return self._made[1]
+
+    def _make(self) -> Tour | None:
+        keys = tuple(replace(s.key, time=t) for s, t in zip(self.stops, self.times))
+        loop = self.loop and len(keys) > 1
+        last = self.stops[-1]
+        self.trouble = ""
+        try:
+            return Tour(
+                keys, seconds=last.key.hold + last.leg + self.times[-1] if loop else None, fps=self.fps, loop=loop,
+                ease=self.ease, aim=self.aim, above_ground=self.above_ground,
+            )  # fmt: skip
+        except OrographError as error:
+            self.trouble = str(error)
+            return None
+
+    @property
+    def duration(self) -> float:
+        """Seconds in all; 0 without a tour."""
+        tour = self.tour
+        return 0.0 if tour is None else tour.duration
+
+    # ---- stops ---------------------------------------------------------------------------------------------------
+
+    def add(self) -> None:
+        """Keep the camera and the light of now as a stop, after the chosen one or at the end."""
+        at = len(self.stops) if self.chosen is None else self.chosen + 1
+        self.stops.insert(at, Stop(self._key(self.stops[0].key if self.stops else None)))
+        self.chosen = at
+        self.time = self.times[at]
+
+    def put(self, k: int) -> None:
+        """Have stop ``k`` be where the camera is now, and under its light."""
+        old = self.stops[k].key
+        others = [s.key for i, s in enumerate(self.stops) if i != k]
+        new = self._key(others[0] if others else None)
+        self.stops[k].key = replace(new, hold=old.hold, stop=old.stop, path=old.path, turns=old.turns)
+
+    def remove(self, k: int) -> None:
+        """Take a stop out; the way to it goes on to the next."""
+        del self.stops[k]
+        self.chosen = None if not self.stops else min(k, len(self.stops) - 1)
+        self.playing = self.playing and bool(self.stops)
+
+    def move(self, k: int, by: int) -> None:
+        """Let a stop change places with a neighbour; ways keep their times."""
+        to = k + by
+        if not 0 <= to < len(self.stops):
+            return
+        self.stops[k].key, self.stops[to].key = self.stops[to].key, self.stops[k].key
+        self.chosen = to
+
+    def retime(self, k: int, time: float) -> None:
+        """Have the camera at stop ``k`` at a time; later ones follow as far behind as they did."""
+        if k == 0:
+            self.begin = max(time, 0.0)
+        else:
+            before = self.stops[k - 1]
+            before.leg = max(before.leg + time - self.times[k], SHORTEST)
+
+    def change(self, k: int, **values: object) -> None:
+        """Change a stop's key (``hold``, ``path``, ``turns``…); what makes no sense is told and not done."""
+        try:
+            self.stops[k].key = replace(self.stops[k].key, **values)  # type: ignore[arg-type]
+        except OrographError as error:
+            self.session.messages.say(str(error))
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self.stops, self.chosen, self.time, self.playing, self.begin = [], None, 0.0, False, 0.0
+
+    def _key(self, other: Key | None) -> Key:
+        """The camera and the light of now; ``other``: a key of the tour, that all must be alike in some things."""
+        view, settings = self.session.view, self.session.settings
+        if other is not None:
+            first = other.view
+            view = replace(
+                view.resized(first.width, first.height), near=first.near, far=first.far, projection=first.projection
+            )
+        light = settings.light
+        sun: Placed | Moment | None = (
+            Moment(light.when) if light.mode == "moment" else Placed(light.azimuth % 360.0, light.altitude)
+        )
+        kinds = {type(s.key.sun) for s in self.stops if s.key.sun is not None}
+        if kinds and type(sun) not in kinds and len(self.stops) > 0:
+            sun = None
+            self.session.messages.say("The sun of this key is left to the others: they say it in the other way.")
+        water = settings.water if isinstance(settings.water, float) else None
+        return Key(view, sun=sun, exaggeration=settings.exaggeration, relief=settings.relief, water=water)
+
+    # ---- playing -------------------------------------------------------------------------------------------------
+
+    def play(self) -> None:
+        """Begin to play where the time stands, from the beginning at its end; or pause."""
+        if self.playing:
+            self.playing = False
+            return
+        if self.tour is None or self.duration == 0:
+            self.session.messages.say(self.trouble or "A tour needs two stops at least: keep some cameras first.")
+            return
+        if not self.loop and self.time >= self.duration - 1e-6:
+            self.time = 0.0
+        self.playing, self._shown = True, None
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass. Whoever moves the camera meanwhile has it, and the tour pauses."""
+        if not self.playing:
+            return
+        if self.tour is None or (self._shown is not None and not _same(self.session.view, self._shown)):
+            self.playing = False
+            return
+        if self._shown is not None:
+            self.time += seconds
+        if self.time >= self.duration:
+            if self.loop:
+                self.time %= max(self.duration, 1e-9)
+            else:
+                self.time, self.playing = self.duration, False
+        self.show(self.time)
+
+    def show(self, time: float) -> None:
+        """Have camera, light and scene as they are at a time of the tour."""
+        tour = self.tour
+        if tour is None:
+            return
+        session, settings = self.session, self.session.settings
+        self.time = time
+        values = tour.settings(time)
+        if abs(values.get("exaggeration", settings.exaggeration) - settings.exaggeration) > 1e-9:
+            session.stretch(values["exaggeration"])
+        for name in ("relief", "tolerance", "water"):
+            if name in values:
+                setattr(settings, name, values[name])
+        sun, light = tour.sun(time), settings.light
+        if isinstance(sun, Placed):
+            light.mode, light.azimuth, light.altitude = "placed", sun.azimuth, sun.altitude
+        elif sun is not None and light.place is not None:
+            light.mode, light.playing = "moment", False
+            light.when = sun.when.astimezone(light.when.tzinfo)
+        session.nav.stop()
+        session.nav.view = self.at(time).resized(session.view.width, session.view.height)
+        self._shown = session.view
+
+    def at(self, time: float) -> View:
+        """The camera at a time, above the ground if the tour says so (once that is known).
+
+        Raises:
+            IndexError: there is no tour.
+        """
+        tour = self.tour
+        if tour is None:
+            raise IndexError("there is no tour")
+        if tour.above_ground is None:
+            return tour.at(time)
+        if self._course[0] is not tour:
+            self._course = tour, None
+            self.session.probe.submit(lambda: self._lift(tour))
+        course = self._course[1]
+        return tour.at(time) if course is None else course.at(time)
+
+    def _lift(self, tour: Tour) -> None:
+        """Find how far the camera is to be lifted; by a thread."""
+        try:
+            course = Course(tour, self.session.terrain)
+        except (OrographError, OSError) as error:
+            self.session.messages.say(f"The tour cannot be kept above the ground: {error}", error=True)
+            return
+        if self._course[0] is tour:
+            self._course = tour, course
+            self.session.changed()
+
+    def way(self) -> NDArray[np.float64]:
+        """Places of the eye along the tour (n, 3); (0, 3) without one."""
+        tour = self.tour
+        if self._way[0] is not tour or tour is None:
+            points = [] if tour is None else [tour.at(t).eye for t in np.linspace(0.0, tour.duration, ALONG)]
+            self._way = tour, np.array(points).reshape(-1, 3)
+        return self._way[1]
+
+    # ---- files ---------------------------------------------------------------------------------------------------
+
+    def save(self, path: Path) -> bool:
+        """Write TOUR.json, as ``orograph movie --tour`` takes it; whether that went well (it is said)."""
+        tour = self.tour
+        if tour is None:
+            self.session.messages.say(self.trouble or "There is no tour to be saved: keep some cameras first.")
+            return False
+        try:
+            with Beside(path) as part:
+                part.write_text(json.dumps(tour.to_dict(), indent=1) + "\n", encoding="utf-8")
+        except OrographError as error:
+            self.session.messages.say(f"The tour was not saved: {error}", error=True)
+            return False
+        self.session.messages.say(f"Saved {path.name} in {path.resolve().parent}.")
+        return True
+
+    def load(self, path: Path) -> bool:
+        """Read a TOUR.json in place of the tour there is; whether that went well (it is said)."""
+        try:
+            tour = Tour.load(path, crs=self.session.terrain.grid.crs)
+        except OrographError as error:
+            self.session.messages.say(f"The tour was not read: {error}", error=True)
+            return False
+        self.take(tour)
+        speed = " Its speed became times." if tour.speed is not None else ""
+        self.session.messages.say(f"{path.name}: {len(tour.keys)} stops, {tour.duration:.1f} s.{speed}")
+        return True
+
+    def take(self, tour: Tour) -> None:
+        """Edit a tour."""
+        times = list(tour.times)
+        ends = [*times[1:], tour.duration if tour.loop else times[-1] + tour.keys[-1].hold + LEG]
+        self.clear()
+        self.stops = [
+            Stop(replace(key, time=None), max(end - time - key.hold, SHORTEST))
+            for key, time, end in zip(tour.keys, times, ends)
+        ]
+        self.loop, self.ease, self.aim, self.fps = tour.loop, tour.ease, tour.aim, tour.fps
+        self.above_ground, self.begin = tour.above_ground, times[0]
+        self.chosen = 0
+
+    def command(self, path: Path, paths: Sequence[str]) -> str:
+        """The command line that films the tour saved at ``path``, as the window shows the terrain of ``paths``."""
+        settings = self.session.settings
+        words = ["orograph", "movie", *(paths or [self.session.terrain.name]), "--tour", str(path)]
+        words += ["-o", str(path.with_suffix(".mp4")), "--size", "1920x1080"]
+        if settings.sky:
+            words.append("--sky")
+        if settings.colormap is not None:
+            words += ["--colormap", settings.colormap]
+        if not settings.shadows:
+            words.append("--no-shadows")
+        if settings.way != "relief":
+            words += ["--light", settings.way]
+        if settings.water is None:
+            words += ["--water", "none"]
+        return shlex.join(words)
+
+
+def _same(a: View, b: View) -> bool:
+    """Whether two views are one camera, in pictures of whatever size."""
+    return a.resized(b.width, b.height) == b
