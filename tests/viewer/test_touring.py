@@ -78,7 +78,7 @@ def test_edits_keep_times_in_order(session, touring):
     touring.clear()
     assert touring.tour is None
     assert touring.duration == 0.0
-    assert touring.way().shape == (0, 3)
+    assert touring.way().shape == (0, 2, 3)
 
 
 def test_what_makes_no_sense_is_told_and_not_done(session, touring):

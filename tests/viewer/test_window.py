@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -458,6 +459,10 @@ def test_a_tour_is_made_played_and_drawn_in_the_plan(window, hand, tmp_path, mon
     touring = window.touring
     hand.key("l")
     assert "keep some cameras" in window.session.messages.shown[-1].text
+    home = window.session.view
+    window.session.nav.view = replace(
+        home, eye=(413_000.0, 4_980_500.0, 3000.0), target=(415_000.0, 4_983_000.0, 500.0)
+    )
     hand.key("k")
     hand.key("o")
     hand.still()

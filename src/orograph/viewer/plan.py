@@ -202,13 +202,14 @@ class Plan:
             canvas.add_circle(at, 4.0, imgui.get_color_u32((0.9, 0.2, 0.15, 1)), 16, 1.6)
 
     def _tour(self, canvas: Any) -> None:
-        """The way of the tour, its stops, and where it is while it plays."""
+        """The way of the tour with its stops, and thinly that of what it looks at."""
         touring = self.window.touring
         way = touring.way()
         if not len(way):
             return
         dark, ink = imgui.get_color_u32((0, 0, 0, 0.55)), imgui.get_color_u32((0.35, 0.75, 1.0, 1))
-        line = [tuple(p) for p in self.to_screen(way[:, :2])]
+        looked, line = ([tuple(p) for p in self.to_screen(way[:, k, :2])] for k in (1, 0))
+        canvas.add_polyline(looked, imgui.get_color_u32((0.35, 0.75, 1.0, 0.5)), 1.0, 0)
         canvas.add_polyline(line, dark, 3.5, 0)
         canvas.add_polyline(line, ink, 1.6, 0)
         places = self.to_screen(np.array([s.key.view.eye[:2] for s in touring.stops]))

@@ -68,7 +68,7 @@ class Touring:
         self.time, self.playing, self.trouble = 0.0, False, ""
         self._made: tuple[object, Tour | None] = (None, None)
         self._course: tuple[Tour | None, Course | None] = (None, None)
-        self._way: tuple[Tour | None, NDArray[np.float64]] = (None, np.zeros((0, 3)))
+        self._way: tuple[Tour | None, NDArray[np.float64]] = (None, np.zeros((0, 2, 3)))
         self._shown: View | None = None
 
     # ---- the tour ------------------------------------------------------------------------------------------------
@@ -263,11 +263,11 @@ class Touring:
             self.session.changed()
 
     def way(self) -> NDArray[np.float64]:
-        """Places of the eye along the tour (n, 3); (0, 3) without one."""
+        """Places of the eye, and of what it looks at, along the tour: (n, 2, 3); (0, 2, 3) without one."""
         tour = self.tour
         if self._way[0] is not tour or tour is None:
-            points = [] if tour is None else [tour.at(t).eye for t in np.linspace(0.0, tour.duration, ALONG)]
-            self._way = tour, np.array(points).reshape(-1, 3)
+            views = [] if tour is None else [tour.at(t) for t in np.linspace(0.0, tour.duration, ALONG)]
+            self._way = tour, np.array([(v.eye, v.target) for v in views]).reshape(-1, 2, 3)
         return self._way[1]
 
     # ---- files ---------------------------------------------------------------------------------------------------
