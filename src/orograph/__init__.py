@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from orograph.dem import Dem, read
     from orograph.geo import Grid
     from orograph.light.bake import bake
-    from orograph.picture import Contours, Picture, Sun, camera, render
+    from orograph.picture import Contours, Picture, Silhouettes, Sun, camera, render
     from orograph.store import Terrain, build, open, terrain
     from orograph.view import View
 
@@ -30,6 +30,7 @@ __all__ = [
     "Dem",
     "Grid",
     "Picture",
+    "Silhouettes",
     "Sun",
     "Terrain",
     "View",
@@ -47,6 +48,7 @@ _HOMES = {
     "Dem": "orograph.dem",
     "Grid": "orograph.geo",
     "Picture": "orograph.picture",
+    "Silhouettes": "orograph.picture",
     "Sun": "orograph.picture",
     "Terrain": "orograph.store",
     "View": "orograph.view",

@@ -20,6 +20,7 @@ from orograph.gpu.renderer import Renderer
 from orograph.picture.contours import Contours
 from orograph.picture.cpu import draw as draw_cpu
 from orograph.picture.scene import Scene
+from orograph.picture.silhouettes import Silhouettes
 from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain
 from orograph.view import View
@@ -67,6 +68,17 @@ def test_both_backends_draw_the_same_lines_and_labels(device: Device, terrain: T
     bare = draw_gpu(replace(scene, contours=None), device=device)
     marked = np.linalg.norm(lab(bare.pixels) - lab(gpu.pixels), axis=-1) > 8
     assert marked.mean() > 0.03 and apart[marked].mean() < 3.0, apart[marked].mean()
+
+
+def test_both_backends_draw_the_same_silhouettes(device: Device, terrain: Terrain) -> None:
+    scene = scenes(terrain)["slanted"]
+    low = replace(scene.view, eye=(scene.view.eye[0], scene.view.eye[1], 1500.0))
+    scene = replace(scene, view=low, contours=None, silhouettes=Silhouettes(2.5))
+    cpu, gpu, bare = draw_cpu(scene), draw_gpu(scene, device=device), draw_cpu(replace(scene, silhouettes=None))
+    apart = np.linalg.norm(lab(cpu.pixels) - lab(gpu.pixels), axis=-1)
+    assert apart.mean() < 1.0 and np.quantile(apart, 0.95) < 3.0, (apart.mean(), np.quantile(apart, 0.95))
+    lines = np.linalg.norm(lab(bare.pixels) - lab(cpu.pixels), axis=-1) > 8
+    assert lines.mean() > 0.002 and apart[lines].mean() < 5.0, (lines.mean(), apart[lines].mean())
 
 
 def test_labels_hold_still_and_fade_while_the_camera_moves(device: Device, terrain: Terrain) -> None:

@@ -62,8 +62,8 @@ SCENE = ("shadows", "light", "rays", "exaggeration", "colormap", "sky", "relief"
          "engine", "wireframe", "furniture", "title")  # fmt: skip
 """Options that are a scene's attributes of the same name."""
 
-LINES = ("contours", "contour_index", "contour_labels", "contour_opacity")
-"""Options of contour lines."""
+LINES = ("contours", "contour_index", "contour_labels", "contour_opacity", "silhouettes", "silhouette_width")
+"""Options of lines on the ground."""
 
 DRAWING = {*SCENE, *LINES, "layers", "sun", "water", "lamps", "discs", "mesh_view", "backend"}
 """All of them that are not about reading."""
@@ -159,6 +159,17 @@ def scene_options(function: F) -> F:
             click.option(
                 "--contour-opacity", type=click.FloatRange(0, 1), default=0.7, show_default=True, help="Of the lines."
             ),
+            click.option(
+                "--silhouettes", is_flag=True, help="Draw lines where ridges stand before what is behind them."
+            ),
+            click.option(
+                "--silhouette-width",
+                type=click.FloatRange(0.25, 32),
+                default=2.0,
+                show_default=True,
+                metavar="PX",
+                help="Of the nearest ones; farther ones are thinner.",
+            ),
             click.option("--sky", is_flag=True, help="Draw sky and haze, instead of paper."),
             click.option("--furniture", is_flag=True, help="Add a title, a colour bar, a north arrow and a scale bar."),
             click.option("--title", help="The title (with --furniture).  [default: the file's name]"),
@@ -232,7 +243,8 @@ def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memor
         terrain, view, options["sun"].over(terrain.grid),
         mesh_view=None if mesh_view is None else View.load(mesh_view, crs=terrain.grid.crs),
         water=None if options["water"] == "none" else options["water"], max_memory=max_memory, jobs=jobs,
-        contours=_contours(options), layers=layers_of_options(options), lamps=lamps, discs=discs,
+        contours=_contours(options), silhouettes=_silhouettes(options), layers=layers_of_options(options),
+        lamps=lamps, discs=discs,
         **{k: options[k] for k in SCENE},
     )  # fmt: skip
 
@@ -247,6 +259,15 @@ def _contours(options: Mapping[str, Any]) -> Any:
     return Contours(
         interval, options["contour_index"], opacity=options["contour_opacity"], labels=options["contour_labels"]
     )
+
+
+def _silhouettes(options: Mapping[str, Any]) -> Any:
+    """The silhouettes of a scene, or None."""
+    if not options["silhouettes"]:
+        return None
+    from orograph.picture.silhouettes import Silhouettes
+
+    return Silhouettes(options["silhouette_width"])
 
 
 def _lights(terrain: Terrain, options: Mapping[str, Any]) -> tuple[Any, Any]:

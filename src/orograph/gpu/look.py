@@ -18,13 +18,15 @@ from orograph.picture.kernels import SHORE
 from orograph.picture.marks import ink
 from orograph.picture.scene import Scene
 from orograph.picture.shading import BOUNCE, MISSING, PAPER, WATER, illumination
+from orograph.picture.silhouettes import Silhouettes
 from orograph.picture.sky import FADE, Atmosphere
 
 SHADE = np.dtype(
     [
         ("sun", "<f4", 4), ("sunlight", "<f4", 4), ("skylight", "<f4", 4), ("water", "<f4", 4), ("paper", "<f4", 4),
         ("extinction", "<f4", 4), ("mist", "<f4", 4), ("disc", "<f4", 4), ("tint", "<f4", 4), ("contour", "<f4", 4),
-        ("contour_colour", "<f4", 4), ("side", "<f4", 2), ("sky_at", "<u4"), ("sky_rows", "<u4"), ("sky_cols", "<u4"),
+        ("contour_colour", "<f4", 4), ("edge", "<f4", 4), ("edge_range", "<f4", 4),
+        ("side", "<f4", 2), ("sky_at", "<u4"), ("sky_rows", "<u4"), ("sky_cols", "<u4"),
         ("ring_at", "<u4"), ("land_at", "<u4"), ("land_count", "<u4"), ("sea_at", "<u4"), ("sea_count", "<u4"),
         ("levels", "<u4"), ("flags", "<u4"), ("light", "<i4", 4), ("light_first", "<i4", 2), ("windows", "<u4"),
         ("hatch", "<u4"), ("fields", "<u4"), ("suns", "<u4"), ("lamps", "<u4"), ("pad", "<u4"),
@@ -49,7 +51,7 @@ class Look:
 
     def __init__(
         self, scene: Scene, maps: LightMaps, visible_range: tuple[float, float], kept: Kept, *, wireframe: bool = False,
-        levels: bool = False, contours: Contours | None = None,
+        levels: bool = False, contours: Contours | None = None, silhouettes: Silhouettes | None = None,
     ) -> None:  # fmt: skip
         terrain = scene.terrain
         sea = None if scene.water is not None else False
@@ -86,12 +88,17 @@ class Look:
         if contours is not None:
             u["contour"] = contours.interval, contours.index, contours.width, contours.opacity
             u["contour_colour"][:3] = ink(contours)
+        if silhouettes is not None:
+            near = max(visible_range[0], 1e-3)
+            u["edge"] = *silhouettes.ink, silhouettes.opacity
+            u["edge_range"] = near, max(visible_range[1], near * 1.001, 2e-3), silhouettes.width, silhouettes.reach
         u["levels"] = terrain.levels
         flags = (SHADOWS if len(maps.windows) else 0) | (WATERS if maps.wet else 0)
         flags |= (WIREFRAME if wireframe else 0) | (LEVELS if levels else 0)
         flags |= LIGHTS[scene.light] | (SHADOWS if scene.shadows and scene.light == "aperture" else 0)
         flags |= SKY if scene.sky else 0
         flags |= CONTOURS if contours is not None else 0
+        flags |= SILHOUETTES if silhouettes is not None else 0
         lamplit = scene.light in ("aperture", "raytraced")
         u["flags"] = flags | (SHADOWS if lamplit and scene.shadows else 0)
         u["light"], u["light_first"] = maps.light, maps.first

@@ -23,8 +23,9 @@ from orograph.gpu.following import Following, maps_key
 from orograph.gpu.frame import PLAIN, FrameStats, Overlay
 from orograph.gpu.imagery import Imagery
 from orograph.gpu.lettering import Letters
-from orograph.gpu.look import DRAPE, GIVEN, LABELS, VEILED, WIREFRAME, Look
+from orograph.gpu.look import DRAPE, GIVEN, LABELS, SILHOUETTES, VEILED, WIREFRAME, Look
 from orograph.gpu.meshes import Meshes, MeshPass
+from orograph.gpu.outlines import BreakPass
 from orograph.gpu.passes import PatchPass, ResolvePass, ScreenOcclusion, ShadePass, Targets
 from orograph.gpu.readback import depth_of, veiled_of
 from orograph.gpu.residency import Residency
@@ -79,6 +80,7 @@ class Renderer:
         )
         self._meshes, self._triangles = Meshes(terrain), MeshPass(device, self._camera)
         self._letters = Letters(device, terrain)
+        self._breaks = BreakPass(device, self._camera)
         self._veil = VeilPass(device, self._camera)
         self._shading = ShadePass(device, self._camera)
         self._corners = ScreenOcclusion(device, self._shading)
@@ -150,7 +152,13 @@ class Renderer:
         self.tint = look.tint
         u = look.uniform
         self.device.queue.write_buffer(self._resources.shade, 0, u)
-        bound = self._resources.bound(look, maps, scene, targets, given=given, letters=self._letters.view)
+        breaks = None
+        if int(u["flags"]) & SILHOUETTES:
+            near, far, *_ = u["edge_range"]
+            self._breaks.aim((float(near), float(far)))
+            breaks = self._breaks.view(targets)
+        views = self._letters.view, breaks
+        bound = self._resources.bound(look, maps, scene, targets, given=given, marks=views)
         group = self._shading.group(targets, bound)
         flags = int(u["flags"]) | (VEILED if self._veil.count else 0) | (GIVEN if given else 0)
         flags |= (LABELS if lettered else 0) | (DRAPE if layers else 0)
@@ -269,6 +277,8 @@ class Renderer:
         self.device.queue.write_buffer(self._camera, 0, camera)
         self._ground(encoder, targets, instances, edges=bool(flags & WIREFRAME), given=bool(flags & GIVEN))
         self._veil.draw(encoder, targets)
+        if flags & SILHOUETTES:
+            self._breaks.draw(encoder, targets)
         self._enough = SAMPLES
         if not flags & RAYS:
             self._shading.draw(encoder, targets, group, flags, frame=k)
@@ -314,19 +324,21 @@ class Renderer:
         maps = self._light.maps
         assert maps is not None
         contours = self._contours(scene)
+        outlined = scene.silhouettes is not None and scene.view.projection != "plan"
+        silhouettes = scene.silhouettes.fitted(scene.view) if scene.silhouettes and outlined else None
         near, far = scene.depths or self._light.range
         if not exact:
             near, far = (math.exp(round(10 * math.log(max(v, 1e-3))) / 10) for v in (near, far))
         key = (
             scene.sun, scene.light, scene.lamps, scene.discs, scene.shadows, scene.sky, scene.colormap, scene.water,
             scene.relief, scene.exaggeration, near, far, overlay.wireframe, scene.wireframe,
-            overlay.levels, contours,
+            overlay.levels, contours, silhouettes,
         )  # fmt: skip
 
         def make() -> Look:
             return Look(
                 scene, maps, (near, far), self.kept, wireframe=overlay.wireframe or scene.wireframe,
-                levels=overlay.levels, contours=contours,
+                levels=overlay.levels, contours=contours, silhouettes=silhouettes,
             )  # fmt: skip
 
         return self.kept("look", key, make, maps)

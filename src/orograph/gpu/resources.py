@@ -41,12 +41,20 @@ class Resources:
         self._dark = light_tables(Lights(), np.eye(2), np.zeros(3))
 
     def bound(
-        self, look: Look, maps: LightMaps, scene: Scene, targets: Targets, *, given: bool = False, letters: Any = None
+        self,
+        look: Look,
+        maps: LightMaps,
+        scene: Scene,
+        targets: Targets,
+        *,
+        given: bool = False,
+        marks: tuple[Any, Any] = (None, None),
     ) -> dict[int, Any]:
         """Buffers and views by binding of ``shade.wgsl``, for ``passes.ShadePass.group``.
 
         Args:
-            given: slopes are those that the targets hold. letters: the view of the labels' sheet, if there are any.
+            given: slopes are those that the targets hold. marks: the views of the labels' sheet, if there are
+                any, and of where ground breaks off, if silhouettes are drawn.
         """
         if maps is not self._of[0]:
             windows = np.concatenate([maps.windows, maps.fields])
@@ -69,8 +77,8 @@ class Resources:
             12: self.stored("suns", suns),
             13: self.stored("lamps", lamps),
             14: targets.given_view(self.device) if given else self._blank,
-            15: self._blank if letters is None else letters,
-            16: self._blank,
+            15: self._blank if marks[0] is None else marks[0],
+            16: self._blank if marks[1] is None else marks[1],
         }
 
     def upload(self, name: str, values: NDArray[Any]) -> None:

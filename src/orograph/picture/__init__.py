@@ -6,5 +6,6 @@ from orograph.picture.api import render
 from orograph.picture.contours import Contours
 from orograph.picture.result import Picture
 from orograph.picture.scene import Scene
+from orograph.picture.silhouettes import Silhouettes
 
-__all__ = ["Contours", "Picture", "Scene", "Sun", "camera", "render"]
+__all__ = ["Contours", "Picture", "Scene", "Silhouettes", "Sun", "camera", "render"]

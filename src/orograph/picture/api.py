@@ -18,6 +18,7 @@ from orograph.picture.contours import lines_of
 from orograph.picture.memory import check_memory
 from orograph.picture.result import Picture
 from orograph.picture.scene import Light, Scene
+from orograph.picture.silhouettes import Silhouettes
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
 from orograph.view import View
@@ -47,6 +48,7 @@ def render(
     layers: Given | Iterable[Given] = (),
     water: Literal["auto"] | float | None = "auto",
     contours: Contours | float | None = None,
+    silhouettes: Silhouettes | bool = False,
     sky: bool = False,
     furniture: bool = False,
     title: str | None = None,
@@ -89,6 +91,7 @@ def render(
             Default "auto".
         contours: lines of equal height: metres from line to line, or a ``Contours`` (``orograph.Contours()`` finds an
             interval itself). Default None: none.
+        silhouettes: lines where ridges stand before what is behind them: True, or a ``Silhouettes``. Default False.
         sky: draw sky and haze instead of paper. Default False.
         furniture: add a title, a colour bar, a north arrow and a scale bar. Default False.
         title: the title of the furniture. Default None: the terrain's name.
@@ -136,9 +139,10 @@ def render(
     scene = Scene(
         terrain, view, sun_of(sun, terrain.grid), shadows=shadows, light=light, rays=rays, lamps=tuple(lamps),
         discs=tuple(discs), exaggeration=exaggeration, colormap=colormap, layers=layers_of(layers), sky=sky,
-        water=water, contours=lines_of(contours), relief=relief, samples=samples, tolerance=tolerance, engine=engine,
-        wireframe=wireframe, mesh_view=mesh_view, furniture=furniture, title=title, depths=depths,
-        max_memory=max_memory, jobs=jobs,
+        water=water, contours=lines_of(contours),
+        silhouettes=Silhouettes() if silhouettes is True else silhouettes or None, relief=relief, samples=samples,
+        tolerance=tolerance, engine=engine, wireframe=wireframe, mesh_view=mesh_view, furniture=furniture,
+        title=title, depths=depths, max_memory=max_memory, jobs=jobs,
     )  # fmt: skip
     return draw(scene, progress, backend=backend)
 

@@ -25,6 +25,7 @@ from orograph.picture.memory import check_memory
 from orograph.picture.result import Picture, plan_grid
 from orograph.picture.scene import Scene
 from orograph.picture.shading import Shader
+from orograph.picture.silhouettes import Outlines, rim
 from orograph.picture.survey import Survey
 from orograph.progress import SILENT, Progress
 from orograph.tessellation import Tessellation
@@ -101,8 +102,9 @@ def draw(
         progress.warn(f"a picture of this size takes about {least >> 20} MiB, more than --max-memory allows.")
     lap("heights")
     inner = frame(scene)
-    # What is antialiased depends on the pixels around: a tile is drawn with a rim of one pixel, which is left out.
-    area = inner if scene.samples == 1 else _rimmed(inner, view.whole)
+    lines = scene.silhouettes.fitted(view) if scene.silhouettes and view.projection != "plan" else None
+    # What is antialiased depends on the pixels around, and silhouettes do: a tile is drawn with a rim, left out then.
+    area = _rimmed(inner, view.whole, max(int(scene.samples > 1), 0 if lines is None else rim(lines)))
     with progress.task("Casting rays"):
         survey = Survey.of(ground.rays)
         if survey is None:
@@ -155,6 +157,10 @@ def draw(
             for n in map_ordered(refine, range(0, len(edges), max(1, BLOCK // scene.samples)), scene.jobs):
                 task.advance(n * len(ft) / max(1, len(edges)))
             lap("antialiasing")
+        if lines is not None:
+            outlines = Outlines(lines, ground, area, scene.depths or survey.range)
+            outlines.draw(linear, np.where(np.isfinite(veil), veil, t), pattern(scene.samples), shader.air)
+            lap("silhouettes")
     linear, t, veiled = linear[own], t[own], np.isfinite(veil[own])
     if mesh is not None and scene.wireframe:
         from orograph.picture.wireframe import draw_edges
@@ -190,8 +196,9 @@ def frame(scene: Scene) -> Area:
     return top, top + scene.view.height, left, left + scene.view.width
 
 
-def _rimmed(area: Area, whole: View) -> Area:
-    return max(area[0] - 1, 0), min(area[1] + 1, whole.height), max(area[2] - 1, 0), min(area[3] + 1, whole.width)
+def _rimmed(area: Area, whole: View, by: int) -> Area:
+    top, bottom, left, right = area
+    return max(top - by, 0), min(bottom + by, whole.height), max(left - by, 0), min(right + by, whole.width)
 
 
 def encode(linear: Colours) -> NDArray[np.uint8]:

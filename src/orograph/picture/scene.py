@@ -15,6 +15,7 @@ from orograph.view import View
 if TYPE_CHECKING:
     from orograph.light.aperture import Lamp
     from orograph.picture.contours import Contours
+    from orograph.picture.silhouettes import Silhouettes
 
 EXACT_SAMPLES = 4100 * 4100
 """Terrains of up to this many samples are drawn at full resolution unless a tolerance is asked for."""
@@ -51,6 +52,7 @@ class Scene:
         sky: draw sky and haze; else the background is paper.
         water: "auto" finds seas and lakes by their flatness, None draws none, a number is a water level in metres.
         contours: lines of equal height on the ground; None: none.
+        silhouettes: lines where ridges stand before what is behind them; None: none.
         relief: factor on slopes for shading only; None strengthens small scales and gentle land, 1 is nature.
         samples: rays per pixel where the picture has edges (1: no antialiasing).
         tolerance: pixels; 0 demands the exact surface, None decides by size (``EXACT_SAMPLES``, ``DEFAULT_TOLERANCE``).
@@ -82,6 +84,7 @@ class Scene:
     sky: bool = False
     water: Literal["auto"] | float | None = "auto"
     contours: Contours | None = None
+    silhouettes: Silhouettes | None = None
     relief: float | None = None
     samples: int = 4
     tolerance: float | None = None

@@ -18,6 +18,7 @@ from orograph.gpu.frame import Normals
 from orograph.light.sun import Moment, Placed, Sun, SunSource, place
 from orograph.picture.contours import Contours
 from orograph.picture.scene import Scene
+from orograph.picture.silhouettes import Silhouettes
 from orograph.store.terrain import Terrain
 from orograph.view import View
 
@@ -124,7 +125,7 @@ class Settings:
         light: see ``Light``.
         exaggeration, shadows, colormap, layers, water, sky, relief, tolerance: as in ``Scene``.
         painted: a layer above all others for as long as a tool shows its result, or None.
-        wireframe, levels: as in ``gpu.frame.Overlay``. contours: as in ``Scene``; a window's labels fade.
+        wireframe, levels: as in ``gpu.frame.Overlay``. contours, silhouettes: as in ``Scene``; a window's labels fade.
         way: how light falls, as in ``Scene.light`` but for rays. occlusion: strength of what screen space darkens.
         budget: triangles to keep near instead of a tolerance, or None.
         engine: as in ``Scene``: which method makes the mesh; None: batched patches, the window's own.
@@ -147,6 +148,7 @@ class Settings:
     wireframe: bool = False
     levels: bool = False
     contours: Contours | None = None
+    silhouettes: Silhouettes | None = None
     way: Literal["relief", "ao", "aperture", "none"] = "relief"
     occlusion: float = 0.0
     engine: str | None = None
@@ -167,8 +169,8 @@ class Settings:
         return Scene(
             terrain, view, self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
             colormap=self.colormap, layers=self.stack, sky=self.sky, water=self.water,
-            contours=self.contours and replace(self.contours, fading=True), relief=self.relief,
-            tolerance=self.tolerance, light=self.way, engine=self.engine,
+            contours=self.contours and replace(self.contours, fading=True), silhouettes=self.silhouettes,
+            relief=self.relief, tolerance=self.tolerance, light=self.way, engine=self.engine,
             depths=(near, near + HAZE * math.hypot(east - west, north - south)),
         )  # fmt: skip
 

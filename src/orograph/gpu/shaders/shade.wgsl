@@ -15,6 +15,8 @@ struct Shade {
   tint: vec4<f32>,          // low, high, floor (metres)
   contour: vec4<f32>,       // interval (metres, 0: none), every how many an index contour, width in pixels, opacity
   contour_colour: vec4<f32>,
+  edge: vec4<f32>,          // of silhouettes: colour, opacity
+  edge_range: vec4<f32>,    // depths in view (metres), width of lines in pixels, pixels that they reach
   side: vec2<f32>,          // horizontal direction towards the sun
   sky_at: u32, sky_rows: u32,
   sky_cols: u32, ring_at: u32,
@@ -59,6 +61,7 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 // not. 1 shadows, 2 water, 4 layers, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
 // 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes.
 const FLAGS: u32 = {{FLAGS}}u;
+// include: lines.wgsl
 const SLOPE_SIDE: i32 = 258;
 const PER_SIDE: i32 = 4;
 
@@ -325,10 +328,15 @@ fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
 // What is seen where the depth buffer is empty (the depth test says so).
 @fragment
 fn background(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
+  let d = normalize(ray_of(at.xy).direction);
+  var colour = shade.paper.rgb;
   if ((FLAGS & 256u) != 0u) {
-    return vec4<f32>(sky(normalize(ray_of(at.xy).direction)), 1.0);
+    colour = sky(d);
   }
-  return vec4<f32>(shade.paper.rgb, 1.0);
+  if ((FLAGS & 8192u) != 0u) {
+    colour = outlined(colour, vec2<i32>(at.xy), d);
+  }
+  return vec4<f32>(colour, 1.0);
 }
 
 @fragment
@@ -348,6 +356,9 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     if ((FLAGS & 256u) != 0u) {
       veil = haze(veil, d, depth);
     }
+    if ((FLAGS & 8192u) != 0u) {
+      veil = outlined(veil, pixel, d);
+    }
     return vec4<f32>(veil, 1.0);
   }
   let seen = ground(hit.place, hit.height, hit.footprint, position, depth, pixel);
@@ -366,6 +377,9 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   }
   if ((FLAGS & 256u) != 0u) {
     colour = haze(colour, d, depth);
+  }
+  if ((FLAGS & 8192u) != 0u) {
+    colour = outlined(colour, pixel, d);
   }
   if ((FLAGS & 8u) != 0u) {
     colour = mix(colour, vec3<f32>(0.02), 0.75 * f32((mark >> 16u) & 255u) / 255.0);

@@ -16,6 +16,7 @@ from orograph.geovis.colour import TINTS, colour_table
 from orograph.geovis.layers import Layer, check_count
 from orograph.picture.contours import Contours
 from orograph.picture.kept import Kept
+from orograph.picture.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -60,7 +61,22 @@ def draw(window: Window) -> None:
         _, settings.water = imgui.slider_float("water level", settings.water, low, high, "%.1f m")
     _layers(window)
     _contours(window)
+    _silhouettes(window)
     _, settings.furniture = imgui.checkbox("north, scale, colours", settings.furniture)
+
+
+def _silhouettes(window: Window) -> None:
+    """Lines where ridges stand before what is behind them, and their width."""
+    settings = window.session.settings
+    moved, on = imgui.checkbox("silhouettes", settings.silhouettes is not None)
+    if moved:
+        settings.silhouettes = Silhouettes() if on else None
+    if settings.silhouettes is not None:
+        imgui.same_line()
+        imgui.set_next_item_width(-60)
+        moved, width = imgui.slider_float("##silhouettes", settings.silhouettes.width, 0.5, 6.0, "%.1f px")
+        if moved:
+            settings.silhouettes = replace(settings.silhouettes, width=min(max(width, 0.25), 32.0))
 
 
 def _contours(window: Window) -> None:

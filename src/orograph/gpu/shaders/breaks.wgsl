@@ -1,0 +1,63 @@
+// Where ground breaks off between a pixel and the next one to the right (r, b) and below (g, a): the weight of a line
+// there, and the logarithm (base 2) of the nearer side's depth. As picture/silhouette_kernels.py.
+// include: camera.wgsl
+
+@group(0) @binding(1) var depths: texture_depth_2d;
+@group(0) @binding(2) var<uniform> range: vec4<f32>;   // the nearest and the farthest depth in view, metres
+
+@vertex
+fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
+  return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
+}
+
+// The inverse of a pixel's depth, in units of the near plane's; 0: nothing there, or beyond the picture.
+fn inverse(at: vec2<i32>) -> f32 {
+  if (any(at < vec2<i32>(0)) || any(at >= vec2<i32>(textureDimensions(depths)))) {
+    return 0.0;
+  }
+  return textureLoad(depths, at, 0);
+}
+
+// Whether the raster ends about a pixel's ground, which may reach as far as that of the one before it (inverse depth).
+fn ends(at: vec2<i32>, w: f32, before: f32) -> bool {
+  let ray = ray_of(vec2<f32>(at) + 0.5);
+  let depth = depth_of(w);
+  let position = ray.origin + ray.direction * depth;
+  let cells = vec2<f32>(dot(camera.inverse.xy, position.xy), dot(camera.inverse.zw, position.xy)) + camera.eye_frac;
+  let place = cells + vec2<f32>(camera.eye_cell);
+  let spacing = sqrt(abs(camera.linear.x * camera.linear.w - camera.linear.y * camera.linear.z));
+  let reach = select(0.0, 2.0 * abs(depth - depth_of(before)) / spacing, before > 0.0);
+  let margin = 2.0 + 3.0 * camera.pixel * depth / spacing + reach;
+  return min(min(place.x, place.y), min(f32(camera.last.x) - place.x, f32(camera.last.y) - place.y)) < margin;
+}
+
+fn broken(at: vec2<i32>, step: vec2<i32>) -> vec2<f32> {
+  let w1 = inverse(at);
+  let w2 = inverse(at + step);
+  if (max(w1, w2) <= 0.0 || any(at + step >= vec2<i32>(textureDimensions(depths)))) {
+    return vec2<f32>(0.0);
+  }
+  var weight = 1.0;
+  if (min(w1, w2) > 0.0) {
+    let w0 = inverse(at - step);
+    let w3 = inverse(at + 2 * step);
+    var a = select(-1.0, abs(w1 - w0), w0 > 0.0);
+    var b = select(-1.0, abs(w3 - w2), w3 > 0.0);
+    a = select(a, max(b, 0.0), a < 0.0);
+    b = select(b, a, b < 0.0);
+    weight = smoothstep(0.012, 0.06, (abs(w2 - w1) - 2.0 * min(a, b) - 0.5 * max(a, b)) / max(w1, w2));
+  } else if (ends(select(at + step, at, w1 > 0.0), max(w1, w2), inverse(select(at + 2 * step, at - step, w1 > 0.0)))) {
+    weight = 0.0;
+  }
+  let z = depth_of(max(w1, w2));
+  let far = clamp(log(z / range.x) / log(range.y / range.x), 0.0, 1.0);
+  return vec2<f32>(weight * (1.0 - 0.65 * far), log2(z));
+}
+
+@fragment
+fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
+  let pixel = vec2<i32>(at.xy);
+  let right = broken(pixel, vec2<i32>(1, 0));
+  let below = broken(pixel, vec2<i32>(0, 1));
+  return vec4<f32>(right.x, below.x, right.y, below.y);
+}

@@ -1,0 +1,50 @@
+// Silhouettes: how much of a pixel lines on breaks cover, and how far away they are (picture/silhouette_kernels.py).
+// Needs ``breaks`` (texture) and ``shade`` (uniform): edge: their colour and opacity; edge_range: nearest and farthest
+// depth, width of the nearest lines in pixels, pixels to look around.
+
+struct Line { cover: f32, depth: f32 };
+
+fn silhouette(pixel: vec2<i32>) -> Line {
+  var found = Line(0.0, 1.0);
+  let size = vec2<i32>(textureDimensions(breaks));
+  let reach = i32(shade.edge_range.w);
+  let span = log2(shade.edge_range.y / shade.edge_range.x);
+  for (var r = -reach; r <= reach; r++) {
+    for (var c = -reach; c <= reach; c++) {
+      let at = pixel + vec2<i32>(c, r);
+      if (any(at < vec2<i32>(0)) || any(at >= size)) {
+        continue;
+      }
+      let here = textureLoad(breaks, at, 0);
+      for (var k = 0; k < 2; k++) {
+        let weight = select(here.g, here.r, k == 0);
+        if (weight <= found.cover) {
+          continue;
+        }
+        let z = select(here.a, here.b, k == 0);
+        let d = select(
+          vec2<f32>(max(abs(f32(c)) - 0.5, 0.0), f32(r) + 0.5), vec2<f32>(f32(c) + 0.5, max(abs(f32(r)) - 0.5, 0.0)), k == 0);
+        let far = clamp((z - log2(shade.edge_range.x)) / span, 0.0, 1.0);
+        let half = 0.5 * shade.edge_range.z * (1.0 - 0.4 * far);
+        let cover = weight * clamp(half + 0.5 - length(d), 0.0, min(2.0 * half, 1.0));
+        if (cover > found.cover) {
+          found = Line(cover, exp2(z));
+        }
+      }
+    }
+  }
+  return found;
+}
+
+// A colour with the silhouettes of a pixel over it; ``d``: the ray's unit direction, for the haze before them.
+fn outlined(colour: vec3<f32>, pixel: vec2<i32>, d: vec3<f32>) -> vec3<f32> {
+  let line = silhouette(pixel);
+  if (line.cover <= 0.0) {
+    return colour;
+  }
+  var ink = shade.edge.rgb;
+  if ((FLAGS & 256u) != 0u) {
+    ink = haze(ink, d, line.depth);
+  }
+  return mix(colour, ink, line.cover * shade.edge.w);
+}

@@ -1,0 +1,119 @@
+"""The inner loops of silhouettes (``picture.silhouettes``): where ground breaks off, and what lines there cover."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import inlined, kernel
+
+HIDDEN = 0.012, 0.06
+"""What is hidden, as a part of the depth, where lines begin, and where they have their whole weight."""
+
+ACROSS, BESIDE = 2.0, 0.5
+"""Steps of the flatter and of the steeper side that a step between two pixels may have without a break."""
+
+FAINT, THIN = 0.35, 0.6
+"""Parts of opacity and of width that lines at the farthest ground keep."""
+
+
+@inlined
+def farness(z, near, far):
+    """0 at the nearest ground, 1 at the farthest, by the logarithm of the depth."""
+    return min(max(np.log(z / near) / np.log(far / near), 0.0), 1.0)
+
+
+@kernel
+def _broken(w0, w1, w2, w3):
+    """Weight of the break between two pixels of inverse depths w1 and w2; w0, w3: those beyond them, 0: nothing."""
+    a = abs(w1 - w0) if w0 > 0.0 else -1.0
+    b = abs(w3 - w2) if w3 > 0.0 else -1.0
+    if a < 0.0:
+        a = max(b, 0.0)
+    if b < 0.0:
+        b = a
+    hidden = (abs(w2 - w1) - ACROSS * min(a, b) - BESIDE * max(a, b)) / max(w1, w2)
+    t = min(max((hidden - HIDDEN[0]) / (HIDDEN[1] - HIDDEN[0]), 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+@kernel
+def breaks(depth, left, top, basis, linear, offset, pixel, spacing, last_col, last_row, near, far, strong, nearest):
+    """Weights of the breaks between each pixel and the next one to the right (0) and below (1).
+
+    Args:
+        depth: (rows, cols), NaN: nothing. left, top: pixel position of the first one.
+        basis: (6, 3) of ``View.ray_basis``; linear, offset: from there to sample coordinates.
+        pixel: metres that a pixel is at unit depth. spacing: of samples, metres. last_col, last_row: of the raster.
+        near, far: depths in view, metres.
+        strong, nearest: out (2, rows, cols): weights, and the depth of the nearer side.
+    """
+    rows, cols = depth.shape
+    for i in range(rows):
+        for j in range(cols):
+            for k in range(2):
+                di, dj = (0, 1) if k == 0 else (1, 0)
+                strong[k, i, j], nearest[k, i, j] = 0.0, np.inf
+                if i + di >= rows or j + dj >= cols:
+                    continue
+                z1, z2 = depth[i, j], depth[i + di, j + dj]
+                one, two = z1 == z1, z2 == z2
+                if not (one or two):
+                    continue
+                z = min(z1, z2) if one and two else (z1 if one else z2)
+                weight = 1.0
+                if one and two:
+                    w0 = w3 = 0.0
+                    if i - di >= 0 and j - dj >= 0:
+                        z0 = depth[i - di, j - dj]
+                        w0 = 1.0 / z0 if z0 == z0 else 0.0
+                    if i + 2 * di < rows and j + 2 * dj < cols:
+                        z3 = depth[i + 2 * di, j + 2 * dj]
+                        w3 = 1.0 / z3 if z3 == z3 else 0.0
+                    weight = _broken(w0, 1.0 / z1, 1.0 / z2, w3)
+                else:
+                    # Against nothing: unless the raster ends there.
+                    px, py = left + j + (0 if one else dj), top + i + (0 if one else di)
+                    x = basis[0, 0] + z * (basis[3, 0] + px * basis[4, 0] + py * basis[5, 0])
+                    y = basis[0, 1] + z * (basis[3, 1] + px * basis[4, 1] + py * basis[5, 1])
+                    col = linear[0, 0] * x + linear[0, 1] * y + offset[0]
+                    row = linear[1, 0] * x + linear[1, 1] * y + offset[1]
+                    # A pixel's ground may reach as far as that of the one before it.
+                    y0, x0 = (i - di, j - dj) if one else (i + 2 * di, j + 2 * dj)
+                    before = depth[y0, x0] if 0 <= y0 < rows and 0 <= x0 < cols else z
+                    reach = 2.0 * abs(z - before) / spacing if before == before else 0.0
+                    margin = 2.0 + 3.0 * pixel * z / spacing + reach
+                    if min(col, row, last_col - col, last_row - row) < margin:
+                        weight = 0.0
+                if weight > 0.0:
+                    strong[k, i, j] = weight * (1.0 - (1.0 - FAINT) * farness(z, near, far))
+                    nearest[k, i, j] = z
+
+
+@kernel
+def gather(strong, nearest, near, far, width, reach, cover, depth):
+    """Coverage (rows, cols) of pixels by lines on breaks, and the depth of the line that covers most.
+
+    Args:
+        width: of the nearest lines, pixels. reach: pixels to look around.
+    """
+    rows, cols = cover.shape
+    for i in range(rows):
+        for j in range(cols):
+            best, z = np.float32(0.0), np.inf
+            for r in range(max(i - reach, 0), min(i + reach + 1, rows)):
+                for c in range(max(j - reach, 0), min(j + reach + 1, cols)):
+                    for k in range(2):
+                        s = strong[k, r, c]
+                        if s <= best:
+                            continue
+                        # From this pixel's centre to the border between the two pixels, a segment of unit length.
+                        if k == 0:
+                            dx, dy = c + 0.5 - j, max(abs(r - i) - 0.5, 0.0)
+                        else:
+                            dx, dy = max(abs(c - j) - 0.5, 0.0), r + 0.5 - i
+                        f = farness(nearest[k, r, c], near, far)
+                        half = 0.5 * width * (1.0 - (1.0 - THIN) * f)
+                        s *= min(max(half + 0.5 - np.sqrt(dx * dx + dy * dy), 0.0), min(2.0 * half, 1.0))
+                        if s > best:
+                            best, z = s, nearest[k, r, c]
+            cover[i, j], depth[i, j] = best, z

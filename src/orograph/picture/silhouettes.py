@@ -1,0 +1,150 @@
+"""Silhouettes: lines where one ridge stands before another or before the sky, as in drawn panoramas.
+
+Along a row or a column of pixels 1/depth is linear on any plane, however slanted, so its steps are equal there. Where
+the step between two pixels is larger than those beside it account for, ground is hidden between them: the surface has
+turned away from the eye and begins again farther off. What is hidden, as a part of the distance, is the line's weight:
+plains seen at a grazing angle, whose steps are large and alike, have no lines, and a ridge hardly before the next slope
+has a faint one. Lines lie on the borders between such pixels, are ``width`` pixels wide, fade and become thinner with
+distance (Imhof 1963 draws the foreground's outlines strongest), and lie as far away as the nearer ground does: haze
+comes before them. Where the terrain ends at its raster's border there is none: that is no ridge.
+
+A map seen from straight above has no silhouettes. Units: pixels; metres of depth; colours are sRGB from 0 to 1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.geovis.colour import srgb_to_linear
+from orograph.parallel import map_ordered
+from orograph.view import View
+
+if TYPE_CHECKING:
+    from orograph.picture.ground import Area, Ground
+
+Array = NDArray[np.float64]
+Colours = NDArray[np.float32]
+
+USUAL = 1100
+"""Pixels of a picture's shorter side beyond which lines are wider: such pictures are for print."""
+
+
+@dataclass(frozen=True, slots=True)
+class Silhouettes:
+    """How silhouettes are drawn.
+
+    Attributes:
+        width: of the nearest ones, pixels; more in pictures for print (``USUAL``). opacity: of those, 0 to 1.
+        colour: sRGB, 0 to 1.
+
+    Raises:
+        UsageError: a number is out of its range.
+    """
+
+    width: float = 2.0
+    opacity: float = 0.8
+    colour: tuple[float, float, float] = (0.20, 0.18, 0.20)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.width <= 32:
+            raise UsageError(f"Silhouettes are a number of pixels wide, more than 0 and at most 32, not {self.width}.")
+        if not 0 <= self.opacity <= 1:
+            raise UsageError(f"The opacity of silhouettes is from 0 to 1, not {self.opacity:g}.")
+        if len(self.colour) != 3 or not all(0 <= c <= 1 for c in self.colour):
+            raise UsageError(f"The colour of silhouettes is three numbers from 0 to 1, not {self.colour}.")
+
+    def fitted(self, view: View) -> Silhouettes:
+        """These lines for one picture: with a width for its number of pixels."""
+        _, _, width, height = view.frame
+        return replace(self, width=min(self.width * max(1.0, min(width, height) / USUAL), 32.0))
+
+    @property
+    def ink(self) -> Colours:
+        """The colour (3,), linear light."""
+        return np.asarray(srgb_to_linear(np.array(self.colour, np.float32)), np.float32)
+
+    @property
+    def reach(self) -> int:
+        """Pixels from a line within which a pixel may be covered by it."""
+        return math.ceil(self.width / 2 + 0.5)
+
+
+def rim(lines: Silhouettes) -> int:
+    """Pixels around a tile that its silhouettes depend on."""
+    return lines.reach + 3
+
+
+class Outlines:
+    """The silhouettes of one picture, or of an area of it.
+
+    Args:
+        lines: ``fitted``. area: pixels of the whole picture. depths: nearest and farthest in view, metres.
+    """
+
+    def __init__(self, lines: Silhouettes, ground: Ground, area: Area, depths: tuple[float, float]) -> None:
+        self.lines, self.ground, self.area = lines, ground, area
+        self.depths = max(depths[0], 1e-3), max(depths[1], depths[0] * 1.001, 2e-3)
+
+    def draw(self, linear: Colours, depth: Array, samples: Array, air: Any) -> None:
+        """Draw over a picture.
+
+        Args:
+            linear: (rows, cols, 3) of the area. depth: of the ground or the veil at pixel centres, NaN: none.
+            samples: (n, 2) positions in a pixel that its coverage is averaged over.
+            air: what comes before lines (``picture.sky.Atmosphere``), or None.
+        """
+        cover, near = self._cover(depth, 0.5, 0.5)
+        if len(samples) > 1:
+            from scipy.ndimage import binary_dilation
+
+            touched = binary_dilation(cover > 0, iterations=1)
+            asked = binary_dilation(touched, iterations=rim(self.lines))
+            mean, nearest = np.zeros(cover.shape, np.float32), np.full(cover.shape, np.inf)
+            rows, cols = np.nonzero(asked)
+
+            def at(place: Array) -> tuple[Colours, Array]:
+                moved = depth.copy()
+                t, _, veil = self.ground.rays.cast(cols + self.area[2] + place[0], rows + self.area[0] + place[1])
+                moved[rows, cols] = np.where(np.isfinite(veil), veil, t)
+                return self._cover(moved, *place)
+
+            for one, z in map_ordered(at, list(samples), self.ground.scene.jobs):
+                mean += one
+                nearest = np.fmin(nearest, np.where(one > 0, z, np.inf))
+            cover, near = np.where(touched, mean / np.float32(len(samples)), np.float32(0)), nearest
+        rows, cols = np.nonzero(cover > 0)
+        if not len(rows):
+            return
+        ink = np.broadcast_to(self.lines.ink, (len(rows), 3)).astype(np.float32)
+        if air is not None:
+            px, py = cols + (self.area[2] + 0.5), rows + (self.area[0] + 0.5)
+            t = near[rows, cols]
+            none = np.full(len(t), np.nan)
+            hits = self.ground.rays.meet(
+                px.astype(np.float64), py.astype(np.float64), t, np.zeros(len(t), np.int8), none
+            )
+            ink = air.haze(ink, hits.rays, t)
+        part = (cover[rows, cols] * np.float32(self.lines.opacity))[:, None]
+        linear[rows, cols] += part * (ink - linear[rows, cols])
+
+    def _cover(self, depth: Array, x: float, y: float) -> tuple[Colours, Array]:
+        """Coverage (rows, cols) by lines where depths are those at (x, y) in each pixel, and depths of the lines."""
+        from orograph.picture.silhouette_kernels import breaks, gather
+
+        rays, grid = self.ground.rays, self.ground.scene.terrain.grid
+        rows, cols = depth.shape
+        strong, near = np.empty((2, rows, cols), np.float32), np.empty((2, rows, cols))
+        breaks(
+            depth, self.area[2] + x, self.area[0] + y, np.array(rays.basis), rays.linear, rays.offset,
+            rays.view.pixel_slope, rays.spacing, float(grid.cols - 1), float(grid.rows - 1), *self.depths, strong,
+            near,
+        )  # fmt: skip
+        cover, nearest = np.empty((rows, cols), np.float32), np.empty((rows, cols))
+        gather(strong, near, *self.depths, self.lines.width, self.lines.reach, cover, nearest)
+        return cover, nearest
