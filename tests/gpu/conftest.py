@@ -1,27 +1,14 @@
-"""A GPU device for tests: software Vulkan in CI, where a missing adapter is a failure; elsewhere a reason to skip."""
+"""Real ground for tests of the GPU's methods."""
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from orograph.gpu.device import Device, NoAdapterError, open_device
-
 sys.path.insert(0, str(Path(__file__).parents[1] / "store"))  # ``webserver``
-
-
-@pytest.fixture(scope="session")
-def device() -> Device:
-    try:
-        return open_device()
-    except NoAdapterError as error:
-        if os.environ.get("CI"):
-            pytest.fail(f"CI tests the GPU: {error}")
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")

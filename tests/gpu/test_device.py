@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from orograph.gpu import device as gpu
-from orograph.gpu.device import Adapter, Device, NoAdapterError
+from orograph.gpu.device import Adapter, Device, DeviceLimitError, NoAdapterError
 
 
 def test_there_is_one_device_for_the_process(device: Device) -> None:
@@ -48,6 +52,68 @@ def test_a_shader_computes(device: Device, monkeypatch: pytest.MonkeyPatch) -> N
     device.queue.submit([encoder.finish()])
     device.wait()
     np.testing.assert_allclose(device.read_buffer(buffer, np.float32), np.sqrt(values), rtol=1e-6)
+
+
+class Small:
+    """A device's handle with limits of its own."""
+
+    def __init__(self, handle: Any, **limits: int) -> None:
+        self._handle = handle
+        self.limits = {**handle.limits, **{name.replace("_", "-"): most for name, most in limits.items()}}
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._handle, name)
+
+
+def test_what_is_too_large_is_told_with_the_remedy(device: Device) -> None:
+    limits = {"max_storage_buffer_binding_size": 4096, "max_texture_dimension_2d": 256, "max_texture_array_layers": 8}
+    small = replace(device, handle=Small(device.handle, **limits, max_texture_dimension_3d=64))
+    assert small.buffer(4096, "STORAGE").size == 4096 and small.buffer(1 << 20, "VERTEX").size == 1 << 20
+    with pytest.raises(DeviceLimitError, match=r"heights takes 1 MiB.*smaller picture"):
+        small.buffer(np.zeros(1 << 18, np.float32), "STORAGE", "heights")
+    with pytest.raises(DeviceLimitError, match="Walk"):
+        small.buffer(1 << 31, "COPY_SRC", remedy="Walk.")
+    for size, dimension in (((257, 4), "2d"), ((4, 4, 9), "2d"), ((4, 4, 65), "3d")):
+        with pytest.raises(DeviceLimitError, match="× 4"):
+            small.texture(size, "rgba8unorm", "TEXTURE_BINDING", dimension=dimension)  # type: ignore[arg-type]
+    assert small.texture((256, 4, 8), "rgba8unorm", "TEXTURE_BINDING").size == (256, 4, 8)
+
+
+def test_a_device_out_of_memory_is_told(device: Device) -> None:
+    import wgpu
+
+    def full(**how: Any) -> None:
+        raise wgpu.GPUOutOfMemoryError("Not enough memory left.")
+
+    handle = Small(device.handle)
+    handle.create_buffer = handle.create_texture = full  # type: ignore[attr-defined]
+    small = replace(device, handle=handle)
+    with pytest.raises(DeviceLimitError, match="no 3 MiB of memory left for maps"):
+        small.buffer(3 << 20, "STORAGE", "maps")
+    with pytest.raises(DeviceLimitError, match="memory left"):
+        small.texture((64, 64), "rgba8unorm", "TEXTURE_BINDING")
+
+
+@pytest.mark.parametrize("method", ["shadow-maps", "cone-tracing"])
+def test_occlusion_beyond_the_device_is_refused_before_any_work(device: Device, method: str) -> None:
+    """A raster of 20,000² that nobody reads: the radius that fits is named."""
+    from orograph.gpu import cone_tracing, occlusion_maps
+    from orograph.light.products import Options
+
+    def never(*window: int) -> np.ndarray:
+        raise AssertionError("work was begun")
+
+    small = replace(device, handle=Small(device.handle, max_storage_buffer_binding_size=1 << 27))
+    run = {"shadow-maps": occlusion_maps.run, "cone-tracing": cone_tracing.run}[method]
+    how = {"shape": (20_000, 20_000), "linear": np.diag([10.0, -10.0]), "heights": never, "budget": 1 << 40}
+
+    def context(radius: float | None) -> Any:
+        return SimpleNamespace(options=Options(radius=radius, rays=64, more={"method": method}), **how)
+
+    for radius in (None, 100_000.0):
+        with pytest.raises(DeviceLimitError, match=r"radius of at most 28000 m.*sweeps"):
+            run(context(radius), small)
+    run(context(28_000.0), small)
 
 
 def _offers(monkeypatch: pytest.MonkeyPatch, *offered: tuple[str, str, str]) -> None:

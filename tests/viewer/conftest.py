@@ -15,7 +15,7 @@ import pytest
 import rasterio
 from affine import Affine
 
-from orograph.gpu.device import Device, NoAdapterError, open_device
+from orograph.gpu.device import Device
 
 EAST, NORTH, SIDE, CELL = 412_000.0, 4_987_000.0, 257, 30.0
 """Where the test terrain lies: its first sample, samples a side, metres between them."""
@@ -41,16 +41,6 @@ def dem(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ) as file:  # fmt: skip
         file.write(heights(), 1)
     return path
-
-
-@pytest.fixture(scope="session")
-def device() -> Device:
-    try:
-        return open_device()
-    except NoAdapterError as error:
-        if os.environ.get("CI"):
-            pytest.fail(f"CI tests the GPU: {error}")
-        pytest.skip(str(error))
 
 
 @pytest.fixture(autouse=True)

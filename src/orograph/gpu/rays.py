@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -244,12 +245,22 @@ class Rays:
         self.device.queue.write_buffer(self._uniform, 0, frame)
 
 
+@cache
 def _spread(total: int) -> int:
-    """A factor that runs through all of ``total`` numbers and spreads what follows each other evenly over them."""
-    k = max(round(total * 0.6180339887498949), 1)
-    while math.gcd(k, total) != 1:
-        k += 1
-    return k % total if total > 1 else 1
+    """A factor that runs through all of ``total`` numbers and spreads what follows each other evenly over them: of
+    those near the golden section the one that leaves the smallest gaps."""
+    near = round(total * 0.6180339887498949)
+    some = [k for k in range(max(near - 32, 1), near + 33) if math.gcd(k, total) == 1] or [1]
+
+    def gaps(k: int) -> float:
+        worst = 0.0
+        for part in (total // 16, total // 8, total // 4, total // 2):
+            if part > 1:
+                numbers = np.sort(np.arange(part) * k % total)
+                worst = max(worst, float(np.diff(np.append(numbers, numbers[0] + total)).max()) * part / total)
+        return worst
+
+    return min(some, key=gaps) % max(total, 2)
 
 
 def blocked(

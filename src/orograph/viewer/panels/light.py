@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
+
+from orograph.picture.scene import Light
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
 
 PRESETS = (("Map", 315.0, 45.0), ("Morning", 100.0, 18.0), ("Noon", 180.0, 60.0), ("Evening", 280.0, 12.0))
 
-WAYS: tuple[tuple[str, Literal["relief", "ao", "aperture", "none"]], ...] = (
+WAYS: tuple[tuple[str, Light], ...] = (
     ("sky view", "relief"),
     ("ambient occlusion", "ao"),
     ("ambient aperture", "aperture"),
+    ("rays", "raytraced"),
     ("none", "none"),
 )
-"""How light falls (``Scene.light``); baked layers of the store are used where there are some."""
+"""How light falls (``Scene.light``): baked layers of the store are used where there are some; rays gather at rest."""
 
 
 def draw(window: Window) -> None:
