@@ -17,7 +17,8 @@ from orograph.geovis.layers import Layer
 from orograph.gpu.frame import Normals
 from orograph.light.sun import Moment, Placed, Sun, SunSource, place
 from orograph.picture.contours import Contours
-from orograph.picture.scene import Light, Scene
+from orograph.picture.scene import Light as Way
+from orograph.picture.scene import Scene
 from orograph.picture.silhouettes import Silhouettes
 from orograph.store.terrain import Terrain
 from orograph.view import View
@@ -149,7 +150,7 @@ class Settings:
     levels: bool = False
     contours: Contours | None = None
     silhouettes: Silhouettes | None = None
-    way: Light = "relief"
+    way: Way = "relief"
     occlusion: float = 0.0
     engine: str | None = None
     normals: Normals = "computed"
