@@ -1,4 +1,4 @@
-"""The synthetic terrain of the benches: what ``orograph synth --size SIZE --seed SEED`` writes, in memory or as a store.
+"""The benches' synthetic terrain, in memory or as a store: what ``orograph synth --size SIZE --seed SEED`` writes.
 
     python bench/synthetic.py SIZE [--folder FOLDER] [--jobs N]
 
@@ -22,7 +22,6 @@ from orograph.errors import OutputError
 from orograph.geo.grid import Grid
 from orograph.picture.prepare import cache_folder
 from orograph.progress import SILENT, Progress
-from orograph.store.detect import is_store
 from orograph.store.memory import MemoryTerrain
 from orograph.store.stored import StoredTerrain
 
@@ -60,7 +59,7 @@ def synthetic_store(
         OutputError: the disk has no room for it.
     """
     place = (folder or cache_folder()) / f"synthetic-{size}.oro"
-    if is_store(place):
+    if place.is_dir():
         return store.open(place)
     place.parent.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(place.parent).free

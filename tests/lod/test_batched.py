@@ -379,7 +379,7 @@ def test_whatever_tiles_are_there_patches_conform(
     assert set(report.defects) <= {"wrong_heights"}
 
 
-@pytest.mark.parametrize(("legs", "size", "seed"), [(2, 65, 1), (4, 65, 2)])
+@pytest.mark.parametrize(("legs", "size", "seed"), [(2, 65, 1), (4, 65, 2), (8, 129, 3), (16, 257, 4)])
 def test_nothing_jumps_when_patches_are_split_or_merged(legs, size, seed):
     rng = np.random.default_rng(seed)
     t = plain.terrain(plain.rough(rng, (size, size), amplitude=200))
@@ -397,8 +397,11 @@ def test_nothing_jumps_when_patches_are_split_or_merged(legs, size, seed):
     def same(one, other):
         return len(one) == len(other) and all((one[v] == other[v]).all() for v in ("row", "col", "omega", "step"))
 
-    changes = 0
-    steps = np.linspace(0, 1, 40)
+    def patches(of):
+        return {tuple(i) for i in of[["row", "col", "omega", "step"]].tolist()}
+
+    changes, turned = 0, set()
+    steps = np.linspace(0, 1, {2: 40, 4: 40, 8: 16, 16: 10}[legs])
     for a, b in itertools.pairwise(steps.tolist()):
         before, after = select(a), select(b)
         while not same(before, after) and abs(b - a) > 1e-12:  # to where a split happens
@@ -409,8 +412,9 @@ def test_nothing_jumps_when_patches_are_split_or_merged(legs, size, seed):
                 b, after = (a + b) / 2, middle
         if not same(before, after):
             changes += 1
+            turned |= {omega for _, _, omega, _ in patches(before) ^ patches(after)}
             assert np.nanmax(np.abs(surface(t, before, legs) - surface(t, after, legs))) < 1e-3
-    assert changes > 5
+    assert changes > 5 and turned == set(range(8))
 
 
 def test_without_geomorphs_something_would_jump():
