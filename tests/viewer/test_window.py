@@ -278,6 +278,38 @@ def test_a_lost_device_is_opened_anew(window, hand, monkeypatch):
     first.lost = None
 
 
+@pytest.mark.parametrize("when", ["drawing", "at rest", "twice"])
+def test_a_device_that_is_really_lost_is_opened_anew(dem, monkeypatch, when):
+    from orograph.gpu import device as devices
+
+    monkeypatch.setattr(devices, "_OPEN", {})
+    session = Session(prepare([str(dem)]), size=(640, 480), tolerance=4.0)
+    window = Window(session, RenderCanvas(size=(900, 600)), renderer_of(64 << 20))
+    hand = Hand(window)
+    hand.rest()
+    hand.until(lambda: window.plan.view is not None and not window.plan.busy, 120)
+    hand.frames(2)
+    before = hand.frames(1)
+    for _ in range(2 if when == "twice" else 1):
+        first = window.device
+        first.handle.destroy()
+        if when == "at rest":
+            hand.move(300, 300)
+        else:
+            hand.key("n")
+        hand.until(lambda lost=first: window.device is not lost)
+        assert any("new device" in m.text for m in session.messages.shown)
+        session.messages.shown.clear()
+        hand.move(-5, -5)
+        hand.until(lambda: window.plan.view is not None and not window.plan.busy, 120)
+        hand.rest()
+        after = hand.frames(3)
+        assert np.abs(after.astype(int) - before).mean() < 3  # panels, their letters, the plan and the ground
+        assert not [m.text for m in session.messages.shown if m.error]
+    window.canvas.close()
+    window.gui.close()
+
+
 @pytest.mark.parametrize("size", [(300, 200), (1, 1), (80, 900)])
 def test_any_size(window, hand, size):
     window.canvas.set_logical_size(*size)

@@ -140,6 +140,9 @@ class Drawing:
 
     def _fail(self, error: Exception, now: float) -> None:
         """A frame could not be drawn: say so, and try to get a device again if it was lost."""
+        if self.lost(error):
+            self.reopen()
+            return
         first, self.failed = not self.failed, now
         expected = isinstance(error, (OrographError, OSError))
         what = str(error) if expected else f"{type(error).__name__}: {error}"
@@ -148,10 +151,12 @@ class Drawing:
             import traceback
 
             traceback.print_exc()
-        if self.window.device.lost is not None or "lost" in str(error).lower():
-            self._reopen()
 
-    def _reopen(self) -> None:
+    def lost(self, error: Exception) -> bool:
+        """Whether an error says that the device was lost."""
+        return self.window.device.lost is not None or "lost" in str(error).lower()
+
+    def reopen(self) -> None:
         """Begin again on a new device."""
         window = self.window
         with contextlib.suppress(Exception):  # it is lost anyway
@@ -159,12 +164,14 @@ class Drawing:
         try:
             window.device.lost = window.device.lost or "lost while drawing"
             window.device = open_device(window.adapter)
+            window.context.unconfigure()  # lets go of textures of the lost one
             window.context.configure(device=window.device.handle, format=self.screen.format)
             self.renderer = self.make(window.device, window.session.terrain)
             self.screen = Screen(window.device, self.screen.format)
             window.gui.rebuild(window.device, self.screen.format)
             window.plan.forget_texture()
         except Exception as error:
+            self.failed = time.perf_counter()
             window.session.messages.say(f"The GPU was lost and is not to be had again: {error}", error=True)
         else:
             self._scene = None

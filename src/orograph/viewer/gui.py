@@ -45,14 +45,13 @@ class Gui:
         self.context = imgui.create_context()
         imgui.set_current_context(self.context)
         self.plots = implot.create_context()
+        self._layout = "" if layout is None else str(layout)
         self.rebuild(device, format)
         io = imgui.get_io()
         io.config_flags |= imgui.ConfigFlags_.docking_enable
         io.config_windows_move_from_title_bar_only = True
         io.config_error_recovery_enable_assert = False
-        # The backend sets an empty name of the layout's file; it is ours to set after that.
         self.fresh = layout is None or not layout.exists()
-        io.set_ini_filename("" if layout is None else str(layout))
         if clipboard is not None:
             get, put = clipboard
             platform = imgui.get_platform_io()
@@ -69,6 +68,11 @@ class Gui:
 
         imgui.set_current_context(self.context)
         self.backend = ImguiWgpuBackend(device.handle, format)
+        # The backend sets an empty name of the layout's file; it is ours to set after that.
+        imgui.get_io().set_ini_filename(self._layout)
+        for texture in imgui.get_platform_io().textures:  # what another backend made went with its device
+            texture.set_tex_id(0)
+            texture.set_status(imgui.ImTextureStatus.want_create)
 
     # ---- events --------------------------------------------------------------------------------------------------
 

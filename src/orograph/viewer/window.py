@@ -145,6 +145,16 @@ class Window:
     # ---- frames --------------------------------------------------------------------------------------------------
 
     def _frame(self) -> None:
+        """A frame; where the device is lost in the middle of one, the next is drawn on another."""
+        try:
+            self._draw()
+        except Exception as error:
+            if not self.drawing.lost(error):
+                raise
+            self.drawing.reopen()
+            self.touch()
+
+    def _draw(self) -> None:
         now = time.perf_counter()
         passed, self._last = now - self._last, now
         session = self.session
@@ -167,7 +177,11 @@ class Window:
         finally:
             panels_drawn = self.gui.end()
         settled = now - self._moved > SETTLED
+        device = self.device
         self.drawing.draw(1.0 if settled else self.drawing.draft.scale, now)
+        if self.device is not device:  # what panels were drawn with is lost, too
+            self.touch()
+            return
         self.compose(self.context.get_current_texture().create_view(), size, panels_drawn)
         for hook in list(self.on_frame):
             hook(self)
