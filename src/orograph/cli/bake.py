@@ -9,18 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.light import Names
 from orograph.cli.options import jobs_option, memory_option, progress_of
+from orograph.cli.products import Names, horizon_options, insolation_options, more_of, once, ray_options
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
     from orograph.light.products import Options
     from orograph.progress import Progress
     from orograph.store.stored import StoredTerrain
-
-
-MORE = ("rho", "method", "date", "step", "turbidity")
-"""Options of single products."""
 
 
 @click.command("bake", short_help="Put light into a store: sky, occlusion, apertures, at all levels.")
@@ -34,32 +30,13 @@ MORE = ("rho", "method", "date", "step", "turbidity")
     metavar="NAMES",
     help="What to bake (see above), with commas between or given again.",
 )
-@click.option(
-    "--azimuths",
-    type=click.IntRange(3, 720),
-    default=32,
-    show_default=True,
-    help="Directions in which horizons are looked for, evenly spread from north.",
+@horizon_options
+@ray_options(
+    ["horizon", "rays"],
+    method="Of ambient occlusion and apertures.  [default: horizon]",
+    rays="With --method rays: rays per sample.",
 )
-@click.option("--radius", type=float, metavar="METRES", help="How far away ground can hide the sky.  [default: any]")
-@click.option("--curvature", is_flag=True, help="Let the Earth (or another body) be round, and its air refract.")
-@click.option(
-    "--refraction",
-    type=float,
-    default=0.13,
-    show_default=True,
-    help="With --curvature: how much rays bend, relative to the ground.",
-)
-@click.option(
-    "--rays", type=click.IntRange(min=1), default=256, show_default=True, help="With --method rays: rays per sample."
-)
-@click.option("--rho", type=click.Choice(["step", "linear"]), help="Of ambient occlusion.  [default: step]")
-@click.option(
-    "--method", type=click.Choice(["horizon", "rays"]), help="Of ambient occlusion and apertures.  [default: horizon]"
-)
-@click.option("--date", metavar="DATE", help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026).")
-@click.option("--step", type=float, metavar="MINUTES", help="Of insolation: between two suns.  [default: 10]")
-@click.option("--turbidity", type=float, help="Of insolation: Linke's, of the air.  [default: 3]")
+@insolation_options
 @click.option(
     "--bits", type=click.Choice(["8", "16"]), help="Of a value in the store.  [default: 16 of apertures, else 8]"
 )
@@ -91,11 +68,10 @@ def command(
     from orograph.light.products import Options
 
     began = time.perf_counter()
-    wanted = [name for names in products for name in names]
+    wanted = once(products)
     if "insolation" in wanted and options["date"] is None:
         raise UsageError("Insolation is over a period.", remedy="Give a year, a month or a day (--date 2026-06-21).")
-    more = {k: options.pop(k) for k in MORE}
-    chosen = Options(**options, more={k: v for k, v in more.items() if v is not None})
+    chosen = Options(more=more_of(options), **options)
     terrain = run(
         store, wanted, progress_of(ctx), chosen, bits=None if bits is None else int(bits), overwrite=overwrite,
         max_memory=max_memory, jobs=jobs,
@@ -104,12 +80,12 @@ def command(
     if as_json:
         from orograph.cli.build import peak_memory
 
-        layers = {name: terrain.record.layers[name].to_json() for name in dict.fromkeys(wanted)}
+        layers = {name: terrain.record.layers[name].to_json() for name in wanted}
         told = {"path": terrain.url, "layers": layers, "size_bytes": terrain.size_bytes, "seconds": round(seconds, 3),
                 "peak_memory_bytes": peak_memory()}  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))
         return
-    for name in dict.fromkeys(wanted):
+    for name in wanted:
         layer = terrain.layer(name)
         band = layer.bands[0]
         error = f"within {band.error:.2g} {band.unit}" if band.unit != "1" else f"within {band.error:.2g}"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.light import Names
 from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.products import Names
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:

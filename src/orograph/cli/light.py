@@ -13,6 +13,7 @@ import click
 from orograph.cli.camera import Numbers
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.products import Names, horizon_options, insolation_options, more_of, once, ray_options
 from orograph.cli.suns import sun_option
 from orograph.errors import UsageError
 
@@ -28,27 +29,6 @@ OWN = (
 AT_ONCE = ("normal", "slope", "aspect", "hillshade")
 """Products of which nothing is worth keeping."""
 
-MORE = ("rho", "method", "cones", "date", "step", "turbidity")
-
-
-class Names(click.ParamType["tuple[str, ...]"]):
-    """Names of products, with commas between."""
-
-    name = "NAME"
-
-    def convert(
-        self, value: str | tuple[str, ...], param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, ...]:
-        if not isinstance(value, str):
-            return value
-        from orograph.light.products import names
-
-        wanted = tuple(word.strip() for word in value.split(","))
-        for word in wanted:
-            if word not in names():
-                self.fail(f"there is no product {word!r}; there are {', '.join(names())}.", param, ctx)
-        return wanted
-
 
 @click.command("light", short_help="Make maps of light: slope, hillshade, horizons, sky, openness…")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
@@ -62,14 +42,7 @@ class Names(click.ParamType["tuple[str, ...]"]):
     help="What to make (see above); several, with commas or given again, become bands of one file.",
 )
 @click.option("--output", "-o", required=True, type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
-@click.option(
-    "--azimuths",
-    type=click.IntRange(3, 720),
-    default=32,
-    show_default=True,
-    help="Directions in which horizons are looked for, evenly spread from north.",
-)
-@click.option("--radius", type=float, metavar="METRES", help="How far away ground can hide the sky.  [default: any]")
+@horizon_options
 @sun_option()
 @click.option(
     "--light",
@@ -79,31 +52,13 @@ class Names(click.ParamType["tuple[str, ...]"]):
     help="A light of a hillshade with several; give it again for each.",
 )
 @click.option("--exaggeration", type=float, default=1.0, show_default=True, help="Stretch heights, for hillshade only.")
-@click.option("--curvature", is_flag=True, help="Let the Earth (or another body) be round, and its air refract.")
-@click.option(
-    "--refraction",
-    type=float,
-    default=0.13,
-    show_default=True,
-    help="With --curvature: how much rays bend, relative to the ground.",
-)
-@click.option(
-    "--rays",
-    type=click.IntRange(min=1),
-    default=256,
-    show_default=True,
-    help="Rays per sample by Monte Carlo; directions of shadow maps.",
-)
-@click.option("--rho", type=click.Choice(["step", "linear"]), help="Of ambient occlusion.  [default: step]")
-@click.option(
-    "--method",
-    type=click.Choice(["horizon", "rays", "shadow-maps", "cone-tracing"]),
-    help="Of ambient occlusion, the last two on the GPU; of apertures, the first two.  [default: horizon]",
+@ray_options(
+    ["horizon", "rays", "shadow-maps", "cone-tracing"],
+    method="Of ambient occlusion, the last two on the GPU; of apertures, the first two.  [default: horizon]",
+    rays="Rays per sample by Monte Carlo; directions of shadow maps.",
 )
 @click.option("--cones", type=click.IntRange(min=3), help="Of cone tracing: about how many per sample.  [default: 40]")
-@click.option("--date", metavar="DATE", help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026).")
-@click.option("--step", type=float, metavar="MINUTES", help="Of insolation: between two suns.  [default: 10]")
-@click.option("--turbidity", type=float, help="Of insolation: Linke's, of the air.  [default: 3]")
+@insolation_options
 @click.option("--byte", is_flag=True, help="8-bit values for looking at, instead of float32 in physical units.")
 @click.option("--crs", help="Projected CRS to work in.  [default: the file's own, or its UTM zone]")
 @click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
@@ -165,13 +120,13 @@ def command(
 
     # What is wrong with the command line is said before any work is done.
     check_folder(Path(output))
-    wanted = list(dict.fromkeys(name for names in options["products"] for name in names))
+    wanted = once(options["products"])
     products = [product(name) for name in wanted]
     lights = tuple((*light, 1.0) if len(light) == 2 else light for light in options["lights"])
     if lights and "hillshade" not in wanted:
         raise UsageError("--light is for --product hillshade.")
     common = {k: options[k] for k in ("azimuths", "radius", "curvature", "refraction", "exaggeration", "rays")}
-    more = {k: options[k] for k in MORE if options[k] is not None}
+    more = more_of(options)
     Options(**common, lights=lights, more=more)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
     place = options["sun"].over(terrain.grid)

@@ -19,7 +19,7 @@ taken out of the store's record first, and are in it again when they are complet
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,10 +31,11 @@ from numpy.typing import NDArray
 from orograph.errors import OutputError, StoreError, UsageError
 from orograph.light.gather import Window, readers
 from orograph.light.products import MEMORY, Context, Options, Product, Values, product
+from orograph.light.raster import trim
 from orograph.light.raster_resume import Kept
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
-from orograph.store.layers import GROUP, Bits, LayerBand, LayerRecord, layer_spec
+from orograph.store.layers import GROUP, Bits, Codes, LayerBand, LayerRecord, layer_spec
 from orograph.store.layout import Record, metadata
 from orograph.store.levels import BoxMeans, divide, halve_sums
 from orograph.store.pyramid import Canvas, spans, tasks
@@ -46,6 +47,9 @@ Averaging = Literal["mean", "cap"]
 
 PARTIAL = f"{GROUP}/.partial"
 """Where a bake is made until it is complete."""
+
+_STRIP = 64
+"""Rows of a shard that are made at a time: an even number, so that blocks of 2 × 2 lie in one strip."""
 
 _SAID = {
     "mean": "mean of the valid samples of each block",
@@ -127,6 +131,7 @@ def bake(
     cache = min(64 << 20, max_memory // 16)
     if made:
         products = [p for p in products if p.name in {layer.name for layer in made}]
+        trim()  # what building the store has left
         with _locked(storage), open(store, cache_bytes=cache, jobs=jobs, storage_options=storage_options) as terrain:
             if isinstance(storage, FolderStorage):
                 kept = _kept(storage, before, made, overwrite)
@@ -235,19 +240,30 @@ def _write(
     def run(spot: tuple[int, int]) -> None:
         row, col = spot[0] * shard, spot[1] * shard
         last, right = min(row + shard, shape[0]), min(col + shard, shape[1])
-        strips = [read((r, min(r + 256, last), col, right)) for r in range(row, last, 256)]  # what they take besides
-        values = np.concatenate(strips, axis=1)
-        for band, spec, plane in zip(layer.bands, specs[0], values, strict=True):
-            storage.put(spec.key(spot), spec.encode(band.encode(plane)))
-        sums = [BoxMeans(np.ascontiguousarray(plane, np.float32)) for plane in (_linear(values) if cap else values)]
+        sums = [BoxMeans((last - row, right - col)) for _ in layer.bands]
+
+        def strips() -> Iterator[Values]:
+            for top in range(row, last, _STRIP):
+                values = read((top, min(top + _STRIP, last), col, right))
+                for s, plane in zip(sums, _linear(values) if cap else values, strict=True):
+                    s.add(top - row, np.ascontiguousarray(plane, np.float32))
+                yield values
+
+        codes = _coded(layer.bands, (last - row, right - col), strips())
+        for spec in specs[0]:
+            storage.put(spec.key(spot), spec.encode(codes.pop(0)))
         for k in range(1, direct + 1):
-            means = np.stack([s.next() for s in sums])
-            for band, canvas, plane in zip(layer.bands, coarse[k - 1], _caps(means) if cap else means, strict=True):
-                canvas.add(row >> k, col >> k, band.encode(plane))
+            means = [s.next() for s in sums]
+            parts = (np.stack([m[top : top + _STRIP] for m in means]) for top in range(0, len(means[0]), _STRIP))
+            codes = _coded(layer.bands, means[0].shape, map(_caps, parts) if cap else parts)
+            for canvas in coarse[k - 1]:
+                canvas.add(row >> k, col >> k, codes.pop(0))
         for part, s in zip(rest, sums):
             part.add(row >> direct, col >> direct, s)
 
-    need = shard * shard * 4 * (8 * len(layer.bands) if cap else 2 * len(layer.bands) + 3)
+    # Codes, sums and counts of 2 × 2, means, a shard as bytes; the values of a strip and what comes up with them.
+    size, n = layer.bands[0].bits // 8, len(layer.bands)
+    need = shard * shard * (n * (size + 4) + size) + shard * _STRIP * 4 * n * (12 if cap else 6)
     at_once = max(1, min(context.jobs, context.budget // need))
     with context.progress.task(f"Baking {layer.name}", total=len(spots)) as task:
         for _ in map_ordered(run, spots, at_once):
@@ -259,6 +275,20 @@ def _write(
                     for j in range(spec.shards[1]):
                         block = plane[i * shard : (i + 1) * shard, j * shard : (j + 1) * shard]
                         storage.put(spec.key((i, j)), spec.encode(band.encode(block)))
+
+
+def _coded(bands: Sequence[LayerBand], shape: tuple[int, ...], strips: Iterable[Values]) -> list[Codes]:
+    """Codes (rows, cols) of each band, of values that come in strips (bands, rows, cols) from the top.
+
+    The values of a whole shard, and what comes up on the way to them, are many times its codes.
+    """
+    codes: list[Codes] = [np.empty(shape, band.dtype) for band in bands]
+    row = 0
+    for values in strips:
+        for out, band, plane in zip(codes, bands, values, strict=True):
+            out[row : row + len(plane)] = band.encode(plane)
+        row += values.shape[1]
+    return codes
 
 
 class _Rest:

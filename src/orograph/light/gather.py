@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.light.products import Blocks, Context, Product, Values
-from orograph.light.raster import Canvas, rectangles
+from orograph.light.raster import Canvas, rectangles, trim
 from orograph.light.sweep import Block, fold
 
 _AROUND = 1 << 16
@@ -158,6 +158,7 @@ def _swept(context: Context, sweeps: dict[int, Sweep], names: Sequence[str]) -> 
         context.horizons(one.azimuths, lowest=one.lowest, below=one.below, what=what, skip=frozenset(done)), add,
         context.jobs, after,
     )  # fmt: skip
+    trim()
     return canvases
 
 

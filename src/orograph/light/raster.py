@@ -8,9 +8,11 @@ nothing is left of it however the process ends.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import math
 import mmap
 import os
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -92,6 +94,15 @@ def scratch(length: int) -> tuple[NDArray[np.uint8], Callable[[], None]]:
                 mapped.madvise(mmap.MADV_DONTNEED)  # of a shared mapping: the file keeps what was written
 
     return np.frombuffer(mapped, np.uint8), release
+
+
+def trim() -> None:
+    """Give memory that is free back to the system, where the C library would keep it: glibc does so with what many
+    arrays of up to 32 MiB took, however much that was together."""
+    if sys.platform == "linux":
+        give_back = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if give_back is not None:
+            give_back(0)
 
 
 def rectangles(shape: tuple[int, int], height: int, width: int | None = None) -> Iterator[tuple[int, int, int, int]]:

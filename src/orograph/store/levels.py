@@ -91,25 +91,35 @@ def divide(total: F64, count: Counts, mean: Heights) -> None:
 
 
 class BoxMeans:
-    """The box means of a block, level after level: ``next()`` goes one level up and returns its means."""
+    """The box means of a block, level after level: ``next()`` goes one level up and returns its means.
 
-    def __init__(self, heights: Heights) -> None:
-        self.heights: Heights | None = heights
-        self.total: F64 = np.empty((0, 0))
-        self.count: Counts = np.empty((0, 0), np.int32)
+    Args:
+        heights: the block; or its (rows, cols), if it is given strip by strip (``add``) before the first ``next()``.
+    """
+
+    def __init__(self, heights: Heights | Shape) -> None:
+        rows, cols = heights if isinstance(heights, tuple) else heights.shape
+        self.total: F64 = np.empty(((rows + 1) // 2, (cols + 1) // 2))
+        self.count: Counts = np.empty(self.total.shape, np.int32)
+        self._summed = False
+        if not isinstance(heights, tuple):
+            self.add(0, heights)
+
+    def add(self, row: int, heights: Heights) -> None:
+        """Sum up the rows from ``row``, an even number, on."""
+        strip = slice(row // 2, row // 2 + (len(heights) + 1) // 2)
+        box_sums(heights, self.total[strip], self.count[strip])
 
     def next(self) -> Heights:
-        rows, cols = self.total.shape if self.heights is None else self.heights.shape
-        total = np.empty(((rows + 1) // 2, (cols + 1) // 2))
-        count = np.empty(total.shape, np.int32)
-        if self.heights is not None:
-            box_sums(self.heights, total, count)
-            self.heights = None
-        else:
+        if self._summed:
+            rows, cols = self.total.shape
+            total = np.empty(((rows + 1) // 2, (cols + 1) // 2))
+            count = np.empty(total.shape, np.int32)
             halve_sums(self.total, self.count, total, count)
-        self.total, self.count = total, count
-        mean = np.empty(total.shape, np.float32)
-        divide(total, count, mean)
+            self.total, self.count = total, count
+        self._summed = True
+        mean = np.empty(self.total.shape, np.float32)
+        divide(self.total, self.count, mean)
         return mean
 
 

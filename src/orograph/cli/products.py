@@ -1,0 +1,111 @@
+"""Options of the products of light, which the verbs that make them share: ``light`` into files, ``bake`` into stores.
+
+``@horizon_options`` gives a verb ``azimuths``, ``radius``, ``curvature`` and ``refraction``; ``@ray_options(…)``
+``rays``, ``rho`` and ``method``; ``@insolation_options`` ``date``, ``step`` and ``turbidity``: keyword arguments by the
+names of ``light.products.Options``, or of what its ``more`` holds (``MORE``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import click
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+MORE = ("rho", "method", "cones", "date", "step", "turbidity")
+"""Options of single products, of which only those given are passed on."""
+
+
+class Names(click.ParamType["tuple[str, ...]"]):
+    """Names of products, with commas between."""
+
+    name = "NAME"
+
+    def convert(
+        self, value: str | tuple[str, ...], param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, ...]:
+        if not isinstance(value, str):
+            return value
+        from orograph.light.products import names
+
+        wanted = tuple(word.strip() for word in value.split(","))
+        for word in wanted:
+            if word not in names():
+                self.fail(f"there is no product {word!r}; there are {', '.join(names())}.", param, ctx)
+        return wanted
+
+
+def once(names: Sequence[tuple[str, ...]]) -> list[str]:
+    """All names of an option given several times, each once."""
+    return list(dict.fromkeys(name for some in names for name in some))
+
+
+def more_of(options: dict[str, Any]) -> dict[str, Any]:
+    """Take the options of single products out of a verb's; those that were given."""
+    taken = {name: options.pop(name) for name in MORE if name in options}
+    return {name: value for name, value in taken.items() if value is not None}
+
+
+def horizon_options(function: F) -> F:
+    """Give a verb the options of horizons."""
+    return _with(
+        function,
+        click.option(
+            "--azimuths",
+            type=click.IntRange(3, 720),
+            default=32,
+            show_default=True,
+            help="Directions in which horizons are looked for, evenly spread from north.",
+        ),
+        click.option(
+            "--radius", type=float, metavar="METRES", help="How far away ground can hide the sky.  [default: any]"
+        ),
+        click.option(
+            "--curvature", is_flag=True, help="Let the Earth (or another body) be round, and its air refract."
+        ),
+        click.option(
+            "--refraction",
+            type=float,
+            default=0.13,
+            show_default=True,
+            help="With --curvature: how much rays bend, relative to the ground.",
+        ),
+    )
+
+
+def ray_options(methods: Sequence[str], method: str, rays: str) -> Callable[[F], F]:
+    """Give a verb the options of ambient occlusion and apertures.
+
+    Args:
+        methods: those that it has. method, rays: what help says of these options.
+    """
+
+    def give(function: F) -> F:
+        return _with(
+            function,
+            click.option("--rays", type=click.IntRange(min=1), default=256, show_default=True, help=rays),
+            click.option("--rho", type=click.Choice(["step", "linear"]), help="Of ambient occlusion.  [default: step]"),
+            click.option("--method", type=click.Choice(methods), help=method),
+        )
+
+    return give
+
+
+def insolation_options(function: F) -> F:
+    """Give a verb the options of insolation."""
+    return _with(
+        function,
+        click.option(
+            "--date", metavar="DATE", help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026)."
+        ),
+        click.option("--step", type=float, metavar="MINUTES", help="Of insolation: between two suns.  [default: 10]"),
+        click.option("--turbidity", type=float, help="Of insolation: Linke's, of the air.  [default: 3]"),
+    )
+
+
+def _with(function: F, *options: Callable[[F], F]) -> F:
+    for option in reversed(options):
+        function = option(function)
+    return function

@@ -1,0 +1,52 @@
+"""What light takes, by the operating system's own account of a process: no more than --max-memory says."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+MIB = 1 << 20
+PRODUCTS = "aperture,sky-view-factor"
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory):
+    """A DEM of 2100 × 2200 samples, of which canvases of five bands alone take 88 MiB."""
+    import rasterio
+    from rasterio.transform import Affine
+
+    path = tmp_path_factory.mktemp("memory") / "wide.tif"
+    y, x = np.mgrid[:2100, :2200].astype(np.float32)
+    heights = 900 + 300 * np.sin(x / 31) * np.cos(y / 47) + 40 * np.sin(x / 3.3 + y / 2.1)
+    with rasterio.open(
+        path, "w", driver="GTiff", width=2200, height=2100, count=1, dtype="float32", crs="EPSG:32611",
+        transform=Affine(30, 0, 4e5, 0, -30, 4e6), tiled=True,
+    ) as file:  # fmt: skip
+        file.write(heights.astype(np.float32), 1)
+    return path
+
+
+def peak(*words) -> int:
+    """MiB of the largest resident size of a run in a process of its own."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "orograph", "--quiet", *map(str, words)], stdout=subprocess.DEVNULL
+    )
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0
+    return usage.ru_maxrss * 1024 // MIB
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in KiB on Linux")
+def test_light_stays_within_what_is_allowed(wide, tmp_path):
+    """A build with a bake (406 MiB once, when shards were made whole), a bake, a map."""
+    allowed, store = 400, tmp_path / "a.oro"
+    within = ("--max-memory", f"{allowed}MiB", "--jobs", 2)
+    assert peak("build", wide, "-o", store, "--errors", "none", "--bake", "aperture", *within) <= allowed
+    few = ("--azimuths", 8, "--overwrite", "--products", PRODUCTS)
+    assert peak("bake", store, *few, *within) <= allowed
+    assert peak("light", store, "--product", PRODUCTS, "--azimuths", 8, "-o", tmp_path / "a.tif", *within) <= allowed
