@@ -157,7 +157,8 @@ class Layer:
             UsageError: there is no such level, or the window is not inside it.
             DamagedChunkError: a chunk fails its checksum.
         """
-        return np.stack(self.planes(level, row0, row1, col0, col1))
+        codes: Codes = np.asarray(np.stack(self.planes(level, row0, row1, col0, col1)), self.bands[0].dtype)
+        return codes
 
     def planes(self, level: int, row0: int, row1: int, col0: int, col1: int) -> list[Codes]:
         """As ``codes``, each band (rows, cols) an array of its own."""
