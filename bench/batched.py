@@ -1,12 +1,15 @@
 """Batched triangles, measured: the time to select patches, triangles beside other engines', a flight over a store.
 
-    python bench/batched.py [--data FOLDER] [--store STORE.oro] [--frames 200] [--part select|triangles|flight]
+    python bench/batched.py [--data FOLDER] [--store STORE.oro] [--frames 200] [--part select|triangles|promise|flight]
 
 *select*: ``Batched.select`` alone, all pages there, on views of a 4097² synthetic terrain that make about so many
 patches (medians of 25, and what one diamond looked at costs).
 
 *triangles*: how many triangles ``batched`` draws beside ``soar`` and ``top-down`` (triangle by triangle, the same
 promise), over views of ``bench/promise.py``; with geomorphs and without; and how far the worst sample really is.
+
+*promise*: the referee on 20 views of each terrain of ``bench/promise.py`` at 1 pixel: patches as they are drawn, points
+on their way included (their heights are no samples: that is not counted among the defects), with and without geomorphs.
 
 *flight*: a straight flight over a store (default: built of ``california-3s-tiles`` into a temporary folder), at 60
 frames a second, pages of errors read in the background (``wait=False``): ms of Python a frame, patches, tiles wanted
@@ -28,8 +31,12 @@ import promise
 from orograph import store, verify
 from orograph.lod import engine_of
 from orograph.lod.batched import Batched
+from orograph.lod.patches.expand import expand
 from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
 from orograph.view import View
+
+PARTS = ("select", "triangles", "promise", "flight")
 
 SPEED = 2000.0
 """Metres a second of the flight (some 7,000 km/h: a frame of 1/60 s is 33 m)."""
@@ -93,6 +100,39 @@ def triangles(data: Path, count: int) -> None:
             print(f"{name:16}{tolerance:6.1f} " + " ".join(f"{cell:>14}" for cell in cells), flush=True)
 
 
+def keeps(data: Path, count: int, names: list[str]) -> None:
+    """The largest error and the defects at 1 px, over all views."""
+    print(f"\npromise: {count} views each, 1 px: largest error of any sample, px; meshes beyond 1 px; with a defect")
+    print(f"{'':16}{'settled':>24}{'morphing':>24}{'triangles, morphing':>22}{'patches on their way':>22}")
+    for name in names:
+        terrain = promise.terrain_of(name, data)
+        if terrain is None:
+            print(f"{name}: not at {data}")
+            continue
+        engine = Batched(terrain, max_memory=1 << 33)
+        found: dict[bool, list[tuple[float, bool]]] = {False: [], True: []}
+        made, moving = [], []
+        for _, view in promise.views(terrain, count, 1):
+            for geomorph in (False, True):
+                patches = engine.select(view, 1.0, geomorph=geomorph, exact_holes=True)
+                keys, heights = expand(terrain, patches.instances, engine.legs)
+                mesh = Tessellation.from_triangles(terrain.grid, keys, heights, clockwise=False)
+                report = verify.judge(mesh, terrain, view)
+                defects = set(report.defects) - ({"wrong_heights"} if geomorph else set())
+                found[geomorph].append((report.largest, bool(defects)))
+                if geomorph:
+                    made.append(len(mesh.triangles))
+                    moving.append(float((patches.instances["morph"] < 1).mean()))
+        cells = []
+        for geomorph in (False, True):
+            errors = [e for e, _ in found[geomorph]]
+            cells.append(f"{max(errors):.3f}, {sum(e > 1 for e in errors)}, {sum(d for _, d in found[geomorph])}")
+        print(
+            f"{name:16}{cells[0]:>24}{cells[1]:>24}{statistics.mean(made):22,.0f}{statistics.mean(moving):22.0%}",
+            flush=True,
+        )
+
+
 def path_of(terrain: Terrain, seconds: float) -> View:
     """Where a flight across the middle of a terrain is."""
     rows, cols = terrain.grid.shape
@@ -140,13 +180,16 @@ def main() -> None:
     parser.add_argument("--store", type=Path, help="the store of the flight")
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--views", type=int, default=10)
-    parser.add_argument("--part", choices=("select", "triangles", "flight"), action="append")
+    parser.add_argument("--part", choices=PARTS, action="append")
+    parser.add_argument("--terrain", action="append", choices=list(promise.TERRAINS), help="only these, for promise")
     options = parser.parse_args()
-    parts = options.part or ["select", "triangles", "flight"]
+    parts = options.part or list(PARTS)
     if "select" in parts:
         select(options.data)
     if "triangles" in parts:
         triangles(options.data, options.views)
+    if "promise" in parts:
+        keeps(options.data, 2 * options.views, options.terrain or list(promise.TERRAINS))
     if "flight" in parts:
         if options.store is not None:
             flight(store.open(options.store), options.frames, 1.0)
