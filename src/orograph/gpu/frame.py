@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Normals = Literal["computed", "derivatives", "faces"]
+Normals = Literal["computed", "stored", "derivatives", "faces"]
 """Where the normal of the ground in a pixel comes from: see docs/gpu.md."""
 
 
@@ -17,8 +17,9 @@ class Overlay:
         wireframe: edges of triangles. levels: a colour for every size of patches.
         occlusion: strength of ambient occlusion in screen space (``gpu.ssao``), 0 to 1, 0: none; its ``reach``, metres;
             None: a twelfth of the distance to the target.
-        normals: "computed" for every pixel from heights, finer than the mesh and prefiltered; "derivatives": of the
-            position on the screen; "faces": of the triangles drawn (of patches: by derivatives, too).
+        normals: "computed" for every pixel from heights, finer than the mesh and prefiltered; "stored" at the vertices
+            of patches (other engines' meshes show their faces); "derivatives": of the position on the screen; "faces":
+            of the triangles drawn (of patches: by derivatives, too).
     """
 
     wireframe: bool = False

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orograph.gpu.aside import Aside
 from orograph.gpu.device import Device
@@ -39,116 +38,17 @@ class Targets:
         self.light_view = self.light.create_view()
         self._given: Any = None
 
+    @property
+    def has_given(self) -> bool:
+        """Whether slopes were asked for: a shader that looks at them may serve until another one is compiled."""
+        return self._given is not None
+
     def given_view(self, device: Device) -> Any:
         """The view of the slopes, which are made when they are first asked for."""
         if self._given is None:
             attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
             self._given = device.texture((self.width, self.height), GIVEN, attach, label="slopes").create_view()
         return self._given
-
-
-class PatchPass:
-    """Draws instances of patches: one indexed draw of the shared index buffer.
-
-    Args:
-        camera: the uniform buffer (``camera.CAMERA``). heights: the atlas's texture.
-        vertices: (n, 2) uint lattice positions (i, j). indices: (m, 3) of them.
-    """
-
-    def __init__(
-        self, device: Device, camera: Any, heights: Any, vertices: NDArray[Any], indices: NDArray[Any], stride: int
-    ) -> None:
-        self.device = device
-        handle = device.handle
-        self.count = int(indices.size)
-        self.vertices = device.buffer(np.ascontiguousarray(vertices, np.uint32), "VERTEX", "lattice")
-        self.indices = device.buffer(np.ascontiguousarray(indices, np.uint32), "INDEX", "triangles")
-        self.stride, self.capacity = stride, 0
-        self.instances: Any = None
-        layouts = [
-            handle.create_bind_group_layout(entries=[_uniform(0, "VERTEX|FRAGMENT")]),
-            handle.create_bind_group_layout(
-                entries=[{**_texture(0, "unfilterable-float", "2d-array"), "visibility": _stage("VERTEX")}]
-            ),
-        ]
-        self.pipeline_layout = handle.create_pipeline_layout(bind_group_layouts=layouts)
-        self._pipelines: dict[tuple[bool, bool], Any] = {}
-        self.groups = [
-            handle.create_bind_group(layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]),
-            handle.create_bind_group(
-                layout=layouts[1], entries=[{"binding": 0, "resource": heights.create_view(dimension="2d-array")}]
-            ),
-        ]
-
-    def pipeline(self, edges: bool, given: bool) -> Any:
-        """The pipeline, with or without the edges of triangles among the marks, and their slopes."""
-        if (edges, given) not in self._pipelines:
-            module = self.device.shader("patches", {"EDGES": int(edges)})
-            stride = self.stride
-            self._pipelines[edges, given] = self.device.handle.create_render_pipeline(
-                label="patches",
-                layout=self.pipeline_layout,
-                vertex={
-                    "module": module,
-                    "entry_point": "vertex",
-                    "buffers": [
-                        {
-                            "array_stride": 8,
-                            "step_mode": "vertex",
-                            "attributes": [{"format": "uint32x2", "offset": 0, "shader_location": 0}],
-                        },
-                        {
-                            "array_stride": stride,
-                            "step_mode": "instance",
-                            "attributes": [
-                                {"format": "sint32x2", "offset": 0, "shader_location": 1},
-                                {"format": "uint32", "offset": 8, "shader_location": 2},
-                                {"format": "uint32", "offset": 12, "shader_location": 3},
-                                {"format": "float32", "offset": 16, "shader_location": 4},
-                                {"format": "sint32", "offset": 20, "shader_location": 5},
-                            ],
-                        },
-                    ],
-                },
-                primitive={"topology": "triangle-list", "cull_mode": "none"},
-                depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
-                fragment={
-                    "module": module, "entry_point": "with_slope" if given else "fragment",
-                    "targets": [{"format": MARKS}, {"format": GIVEN}] if given else [{"format": MARKS}],
-                },
-            )  # fmt: skip
-        return self._pipelines[edges, given]
-
-    def draw(
-        self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False, given: bool = False
-    ) -> None:
-        """Clear the targets and draw; ``edges``: mark those of triangles; ``given``: leave the slope of what is drawn,
-        by the derivatives of its position on the screen."""
-        n = len(instances)
-        if n > self.capacity:
-            self.capacity = max(256, 1 << (n - 1).bit_length())
-            self.instances = self.device.buffer(self.capacity * self.stride, "VERTEX", "instances")
-        if n:
-            self.device.queue.write_buffer(self.instances, 0, np.ascontiguousarray(instances))
-        pass_ = encoder.begin_render_pass(
-            color_attachments=[
-                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}
-                for view in (targets.marks_view, *((targets.given_view(self.device),) if given else ()))
-            ],
-            depth_stencil_attachment={
-                "view": targets.depth_view, "depth_clear_value": 0.0, "depth_load_op": "clear",
-                "depth_store_op": "store",
-            },
-        )  # fmt: skip
-        if n:
-            pass_.set_pipeline(self.pipeline(edges, given))
-            for k, group in enumerate(self.groups):
-                pass_.set_bind_group(k, group)
-            pass_.set_vertex_buffer(0, self.vertices)
-            pass_.set_vertex_buffer(1, self.instances)
-            pass_.set_index_buffer(self.indices, "uint32")
-            pass_.draw_indexed(self.count, n)
-        pass_.end()
 
 
 class ShadePass:
@@ -158,15 +58,15 @@ class ShadePass:
         self.device, self.camera = device, camera
         handle = device.handle
         layouts = [
-            handle.create_bind_group_layout(entries=[_uniform(0, "VERTEX|FRAGMENT")]),
+            handle.create_bind_group_layout(entries=[uniform(0, "VERTEX|FRAGMENT")]),
             handle.create_bind_group_layout(
                 entries=[
-                    _uniform(0, "FRAGMENT"),
-                    _texture(1, "depth"), _texture(2, "uint"), _texture(3, "unfilterable-float", "2d-array"),
-                    *(_storage(k) for k in (4, 5, 6, 7, 8)),
-                    _texture(9, "float", "2d-array"), {"binding": 10, "visibility": _stage("FRAGMENT"), "sampler": {}},
-                    _storage(11), _storage(12), _storage(13),
-                    *(_texture(k, "unfilterable-float") for k in (14, 15, 16)),
+                    uniform(0, "FRAGMENT"),
+                    texture(1, "depth"), texture(2, "uint"), texture(3, "unfilterable-float", "2d-array"),
+                    *(storage(k) for k in (4, 5, 6, 7, 8)),
+                    texture(9, "float", "2d-array"), {"binding": 10, "visibility": stage("FRAGMENT"), "sampler": {}},
+                    storage(11), storage(12), storage(13),
+                    *(texture(k, "unfilterable-float") for k in (14, 15, 16)),
                 ]
             ),
         ]  # fmt: skip
@@ -342,7 +242,7 @@ class ResolvePass:
         self._told = b""
         self._bound: tuple[Any, Any, Any] = (None, None, None)
         self.layout = handle.create_bind_group_layout(
-            entries=[_uniform(0, "FRAGMENT"), _texture(1, "unfilterable-float"), _texture(2, "unfilterable-float")]
+            entries=[uniform(0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "unfilterable-float")]
         )
         self.pipeline = handle.create_render_pipeline(
             label="resolve",
@@ -384,7 +284,7 @@ class ResolvePass:
         pass_.end()
 
 
-def _stage(names: str) -> int:
+def stage(names: str) -> int:
     import wgpu
 
     flags = 0
@@ -393,16 +293,16 @@ def _stage(names: str) -> int:
     return flags
 
 
-def _uniform(binding: int, stages: str) -> dict[str, Any]:
-    return {"binding": binding, "visibility": _stage(stages), "buffer": {"type": "uniform"}}
+def uniform(binding: int, stages: str) -> dict[str, Any]:
+    return {"binding": binding, "visibility": stage(stages), "buffer": {"type": "uniform"}}
 
 
-def _storage(binding: int) -> dict[str, Any]:
-    return {"binding": binding, "visibility": _stage("FRAGMENT"), "buffer": {"type": "read-only-storage"}}
+def storage(binding: int) -> dict[str, Any]:
+    return {"binding": binding, "visibility": stage("FRAGMENT"), "buffer": {"type": "read-only-storage"}}
 
 
-def _texture(binding: int, kind: str, dimension: str = "2d") -> dict[str, Any]:
+def texture(binding: int, kind: str, dimension: str = "2d") -> dict[str, Any]:
     return {
-        "binding": binding, "visibility": _stage("FRAGMENT"),
+        "binding": binding, "visibility": stage("FRAGMENT"),
         "texture": {"sample_type": kind, "view_dimension": dimension},
     }  # fmt: skip

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from orograph.gpu.camera import CAMERA, camera_of
 from orograph.gpu.device import Device
 from orograph.gpu.following import Following, maps_key
-from orograph.gpu.frame import PLAIN, FrameStats, Overlay
+from orograph.gpu.frame import PLAIN, FrameStats, Normals, Overlay
 from orograph.gpu.imagery import Imagery
 from orograph.gpu.lettering import Letters
 from orograph.gpu.look import DRAPE, GIVEN, LABELS, SILHOUETTES, VEILED, WIREFRAME, Look
 from orograph.gpu.meshes import Meshes, MeshPass
 from orograph.gpu.outlines import BreakPass
-from orograph.gpu.passes import PatchPass, ResolvePass, ScreenOcclusion, ShadePass, Targets
+from orograph.gpu.passes import ResolvePass, ScreenOcclusion, ShadePass, Targets
+from orograph.gpu.patches import PatchPass, Slopes
 from orograph.gpu.readback import depth_of, veiled_of
 from orograph.gpu.residency import Residency
 from orograph.gpu.resources import Resources
@@ -43,6 +44,9 @@ from orograph.tessellation import Tessellation
 from orograph.view import View
 
 Array = NDArray[np.float64]
+
+SLOPES: dict[Normals, Slopes] = {"computed": "", "stored": "stored", "derivatives": "flat", "faces": "flat"}
+"""Which slopes the geometry leaves for a choice of normals."""
 
 SAMPLES = 16
 """Samples of a pixel that a picture at rest gathers."""
@@ -75,9 +79,12 @@ class Renderer:
         self.heights, self.slopes, self.engine = self.tiles.heights, self.tiles.slopes, self.tiles.engine
         self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
         legs = self.engine.legs
+        self._resources = Resources(device, terrain, self.slopes, self.imagery, self.kept)
         self._patches = PatchPass(
-            device, self._camera, self.heights.texture, patch_vertices(legs), patch_indices(legs), INSTANCE.itemsize
-        )
+            device, self._camera, self.heights.texture, self._resources.stored_slopes, patch_vertices(legs),
+            patch_indices(legs), INSTANCE.itemsize,
+        )  # fmt: skip
+        self._slopes: Slopes = ""
         self._meshes, self._triangles = Meshes(terrain), MeshPass(device, self._camera)
         self._letters = Letters(device, terrain)
         self._breaks = BreakPass(device, self._camera)
@@ -86,7 +93,6 @@ class Renderer:
         self._corners = ScreenOcclusion(device, self._shading)
         self._resolves: dict[str, ResolvePass] = {}
         self._targets: Targets | None = None
-        self._resources = Resources(device, terrain, self.slopes, self.imagery, self.kept)
         self._light = Following(
             terrain, self.kept, self._veil, legs, upload=lambda pool: self._resources.upload("maps", pool)
         )
@@ -142,7 +148,8 @@ class Renderer:
             begin, count = 0, samples or 1
         self._at_rest = state
         instances = patches.instances
-        given = overlay.normals != "computed"
+        self._slopes = slopes = SLOPES[overlay.normals]
+        given = bool(slopes)
         self._light_for(scene, targets, instances, wait=wait)
         maps = self._light.maps
         assert maps is not None
@@ -163,7 +170,7 @@ class Renderer:
         flags = int(u["flags"]) | (VEILED if self._veil.count else 0) | (GIVEN if given else 0)
         flags |= (LABELS if lettered else 0) | (DRAPE if layers else 0)
         edges = bool(flags & WIREFRAME)
-        flags = self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, given), wait=wait)
+        flags = self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, slopes), wait=wait)
         if begin and flags != self._flags:  # it was compiled meanwhile: what was gathered looks otherwise
             begin, count = 0, 1
         self._flags = flags
@@ -275,7 +282,7 @@ class Renderer:
         """Add a pass to the mean of the ``k`` before it; the encoder to go on with."""
         camera = camera_of(scene.view, self.terrain, scene.exaggeration, shift=shift)
         self.device.queue.write_buffer(self._camera, 0, camera)
-        self._ground(encoder, targets, instances, edges=bool(flags & WIREFRAME), given=bool(flags & GIVEN))
+        self._ground(encoder, targets, instances, edges=bool(flags & WIREFRAME), slopes=self._slopes)
         self._veil.draw(encoder, targets)
         if flags & SILHOUETTES:
             self._breaks.draw(encoder, targets)
@@ -298,13 +305,13 @@ class Renderer:
         return encoder
 
     def _ground(
-        self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False, given: bool = False
+        self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False, slopes: Slopes = ""
     ) -> None:
         """Depth and marks of the ground: the engine's mesh, or patches."""
         if self._meshes.mesh is None:
-            self._patches.draw(encoder, targets, instances, edges=edges, given=given)
+            self._patches.draw(encoder, targets, instances, edges=edges, slopes=slopes)
         else:
-            self._triangles.draw(encoder, targets, self._meshes.mesh, edges=edges, given=given)
+            self._triangles.draw(encoder, targets, self._meshes.mesh, edges=edges, given=bool(slopes))
 
     def _mesh_for(self, scene: Scene, freeze: View | None, *, wait: bool) -> None:
         """Have the mesh of the scene's engine: at once if ``wait``, else aside while the old one serves."""

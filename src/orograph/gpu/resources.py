@@ -76,7 +76,7 @@ class Resources:
             11: imagery,
             12: self.stored("suns", suns),
             13: self.stored("lamps", lamps),
-            14: targets.given_view(self.device) if given else self._blank,
+            14: targets.given_view(self.device) if given or targets.has_given else self._blank,
             15: self._blank if marks[0] is None else marks[0],
             16: self._blank if marks[1] is None else marks[1],
         }
@@ -84,6 +84,11 @@ class Resources:
     def upload(self, name: str, values: NDArray[Any]) -> None:
         """Have a buffer of these values ready for ``stored``, from any thread: large ones hold a frame up."""
         self._uploaded[name] = self.device.buffer(values, "STORAGE", name), values
+
+    @property
+    def stored_slopes(self) -> tuple[Any, Any, Any]:
+        """The view of the slopes' atlas, its pages, and the table of levels."""
+        return self._slopes, self.slopes.page_buffer, self._levels
 
     def stored(self, name: str, values: NDArray[Any]) -> Any:
         """A storage buffer with these values; written again only if they are other ones."""

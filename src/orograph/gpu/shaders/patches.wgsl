@@ -3,10 +3,14 @@
 // include: camera.wgsl
 
 @group(1) @binding(0) var heights: texture_2d_array<f32>;
+@group(1) @binding(1) var slopes: texture_2d_array<f32>;
+@group(1) @binding(2) var<storage, read> pages: array<u32>;
+@group(1) @binding(3) var<storage, read> levels: array<Level>;
+// include: slopes.wgsl
 
 const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover
+const STORED: u32 = {{STORED}}u; // 1: slopes are those of the vertices, else by derivatives
 const SIDE: i32 = 257;      // samples along a tile's side
-const PER_SIDE: i32 = 4;    // tiles along a layer's side
 const MISSING: f32 = 1e6;   // added to heights that are missing
 
 struct Instance {
@@ -23,6 +27,7 @@ struct Vertex {
   @location(1) lattice: vec2<f32>,                // (i, j) along the legs: edges of triangles lie on whole numbers
   @location(2) @interpolate(flat) what: u32,
   @location(3) place: vec3<f32>,                  // relative to the eye, metres, height not stretched
+  @location(4) slope: vec2<f32>,                  // of the ground at the vertex, metres per metre
 };
 
 // By the way the apex points (``lod/patches/shape.py``): e1 and e2 as (row, col).
@@ -71,6 +76,10 @@ fn vertex(@location(0) lattice: vec2<u32>, instance: Instance) -> Vertex {
   let above = above_eye(here.position.z);
   out.position = to_clip(vec3<f32>(here.position.xy, above));
   out.place = vec3<f32>(here.position.xy, above / camera.forward.w);
+  if (STORED == 1u) {
+    let stored = slope(Place(min(at, camera.last.yx).yx, vec2<f32>(0.0)), f32(1u << s));
+    out.slope = vec2<f32>(dot(stored, camera.inverse.xz), dot(stored, camera.inverse.yw));
+  }
   out.there = select(0.0, 1.0, here.there);
   out.lattice = vec2<f32>(lattice);
   out.what = (s << 8u) | (e << 4u) | 1u;
@@ -99,12 +108,15 @@ fn fragment(in: Vertex) -> @location(0) u32 {
 
 struct WithSlope { @location(0) marks: u32, @location(1) slope: vec2<f32> };
 
-// The same, and the slope by the derivatives of the position on the screen: that of the flat triangle, whatever the
-// ground between its corners is like; beside a triangle's edge, where derivatives reach over it, extrapolated.
+// The same, and a slope: that of the vertices, blended between them, which knows nothing of the ground between; or by
+// the derivatives of the position on the screen, which is that of the flat triangle.
 @fragment
 fn with_slope(in: Vertex) -> WithSlope {
   let normal = cross(dpdx(in.place), dpdy(in.place));
   let marks = marked(in);
+  if (STORED == 1u) {
+    return WithSlope(marks, in.slope);
+  }
   return WithSlope(marks, -normal.xy / select(normal.z, 1e-20, abs(normal.z) < 1e-20));
 }
 

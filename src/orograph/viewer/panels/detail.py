@@ -25,6 +25,7 @@ METHODS: tuple[tuple[str | None, str], ...] = (
 
 NORMALS: tuple[tuple[Normals, str, str], ...] = (
     ("computed", "from heights", "for every pixel from the heights: finer than the mesh, and filtered"),
+    ("stored", "at vertices", "stored at the mesh's vertices and blended between them: what lies between is not seen"),
     ("derivatives", "by derivatives", "of the position on the screen, as in a shader without normals: facets show"),
     ("faces", "of faces", "of the triangles as they are drawn"),
 )
