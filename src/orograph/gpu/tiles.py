@@ -152,6 +152,12 @@ def slope_tile(terrain: Terrain, key: Key) -> NDArray[np.float16]:
     return half
 
 
+def warm() -> None:
+    """Have the kernel of slope tiles loaded, and with it all that Numba needs before its first kernel."""
+    out = np.empty((1, 1, 2), np.float32)
+    _slopes(np.zeros((3, 3), np.float32), 0, 1, np.zeros(3), np.zeros(3), out)
+
+
 @dataclass(slots=True)
 class Tables:
     """Where each level's tiles begin in a page table, and how many there are."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import importlib
 import os
@@ -85,10 +86,10 @@ class Warm:
             return
         finally:
             self._opened.set()
-        importlib.import_module("orograph.viewer.window")
-        importlib.import_module("orograph.gpu.renderer")
-        importlib.import_module("rendercanvas.glfw")
-        importlib.import_module("orograph.gpu.tiles").warm()
+        with contextlib.suppress(Exception):  # whoever needs it says what is wrong with it
+            importlib.import_module("orograph.viewer.window")
+            importlib.import_module("orograph.gpu.renderer")
+            importlib.import_module("orograph.gpu.tiles").warm()
 
     def device(self) -> None:
         """Return when there is a device.
