@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -112,24 +111,20 @@ def test_mountains_two_hundred_kilometres_away_do_not_flicker(eye) -> None:
 
 
 @pytest.mark.parametrize("shift", [(0.001, 0.0, 0.0), (0.0, 0.001, 0.0), (0.0, 0.0, 0.001)])
-def test_steps_of_a_millimetre_are_all_alike_two_metres_above_the_ground(
-    eye, shift: tuple[float, float, float]
-) -> None:
-    """A plane at UTM coordinates, 700 km and 5300 km from their origin: every step moves the picture by the same."""
-    rows = np.mgrid[:500, :500][0]
-    terrain = make((2000.0 + 0.05 * rows).astype(np.float32), 30.0)
+def test_steps_of_a_millimetre_are_all_alike_two_metres_up(eye, shift: tuple[float, float, float]) -> None:
+    """A slope at UTM coordinates, 700 km and 5300 km from their origin: every step moves the picture by the same."""
+    rows, cols = np.mgrid[:500, :500]
+    terrain = make((7.5 * (rows + cols)).astype(np.float32), 30.0)  # 0.25 each way
     x, y = (float(v) for v in terrain.grid.xy(300.3, 300.7))
-    ground = 2000.0 + 0.05 * 300.7
+    ground = 7.5 * (300.3 + 300.7)
     here = eye(terrain)
     depths = []
     for k in range(6):
-        moved = tuple(k * s for s in shift)
-        at = (x + moved[0], y + moved[1], ground + 2.0 + moved[2])
-        view = View(at, (x + moved[0], y + moved[1] + 4.0, ground + moved[2]), width=SIZE[0], height=SIZE[1])
-        depths.append(here.look(replace(view, fov_y=50.0))[0][-50:])
+        east, north, up = (k * s for s in shift)
+        view = View((x + east, y + north, ground + 2.0 + up), (x + east, y + north - 4.0, ground + up), fov_y=40.0)
+        depths.append(here.look(view.resized(*SIZE))[0][-50:])
     steps = np.diff(np.stack(depths).astype(np.float64), axis=0)
     assert np.isfinite(steps).all()
-    assert float(np.abs(np.diff(steps, axis=0)).max()) < 2e-5  # metres; depths are 2 to 8
-    assert float(np.abs(steps).max()) < 5e-3
-    if shift[2]:
-        assert float(steps.min()) > 2e-4  # it does move, everywhere
+    # What rasterising large triangles rounds; a hundredth of a pixel, and a quarter of a step.
+    assert float(np.abs(np.diff(steps, axis=0)).max()) < 2.5e-4
+    assert float(np.abs(steps).min()) > 1e-4 and float(np.abs(steps).max()) < 5e-3  # and they do move, everywhere
