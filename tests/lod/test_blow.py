@@ -53,7 +53,7 @@ def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
         exaggeration, tolerance = float(rng.choice([1.0, 2.0])), float(10 ** rng.uniform(-0.5, 1.5))
         for cull in (True, False):
             options = {"cull": cull, "exaggeration": exaggeration}
-            engine, other = Blow(t, metric="isotropic", **options), Blow(t, **options)
+            engine, other = (Blow(t, metric=metric, **options) for metric in ("isotropic", "anisotropic"))
             for _ in range(4):  # jumps: everything may change
                 view = plain.random_view(rng, t, fov_y=40.0)
                 camera = plain.Camera(view, exaggeration)

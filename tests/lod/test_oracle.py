@@ -62,8 +62,9 @@ def test_engines_are_no_coarser_and_not_much_finer(shared_data):
     with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
         t = plain.terrain(file.read(1)[:513, :513].astype(np.float32))
     rng = np.random.default_rng(22)
-    soar, top_down = Soar(t), TopDown(t, metric="localised", depth=64)
-    counts = np.zeros(3)
+    soar, ahead = Soar(t, metric="anisotropic"), Soar(t)
+    top_down = TopDown(t, metric="localised", depth=64, near=0.0)
+    counts = np.zeros(5)
     for _ in range(6):
         view = plain.random_view(rng, t, width=960, height=600)
         fewest, fewest_prisms = (len(oracle(t, view, 1.0, prisms=prisms).triangles) for prisms in (False, True))
@@ -71,8 +72,9 @@ def test_engines_are_no_coarser_and_not_much_finer(shared_data):
         assert fewest <= spheres
         # Forced splits do not look below accurate triangles, the closure does.
         assert exact <= fewest_prisms
-        counts += fewest, spheres, exact
+        counts += fewest, spheres, exact, fewest_prisms, len(ahead.refine(view, tolerance=1.0).triangles)
     assert counts[1] < 1.2 * counts[0]
+    assert counts[3] < counts[4] < 1.15 * counts[3]
 
 
 def test_unusable_arguments_are_refused():

@@ -18,7 +18,6 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts
 from orograph.lod.soar import Soar
-from orograph.lod.soar_pass import anisotropic_exceeds
 from orograph.store.build import build
 from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
@@ -87,7 +86,7 @@ def test_an_eye_inside_the_terrain():
     for _ in range(5):
         target = t.grid.xy(*rng.uniform(0, 32, 2))
         view = View((float(x), float(y), 0.5 * (low + high)), (*map(float, target), low), fov_y=90, width=64, height=48)
-        found = Soar(t, jobs=1).refine(view, tolerance=2.0)
+        found = Soar(t, metric="anisotropic", jobs=1).refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == expected(plain.Plain(t), plain.Camera(view), 2.0)
         assert verify.judge(found, t, view).ok(2.0)
 
@@ -176,9 +175,9 @@ def test_memory_changes_what_is_read_but_not_the_mesh():
 
 @kernel
 def verdicts(lens, found, col, row, z, e, r):
-    found[0] = anisotropic_exceeds(lens, col, row, z, e, r)[0]
-    found[1] = screen.anisotropic_exceeds(lens, col, row, z, e, r)[0]
+    found[0] = screen.anisotropic_exceeds(lens, col, row, z, e, r)[0]
     x, y, w = screen.to_camera(lens, col, row, z)
+    found[1] = screen.sphere_exceeds(lens, 0, x, y, w, e, r)
     return screen.sphere_bound(lens, 0, x, y, w, e, r)
 
 
@@ -282,7 +281,8 @@ def test_colours_split_what_is_large_enough_to_be_seen():
         at, r = camera.to_camera(p.at), np.abs(p.r)
         seen = r * camera.focal > at[..., 2] - r
         for gamma in (0.5, 5.0, 10.0):
-            found = Soar(t, color=color, color_tolerance=gamma, jobs=1).refine(view, tolerance=4.0)
+            engine = Soar(t, metric="anisotropic", color=color, color_tolerance=gamma, jobs=1)
+            found = engine.refine(view, tolerance=4.0)
             assert plain.triangles_of(found) == expected(p, camera, 4.0, more=(table > gamma) & seen)
             assert verify.judge(found, t, view).ok(4.0)
 
@@ -313,7 +313,7 @@ def test_a_morphed_surface_is_the_mean_of_the_meshes_of_all_tolerances():
     for view in (around(t, 1.0, 900.0, 400.0, near=1.0), around(t, 4.0, 1800.0, 900.0)):
         tau, steps = 4.0, 40
         morphed = Soar(t, geomorph=True, cull=False, jobs=1).refine(view, tolerance=tau)
-        engine, mean = Soar(t, cull=False, jobs=1), np.zeros(t.grid.shape)
+        engine, mean = Soar(t, metric="anisotropic", cull=False, jobs=1), np.zeros(t.grid.shape)
         for k in range(steps):
             mean += surface(engine.refine(view, tolerance=tau * (0.5 + (k + 0.5) / (2 * steps))), t.grid.shape) / steps
         difference = np.abs(surface(morphed, t.grid.shape) - mean).max()
@@ -339,7 +339,8 @@ def test_morphed_meshes_keep_the_tolerance(shape):
 def test_vertices_do_not_jump_along_a_flight():
     rng = np.random.default_rng(4)
     t = plain.terrain(plain.rough(rng, (33, 33), amplitude=300.0))
-    morphing, plainly = Soar(t, geomorph=True, cull=False, jobs=1), Soar(t, cull=False, jobs=1)
+    morphing = Soar(t, geomorph=True, cull=False, jobs=1)
+    plainly = Soar(t, metric="anisotropic", cull=False, jobs=1)
     jumps = {"morphing": 0.0, "plainly": 0.0}
     before: dict = {}
     for step in range(40):

@@ -74,14 +74,14 @@ def test_localised_is_exact_without_a_limit_and_between_with_one():
                 front = fronts.split(front, r[bad], c[bad])
             counts = []
             for depth in (64, 4, 1, 0):
-                engine = TopDown(t, metric="localised", depth=depth, queue="fifo")
+                engine = TopDown(t, metric="localised", depth=depth, near=0.0, queue="fifo")
                 found = engine.refine(view, tolerance=tolerance)
                 counts.append(found.stats["front"])
                 assert verify.judge(found, t, view).ok(tolerance)
                 if depth == 64:
                     assert counts[0] == len(front)
                     assert plain.triangles_of(found) <= p.triangle_set(front, np.ones(len(front), bool))
-            wedgie = TopDown(t, queue="fifo").refine(view, tolerance=tolerance).stats["front"]
+            wedgie = TopDown(t, metric="wedgie", queue="fifo").refine(view, tolerance=tolerance).stats["front"]
             assert counts == sorted(counts)
             assert counts[-1] <= wedgie
 
@@ -166,6 +166,7 @@ def test_unusable_options_are_refused():
     for options in (
         {"queue": "lifo"},
         {"depth": -1},
+        {"near": -0.1},
         {"metric": "nearest"},
         {"metric": "localised", "error": "midpoint"},
     ):

@@ -108,7 +108,7 @@ class Blow(Engine):
     """
 
     name = "blow"
-    metrics = ("anisotropic", "isotropic", "isotropic-published")
+    metrics = ("localised", "anisotropic", "isotropic", "isotropic-published")
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -140,7 +140,7 @@ class Blow(Engine):
         size = math.hypot((abs(a) + abs(b)) * grid.cols, (abs(d) + abs(e)) * grid.rows) * lens[STRETCH]
         cosine = 1.0 / math.hypot(1.0, view.pixel_slope * view.width / 2, view.pixel_slope * view.height / 2)
         colored = math.inf if view.projection == "plan" else (1.0 + 1.0 / lens[TEXEL]) / cosine
-        isotropic = self.metric.number != ANISOTROPIC
+        isotropic = self.spheres != ANISOTROPIC
         plan = view.projection == "plan"
         spheres: tuple[float, ...] = (self._lambda(view, tolerance), colored)
         if not isotropic:
@@ -172,7 +172,7 @@ class Blow(Engine):
             state.stack[:2], state.counts[TOP] = (0, 1), 2 if isotropic else 0
             self.field.begin()
             why = update(
-                self.field.pages, lens, self.metric.number, self.cull, way, *state.arrays, state.free, state.heads,
+                self.field.pages, lens, self.spheres, self.cull, way, *state.arrays, state.free, state.heads,
                 state.turns, state.stack, state.counts, 2 * self.field.n,
             )  # fmt: skip
             if why == GROW:
@@ -182,7 +182,7 @@ class Blow(Engine):
             else:
                 break
         updated = time.perf_counter()
-        keys, zs = self._triangles(state, lens)
+        keys, zs = self._triangles(state, lens, self._pruned(lens))
         visits, splits, merges = (int(v) for v in state.counts[VISITS : MERGES + 1])
         nodes = len(state.due) - 2 * int(state.counts[FREE])
         return Mesh(
@@ -194,13 +194,15 @@ class Blow(Engine):
             },
         )  # fmt: skip
 
-    def _triangles(self, state: _State, lens: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    def _triangles(
+        self, state: _State, lens: NDArray[np.float64], pruned: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         stack = np.empty((2 * self.field.n + 4, 2), np.int64)
         while True:
             keys, zs = np.empty((self._capacity, 3), np.int64), np.empty((self._capacity, 3), np.float32)
             count = put_out(
-                lens, self.cull, self.field.pages.edge, self.exaggeration, state.corners, state.heights, state.numbers,
-                state.shown, state.links, stack, keys, zs,
+                lens, self.cull, pruned, self.field.pages.edge, self.exaggeration, state.corners, state.heights,
+                state.numbers, state.shown, state.links, stack, keys, zs,
             )  # fmt: skip
             if count >= 0:
                 return keys[:count], zs[:count]

@@ -18,6 +18,7 @@ import numpy as np
 
 from orograph._numba import inlined, leaf
 from orograph.error.screen import ANISOTROPIC, color_exceeds, outside, sphere_exceeds, to_camera
+from orograph.lod.ahead import foresee
 from orograph.lod.field import find
 from orograph.lod.pages import BEYOND
 from orograph.lod.waiting import link, list_of, unlink
@@ -311,27 +312,36 @@ def update(
 
 
 @leaf
-def put_out(lens, cull, edge, scale, corners, heights, numbers, shown, links, stack, keys, zs):
+def put_out(lens, cull, pruned, edge, scale, corners, heights, numbers, shown, links, stack, keys, zs):
     """Write the leaves that are in view and return how many; −1 if there is no room for them.
 
     Args:
+        pruned: int64, the table of diamonds whose triangles are put out as they are, though the boundary of the bound
+            over their spheres is crossed (``lod.ahead``).
         edge: as in ``field.Pages``. scale: the exaggeration.
         stack: int64 (2n + 4, 2), scratch. keys: int64 (capacity, 3), zs: float32 (capacity, 3).
     """
     count = np.int64(0)
-    stack[0, 0], stack[0, 1], stack[1, 0], stack[1, 1] = 0, 0, 1, 0
+    bits = np.int64(64 if len(pruned) == 1 else 0)
+    stack[0, 0], stack[0, 1], stack[1, 0], stack[1, 1] = 0, bits, 1, bits
     top = 2
     while top > 0:
         top -= 1
         v, inside = stack[top, 0], stack[top, 1]
+        key = (corners[v, 0] + corners[v, 1]) >> 1
+        row, col = min(key >> 32, edge[0]), min(key & 0xFFFFFFFF, edge[1])
         if cull and numbers[v, 3] > 0.0:
-            key = (corners[v, 0] + corners[v, 1]) >> 1
-            row, col = min(key >> 32, edge[0]), min(key & 0xFFFFFFFF, edge[1])
             out, inside = outside(lens, col, row, numbers[v, 2] / scale, numbers[v, 3], inside)
             if out:
                 continue
         child = np.int64(links[v, 4])
-        if child >= 0:
+        split = child >= 0
+        if split and inside < 64:
+            w = lens[8] * col + lens[9] * row + lens[10] * (numbers[v, 2] / scale) + lens[11]
+            split, hidden, inside = foresee(pruned, key, w, numbers[v, 3], True, inside)
+            if hidden:
+                continue
+        if split:
             stack[top, 0], stack[top, 1], stack[top + 1, 0], stack[top + 1, 1] = child, inside, child + 1, inside
             top += 2
             continue

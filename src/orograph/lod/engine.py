@@ -12,8 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import Metric, lens, metric_of
+from orograph.error.screen import ANISOTROPIC, LOCALISED, Metric, lens, metric_of
 from orograph.errors import UsageError
+from orograph.lod.ahead import NOTHING, Ahead
 from orograph.lod.field import ColorErrors, Field
 from orograph.parallel import cpu_count
 from orograph.store.terrain import Terrain
@@ -66,7 +67,7 @@ class Engine(ABC):
     Args:
         terrain: what is drawn.
         error: object-space error: exact, wedgie, midpoint.
-        metric: screen-space metric, one of ``metrics`` (default: the first).
+        metric: screen-space metric, one of ``metrics`` (default: the first that the error allows).
         cull: leave out what is outside the frustum.
         exaggeration: factor on heights on the way to the screen.
         color: color errors (see ``error.color``), with color_tolerance γ in ΔE: a diamond is also split where coarser
@@ -109,23 +110,41 @@ class Engine(ABC):
             raise UsageError("A color tolerance needs colours.", remedy="Give an image with --drape.")
         if jobs is not None and (not _is_whole(jobs) or jobs < 1):
             raise UsageError(f"Jobs are threads, a whole number from 1, not {jobs!r}.")
-        self.metric = self.usable_metric(metric)
+        self.metric = self.usable_metric(metric, error)
         self.terrain, self.error, self.cull, self.exaggeration = terrain, error, cull, exaggeration
         self.color_tolerance = math.inf if color_tolerance is None else color_tolerance
         self.jobs = cpu_count() if jobs is None else int(jobs)
+        self._ahead: Ahead | None = None
         self.field = Field(terrain, error, color=color, max_memory=max_memory, jobs=self.jobs)
 
     @classmethod
-    def usable_metric(cls, name: str | None) -> Metric:
-        """The metric of that name, or the engine's own.
+    def usable_metric(cls, name: str | None, error: str = "exact") -> Metric:
+        """The metric of that name, or the engine's own for an object-space error.
 
         Raises:
-            UsageError: there is none, or the engine cannot use it.
+            UsageError: there is none, or the engine cannot use it, or not with this error.
         """
-        metric = metric_of(name or cls.metrics[0])
+        if name is None:
+            name = next(m for m in cls.metrics if m != "localised" or error in BOUNDS)
+        metric = metric_of(name)
         if metric.name not in cls.metrics:
             raise UsageError(f"{cls.name} cannot use the metric {metric.name!r}; it can use {', '.join(cls.metrics)}.")
+        if metric.number == LOCALISED and error not in BOUNDS:
+            raise UsageError(f"The metric 'localised' needs an error that is a bound, not {error!r}.")
         return metric
+
+    @property
+    def spheres(self) -> int:
+        """Number of the metric of diamonds' spheres: the one within whose bounds ``localised`` looks, or its own."""
+        return ANISOTROPIC if self.metric.number == LOCALISED else self.metric.number
+
+    def _pruned(self, lens: NDArray[np.float64]) -> NDArray[np.int64]:
+        """The table of diamonds that ``localised`` does not split (``lod.ahead``); pages may be read for it."""
+        if self.metric.number != LOCALISED:
+            return NOTHING
+        if self._ahead is None:
+            self._ahead = Ahead()
+        return self._ahead.table(self.field, lens, self.cull)
 
     @property
     def conservative(self) -> bool:

@@ -24,9 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.screen import FOCAL
+from orograph.errors import UsageError
 from orograph.lod import sharing
 from orograph.lod.engine import Engine, Mesh, by_tolerance
-from orograph.lod.soar_pass import frontier, lay_out, put, refine_subtrees
+from orograph.lod.soar_join import lay_out, put
+from orograph.lod.soar_pass import frontier, refine_subtrees
 from orograph.parallel import Crew
 from orograph.view import View
 
@@ -48,14 +50,23 @@ class Soar(Engine):
     """SOAR. See ``Engine`` for the arguments; besides:
 
     Args:
-        geomorph: vertices morph between half the tolerance and the whole (errors stay within the tolerance).
+        geomorph: vertices morph between half the tolerance and the whole (errors stay within the tolerance). The
+            metric is then ``anisotropic``, if none is given.
+
+    Raises:
+        UsageError: geomorphs with the metric ``localised``.
     """
 
     name = "soar"
-    metrics = ("anisotropic", "isotropic", "isotropic-published")
+    metrics = ("localised", "anisotropic", "isotropic", "isotropic-published")
 
-    def __init__(self, *args: Any, geomorph: bool = False, **options: Any) -> None:
-        super().__init__(*args, **options)
+    def __init__(self, *args: Any, geomorph: bool = False, metric: str | None = None, **options: Any) -> None:
+        if geomorph and metric == "localised":
+            raise UsageError(
+                "Geomorphs need the bounds themselves, and 'localised' knows only yes or no.",
+                remedy="Use the metric anisotropic.",
+            )
+        super().__init__(*args, metric=metric or ("anisotropic" if geomorph else None), **options)
         self.geomorph = geomorph
         self._cut = max(0, min(CUT, 2 * self.field.n - 1))
         size = 2 << self._cut
@@ -73,25 +84,28 @@ class Soar(Engine):
         if tolerance is None:
             return by_tolerance(self, view, triangles, seconds)
         lens = self._lens(view, tolerance * (0.5 if self.geomorph else 1.0))
+        pruned = self._pruned(lens)
         rounds = 0
         while True:
             self.field.begin()
             rounds += 1
-            keys, zs, made, nodes = self._strip(lens)
+            keys, zs, made, nodes = self._strip(lens, pruned)
             if not self.field.fetch():
                 break
         if self.geomorph and lens[FOCAL] > 0.0:
             from orograph.lod.geomorph import morph
 
-            zs = morph(self.field, lens, self.metric.number, keys, zs)
+            zs = morph(self.field, lens, self.spheres, keys, zs)
         return Mesh(
             keys, zs, is_strip=True, clockwise=False, triangles=made,
             stats={"nodes": nodes, "rounds": rounds, "geomorph": self.geomorph},
         )  # fmt: skip
 
-    def _strip(self, lens: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float32], int, int]:
+    def _strip(
+        self, lens: NDArray[np.float64], pruned: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float32], int, int]:
         """One pass: the strip (views of buffers that the next pass uses again), its triangles, diamonds looked at."""
-        common = self.field.pages, lens, self.metric.number, self.cull, 2 * self.field.n
+        common = self.field.pages, lens, self.spheres, self.cull, pruned, 2 * self.field.n
         stack, stack_zs = self._stack()
         for cut in (self._cut, 0):
             count, split, nodes = frontier(

@@ -1,4 +1,4 @@
-"""SOAR's kernels: what becomes of a triangle, the pass over subtrees that leaves a strip, and those subtrees.
+"""SOAR's pass over subtrees, which leaves a strip, and the frontier of those subtrees.
 
 A triangle is (e, x, a), its hypotenuse's first and last end and its apex; m is the hypotenuse's middle, its diamond's
 vertex. Vertices are keys ``row << 32 | col`` of the padded square with their heights (metres, NaN where missing).
@@ -9,147 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, leaf, paired
-from orograph.error.screen import color_exceeds, outside, sphere_exceeds, to_camera
-from orograph.lod.pages import BEYOND, locate, prefetch
-from orograph.lod.sharing import enters, last, leave, left, ready, stop, wait_for
+from orograph.lod.sharing import enters, last, leave, left, stop
+from orograph.lod.soar_weigh import DROP, EVERYWHERE, LEAF, NAN, SPLIT, call, draws, weigh, weigh_both
 
-DROP, LEAF, SPLIT = 0, 1, 2
-"""What becomes of a triangle: left out (out of view, or no surface), drawn, or split."""
 MARGIN = 1024
 """Room that a strip needs beyond its length: what one pass through the loop may append, 2n levels ending at once."""
-
-EVERYWHERE = 63
-"""Bits of all six planes: a sphere known to be inside of them all is not tested again."""
-
-NAN, ZERO = np.float32(np.nan), np.float32(0.0)
-
-
-@inlined
-def anisotropic_exceeds(lens, col, row, z, e, r):
-    """``screen.anisotropic_exceeds`` without a root, which would keep the processor waiting: the same verdict.
-
-    With G the numerator's vector at the centre, D the distance times |c|, d = w − r and t = τ·w·d·(d − e·|c|)/(f·e),
-    the bound exceeds τ if |G|·d + r·D > t; squared twice, and decided by signs where a side is negative.
-    """
-    w = lens[8] * col + lens[9] * row + lens[10] * z + lens[11]
-    p = lens[46] * col + lens[47] * row + lens[48]
-    q = lens[49] * col + lens[50] * row + lens[51]
-    depth = w - r
-    pixels = lens[12] * e
-    moved = max(depth, lens[14]) - e * abs(lens[10])
-    goal = lens[13] * moved
-    square = p * p + q * q
-    away = square + w * (w * (lens[16] * lens[16]) - 2.0 * (lens[2] * p + lens[6] * q))
-    reach = pixels * depth
-    spread = pixels * r
-    a = w * depth * goal
-    aa = a * a
-    bq = spread * spread * abs(away)
-    rest = aa + bq - reach * reach * square
-    far = (depth <= 0.0) | (aa < bq) | (rest < 0.0) | (4.0 * aa * bq > rest * rest)
-    far &= pixels * lens[52] > goal
-    return (pixels > 0.0) & (far | ~(moved > 0.0)) | (e == np.inf), w
-
-
-@inlined
-def look_up(pages, key, octave):
-    """The four numbers of a vertex. Of one beyond all pages the radius is negative; a page that is absent is asked for,
-    and its vertices pass for accurate: this pass is not the last one."""
-    slot, at = locate(pages, key >> 32, key & 0xFFFFFFFF, octave)
-    z, e, r, c = NAN, ZERO, ZERO, ZERO
-    if slot >= 0:
-        place = np.uint64(at)
-        z = pages.flat[place]
-        e = pages.flat[place + np.uint64(1)]
-        r = pages.flat[place + np.uint64(2)]
-        c = pages.flat[place + np.uint64(3)]
-    elif slot == BEYOND:
-        r = np.float32(-1.0)
-    return z, e, r, c
-
-
-@inlined
-def place_of(pages, key):
-    """(column, row) of a vertex on the raster, float64."""
-    return np.float64(min(key & 0xFFFFFFFF, pages.edge[1])), np.float64(min(key >> 32, pages.edge[0]))
-
-
-@inlined
-def exceeds(lens, metric, col, row, z, e, r):
-    """(whether the bound of a vertex's diamond exceeds the tolerance, its depth)."""
-    if metric == 0:
-        found, w = anisotropic_exceeds(lens, col, row, z, e, r)
-    else:
-        x, y, w = to_camera(lens, col, row, z)
-        found = sphere_exceeds(lens, metric, x, y, w, e, r)
-    return found, w
-
-
-@inlined
-def colored(lens, found, z, c, w, r):
-    """What its colours add to whether a diamond is split; and its height, NaN if its own sample is missing."""
-    if c != ZERO:
-        if c < ZERO:
-            c = np.float32(-1.0) - c
-            z = NAN
-        found |= color_exceeds(lens, np.float64(c), w, r)
-    return found, z
-
-
-@inlined
-def weigh(pages, lens, metric, cull, key, octave, mask):
-    """What becomes of the triangles that share the diamond at ``key``: (state, its height, planes it is inside of)."""
-    z, e, r, c = look_up(pages, key, octave)
-    col, row = place_of(pages, key)
-    radius = np.float64(r) * lens[15]
-    out = r < ZERO
-    if cull and mask != EVERYWHERE and not out:
-        out, mask = outside(lens, col, row, np.float64(z), radius, mask)
-    found, w = exceeds(lens, metric, col, row, np.float64(z), np.float64(e), radius)
-    found, z = colored(lens, found, z, c, w, radius)
-    return (DROP if out else SPLIT if found else LEAF), z, mask
-
-
-@inlined
-def weigh_both(pages, lens, metric, cull, first, second, octave, mask):
-    """``weigh`` for two diamonds of an octave, written so that the processor can do the same for both at once."""
-    z1, e1, r1, c1 = look_up(pages, first, octave)
-    z2, e2, r2, c2 = look_up(pages, second, octave)
-    col1, row1 = place_of(pages, first)
-    col2, row2 = place_of(pages, second)
-    radius1, radius2 = np.float64(r1) * lens[15], np.float64(r2) * lens[15]
-    out1, out2 = r1 < ZERO, r2 < ZERO
-    mask1 = mask2 = mask
-    if cull and mask != EVERYWHERE:
-        if not out1:
-            out1, mask1 = outside(lens, col1, row1, np.float64(z1), radius1, mask)
-        if not out2:
-            out2, mask2 = outside(lens, col2, row2, np.float64(z2), radius2, mask)
-    found1, w1 = exceeds(lens, metric, col1, row1, np.float64(z1), np.float64(e1), radius1)
-    found2, w2 = exceeds(lens, metric, col2, row2, np.float64(z2), np.float64(e2), radius2)
-    found1, z1 = colored(lens, found1, z1, c1, w1, radius1)
-    found2, z2 = colored(lens, found2, z2, c2, w2, radius2)
-    state1 = DROP if out1 else SPLIT if found1 else LEAF
-    state2 = DROP if out2 else SPLIT if found2 else LEAF
-    return state1, z1, mask1, state2, z2, mask2
-
-
-@inlined
-def call(pages, key, octave):
-    """Have the diamond at ``key``, a square, ready in the cache, and those on its edges."""
-    prefetch(pages, key >> 32, key & 0xFFFFFFFF, octave)
-
-
-@inlined
-def draws(ek, xk, ak, ez, xz, az, last_row, last_col, squeezed):
-    """Whether a leaf is there: no corner is missing, and it does not lie wholly beyond the raster."""
-    total = ez + xz + az
-    there = total == total
-    if squeezed and there:
-        there = min(ek, min(xk, ak)) >> 32 < last_row and (
-            min(ek & 0xFFFFFFFF, min(xk & 0xFFFFFFFF, ak & 0xFFFFFFFF)) < last_col
-        )
-    return there
 
 
 @inlined
@@ -178,7 +42,7 @@ def begin_strip(keys, zs, start, length, fresh, even, ak, az, bk, bz):
 
 @paired
 def refine_subtrees(
-    pages, lens, metric, cull, leaf_level, subtrees, subtree_zs, states, count, shares, helper, stack, stack_zs,
+    pages, lens, metric, cull, pruned, leaf_level, subtrees, subtree_zs, states, count, shares, helper, stack, stack_zs,
     keys, zs, places, counts,
 ):  # fmt: skip
     """Refine the subtrees that this thread takes, and write their strips.
@@ -190,6 +54,7 @@ def refine_subtrees(
     Args:
         pages: ``field.Pages``. lens: the camera. metric: its number.
         cull: whether what is out of view is left out.
+        pruned: int64, the table of diamonds that are not to be split for their errors (``lod.ahead``).
         leaf_level: 2n.
         subtrees, subtree_zs, states: those of a ``frontier``, count of them.
         shares: ``sharing.begin``, the state of sharing.
@@ -244,7 +109,7 @@ def refine_subtrees(
             if level < leaf_level:
                 octave = n - 1 - (level >> 1)
                 first_state, first_mz, first_mask, second_state, second_mz, second_mask = weigh_both(
-                    pages, lens, metric, cull, first_mk, second_mk, octave, mask
+                    pages, lens, metric, cull, pruned, first_mk, second_mk, octave, mask
                 )
                 if level & 1 == 0 and level + 2 < leaf_level:
                     # What is two levels below a split triangle lies elsewhere in memory: it is called for in time.
@@ -259,7 +124,7 @@ def refine_subtrees(
                 nodes += 2
             if first_state == SPLIT:
                 stack[top, 0], stack[top, 1], stack[top, 2] = xk, mk, second_mk
-                stack[top, 3], stack[top, 4] = level, second_state << 6 | second_mask
+                stack[top, 3], stack[top, 4] = level, second_state << 7 | second_mask
                 stack_zs[top, 0], stack_zs[top, 1], stack_zs[top, 2] = xz, mz, second_mz
                 top += 1
                 xk, xz, ak, az, mk, mz = ak, az, mk, mz, first_mk, first_mz
@@ -316,7 +181,7 @@ def refine_subtrees(
                 xk, ak, mk = stack[top, 0], stack[top, 1], stack[top, 2]
                 xz, az, mz = stack_zs[top, 0], stack_zs[top, 1], stack_zs[top, 2]
                 level = stack[top, 3]
-                state, mask = stack[top, 4] >> 6, stack[top, 4] & EVERYWHERE
+                state, mask = stack[top, 4] >> 7, stack[top, 4] & EVERYWHERE
                 second = level
                 ahead = stack[top - 1, 3] if top else level0
                 if state == SPLIT:
@@ -335,69 +200,17 @@ def refine_subtrees(
 
 
 @leaf
-def lay_out(keys, zs, length, part_keys, part_zs, places, first, count, shares):
-    """Say where the strips that helpers made go, behind the strip so far, and join them to it; the new length.
-
-    What comes out is what one thread would have made: degenerate triangles between the strips, each at an even place.
-
-    Args:
-        keys, zs, length: the strip so far; there is room.
-        part_keys, part_zs: (helpers, capacity), what helpers wrote.
-        places: as ``refine_subtrees`` left it, of the subtrees [first, count); their fourth column is filled here.
-        shares: ``sharing.begin``, for those who ``put`` them there.
-    """
-    key, z = keys[max(length - 1, 0)], zs[max(length - 1, 0)]
-    for subtree in range(first, count):
-        size = places[subtree, 2]
-        if size == 0:
-            continue
-        helper, start = np.uint64(places[subtree, 0]), np.uint64(places[subtree, 1])
-        if length:
-            keys[length], zs[length] = key, z
-            for _ in range(1 + (length & 1)):
-                length += 1
-                keys[length], zs[length] = part_keys[helper, start], part_zs[helper, start]
-            length += 1
-        places[subtree, 3] = length
-        length += size
-        end = start + np.uint64(size - 1)
-        key, z = part_keys[helper, end], part_zs[helper, end]
-    ready(shares, first)
-    return length
-
-
-@leaf
-def put(keys, zs, part_keys, part_zs, places, count, shares, helps):
-    """Move strips to where ``lay_out`` said, as many as this thread takes. Arguments as there.
-
-    Args:
-        helps: whether this thread is a helper, and waits for ``lay_out``.
-    """
-    first = wait_for(shares)
-    if first < 0 or (helps and not enters(shares)):
-        return
-    while left(shares, count - first):
-        subtree = first + last(shares, count - first)
-        helper = np.uint64(places[subtree, 0])
-        source, target = np.uint64(places[subtree, 1]), np.uint64(places[subtree, 3])
-        for k in range(np.uint64(places[subtree, 2])):
-            keys[target + k] = part_keys[helper, source + k]
-        for k in range(np.uint64(places[subtree, 2])):
-            zs[target + k] = part_zs[helper, source + k]
-    if helps:
-        leave(shares)
-
-
-@leaf
-def frontier(pages, lens, metric, cull, leaf_level, cut, corners, corner_zs, stack, stack_zs, subtrees, zs, states):
+def frontier(
+    pages, lens, metric, cull, pruned, leaf_level, cut, corners, corner_zs, stack, stack_zs, subtrees, zs, states
+):
     """The triangles of level ``cut``, and the coarser ones that are drawn, in the strip's order.
 
     Args:
-        pages, lens, metric, cull, leaf_level, stack, stack_zs: as ``refine_subtrees``.
+        pages, lens, metric, cull, pruned, leaf_level, stack, stack_zs: as ``refine_subtrees``.
         cut: a level, at most 2n − 1 (0 of a single cell).
         corners, corner_zs: int64 (2, 3), float32 (2, 3): (e, x, a) of both roots.
         subtrees: int64 (2^(cut + 1), 4), (e, x, a, m) of each; zs: float32, their heights.
-        states: int64 (2^(cut + 1), 3), level, state, planes.
+        states: int64 (2^(cut + 1), 3), level, state, bits.
 
     Returns: how many there are, how many of them are to be split, and how many diamonds were looked at.
     """
@@ -406,12 +219,15 @@ def frontier(pages, lens, metric, cull, leaf_level, cut, corners, corner_zs, sta
         top = 0
         ek, xk, ak = corners[root, 0], corners[root, 1], corners[root, 2]
         ez, xz, az = corner_zs[root, 0], corner_zs[root, 1], corner_zs[root, 2]
-        level = mask = np.int64(0)
+        level = np.int64(0)
+        mask = np.int64(EVERYWHERE - 63 if len(pruned) == 1 else 0)
         while True:
             mk = (ek + xk) >> 1
             state, mz = LEAF, NAN
             if level < leaf_level:
-                state, mz, mask = weigh(pages, lens, metric, cull, mk, (leaf_level >> 1) - 1 - (level >> 1), mask)
+                state, mz, mask = weigh(
+                    pages, lens, metric, cull, pruned, mk, (leaf_level >> 1) - 1 - (level >> 1), mask
+                )
                 nodes += 1
             if state == SPLIT and level < cut:
                 level += 1

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import leaf
 from orograph.error.screen import color_exceeds, outside, sphere_bound, sphere_exceeds, to_camera
+from orograph.lod.ahead import foresee
 from orograph.lod.engine import UNBOUNDED, Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.pages import BEYOND
@@ -47,7 +48,7 @@ row that lacked a page; free places; the diamond of the last one taken; whether 
 
 @leaf
 def refine_queue(
-    pages, lens, metric, cull, ordered, budget, limit, closing, leaf_level,
+    pages, lens, metric, cull, pruned, ordered, budget, limit, closing, leaf_level,
     corners, heights, shown, masks, free, priorities, codes, slots, keys, zs, fresh, fresh_z, fresh_n, fresh_p, counts,
 ):  # fmt: skip
     """Take triangles from the queue until it is empty, or something else ends it; returns why. It can be called again.
@@ -55,18 +56,18 @@ def refine_queue(
     Args:
         pages: ``field.Pages``. lens: the camera, with the tolerance. metric: its number, of one on spheres.
         cull: whether triangles out of view are accurate and not drawn.
+        pruned: int64, the table of diamonds that are not to be split for their errors (``lod.ahead``).
         ordered: largest bound first (a heap), else a FIFO.
         budget: most triangles drawn, but for what splits of mixed ones take. limit: most triangles taken in this call.
         closing: at the limit, still take the long-edge neighbour of the last one.
         leaf_level: 2n.
         corners: int64 (places, 3), left end, right end, apex; heights: float32 (places, 4), theirs and the middle's;
-            shown: uint8 (places,), whether it is drawn if it stays; masks: int64 (places,), planes that it is inside
-            of;
+            shown: uint8 (places,), whether it is drawn if it stays; masks: int64 (places,), bits of ``lod.ahead``;
             free: int64 (places,), places not in use.
         priorities: float64, codes: int64, slots: int64, the queue: place of each triangle that waits.
         keys: int64 (capacity, 3), zs: float32 (capacity, 3), the triangles put out.
         fresh: int64 (2, 3), fresh_z: float32 (2, 4), fresh_n: int64 (2, 3), fresh_p: float64 (2,): triangles to be,
-            with (drawn, to be split, planes) and priority.
+            with (drawn, to be split, bits) and priority.
         counts: int64 (9,).
     """
     n = leaf_level >> 1
@@ -78,7 +79,7 @@ def refine_queue(
         t = np.int64(-1)
         code = np.int64(-1)
         level = np.int64(0)
-        mask = np.int64(0)
+        mask = np.int64(64 if len(pruned) == 1 else 0)
         if counts[8]:
             if counts[2] == counts[3]:
                 return 0
@@ -136,6 +137,10 @@ def refine_queue(
                     c = c if c >= 0.0 else -1.0 - c
                     colored = color_exceeds(lens, c, w, r)
                     split = e == np.inf or colored or sphere_exceeds(lens, metric, x, y, w, e, r)
+                    if inside < 64:
+                        key = (fresh[i, 0] + fresh[i, 1]) >> 1
+                        split, hidden, inside = foresee(pruned, key, w, r, split, inside)
+                        drawn = drawn and not hidden
                     if split and ordered:
                         priority = UNBOUNDED
                         if e == np.inf:
@@ -256,14 +261,15 @@ class Stateless(Engine):
     """Refinement with nothing but a queue. See ``Engine`` for the arguments; besides:
 
     Args:
-        queue: "fifo" or "priority". Budgets of a FIFO are reached by bisecting the tolerance.
+        queue: "fifo" or "priority". Budgets of a FIFO are reached by bisecting the tolerance. A tolerance needs no
+            order and is always reached by the FIFO; budgets of the priority queue are spent by the bounds over spheres.
 
     Raises:
         UsageError: there is no such queue, or the terrain is beyond 2^26 samples a side.
     """
 
     name = "stateless"
-    metrics = ("anisotropic", "isotropic", "isotropic-published")
+    metrics = ("localised", "anisotropic", "isotropic", "isotropic-published")
 
     def __init__(self, *args: Any, queue: str = "priority", **options: Any) -> None:
         super().__init__(*args, **options)
@@ -271,18 +277,19 @@ class Stateless(Engine):
         self._capacity = 1 << 12
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
-        ordered = self.queue == "priority"
+        ordered = tolerance is None and self.queue == "priority"
         if tolerance is None and not ordered:
             return by_tolerance(self, view, triangles, seconds)
         began = time.perf_counter()
         work = _Work(self, self._capacity)
         lens = self._lens(view, tolerance or 0.0)
+        pruned = self._pruned(lens)
         no_limit = 1 << 62
         limit, closing = no_limit if seconds is None else 1024, False
         while True:
             self.field.begin()
             why = refine_queue(
-                self.field.pages, lens, self.metric.number, self.cull, ordered,
+                self.field.pages, lens, self.spheres, self.cull, pruned, ordered,
                 no_limit if triangles is None else triangles, limit, closing, 2 * self.field.n,
                 *work.places, *work.queue, work.keys, work.zs, *work.scratch, work.counts,
             )  # fmt: skip

@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import leaf
-from orograph.error.screen import LOCALISED, color_exceeds, outside, sphere_bound, to_camera, triangle_bound
+from orograph.error.screen import color_exceeds, outside, sphere_bound, to_camera, triangle_bound
 from orograph.errors import UsageError
+from orograph.lod.ahead import DEPTH, NEAR
 from orograph.lod.engine import UNBOUNDED, Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.localise import STACK, localised_bound, prism_outside
@@ -44,7 +45,7 @@ MADE, DRAWN, HEAD, TAIL, SPLITS, STALLED = 0, 1, 2, 3, 4, 5
 
 @leaf
 def refine_triangles(
-    pages, lens, metric, cull, depth, ordered, low, budget, splits, leaf_level,
+    pages, lens, metric, cull, depth, near, ordered, low, budget, splits, leaf_level,
     corners, heights, links, drawn, priorities, codes, slots, chain, fresh, fresh_z, fresh_p, fresh_drawn, todo, counts,
 ):  # fmt: skip
     """Split triangles until none is left that should be, or something else ends it; returns why. Can be called again.
@@ -169,7 +170,7 @@ def refine_triangles(
                         xx, xy, xw = to_camera(lens, xc, xr, np.float64(xz))
                         ax, ay, aw = to_camera(lens, ac, ar, np.float64(az))
                         error = triangle_bound(lens, ex, ey, ew, xx, xy, xw, ax, ay, aw, e)
-                        if metric == 5 and whole and error > low:
+                        if metric == 5 and whole and error > low and r > near * (w - r):
                             enough = np.inf if ordered else low
                             bound, lacks = localised_bound(
                                 pages, lens, er, ec, ez, xr, xc, xz, ar, ac, az, level, leaf_level, e, z, low, enough,
@@ -292,27 +293,31 @@ class TopDown(Engine):
     """Top-down refinement with forced splits. See ``Engine`` for the arguments; besides:
 
     Args:
-        queue: "fifo" or "priority". Budgets of a FIFO are reached by bisecting the tolerance.
+        queue: "fifo" or "priority". Budgets of a FIFO are reached by bisecting the tolerance. A tolerance needs no
+            order and is always reached by the FIFO.
         depth: halvings that the metric ``localised`` looks ahead.
+        near: where it does: where the nested sphere's radius is more than this of its least depth.
 
     Raises:
         UsageError: there is no such queue, or the depth makes no sense.
     """
 
     name = "top-down"
-    metrics = ("wedgie", "localised", "anisotropic", "isotropic", "isotropic-published", "anisotropic-published")
+    metrics = ("localised", "wedgie", "anisotropic", "isotropic", "isotropic-published", "anisotropic-published")
 
-    def __init__(self, *args: Any, queue: str = "priority", depth: int = 6, **options: Any) -> None:
+    def __init__(
+        self, *args: Any, queue: str = "priority", depth: int = DEPTH, near: float = NEAR, **options: Any
+    ) -> None:
         super().__init__(*args, **options)
+        if not near >= 0:
+            raise UsageError(f"Spheres are near from a ratio of 0 or more on, not {near}.")
         if not 0 <= depth <= 64:
             raise UsageError(f"The metric can look 0 to 64 halvings ahead, not {depth}.")
-        if self.metric.number == LOCALISED and not self.conservative:
-            raise UsageError(f"The metric 'localised' needs an error that is a bound, not {self.error!r}.")
-        self.queue, self.depth = usable_queue(queue, self.name, self.terrain), depth
+        self.queue, self.depth, self.near = usable_queue(queue, self.name, self.terrain), depth, near
         self._capacity = 1 << 12
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
-        ordered = self.queue == "priority"
+        ordered = tolerance is None and self.queue == "priority"
         if tolerance is None and not ordered:
             return by_tolerance(self, view, triangles, seconds)
         began = time.perf_counter()
@@ -322,7 +327,7 @@ class TopDown(Engine):
         while True:
             self.field.begin()
             why = refine_triangles(
-                self.field.pages, lens, self.metric.number, self.cull, self.depth, ordered, tolerance or 0.0,
+                self.field.pages, lens, self.metric.number, self.cull, self.depth, self.near, ordered, tolerance or 0.0,
                 (1 << 62) if triangles is None else triangles, (1 << 62) if seconds is None else 1024,
                 2 * self.field.n, state.corners, state.heights, state.links, state.drawn, *state.queue, *state.scratch,
                 state.counts,
