@@ -26,6 +26,9 @@ from orograph.store.memory import MemoryTerrain
 from orograph.view import View
 
 RATE = 60.0
+TURN = 2.0
+CHANGES = 60
+"""Triangles that come in a frame of the flights over meshes of different sizes."""
 
 
 def load(path: str, cell: float) -> MemoryTerrain:
@@ -42,8 +45,8 @@ def load(path: str, cell: float) -> MemoryTerrain:
     return MemoryTerrain(z, Grid(z.shape, Affine(cell, 0, 0, 0, -cell, 0)), Path(path).name)
 
 
-def flight(t: MemoryTerrain, frames: int, speed: float) -> list[View]:
-    """300 m above smoothed ground, beginning in the middle of the southern third, in a wide left turn."""
+def flight(t: MemoryTerrain, frames: int, speed: float, turn: float = TURN) -> list[View]:
+    """300 m above smoothed ground, beginning in the middle of the southern third, in a wide left turn (°/s)."""
     rows, cols = t.grid.shape
     cell = t.grid.spacing[0]
     x, y = t.grid.xy(cols * 0.5, rows * 0.7)
@@ -57,7 +60,7 @@ def flight(t: MemoryTerrain, frames: int, speed: float) -> list[View]:
         ahead = np.array([np.cos(heading), np.sin(heading)])
         views.append(View((*eye, height), (*(eye + 2000 * ahead), height - 400), fov_y=50, width=1920, height=1080))
         eye = eye + ahead * speed / RATE
-        heading += np.radians(2.0) / RATE
+        heading += np.radians(turn) / RATE
     return views
 
 
@@ -161,6 +164,12 @@ def main() -> None:
             f"{factor * given.speed:.0f} m/s",
             fly(Roam(t), flight(t, given.frames, factor * given.speed), tolerance=1.0),
         )
+    print("as many changes in a frame, whatever the mesh: the camera the slower the larger the mesh")
+    for tolerance in (4.0, 1.0, 0.5, 0.15):
+        first = fly(Roam(t), flight(t, 20, given.speed), tolerance=tolerance)
+        pace = CHANGES / max(first["changed"] / 100 * first["triangles"], 1.0)
+        slower = flight(t, given.frames, pace * given.speed, pace * TURN)
+        row(f"tolerance {tolerance} px, {pace:.2f} × the pace", fly(Roam(t), slower, tolerance=tolerance))
     row("budget of triangles", fly(Roam(t), views, triangles=int(base["triangles"])))
     print("ablation, as ratios of the time of a frame")
     row("all of it", base, base["ms"])

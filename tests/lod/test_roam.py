@@ -13,7 +13,7 @@ import rasterio
 from orograph import verify
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts
-from orograph.lod.roam import Roam, engine, mesh, queues
+from orograph.lod.roam import Roam, engine, mesh, priorities, queues
 from orograph.store.memory import MemoryTerrain
 from orograph.view import View
 
@@ -225,6 +225,40 @@ def test_budgets_of_triangles_are_kept_and_used(gaps):
             assert fresh.triangles <= budget
             finer = Roam(t).mesh(view, tolerance=found.stats["tolerance"] / 1.2)[0]
             assert finer.triangles >= min(budget, len(found.triangles)) * 0.98
+
+
+def test_with_a_budget_priorities_are_known_to_a_bucket_where_the_queues_cross():
+    """Those between the thresholds are at most ``STALE`` off; the others are on their side of them, to that."""
+    rng = np.random.default_rng(5)
+    t = plain.terrain(plain.rough(rng, (257, 257)))
+    roam = Roam(t)
+    compared, swept, off = 0, 0, []
+    first, second = list(flight(rng, t, 2))
+    step = 0.3 * (np.array(second.eye) - first.eye)
+    for frame in range(40):
+        view = replace(first, eye=tuple(first.eye + frame * step), target=tuple(first.target + frame * step))
+        roam.refine(view, triangles=1500)
+        s = roam._state
+        before, counts = s.nodes.copy(), s.counts.copy()
+        low, high = s.options[[priorities.LEAST, priorities.MOST]]
+        swept += s.counts[mesh.SWEPT] > 0
+        nodes = s.nodes[: s.counts[mesh.TOP]]
+        live = (nodes["state"] == mesh.LEAF) | ((nodes["flags"] & mesh.MERGEABLE) > 0)
+        live &= nodes["state"] != mesh.FREE
+        known = nodes["priority"].astype(np.float64)
+        for i in np.flatnonzero(live):
+            args = s.nodes, s.pages, s.lens, s.clock, s.counts, s.options, s.terms, s.stack, s.work, s.waiting
+            priorities.priority_of(*args, i)
+        true = s.nodes["priority"][: len(known)].astype(np.float64)
+        s.nodes[:], s.counts[:] = before, counts
+        inside = live & (known > low) & (known <= high) & (high < math.inf)
+        near = 1 + priorities.STALE * (1 + 1e-6)
+        assert (true[inside] <= known[inside] * near).all() and (true[inside] * near >= known[inside]).all()
+        assert (true[live & (known <= low)] <= low * near).all()
+        assert (true[live & (known > high)] * near > high).all()
+        compared += inside.sum()
+        off.append(np.abs(true[inside] / known[inside] - 1).max(initial=0.0))
+    assert compared > 500 and swept and max(off) > 0  # the thresholds moved; some priorities were not computed again
 
 
 def test_a_budget_of_time_ends_in_a_sound_mesh_and_goes_on_in_the_next_frame(monkeypatch):

@@ -28,8 +28,9 @@ from orograph.view import Point, View
 FINEST = 0.25
 """Pixels to which a budget of time refines at most: finer is not seen, and would fill the memory of a still camera."""
 
-BAND = 1.15
-"""With a budget of triangles, priorities within this factor of the last crossing of the queues are kept up to date."""
+BAND = 1.1
+"""With a budget of triangles, priorities within this factor of the last crossing of the queues are kept up to date, to
+the width of a bucket (``priorities.STALE``)."""
 
 STEPS = 500
 """Steps between two looks at the clock."""
@@ -158,6 +159,7 @@ class Roam(Engine):
         self._look(view, tolerance, triangles, seconds)
         c = self._state.counts
         c[[mesh.SPLITS, mesh.MERGES, mesh.COMPUTED, mesh.SHOWN, mesh.LABELS]] = 0
+        c[mesh.FRAME] = (c[mesh.FRAME] + 1) % (1 << 31)
         budget = -1 if triangles is None else triangles
         steps = -1 if seconds is None else STEPS
         reason, drifts = frame.ROOM, 0
@@ -208,19 +210,41 @@ class Roam(Engine):
         if s.terms.factors[2] < 1:
             terms.hide_behind(s.terms, s.pages.edge)
         s.options[priorities.TOLERANCE] = s.options[priorities.RATE] = goal
-        s.options[[priorities.LOW, priorities.HIGH]] = goal
         if goal == 0:
             s.options[priorities.RATE] = 1.0
-        if triangles is not None:
-            crossing = 0.0 if renew else self._crossing
-            s.options[[priorities.LOW, priorities.HIGH]] = (
-                (0.0, math.inf) if renew else (crossing / BAND, crossing * BAND)
-            )
+        if triangles is None:
+            self._know(goal, goal)
+        elif renew:
+            self._know(0.0, math.inf)
+        else:
+            self._follow()
         queues.advance(s.clock, moved, turned)
         if renew:
             s.counts[mesh.RENEW] = 1
         s.counts[mesh.STAGE] = not (s.counts[mesh.RENEW] or moved or turned or self._is_behind)
         s.counts[mesh.RELABELLED] = s.counts[mesh.STAGE]
+
+    def _know(self, low: float, high: float) -> None:
+        """Let these be the thresholds: what is computed from now on is computed for them, and nothing else is left."""
+        s = self._state
+        s.options[[priorities.LOW, priorities.HIGH]] = s.options[[priorities.LEAST, priorities.MOST]] = low, high
+        s.counts[mesh.SWEPT] = 0
+
+    def _follow(self) -> None:
+        """Keep the thresholds around the crossing of the queues, little by little.
+
+        What was computed for the old ones holds between both until all has been computed for the new ones.
+        """
+        s, crossing = self._state, self._crossing
+        low, high = s.options[[priorities.LOW, priorities.HIGH]]
+        near = math.sqrt(BAND)
+        if high == math.inf:  # everything is known to a bucket's width
+            self._know(crossing / BAND, crossing * BAND)
+        elif not s.counts[mesh.SWEPT] and not low * near <= crossing <= high / near:
+            s.options[[priorities.LOW, priorities.HIGH]] = crossing / BAND, crossing * BAND
+            s.options[priorities.LEAST] = max(low, crossing / BAND)
+            s.options[priorities.MOST] = min(high, crossing * BAND)
+            s.counts[mesh.SWEPT] = 1
 
     def _drift(self, triangles: int | None, wide: bool) -> None:
         """The queues cross outside of the band: compute everything for a band around where they do, or for all."""
@@ -229,8 +253,7 @@ class Roam(Engine):
         merge = int(queues.lowest(s.occupied, queues.MERGE))
         over = triangles is not None and s.counts[mesh.DRAWN] > triangles
         self._crossing = queues.largest_in(merge if over or split < 0 else split)
-        band = (0.0, math.inf) if wide else (self._crossing / BAND, self._crossing * BAND)
-        s.options[[priorities.LOW, priorities.HIGH]] = band
+        self._know(*((0.0, math.inf) if wide else (self._crossing / BAND, self._crossing * BAND)))
         s.counts[[mesh.RENEW, mesh.STAGE, mesh.RELABELLED]] = 1, 0, 0
 
     def _output(self, capacity: int) -> list[NDArray[Any]]:
@@ -269,7 +292,7 @@ class Roam(Engine):
         reached: float | None = tolerance
         if triangles is not None:
             self._crossing = queues.largest_in(worst) if worst >= 0 else 0.0
-            reached = max(self._crossing, float(s.options[priorities.LOW]))
+            reached = max(self._crossing, float(s.options[priorities.LEAST])) * (1.0 + priorities.STALE)
         elif seconds is not None:
             reached = FINEST * max(1.0, queues.largest_in(worst))
         within = done if seconds is not None else triangles is None or int(c[mesh.DRAWN]) <= triangles

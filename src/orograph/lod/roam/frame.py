@@ -14,6 +14,7 @@ from orograph.lod.roam.changes import assess, force_split, merge_diamond, wait
 from orograph.lod.roam.mesh import (
     DRAWN,
     EMPTY,
+    FRAME,
     FREE,
     FREED,
     INNER,
@@ -25,11 +26,12 @@ from orograph.lod.roam.mesh import (
     RELABELLED,
     RENEW,
     STAGE,
+    SWEPT,
     TOP,
     WAITING,
     coarser_base,
 )
-from orograph.lod.roam.priorities import CULL, HIGH, LOW
+from orograph.lod.roam.priorities import CULL, HIGH, LEAST, LOW, MOST
 from orograph.lod.roam.queues import CLASSES, HOLES, MERGE, SLOTS, SPLIT, UNITY, bucket_of, highest, lowest, slot_of
 from orograph.lod.roam.strips import ABSENT, lacks_room
 
@@ -39,6 +41,9 @@ the crossing of the two queues is at priorities that were not computed again."""
 
 RESERVE = 512
 """Nodes and strips that must be free before a split (a forced split makes at most four on each of its levels)."""
+
+SHARE = 16
+"""Frames in which all priorities are computed again when thresholds move."""
 
 
 @leaf
@@ -119,6 +124,33 @@ def assess_all(s, steps):
 
 
 @leaf
+def refresh(s, i):
+    """Compute node i's priority again if it is of an earlier frame; whether it was."""
+    if i < 0 or s.nodes[i].frame == s.counts[FRAME]:
+        return False
+    assess(s, i)
+    return True
+
+
+@leaf
+def sweep(s):
+    """Compute a share of all priorities again, of those of earlier frames: the thresholds are moving to other ones."""
+    nodes = s.nodes
+    first = s.counts[SWEPT] - 1
+    last = min(first + s.counts[TOP] // SHARE + 1, s.counts[TOP])
+    for i in range(first, last):
+        if is_full(s):
+            return
+        s.counts[SWEPT] = i + 2
+        node = nodes[i]
+        if (node.state == LEAF and not node.flags & PENDING) or (node.state == INNER and node.flags & MERGEABLE):
+            refresh(s, i)
+    if last == s.counts[TOP]:
+        s.counts[SWEPT] = 0
+        s.options[LEAST], s.options[MOST] = s.options[LOW], s.options[HIGH]
+
+
+@leaf
 def assess_waiting(s):
     """Compute what waited for pages."""
     count = s.counts[WAITING]
@@ -181,11 +213,12 @@ def by_budget(s, budget):
 
     What is part surface and part hole is split, and stays split, whatever the budget.
 
-    It ends: a diamond is merged for the sake of one whose bucket is higher, so of those that were split and merged over
-    and over the highest could not have been merged.
+    Priorities may be stale by as much as a bucket's width, so that of a child may exceed that of its parent: those that
+    would be split or merged are computed first. So it ends: a diamond is merged for the sake of one whose bucket is
+    higher, and of those that were split and merged over and over the highest could not have been merged.
     """
-    least = bucket_of(np.float32(s.options[LOW]))
-    most = bucket_of(np.float32(s.options[HIGH]))
+    least = bucket_of(np.float32(s.options[LEAST]))
+    most = bucket_of(np.float32(s.options[MOST]))
     while True:
         split = highest(s.occupied, SPLIT)
         merge = lowest(s.occupied, MERGE)
@@ -206,7 +239,7 @@ def by_budget(s, budget):
                 return DRIFT
             if is_full(s):
                 return ROOM
-            if not force_split(s, i):
+            if not refresh(s, i) and not force_split(s, i):
                 wait(s, i)
             continue
         elif split <= merge:
@@ -215,7 +248,10 @@ def by_budget(s, budget):
             return DRIFT
         if is_full(s):
             return ROOM
-        merge_diamond(s, np.int64(s.heads[MERGE, merge]))
+        i = np.int64(s.heads[MERGE, merge])
+        one, two = refresh(s, i), refresh(s, np.int64(s.nodes[i].base))
+        if not one and not two:
+            merge_diamond(s, i)
 
 
 @leaf
@@ -270,6 +306,8 @@ def run_frame(s, budget, steps):
         left = assess_due(s, steps)
         if s.counts[RENEW]:
             left = assess_all(s, left)
+        if s.counts[SWEPT] and left != 0:
+            sweep(s)
         if left != 0:
             s.counts[STAGE] = 1
         elif is_full(s):

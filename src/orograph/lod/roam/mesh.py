@@ -41,8 +41,8 @@ NODE = np.dtype(
         ("parent", "i4"), ("child", "i4"), ("base", "i4"), ("left", "i4"), ("right", "i4"),
         # the split or the merge queue: the list of a bucket (−1: in none)
         ("priority", "f4"), ("bucket", "i4"), ("before", "i4"), ("after", "i4"),
-        # the list of those whose priority has to be computed again at the same time
-        ("due", "f8"), ("due_list", "i4"), ("due_before", "i4"), ("due_after", "i4"),
+        # the list of those whose priority has to be computed again at the same time; the frame in which it was computed
+        ("due", "f8"), ("due_list", "i4"), ("due_before", "i4"), ("due_after", "i4"), ("frame", "i4"),
         # frustum labels: the planes it is wholly inside of, until when
         ("label_until", "f8"), ("inside", "u1"), ("label_class", "u1"),
         ("level", "u1"), ("state", "u1"), ("flags", "u1"), ("reach", "u1"),
@@ -55,7 +55,7 @@ NODE = np.dtype(
 # What ``State.counts`` counts.
 TOP, FREED, LEAVES, DRAWN, WAITING, STAGE, RENEW, QUEUED_SPLITS, QUEUED_MERGES = range(9)
 SPLITS, MERGES, COMPUTED, SHOWN, LABELS = range(9, 14)
-LOOSE, DIRTY, BLOCKS, UNUSED, RELABELLED = range(14, 19)
+LOOSE, DIRTY, BLOCKS, UNUSED, RELABELLED, FRAME, SWEPT = range(14, 21)
 COUNTS = 24
 
 

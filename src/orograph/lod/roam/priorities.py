@@ -35,6 +35,7 @@ from orograph.lod.roam.mesh import (
     COMPUTED,
     EMPTY,
     EXCEEDS,
+    FRAME,
     LABELS,
     LOADED,
     OUT,
@@ -42,16 +43,20 @@ from orograph.lod.roam.mesh import (
     PINNED,
     WAITING,
 )
-from orograph.lod.roam.queues import class_of, reach_of
+from orograph.lod.roam.queues import PER_OCTAVE, class_of, reach_of
 from orograph.lod.roam.terms import around, factor_of, is_hidden, is_pinned
 
 # State.options
-TOLERANCE, LOW, HIGH, CULL, EVERY, BOUND, METRIC, N, RATE = range(9)
+TOLERANCE, LOW, HIGH, CULL, EVERY, BOUND, METRIC, N, RATE, LEAST, MOST = range(11)
 """Pixels that have priority 1; the thresholds, pixels, below and above which nothing is computed again; whether what is
 out of view is left out; whether everything is computed in every frame; whether errors are bounds; the metric's number;
-the exponent of the square; how many priority units a color error of γ is worth."""
+the exponent of the square; how many priority units a color error of γ is worth; between which pixels all priorities are
+known (``LOW`` and ``HIGH``, but for a while after those have changed)."""
 OPTIONS = 16
 
+STALE = 2.0 ** (1.0 / PER_OCTAVE) - 1.0
+"""How far, as a share of it, a priority between the thresholds may have moved before it is computed again: the width of
+a bucket, within which the order is any."""
 NAN = np.float32(np.nan)
 LARGEST = float(np.finfo(np.float32).max)
 """The largest priority of what is no hole."""
@@ -247,6 +252,7 @@ def priority_of(nodes, pages, lens, clock, counts, options, terms, stack, work, 
     """
     node = nodes[i]
     counts[COMPUTED] += 1
+    node.frame = counts[FRAME]
     edge = pages.edge
     node.flags &= ~np.uint8(OUT | EXCEEDS)
     node.priority = 0.0
@@ -329,7 +335,10 @@ def priority_of(nodes, pages, lens, clock, counts, options, terms, stack, work, 
 
 @leaf
 def screen(node, edge, lens, options, low, high):
-    """(the bound in pixels over a node's volume, the motion for which it does not come to lie between low and high)."""
+    """(the bound in pixels over a node's volume, the motion for which it does not come to lie between low and high).
+
+    If it lies there, the motion for which it stays within ``STALE`` of what it is.
+    """
     if not node.flags & LOADED or node.flags & EMPTY:
         return 0.0, np.inf
     e = np.float64(node.error)
@@ -381,7 +390,9 @@ def screen(node, edge, lens, options, low, high):
         elif bound > high:
             slack = max(above(focal * e, numerator, max(nearest, 0.0), up, high), -depth if near == 0.0 else 0.0)
         else:
-            slack = 0.0
+            more, less = bound * (1.0 + STALE), bound / (1.0 + STALE)
+            slack = below(focal * e, numerator, depth - taken, up, more)
+            slack = min(slack, above(focal * e, numerator, max(nearest, 0.0), up, less))
     if node.color > 0.0 or node.color < -1.0:
         c = np.float64(node.color)
         c = -1.0 - c if c < 0.0 else c
