@@ -5,7 +5,7 @@ tangent plane (its slope averaged over the pixel, as for the light) tells how fa
 thin everywhere, whatever the distance, and no line is traced. Where lines would run together they fade, first the plain
 ones, then the index contours; level ground, of which no line can be said to be the contour, and water have none.
 
-The interval that suits a picture follows the cartographers' rule (Imhof 1965, ch. 5): on the steepest common slopes
+The interval that suits a picture follows the cartographers' rule (Imhof 1965): on the steepest common slopes
 lines must still be told apart, so it is tan α of those slopes times the smallest distance between lines, rounded to
 1, 2 or 5 times a power of ten.
 

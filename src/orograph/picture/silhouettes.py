@@ -5,8 +5,8 @@ the step between two pixels is larger than those beside it account for, ground i
 turned away from the eye and begins again farther off. What is hidden, as a part of the distance, is the line's weight:
 plains seen at a grazing angle, whose steps are large and alike, have no lines, and a ridge hardly before the next slope
 has a faint one. Lines lie on the borders between such pixels, are ``width`` pixels wide, fade and become thinner with
-distance (Imhof 1963 draws the foreground's outlines strongest), and lie as far away as the nearer ground does: haze
-comes before them. Where the terrain ends at its raster's border there is none: that is no ridge.
+distance, as drawn panoramas have them, and lie as far away as the nearer ground does: haze comes before them. Where the
+terrain ends at its raster's border there is none: that is no ridge.
 
 A map seen from straight above has no silhouettes. Units: pixels; metres of depth; colours are sRGB from 0 to 1.
 """
