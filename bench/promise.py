@@ -3,8 +3,8 @@
 On each terrain 20 random views (grazing, straight down, close by, wide angle, far away), each at five tolerances. The
 referee (``orograph.verify``) looks at every full-resolution sample in view and for every defect of the mesh. The oracle
 (``orograph.lod.oracle``) is the same refinement with the largest true displacement of any sample in view in place of a
-bound; it leaves out what is out of view by the same volumes as the engine. Engines that promise nothing are measured
-for comparison.
+bound; it leaves out what is out of view by the same volumes as the engine, or by smaller ones. Engines that promise
+nothing are measured for comparison.
 
 Run: ``python bench/promise.py [--quick] [--data FOLDER] [--json OUT.json]``; FOLDER holds the open DEMs by the names in
 ``TERRAINS`` (default: ../shared/data beside the checkout); those that are absent are left out. Processes share the
@@ -50,9 +50,10 @@ TOLERANCES = (0.5, 1.0, 2.0, 4.0, 8.0)
 
 ENGINES: dict[str, tuple[str, dict[str, Any]]] = {
     "top-down": ("top-down", {}),
-    "top-down localised": ("top-down", {"metric": "localised"}),
+    "top-down wedgie": ("top-down", {"metric": "wedgie"}),
     "stateless": ("stateless", {"queue": "fifo"}),
     "soar": ("soar", {}),
+    "soar anisotropic": ("soar", {"metric": "anisotropic"}),
     "blow": ("blow", {}),
     "blow isotropic": ("blow", {"metric": "isotropic"}),
     "roam": ("roam", {}),
@@ -61,7 +62,11 @@ ENGINES: dict[str, tuple[str, dict[str, Any]]] = {
     "top-down anisotropic-published": ("top-down", {"metric": "anisotropic-published"}),
 }
 BY_TRIANGLES = ("top-down", "roam")
-"""Engines that leave out what is out of view by triangles and not by nested spheres."""
+"""Engines that leave out what is out of view by triangles and not by nested spheres; those that look ahead
+(``localised``) do both, and are put beside the smaller oracle, too."""
+
+FEW = 200
+"""Views in which the oracle has fewer triangles do not count as the worst: one triangle is half a per cent of them."""
 
 
 def terrain_of(name: str, data: Path) -> MemoryTerrain | None:
@@ -147,11 +152,12 @@ class Bench:
                 if same not in judged:
                     judged[same] = verify.judge(mesh, self.terrain, view, jobs=1)
                 report = judged[same]
+                prisms = engine.name in BY_TRIANGLES or engine.metric.name == "localised"
                 found.append(
                     {
                         "terrain": self.name, "view": number, "kind": kind, "engine": label, "tolerance": tolerance,
                         "conservative": engine.conservative, "triangles": len(mesh.triangles),
-                        "oracle": fewest[engine.name in BY_TRIANGLES], "largest": report.largest, "rms": report.rms,
+                        "oracle": fewest[prisms], "largest": report.largest, "rms": report.rms,
                         "defects": report.defects, "ms": 1e3 * took,
                         "kept": bool(report.ok(tolerance) or not engine.conservative),
                     }
@@ -188,7 +194,7 @@ def tables(found: list[dict[str, Any]]) -> str:
             for tolerance in (*TOLERANCES, None):
                 some = [r for r in mine if tolerance in (None, r["tolerance"])]
                 cells.append(sum(r["triangles"] for r in some) / max(1, sum(r["oracle"] for r in some)))
-            worst = max(r["triangles"] / r["oracle"] for r in mine if r["oracle"] >= 100)
+            worst = max((r["triangles"] / r["oracle"] for r in mine if r["oracle"] >= FEW), default=math.nan)
             error = max(r["largest"] / r["tolerance"] for r in mine)
             defects = sum(bool(r["defects"]) for r in mine)
             broken = sum(not r["kept"] for r in mine) if mine[0]["conservative"] else "–"
@@ -196,7 +202,7 @@ def tables(found: list[dict[str, Any]]) -> str:
             lines.append(f"{label:32}{ratios}{error:12.4f}{broken:>9}{defects:10}")
     lines += [
         "",
-        "Triangles over the oracle's (worst: one view, of 100 triangles at least); the largest error in units of",
+        f"Triangles over the oracle's (worst: one view, of {FEW} triangles at least); the largest error in units of",
     ]
     lines += ["the tolerance; meshes of conservative engines that break the promise; meshes with any defect."]
     return "\n".join(lines)
