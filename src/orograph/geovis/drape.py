@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +74,7 @@ class Drape:
             UsageError: its CRS cannot be reached from the terrain's.
         """
         laid = Laid.open(layer if isinstance(layer, Layer) else Layer(os.fspath(layer)), grid)
-        area = laid.area
+        area, _ = laid.aligned()
         budget = BUDGET if max_memory is None else max(max_memory // 4, 1 << 16)
         least = 1.0 if metres is None else metres * float(laid.lattice.density().max())
         size = area.row1 - area.row0, area.col1 - area.col0
@@ -84,9 +85,7 @@ class Drape:
                 f"{laid.layer.path} is drawn {step // wanted} times coarser than it could be: more would not fit into "
                 "the memory allowed."
             )
-        # Overviews are found by whole texels of theirs.
-        row0, col0 = (first - first % step for first in (area.row0, area.col0))
-        window = Window(row0, area.row1, col0, area.col1, step)
+        window = replace(area, step=step)
         pool, levels = mipmap.pool_for(*window.shape)
         finest = pool[: window.shape[0] * window.shape[1]].reshape(*window.shape, 4)
         read_into(finest, laid.location, window, laid.bands)

@@ -15,6 +15,9 @@ from orograph.geovis.imagery import Bands, Window, unreadable
 from orograph.geovis.layers import Layer
 from orograph.geovis.placement import Lattice, Placement, extent, grid_of
 
+LEAST = 64
+"""Texels along a side of the area at its coarsest level, at most."""
+
 OFF = 0.1
 """Image pixels: positions that are farther off than this are worth a warning."""
 
@@ -78,6 +81,16 @@ class Laid:
         except (RasterioError, OSError) as error:
             raise unreadable(location, error) from None
         return cls(layer, location, placement, lattice, area, bands, overviews, tuple(warnings))
+
+    def aligned(self) -> tuple[Window, int]:
+        """The area in whole texels of its coarsest level, and that level: all levels of means are then in register
+        with the file's corner, as its overviews are, whoever holds them."""
+        area, image = self.area, self.placement.image
+        top = max(0, math.ceil(math.log2(max(area.row1 - area.row0, area.col1 - area.col0) / LEAST)))
+        grain = 1 << top
+        row0, col0 = area.row0 // grain * grain, area.col0 // grain * grain
+        row1, col1 = min(-(-area.row1 // grain) * grain, image.rows), -(-area.col1 // grain) * grain
+        return Window(row0, row1, col0, col1 if self.cyclic else min(col1, image.cols)), top
 
     @property
     def cyclic(self) -> bool:

@@ -33,6 +33,7 @@ from orograph.view import View
 
 Array = NDArray[np.float64]
 Words = NDArray[np.uint32]
+Places = NDArray[np.int64]
 
 UPLOAD = 16
 """Tiles brought to the GPU in a frame, at most."""
@@ -50,6 +51,8 @@ LEVEL = 8
 THERE = np.uint32(1 << 31)
 """A page's bit that says: this is known (perhaps that nothing is to be seen). Bits 24–28 are the level, those below 24
 the slot + 1, 0 where nothing is to be seen."""
+
+SLOT = np.uint32((1 << 24) - 1)
 
 HEAD_DTYPE = np.dtype(
     [
@@ -113,7 +116,8 @@ class Imagery:
         self._sheets: dict[Layer, Sheet] = {}
         self._buffer: Any = None
         self._frame = 0
-        self._full = False
+        self._full = self._refused = False
+        self._known: set[Layer] = set()
         self._asked: set[tuple[Layer, int]] = set()
         self._none: tuple[Any, Any] | None = None
 
@@ -136,14 +140,16 @@ class Imagery:
         seen = drawn(layers)
         if not seen and not self._held:
             return 0
-        self._frame += 1
-        self._full = False
-        self._drop({layer.content for layer in layers})
+        self._known = {layer.content for layer in layers}
+        self._drop()
         if self._streamer is None:
             self._streamer = Streamer(self._make, self.jobs or 2)
+        if wait:  # what failed before is tried again
+            self._streamer.failed.clear()
         self._upload(1 << 16 if wait else UPLOAD)
         wanted = self._want(seen, view, exaggeration)
-        while wait and (wanted or self._streamer.waiting) and not self._full:
+        self._refused = False
+        while wait and (wanted or self._streamer.waiting) and not self._refused:
             self._streamer.wait(1.0)
             self._upload(1 << 16)
             for layer, place in self._asked & set(self._streamer.failed):
@@ -180,7 +186,7 @@ class Imagery:
     @property
     def full(self) -> bool:
         """Whether the last frame wanted more tiles than there is room for."""
-        return self._full
+        return self._full or self._refused
 
     @property
     def failure(self) -> str:
@@ -230,26 +236,44 @@ class Imagery:
     def _want(self, layers: Sequence[Layer], view: View, exaggeration: float) -> int:
         """Ask for what a view lacks; how much that is, but for what cannot be read."""
         assert self._streamer is not None
+        self._frame += 1  # what was wanted before may leave, if it is not wanted any more
         wanted: list[tuple[float, Layer, int]] = []
+        tiles: list[tuple[Layer, Held, Places, Array, NDArray[np.int32]]] = []
         for content in dict.fromkeys(layer.content for layer in layers):
             held = self._held.get(content)
             if held is None:
                 wanted.append((math.inf, content, OPENING))
                 continue
-            assert self._atlas is not None
-            which, priority = held.sheet.tree.of(view, exaggeration, pixels=LEAST)
-            pages = held.own[which]
-            slots = (pages & np.uint32(0xFFFFFF)).astype(np.int32) - 1
-            self._atlas.touch(slots, self._frame)
-            lack = pages == 0
             self._refresh(held)
-            # Below a tile on which nothing is to be seen there is nothing.
-            inherited = held.pages[which]
-            lack &= ~((inherited & THERE > 0) & (inherited & np.uint32(0xFFFFFF) == 0))
+            which, priority = held.sheet.tree.of(view, exaggeration, pixels=LEAST)
+            # What is known to show nothing, itself or below such a tile, is not asked for.
+            pages = held.pages[which]
+            some = ~((pages & THERE > 0) & (pages & SLOT == 0))
+            which, priority = which[some], priority[some]
+            priority[which < held.sheet.pinned] = math.inf
+            slots = (held.own[which] & SLOT).astype(np.int32) - np.int32(1)
+            tiles.append((content, held, which, priority, slots))
+        least = self._least([t[3] for t in tiles])
+        for content, _, which, priority, slots in tiles:
+            assert self._atlas is not None
+            fits = priority >= least
+            self._atlas.touch(slots[fits], self._frame)
+            lack = fits & (slots < 0)
             wanted += [(p, content, i) for p, i in zip(priority[lack].tolist(), which[lack].tolist(), strict=True)]
         self._streamer.want(wanted)
         self._asked = {(layer, place) for _, layer, place in wanted}
         return len(self._asked - set(self._streamer.failed))
+
+    def _least(self, priorities: list[Array]) -> float:
+        """The priority from which on there is room for all tiles that have it; sets ``full``."""
+        every = np.concatenate(priorities) if priorities else np.empty(0)
+        every = every[np.isfinite(every)]  # but for those that are pinned
+        pinned = sum(held.sheet.pinned for held in self._held.values())
+        room = 0 if self._atlas is None else max(self._atlas.capacity - pinned, 0)
+        self._full = len(every) > room
+        if not self._full:
+            return -math.inf
+        return float(np.nextafter(np.partition(every, len(every) - room - 1)[len(every) - room - 1], np.inf))
 
     def _upload(self, most: int) -> None:
         assert self._streamer is not None
@@ -271,7 +295,7 @@ class Imagery:
                 return
             slot, before = self._atlas.put((layer, place), data, self._frame, pin=place < held.sheet.pinned)
             if slot < 0:
-                self._full = True
+                self._refused = True
                 return
             if before is not None:
                 other = self._held[before[0]]
@@ -282,6 +306,8 @@ class Imagery:
     def _open(self, layer: Layer) -> None:
         """Take a layer that a thread has opened."""
         sheet = self._sheets.pop(layer)
+        if layer not in self._known:  # gone meanwhile
+            return
         if self._atlas is None:
             self._atlas = Slots(
                 self.device, SIDE, "rgba8unorm-srgb", 4, self.gpu_memory, 1 << 20, "imagery"
@@ -290,12 +316,12 @@ class Imagery:
         self.warnings += sheet.warnings
         self._buffer = None
 
-    def _drop(self, kept: set[Layer]) -> None:
+    def _drop(self) -> None:
         """Forget the layers that the scene has no more."""
-        for layer in [known for known in self._held if known not in kept]:
+        for layer in [known for known in self._held if known not in self._known]:
             held = self._held.pop(layer)
             assert self._atlas is not None
-            for place in np.flatnonzero(held.own & np.uint32(0xFFFFFF)).tolist():
+            for place in np.flatnonzero(held.own & SLOT).tolist():
                 self._atlas.free((layer, place))
             self._buffer = None
 

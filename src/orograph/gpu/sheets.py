@@ -35,9 +35,6 @@ SIDE = TILE + 2
 BASE = 1 << 21
 """Texels of the finest level that is held in memory."""
 
-LEAST = 64
-"""Texels along a side of the area at the coarsest level, at most."""
-
 MOST_TILES = 1 << 20
 """Tiles of a layer, at most: what is finer is left out."""
 
@@ -81,8 +78,7 @@ class Sheet:
         self.laid = laid = Laid.open(layer, terrain.grid)
         self.warnings = list(laid.warnings)
         area = laid.area
-        size = max(area.row1 - area.row0, area.col1 - area.col0)
-        self.coarsest = max(0, math.ceil(math.log2(size / LEAST)))
+        _, self.coarsest = laid.aligned()
         self.finest = 0
         while _tiles(area, self.finest) > MOST_TILES:
             self.finest += 1
@@ -155,13 +151,8 @@ class Sheet:
         return np.asarray(out[:, 3], np.float64)
 
     def _read_base(self) -> None:
-        area, image = self.laid.area, self.laid.placement.image
-        grain = 1 << self.coarsest
-        row0, col0 = area.row0 // grain * grain, area.col0 // grain * grain
-        row1, col1 = -(-area.row1 // grain) * grain, -(-area.col1 // grain) * grain
-        row1 = min(row1, image.rows)
-        if not self.laid.cyclic:
-            col1 = min(col1, image.cols)
+        window, _ = self.laid.aligned()
+        row0, row1, col0, col1 = window.row0, window.row1, window.col0, window.col1
         self.base = self.finest
         while -(-(row1 - row0) >> self.base) * -(-(col1 - col0) >> self.base) > BASE and self.base < self.coarsest:
             self.base += 1
