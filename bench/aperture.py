@@ -146,6 +146,56 @@ def pictures(h: np.ndarray, linear: np.ndarray, rounds: int = 7) -> None:
         print(f"| {light} | {' | '.join(told)} | {stages[light]} |")
 
 
+def frames(h: np.ndarray, linear: np.ndarray, rounds: int = 5) -> None:
+    """Frames of 1280 × 720 by the GPU renderer from a store with baked apertures, by each light, in turn."""
+    import tempfile
+
+    from affine import Affine
+
+    import orograph
+    from orograph.geo.grid import Grid
+    from orograph.gpu.device import open_device
+    from orograph.gpu.frame import Overlay
+    from orograph.gpu.renderer import Renderer
+    from orograph.light.bake import bake
+    from orograph.picture.camera import whole
+    from orograph.picture.scene import Scene
+    from orograph.store.source import ArraySource
+
+    device = open_device()
+    (a, b), (d, e) = linear
+    source = ArraySource(h, Grid(h.shape, Affine(a, b, 0, d, e, 0)), "ground")
+    ways: dict[str, dict] = {"none": {}, "relief": {}, "ao": {}, "aperture": {}, "raytraced": {"rays": 64}}
+    best = dict.fromkeys(ways, np.inf)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "ground.oro"
+        orograph.build(source, path).close()
+        bake(path, ["aperture", "ambient-occlusion"]).close()
+        texture = device.texture((1280, 720), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
+        target = texture.create_view()
+        with orograph.open(path) as terrain:
+            view = whole(terrain, (1280, 720))
+            renderer = Renderer(device, terrain)
+            for turn in range(2):
+                for light, more in ways.items():  # one after the other: maps of light follow the scene
+                    scene = Scene(terrain, view, Sun(300, 30), light=light, tolerance=1.0, **more)
+                    renderer.draw(target, "rgba8unorm", scene)
+                    while renderer.busy:
+                        renderer.draw(target, "rgba8unorm", scene)
+                    for k in range(rounds):
+                        other = Overlay(reach=1.0 + k + rounds * turn)  # the same picture, begun anew
+                        device.wait()
+                        begun = time.perf_counter()
+                        renderer.draw(target, "rgba8unorm", scene, overlay=other)
+                        device.wait()
+                        best[light] = min(best[light], time.perf_counter() - begun)
+            renderer.close()
+    print(f"\n{device.adapter.name}, a frame of 1280 × 720:")
+    print("\n| light | ms | beside unlit |\n|---|---|---|")
+    for light, seconds in best.items():
+        print(f"| {light} | {1e3 * seconds:.0f} | {seconds / best['none']:.2f} |")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("dem", nargs="?")
@@ -153,9 +203,13 @@ def main() -> None:
     parser.add_argument("--rays", type=int, default=256)
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--cost", action="store_true", help="only what a picture costs")
+    parser.add_argument("--gpu", action="store_true", help="only what a frame of the GPU renderer costs")
     args = parser.parse_args()
     h, linear = ground(args.dem, args.size)
     print(f"{args.size}² samples, {np.ptp(h):.0f} m of relief; {args.rays} rays to each sun")
+    if args.gpu:
+        frames(h, linear)
+        return
     if args.pictures:
         args.pictures.mkdir(parents=True, exist_ok=True)
     pictures(h, linear)

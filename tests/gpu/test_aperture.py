@@ -79,6 +79,22 @@ def test_overlaps_of_caps(device: Device):
     np.testing.assert_allclose(areas, [caps.cap_area(x) for x in w[:, 2]], rtol=1e-6)
 
 
+def test_caps_in_two_words():
+    rng = np.random.default_rng(4)
+    some = rng.uniform(-1, 1, (5000, 4)).astype(np.float32)
+    some[:, 2:] = np.abs(some[:, 2:])
+    some[:3] = [[0, 0, 1, 0], [-1, 1, 0, 1], [1, -1, 0, 0]]
+    words = twin.packed(some)
+    # A driver may change what is no normal number.
+    assert words.shape == (10_000,) and np.isfinite(words).all() and (np.abs(words) >= np.finfo(np.float32).tiny).all()
+    bits = words.view(np.int32).reshape(-1, 2)  # as ``packed_pair`` of shade.wgsl does it
+    low, high = (bits << 16 >> 16) / 32767, ((bits >> 16) - 128) / 32384
+    np.testing.assert_allclose(np.stack([low, high], -1).reshape(-1, 4)[:, [0, 2, 1, 3]], some, atol=1.6e-5)
+    np.testing.assert_array_equal(
+        twin.packed(np.array([[9, -9, -9, 9]], np.float32)), twin.packed(np.array([[1, -1, 0, 1]], np.float32))
+    )
+
+
 def field_and_points(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     field = np.zeros((40, 50, 4), np.float32)
     axes = rng.normal(size=(40, 50, 3)) * 0.5 + [0, 0, 1]

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.gpu.aperture import packed
 from orograph.light.nested import Nested, sunward
 from orograph.light.sun import Sun
 from orograph.picture.kept import Kept
@@ -49,7 +50,7 @@ class LightMaps:
         wet: whether there is water.
         windows: (n, 8) int32: offset, rows, cols, level, first row and column, two unused; outermost first.
         fields: (n, 8) int32: windows of a share of the sky or of caps (``light.field``): offset, rows, cols, level,
-            first row and column, values per sample, unused; outermost first. told: what they are.
+            first row and column, words per sample, unused; outermost first. told: what they are.
         strength: factor on slopes for shading that suits the ground in view.
         water_fraction: of the map.
     """
@@ -99,21 +100,23 @@ def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) 
     if scene.light in FIELDS:
         field, told = field_of(scene, _ground(scene), grid.window, FIELDS[scene.light], kept, SILENT)  # type: ignore[arg-type]
         channels = field.pool.shape[1]
+        words = 2 if channels == 4 else channels
         fields = np.zeros((len(field.ints), 8), np.int32)
         for k, (ints, floats) in enumerate(zip(field.ints, field.floats)):
             first_col, first_row = round(floats[5]), round(floats[6])
             window_level = round(math.log2(floats[0]))
             fields[k, :7] = (
-                offset + int(ints[0]) * channels,
+                offset + int(ints[0]) * words,
                 ints[1],
                 ints[2],
                 window_level,
                 first_row,
                 first_col,
-                channels,
+                words,
             )
         neutral = np.array([0.0, 0.0, 1.0, 0.0] if channels == 4 else [1.0], np.float32)  # the open sky
-        parts.append(np.where(np.isnan(field.pool), neutral, field.pool).astype(np.float32).ravel())
+        values = np.where(np.isnan(field.pool), neutral, field.pool).astype(np.float32)
+        parts.append(packed(values) if channels == 4 else values.ravel())
     return LightMaps(
         np.concatenate(parts), (0, rows, cols, level), (row0, col0), wet, windows, fields, told, grid.strength,
         grid.water_fraction,

@@ -40,6 +40,10 @@ LIGHTS = {"relief": 0, "none": 32, "ao": 64, "aperture": 128, "raytraced": 32 | 
 
 SKY, CONTOURS, VEILED, GIVEN, LABELS, SILHOUETTES = 256, 512, 1024, 2048, 4096, 8192
 
+LAMPS, SUNS = 1 << 17, 20
+"""A flag, and the bit from which three say how many discs of light there are (7: any number); loops that are not there
+cost nothing."""
+
 
 class Look:
     """The numbers of one scene.
@@ -95,12 +99,11 @@ class Look:
         u["levels"] = terrain.levels
         flags = (SHADOWS if len(maps.windows) else 0) | (WATERS if maps.wet else 0)
         flags |= (WIREFRAME if wireframe else 0) | (LEVELS if levels else 0)
-        flags |= LIGHTS[scene.light] | (SHADOWS if scene.shadows and scene.light == "aperture" else 0)
+        lamplit = scene.light in ("aperture", "raytraced")
+        flags |= LIGHTS[scene.light] | (SHADOWS if scene.shadows and lamplit else 0)
         flags |= SKY if scene.sky else 0
         flags |= CONTOURS if contours is not None else 0
         flags |= SILHOUETTES if silhouettes is not None else 0
-        lamplit = scene.light in ("aperture", "raytraced")
-        u["flags"] = flags | (SHADOWS if lamplit and scene.shadows else 0)
         u["light"], u["light_first"] = maps.light, maps.first
         u["windows"] = len(maps.windows)
         u["water"][3], u["fields"] = SHORE, len(maps.fields)
@@ -108,6 +111,7 @@ class Look:
         lamps = [replace(lamp, height=lamp.height * scene.exaggeration) for lamp in scene.lamps]
         self.lights = Lights(discs, lamps, _colour(skylight)) if lamplit else Lights()
         u["suns"], u["lamps"] = len(self.lights.suns), len(self.lights.lamps)
+        u["flags"] = flags | min(len(self.lights.suns), 7) << SUNS | (LAMPS if self.lights.lamps else 0)
         self.uniform = u
         self.tables = np.concatenate(parts)
 

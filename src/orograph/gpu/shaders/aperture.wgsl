@@ -116,26 +116,26 @@ fn sun_through(cap: Cap, normal: vec3f, sun: Sun, exact: bool) -> f32 {
         if (cosine <= cap.rim * sun.cosine - bend - 1e-6) {
             return 0.0;
         }
-        let radius = angle_of_cosine(cap.rim);
         let width = sun.radius;
-        let distance = angle_between(cap.axis, sun.direction);
+        // Sine and cosine of the distance d by half the chord, which knows small ones, too; of a − d, how far the sun's
+        // middle lies inside the rim, by theirs: where the rim cuts the disc it is no more than the disc's radius.
+        let half = min(0.5 * length(cap.axis - sun.direction), 1.0);
+        let across = 2.0 * half * sqrt(1.0 - half * half);
+        let inside = small_of_sine(clamp(sqrt(max(1.0 - cap.rim * cap.rim, 0.0)) * cosine - cap.rim * across, -0.75, 0.75));
+        let distance = 2.0 * small_of_sine(half);
         if (width <= 0.0) {
             part = 0.0;
         } else if (exact) {
-            part = exact_overlap(distance, radius, width) / sun.area;
+            part = exact_overlap(angle_between(cap.axis, sun.direction), angle_of_cosine(cap.rim), width) / sun.area;
         } else {
-            part = smooth_share(distance, radius, width);
-            if (radius < width) {
-                part *= cap_area(radius) / sun.area;
-            }
+            // The smaller one's share is a smoothstep of a + b − d over twice the smaller radius.
+            let x = clamp((inside + width) / (2.0 * min(width, max(acute_of_cosine(saturate(cap.rim)), 1e-6))), 0.0, 1.0);
+            part = x * x * (3.0 - 2.0 * x) * min(2.0 * PI * (1.0 - cap.rim) / sun.area, 1.0);
         }
-        // The middle of the lens lies on the arc from the cap's centre to the sun's.
-        let along = clamp(0.5 * (radius + distance - width), 0.0, distance);
-        if (distance > 1e-6) {
-            let straight = dot(normal, cap.axis);
-            let back = sine_cosine(distance - along).x;
-            facing = (back * straight + sine_cosine(along).x * facing) / sine_cosine(distance).x;
-        }
+        // The middle of the lens lies on the arc from the sun's centre to the cap's, so far from the sun's.
+        let back = clamp(0.5 * (width - inside), 0.0, distance);
+        let turn = _sine(back) / max(across, 1e-6);
+        facing = turn * dot(normal, cap.axis) + (_cosine(back) - turn * cosine) * facing;
     }
     return part * max(facing, 0.0);
 }

@@ -137,14 +137,14 @@ fn light_by_rays(
   let around = shade.skylight.w * (shade.sunlight.rgb + shade.skylight.rgb);
   let share = sky_by_rays(from_, normal, shift_of(number, 2u));
   var light = share * shade.skylight.rgb + (1.0 - share) * around;
-  for (var k = 0u; k < shade.suns; k++) {
+  for (var k = 0u; k < select(SUNS, shade.suns, SUNS == 7u); k++) {
     var seen = max(dot(shaded, suns[k].direction), 0.0);
     if ((FLAGS & 1u) != 0u) {
       seen = disc_by_rays(from_, shaded, suns[k], shift_of(number, 1u));
     }
     light += seen * suns[k].colour;
   }
-  for (var k = 0u; k < shade.lamps; k++) {
+  for (var k = 0u; k < select(0u, shade.lamps, (FLAGS & 131072u) != 0u); k++) {
     let way = lamps[k].place - position;
     let away = length(way);
     let facing = dot(way, shaded) / max(away, 1e-9);

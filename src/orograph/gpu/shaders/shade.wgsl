@@ -60,6 +60,8 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 // not. 1 shadows, 2 water, 4 layers, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
 // 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes.
 const FLAGS: u32 = {{FLAGS}}u;
+// Lights, too: 131072 lamps; discs of light from the bit of 2²⁰ up, 7: as many as there are.
+const SUNS: u32 = (FLAGS >> 20u) & 7u;
 // include: lines.wgsl
 // include: slopes.wgsl
 
@@ -107,13 +109,19 @@ fn field_window(at: Place, footprint: f32) -> u32 {
   return 0u;
 }
 
+// Two numbers in a word (gpu/aperture.py, packed): one of −1 … 1, one of 0 … 1.
+fn packed_pair(word: f32) -> vec2<f32> {
+  let bits = bitcast<i32>(word);
+  return vec2<f32>(f32((bits << 16u) >> 16u) * (1.0 / 32767.0), f32((bits >> 16u) - 128) * (1.0 / 32384.0));
+}
+
 // The field at a sample: one number, or the four of a cap.
 fn field_at(window: Window, at: vec2<i32>) -> vec4<f32> {
   if ((FLAGS & 128u) == 0u) {
     return vec4<f32>(maps[window.offset + at.y * window.cols + at.x], 0.0, 0.0, 0.0);
   }
-  let k = window.offset + (at.y * window.cols + at.x) * 4;
-  return vec4<f32>(maps[k], maps[k + 1], maps[k + 2], maps[k + 3]);
+  let k = window.offset + (at.y * window.cols + at.x) * 2;
+  return vec4<f32>(packed_pair(maps[k]), packed_pair(maps[k + 1])).xzyw;
 }
 
 fn field_value(at: Place, footprint: f32) -> vec4<f32> {
@@ -136,7 +144,7 @@ fn field_value(at: Place, footprint: f32) -> vec4<f32> {
 fn through_apertures(cap: Cap, normal: vec3<f32>, place: vec3<f32>) -> vec3<f32> {
   var sky = sky_through(cap, normal);
   var light = vec3<f32>(0.0);
-  for (var k = 0u; k < shade.suns; k++) {
+  for (var k = 0u; k < select(SUNS, shade.suns, SUNS == 7u); k++) {
     if ((FLAGS & 1u) != 0u) {
       let seen = sun_through(cap, normal, suns[k], false);
       light += seen * suns[k].colour;
@@ -145,7 +153,7 @@ fn through_apertures(cap: Cap, normal: vec3<f32>, place: vec3<f32>) -> vec3<f32>
       light += max(dot(normal, suns[k].direction), 0.0) * suns[k].colour;
     }
   }
-  for (var k = 0u; k < shade.lamps; k++) {
+  for (var k = 0u; k < select(0u, shade.lamps, (FLAGS & 131072u) != 0u); k++) {
     light += lamp_through(cap, normal, place, lamps[k]) * lamps[k].colour;
   }
   let around = shade.skylight.w * (shade.sunlight.rgb + shade.skylight.rgb);
