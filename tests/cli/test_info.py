@@ -37,7 +37,9 @@ KEYS = {
     "nodata",
     "vertical_datum",
     "errors",
+    "colors",
     "layers",
+    "parts",
     "levels",
     "side",
     "size_bytes",
@@ -270,6 +272,25 @@ def test_a_store_is_told_from_a_raster(tmp_path: Path) -> None:
     for key in ("crs", "shape", "transform", "spacing_m", "height_range", "valid_fraction", "levels", "side"):
         assert found[key] == of_dem[key], key
     assert found["size_bytes"] == sum(p.stat().st_size for p in url.rglob("*") if p.is_file())
+
+
+def test_what_a_store_consists_of(tmp_path: Path) -> None:
+    path = tmp_path / "a.oro"
+    options = ["--errors", "exact,midpoint", "--color-errors", "--bake", "sky-view-factor"]
+    line = ["build", str(write(tmp_path / "dem.tif", hills())), "-o", str(path), *options]
+    assert CliRunner().invoke(cli, line, catch_exceptions=False).exit_code == 0
+    facts = info(path)
+    assert facts["colors"] == {"drape": None, "colormap": None, "sun": [315.0, 45.0], "relief": 1.0}
+    assert facts["layers"] == ["sky-view-factor"]
+    parts = facts["parts"]
+    names = ["heights", "exact errors", "midpoint errors", "spheres", "color errors", "sky-view-factor"]
+    assert list(parts)[:-1] == names and min(parts.values()) > 0
+    assert sum(parts.values()) == facts["size_bytes"]
+    kept = sum(file.stat().st_size for file in path.glob("diamonds/*/exact/**/*") if file.is_file())
+    assert parts["exact errors"] == kept
+    text = CliRunner().invoke(cli, ["info", str(path)], catch_exceptions=False).output
+    assert "tint alpine, sun at 315°, 45° high" in text and "sky-view-factor (8 bits; azimuths 32" in text
+    assert "bytes per sample" in text
 
 
 def test_amounts_of_memory() -> None:

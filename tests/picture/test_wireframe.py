@@ -209,7 +209,21 @@ def test_a_mesh_is_looked_at_from_elsewhere(ground, view):
     assert len(behind) > 500 and inked[behind[:, 1], behind[:, 0]].mean() < 0.01
 
 
+def test_a_picture_of_so_many_triangles_by_a_metric(ground, view):
+    told = orograph.render(ground, view, engine="soar", triangles=500, metric="isotropic").facts["mesh"]
+    assert 300 < told["triangles"] <= 500 and told["metric"] == "isotropic"
+    alone = Soar(ground, metric="isotropic").refine(view, triangles=500)
+    assert told["triangles"] == len(alone.triangles)
+    with pytest.raises(UsageError, match="tolerance"):
+        orograph.render(ground, view, engine="soar", triangles=500, tolerance=1.0)
+    with pytest.raises(UsageError, match="cannot use the metric"):
+        orograph.render(ground, view, engine="soar", metric="wedgie")
+
+
 def test_a_wireframe_is_of_an_engine(ground, view):
+    for options in ({"triangles": 9}, {"metric": "isotropic"}):
+        with pytest.raises(UsageError, match="engine"):
+            orograph.render(ground, view, **options)
     with pytest.raises(UsageError, match="engine"):
         orograph.render(ground, view, mesh_view=view)
     with pytest.raises(UsageError, match="engine"):

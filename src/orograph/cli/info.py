@@ -2,8 +2,9 @@
 
 The keys of the JSON object are fixed: kind ("dem" or "store"), path, crs, transform (a b c d e f as in GDAL and
 affine), shape [rows, cols], spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction,
-dtype, nodata, vertical_datum, levels, side, errors (the kinds that a store has), layers (those baked into it),
-size_bytes, warnings. What is unknown, and every number that is not finite, is null. Several paths give a list.
+dtype, nodata, vertical_datum, levels, side, errors (the kinds that a store has), colors (what its color errors are of:
+drape, colormap, sun, relief), layers (those baked into it), parts (what of a store takes how many bytes), size_bytes,
+warnings. What is unknown or absent, and every number that is not finite, is null. Several paths give a list.
 """
 
 from __future__ import annotations
@@ -11,13 +12,17 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from orograph.cli.options import jobs_option, progress_of, source_options
 from orograph.progress import Progress
+
+if TYPE_CHECKING:
+    from orograph.store.layers import LayerRecord
 
 Facts = dict[str, Any]
 
@@ -87,7 +92,9 @@ def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | No
         "levels": level_count(source.shape),
         "side": (1 << exponent(source.shape)) + 1,
         "errors": [],
+        "colors": None,
         "layers": [],
+        "parts": None,
         "size_bytes": _size(path),
         "warnings": warnings,
         "_format": source.driver,
@@ -123,7 +130,10 @@ def _store_facts(path: str) -> Facts:
             "levels": terrain.levels,
             "side": terrain.side,
             "errors": list(terrain.errors),
+            "colors": terrain.record.colors or None,
             "layers": list(terrain.layers),
+            "parts": _parts(path, terrain.errors, tuple(terrain.layers)),
+            "_layers": terrain.record.layers,
             "size_bytes": _size(path),
             "warnings": [],
             "_format": "terrain store",
@@ -143,7 +153,27 @@ def _size(path: str) -> int | None:
         return file.stat().st_size
     if not file.is_dir():
         return None
-    return sum((Path(root) / name).stat().st_size for root, _, names in os.walk(file) for name in names)
+    return _files(file)
+
+
+def _parts(path: str, errors: Sequence[str], layers: Sequence[str]) -> dict[str, int] | None:
+    """Bytes on disk of what a store consists of; None for what is not on this disk."""
+    folder = Path(path)
+    if not folder.is_dir():
+        return None
+    parts = {"heights": _files(folder / "heights")}
+    for kind in (*errors, "radius", "color"):
+        found = sum(_files(level / kind) for level in (folder / "diamonds").glob("*"))
+        if found:
+            parts[{"radius": "spheres", "color": "color errors"}.get(kind, f"{kind} errors")] = found
+    for name in layers:
+        parts[name] = _files(folder / "layers" / name)
+    rest = _files(folder) - sum(parts.values())
+    return {**parts, "means, extremes and the rest": rest}
+
+
+def _files(folder: Path) -> int:
+    return sum((Path(root) / name).stat().st_size for root, _, names in os.walk(folder) for name in names)
 
 
 def describe(facts: Facts) -> str:
@@ -177,10 +207,31 @@ def describe(facts: Facts) -> str:
     )
     if facts["kind"] == "store":
         line("errors", ", ".join(facts["errors"]) or "none (orograph build --errors)")
-        line("layers", ", ".join(facts["layers"]) or "none (orograph bake)")
+        line("colors", _colors(facts["colors"]) or "none (orograph build --color-errors)")
+        line("layers", ", ".join(_layer(layer) for layer in facts["_layers"].values()) or "none (orograph bake)")
+        samples = rows * cols
+        for name, size_of in (facts["parts"] or {}).items():
+            line("", f"{_bytes(size_of):>10}  {name}, {size_of / samples:.2f} bytes per sample")
     for text in facts["warnings"]:
         lines.append(click.style("  ! ", fg="yellow", bold=True) + text)
     return "\n".join(lines)
+
+
+def _colors(colors: Facts | None) -> str:
+    """What color errors are of."""
+    if not colors:
+        return ""
+    of = f"the image {colors['drape']['name']}" if colors["drape"] else f"the tint {colors['colormap'] or 'alpine'}"
+    sun = colors["sun"]
+    light = "" if sun is None else f", sun at {sun[0]:g}°, {sun[1]:g}° high"
+    return f"of {of}{light}, relief × {colors['relief']:g}"
+
+
+def _layer(layer: LayerRecord) -> str:
+    """A baked layer and how it was made."""
+    made = ", ".join(f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in layer.options.items()
+                     if v is not None and v is not False)  # fmt: skip
+    return f"{layer.name} ({layer.bands[0].bits} bits; {made})"
 
 
 def _valid(facts: Facts) -> str:

@@ -59,7 +59,7 @@ class Water(ParamType):
 LIGHTS = ("relief", "ao", "aperture", "raytraced", "none")  # orograph.picture.scene.Light, without importing it
 
 SCENE = ("shadows", "light", "rays", "exaggeration", "colormap", "sky", "relief", "samples", "tolerance",
-         "engine", "wireframe", "furniture", "title")  # fmt: skip
+         "engine", "triangles", "metric", "wireframe", "furniture", "title")  # fmt: skip
 """Options that are a scene's attributes of the same name."""
 
 LINES = ("contours", "contour_index", "contour_labels", "contour_opacity", "silhouettes", "silhouette_width")
@@ -188,6 +188,12 @@ def scene_options(function: F) -> F:
                 "[default: 0 up to 16.8 million samples, else 0.5; with --engine 1]",
             ),
             engine_option(help="Draw the mesh that this engine makes within --tolerance, with light on its faces."),
+            click.option(
+                "--triangles", type=click.IntRange(min=2), metavar="N", help="With --engine, instead: at most so many."
+            ),
+            click.option(
+                "--metric", metavar="NAME", help="With --engine: how errors become pixels.  [default: the engine's own]"
+            ),
             click.option("--wireframe", is_flag=True, help="With --engine: draw its triangles' edges over the relief."),
             click.option(
                 "--mesh-view",
@@ -218,6 +224,15 @@ def check_scene(options: Mapping[str, Any], progress: Progress) -> None:
     from orograph.errors import UsageError
     from orograph.geovis.colour import colour_table
 
+    for name in ("triangles", "metric"):
+        if options[name] is not None and options["engine"] is None:
+            raise UsageError(f"--{name} is an engine's.", remedy="Choose one, such as --engine soar.")
+    if options["triangles"] is not None and options["tolerance"] is not None:
+        raise UsageError("Give one goal: --tolerance or --triangles.")
+    if options["metric"] is not None:
+        from orograph.lod import engine_of
+
+        engine_of(options["engine"]).usable_metric(options["metric"])
     if options["wireframe"] and options["engine"] is None:
         raise UsageError("--wireframe shows what an engine made.", remedy="Choose one, such as --engine soar.")
     if options["mesh_view"] is not None and options["engine"] is None:

@@ -23,7 +23,7 @@ from orograph.gpu.device import Device
 from orograph.gpu.passes import DEPTH, GIVEN, MARKS, Targets
 from orograph.lod import engine_of
 from orograph.picture.scene import Scene
-from orograph.picture.surface import ENGINE_MEMORY, TOLERANCE
+from orograph.picture.surface import ENGINE_MEMORY, goal
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.view import View
@@ -104,8 +104,8 @@ class Meshes:
         self._aside.close()
 
     def _asked(self, scene: Scene, view: View) -> Any:
-        key = scene.engine, scene.exaggeration, scene.tolerance, view
-        if self._wish is None or self._wish[:2] != key[:2]:
+        key = scene.engine, scene.exaggeration, scene.metric, scene.tolerance, scene.triangles, view
+        if self._wish is None or self._wish[:3] != key[:3]:
             self.failure, self.mesh = "", None
         self._wish = key
         return key
@@ -114,15 +114,15 @@ class Meshes:
         assert scene.engine is not None
         with self._lock:  # an engine does one thing at a time
             memory = ENGINE_MEMORY if scene.max_memory is None else scene.max_memory // 2
-            known = scene.engine, scene.exaggeration, memory, scene.jobs, smooth
+            known = scene.engine, scene.metric, scene.exaggeration, memory, scene.jobs, smooth
             if self._engine[0] != known:
                 options: dict[str, Any] = {"geomorph": True} if smooth and scene.engine in SMOOTH else {}
                 engine = engine_of(scene.engine)(
-                    self.terrain, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs, **options
-                )
+                    self.terrain, metric=scene.metric, exaggeration=scene.exaggeration, max_memory=memory,
+                    jobs=scene.jobs, **options,
+                )  # fmt: skip
                 self._engine = known, engine
-            tolerance = TOLERANCE if scene.tolerance is None else scene.tolerance
-            mesh: Tessellation = self._engine[1].refine(view.whole, tolerance=tolerance)
+            mesh: Tessellation = self._engine[1].refine(view.whole, **goal(scene))
             return mesh
 
 

@@ -60,7 +60,7 @@ def draw(
             f"{device.adapter.name} draws at most {most} × {most} pixels, not {view.width} × {view.height}.",
             remedy="Use --backend cpu.",
         )
-    if scene.tolerance is None:
+    if scene.tolerance is None and scene.triangles is None:
         scene = replace(scene, tolerance=TOLERANCE)
     if scene.engine is not None and not scene.wireframe:
         overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh

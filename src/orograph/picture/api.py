@@ -48,7 +48,7 @@ def render(
     layers: Given | Iterable[Given] = (),
     water: Literal["auto"] | float | None = "auto",
     contours: Contours | float | None = None,
-    silhouettes: Silhouettes | bool = False,
+    silhouettes: Silhouettes | bool | None = None,
     sky: bool = False,
     furniture: bool = False,
     title: str | None = None,
@@ -56,6 +56,8 @@ def render(
     samples: int = 4,
     tolerance: float | None = None,
     engine: str | None = None,
+    triangles: int | None = None,
+    metric: str | None = None,
     wireframe: bool = False,
     mesh_view: View | None = None,
     max_memory: int | None = None,
@@ -91,7 +93,7 @@ def render(
             Default "auto".
         contours: lines of equal height: metres from line to line, or a ``Contours`` (``orograph.Contours()`` finds an
             interval itself). Default None: none.
-        silhouettes: lines where ridges stand before what is behind them: True, or a ``Silhouettes``. Default False.
+        silhouettes: lines where ridges stand before what is behind them: True, or a ``Silhouettes``. Default None: none.
         sky: draw sky and haze instead of paper. Default False.
         furniture: add a title, a colour bar, a north arrow and a scale bar. Default False.
         title: the title of the furniture. Default None: the terrain's name.
@@ -102,6 +104,8 @@ def render(
             samples, else 0.5. With an engine: what that is to keep. Default None: 1.
         engine: draw the mesh that this engine makes, with light on its faces: soar, roam, … (see ``orograph.lod``).
             Default None: the terrain itself.
+        triangles: with an engine: at most so many, instead of a tolerance. Default None.
+        metric: with an engine: how errors become pixels (see ``orograph.lod``). Default None: the engine's own.
         wireframe: with an engine, draw its triangles' edges over the relief. Default False.
         mesh_view: the camera that the engine refines for, to look at its mesh from elsewhere. Default None: ``view``.
         max_memory: bytes to keep within. Default None: no limit.
@@ -141,8 +145,8 @@ def render(
         discs=tuple(discs), exaggeration=exaggeration, colormap=colormap, layers=layers_of(layers), sky=sky,
         water=water, contours=lines_of(contours),
         silhouettes=Silhouettes() if silhouettes is True else silhouettes or None, relief=relief, samples=samples,
-        tolerance=tolerance, engine=engine, wireframe=wireframe, mesh_view=mesh_view, furniture=furniture,
-        title=title, depths=depths, max_memory=max_memory, jobs=jobs,
+        tolerance=tolerance, engine=engine, triangles=triangles, metric=metric, wireframe=wireframe,
+        mesh_view=mesh_view, furniture=furniture, title=title, depths=depths, max_memory=max_memory, jobs=jobs,
     )  # fmt: skip
     return draw(scene, progress, backend=backend)
 

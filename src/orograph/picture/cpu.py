@@ -83,13 +83,16 @@ def draw(
         from orograph.picture.surface import refined, surface_of
 
         if mesh is None:
-            known = scene.engine, scene.view.whole, scene.mesh_view, scene.tolerance, scene.exaggeration
+            known = (
+                scene.engine, scene.metric, scene.view.whole, scene.mesh_view, scene.tolerance, scene.triangles,
+                scene.exaggeration,
+            )  # fmt: skip
             mesh = kept("mesh", known, lambda: refined(scene, progress, kept), scene.terrain)
         made, terrain = mesh, scene.terrain
         facts["mesh"] = mesh.stats
         surface = kept("surface", id(terrain), lambda: surface_of(made, terrain, scene.max_memory), mesh)
         lap("mesh")
-        scene = replace(scene, tolerance=0.0, terrain=scene.terrain if scene.wireframe else surface)
+        scene = replace(scene, tolerance=0.0, triangles=None, terrain=scene.terrain if scene.wireframe else surface)
     with progress.task("Reading heights"):
         ground = Ground.load(scene, surface, kept)
         if ground.tolerance > scene.pixel_tolerance:

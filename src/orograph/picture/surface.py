@@ -12,6 +12,8 @@ casts its shadow into the picture; and holes stay holes.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,7 +42,8 @@ def refined(scene: Scene, progress: Progress = SILENT, kept: Kept | None = None)
     """What the scene's engine makes of its terrain for its view, or for its ``mesh_view``.
 
     Raises:
-        UsageError: there is no such engine. StoreError: the store was built without errors of diamonds.
+        UsageError: there is no such engine, or it has no such metric. StoreError: the store was built without errors of
+            diamonds.
     """
     from orograph.lod import engine_of
 
@@ -53,11 +56,26 @@ def refined(scene: Scene, progress: Progress = SILENT, kept: Kept | None = None)
     memory = ENGINE_MEMORY if scene.max_memory is None else scene.max_memory // 2
     with progress.task(f"Refining ({scene.engine})"):
         engine = kept(
-            "engine", (scene.engine, scene.exaggeration, memory, scene.jobs),
-            lambda: make(scene.terrain, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs),
+            "engine", (scene.engine, scene.metric, scene.exaggeration, memory, scene.jobs),
+            lambda: make(
+                scene.terrain, metric=scene.metric, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs
+            ),
             scene.terrain,
         )  # fmt: skip
-        return engine.refine(view, tolerance=TOLERANCE if scene.tolerance is None else scene.tolerance)
+        mesh = engine.refine(view, **goal(scene))
+    if scene.triangles is not None and len(mesh.triangles) > scene.triangles:
+        progress.warn(
+            f"{scene.triangles:,} triangles are not enough for a sound mesh of this view by {scene.engine}: it has "
+            f"{len(mesh.triangles):,}."
+        )
+    return mesh
+
+
+def goal(scene: Scene) -> dict[str, Any]:
+    """What the scene's engine is asked for, as keyword arguments of ``Engine.refine``."""
+    if scene.triangles is not None:
+        return {"triangles": scene.triangles}
+    return {"tolerance": TOLERANCE if scene.tolerance is None else scene.tolerance}
 
 
 def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | None = None) -> MemoryTerrain:
