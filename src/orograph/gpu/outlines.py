@@ -13,6 +13,7 @@ from orograph.gpu.device import Device
 from orograph.gpu.passes import Targets
 
 BREAKS = "rgba16float"
+SHADERS = "breaks", "breaks_near"
 
 
 class BreakPass:
@@ -25,16 +26,24 @@ class BreakPass:
     def __init__(self, device: Device, camera: Any) -> None:
         self.device, self.camera = device, camera
         self.range = device.buffer(16, "UNIFORM", "depths in view")
-        self._pipeline: Any = None
-        self._of: tuple[Targets | None, Any, Any] = (None, None, None)
+        self._pipelines: dict[str, Any] = {}
+        self._of: Targets | None = None
+        self._views: tuple[Any, Any] = (None, None)
+        self._groups: tuple[Any, Any] = (None, None)
 
-    def view(self, targets: Targets) -> Any:
-        """The view of the breaks of these targets."""
-        if self._of[0] is not targets:
+    def views(self, targets: Targets) -> tuple[Any, Any]:
+        """The views of the breaks of these targets, and of the heaviest one in every square of 8 × 8 pixels."""
+        if self._of is not targets:
             usage = "RENDER_ATTACHMENT|TEXTURE_BINDING"
-            texture = self.device.texture((targets.width, targets.height), BREAKS, usage, label="breaks")
-            self._of = targets, texture.create_view(), self._group(targets)
-        return self._of[1]
+            sizes = (targets.width, targets.height), (-(-targets.width // 8), -(-targets.height // 8))
+            textures = [self.device.texture(size, BREAKS, usage, label="breaks") for size in sizes]
+            self._of, self._views = targets, (textures[0].create_view(), textures[1].create_view())
+            buffers = [{"buffer": b} for b in (self.camera, self.range)]
+            self._groups = (
+                self._group("breaks", buffers[0], targets.depth_view, buffers[1]),
+                self._group("breaks_near", self._views[0]),
+            )
+        return self._views
 
     def aim(self, depths: tuple[float, float]) -> None:
         """Say which depths are in view, metres."""
@@ -42,33 +51,29 @@ class BreakPass:
 
     def draw(self, encoder: Any, targets: Targets) -> None:
         """Find the breaks of what the targets hold."""
-        view = self.view(targets)
-        pass_ = encoder.begin_render_pass(
-            color_attachments=[{"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}]
-        )
-        pass_.set_pipeline(self._made())
-        pass_.set_bind_group(0, self._of[2])
-        pass_.draw(3)
-        pass_.end()
+        for name, view, group in zip(SHADERS, self.views(targets), self._groups, strict=True):
+            pass_ = encoder.begin_render_pass(
+                color_attachments=[{"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}]
+            )
+            pass_.set_pipeline(self._pipeline(name))
+            pass_.set_bind_group(0, group)
+            pass_.draw(3)
+            pass_.end()
 
-    def _made(self) -> Any:
-        if self._pipeline is None:
-            module = self.device.shader("breaks")
-            self._pipeline = self.device.handle.create_render_pipeline(
-                label="breaks",
+    def _pipeline(self, name: str) -> Any:
+        if name not in self._pipelines:
+            module = self.device.shader(name)
+            self._pipelines[name] = self.device.handle.create_render_pipeline(
+                label=name,
                 layout="auto",
                 vertex={"module": module, "entry_point": "vertex"},
                 primitive={"topology": "triangle-list"},
                 fragment={"module": module, "entry_point": "fragment", "targets": [{"format": BREAKS}]},
             )
-        return self._pipeline
+        return self._pipelines[name]
 
-    def _group(self, targets: Targets) -> Any:
+    def _group(self, name: str, *resources: Any) -> Any:
         return self.device.handle.create_bind_group(
-            layout=self._made().get_bind_group_layout(0),
-            entries=[
-                {"binding": 0, "resource": {"buffer": self.camera}},
-                {"binding": 1, "resource": targets.depth_view},
-                {"binding": 2, "resource": {"buffer": self.range}},
-            ],
+            layout=self._pipeline(name).get_bind_group_layout(0),
+            entries=[{"binding": k, "resource": resource} for k, resource in enumerate(resources)],
         )

@@ -66,7 +66,7 @@ class ShadePass:
                     *(storage(k) for k in (4, 5, 6, 7, 8)),
                     texture(9, "float", "2d-array"), {"binding": 10, "visibility": stage("FRAGMENT"), "sampler": {}},
                     storage(11), storage(12), storage(13),
-                    *(texture(k, "unfilterable-float") for k in (14, 15, 16)),
+                    *(texture(k, "unfilterable-float") for k in (14, 15, 16, 17)),
                 ]
             ),
         ]  # fmt: skip

@@ -159,12 +159,12 @@ class Renderer:
         self.tint = look.tint
         u = look.uniform
         self.device.queue.write_buffer(self._resources.shade, 0, u)
-        breaks = None
+        breaks: tuple[Any, Any] = None, None
         if int(u["flags"]) & SILHOUETTES:
             near, far, *_ = u["edge_range"]
             self._breaks.aim((float(near), float(far)))
-            breaks = self._breaks.view(targets)
-        views = self._letters.view, breaks
+            breaks = self._breaks.views(targets)
+        views = self._letters.view, *breaks
         bound = self._resources.bound(look, maps, scene, targets, given=given, marks=views)
         group = self._shading.group(targets, bound)
         flags = int(u["flags"]) | (VEILED if self._veil.count else 0) | (GIVEN if given else 0)

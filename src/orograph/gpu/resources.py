@@ -48,7 +48,7 @@ class Resources:
         targets: Targets,
         *,
         given: bool = False,
-        marks: tuple[Any, Any] = (None, None),
+        marks: tuple[Any, Any, Any] = (None, None, None),
     ) -> dict[int, Any]:
         """Buffers and views by binding of ``shade.wgsl``, for ``passes.ShadePass.group``.
 
@@ -79,6 +79,7 @@ class Resources:
             14: targets.given_view(self.device) if given or targets.has_given else self._blank,
             15: self._blank if marks[0] is None else marks[0],
             16: self._blank if marks[1] is None else marks[1],
+            17: self._blank if marks[2] is None else marks[2],
         }
 
     def upload(self, name: str, values: NDArray[Any]) -> None:

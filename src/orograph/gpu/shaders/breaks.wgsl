@@ -31,6 +31,8 @@ fn ends(at: vec2<i32>, w: f32, before: f32) -> bool {
   return min(min(place.x, place.y), min(f32(camera.last.x) - place.x, f32(camera.last.y) - place.y)) < margin;
 }
 
+// Software renderers work through the bodies of conditions whether they are taken or not, but not through loops that no
+// pixel enters: what few pixels need stands in a loop of one round.
 fn broken(at: vec2<i32>, step: vec2<i32>) -> vec2<f32> {
   let w1 = inverse(at);
   let w2 = inverse(at + step);
@@ -46,8 +48,11 @@ fn broken(at: vec2<i32>, step: vec2<i32>) -> vec2<f32> {
     a = select(a, max(b, 0.0), a < 0.0);
     b = select(b, a, b < 0.0);
     weight = smoothstep(0.012, 0.06, (abs(w2 - w1) - 2.0 * min(a, b) - 0.5 * max(a, b)) / max(w1, w2));
-  } else if (ends(select(at + step, at, w1 > 0.0), max(w1, w2), inverse(select(at + 2 * step, at - step, w1 > 0.0)))) {
-    weight = 0.0;
+  }
+  for (var rounds = select(0, 1, min(w1, w2) <= 0.0); rounds > 0; rounds--) {
+    if (ends(select(at + step, at, w1 > 0.0), max(w1, w2), inverse(select(at + 2 * step, at - step, w1 > 0.0)))) {
+      weight = 0.0;
+    }
   }
   let z = depth_of(max(w1, w2));
   let far = clamp(log(z / range.x) / log(range.y / range.x), 0.0, 1.0);

@@ -1,5 +1,5 @@
 // Silhouettes: how much of a pixel lines on breaks cover, and how far away they are (picture/silhouette_kernels.py).
-// Needs ``breaks`` (texture) and ``shade`` (uniform): edge: their colour and opacity; edge_range: nearest and farthest
+// Needs ``breaks``, ``breaks_near`` (textures) and ``shade`` (uniform): edge: their colour and opacity; edge_range: nearest and farthest
 // depth, width of the nearest lines in pixels, pixels to look around.
 
 struct Line { cover: f32, depth: f32 };
@@ -7,7 +7,16 @@ struct Line { cover: f32, depth: f32 };
 fn silhouette(pixel: vec2<i32>) -> Line {
   var found = Line(0.0, 1.0);
   let size = vec2<i32>(textureDimensions(breaks));
-  let reach = i32(shade.edge_range.w);
+  let wide = i32(shade.edge_range.w);
+  var most = 0.0;
+  let first = max(pixel - wide, vec2<i32>(0)) >> vec2<u32>(3u);
+  let last = min(pixel + wide, size - 1) >> vec2<u32>(3u);
+  for (var r = first.y; r <= last.y; r++) {
+    for (var c = first.x; c <= last.x; c++) {
+      most = max(most, textureLoad(breaks_near, vec2<i32>(c, r), 0).r);
+    }
+  }
+  let reach = select(-1, wide, most > 0.0);   // no round of the loop where nothing is near
   let span = log2(shade.edge_range.y / shade.edge_range.x);
   for (var r = -reach; r <= reach; r++) {
     for (var c = -reach; c <= reach; c++) {

@@ -49,6 +49,7 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(14) var given: texture_2d<f32>;    // slopes of what was drawn, metres per metre
 @group(1) @binding(15) var lettering: texture_2d<f32>;  // of labels: ink, and where lines are left out around it
 @group(1) @binding(16) var breaks: texture_2d<f32>;   // between a pixel and the next one to the right, and below
+@group(1) @binding(17) var breaks_near: texture_2d<f32>;   // the heaviest of 8 × 8 pixels
 // include: aperture.wgsl
 // when: RAYS
 // include: rays.wgsl
