@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from orograph.dem import Dem, read
     from orograph.geo import Grid
+    from orograph.geovis.layers import Layer
     from orograph.light.bake import bake
     from orograph.picture import Contours, Picture, Silhouettes, Sun, camera, render
     from orograph.store import Terrain, build, open, terrain
@@ -29,6 +30,7 @@ __all__ = [
     "Contours",
     "Dem",
     "Grid",
+    "Layer",
     "Picture",
     "Silhouettes",
     "Sun",
@@ -47,6 +49,7 @@ _HOMES = {
     "Contours": "orograph.picture",
     "Dem": "orograph.dem",
     "Grid": "orograph.geo",
+    "Layer": "orograph.geovis.layers",
     "Picture": "orograph.picture",
     "Silhouettes": "orograph.picture",
     "Sun": "orograph.picture",

@@ -304,6 +304,34 @@ def test_pictures_that_do_not_fit_into_memory(run, dem, tmp_path):
     assert code == 2 and "64MiB" in err and not (tmp_path / "a.png").exists()
 
 
+def test_layers_over_the_ground(run, dem, tmp_path):
+    options = ("--size", "80x45", "--light", "none", "--quiet")
+    shape = hills().shape
+    image, rain = tmp_path / "image.tif", tmp_path / "rain.tif"
+    with rasterio.open(dem) as file:
+        profile = {**file.profile, "count": 3, "dtype": "uint8", "nodata": None}
+    with rasterio.open(image, "w", **profile) as file:
+        file.write(np.full((3, *shape), np.array([200, 30, 30])[:, None, None], np.uint8))
+    with rasterio.open(rain, "w", **{**profile, "count": 1, "dtype": "float32"}) as file:
+        file.write(np.full((1, *shape), 40, np.float32))
+    pixels = {}
+    for name, layers in {
+        "bare": (), "image": (image,), "half": (f"{image},opacity=0.5",),
+        "both": (image, f"{rain},colormap=viridis,range=0:80,opacity=0.25"), "hidden": (f"{image},visible=no",),
+    }.items():  # fmt: skip
+        given = [word for layer in layers for word in ("--drape", layer)]
+        assert run("render", dem, "-o", tmp_path / "a.png", *given, *options)[0] == 0
+        pixels[name] = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
+    there = pixels["image"][..., 0] > pixels["image"][..., 1] + 100
+    assert there.sum() > 300 and np.array_equal(pixels["bare"], pixels["hidden"])
+    red = {name: pixels[name][there][:, 0].mean() for name in pixels}
+    green = {name: pixels[name][there][:, 1].mean() for name in pixels}
+    assert green["image"] < green["half"] < green["bare"] and green["both"] > green["image"] + 20 and red["both"] < red["image"] + 1
+    refused(run("render", dem, "-o", tmp_path / "a.png", "--drape", tmp_path / "none.tif", *options), 3, "none.tif")
+    refused(run("render", dem, "-o", tmp_path / "a.png", "--drape", f"{image},opacity=3", *options), 2, "0 to 1")
+    refused(run("render", dem, "-o", tmp_path / "a.png", "--drape", f"{image},opactiy=1", *options), 2, "opacity")
+
+
 MOON = "+proj=eqc +a=1737400 +b=1737400 +units=m +no_defs"
 
 

@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 
 from orograph.errors import ReadError, UsageError
 from orograph.flight import Flight
+from orograph.geovis.layers import Layer
 from orograph.light.sun import Moment, Placed
 from orograph.tour import Key, Tour, moves
 from orograph.tour.ways import RHO, zoom_path
@@ -257,7 +258,32 @@ def test_a_turning_sun_goes_on_where_a_loop_closes():
         assert (tour.sun(t).azimuth - camera - 300 + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
 
 
+def test_layers_fade_between_the_keys_that_say_them():
+    low, high, old = Layer("low.tif"), Layer("high.tif", 0.8, blend="multiply"), Layer("old.tif")
+    tour = Tour((Key(look((0, 0, 900)), 0.0, layers=(low, replace(high, visible=False))), Key(look((900, 0, 900)), 2.0),
+                 Key(look((900, 900, 900)), 4.0, layers=(old, high), hold=1.0)))  # fmt: skip
+    assert tour.layers(0.0) == (low,)
+    assert tour.layers(5.0) == (old, high)
+    found = [{layer.path: layer.opacity for layer in tour.layers(t)} for t in np.linspace(0, 4, 41)]
+    assert set(found[20]) == {"low.tif", "high.tif", "old.tif"}
+    assert [layer.path for layer in tour.layers(2.0)] == ["old.tif", "low.tif", "high.tif"]
+    for path, up in (("low.tif", False), ("high.tif", True), ("old.tif", True)):
+        steps = np.diff([f.get(path, 0.0) for f in found])
+        assert ((steps >= 0) if up else (steps <= 0)).all() and np.abs(steps).max() < 0.1
+    assert Tour((Key(look((0, 0, 900)), 0.0),)).layers(0.0) is None
+
+
 # ---- files -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_files_layers_are_found_beside_it(tmp_path):
+    (tmp_path / "map.tif").touch()
+    key = {**KEY, "layers": ["map.tif,opacity=0.5", {"path": "far.tif", "colormap": "viridis", "range": [0, 5]}]}
+    (tmp_path / "tour.json").write_text(json.dumps({"keys": [key]}))
+    tour = Tour.load(tmp_path / "tour.json")
+    expected = (Layer(str(tmp_path / "map.tif"), 0.5), Layer("far.tif", colormap="viridis", range=(0, 5)))
+    assert tour.layers(0.0) == expected
+    assert Tour.from_dict(tour.to_dict()).layers(0.0) == expected
 
 
 def test_files(tmp_path):
@@ -354,6 +380,8 @@ NEXT = {"time": 1, "eye": [9, 0, 10], "target": [5, 5, 0]}
         ({"keys": [KEY, {**NEXT, "target": [-5, -5, 20], "eye": [0, 0, 10]}], "aim": "direction"}, "0 to 1: .*180°"),
         ({"keys": [KEY], "tour": 2}, "format 2"),
         ({"keys": [KEY], "aim": "high"}, "aim"),
+        ({"keys": [{**KEY, "layers": [{"path": "a.tif", "opacity": 2}]}]}, "Key 0: .*0 to 1"),
+        ({"keys": [{**KEY, "layers": "a.tif"}]}, "Key 0: .*list"),
     ],
 )
 def test_what_is_no_tour(tmp_path, values, words):

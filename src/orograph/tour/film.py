@@ -131,9 +131,13 @@ class Film:
         sun = self.tour.sun(time)
         if sun is not None:
             settings["sun"] = sun.over(self.base.terrain.grid)
+        layers = self.tour.layers(time)
+        if layers is not None:
+            settings["layers"] = layers
         return replace(self.base, view=self.course.at(time), **settings)
 
 
 def spoken(tour: Tour) -> Sequence[str]:
-    """What of the scene a tour says itself: "sun" and names of ``keys.SETTINGS``."""
-    return [*(["sun"] if tour.sun(0.0) is not None else []), *tour.settings(0.0)]
+    """What of the scene a tour says itself: "sun", "layers" and names of ``keys.SETTINGS``."""
+    more = [name for name, said in (("sun", tour.sun(0.0)), ("layers", tour.layers(0.0))) if said is not None]
+    return [*more, *tour.settings(0.0)]

@@ -20,6 +20,7 @@ from typing import Any, Literal, get_args
 
 from orograph.documents import number
 from orograph.errors import UsageError
+from orograph.geovis.layers import Layer, layers_of
 from orograph.light.sun import Moment, Placed, parse
 from orograph.picture.scene import check_exaggeration
 from orograph.view import Point, View
@@ -33,8 +34,8 @@ SETTINGS = ("exaggeration", "tolerance", "relief", "water")
 CAMERA = ("eye", "target", "up", "fov_y", "width", "height", "near", "far", "projection", "crs")
 ANGLES = ("azimuth", "heading", "pitch", "distance")
 WAY = ("time", "hold", "stop", "path", "turns")
-FIELDS = (*WAY, *CAMERA, *ANGLES, "sun", *SETTINGS)
-INHERITED = ("up", "fov_y", "width", "height", "near", "far", "projection", "crs", "path", "sun", *SETTINGS)
+FIELDS = (*WAY, *CAMERA, *ANGLES, "sun", *SETTINGS, "layers")
+INHERITED = ("up", "fov_y", "width", "height", "near", "far", "projection", "crs", "path", "sun", *SETTINGS, "layers")
 """What may be said once for all keys, beside them."""
 
 ARM = 1000.0
@@ -54,6 +55,7 @@ class Key:
         turns: with "orbit": full turns besides the shorter way round, clockwise seen from above; negative: the other.
         sun: a direction or a moment; None: as before and after.
         exaggeration, tolerance, relief, water: see ``picture.Scene``; None: as before and after.
+        layers: laid over the ground, bottom to top; a layer that the next key has not fades. None: as before and after.
     """
 
     view: View
@@ -67,6 +69,7 @@ class Key:
     tolerance: float | None = None
     relief: float | None = None
     water: float | None = None
+    layers: tuple[Layer, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.time is not None and not 0 <= self.time < math.inf:
@@ -117,6 +120,8 @@ class Key:
             more["path"] = given["path"]
         if "sun" in given:
             more["sun"] = _sun(given["sun"])
+        if "layers" in given:
+            more["layers"] = _layers(given["layers"])
         return cls(view, **more)
 
     def to_dict(self) -> dict[str, Any]:
@@ -130,7 +135,21 @@ class Key:
             values["sun"] = [self.sun.azimuth, self.sun.altitude]
         elif self.sun is not None:
             values["sun"] = self.sun.when.isoformat()
+        if self.layers is not None:
+            values["layers"] = [layer.to_dict() for layer in self.layers]
         return {**values, **self.view.to_dict()}
+
+
+def _layers(value: Any) -> tuple[Layer, ...]:
+    """A list of layers, each an object with a path or a text as for ``--drape``."""
+    if not isinstance(value, list | tuple):
+        raise UsageError(f'The "layers" are a list of images, bottom to top, not {value!r}.')
+    made = []
+    for one in value:
+        if not isinstance(one, str | Mapping):
+            raise UsageError(f'A layer is a path or an object with a "path", not {one!r}.')
+        made.append(Layer.parse(one) if isinstance(one, str) else Layer.from_dict(one))
+    return layers_of(made)
 
 
 def looking(heading: float, pitch: float) -> Point:

@@ -10,8 +10,9 @@ position, direction and field of view have continuous velocities. It passes ever
 the keys have no times: the eye goes at that many metres a second, speeding up and slowing down over ``RAMP`` seconds.
 With ``loop`` the last key leads to the first again, smoothly, at ``seconds``.
 
-Numbers of the scene change as monotonic cubics through the keys that say them, a sun that is said as moments by its
-moment: shadows go as they went that day. A flight's file (``flight``) can be read as a tour's.
+Layers that a key says are as opaque as it says, and fade in between (``layers``). Numbers of the scene change as
+monotonic cubics through the keys that say them, a sun that is said as moments by its moment: shadows go as they went
+that day. A flight's file (``flight``) can be read as a tour's.
 
 Units: seconds; metres and degrees as in ``View``.
 """
@@ -30,6 +31,7 @@ from numpy.typing import NDArray
 from orograph.documents import load_object, naming, number
 from orograph.errors import UsageError
 from orograph.flight import SAME, Flight
+from orograph.geovis.layers import Layer, found_beside
 from orograph.light.sun import Moment, Placed
 from orograph.splines import Monotone
 from orograph.tour.keys import INHERITED, SETTINGS, Key
@@ -78,6 +80,7 @@ class Tour:
     _schedule: Schedule = field(init=False, repr=False, compare=False)
     _settings: dict[str, Monotone] = field(init=False, repr=False, compare=False)
     _sun: tuple[type | None, tuple[Monotone, ...]] = field(init=False, repr=False, compare=False)
+    _layers: tuple[tuple[Layer, Monotone], ...] | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         self._check()
@@ -97,6 +100,7 @@ class Tour:
                 channels[name] = self._channel(values)
         object.__setattr__(self, "_settings", channels)
         object.__setattr__(self, "_sun", self._suns())
+        object.__setattr__(self, "_layers", self._stack())
 
     def _check(self) -> None:
         if not self.keys:
@@ -165,6 +169,30 @@ class Tour:
             self._channel([s.altitude if isinstance(s, Placed) else None for s in suns]),
         )
 
+    def _stack(self) -> tuple[tuple[Layer, Monotone], ...] | None:
+        """All layers of all keys, bottom to top, and their opacities over time; None if no key says any."""
+        if all(key.layers is None for key in self.keys):
+            return None
+        order: list[Layer] = []
+        for key in self.keys:
+            at = 0  # a layer that is new goes above the one below it
+            for layer in key.layers or ():
+                one = replace(layer, opacity=1.0, visible=True)
+                if one in order:
+                    at = order.index(one) + 1
+                else:
+                    order.insert(at, one)
+                    at += 1
+        channels = []
+        for one in order:
+            values: list[float | None] = []
+            for key in self.keys:
+                found = [layer for layer in key.layers or () if replace(layer, opacity=1.0, visible=True) == one]
+                shown = found[0].opacity if found and found[0].visible else 0.0
+                values.append(None if key.layers is None else shown)
+            channels.append((one, self._channel(values)))
+        return tuple(channels)
+
     # ---- files ---------------------------------------------------------------------------------------------------
 
     @classmethod
@@ -221,7 +249,12 @@ class Tour:
         """
         values = load_object(path, "tour", "keys")
         with naming(path):
-            return cls.from_dict(values, crs=crs)
+            tour = cls.from_dict(values, crs=crs)
+        if all(key.layers is None for key in tour.keys):
+            return tour
+        folder = Path(path).parent  # paths in a file are meant as they are, or beside it
+        keys = [k if k.layers is None else replace(k, layers=found_beside(k.layers, folder)) for k in tour.keys]
+        return replace(tour, keys=tuple(keys))
 
     @staticmethod
     def readable(path: str | Path) -> None:
@@ -276,6 +309,14 @@ class Tour:
         """The scene's numbers that the tour says, at a time: of ``keys.SETTINGS`` those that some key has."""
         time = self.moment(time)
         return {name: channel(time) for name, channel in self._settings.items()}
+
+    def layers(self, time: float) -> tuple[Layer, ...] | None:
+        """The layers at a time, bottom to top, each as opaque as it is then; None if no key says any."""
+        if self._layers is None:
+            return None
+        time = self.moment(time)
+        opacities = [(layer, min(max(channel(time), 0.0), 1.0)) for layer, channel in self._layers]
+        return tuple(replace(layer, opacity=opacity) for layer, opacity in opacities if opacity > 1e-3)
 
     def sun(self, time: float) -> Placed | Moment | None:
         """The sun at a time; None if no key says one."""
