@@ -65,6 +65,7 @@ def test_what_is_pruned_is_what_looking_at_every_sample_finds():
         tolerance = float(10 ** rng.uniform(-0.5, 1.7))
         spheres, out = p.sphere_errors(camera) > tolerance, p.spheres_outside(camera)
         depth = camera.to_camera(p.at)[..., 2] - np.abs(p.r)
+        near = ahead.NEAR * np.clip(2 / tolerance, 1, 2)
         active = np.zeros((9, 9), bool)
         for level in range(2 * n - 1, -1, -1):
             for row, col in zip(*diamonds.of_level(n, level)):
@@ -73,7 +74,7 @@ def test_what_is_pruned_is_what_looking_at_every_sample_finds():
                 kids = [diamonds.child(row, col, k, n) for k in range(4)]
                 active[row, col] = (
                     any(r >= 0 and active[r, c] for r, c in kids)
-                    or abs(p.r[row, col]) <= ahead.NEAR * depth[row, col]
+                    or abs(p.r[row, col]) <= near * depth[row, col]
                     or displacement(p, camera, row, col) > tolerance
                 )
         wanted = spheres & ~out & ~active

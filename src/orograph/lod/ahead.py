@@ -35,7 +35,8 @@ from orograph.lod.localise import STACK, localised_bound, prism_outside
 from orograph.lod.pages import BEYOND, locate
 
 NEAR = 1.0 / 16.0
-"""Radius of the sphere over its least depth; beyond it a diamond is near."""
+"""Radius of the sphere over its least depth; beyond it a diamond is near. (Twice that at 1 pixel and less, in between
+from 1 to 2: where meshes are fine, the search would take longer than it is worth.)"""
 
 DEPTH = 6
 """Halvings by which triangles are taken apart."""
@@ -92,7 +93,7 @@ def foresee(pruned, key, w, r, exceeds, bits):
 
 
 @inlined
-def what(pages, lens, cull, row, col, octave, bits):
+def what(pages, lens, near, cull, row, col, octave, bits):
     """(NONE, FAR, ACTIVE, OPEN or MISSING, of the diamond at (row, col); its bits of planes)."""
     slot, at = locate(pages, row, col, octave)
     kind = np.uint8(0 if slot == BEYOND or slot >= 0 else 4)
@@ -110,16 +111,17 @@ def what(pages, lens, cull, row, col, octave, bits):
             c = c if c >= 0.0 else -1.0 - c
             sure = e == np.inf or color_exceeds(lens, c, cw, r)
             if sure or sphere_exceeds(lens, 0, cx, cy, cw, e, r):
-                kind = np.uint8(1 if r <= NEAR * (cw - r) else 2 if sure or empty else 3)
+                kind = np.uint8(1 if r <= near * (cw - r) else 2 if sure or empty else 3)
     return kind, bits
 
 
 @leaf
-def collect(pages, slack, cull, n, ahead, found, state, kids, keys, values, counts):
+def collect(pages, slack, near, cull, n, ahead, found, state, kids, keys, values, counts):
     """Collect the near diamonds whose sphere exceeds the tolerance, level by level.
 
     Args:
         slack: the camera, with a tolerance a hair smaller.
+        near: the ratio from which on spheres are near, at least ``NEAR``.
         ahead: whether to ask for the pages of those that come after one that lacks its page, too.
         found: int64 (capacity, 3), rows, columns, bits of planes; out. state: uint8 (capacity,), 1 if surely active;
             out.
@@ -136,7 +138,7 @@ def collect(pages, slack, cull, n, ahead, found, state, kids, keys, values, coun
     half = side >> 1
     missed = False
     if counts[0] == 0:
-        kind, bits = what(pages, slack, cull, half, half, n - 1, 0)
+        kind, bits = what(pages, slack, near, cull, half, half, n - 1, 0)
         if kind == 4:
             return 1
         if kind >= 2:
@@ -173,7 +175,7 @@ def collect(pages, slack, cull, n, ahead, found, state, kids, keys, values, coun
             while keys[at] >= 0 and keys[at] != key:
                 at = (at + 1) & (size - 1)
             if keys[at] < 0:
-                kind, inside = what(pages, slack, cull, r, c, octave, bits)
+                kind, inside = what(pages, slack, near, cull, r, c, octave, bits)
                 if kind == 4 and not missed:
                     missed = True
                     counts[1], counts[2] = done, k
@@ -366,12 +368,13 @@ class Ahead:
     def _look(self, field: Field, lens: NDArray[np.float64], cull: bool) -> NDArray[np.int64]:
         slack = lens.copy()
         slack[TOLERANCE] *= 1.0 - 1e-9
+        near = NEAR * min(max(1.0, 2.0 / lens[TOLERANCE]), 2.0)
         counts, before, stalls = self._begin(), (), 0
         while True:
             field.begin()
             why = collect(
-                field.pages, slack, cull, field.n, stalls == 0, self._found, self._state, self._kids, self._keys,
-                self._values, counts,
+                field.pages, slack, near, cull, field.n, stalls == 0, self._found, self._state, self._kids,
+                self._keys, self._values, counts,
             )  # fmt: skip
             if why == ROOM:
                 self._room(4 * len(self._found))
