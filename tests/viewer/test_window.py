@@ -157,6 +157,31 @@ def test_a_drag_over_a_panel_is_the_panels(window, hand):
     assert window.session.view != before
 
 
+@pytest.mark.parametrize("pause", [0, 1, 3])
+def test_a_quick_click_on_a_tab_is_not_lost(window, hand, monkeypatch, pause):
+    shown: list[str] = []
+    told = [(n, lambda w, f=f, n=n: (shown.append(n), f(w)), p) for n, f, p in panels.PANELS]
+    monkeypatch.setattr(panels, "PANELS", tuple(told))
+    hand.rest()
+    hand.frames(3)
+    for name in ("Layers", "Tour", "Light", "Statistics"):
+        inner = imgui.internal.find_window_by_name(name).dock_node
+        tabs = {t.window.name: t for t in inner.tab_bar.tabs}
+        bar, tab = inner.tab_bar.bar_rect, tabs[name]
+        hand.move(bar.min.x + tab.offset + tab.width / 2, (bar.min.y + bar.max.y) / 2)
+        if pause:
+            hand.frames(pause)
+        x, y = bar.min.x + tab.offset + tab.width / 2, (bar.min.y + bar.max.y) / 2
+        hand.event("pointer_down", x=x, y=y, button=1)
+        hand.event("pointer_up", x=x, y=y, button=1)
+        hand.frames(6)
+        shown.clear()
+        hand.frames(1)
+        assert name in shown
+        hand.move(200, 300)
+        hand.frames(2)
+
+
 def test_a_drag_that_ends_over_a_panel_goes_on(window, hand):
     place = ground_pixel(window, 300, 420)
     hand.press(300, 420)

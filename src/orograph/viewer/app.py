@@ -228,7 +228,7 @@ def _shoot(window: Window, path: Path, frames: int, failure: list[BaseException]
     """Save a picture after so many frames, and close."""
 
     def hook(w: Window) -> None:
-        if w.drawing.drawn >= frames and not failure:
+        if w.drawing.drawn >= frames and not w.plan.wanted and not failure:
             w.on_frame.remove(hook)
             try:
                 w.pictures.write(path, panels=True)

@@ -75,6 +75,7 @@ class Drawing:
         self._slow = False
         self._drawn_at = 0.0
         self._trouble = ""
+        self._empty = False
 
     @property
     def eager(self) -> bool:
@@ -112,6 +113,9 @@ class Drawing:
             self._slow = self._drawn_at - now > TOO_SLOW
             trouble = getattr(self.stats, "failed", "")
             before, self._trouble = self._trouble, trouble
+            empty, self._empty = self._empty, self.stats.triangles == 0
+            if self._empty and not empty:
+                session.messages.say("No ground is in view: H goes home, where all of it is.")
             if trouble and trouble != before:
                 session.messages.say(f"A part of the terrain cannot be read: {trouble}", error=True)
             if getattr(self.stats, "current", True) and settings.balance(int(self.stats.triangles)):

@@ -8,6 +8,7 @@ comes. Events are taken from ``rendercanvas``; positions are logical pixels.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,10 @@ class Gui:
         io.config_windows_move_from_title_bar_only = True
         io.config_error_recovery_enable_assert = False
         self.fresh = layout is None or not layout.exists()
+        self._later: list[tuple[Callable[[], None], bool]] = []
+        self._fresh_pointer = False
+        self.raised: list[str] = []
+        """Panels to be brought to the top of their stacks, one a frame."""
         if clipboard is not None:
             get, put = clipboard
             platform = imgui.get_platform_io()
@@ -78,12 +83,33 @@ class Gui:
 
     def pointer(self, x: float, y: float) -> None:
         """The pointer is at (x, y)."""
-        self._io().add_mouse_pos_event(x, y)
+        self._do(partial(self._io().add_mouse_pos_event, x, y), False)
 
     def button(self, button: int, down: bool) -> None:
         """A button (1 left, 2 right, 3 middle) goes down or up."""
         if 1 <= button <= 5:
-            self._io().add_mouse_button_event(button - 1, down)
+            self._do(partial(self._io().add_mouse_button_event, button - 1, down), True)
+
+    def _do(self, tell: Callable[[], None], button: bool) -> None:
+        """Tell of the mouse, of a button not before a frame in which the pointer was there: a quick click on a tab that
+        comes together with the move to it would be lost."""
+        if self._later or (button and self._fresh_pointer):
+            self._later.append((tell, button))
+        else:
+            self._fresh_pointer |= not button
+            tell()
+
+    def _tell_later(self) -> None:
+        """What waited for a frame, up to and with one button."""
+        while self._later:
+            tell, button = self._later[0]
+            if button and self._fresh_pointer:
+                return
+            self._later.pop(0)
+            self._fresh_pointer |= not button
+            tell()
+            if button:
+                return
 
     def wheel(self, dx: float, dy: float) -> None:
         """The wheel turns, in notches."""
@@ -136,11 +162,13 @@ class Gui:
     def begin(self, size: tuple[float, float], ratio: float, seconds: float) -> None:
         """Begin a frame of ``size`` logical pixels."""
         io = self._io()
+        self._tell_later()
         implot.set_current_context(self.plots)
         io.display_size = size
         io.display_framebuffer_scale = (ratio, ratio)
         io.delta_time = max(seconds, 1e-4)
         imgui.new_frame()
+        self._fresh_pointer = False
 
     def end(self) -> Any:
         """End the frame; what is to be drawn."""

@@ -52,11 +52,17 @@ class Plan:
         self._drawing: tuple[int, int] | None = None
         self._texture: Any = None
         self._dragging = False
+        self._visible = False
 
     @property
     def busy(self) -> bool:
         """Whether its relief is being drawn."""
         return self._drawing is not None
+
+    @property
+    def wanted(self) -> bool:
+        """Whether it is shown and its relief is still to come."""
+        return self._visible and self._texture is None and not self.trouble
 
     @property
     def inset_width(self) -> float:
@@ -81,10 +87,10 @@ class Plan:
 
     def draw(self) -> None:
         """The relief, the footprint, and what the mouse does there."""
-        if self.mode == "none":
-            return
         x, y, w, h = self._rect
-        if self.mode == "inset" and (self.window.area[2] < 420 or self.window.area[3] < 300):
+        small = self.mode == "inset" and (self.window.area[2] < 420 or self.window.area[3] < 300)
+        self._visible = self.mode != "none" and not small
+        if not self._visible:
             return
         imgui.set_next_window_pos((x, y))
         imgui.set_next_window_size((w, h))

@@ -32,8 +32,8 @@ PROGRESS = 0.2
 """Seconds between frames that show how far a measurement is."""
 SETTLED = 0.12
 """Seconds without motion after which the picture is drawn at full size."""
-AFTER = 3
-"""Frames drawn after an event: ImGui takes some events one by one."""
+AFTER = 6
+"""Frames drawn after an event: ImGui takes some events one by one, and shows a tab a frame after it was chosen."""
 
 Area = tuple[float, float, float, float]
 

@@ -20,6 +20,8 @@ PANELS = (
     ("Tour", tour.draw, "bottom"),
     ("Statistics", statistics.draw, "bottom"),
 )
+RAISED = ("Detail", "Light")
+"""Panels on top of others in the layout of the first time."""
 DOCK = 0x0609_2A11
 """The dock space's number in the layout's file."""
 
@@ -35,6 +37,7 @@ def dock(window: Window) -> Area:
     if window.gui.fresh:
         window.gui.fresh = False
         _layout(viewport)
+        window.gui.raised = list(RAISED)
     flags = imgui.DockNodeFlags_.passthru_central_node | imgui.DockNodeFlags_.no_docking_over_central_node
     imgui.dock_space_over_viewport(DOCK, viewport, flags)
     node = imgui.internal.dock_builder_get_central_node(DOCK)
@@ -61,6 +64,8 @@ def _layout(viewport: imgui.Viewport) -> None:
 
 def draw(window: Window) -> None:
     """All panels."""
+    if window.gui.raised and imgui.internal.find_window_by_name(window.gui.raised[0]) is not None:
+        imgui.set_window_focus(window.gui.raised.pop(0))
     for name, content, _ in PANELS:
         imgui.set_next_window_size((WIDTH, 260), imgui.Cond_.first_use_ever)
         beside = imgui.internal.find_window_by_name(PANELS[-2 if name == "Statistics" else -1][0])

@@ -58,6 +58,8 @@ def _mesh(window: Window) -> list[tuple[str, str]]:
 def draw(window: Window) -> None:
     """The content of the panel."""
     if imgui.begin_table("statistics", 2, imgui.TableFlags_.sizing_stretch_prop):
+        imgui.table_setup_column("name", imgui.TableColumnFlags_.width_fixed)
+        imgui.table_setup_column("value", imgui.TableColumnFlags_.width_stretch)
         for name, value in rows(window):
             imgui.table_next_column()
             imgui.text_disabled(name)
