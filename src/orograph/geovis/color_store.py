@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,22 +24,24 @@ from numpy.typing import NDArray
 
 from orograph.dem.handles import HANDLES, locate
 from orograph.error.diamonds import BLOCK, SMALL, Part, Rest, Survey
-from orograph.errors import StoreError, UsageError
+from orograph.errors import UsageError
 from orograph.geovis.color_errors import SUN, Colors, blank, codes_of, decoded
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import cpu_count
 from orograph.progress import SILENT, Progress
 from orograph.store.arrays import Spot
 from orograph.store.diamonds import blank_top, place
 from orograph.store.layout import Record, diamond_spec, dumps, metadata
 from orograph.store.parts import pack, unpack
 from orograph.store.pyramid import Canvas, spans, tasks, write
-from orograph.store.storage import FolderStorage, Storage, storage_at
+from orograph.store.shards import alone, go_through
+from orograph.store.storage import Storage, storage_at
 from orograph.store.stored import StoredTerrain, open, read_record
 from orograph.store.terrain import Terrain, diamond_shape, level_count, level_shape
 
 COLOR = "color"
 PARTIAL = "diamonds/.color"
 """Where the plan and the parts of a run are until it is complete."""
+BUSY = "Another process is putting color errors into this store."
 SAMPLE = 160
 """Bytes a task holds for each sample of its block."""
 
@@ -159,7 +160,7 @@ def store_colors(
     storage = storage_at(store, storage_options)
     before = read_record(storage)
     if overwrite or not before.colors or not same(wanted, before.colors):
-        with _alone(storage), open(store, jobs=1, storage_options=storage_options) as terrain:
+        with alone(storage, "diamonds", BUSY), open(store, jobs=1, storage_options=storage_options) as terrain:
             if before.colors:
                 before = replace(before, colors={})
                 _publish(storage, before)
@@ -198,13 +199,12 @@ class _Run:
 
     def all(self, jobs: int, progress: Progress) -> None:
         """Do all tasks and what no task could make."""
-        spots = tasks(self.shape, self.area)
-        with progress.task("Color errors", total=len(spots)) as task:
-            for _ in map_ordered(self.run, spots, jobs):
-                task.advance()
-            for parts in zip(*(channel.finish() for channel in self.channels), strict=True):
-                self._put(parts[0].octave, 0, 0, _coded(parts))
-            write(self.storage, self._spec(self.top), self.whole)
+        go_through("Color errors", tasks(self.shape, self.area), self.run, jobs, progress, self._finish)
+
+    def _finish(self) -> None:
+        for parts in zip(*(channel.finish() for channel in self.channels), strict=True):
+            self._put(parts[0].octave, 0, 0, _coded(parts))
+        write(self.storage, self._spec(self.top), self.whole)
 
     def run(self, spot: Spot) -> None:
         """Do one task, or take over what an interrupted run did of it."""
@@ -305,37 +305,6 @@ def _publish(storage: Storage, record: Record) -> None:
         for key, data in objects.items():
             if objects is root or key.startswith("diamonds/"):
                 storage.put(key, [data])
-
-
-@contextmanager
-def _alone(storage: Storage) -> Iterator[None]:
-    """Keep a second process from the same work (in folders, where the system has file locks)."""
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    if not isinstance(storage, FolderStorage):
-        yield
-        return
-    folder = storage.path / "diamonds"
-    try:
-        folder.mkdir(exist_ok=True)
-        held = os.open(folder, os.O_RDONLY)
-    except OSError as error:
-        raise StoreError(f"Nothing can be written there: {error.strerror}.", path=storage.url) from error
-    try:
-        try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise StoreError(
-                "Another process is putting color errors into this store.",
-                path=storage.url,
-                remedy="Wait until it is done.",
-            ) from error
-        yield
-    finally:
-        os.close(held)
 
 
 __all__ = ["StoredColorErrors", "made_with", "store_colors", "stored"]

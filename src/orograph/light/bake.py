@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -33,12 +32,12 @@ from orograph.light.gather import Window, readers
 from orograph.light.products import MEMORY, Context, Options, Product, Values, product
 from orograph.light.raster import trim
 from orograph.light.raster_resume import Kept
-from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.layers import GROUP, Bits, Codes, LayerBand, LayerRecord, layer_spec
 from orograph.store.layout import Record, metadata
 from orograph.store.levels import BoxMeans, divide, halve_sums
 from orograph.store.pyramid import Canvas, spans, tasks
+from orograph.store.shards import alone, go_through
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import StoredTerrain, open, read_record
 from orograph.store.terrain import level_count, mean_shape
@@ -47,6 +46,8 @@ Averaging = Literal["mean", "cap"]
 
 PARTIAL = f"{GROUP}/.partial"
 """Where a bake is made until it is complete."""
+
+BUSY = "Another process is baking into this store."
 
 _STRIP = 64
 """Rows of a shard that are made at a time: an even number, so that blocks of 2 × 2 lie in one strip."""
@@ -132,7 +133,10 @@ def bake(
     if made:
         products = [p for p in products if p.name in {layer.name for layer in made}]
         trim()  # what building the store has left
-        with _locked(storage), open(store, cache_bytes=cache, jobs=jobs, storage_options=storage_options) as terrain:
+        with (
+            alone(storage, GROUP, BUSY),
+            open(store, cache_bytes=cache, jobs=jobs, storage_options=storage_options) as terrain,
+        ):
             if isinstance(storage, FolderStorage):
                 kept = _kept(storage, before, made, overwrite)
             else:
@@ -261,13 +265,7 @@ def _write(
         for part, s in zip(rest, sums):
             part.add(row >> direct, col >> direct, s)
 
-    # Codes, sums and counts of 2 × 2, means, a shard as bytes; the values of a strip and what comes up with them.
-    size, n = layer.bands[0].bits // 8, len(layer.bands)
-    need = shard * shard * (n * (size + 4) + size) + shard * _STRIP * 4 * n * (12 if cap else 6)
-    at_once = max(1, min(context.jobs, context.budget // need))
-    with context.progress.task(f"Baking {layer.name}", total=len(spots)) as task:
-        for _ in map_ordered(run, spots, at_once):
-            task.advance()
+    def coarsest() -> None:
         for k in range(direct + 1, levels):
             means = np.stack([part.next(mean_shape(shape, k)) for part in rest])
             for band, spec, plane in zip(layer.bands, specs[k], _caps(means) if cap else means, strict=True):
@@ -275,6 +273,12 @@ def _write(
                     for j in range(spec.shards[1]):
                         block = plane[i * shard : (i + 1) * shard, j * shard : (j + 1) * shard]
                         storage.put(spec.key((i, j)), spec.encode(band.encode(block)))
+
+    # Codes, sums and counts of 2 × 2, means, a shard as bytes; the values of a strip and what comes up with them.
+    size, n = layer.bands[0].bits // 8, len(layer.bands)
+    need = shard * shard * (n * (size + 4) + size) + shard * _STRIP * 4 * n * (12 if cap else 6)
+    at_once = max(1, min(context.jobs, context.budget // need))
+    go_through(f"Baking {layer.name}", spots, run, at_once, context.progress, coarsest)
 
 
 def _coded(bands: Sequence[LayerBand], shape: tuple[int, ...], strips: Iterable[Values]) -> list[Codes]:
@@ -356,36 +360,6 @@ def _root(record: Record) -> tuple[str, list[bytes]]:
     _, root = metadata(record)
     ((key, data),) = root.items()
     return key, [data]
-
-
-@contextmanager
-def _locked(storage: Storage) -> Iterator[None]:
-    """Keep a second process from baking into the same store (in folders, where the system has file locks)."""
-    try:
-        import fcntl
-        import os
-    except ImportError:
-        yield
-        return
-    if not isinstance(storage, FolderStorage):
-        yield
-        return
-    folder = storage.path / GROUP
-    try:
-        folder.mkdir(exist_ok=True)
-        held = os.open(folder, os.O_RDONLY)
-    except OSError as error:
-        raise StoreError(f"Nothing can be written there: {error.strerror}.", path=storage.url) from error
-    try:
-        try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise StoreError(
-                "Another process is baking into this store.", path=storage.url, remedy="Wait until it is done."
-            ) from error
-        yield
-    finally:
-        os.close(held)
 
 
 __all__ = ["BAKED", "Baked", "bake"]

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.layout import CHUNK, FORMAT, PARTS, PLAN, ROOT, Record, dumps, metadata
 from orograph.store.memory import MemoryTerrain, check_metric, is_metric
+from orograph.store.shards import alone, go_through
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, is_store, open, partial, read_record
@@ -253,9 +254,7 @@ def _fill(
     kinds = tuple(plan["errors"])
     pyramid = Pyramid(raster, storage, plan["shard"], plan["chunk"], resume)
     spots = tasks(raster.grid.shape, plan["shard"])
-    with progress.task("Resuming the store" if resume else "Building the store", total=len(spots)) as task:
-        for _ in map_ordered(pyramid.run, spots, jobs):
-            task.advance()
+    go_through("Resuming the store" if resume else "Building the store", spots, pyramid.run, jobs, progress)
     first = pyramid.finish()
     valid_samples = pyramid.valid_samples
     del pyramid
@@ -310,11 +309,7 @@ def _survey(
     from orograph.store.survey import Errors
 
     survey = Errors(grid, storage, plan["shard"], plan["chunk"], first, tuple(plan["errors"]), resume)
-    spots = survey.tasks()
-    with progress.task("Finding errors", total=len(spots)) as task:
-        for _ in map_ordered(survey.run, spots, jobs):
-            task.advance()
-        survey.finish()
+    go_through("Finding errors", survey.tasks(), survey.run, jobs, progress, survey.finish)
     return survey
 
 
@@ -357,23 +352,6 @@ def _publish(built: Path, final: Path) -> None:
     FolderStorage(old).remove()
 
 
-@contextmanager
-def _locked(storage: Storage) -> Iterator[None]:
-    """Keep a second process from building the same store (in folders, where the system has file locks)."""
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    path = storage.path / PLAN if isinstance(storage, FolderStorage) else None
-    if path is None or not path.exists():
-        yield
-        return
-    with path.open("rb") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise StoreError(
-                "Another process is building this store.", path=storage.url, remedy="Wait until it is done."
-            ) from error
-        yield
+def _locked(storage: Storage) -> AbstractContextManager[None]:
+    """Keep a second process from building the same store."""
+    return alone(storage, PLAN, "Another process is building this store.") if storage.exists(PLAN) else nullcontext()
