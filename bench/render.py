@@ -5,7 +5,8 @@
 Three inputs: a geographic tile of 1201², the 40 tiles of California (13201 × 4801, degrees), a projected float32 raster
 of 16385² (made by ``orograph synth`` if --big is not there). Kernels are compiled before the first timed run. "first":
 the cache of stores is empty; "again": it holds the store the first run made. Where pyvista is installed the tile is
-drawn by it too, after reprojection by GDAL, in the same run.
+drawn by it too, after reprojection by GDAL, in the same run. ``--sides STORE`` times rays alone instead: the whole of a
+store's terrain from eight sides, as an orbit sees it, on one thread, per ray and per hit.
 """
 
 from __future__ import annotations
@@ -50,12 +51,41 @@ def timed(command: list[str], cache: Path) -> tuple[float, float]:
     return seconds, usage.ru_maxrss / 1024
 
 
+def sides(store: str) -> None:
+    """Nanoseconds of processor time per ray of 1280 × 720 first hits, from all around."""
+    import numpy as np
+
+    import orograph
+    from orograph.picture import camera
+    from orograph.picture.ground import Ground
+    from orograph.picture.scene import Scene
+
+    print("| seen from | ns per ray | ns per hit |\n|---|---|---|")
+    with orograph.open(store) as terrain:
+        views = {"the default view": camera.whole(terrain, (1280, 720))}
+        for side in range(0, 360, 45):
+            views[f"{side}°"] = camera.around(terrain, (1280, 720), azimuth=side, pitch=35, distance=None)
+        for name, view in views.items():
+            rays = Ground.load(Scene(terrain, view, jobs=1)).rays
+            best, depth = np.inf, np.empty(0)
+            for _ in range(4):
+                began = time.process_time()
+                depth, _, _ = rays.first((0, 720, 0, 1280))
+                best = min(best, time.process_time() - began)
+            hits = np.isfinite(depth).sum()
+            print(f"| {name} | {best / depth.size * 1e9:.0f} | {best / hits * 1e9:.0f} |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--big", type=Path, help="a projected raster of 16385 × 16385 samples")
+    parser.add_argument("--sides", metavar="STORE", help="time rays at a store from all sides, and nothing else")
     options = parser.parse_args()
+    if options.sides:
+        sides(options.sides)
+        return
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         picture = str(work / "picture.png")

@@ -14,6 +14,7 @@ import numpy as np
 
 from orograph._numba import inlined, kernel
 from orograph.raycast.fronts import advance, directions, grazes, row_slope, wedge
+from orograph.raycast.march import ABOVE, BELOW, UNKNOWN, march_row
 from orograph.raycast.tables import (
     BASE,
     CELLS_X,
@@ -30,7 +31,7 @@ from orograph.raycast.tables import (
     STRIDE,
     WEST,
 )
-from orograph.raycast.traverse import ABOVE, BELOW, UNKNOWN, cast, clip, march_row
+from orograph.raycast.traverse import cast, clip
 
 INF = np.inf
 
@@ -258,6 +259,8 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
                         (w, ints[w, BASE], ints[w, STRIDE], ints[w, CELLS_X], ints[w, CELLS_Y], ints[w, MIP_FIRST]),
                         local_rectangle(floats, w, w),
                         local_rectangle(floats, w + 1, w) if w + 1 < windows else (1.0, 1.0, 0.0, 0.0),
+                        low,
+                        high,
                         local(floats, w, o[0] - floats[w, ORIGIN_X], o[1] - floats[w, ORIGIN_Y], o[2]),
                         local(floats, w, d0[0], d0[1], d0[2]),
                         local(floats, w, du[0], du[1], du[2]),

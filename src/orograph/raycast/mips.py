@@ -21,7 +21,7 @@ MAX_LEVEL0 = 1
 MIN_LEVEL0 = 2
 
 LEAST_ROOT = 3
-"""Every pyramid reaches this level, the one that ``traverse.march_row`` walks on, however small the field."""
+"""Every pyramid reaches this level, the one that ``march.march_row`` walks on, however small the field."""
 
 
 @kernel
