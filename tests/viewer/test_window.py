@@ -9,6 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 
 pytest.importorskip("imgui_bundle")
 pytest.importorskip("rendercanvas")
@@ -23,7 +25,7 @@ from orograph.viewer import panels
 from orograph.viewer.app import renderer_of
 from orograph.viewer.keys import bindings, help_rows
 from orograph.viewer.navigation import heading_pitch
-from orograph.viewer.panels import statistics
+from orograph.viewer.panels import layers, statistics
 from orograph.viewer.panels.detail import METHODS
 from orograph.viewer.session import Session
 from orograph.viewer.window import Window
@@ -235,6 +237,49 @@ def test_a_viewshed_is_painted_and_goes_again(window, hand):
     assert window.session.settings.painted is None
     hand.rest()
     assert np.abs(hand.frames(1).astype(int) - painted).max() > 40
+
+
+def test_layers_by_hand(window, hand, tmp_path):
+    settings = window.session.settings
+    grid = window.session.terrain.grid
+    paths = []
+    for name, colour in (("red", (220, 20, 20)), ("blue", (20, 20, 220))):
+        paths.append(tmp_path / f"{name}.tif")
+        with rasterio.open(
+            paths[-1], "w", "GTiff", 64, 64, 3, dtype="uint8", crs=grid.crs.to_wkt(),
+            transform=grid.transform @ Affine.scale(grid.cols / 64, grid.rows / 64),
+        ) as file:  # fmt: skip
+            file.write(np.broadcast_to(np.array(colour, np.uint8)[:, None, None], (3, 64, 64)))
+
+    def ground() -> np.ndarray:
+        return hand.frames(1)[380:420, 280:320].reshape(-1, 3).mean(0)
+
+    def until(reached) -> None:
+        end = time.monotonic() + 60
+        while not reached(ground()):
+            assert time.monotonic() < end
+            window.touch()
+
+    settings.water = None  # level ground would be a lake
+    assert layers.add(window, str(paths[0])) and layers.add(window, f"'{paths[1]}'")
+    until(lambda c: c[2] > c[0] + 60)  # the last one lies above
+    settings.layers = settings.layers[::-1]
+    until(lambda c: c[0] > c[2] + 60)
+    settings.layers = [settings.layers[0], replace(settings.layers[1], opacity=0.5)]
+    until(lambda c: c[0] > 60 and c[2] > 60)
+    settings.layers = [replace(layer, visible=False) for layer in settings.layers]
+    until(lambda c: abs(c[0] - c[2]) < 60)
+    assert not window.session.messages.shown
+    assert not layers.add(window, str(tmp_path / "none.tif"))
+    assert "none.tif" in window.session.messages.shown[-1].text
+    far = tmp_path / "far.tif"
+    with rasterio.open(far, "w", "GTiff", 4, 4, 3, dtype="uint8", crs=grid.crs.to_wkt(),
+                       transform=Affine(30, 0, 0, 0, -30, 100)) as file:  # fmt: skip
+        file.write(np.ones((3, 4, 4), np.uint8))
+    assert layers.add(window, str(far))
+    hand.until(lambda: any("does not overlap" in m.text for m in window.session.messages.shown), 60)
+    settings.layers = []
+    hand.rest()
 
 
 def test_hovering_reads_the_height(window, hand):

@@ -44,6 +44,7 @@ class FrameStats:
         samples: how many are averaged in the picture.
         failed: a tile that could not be read, or a mesh that could not be made, and why, or "".
         current: whether the mesh of another engine is that of this camera and tolerance; patches always are.
+        notes: what a user should know of layers that were opened, full sentences; each is told once.
     """
 
     patches: int
@@ -57,4 +58,5 @@ class FrameStats:
     tiles_wanted: int
     samples: int
     failed: str = ""
+    notes: tuple[str, ...] = ()
     current: bool = True

@@ -74,7 +74,7 @@ def draw(
             # What is seen is asked without its light if that takes its time.
             first = replace(scene, light="none", lamps=(), discs=()) if by_rays else scene
             stats = renderer.draw(target, "rgba8unorm", first, overlay=overlay, wait=True, samples=1)
-            warnings = renderer.imagery.told()
+            warnings = list(stats.notes)
             if renderer.imagery.full:
                 warnings.append("Layers are coarser than they could be: more would not fit into the GPU's memory.")
             for warning in warnings:

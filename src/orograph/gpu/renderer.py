@@ -203,7 +203,7 @@ class Renderer:
             took_python * 1e3, loaded, chosen.bytes + 4 * SIDE**2 * self.imagery.loaded,
             self.tiles.count + self.imagery.count, self._missing,
             self._gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
-            current=scene.engine is None or self._meshes.current,
+            current=scene.engine is None or self._meshes.current, notes=tuple(self.imagery.told()),
         )  # fmt: skip
 
     @property

@@ -149,6 +149,24 @@ def clipboard() -> tuple[Callable[[], str], Callable[[str], None]]:
     return get, lambda text: glfw.set_clipboard_string(any_window, text)
 
 
+def accept_files(canvas: Any, window: Window) -> None:
+    """Lay files that are dropped on a glfw window over the ground."""
+    handle = getattr(canvas, "_window", None)
+    if handle is None:
+        return
+    import glfw
+
+    from orograph.viewer.panels.layers import add
+
+    def dropped(_: Any, paths: list[str]) -> None:
+        for path in paths:
+            add(window, path)
+        window.touch()
+
+    set_callback: Any = glfw.set_drop_callback  # its stub has the C function's arguments
+    set_callback(handle, dropped)
+
+
 def renderer_of(
     gpu_memory: int | None = None, memory: int | None = None, jobs: int | None = None
 ) -> Callable[[Device, Terrain], Drawer]:
@@ -208,6 +226,7 @@ def show(
                 session, canvas, make or renderer_of(), device=device, clipboard=clipboard(), adapter=adapter,
                 opened=opened,
             )  # fmt: skip
+            accept_files(canvas, window)
         except Exception as error:
             canvas.close()
             if isinstance(error, OrographError):
