@@ -3,17 +3,21 @@
 Crassin, Neyret, Sainz, Green & Eisemann 2011 ("Interactive Indirect Illumination Using Voxel Cone Tracing", sec. 5 and
 7), for height fields; the definition of A, ρ and R is that of ``orograph.light.occlusion``.
 
-*Voxels* are columns of cells with the share of each that lies under the ground, anchored to the terrain. They form a
-clip map: level l has voxels 2^l cells wide and as thick, each the mean of 2 × 2 × 2 finer ones (made straight out of
-the heights), and reaches only as far around a tile as cones need it: a cone of half angle a wants voxels of width
-2 t tan a at distance t. So a tile takes some megabytes, whatever the radius.
+*Voxels* are columns of cells with the share of each that lies under the ground, anchored to the terrain, and the share
+of what one sees of it along columns and along rows that the ground in it hides (anisotropic voxels, Crassin et al.,
+sec. 4.2): a cliff in the middle of a voxel fills half of it and hides all behind it. They form a clip map: level l has
+voxels 2^l cells wide and as thick, made straight out of the heights, and reaches only as far around a tile as cones
+need it: read trilinear, a voxel blurs as much as something √3 times as wide, so a cone of half angle a wants voxels of
+width 2 t tan a / √3 at distance t. So a tile takes some megabytes, whatever the radius.
 
 *Cones* fill the hemisphere around the normal in rings of equal height, as many per ring as are about square. Each
 carries the integral of the cosine over its patch of the sky. Along it voxels of its own width are read, trilinear and
 between levels. Three things make it right for terrain:
 
-- The share of a voxel that the sample's own tangent plane fills is taken off: else the lowest ring, whose patches touch
-  the plane, would be occluded on level ground.
+- The share of a voxel that the sample's own tangent plane fills, or hides, is taken off: else the lowest ring, whose
+  patches touch the plane, would be occluded on level ground.
+- What a voxel hides is too much where ground rises through it (its highest lies farther away than its middle), its
+  share too little at a cliff: ``EDGE`` of the shader mixes them.
 - Ground fills a patch from below and behind what is filled there may be more of the same: what is hidden is the largest
   share along the cone, not the product of many transparencies. Where it grows, ρ is taken at that distance.
 - The share of a patch becomes a share of light by the integral of the cosine from the patch's lower edge up.
@@ -45,6 +49,8 @@ TILE = 128
 """Samples along a tile's side."""
 LEVELS = 12
 """Levels of voxels there can be: cells of 1 m see 40 km."""
+FIT = 1 / math.sqrt(3)
+"""Widths of a cone that a voxel read in it is wide: read trilinear, such a voxel blurs as much as the cone's width."""
 FIRST = 1.0
 """Where cones begin: where they are this many cells wide."""
 _MISSING = np.float32(-1e30)
@@ -98,7 +104,7 @@ class Tracer:
             np.linalg.norm(context.linear @ [cols, -rows])
         )
         self.radius = min(ways.radius, far)
-        self.levels = min(max(math.ceil(math.log2(self.radius * 2 * self.tangent / self.cell)), 0) + 1, LEVELS)
+        self.levels = min(max(math.ceil(math.log2(self.radius * 2 * self.tangent * FIT / self.cell)), 0) + 1, LEVELS)
         self._voxelise = layout(device, "uniform", "read", "out:rgba8unorm/3d")
         words = ("uniform", "read", "read", "read", "read", "write", "sampler", *["texture3d"] * LEVELS)
         self._trace = layout(device, *words)
@@ -117,7 +123,7 @@ class Tracer:
         """How far from a tile voxels of a level are read, in cells."""
         far = self.radius / self.cell
         if level < self.levels - 1:
-            far = min(far, (1 << (level + 1)) / (2 * self.tangent))
+            far = min(far, (1 << (level + 1)) / (2 * self.tangent * FIT))
         return far + (2 << level)
 
     def tile(self, row0: int, row1: int, col0: int, col1: int) -> Values:
@@ -144,7 +150,7 @@ class Tracer:
         linear = self.context.linear
         frame["linear"] = *linear[:, 0], *linear[:, 1]
         frame["inverse"] = *self.inverse[:, 0], *self.inverse[:, 1]
-        frame["run"] = self.cell, self.radius, 0.0, FIRST
+        frame["run"] = self.cell, self.radius, FIT, FIRST
         frame["tile"] = col0, row0, col1 - col0, row1 - row0
         frame["counts"] = self.count, self.levels, self.ways.step, 0
         frame["ground"] = ground

@@ -8,7 +8,7 @@ struct Level {
 struct Frame {
     linear: vec4f,   // metres east and north per column, per row
     inverse: vec4f,  // columns, rows per metre east; per metre north
-    run: vec4f,      // metres of a voxel of level 0, R, height that layers count from, first distance in voxels
+    run: vec4f,      // metres of a voxel of level 0, R, widths of a cone that a voxel is wide, first distance in voxels
     tile: vec4i,     // first column and row, columns, rows
     counts: vec4i,   // cones, levels, 1 for a step, 0
     ground: vec4i,   // of the heights: first column and row, columns, rows
@@ -43,35 +43,40 @@ struct Cone {
 // include: rho.wgsl
 
 const MISSING = -1e30;
+const EDGE = 0.6;  // how much what a voxel hides counts beside the share of it that is filled
 
-// The ground's share of a voxel of a level at a point (columns, rows, metres), trilinear.
-fn share_of(level: i32, p: vec3f) -> f32 {
+// What of a voxel of a level at a point (columns, rows, metres) is hidden along columns, along rows, and filled; trilinear.
+fn share_of(level: i32, p: vec3f) -> vec3f {
     let l = frame.levels[level];
     let wide = f32(1 << u32(level));
-    let at = vec3f((p.xy + 0.5) / wide, (p.z - frame.run.z) / l.origin.w) - l.origin.xyz;
+    let at = vec3f((p.xy + 0.5) / wide, p.z / l.origin.w) - l.origin.xyz;
     let uvw = at / l.size.xyz;
     switch (level) {
-        case 0: { return textureSampleLevel(voxels0, linear_sampler, uvw, 0.0).x; }
-        case 1: { return textureSampleLevel(voxels1, linear_sampler, uvw, 0.0).x; }
-        case 2: { return textureSampleLevel(voxels2, linear_sampler, uvw, 0.0).x; }
-        case 3: { return textureSampleLevel(voxels3, linear_sampler, uvw, 0.0).x; }
-        case 4: { return textureSampleLevel(voxels4, linear_sampler, uvw, 0.0).x; }
-        case 5: { return textureSampleLevel(voxels5, linear_sampler, uvw, 0.0).x; }
-        case 6: { return textureSampleLevel(voxels6, linear_sampler, uvw, 0.0).x; }
-        case 7: { return textureSampleLevel(voxels7, linear_sampler, uvw, 0.0).x; }
-        case 8: { return textureSampleLevel(voxels8, linear_sampler, uvw, 0.0).x; }
-        case 9: { return textureSampleLevel(voxels9, linear_sampler, uvw, 0.0).x; }
-        case 10: { return textureSampleLevel(voxels10, linear_sampler, uvw, 0.0).x; }
-        default: { return textureSampleLevel(voxels11, linear_sampler, uvw, 0.0).x; }
+        case 0: { return textureSampleLevel(voxels0, linear_sampler, uvw, 0.0).xyz; }
+        case 1: { return textureSampleLevel(voxels1, linear_sampler, uvw, 0.0).xyz; }
+        case 2: { return textureSampleLevel(voxels2, linear_sampler, uvw, 0.0).xyz; }
+        case 3: { return textureSampleLevel(voxels3, linear_sampler, uvw, 0.0).xyz; }
+        case 4: { return textureSampleLevel(voxels4, linear_sampler, uvw, 0.0).xyz; }
+        case 5: { return textureSampleLevel(voxels5, linear_sampler, uvw, 0.0).xyz; }
+        case 6: { return textureSampleLevel(voxels6, linear_sampler, uvw, 0.0).xyz; }
+        case 7: { return textureSampleLevel(voxels7, linear_sampler, uvw, 0.0).xyz; }
+        case 8: { return textureSampleLevel(voxels8, linear_sampler, uvw, 0.0).xyz; }
+        case 9: { return textureSampleLevel(voxels9, linear_sampler, uvw, 0.0).xyz; }
+        case 10: { return textureSampleLevel(voxels10, linear_sampler, uvw, 0.0).xyz; }
+        default: { return textureSampleLevel(voxels11, linear_sampler, uvw, 0.0).xyz; }
     }
 }
 
-// The share that the sample's own tangent plane would have of a filter of width d, a height s above it: normal law with
-// the variance of a box and a tent (d² / 12 + d² / 6) along each axis.
-fn plane_share(s: f32, d: f32, g: vec2f) -> f32 {
-    let x = s / (0.5 * d * sqrt(1.0 + dot(g, g)));
+// The shares that the sample's own tangent plane would have of a filter of width d, a height s above it: normal law with
+// the variance of a box and a tent (d² / 12 + d² / 6) along each axis. Along the one that is looked along the box is as
+// high as its highest side; g: the plane's slopes, metres per metre along columns and rows.
+fn plane_share(s: f32, d: f32, g: vec2f) -> vec3f {
+    let square = g * g;
+    let all = 1.0 + square.x + square.y;
+    let spread = vec3f(vec2f(all) - square / 3.0, all);
+    let x = (vec3f(s) - vec3f(abs(g), 0.0) * 0.5 * d) / (0.5 * d * sqrt(spread));
     // Φ(−x) by the logistic law's tangent form (Page 1977), within 2e-4.
-    return 1.0 / (1.0 + exp(clamp(1.5957691 * x + 0.0713548 * x * x * x, -80.0, 80.0)));
+    return 1.0 / (1.0 + exp(clamp(1.5957691 * x + 0.0713548 * x * x * x, vec3f(-80.0), vec3f(80.0))));
 }
 
 @compute @workgroup_size(8, 8)
@@ -95,11 +100,14 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let radius = frame.run.y;
     let step = frame.counts.z == 1;
     let last = frame.counts.y - 1;
+    let cellwise = vec2f(dot(g, frame.linear.xy), dot(g, frame.linear.zw)) / cell;
     var light = 0.0;
     for (var k = 0; k < frame.counts.x; k++) {
         let cone = cones[k];
         let way = cone.axis.x * east + cone.axis.y * north + cone.axis.z * normal;
         let run = vec3f(frame.inverse.xy * way.x + frame.inverse.zw * way.y, way.z);
+        // How much of a level direction goes along columns and rows.
+        let weight = run.xy * run.xy / max(dot(run.xy, run.xy), 1e-12);
         let low = sin(cone.band.x);
         let high = sin(cone.band.y);
         let span = high * high - low * low;
@@ -108,7 +116,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         var lost = 0.0;
         while (t < radius) {
             let wide = max(2.0 * t * cone.band.z, cell);
-            let lod = clamp(log2(wide / cell), 0.0, f32(last));
+            let lod = clamp(log2(wide * frame.run.z / cell), 0.0, f32(last));
             let fine = min(i32(lod), max(last - 1, 0));
             let p = vec3f(f32(col), f32(row), z) + t * run;
             var share = share_of(fine, p);
@@ -116,8 +124,9 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
                 share = mix(share, share_of(fine + 1, p), lod - f32(fine));
             }
             // The ground's own plane is no occluder, though a filter as wide as the cone reaches into it.
-            let own = plane_share(t * (way.z - dot(g, way.xy)), cell * exp2(lod), g);
-            let filled = clamp((share - own) / max(1.0 - own, 1e-3), 0.0, 1.0);
+            let own = plane_share(t * (way.z - dot(g, way.xy)), cell * exp2(lod), cellwise);
+            let hides = clamp((share - own) / max(1.0 - own, vec3f(1e-3)), vec3f(0.0), vec3f(1.0));
+            let filled = mix(hides.z, dot(hides.xy, weight), EDGE);
             // Ground fills a patch of the sky from below, where the cosine is least.
             let edge = sin(mix(cone.band.x, cone.band.y, filled));
             let hidden = (edge * edge - low * low) / span;

@@ -33,7 +33,8 @@ fn between(col: i32, row: i32, side: vec2i) -> f32 {
     return 0.5625 * h + 0.1875 * (x + y) + 0.0625 * xy;
 }
 
-// One invocation per column of voxels: each of the samples under it is four quarters, whose heights fill layers.
+// One invocation per column of voxels: each of the samples under it is four quarters, whose heights fill layers. Seen along
+// columns (or rows) what hides is the highest of the quarters that lie one behind the other: the mean of those.
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     if (id.x >= level.size.x || id.y >= level.size.y) {
@@ -43,27 +44,37 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let first = (vec2i(id.xy) + level.origin.xy) * wide;
     let thick = level.height.x * f32(wide);
     let bottom = level.height.y + f32(level.origin.z) * thick;
-    let share = 1.0 / f32(4 * wide * wide);
+    let part = 1.0 / f32(2 * wide);
     for (var k0 = 0u; k0 < level.size.z; k0 += 16u) {
+        var along: array<f32, 16>;
+        var across: array<f32, 16>;
         var filled: array<f32, 16>;
         for (var k = 0; k < 16; k++) {
+            along[k] = 0.0;
+            across[k] = 0.0;
             filled[k] = 0.0;
         }
-        for (var j = 0; j < wide; j++) {
-            for (var i = 0; i < wide; i++) {
-                for (var q = 0; q < 4; q++) {
-                    let side = vec2i(select(-1, 1, (q & 1) == 1), select(-1, 1, q >= 2));
-                    let h = between(first.x + i, first.y + j, side);
-                    let layers = (h - bottom) / thick - f32(k0);
-                    for (var k = 0; k < 16; k++) {
-                        filled[k] += clamp(layers - f32(k), 0.0, 1.0) * share;
-                    }
+        for (var line = 0; line < 2 * wide; line++) {
+            var row = MISSING;
+            var col = MISSING;
+            let side = select(-1, 1, (line & 1) == 1);
+            for (var i = 0; i < 2 * wide; i++) {
+                let other = select(-1, 1, (i & 1) == 1);
+                let h = between(first.x + (i >> 1u), first.y + (line >> 1u), vec2i(other, side));
+                row = max(row, h);
+                for (var k = 0; k < 16; k++) {
+                    filled[k] += clamp((h - bottom) / thick - f32(k0) - f32(k), 0.0, 1.0) * part * part;
                 }
+                col = max(col, between(first.x + (line >> 1u), first.y + (i >> 1u), vec2i(side, other)));
+            }
+            for (var k = 0; k < 16; k++) {
+                along[k] += clamp((row - bottom) / thick - f32(k0) - f32(k), 0.0, 1.0) * part;
+                across[k] += clamp((col - bottom) / thick - f32(k0) - f32(k), 0.0, 1.0) * part;
             }
         }
         for (var k = 0; k < 16; k++) {
             if (k0 + u32(k) < level.size.z) {
-                textureStore(voxels, vec3i(vec2i(id.xy), i32(k0) + k), vec4f(filled[k], 0.0, 0.0, 0.0));
+                textureStore(voxels, vec3i(vec2i(id.xy), i32(k0) + k), vec4f(along[k], across[k], filled[k], 0.0));
             }
         }
     }
