@@ -2,40 +2,30 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from orograph.cli.camera import CAMERA, Numbers, camera_options, camera_view, check_camera
-from orograph.cli.files import check_ending, check_outputs
-from orograph.cli.options import FILE, F, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
+from orograph.cli.files import check_ending
+from orograph.cli.measuring import (
+    POINTS,
+    Point,
+    check_points,
+    kinds,
+    metres,
+    on_terrain,
+    opened,
+    output_option,
+    place_of,
+    points_option,
+    sight_options,
+    tell,
+    without,
+)
+from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
 from orograph.errors import UsageError
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from orograph.geovis.measure import Places
-    from orograph.store.terrain import Terrain
-
-POINTS = {"ignore_unknown_options": True, "help_option_names": ["-h", "--help"]}
-"""A point may begin with a minus."""
-
-
-class Point(Numbers):
-    """Two numbers with a comma between."""
-
-    def __init__(self) -> None:
-        super().__init__("X", "Y")
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        text = str(value)
-        if text.startswith("-") and text[1:2] not in "0123456789.":
-            self.fail(f"there is no option {text!r}.", param, ctx)
-        return super().convert(value, param, ctx)
 
 
 class Measures(click.Group):
@@ -87,129 +77,12 @@ def command(ctx: click.Context, /, path: str, max_memory: int, jobs: int | None,
     ctx.obj.update(path=path, source=options, max_memory=max_memory, jobs=jobs)
 
 
-# ---- what the measures share -----------------------------------------------------------------------------------------
-
-
-def points_option(function: F) -> F:
-    """``--lonlat`` and ``--json``."""
-    function = click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")(function)
-    return click.option("--lonlat", "degrees", is_flag=True, help="Points are LON,LAT in degrees instead of E,N.")(
-        function
-    )
-
-
-def output_option(what: str) -> Callable[[F], F]:
-    """``--output``, which may be given several times."""
-    return click.option("--output", "-o", "outputs", type=FILE, multiple=True, metavar="OUT", help=what)
-
-
-def sight_options(function: F) -> F:
-    """What line of sight and viewshed have in common."""
-    for option in reversed(
-        [
-            click.option("--eye", type=float, default=1.7, show_default=True, metavar="M", help="Eye above ground."),
-            click.option("--target", type=float, default=0.0, show_default=True, metavar="M",
-                         help="What is looked at, above ground."),
-            click.option("--flat", is_flag=True, help="No curvature of the body and no refraction."),
-            click.option("--refraction", type=float, default=0.13, show_default=True, metavar="K",
-                         help="How much rays bend, relative to the ground; 0 without air."),
-        ]
-    ):  # fmt: skip
-        function = option(function)
-    return function
-
-
-def opened(ctx: click.Context, outputs: tuple[str, ...] = (), others: tuple[str | None, ...] = ()) -> Terrain:
-    """The terrain, once it is sure that nothing will be written over it."""
-    given = {f"--output {k}" if k > 1 else "--output": path for k, path in enumerate(outputs, 1)}
-    check_outputs(
-        {**given, "--picture": others[0] if others else None},
-        {"the input": [ctx.obj["path"]], "the grid of --geoid": [ctx.obj["source"]["geoid"]]},
-    )
-    progress = progress_of(ctx)
-    with progress.task("Loading Orograph"):
-        from orograph.output import check_folder
-        from orograph.picture.prepare import prepare
-    for path in (*outputs, *filter(None, others)):
-        check_folder(Path(path))
-    return prepare(
-        [ctx.obj["path"]], max_memory=ctx.obj["max_memory"], jobs=ctx.obj["jobs"], progress=progress,
-        **ctx.obj["source"],
-    )  # fmt: skip
-
-
-def check_points(points: tuple[tuple[float, ...], ...], least: int, what: str, most: int | None = None) -> None:
-    """Raise UsageError unless there are as many points as a measure needs."""
-    if len(points) < least or (most is not None and len(points) > most):
-        count = f"{least}" if most == least else f"at least {least}"
-        raise UsageError(f"{what} needs {count} point{'s' if least > 1 else ''}, not {len(points)}.")
-
-
-def on_terrain(places: Places, points: tuple[tuple[float, ...], ...], degrees: bool) -> NDArray[np.float64]:
-    """Points (n, 2) in the terrain's CRS."""
-    import numpy as np
-
-    return places.of_lonlat(points) if degrees else np.asarray(points, np.float64)
-
-
-def kinds(outputs: tuple[str, ...], plots: bool) -> None:
-    """Raise UsageError for endings that are neither a table's nor a plot's; a missing matplotlib is told at once."""
-    from orograph.geovis.measure.plot import ENDINGS, check_plot
-
-    for path in outputs:
-        if Path(path).suffix.lower() == ".csv":
-            continue
-        if not plots or Path(path).suffix.lower() not in ENDINGS:
-            raise UsageError("--output is written as .csv, .png, .svg or .pdf.", path=path)
-        check_plot(path)
-
-
-def tell(ctx: click.Context, terrain: Terrain, told: dict[str, Any], lines: list[tuple[str, str]], as_json: bool,
-         outputs: tuple[str, ...] = ()) -> None:  # fmt: skip
-    """Print the result: names and values in columns, or JSON."""
-    if as_json:
-        crs = terrain.grid.crs
-        click.echo(json.dumps({"crs": crs.to_string() if crs else None, **told, "outputs": list(outputs)},
-                              allow_nan=False))  # fmt: skip
-        return
-    width = max(len(name) for name, _ in lines)
-    for name, value in lines:
-        click.echo(f"{name:<{width}}  {value}")
-    for path in outputs:
-        click.echo(f"{'':<{width}}  {path}")
-
-
-def metres(value: float | None, digits: int = 2) -> str:
-    """A length for people."""
-    return "–" if value is None else f"{value:,.{digits}f} m"
-
-
-def place_of(lon: float | None, lat: float | None, east: float, north: float) -> str:
-    """A place for people."""
-    degrees = "" if lon is None or lat is None else f"   lon {lon:.6f}, lat {lat:.6f}"
-    return f"{east:.2f}, {north:.2f}{degrees}"
-
-
-# ---- the measures ----------------------------------------------------------------------------------------------------
-
-
-def _without(*names: str) -> Callable[[F], F]:
-    """Take options away again that ``camera_options`` gave."""
-
-    def change(function: F) -> F:
-        kept = [p for p in function.__click_params__ if p.name not in names]  # type: ignore[attr-defined]
-        function.__click_params__ = kept  # type: ignore[attr-defined]
-        return function
-
-    return change
-
-
 @command.command("pick", context_settings=POINTS, short_help="Height, coordinates, slope and aspect of places.")
 @click.argument("points", nargs=-1, type=Point(), metavar="[POINT]...")
 @click.option("--pixel", "pixels", type=Point(), multiple=True, metavar="X,Y",
               help="The ground at a pixel of the picture that orograph render draws with this camera; 0,0 is its upper "
               "left corner.")  # fmt: skip
-@_without("lonlat", "look_at")
+@without("lonlat", "look_at")
 @camera_options
 @click.option("--exaggeration", type=float, default=1.0, show_default=True, help="That of the picture.")
 @points_option
@@ -393,7 +266,7 @@ def los(
 @click.option("--heights", is_flag=True, help="How high a target must be to be seen, instead of 1 (seen) and 0.")
 @click.option("--output", "-o", type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
 @click.option("--picture", type=FILE, metavar="OUT.png", help="A relief picture with the seen ground painted.")
-@_without("lonlat", "look_at")
+@without("lonlat", "look_at")
 @camera_options
 @points_option
 @click.pass_context

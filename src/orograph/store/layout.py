@@ -14,7 +14,7 @@ A store is a Zarr v3 group::
     layers/NAME/{k}/BAND       uint8 or uint16, coded: layers that were put in later, such as baked light (``layers``)
 
 so that ``xarray.open_zarr(store, group="heights/3")`` opens a level with its coordinates. The root carries the
-*multiscales*, *spatial* and *proj* conventions (versions below), and Orograph's own record with a checksum over itself.
+*multiscales*, *spatial* and *proj* conventions (``conventions``), and Orograph's own record with its own checksum.
 A build keeps its plan in ``build.json`` and what each finished task found in ``parts/`` until it is complete.
 """
 
@@ -25,16 +25,22 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from affine import Affine
-from numpy.typing import NDArray
 from pyproj import CRS
 
 from orograph.error import ErrorKind
 from orograph.error.quantise import ErrorCode, RadiusCode, nominal_radii
 from orograph.errors import StoreError
-from orograph.geo.grid import Grid, compose
+from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec, crc32c
+from orograph.store.conventions import (
+    consolidated,
+    group,
+    level_transform,
+    put_coordinates,
+    root_attributes,
+    spatial_attributes,
+)
 from orograph.store.diamonds import metric
 from orograph.store.layers import GROUP, LayerRecord, layer_spec
 from orograph.store.terrain import Shape, diamond_shape, exponent, level_count, level_shape, mean_shape, tile_shape
@@ -48,39 +54,6 @@ PLAN = "build.json"
 PARTS = "parts"
 TABLES = {"minimum": ("float32", math.nan), "maximum": ("float32", math.nan), "error": ("float32", 0.0)}
 TABLES_AND_VALID = {**TABLES, "valid": ("uint8", 0.0)}
-
-_RAW = "https://raw.githubusercontent.com/{}/refs/tags/v1/schema.json"
-_SPEC = "https://github.com/{}/blob/v1/README.md"
-CONVENTIONS = [
-    {
-        "schema_url": _RAW.format(repository),
-        "spec_url": _SPEC.format(repository),
-        "uuid": uuid,
-        "name": name,
-        "description": description,
-    }
-    for repository, uuid, name, description in (
-        (
-            "zarr-conventions/multiscales",
-            "d35379db-88df-4056-af3a-620245f8e347",
-            "multiscales",
-            "Multiscale layout of zarr datasets",
-        ),
-        (
-            "zarr-experimental/geo-proj",
-            "f17cb550-5864-4468-aeb7-f3180cfb622f",
-            "proj:",
-            "Coordinate reference system information for geospatial data",
-        ),
-        (
-            "zarr-conventions/spatial",
-            "689b58e2-cf7b-45e0-9fff-9cfc0883d6b4",
-            "spatial:",
-            "Spatial coordinate information",
-        ),
-    )
-]
-"""Version 1 of the three conventions."""
 
 
 def heights_spec(shape: Shape, level: int, shard: int, chunk: int) -> ArraySpec:
@@ -220,22 +193,14 @@ def dumps(document: dict[str, Any]) -> bytes:
     return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
 
 
-def level_transform(grid: Grid, level: int, mean: bool) -> Affine:
-    """The geotransform of a level: blocks for means; for nested heights cells centred on the samples they keep."""
-    scale = Affine.scale(1 << level)
-    if mean:
-        return compose(grid.transform, scale)
-    return compose(grid.transform, Affine.translation(0.5, 0.5), scale, Affine.translation(-0.5, -0.5))
-
-
 def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
     """Every small object of a complete store: (all but the root, the root), keys to bytes."""
     grid, shard, chunk = record.grid, record.shard, record.chunk
     levels = level_count(grid.shape)
-    nodes: dict[str, dict[str, Any]] = {"heights": _group(), "tiles": _group()}
+    nodes: dict[str, dict[str, Any]] = {"heights": group(), "tiles": group()}
     data: dict[str, bytes] = {}
     if levels > 1:
-        nodes["mean"] = _group()
+        nodes["mean"] = group()
     names = {"heights": "nested subsample", "mean": "mean of the valid samples of each block"}
     for level in range(levels):
         for kind, make in (("heights", heights_spec), ("mean", mean_spec)):
@@ -244,7 +209,7 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
             spec = make(grid.shape, level, shard, chunk)
             transform = level_transform(grid, level, kind == "mean")
             path = f"{kind}/{level}"
-            nodes[path] = _group(_spatial(Grid(spec.shape, transform, grid.crs)))
+            nodes[path] = group(spatial_attributes(Grid(spec.shape, transform, grid.crs)))
             attributes = {
                 "units": "m",
                 "standard_name": "surface_altitude",
@@ -252,24 +217,24 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
                 "grid_mapping": "spatial_ref",
             }
             nodes[spec.path] = spec.metadata(attributes)
-            _coordinates(path, Grid(spec.shape, transform, grid.crs), nodes, data)
-        nodes[f"tiles/{level}"] = _group()
+            put_coordinates(path, Grid(spec.shape, transform, grid.crs), nodes, data)
+        nodes[f"tiles/{level}"] = group()
         for name in TABLES_AND_VALID:
             spec = table_spec(grid.shape, level, name, shard, chunk)
             nodes[spec.path] = spec.metadata({"units": "m"} if name != "valid" else {"flag_values": [0, 1, 2]})
     if record.radius is not None:
-        nodes["diamonds"] = _group()
+        nodes["diamonds"] = group()
         codes: dict[str, dict[str, Any]] = {kind: code.to_json() for kind, code in record.errors.items()}
         codes["radius"] = record.radius.to_json()
         for level in range(levels):
-            nodes[f"diamonds/{level}"] = _group()
+            nodes[f"diamonds/{level}"] = group()
             for diamond, code in codes.items():
                 spec = diamond_spec(grid.shape, level, diamond, shard, chunk)
                 nodes[spec.path] = spec.metadata({"long_name": f"{diamond} of diamonds, coded", "code": code})
     if record.colors:
-        nodes.setdefault("diamonds", _group())
+        nodes.setdefault("diamonds", group())
         for level in range(levels):
-            nodes.setdefault(f"diamonds/{level}", _group())
+            nodes.setdefault(f"diamonds/{level}", group())
             spec = diamond_spec(grid.shape, level, "color", shard, chunk)
             told: dict[str, Any] = {
                 "long_name": "color errors of diamonds, (code / 15.9)² ΔE",
@@ -280,22 +245,22 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
         from orograph.store.patches import spec as patch_spec
         from orograph.store.patches import stored_levels
 
-        nodes["patches"] = _group(dict(record.patches))
+        nodes["patches"] = group(dict(record.patches))
         for level in stored_levels(grid.shape, int(record.patches["legs"])):
-            nodes[f"patches/{level}"] = _group()
+            nodes[f"patches/{level}"] = group()
             for kind in record.errors:
                 spec = patch_spec(grid.shape, level, kind, shard, chunk)
                 about = f"{kind} of patches, saturated; negative where ground is missing"
                 nodes[spec.path] = spec.metadata({"units": "m", "long_name": about})
     for layer in record.layers.values():
-        nodes.setdefault(GROUP, _group())
+        nodes.setdefault(GROUP, group())
         _layer(record, layer, nodes, data)
     for path in [path for path, node in nodes.items() if node["node_type"] == "group"]:
         below = {p[len(path) + 1 :]: node for p, node in nodes.items() if p.startswith(path + "/")}
-        nodes[path] = {**nodes[path], "consolidated_metadata": _consolidated(below)}
+        nodes[path] = {**nodes[path], "consolidated_metadata": consolidated(below)}
     root = {
-        **_group({**_root_attributes(record), "orograph": record.to_json()}),
-        "consolidated_metadata": _consolidated(
+        **group({**root_attributes(record.grid), "orograph": record.to_json()}),
+        "consolidated_metadata": consolidated(
             {path: {k: v for k, v in node.items() if k != "consolidated_metadata"} for path, node in nodes.items()}
         ),
     }
@@ -306,102 +271,15 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
 def _layer(record: Record, layer: LayerRecord, nodes: dict[str, dict[str, Any]], data: dict[str, bytes]) -> None:
     """The groups and arrays of a layer."""
     said = {"long_name": layer.doc, "averaging": layer.averaging, "made_with": layer.options}
-    nodes[f"{GROUP}/{layer.name}"] = _group(said)
+    nodes[f"{GROUP}/{layer.name}"] = group(said)
     for level in range(level_count(record.grid.shape)):
         grid = Grid(
             mean_shape(record.grid.shape, level), level_transform(record.grid, level, mean=True), record.grid.crs
         )  # fmt: skip
         path = f"{GROUP}/{layer.name}/{level}"
-        nodes[path] = _group(_spatial(grid))
+        nodes[path] = group(spatial_attributes(grid))
         for band in layer.bands:
             spec = layer_spec(record.grid.shape, layer.name, level, band, record.shard, record.chunk)
             name = {"long_name": f"{layer.doc}, {band.name}, level {level}"}
             nodes[spec.path] = spec.metadata({**name, **band.attributes()})
-        _coordinates(path, grid, nodes, data)
-
-
-def _consolidated(nodes: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    # zarr-python wants the children of a group one after the other
-    in_order = dict(sorted(nodes.items(), key=lambda item: (item[0].count("/"), item[0])))
-    return {"kind": "inline", "must_understand": False, "metadata": in_order}
-
-
-def _group(attributes: dict[str, Any] | None = None) -> dict[str, Any]:
-    return {"zarr_format": 3, "node_type": "group", "attributes": attributes or {}}
-
-
-def _spatial(grid: Grid) -> dict[str, Any]:
-    """The spatial and proj conventions' attributes of a grid."""
-    attributes: dict[str, Any] = {
-        "spatial:dimensions": ["y", "x"],
-        "spatial:shape": list(grid.shape),
-        "spatial:transform": list(grid.transform[:6]),
-        "spatial:bbox": list(grid.bounds()),
-        "spatial:registration": "pixel",
-    }
-    if grid.crs is not None:
-        authority = grid.crs.to_authority(min_confidence=100)
-        if authority:
-            attributes["proj:code"] = ":".join(authority)
-        attributes["proj:wkt2"] = grid.crs.to_wkt()
-    conventions = [c for c in CONVENTIONS if c["name"] == "spatial:" or (c["name"] == "proj:" and grid.crs is not None)]
-    return {"zarr_conventions": conventions, **attributes}
-
-
-def _root_attributes(record: Record) -> dict[str, Any]:
-    spatial = _spatial(record.grid)
-    layout: list[dict[str, Any]] = []
-    for level in range(level_count(record.grid.shape)):
-        step = float(1 << level)
-        entry: dict[str, Any] = {
-            "asset": f"heights/{level}",
-            "transform": {"scale": [step, step], "translation": [(1 - step) / 2] * 2},
-            "spatial:shape": list(level_shape(record.grid.shape, level)),
-            "spatial:transform": list(level_transform(record.grid, level, mean=False)[:6]),
-        }
-        if level:
-            entry["derived_from"] = f"heights/{level - 1}"
-        layout.append(entry)
-    return {
-        **spatial,
-        "zarr_conventions": [CONVENTIONS[0], *spatial["zarr_conventions"]],
-        "multiscales": {"layout": layout, "resampling_method": "nearest"},
-    }
-
-
-def _coordinates(path: str, grid: Grid, nodes: dict[str, dict[str, Any]], data: dict[str, bytes]) -> None:
-    """CF coordinates of a level (small, unsharded arrays) for xarray and rioxarray."""
-    a, b, c, d, e, f = grid.transform[:6]
-    if b == 0 and d == 0:
-        x = grid.xy(np.arange(grid.cols), 0)[0]
-        y = grid.xy(0, np.arange(grid.rows))[1]
-        for name, values, title in (("x", x, "projection_x_coordinate"), ("y", y, "projection_y_coordinate")):
-            attributes = {"standard_name": title, "axis": name.upper(), "units": "m"}
-            nodes[f"{path}/{name}"] = _small(values, (name,), attributes)
-            data[f"{path}/{name}/c/0"] = _with_checksum(values)
-    reference = np.zeros((), np.int64)
-    about = {"GeoTransform": " ".join(repr(v) for v in (c, a, b, f, d, e))}
-    if grid.crs is not None:
-        about["crs_wkt"] = about["spatial_ref"] = grid.crs.to_wkt()
-    nodes[f"{path}/spatial_ref"] = _small(reference, (), about)
-    data[f"{path}/spatial_ref/c"] = _with_checksum(reference)
-
-
-def _small(values: NDArray[Any], dimensions: tuple[str, ...], attributes: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "zarr_format": 3,
-        "node_type": "array",
-        "shape": list(values.shape),
-        "data_type": str(values.dtype),
-        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": list(values.shape)}},
-        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
-        "fill_value": 0,
-        "codecs": [{"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}],
-        "dimension_names": list(dimensions),
-        "attributes": attributes,
-    }
-
-
-def _with_checksum(values: NDArray[Any]) -> bytes:
-    data = values.astype(values.dtype.newbyteorder("<")).tobytes()
-    return data + crc32c(data).to_bytes(4, "little")
+        put_coordinates(path, grid, nodes, data)
