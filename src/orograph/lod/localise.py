@@ -121,7 +121,8 @@ def localised_bound(
             moved = w + (on - hz) * lens[10]
             p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
             if moved > 0.0:
-                worst = max(worst, lens[12] * abs(on - hz) * np.sqrt(p * p + q * q) / (w * moved))
+                # (Whoever looks at this sample may round otherwise.)
+                worst = max(worst, lens[12] * abs(on - hz) * np.sqrt(p * p + q * q) / (w * moved) * (1.0 + 1e-9))
             else:
                 worst = np.inf
             if worst > enough:
