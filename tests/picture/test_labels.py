@@ -17,7 +17,7 @@ from orograph.geo.grid import Grid
 from orograph.picture.contours import Contours
 from orograph.picture.cpu import draw
 from orograph.picture.kept import Kept
-from orograph.picture.label_spots import POINTS, spots
+from orograph.picture.label_spots import POINTS, coarsest, read, spots
 from orograph.picture.label_type import Lettering, measured
 from orograph.picture.labels import Labels, Placer
 from orograph.picture.scene import Scene
@@ -159,3 +159,15 @@ def test_odd_terrain_is_no_trouble() -> None:
         for interval in (None, 0.5, 1000.0):
             labels, _ = labelled(Scene(terrain, view, contours=Contours(interval)))
             assert len(labels) == 0
+
+
+def test_small_rasters_seen_small_have_labels_too() -> None:
+    """Where pixels are larger than samples of the coarsest level: every second, fourth… of those."""
+    y, x = np.mgrid[:240, :250] * METRES
+    grid = Grid(y.shape, Affine(METRES, 0, EAST, 0, -METRES, NORTH), CRS.from_epsg(32632))
+    small = in_memory(Dem(height(x, y).astype(np.float32), grid))
+    assert small.levels == 1 and coarsest(small) >= 3
+    assert np.array_equal(read(small, 2, 3, 9, 5, 8), small.read(0, 12, 36, 20, 32)[::4, ::4])
+    middle = (EAST + 2500.0, NORTH - 2400.0, 500.0)
+    view = View((middle[0], middle[1], 8500.0), middle, projection="plan", width=220, height=200)
+    assert len(labelled(Scene(small, view, contours=Contours(20.0)))[0]) >= 2

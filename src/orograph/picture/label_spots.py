@@ -15,9 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
-from orograph.store.terrain import Terrain
+from orograph.store.terrain import Terrain, level_shape
 
 Array = NDArray[np.float64]
 
@@ -77,12 +76,12 @@ def spots(terrain: Terrain, level: int, row: int, col: int, step: float) -> Spot
     """
     from contourpy import LineType, contour_generator
 
-    rows, cols = terrain.shape(level)
+    rows, cols = level_shape(terrain.grid.shape, level)
     r0, c0 = max(row * BLOCK - MARGIN, 0), max(col * BLOCK - MARGIN, 0)
     r1, c1 = min((row + 1) * BLOCK + MARGIN + 1, rows), min((col + 1) * BLOCK + MARGIN + 1, cols)
     if r1 - r0 < 2 or c1 - c0 < 2:
         return none(level)
-    heights = np.asarray(terrain.read(level, r0, r1, c0, c1), np.float64)
+    heights = read(terrain, level, r0, r1, c0, c1)
     if not np.isfinite(heights).any():
         return none(level)
     low, high = math.ceil(np.nanmin(heights) / step), math.floor(np.nanmax(heights) / step)
@@ -160,12 +159,39 @@ def _straight(line: Array, linear: Array, spacing: float, core: tuple[Array, Arr
 
 def _gradient(heights: Array, at: Array) -> Array:
     """Gradient (n, 2) along columns and rows at fractional (column, row) (n, 2); NaN beside missing heights."""
-    h = 1.0
-    values = [
-        map_coordinates(heights, [at[:, 1] + dy * h, at[:, 0] + dx * h], order=1, mode="nearest")
-        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1))
-    ]
-    return np.stack([(values[0] - values[1]) / (2 * h), (values[2] - values[3]) / (2 * h)], -1)
+    east, west, south, north = (_at(heights, at + np.array(step)) for step in ((1, 0), (-1, 0), (0, 1), (0, -1)))
+    return np.stack([(east - west) / 2, (south - north) / 2], -1)
+
+
+def _at(heights: Array, at: Array) -> Array:
+    """Heights at fractional (column, row) (n, 2), bilinear; beyond the border, those on it."""
+    rows, cols = heights.shape
+    x, y = np.clip(at[:, 0], 0, cols - 1), np.clip(at[:, 1], 0, rows - 1)
+    j, i = np.minimum(x.astype(np.intp), max(cols - 2, 0)), np.minimum(y.astype(np.intp), max(rows - 2, 0))
+    u, v = x - j, y - i
+    j1, i1 = np.minimum(j + 1, cols - 1), np.minimum(i + 1, rows - 1)
+    top = heights[i, j] * (1 - u) + heights[i, j1] * u
+    return np.asarray(top * (1 - v) + (heights[i1, j] * (1 - u) + heights[i1, j1] * u) * v)
+
+
+def coarsest(terrain: Terrain) -> int:
+    """The coarsest level that has spots: beyond those of the terrain, as long as lines have room on it."""
+    level = terrain.levels - 1
+    while max(level_shape(terrain.grid.shape, level + 1)) > 2 * REACH:
+        level += 1
+    return level
+
+
+def read(terrain: Terrain, level: int, row0: int, row1: int, col0: int, col1: int) -> Array:
+    """Heights of a level, or of one beyond the coarsest: every second, fourth… sample of that."""
+    top = terrain.levels - 1
+    if level <= top:
+        return np.asarray(terrain.read(level, row0, row1, col0, col1), np.float64)
+    rows, cols = terrain.shape(top)
+    step = 1 << (level - top)
+    r, c = np.arange(row0, row1) * step, np.arange(col0, col1) * step
+    whole = np.asarray(terrain.read(top, 0, rows, 0, cols), np.float64)
+    return np.asarray(whole[np.ix_(np.minimum(r, rows - 1), np.minimum(c, cols - 1))])
 
 
 def _finer(terrain: Terrain, level: int, lines: Array, values: Array) -> Array:
@@ -174,16 +200,16 @@ def _finer(terrain: Terrain, level: int, lines: Array, values: Array) -> Array:
     A few steps of Newton's method down or up the slope, of a sample at most in all; a point that does not arrive stays.
     """
     fine = 2.0 * lines
-    rows, cols = terrain.shape(level - 1)
+    rows, cols = level_shape(terrain.grid.shape, level - 1)
     r0, c0 = (max(int(v) - 4, 0) for v in (fine[..., 1].min(), fine[..., 0].min()))
     r1, c1 = min(int(fine[..., 1].max()) + 6, rows), min(int(fine[..., 0].max()) + 6, cols)
-    heights = np.asarray(terrain.read(level - 1, r0, r1, c0, c1), np.float64)
+    heights = read(terrain, level - 1, r0, r1, c0, c1)
     corner = np.array([c0, r0], np.float64)
     at = fine.reshape(-1, 2) - corner
     begun, wanted = at.copy(), np.repeat(values, POINTS)
     for _ in range(4):
         slope = _gradient(heights, at)
-        here = map_coordinates(heights, [at[:, 1], at[:, 0]], order=1, mode="nearest")
+        here = _at(heights, at)
         square = np.maximum((slope**2).sum(-1), 1e-12)
         move = ((wanted - here) / square)[:, None] * slope
         size = np.linalg.norm(move, axis=-1, keepdims=True)

@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 
 from orograph.picture.contours import USUAL, Contours
 from orograph.picture.label_kernels import lie, stand
-from orograph.picture.label_spots import BLOCK, POINTS, Spots, spots
+from orograph.picture.label_spots import BLOCK, POINTS, Spots, coarsest, spots
 from orograph.picture.scene import Scene
 from orograph.raycast.caster import Caster
 from orograph.raycast.select import Boxes, Rectangle, distances, in_frustum, load, rectangles
-from orograph.store.terrain import TILE, Terrain
+from orograph.store.terrain import TILE, Terrain, level_shape
 from orograph.view import View
 
 Array = NDArray[np.float64]
@@ -165,7 +165,7 @@ class Placer:
     def _wanted(self, scene: Scene, step: float, large: float) -> Iterator[Spots]:
         """The spots of all blocks in view whose level suits the scale there."""
         terrain, view = self.terrain, scene.view
-        for level in range(terrain.levels - 1, -1, -1):
+        for level in range(coarsest(terrain), -1, -1):
             boxes = _blocks(terrain, level)
             near = in_frustum(terrain, view, scene.exaggeration, boxes)
             spacing = float(np.mean(terrain.grid.spacing)) * 2.0**level
@@ -232,13 +232,13 @@ class Placer:
 
 def _blocks(terrain: Terrain, level: int) -> Boxes:
     """The boxes of a level's blocks, heights being those of the tiles they lie in."""
-    rows, cols = terrain.shape(level)
+    rows, cols = level_shape(terrain.grid.shape, level)
     n_rows, n_cols = max(1, -(-(rows - 1) // BLOCK)), max(1, -(-(cols - 1) // BLOCK))
     side = float(BLOCK << level)
     west, north = np.meshgrid(np.arange(n_cols) * side, np.arange(n_rows) * side)
     last_col, last_row = terrain.grid.cols - 1.0, terrain.grid.rows - 1.0
     east, south = np.minimum(west + side, last_col), np.minimum(north + side, last_row)
-    table = terrain.tiles(level)
+    table = terrain.tiles(min(level, terrain.levels - 1))
     of_rows = np.minimum(np.arange(n_rows) * BLOCK // TILE, table.minimum.shape[0] - 1)
     of_cols = np.minimum(np.arange(n_cols) * BLOCK // TILE, table.minimum.shape[1] - 1)
     low, high = (t[np.ix_(of_rows, of_cols)].astype(np.float64) for t in (table.minimum, table.maximum))
