@@ -274,6 +274,34 @@ def test_movie_films_the_cameras_that_the_window_shows(session, touring, dem, tm
         assert scene.exaggeration == session.settings.exaggeration
 
 
+def test_layers_fade_as_in_a_film(session, touring, dem, tmp_path, monkeypatch):
+    from orograph.geovis.layers import Layer
+    from orograph.picture.scene import Scene
+    from orograph.tour.film import Film
+
+    settings = session.settings
+    monkeypatch.chdir(dem.parent)
+    settings.layers = [Layer(dem.name, colormap="viridis"), Layer(dem.name, colormap="magma", opacity=0.8)]
+    touring.add()
+    turned(session, 30.0)
+    settings.layers = [settings.layers[0], replace(settings.layers[1], visible=False)]
+    touring.add()
+    monkeypatch.chdir(tmp_path)
+    assert touring.save(tmp_path / "tour.json")
+    tour = Tour.load(tmp_path / "tour.json", crs=session.terrain.grid.crs)
+    base = Scene(session.terrain, session.view, relief=1.0, depths=(1.0, 2.0))
+    film = Film(tour, base, fps=2.0, draw=lambda scene: None)
+    seen = []
+    for number in film.numbers:
+        touring.show(number / 2.0)
+        drawn = tuple(layer for layer in settings.stack if layer.visible)
+        assert drawn == film.scene(number).layers
+        seen.append([layer.opacity for layer in drawn])
+    assert seen[0] == [1.0, 0.8]
+    assert 0.3 < seen[4][1] < 0.5
+    assert len(settings.layers) == 2  # what is not seen is not lost
+
+
 def test_the_command_line_is_one_that_movie_takes(session, touring, tmp_path):
     import shlex
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OrographError
+from orograph.geovis.layers import Layer
 from orograph.light.sun import Moment, Placed
 from orograph.output import Beside
 from orograph.tour.course import Course
@@ -179,7 +180,13 @@ class Touring:
             sun = None
             self.session.messages.say("The sun of this key is left to the others: they say it in the other way.")
         water = settings.water if isinstance(settings.water, float) else None
-        return Key(view, sun=sun, exaggeration=settings.exaggeration, relief=settings.relief, water=water)
+        # By their whole paths, so that the tour can be saved in another folder.
+        settings.layers = [replace(layer, path=_whole(layer.path)) for layer in settings.layers]
+        said = bool(settings.layers) or any(s.key.layers is not None for s in self.stops)
+        return Key(
+            view, sun=sun, exaggeration=settings.exaggeration, relief=settings.relief, water=water,
+            layers=tuple(settings.layers) if said else None,
+        )  # fmt: skip
 
     # ---- playing -------------------------------------------------------------------------------------------------
 
@@ -224,6 +231,9 @@ class Touring:
         for name in ("relief", "tolerance", "water"):
             if name in values:
                 setattr(settings, name, values[name])
+        layers = tour.layers(time)
+        if layers is not None:
+            settings.layers = _laid(settings.layers, layers)
         sun, light = tour.sun(time), settings.light
         if isinstance(sun, Placed):
             light.mode, light.azimuth, light.altitude = "placed", sun.azimuth, sun.altitude
@@ -328,6 +338,27 @@ class Touring:
         if settings.water is None:
             words += ["--water", "none"]
         return shlex.join(words)
+
+
+def _whole(path: str) -> str:
+    """A path from the root, if it is one of a file that is there."""
+    return str(Path(path).resolve()) if Path(path).exists() else path
+
+
+def _laid(have: Sequence[Layer], shown: Sequence[Layer]) -> list[Layer]:
+    """The window's layers, of which those are seen that a tour shows, as opaque as it says; the others are kept."""
+    opacities = {_kind(layer): layer.opacity for layer in shown}
+    out = [
+        replace(layer, opacity=opacities.pop(kind), visible=True)
+        if (kind := _kind(layer)) in opacities
+        else replace(layer, visible=False)
+        for layer in have
+    ]
+    return out + [layer for layer in shown if _kind(layer) in opacities]
+
+
+def _kind(layer: Layer) -> Layer:
+    return replace(layer, opacity=1.0, visible=True)
 
 
 def _same(a: View, b: View) -> bool:

@@ -81,6 +81,7 @@ def _stops(touring: Touring) -> None:
             if imgui.selectable(_told(k, stop.key), touring.chosen == k)[0]:
                 touring.chosen, touring.playing = k, False
                 touring.show(time)
+            tip(_all(stop.key))
             imgui.table_next_column()
             for name, do, able in (
                 ("up", (touring.move, (k, -1)), k > 0),
@@ -101,17 +102,23 @@ def _stops(touring: Touring) -> None:
 
 
 def _told(k: int, key: Key) -> str:
-    """A stop in a few words: which way it looks, from how far; the sun."""
+    """A stop in a few words: which way it looks, and from how far."""
     e, t = key.view.eye, key.view.target
     heading = math.degrees(math.atan2(t[0] - e[0], t[1] - e[1])) % 360.0
     far = key.view.distance
     distance = f"{far / 1000:.1f} km" if far >= 1000 else f"{far:.0f} m"
-    sun = ""
+    return f"{k + 1}: {heading:.0f}°, {distance}"
+
+
+def _all(key: Key) -> str:
+    """All that a stop says, for its tool tip."""
+    lines = ["Looks to this heading, from so far. A click goes there."]
     if isinstance(key.sun, Placed):
-        sun = f", sun {key.sun.azimuth:.0f}° {key.sun.altitude:.0f}°"
+        lines.append(f"Sun: azimuth {key.sun.azimuth:.0f}°, altitude {key.sun.altitude:.0f}°.")
     elif key.sun is not None:
-        sun = f", {key.sun.when:%d %b %H:%M}"
-    return f"{k + 1}: to {heading:.0f}°, {distance}{sun}"
+        lines.append(f"Sun: {key.sun.when:%d %B %Y %H:%M}.")
+    lines.append(f"Exaggeration: × {key.exaggeration or 1.0:.2f}.")
+    return "\n".join(lines)
 
 
 def _chosen(touring: Touring, k: int) -> None:
