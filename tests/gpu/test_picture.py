@@ -177,7 +177,7 @@ def test_an_empty_picture_is_an_error(device: Device, shared_data: Path) -> None
         gpu_draw(Scene(terrain, up), device=device)
 
 
-def test_what_only_the_cpu_draws_is_refused(device: Device, shared_data: Path) -> None:
+def test_a_picture_too_large_for_the_device_is_refused(device: Device, shared_data: Path) -> None:
     terrain = open_set(shared_data, "bigtujunga")
-    with pytest.raises(UsageError, match="CPU"):
-        gpu_draw(Scene(terrain, whole(terrain, SIZE), engine="soar"), device=device)
+    with pytest.raises(UsageError, match="at most"):
+        gpu_draw(Scene(terrain, whole(terrain, (200_000, 64))), device=device)

@@ -2,7 +2,7 @@
 
 The same scene as the CPU caster's (``picture.cpu``), the same light and colours (the shader follows it line by line):
 depth differs by no more than the tolerance promises, colours by what docs/gpu.md states. What only the caster can do
-(rays of light, more pixels than the device's largest texture) is refused with the reason.
+(more pixels than the device's largest texture) is refused with the reason.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def draw(
     Raises:
         NoAdapterError: there is no GPU.
         NothingInViewError: no ground is in view.
-        UsageError: the scene has what only the CPU draws.
+        UsageError: the picture is larger than the device can draw, or the scene's engine is unknown.
     """
     begun = time.perf_counter()
     device = device or open_device()
