@@ -66,10 +66,12 @@ class DamagedChunkError(StoreError):
 
     def __init__(self, chunk: str, *, path: str | os.PathLike[str] | None = None, cause: str = "") -> None:
         self.chunk = chunk
+        again = "Build the store" if not chunk.startswith("layers/") else "Bake that layer"
+        verb = "build" if not chunk.startswith("layers/") else "bake"
         super().__init__(
             f"Chunk {chunk} is damaged{': ' + cause if cause else ''}.",
             path=path,
-            remedy="Build the store again (orograph build --overwrite), or restore that file from a copy.",
+            remedy=f"{again} again (orograph {verb} --overwrite), or restore that file from a copy.",
         )
 
 
