@@ -70,7 +70,7 @@ def command(
       orograph view tiles/*.tif --sun 2026-06-21T19:30-07:00
       orograph view area.oro --view VIEW.json --exaggeration 1.5
     """
-    from orograph.viewer.app import Warm, check, hurry, renderer_of, show
+    from orograph.viewer.app import Warm, check, hurry, renderer_of, settle, show
 
     hurry()
     progress = progress_of(ctx)
@@ -86,6 +86,7 @@ def command(
         from orograph.output import check_folder
         from orograph.picture.prepare import prepare
         from orograph.picture.scene import check_exaggeration
+        from orograph.store.detect import is_store
         from orograph.viewer.session import Session
 
     # What is wrong with the command line is said before any work is done.
@@ -101,6 +102,8 @@ def command(
     if source["band"] == 1:
         source["band"] = None
     size = options["size"] or WINDOW
+    if len(paths) > 1 or not is_store(paths[0]):
+        settle()  # what is built may take long, and is held to a budget of memory
     terrain = prepare(list(paths), max_memory=memory, jobs=jobs, progress=progress, **source)
     with progress.task("Looking at the terrain"):
         session = Session(
