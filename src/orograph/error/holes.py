@@ -236,7 +236,7 @@ def states(z, below, k, squares, found, seen, i_end, j_end, squeezed_row, squeez
         _dirty_samples(z, dirty)
     edges = np.empty((3, 2, width), np.uint8)  # edge diamonds of rows i − 2, i − 1, i
     near, scratch = np.empty(seen.shape[1], np.uint8), np.zeros((2, width + 1), np.uint8)
-    for i in range(height):
+    for i in range(0 if j_end < width else max(i_end - 1, 0), height):  # what is known before is not even gone through
         one, two = edges[i % 3, 0], edges[i % 3, 1]
         for j in range(np.uint64(width)):
             one[j] = WHOLE
