@@ -240,7 +240,7 @@ class ResolvePass:
         self.encode = 0 if format.endswith("-srgb") else 1
         self.uniform = device.buffer(16, "UNIFORM", "resolve")
         self._told = b""
-        self._bound: tuple[Any, Any, Any] = (None, None, None)
+        self._bound: list[tuple[Any, Any, Any]] = []
         self.layout = handle.create_bind_group_layout(
             entries=[uniform(0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "unfilterable-float")]
         )
@@ -254,9 +254,15 @@ class ResolvePass:
 
     def draw(
         self, encoder: Any, targets: Targets, view: Any, *, frames: int = 1, occlusion: Any = None,
-        strength: float = 0.0,
+        strength: float = 0.0, light: Any = None,
     ) -> None:  # fmt: skip
-        """Bring the light to a view; ``occlusion``: a texture's view that it is multiplied by, as ``strength`` says."""
+        """Bring the light to a view.
+
+        Args:
+            frames: how many the light is the sum of.
+            occlusion: a texture's view that it is multiplied by, as ``strength`` says.
+            light: a view of it, if it is not that of the targets.
+        """
         values = np.zeros(4, np.uint32)
         values[2] = self.encode
         values[1:2].view(np.float32)[0] = frames
@@ -264,17 +270,18 @@ class ResolvePass:
         if values.tobytes() != self._told:
             self.device.queue.write_buffer(self.uniform, 0, values)
             self._told = values.tobytes()
-        light, dark, group = self._bound
-        if light is not targets.light_view or dark is not occlusion:
+        light = targets.light_view if light is None else light
+        group = next((g for bright, dark, g in self._bound if bright is light and dark is occlusion), None)
+        if group is None:
             group = self.device.handle.create_bind_group(
                 layout=self.layout,
                 entries=[
                     {"binding": 0, "resource": {"buffer": self.uniform}},
-                    {"binding": 1, "resource": targets.light_view},
-                    {"binding": 2, "resource": targets.light_view if occlusion is None else occlusion},
+                    {"binding": 1, "resource": light},
+                    {"binding": 2, "resource": light if occlusion is None else occlusion},
                 ],
             )
-            self._bound = targets.light_view, occlusion, group
+            self._bound = [(light, occlusion, group), *self._bound[:2]]  # (frames take turns with two)
         pass_ = encoder.begin_render_pass(
             color_attachments=[{"view": view, "clear_value": (0, 0, 0, 1), "load_op": "clear", "store_op": "store"}]
         )

@@ -33,6 +33,7 @@ from orograph.gpu.residency import Residency
 from orograph.gpu.resources import Resources
 from orograph.gpu.seen import points_of, wet_at
 from orograph.gpu.sheets import SIDE
+from orograph.gpu.steady import Steady
 from orograph.gpu.tracing import RAYS, Around, Share, parts_of
 from orograph.gpu.veil import VeilPass
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
@@ -99,6 +100,7 @@ class Renderer:
         self._at_rest: Any = None
         self._flags = 0
         self._gathered, self._enough = 0, SAMPLES
+        self._steady, self._shift = Steady(device, self._camera), (0.0, 0.0)
         self._around = Around(terrain, device.largest)
         self._missing = 0
 
@@ -181,7 +183,8 @@ class Renderer:
         for k in range(begin, begin + count):
             shift = _sample(k, samples or SAMPLES) if (samples or SAMPLES) > 1 else (0.0, 0.0)
             if k == 0 and samples is None:
-                shift = (0.0, 0.0)
+                shift = (0.0, 0.0) if wait else self._steady.shift
+            self._shift = shift
             encoder = self._pass(encoder, targets, scene, instances, group, flags, shift, k, samples, advance)
             if k + 1 < begin + count:  # the camera is written before the next pass
                 self.device.queue.submit([encoder.finish()])
@@ -193,7 +196,13 @@ class Renderer:
                 encoder, targets, group, view.pixel_metres if plan else view.pixel_slope,
                 overlay.reach or view.distance / 12, not plan,
             )  # fmt: skip
-        self._resolves[format].draw(encoder, targets, target, occlusion=dark, strength=overlay.occlusion)
+        light = None
+        if wait or samples is not None or flags & RAYS:
+            self._steady.forget()
+        else:
+            settings = overlay, freeze is None, layers, flags
+            light = self._steady.encode(encoder, targets, scene, settings, self._shift, self._gathered)
+        self._resolves[format].draw(encoder, targets, target, occlusion=dark, strength=overlay.occlusion, light=light)
         took_python = time.perf_counter() - begun
         self.device.queue.submit([encoder.finish()])
         return FrameStats(

@@ -1,0 +1,165 @@
+"""A moving picture that does not shimmer: frames gather samples while the camera moves, as a picture at rest does.
+
+Every frame puts the samples of its pixels elsewhere (a Halton sequence). Where the ground that a pixel shows was in the
+last frame follows from its depth and the two cameras; the mean gathered there goes on, the new frame being one of many
+in it, with ``SHARE`` at least (temporal supersampling: Yang et al. 2009, *Amortized supersampling*; Karis 2014 for the
+rest). What was gathered is clamped to the range of the 3 × 3 pixels around, so that what was hidden before leaves no
+ghost. At rest the mean of a pixel's own samples takes over by degrees. Linear light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from struct import Struct
+from typing import Any
+
+from orograph.gpu.camera import camera_of
+from orograph.gpu.device import Device
+from orograph.gpu.passes import LIGHT, Targets, texture, uniform
+from orograph.picture.scene import Scene
+
+SHARE = 1 / 32
+"""Of a new frame in the mean of many, at least: an edge between ground and sky may not flicker by more."""
+
+FULL = 16
+"""Samples of a pixel at rest that need no others."""
+
+_UNIFORM = Struct("<20f")
+_SETTINGS = tuple(f.name for f in fields(Scene) if f.name not in ("view", "depths", "terrain", "furniture", "title"))
+
+
+def _halton(k: int, base: int) -> float:
+    value, part = 0.0, 1.0
+    while k:
+        part /= base
+        k, digit = divmod(k, base)
+        value += part * digit
+    return value
+
+
+SHIFTS = tuple((_halton(k, 2) - 0.5, _halton(k, 3) - 0.5) for k in range(1, FULL + 1))
+"""Where in its pixel the sample of a frame lies, pixels from the middle, one frame after the other."""
+
+
+class Steady:
+    """The mean of a moving picture.
+
+    Args:
+        camera: the uniform buffer of the frame that was drawn.
+    """
+
+    def __init__(self, device: Device, camera: Any) -> None:
+        import wgpu
+
+        self.device = device
+        handle = device.handle
+        sampler = {"binding": 4, "visibility": wgpu.ShaderStage.FRAGMENT, "sampler": {}}
+        first = handle.create_bind_group_layout(entries=[uniform(0, "VERTEX|FRAGMENT")])
+        self._layout = handle.create_bind_group_layout(
+            entries=[
+                uniform(0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "depth"), texture(3, "float"),
+                sampler,
+            ]
+        )  # fmt: skip
+        module = device.shader("steady")
+        self._pipeline = handle.create_render_pipeline(
+            label="steady",
+            layout=handle.create_pipeline_layout(bind_group_layouts=[first, self._layout]),
+            vertex={"module": module, "entry_point": "vertex"},
+            primitive={"topology": "triangle-list"},
+            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": LIGHT}]},
+        )
+        self._camera = handle.create_bind_group(layout=first, entries=[{"binding": 0, "resource": {"buffer": camera}}])
+        self._sampler = handle.create_sampler(mag_filter="linear", min_filter="linear")
+        self._uniform = device.buffer(_UNIFORM.size, "UNIFORM", "steady")
+        self._targets: Targets | None = None
+        self._views: list[Any] = []
+        self._groups: list[Any] = []
+        self._turn = self._tick = 0
+        self._last: tuple[Any, Scene, Any] | None = None
+
+    @property
+    def shift(self) -> tuple[float, float]:
+        """Where in its pixels the samples of the next frame belong."""
+        return SHIFTS[self._tick % FULL] if self._last is not None else (0.0, 0.0)
+
+    def forget(self) -> None:
+        """The next frame is the first of another picture."""
+        self._last = None
+
+    def encode(
+        self, encoder: Any, targets: Targets, scene: Scene, settings: Any, shift: tuple[float, float], gathered: int
+    ) -> Any:
+        """Add the pass that takes a frame into the mean; the view of a texture of it.
+
+        Args:
+            targets: of the frame.
+            settings: what makes it another picture besides the scene.
+            shift: where in its pixels the samples lay that the depths are of.
+            gathered: samples of the same place that the light is the mean of.
+        """
+        if targets is not self._targets:
+            self._fit(targets)
+        same = self._last is not None and settings == self._last[2] and _alike(scene, self._last[1])
+        self._write(scene, shift, gathered, same)
+        self._turn = 1 - self._turn
+        self._tick += 1
+        pass_ = encoder.begin_render_pass(
+            color_attachments=[
+                {"view": self._views[self._turn], "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}
+            ]
+        )
+        pass_.set_pipeline(self._pipeline)
+        pass_.set_bind_group(0, self._camera)
+        pass_.set_bind_group(1, self._groups[self._turn])
+        pass_.draw(3)
+        pass_.end()
+        self._last = camera_of(scene.view, scene.terrain, scene.exaggeration), scene, settings
+        return self._views[self._turn]
+
+    def _write(self, scene: Scene, shift: tuple[float, float], gathered: int, same: bool) -> None:
+        packed = bytes(_UNIFORM.size)
+        if same and self._last is not None:
+            camera, before, _ = self._last
+            (a, b, c), (p, q, r) = _eye(scene), _eye(before)
+            share = max(SHARE, min(1.0, gathered / FULL))
+            packed = _UNIFORM.pack(
+                *camera["right"].tolist(), *camera["up"].tolist(), *camera["forward"][:3].tolist(), 1.0,
+                a - p, b - q, (c - r) * scene.exaggeration, share, *camera["centre"].tolist(), *shift,
+            )  # fmt: skip
+        self.device.queue.write_buffer(self._uniform, 0, packed)
+
+    def _fit(self, targets: Targets) -> None:
+        self._targets, self._last = targets, None
+        size = targets.width, targets.height
+        self._views = [
+            self.device.texture(size, LIGHT, "RENDER_ATTACHMENT|TEXTURE_BINDING", label="steady").create_view()
+            for _ in range(2)
+        ]
+        self._groups = [
+            self.device.handle.create_bind_group(
+                layout=self._layout,
+                entries=[
+                    {"binding": 0, "resource": {"buffer": self._uniform}},
+                    {"binding": 1, "resource": targets.light_view},
+                    {"binding": 2, "resource": targets.depth_view},
+                    {"binding": 3, "resource": self._views[1 - turn]},
+                    {"binding": 4, "resource": self._sampler},
+                ],
+            )
+            for turn in range(2)
+        ]
+
+
+def _eye(scene: Scene) -> tuple[float, float, float]:
+    view = scene.view
+    return (*view.target[:2], view.eye[2]) if view.projection == "plan" else view.eye
+
+
+def _alike(one: Scene, other: Scene) -> bool:
+    """Whether two scenes differ by where the camera is and nothing else."""
+    if one is other:
+        return True
+    if one.view.projection != other.view.projection:
+        return False
+    return all(getattr(one, name) == getattr(other, name) for name in _SETTINGS)
