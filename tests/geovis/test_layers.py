@@ -134,7 +134,7 @@ def test_a_raster_by_its_values(tmp_path: Path, dtype: str) -> None:
     assert np.abs(srgb(got[..., :3]) - expected[..., :3])[there].max() < 0.0145  # a step of the map (of 256), and bytes
     turned = at_samples(Layer(path, colormap="viridis", range=(2000, 0), band=2, nodata=777))
     expected = np.asarray(cmap.Colormap("viridis")(1 - np.clip(values / 2000.0, 0, 1)))
-    assert np.abs(srgb(turned[..., :3]) - expected[..., :3])[there].max() < 0.0145  # a step of the map (of 256), and bytes
+    assert np.abs(srgb(turned[..., :3]) - expected[..., :3])[there].max() < 0.0145
 
 
 def test_its_own_nodata_and_range(tmp_path: Path) -> None:
