@@ -172,19 +172,18 @@ def test_pages_that_are_missing_are_read_first(tmp_path):
             assert pruned and pruned == pruned_of(store, view, 4.0, field=warm.field)
 
 
-def test_little_memory_gives_the_same():
+def test_little_memory_gives_the_same_or_gives_up():
     rng = np.random.default_rng(12)
     t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=900.0))
     x, y = (float(v) for v in t.grid.xy(512, 512))
     view = plain.View((x, y, 3000.0), (x, y + 3000.0, 0.0), fov_y=70.0, width=640, height=400)
     for tolerance in (1.5, 6.0):
         wanted = pruned_of(t, view, tolerance)
-        for slots in (4, 6, 9):
+        for slots in (5, 9):
             tight = Field(t, max_memory=slots << 20)
             found = pruned_of(t, view, tolerance, field=tight)
-            assert set(found) <= set(wanted)
-            assert found == wanted or slots < 6  # one diamond's search takes some pages at once
-            assert tight.resident <= slots
+            assert found == wanted or (slots == 5 and not found)  # too small for the search: spheres decide
+            assert tight.resident <= slots and tight.tiles_read <= ahead.PATIENCE * slots + slots
 
 
 def test_budgets_and_plans():

@@ -54,7 +54,8 @@ DONE, MISSED, ROOM = range(3)
 """Why kernels return."""
 
 PATIENCE = 16
-"""Rounds that one diamond may ask for pages; then memory does not hold what it takes, and it is active."""
+"""How many times as many pages as memory holds may be read; then memory is too small for the search, and spheres decide
+alone."""
 
 
 @inlined
@@ -348,7 +349,7 @@ class Ahead:
     def table(self, field: Field, lens: NDArray[np.float64], cull: bool) -> NDArray[np.int64]:
         """The diamonds that need not be split though the bound over their spheres exceeds the tolerance.
 
-        None in a plan and at no tolerance.
+        None in a plan, at no tolerance, and where memory is too small for the search.
 
         Args:
             field: the terrain, with errors that are bounds.
@@ -370,6 +371,7 @@ class Ahead:
         slack[TOLERANCE] *= 1.0 - 1e-9
         near = NEAR * min(max(1.0, 2.0 / lens[TOLERANCE]), 2.0)
         counts, before, stalls = self._begin(), (), 0
+        most = field.tiles_read + PATIENCE * len(field.pages.used)
         while True:
             field.begin()
             why = collect(
@@ -388,8 +390,8 @@ class Ahead:
             if why == DONE:
                 break
             stalls = stalls + 1 if before == (before := tuple(counts)) else 0
-            if stalls > PATIENCE:
-                self._state[counts[-1] - 1], stalls = 1, 0
+            if field.tiles_read > most:
+                return NOTHING
             field.fetch(resumes=True)
         self.near = int(counts[0])
         self.pruned = int((self._state[: self.near] != 1).sum())
