@@ -158,6 +158,10 @@ class Drawing:
 
             traceback.print_exc()
 
+    def check(self) -> None:
+        """Raise wgpu's error if the device is lost: making a buffer says so, writing to one may end the process."""
+        self.window.device.buffer(4, "COPY_DST", "alive")
+
     def lost(self, error: Exception) -> bool:
         """Whether an error says that the device was lost."""
         return self.window.device.lost is not None or "lost" in str(error).lower()

@@ -76,8 +76,15 @@ class Gui:
         # The backend sets an empty name of the layout's file; it is ours to set after that.
         imgui.get_io().set_ini_filename(self._layout)
         for texture in imgui.get_platform_io().textures:  # what another backend made went with its device
-            texture.set_tex_id(0)
-            texture.set_status(imgui.ImTextureStatus.want_create)
+            status = imgui.ImTextureStatus
+            if texture.status in (status.ok, status.want_updates):
+                texture.set_tex_id(0)
+                texture.set_status(status.want_create)
+                whole = texture.update_rect  # the backend brings this part of it
+                whole.x, whole.y, whole.w, whole.h = 0, 0, texture.width, texture.height
+            elif texture.status == status.want_destroy:
+                texture.set_tex_id(0)
+                texture.set_status(status.destroyed)
 
     # ---- events --------------------------------------------------------------------------------------------------
 

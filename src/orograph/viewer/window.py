@@ -147,6 +147,7 @@ class Window:
     def _frame(self) -> None:
         """A frame; where the device is lost in the middle of one, the next is drawn on another."""
         try:
+            self.drawing.check()
             self._draw()
         except Exception as error:
             if not self.drawing.lost(error):
