@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from orograph._numba import kernel
 from orograph.errors import OrographError
 from orograph.geovis.layers import MOST, Layer, drawn
+from orograph.geovis.mipmap import TAPS
 from orograph.gpu.device import Device
 from orograph.gpu.sheets import SIDE, Sheet
 from orograph.gpu.slots import Slots
@@ -34,6 +35,9 @@ from orograph.view import View
 Array = NDArray[np.float64]
 Words = NDArray[np.uint32]
 Places = NDArray[np.int64]
+
+FEW = 4
+"""Look-ups in a footprint, at most, of a frame that a software driver draws and nothing waits for."""
 
 UPLOAD = 16
 """Tiles brought to the GPU in a frame, at most."""
@@ -158,7 +162,7 @@ class Imagery:
         self.missing = wanted
         ready = [layer for layer in seen if layer.content in self._held]
         if ready:
-            self._write(ready, view)
+            self._write(ready, view, TAPS if wait or not self.device.adapter.software else FEW)
         return len(ready)
 
     def bound(self) -> tuple[Any, Any]:
@@ -342,8 +346,8 @@ class Imagery:
         """Words of a layer before its pages."""
         return LEVEL * len(sheet.levels) + 4 * sheet.laid.lattice.u.size
 
-    def _write(self, layers: Sequence[Layer], view: View) -> None:
-        """Have the buffer hold all open layers, and heads for those to draw."""
+    def _write(self, layers: Sequence[Layer], view: View, taps: int) -> None:
+        """Have the buffer hold all open layers, and heads for those to draw; ``taps``: look-ups in a footprint."""
         for held in self._held.values():
             self._refresh(held)
         if self._buffer is None:
@@ -355,7 +359,7 @@ class Imagery:
                 at += sum(w.size for w in words)
             self._buffer = self.device.buffer(np.concatenate(parts), "STORAGE", "imagery")
         head = np.zeros(STATIC, np.uint32)
-        head[0] = len(layers)
+        head[:2] = len(layers), taps
         heads = head[HEADS:].view(HEAD_DTYPE)
         for k, layer in enumerate(layers):
             held = self._held[layer.content]

@@ -2,11 +2,10 @@
 // geovis/mipmap.look_along does it: look-ups as wide as the footprint's minor axis, side by side along its major axis.
 // Needs ``atlas``, ``atlas_sampler``, ``imagery``.
 
-const TAPS: f32 = 16.0;            // look-ups in a footprint, at most
 const GRAZING: f32 = 0.02;         // picture/kernels.py
 const LEAST: f32 = 0.7;
 const TILE_SIDE: i32 = 258;
-const IMAGE_LAYERS: u32 = 4u;      // words before the first head
+const IMAGE_LAYERS: u32 = 4u;      // words before the first head: layers, look-ups in a footprint at most
 const HEAD: u32 = 24u;
 
 fn word_f(at: u32) -> f32 { return bitcast<f32>(imagery[at]); }
@@ -101,7 +100,7 @@ fn layer_mean(head: u32, position: vec2<f32>, footprint: Footprint) -> vec4<f32>
   let greater = sqrt(0.5 * (square + sqrt(max(square * square - 4.0 * area * area, 0.0))));
   let floor_width = footprint.least * area / max(greater, 1e-30);
   let minor = max(max(abs(a.x * b.y - b.x * a.y) / max(major, 1e-30), floor_width), 1.0);
-  let taps = clamp(ceil(major / minor - 1e-3), 1.0, TAPS);
+  let taps = clamp(ceil(major / minor - 1e-3), 1.0, f32(imagery[1]));
   let level = min(log2(max(minor, major / taps)), f32(imagery[head + 13u]));
   let turn = 0.5 * atan2(2.0 * q, p - r);
   let step = vec2<f32>(cos(turn), sin(turn)) * (major / taps);
