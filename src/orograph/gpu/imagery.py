@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.errors import OrographError
+from orograph.errors import ReadError
 from orograph.geovis.layers import MOST, Layer, drawn
 from orograph.geovis.mipmap import TAPS
 from orograph.gpu.device import Device
@@ -138,7 +138,7 @@ class Imagery:
             how many layers there are to draw.
 
         Raises:
-            OrographError: with ``wait``, a layer or one of its tiles cannot be read.
+            ReadError: with ``wait``, a layer or one of its tiles cannot be read.
         """
         self.missing = self.loaded = 0
         seen = drawn(layers)
@@ -230,12 +230,12 @@ class Imagery:
             return np.empty(0, np.uint8)
         return self._held[layer].sheet.tile(place)
 
-    def _error(self, layer: Layer, place: int) -> OrographError:
+    def _error(self, layer: Layer, place: int) -> ReadError:
         assert self._streamer is not None
         failure = self._streamer.failed[layer, place][1]
         if place == OPENING:
-            return OrographError(failure)
-        return OrographError(f"A tile cannot be read: {failure}", path=layer.path)
+            return ReadError(failure)
+        return ReadError(f"A tile cannot be read: {failure}", path=layer.path)
 
     def _want(self, layers: Sequence[Layer], view: View, exaggeration: float) -> int:
         """Ask for what a view lacks; how much that is, but for what cannot be read."""

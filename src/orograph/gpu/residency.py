@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import OrographError
+from orograph.errors import StoreError
 from orograph.gpu.device import Device
 from orograph.gpu.prediction import Prediction
 from orograph.gpu.streamer import Streamer
@@ -99,7 +99,7 @@ class Residency:
             wait: until all tiles that the view wants are there, or the atlases hold no more.
 
         Raises:
-            OrographError: with ``wait``, a tile cannot be read.
+            StoreError: with ``wait``, a tile cannot be read.
         """
         # (A picture that is waited for may take the place of the one before, a frame of many shares it with the last.)
         self._frame += 2 if wait else 1
@@ -118,7 +118,7 @@ class Residency:
             seconds += took
             for kind, key in set(self.streamer.failed) & self._asked:
                 why = self.streamer.failed[kind, key][1]
-                raise OrographError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
+                raise StoreError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
         return Chosen(patches, seconds, len(wanted) + int(patches.stats["absent"]), loaded, size)
 
     @property

@@ -202,7 +202,7 @@ def _style() -> None:
     style.window_padding = (10.0, 8.0)
     c = imgui.Col_
     for which, colour in (
-        (c.window_bg, PAPER), (c.text, INK), (c.title_bg, (0.08, 0.09, 0.10, 1)),
+        (c.window_bg, PAPER), (c.popup_bg, (0.08, 0.09, 0.10, 1)), (c.text, INK), (c.title_bg, (0.08, 0.09, 0.10, 1)),
         (c.title_bg_active, (0.13, 0.15, 0.18, 1)),
         (c.frame_bg, (0.18, 0.20, 0.23, 1)), (c.frame_bg_hovered, (0.23, 0.26, 0.30, 1)),
         (c.frame_bg_active, (0.25, 0.30, 0.36, 1)), (c.slider_grab, ACCENT), (c.slider_grab_active, ACCENT),

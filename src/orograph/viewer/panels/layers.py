@@ -98,7 +98,7 @@ def _contours(window: Window) -> None:
         moved, metres = imgui.slider_float("every", lines.interval, 0.5, 1000.0, "%.4g m", flags)
         if moved:
             lines = replace(lines, interval=max(float(f"{metres:.2g}"), 0.5))
-    moved, opacity = imgui.slider_float("lines", lines.opacity, 0.0, 1.0, "%.2f")
+    moved, opacity = imgui.slider_float("##lines", lines.opacity, 0.0, 1.0, "opacity %.2f")
     if moved:
         lines = replace(lines, opacity=min(max(opacity, 0.0), 1.0))
     moved, index = imgui.slider_int("thick ones: every", lines.index, 0, 10)
@@ -167,7 +167,7 @@ def _layers(window: Window) -> None:
     if change is not None:
         change()
     entered, text = imgui.input_text_with_hint(
-        "##image", "an image to lay over it, Enter", window.texts.get("layer", ""),
+        "##image", "a layer's path, Enter", window.texts.get("layer", ""),
         imgui.InputTextFlags_.enter_returns_true,
     )  # fmt: skip
     if imgui.is_item_hovered():
