@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
+from orograph.dem.raster import Dem
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.layers import Layer
 from orograph.gpu.device import Device
@@ -23,6 +24,7 @@ from orograph.picture.camera import around, plan, whole
 from orograph.picture.cpu import draw as cpu_draw
 from orograph.picture.prepare import prepare
 from orograph.picture.scene import Scene
+from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain
 from orograph.view import View
 
@@ -159,6 +161,21 @@ def test_missing_ground_is_hatched_and_has_no_depth(device: Device, shared_data:
     truth[y[inside].astype(int), x[inside].astype(int)] = True
     assert not ours.veiled[~binary_dilation(truth, np.ones((5, 5), bool))].any()
     assert not np.isfinite(ours.depth[ours.veiled]).any()
+
+
+def test_heights_may_be_radii_of_a_body(device: Device, shared_data: Path) -> None:
+    """Heights in the millions of metres are ground, and holes among them are holes."""
+    low = open_set(shared_data, "rainier")
+    rows, cols = low.grid.shape
+    terrain = in_memory(Dem(low.read(0, 0, rows, 0, cols) + np.float32(1_737_400), low.grid))
+    scene = Scene(terrain, whole(terrain, SIZE), samples=1, tolerance=1.0)
+    ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
+    assert ours.veiled is not None and caster.veiled is not None and caster.veiled.any()
+    assert (ours.veiled != caster.veiled).mean() < 0.01
+    assert (np.isfinite(ours.depth) != np.isfinite(caster.depth)).mean() < 0.01
+    assert np.isfinite(ours.depth).mean() > 0.2
+    both = np.isfinite(ours.depth) & np.isfinite(caster.depth)
+    assert np.percentile(np.abs(ours.depth - caster.depth)[both] / caster.depth[both], 95) < 0.01
 
 
 def test_exaggeration_stretches_the_picture_only(device: Device, shared_data: Path) -> None:

@@ -25,18 +25,19 @@ class PatchPass:
         camera: the uniform buffer (``camera.CAMERA``). heights: the atlas's texture.
         slopes: the view of the slopes' atlas, its pages and the table of levels (``shaders/slopes.wgsl``).
         vertices: (n, 2) uint lattice positions (i, j). indices: (m, 3) of them.
+        missing: what is added to heights that are missing (``tiles.missing``), metres.
     """
 
     def __init__(
         self, device: Device, camera: Any, heights: Any, slopes: tuple[Any, Any, Any], vertices: NDArray[Any],
-        indices: NDArray[Any], stride: int,
+        indices: NDArray[Any], stride: int, missing: int,
     ) -> None:  # fmt: skip
         self.device = device
         handle = device.handle
         self.count = int(indices.size)
         self.vertices = device.buffer(np.ascontiguousarray(vertices, np.uint32), "VERTEX", "lattice")
         self.indices = device.buffer(np.ascontiguousarray(indices, np.uint32), "INDEX", "triangles")
-        self.stride, self.capacity = stride, 0
+        self.stride, self.capacity, self.missing = stride, 0, missing
         self.instances: Any = None
         layouts = [
             handle.create_bind_group_layout(entries=[uniform(0, "VERTEX|FRAGMENT")]),
@@ -67,7 +68,12 @@ class PatchPass:
     def pipeline(self, edges: bool, slopes: Slopes) -> Any:
         """The pipeline, with or without the edges of triangles among the marks, and their slopes."""
         if (edges, slopes) not in self._pipelines:
-            module = self.device.shader("patches", {"EDGES": int(edges), "STORED": int(slopes == "stored")})
+            constants: dict[str, int | float] = {
+                "EDGES": int(edges),
+                "STORED": int(slopes == "stored"),
+                "MISSING": self.missing,
+            }
+            module = self.device.shader("patches", constants)
             stride = self.stride
             self._pipelines[edges, slopes] = self.device.handle.create_render_pipeline(
                 label="patches",

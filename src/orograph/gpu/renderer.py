@@ -34,6 +34,7 @@ from orograph.gpu.resources import Resources
 from orograph.gpu.seen import points_of, wet_at
 from orograph.gpu.sheets import SIDE
 from orograph.gpu.steady import Steady
+from orograph.gpu.tiles import missing
 from orograph.gpu.tracing import RAYS, Around, Share, parts_of
 from orograph.gpu.veil import VeilPass
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
@@ -83,7 +84,7 @@ class Renderer:
         self._resources = Resources(device, terrain, self.slopes, self.imagery, self.kept)
         self._patches = PatchPass(
             device, self._camera, self.heights.texture, self._resources.stored_slopes, patch_vertices(legs),
-            patch_indices(legs), INSTANCE.itemsize,
+            patch_indices(legs), INSTANCE.itemsize, missing(terrain),
         )  # fmt: skip
         self._slopes: Slopes = ""
         self._meshes, self._triangles = Meshes(terrain), MeshPass(device, self._camera)

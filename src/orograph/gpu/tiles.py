@@ -3,7 +3,7 @@
 Two kinds of tile, both of 256 × 256 cells of a level, wait in the same way:
 
 - ``heights``: the 257 × 257 nested samples that a tile's patches take their vertices from, float32 metres, with
-  ``MISSING`` added where there is none. Neighbours share their border samples: no vertex depends on its tile.
+  ``missing(terrain)`` added where there is none. Neighbours share their border samples: no vertex depends on its tile.
 - ``slopes``: gradients of the box means, 258 × 258 (a border of one all around, so that blending never leaves the
   tile), two float16: metres of height per sample of the raster along columns and rows. Means of gradients are gradients
   of means: the exact prefilter of slopes for pixels larger than samples (``light.relief``).
@@ -15,6 +15,7 @@ first and never leaves: something can always be drawn.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -32,9 +33,9 @@ Kind = Literal["heights", "slopes"]
 Key = tuple[int, int, int]
 """(level, tile row, tile column)."""
 
-MISSING = np.float32(1e6)
-"""Added to what fills missing heights in textures: shaders may not rely on NaN. What fills them is near the ground
-beside them, so that the triangles there, which are not drawn, are no larger than others."""
+MISSING = 1_000_000
+"""Metres added to what fills missing heights in textures: shaders may not rely on NaN. What fills them is near the
+ground beside them, so that the triangles there, which are not drawn, are no larger than others."""
 
 SIDES = {"heights": TILE + 1, "slopes": TILE + 2}
 _FORMATS: dict[str, tuple[str, int]] = {"heights": ("r32float", 4), "slopes": ("rg16float", 4)}
@@ -77,6 +78,12 @@ def _slopes(means, rows0, rows1, short_u, short_v, out):
                 out[i, j, 1] = gv / count if count > 0 else 0.0
 
 
+def missing(terrain: Terrain) -> int:
+    """Metres added to heights that are missing: more than twice what any is; ``MISSING``, unless heights are radii."""
+    highest = float(np.nanmax(np.abs(terrain.height_range), initial=0.0))
+    return MISSING if highest < 0.4 * MISSING else 2 ** math.ceil(math.log2(4.0 * highest))
+
+
 def height_tile(terrain: Terrain, key: Key) -> NDArray[np.float32]:
     """The samples (257, 257) of a tile; beyond the raster the last row and column are repeated.
 
@@ -90,7 +97,7 @@ def height_tile(terrain: Terrain, key: Key) -> NDArray[np.float32]:
     read = terrain.read(level, r0, min(r0 + TILE + 1, rows), c0, min(c0 + TILE + 1, cols))
     if level and np.isnan(read).any():
         read = np.where(np.isnan(read), _means(terrain, level, r0, c0, read.shape), read)
-    block = _filled(read)
+    block = _filled(read, np.float32(missing(terrain)))
     out = np.empty((TILE + 1, TILE + 1), np.float32)
     out[: read.shape[0], : read.shape[1]] = block
     out[: read.shape[0], read.shape[1] :] = block[:, -1:]
@@ -108,13 +115,13 @@ def _means(terrain: Terrain, level: int, r0: int, c0: int, shape: tuple[int, int
     return out
 
 
-def _filled(heights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Heights with the mean of their neighbours, or else of all, plus ``MISSING`` where they are missing."""
+def _filled(heights: NDArray[np.float32], missing: np.float32) -> NDArray[np.float32]:
+    """Heights with the mean of their neighbours, or else of all, plus ``missing`` where they are missing."""
     there = np.isfinite(heights)
     if there.all():
         return heights
     if not there.any():
-        return np.full(heights.shape, MISSING, np.float32)
+        return np.full(heights.shape, missing, np.float32)
     known = np.where(there, heights, np.float32(0))
     total, count = np.zeros(heights.shape, np.float32), np.zeros(heights.shape, np.float32)
     rows, cols = heights.shape
@@ -125,7 +132,7 @@ def _filled(heights: NDArray[np.float32]) -> NDArray[np.float32]:
             count += weights[i : i + rows, j : j + cols]
     mean = np.float32(heights[there].mean())
     around = np.where(count > 0, total / np.maximum(count, 1), mean)
-    filled: NDArray[np.float32] = np.where(there, heights, around + MISSING).astype(np.float32)
+    filled: NDArray[np.float32] = np.where(there, heights, around + missing).astype(np.float32)
     return filled
 
 

@@ -11,7 +11,7 @@
 const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover
 const STORED: u32 = {{STORED}}u; // 1: slopes are those of the vertices, else by derivatives
 const SIDE: i32 = 257;      // samples along a tile's side
-const MISSING: f32 = 1e6;   // added to heights that are missing
+const MISSING: f32 = {{MISSING}}.0;  // added to heights that are missing
 
 struct Instance {
   @location(1) apex: vec2<i32>,      // row, col on the padded grid
