@@ -103,6 +103,22 @@ def test_plains_and_borders_have_none() -> None:
         assert (ink > 0.15).mean() < 0.002, (ink > 0.15).mean()
 
 
+def askew() -> tuple[Terrain, View]:
+    """Waves that hide nothing and end within the raster, as what was projected does; all of it from the south."""
+    row, col = np.mgrid[:700, :700]
+    ground = 1.5 * np.sin(row / 7.0) * np.sin(col / 9.0)
+    u, v = (col - 350) * 0.995 + (row - 350) * 0.1, (row - 350) * 0.995 - (col - 350) * 0.1
+    terrain = make(np.where(np.maximum(abs(u), abs(v)) < 300, ground, np.nan), 20.0)
+    view = View(
+        (EAST + 7000, NORTH - 32_000, 14_000.0), (EAST + 7000, NORTH - 7000, 0.0), fov_y=38, width=300, height=160
+    )
+    return terrain, view
+
+
+def test_none_where_the_ground_ends_within_the_raster() -> None:
+    assert (inked(plain(*askew())) > 0.15).mean() == 0
+
+
 def test_lines_grow_faint_and_thin_with_distance_and_with_what_is_hidden() -> None:
     """Three walls, one behind the other; and a low one, hardly before the next ground."""
     row = np.mgrid[:1000, :300][0]

@@ -11,6 +11,8 @@ import numpy as np
 
 from orograph.gpu.device import Device
 from orograph.gpu.passes import Targets
+from orograph.picture.silhouettes import terrain_ends
+from orograph.store.terrain import Terrain
 
 BREAKS = "rgba16float"
 SHADERS = "breaks", "breaks_near"
@@ -20,11 +22,13 @@ class BreakPass:
     """Finds breaks in the targets' depth.
 
     Args:
-        camera: the uniform buffer (``camera.CAMERA``).
+        camera: the uniform buffer (``camera.CAMERA``). terrain: what is drawn.
     """
 
-    def __init__(self, device: Device, camera: Any) -> None:
-        self.device, self.camera = device, camera
+    def __init__(self, device: Device, camera: Any, terrain: Terrain) -> None:
+        self.device, self.camera, self.terrain = device, camera, terrain
+        self._away: Any = None  # where the terrain ends (``terrain_ends``), made when first asked for
+        self._step = 1
         self.range = device.buffer(16, "UNIFORM", "depths in view")
         self._pipelines: dict[str, Any] = {}
         self._of: Targets | None = None
@@ -40,14 +44,21 @@ class BreakPass:
             self._of, self._views = targets, (textures[0].create_view(), textures[1].create_view())
             buffers = [{"buffer": b} for b in (self.camera, self.range)]
             self._groups = (
-                self._group("breaks", buffers[0], targets.depth_view, buffers[1]),
+                self._group("breaks", buffers[0], targets.depth_view, buffers[1], self._away.create_view()),
                 self._group("breaks_near", self._views[0]),
             )
         return self._views
 
     def aim(self, depths: tuple[float, float]) -> None:
-        """Say which depths are in view, metres."""
-        self.device.queue.write_buffer(self.range, 0, np.array([*depths, 0, 0], np.float32))
+        """Say which depths are in view, metres; before ``views``."""
+        if self._away is None:
+            away, self._step = terrain_ends(self.terrain)
+            height, width = away.shape
+            self._away = self.device.texture((width, height), "r32float", "COPY_DST|TEXTURE_BINDING", label="ends")
+            self.device.queue.write_texture(
+                {"texture": self._away}, away, {"bytes_per_row": 4 * width}, (width, height, 1)
+            )
+        self.device.queue.write_buffer(self.range, 0, np.array([*depths, self._step, 0], np.float32))
 
     def draw(self, encoder: Any, targets: Targets) -> None:
         """Find the breaks of what the targets hold."""

@@ -89,7 +89,7 @@ class Renderer:
         self._slopes: Slopes = ""
         self._meshes, self._triangles = Meshes(terrain), MeshPass(device, self._camera)
         self._letters = Letters(device, terrain)
-        self._breaks = BreakPass(device, self._camera)
+        self._breaks = BreakPass(device, self._camera, terrain)
         self._veil = VeilPass(device, self._camera)
         self._shading = ShadePass(device, self._camera)
         self._corners = ScreenOcclusion(device, self._shading)

@@ -22,6 +22,7 @@ from orograph.picture.kept import Kept
 from orograph.picture.kernels import beginnings, ends, footprints, incidence
 from orograph.picture.memory import BYTES_PER_PIXEL, band_pixels
 from orograph.picture.scene import Scene
+from orograph.picture.silhouettes import terrain_ends
 from orograph.raycast.caster import Caster
 from orograph.raycast.kernels import BLOCK_X, BLOCK_Y
 from orograph.raycast.select import Rectangle, load, rectangles
@@ -171,6 +172,8 @@ class Ground:
             found = kept("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
             over = kept("over", jobs, lambda: Caster(found, shape, jobs), found) if found else None
         self.rays = Rays(scene, self.caster, over)
+        if scene.silhouettes is not None:
+            self.ends = kept("ends", shape, lambda: terrain_ends(terrain), terrain)  # for silhouettes
         grid = terrain.grid
         linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
         self.linear = linear  # metres east and north per column and per row

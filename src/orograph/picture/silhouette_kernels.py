@@ -37,14 +37,16 @@ def _broken(w0, w1, w2, w3):
 
 
 @kernel
-def breaks(depth, left, top, basis, linear, offset, pixel, spacing, last_col, last_row, near, far, strong, nearest):
+def breaks(
+    depth, left, top, basis, linear, offset, pixel, spacing, last_col, last_row, away, step, near, far, strong, nearest
+):  # fmt: skip
     """Weights of the breaks between each pixel and the next one to the right (0) and below (1).
 
     Args:
         depth: (rows, cols), NaN: nothing. left, top: pixel position of the first one.
         basis: (6, 3) of ``View.ray_basis``; linear, offset: from there to sample coordinates.
         pixel: metres that a pixel is at unit depth. spacing: of samples, metres. last_col, last_row: of the raster.
-        near, far: depths in view, metres.
+        away, step: ``silhouettes.terrain_ends``. near, far: depths in view, metres.
         strong, nearest: out (2, rows, cols): weights, and the depth of the nearer side.
     """
     rows, cols = depth.shape
@@ -71,7 +73,7 @@ def breaks(depth, left, top, basis, linear, offset, pixel, spacing, last_col, la
                         w3 = 1.0 / z3 if z3 == z3 else 0.0
                     weight = _broken(w0, 1.0 / z1, 1.0 / z2, w3)
                 else:
-                    # Against nothing: unless the raster ends there.
+                    # Against nothing: unless the terrain ends there.
                     px, py = left + j + (0 if one else dj), top + i + (0 if one else di)
                     x = basis[0, 0] + z * (basis[3, 0] + px * basis[4, 0] + py * basis[5, 0])
                     y = basis[0, 1] + z * (basis[3, 1] + px * basis[4, 1] + py * basis[5, 1])
@@ -82,7 +84,10 @@ def breaks(depth, left, top, basis, linear, offset, pixel, spacing, last_col, la
                     before = depth[y0, x0] if 0 <= y0 < rows and 0 <= x0 < cols else z
                     reach = 2.0 * abs(z - before) / spacing if before == before else 0.0
                     margin = 2.0 + 3.0 * pixel * z / spacing + reach
-                    if min(col, row, last_col - col, last_row - row) < margin:
+                    y0 = min(max(int(row / step + 0.5), 0), away.shape[0] - 1)
+                    x0 = min(max(int(col / step + 0.5), 0), away.shape[1] - 1)
+                    inner = away[y0, x0] - 1.75 * (step - 1)
+                    if min(col, row, last_col - col, last_row - row, inner) < margin:
                         weight = 0.0
                 if weight > 0.0:
                     strong[k, i, j] = weight * (1.0 - (1.0 - FAINT) * farness(z, near, far))

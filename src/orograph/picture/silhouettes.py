@@ -6,7 +6,7 @@ turned away from the eye and begins again farther off. What is hidden, as a part
 plains seen at a grazing angle, whose steps are large and alike, have no lines, and a ridge hardly before the next slope
 has a faint one. Lines lie on the borders between such pixels, are ``width`` pixels wide, fade and become thinner with
 distance, as drawn panoramas have them, and lie as far away as the nearer ground does: haze comes before them. Where the
-terrain ends at its raster's border there is none: that is no ridge.
+terrain ends, at its raster's border or at missing data open to it, there is none: that is no ridge.
 
 A map seen from straight above has no silhouettes. Units: pixels; metres of depth; colours are sRGB from 0 to 1.
 """
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.geovis.colour import srgb_to_linear
 from orograph.parallel import map_ordered
+from orograph.store.terrain import Terrain
 from orograph.view import View
 
 if TYPE_CHECKING:
@@ -78,6 +79,27 @@ class Silhouettes:
 def rim(lines: Silhouettes) -> int:
     """Pixels around a tile that its silhouettes depend on."""
     return lines.reach + 3
+
+
+def terrain_ends(terrain: Terrain) -> tuple[NDArray[np.float32], int]:
+    """How far it is to where a terrain ends within its raster, as those do that lay askew before they were projected.
+
+    Returns:
+        away: (rows, cols), samples from those of the coarsest level to the nearest missing one that is open to the
+            border, 1e9 if there is none. step: samples between those of that level, what ``away`` is good to.
+    """
+    from scipy.ndimage import distance_transform_edt, label
+
+    level = terrain.levels - 1
+    rows, cols = terrain.shape(level)
+    away = np.full((rows, cols), 1e9, np.float32)
+    if terrain.valid_fraction < 1:
+        missing = np.isnan(terrain.read(level, 0, rows, 0, cols))
+        parts, _ = label(np.pad(missing, 1, constant_values=True), np.ones((3, 3)))
+        outside = (parts == parts[0, 0])[1:-1, 1:-1]
+        if outside.any():
+            away = (distance_transform_edt(~outside) * 2**level).astype(np.float32)
+    return away, 2**level
 
 
 class Outlines:
@@ -142,8 +164,8 @@ class Outlines:
         strong, near = np.empty((2, rows, cols), np.float32), np.empty((2, rows, cols))
         breaks(
             depth, self.area[2] + x, self.area[0] + y, np.array(rays.basis), rays.linear, rays.offset,
-            rays.view.pixel_slope, rays.spacing, float(grid.cols - 1), float(grid.rows - 1), *self.depths, strong,
-            near,
+            rays.view.pixel_slope, rays.spacing, float(grid.cols - 1), float(grid.rows - 1), *self.ground.ends,
+            *self.depths, strong, near,
         )  # fmt: skip
         cover, nearest = np.empty((rows, cols), np.float32), np.empty((rows, cols))
         gather(strong, near, *self.depths, self.lines.width, self.lines.reach, cover, nearest)

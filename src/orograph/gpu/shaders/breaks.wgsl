@@ -3,7 +3,8 @@
 // include: camera.wgsl
 
 @group(0) @binding(1) var depths: texture_depth_2d;
-@group(0) @binding(2) var<uniform> range: vec4<f32>;   // the nearest and the farthest depth in view, metres
+@group(0) @binding(2) var<uniform> range: vec4<f32>;   // the nearest and the farthest depth in view, metres; step
+@group(0) @binding(3) var away: texture_2d<f32>;       // samples to where the terrain ends, every ``step`` samples
 
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
@@ -18,7 +19,7 @@ fn inverse(at: vec2<i32>) -> f32 {
   return textureLoad(depths, at, 0);
 }
 
-// Whether the raster ends about a pixel's ground, which may reach as far as that of the one before it (inverse depth).
+// Whether the terrain ends about a pixel's ground, which may reach as far as that of the one before it (inverse depth).
 fn ends(at: vec2<i32>, w: f32, before: f32) -> bool {
   let ray = ray_of(vec2<f32>(at) + 0.5);
   let depth = depth_of(w);
@@ -28,7 +29,10 @@ fn ends(at: vec2<i32>, w: f32, before: f32) -> bool {
   let spacing = sqrt(abs(camera.linear.x * camera.linear.w - camera.linear.y * camera.linear.z));
   let reach = select(0.0, 2.0 * abs(depth - depth_of(before)) / spacing, before > 0.0);
   let margin = 2.0 + 3.0 * camera.pixel * depth / spacing + reach;
-  return min(min(place.x, place.y), min(f32(camera.last.x) - place.x, f32(camera.last.y) - place.y)) < margin;
+  let near = clamp(vec2<i32>(place / range.z + 0.5), vec2<i32>(0), vec2<i32>(textureDimensions(away)) - 1);
+  let inner = textureLoad(away, near, 0).r - 1.75 * (range.z - 1.0);
+  let border = min(min(place.x, place.y), min(f32(camera.last.x) - place.x, f32(camera.last.y) - place.y));
+  return min(border, inner) < margin;
 }
 
 // Software renderers work through the bodies of conditions whether they are taken or not, but not through loops that no
