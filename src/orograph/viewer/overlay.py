@@ -46,7 +46,7 @@ def furniture(window: Window) -> None:
         return
     _north(window, draw, x + w - MARGIN - 46, y + MARGIN)
     _scale(window, draw, x + MARGIN, y + h - MARGIN - 40)
-    if h > 360 and not any(layer.hides for layer in window.session.settings.stack):
+    if h > 360 and not any(layer.hides for layer in window.session.settings.layers):
         _colours(window, draw, x + w - MARGIN, y + h - MARGIN)
     _readout(window, draw, x + w / 2, y + h - MARGIN - 24)
 
