@@ -176,13 +176,16 @@ def test_a_store_that_vanishes_is_said_and_survived(person, dem, tmp_path):
     assert someone.close() == 0
 
 
-def test_a_screenshot_is_made_without_a_hand(screen, device, dem, tmp_path, own_config):
+@pytest.mark.parametrize("frames", ["1", "100000"])
+def test_a_screenshot_is_made_without_a_hand(screen, device, dem, tmp_path, own_config, frames):
+    """Also when more frames are asked for than are drawn until the picture is as good as it gets."""
     import os
     import sys
 
     out = tmp_path / "shot.png"
     done = subprocess.run(
-        [sys.executable, "-m", "orograph", "view", str(dem), "--size", "800x500", "--screenshot", str(out)],
+        [sys.executable, "-m", "orograph", "view", str(dem), "--size", "800x500", "--screenshot", str(out),
+         "--frames", frames],
         env={**os.environ, "DISPLAY": screen, "OROGRAPH_ADAPTER": "software"}, capture_output=True, text=True,
         timeout=240,
     )  # fmt: skip

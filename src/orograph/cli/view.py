@@ -47,7 +47,11 @@ OWN = {*CAMERA, "sun", "exaggeration", "tolerance", "colormap", "layers", "adapt
     "--screenshot", type=click.Path(dir_okay=False), metavar="OUT.png", help="Save what the window shows, and close it."
 )
 @click.option(
-    "--frames", type=click.IntRange(min=1), default=1, show_default=True, help="Frames before the --screenshot."
+    "--frames",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Frames before the --screenshot, or fewer if nothing changes any more.",
 )
 @click.option("--crs", help="Projected CRS to draw in.  [default: the file's own, or its UTM zone]")
 @click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")

@@ -198,7 +198,8 @@ def show(
         size: of the window, logical pixels.
         make: makes the renderer.
         adapter: a part of the GPU's name.
-        screenshot: write the window's terrain there after so many ``frames``, then close.
+        screenshot: write the window's terrain there after so many ``frames`` (or when it is as good as it gets),
+            then close.
         warm: what loads the window's modules meanwhile.
         progress: hears of what comes before the window.
 
@@ -244,10 +245,11 @@ def show(
 
 
 def _shoot(window: Window, path: Path, frames: int, failure: list[BaseException]) -> None:
-    """Save a picture after so many frames, and close."""
+    """Save a picture after so many frames, or when further ones would be the same, and close."""
 
     def hook(w: Window) -> None:
-        if w.drawing.drawn >= frames and not w.plan.wanted and not failure:
+        enough = w.drawing.drawn >= frames or w.drawing.done  # at rest no frames are drawn
+        if enough and not w.plan.wanted and not failure:
             w.on_frame.remove(hook)
             try:
                 w.pictures.write(path, panels=True)

@@ -83,6 +83,11 @@ class Drawing:
         return not (self._resting or self._patient)
 
     @property
+    def done(self) -> bool:
+        """Whether a frame was drawn and further ones would be the same."""
+        return self.drawn > 0 and self._resting
+
+    @property
     def waits(self) -> list[float]:
         """Seconds after which drawing is worth another try."""
         return ([RETRY] if self.failed else []) + ([] if self._resting else [PATIENCE])
