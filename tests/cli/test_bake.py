@@ -34,7 +34,7 @@ def test_a_bake_says_what_it_did(run, built):
     with store.open(built) as terrain:
         assert terrain.layer("sky-view-factor", azimuths=6).read(0, 0, 9, 0, 9).shape == (1, 9, 9)
     code, said, err = run("info", built)
-    assert code == 0 and "aperture, sky-view-factor" in said
+    assert code == 0 and "aperture (16 bits; azimuths 6" in said and "sky-view-factor (8 bits; azimuths 6" in said
 
 
 def test_a_bake_with_options_replaces(run, built):

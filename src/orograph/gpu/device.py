@@ -210,9 +210,8 @@ class Device:
             flags |= getattr(wgpu.BufferUsage, part)
         size = data if isinstance(data, int) else data.nbytes
         most = self.limit("max-buffer-size")
-        for kind in ("STORAGE", "UNIFORM"):
-            if kind in words:
-                most = min(most, self.limit(f"max-{kind.lower()}-buffer-binding-size"))
+        if "STORAGE" in words:  # bound whole; of uniforms records are bound one at a time
+            most = self.largest
         if size > most:
             raise DeviceLimitError(
                 f"{self.adapter.name} holds at most {most / 2**20:.0f} MiB in one buffer; "
