@@ -314,8 +314,8 @@ def test_a_stack_with_holes_is_open_only_where_it_has_holes() -> None:
 
 
 def test_every_pyramid_reaches_the_level_that_rows_march_on() -> None:
-    from orograph.raycast.mips import build_mips
     from orograph.raycast.march import MARCH_LEVEL
+    from orograph.raycast.mips import build_mips
 
     for shape in ((2, 2), (2, 9), (3, 4), (9, 9), (10, 2)):
         assert build_mips(np.zeros(shape, np.float32)).levels > MARCH_LEVEL
