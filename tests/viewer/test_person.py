@@ -176,8 +176,11 @@ def test_a_store_that_vanishes_is_said_and_survived(person, dem, tmp_path):
     assert someone.close() == 0
 
 
-@pytest.mark.parametrize("frames", ["1", "100000"])
-def test_a_screenshot_is_made_without_a_hand(screen, device, dem, tmp_path, own_config, frames):
+LOOKS = "--contours auto --silhouettes --engine soar --light aperture --water none --no-shadows"
+
+
+@pytest.mark.parametrize(("frames", "looks"), [("1", ""), ("100000", ""), ("1", LOOKS)])
+def test_a_screenshot_is_made_without_a_hand(screen, device, dem, tmp_path, own_config, frames, looks):
     """Also when more frames are asked for than are drawn until the picture is as good as it gets."""
     import os
     import sys
@@ -185,7 +188,7 @@ def test_a_screenshot_is_made_without_a_hand(screen, device, dem, tmp_path, own_
     out = tmp_path / "shot.png"
     done = subprocess.run(
         [sys.executable, "-m", "orograph", "view", str(dem), "--size", "800x500", "--screenshot", str(out),
-         "--frames", frames],
+         "--frames", frames, *looks.split()],
         env={**os.environ, "DISPLAY": screen, "OROGRAPH_ADAPTER": "software"}, capture_output=True, text=True,
         timeout=240,
     )  # fmt: skip

@@ -15,6 +15,7 @@ import click
 from orograph.cli.camera import Numbers
 from orograph.cli.engines import engine_option
 from orograph.cli.layers import layers_of_options, layers_option
+from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
 from orograph.cli.options import FILE, F, ParamType
 from orograph.cli.suns import sun_option
 
@@ -23,23 +24,6 @@ if TYPE_CHECKING:
     from orograph.progress import Progress
     from orograph.store.terrain import Terrain
     from orograph.view import View
-
-
-class Interval(ParamType):
-    """auto, or metres."""
-
-    name = "auto|METRES"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
-        if isinstance(value, float) or value == "auto":
-            return float(value) if isinstance(value, float) else "auto"
-        try:
-            metres = float(value)
-        except ValueError:
-            metres = -1.0
-        if not 0 < metres < float("inf"):
-            self.fail(f"{value!r} is neither auto nor a number of metres.", param, ctx)
-        return metres
 
 
 class Water(ParamType):
@@ -61,9 +45,6 @@ LIGHTS = ("relief", "ao", "aperture", "raytraced", "none")  # orograph.picture.s
 SCENE = ("shadows", "light", "rays", "exaggeration", "colormap", "sky", "relief", "samples", "tolerance",
          "engine", "triangles", "metric", "wireframe", "furniture", "title")  # fmt: skip
 """Options that are a scene's attributes of the same name."""
-
-LINES = ("contours", "contour_index", "contour_labels", "contour_opacity", "silhouettes", "silhouette_width")
-"""Options of lines on the ground."""
 
 DRAWING = {*SCENE, *LINES, "layers", "sun", "water", "lamps", "discs", "mesh_view", "backend"}
 """All of them that are not about reading."""
@@ -136,40 +117,7 @@ def scene_options(function: F) -> F:
                 show_default=True,
                 help="auto: level areas are lakes and seas; a number: all ground up to that height.",
             ),
-            click.option(
-                "--contours",
-                type=Interval(),
-                metavar="auto|METRES",
-                help="Draw contour lines; auto: at the interval that suits the relief and the scale.",
-            ),
-            click.option(
-                "--contour-index",
-                type=click.IntRange(min=0),
-                default=5,
-                show_default=True,
-                metavar="N",
-                help="Every how many contour lines a thick one; 0: none.",
-            ),
-            click.option(
-                "--contour-labels/--no-contour-labels",
-                default=True,
-                show_default=True,
-                help="Whether thick contour lines bear their height.",
-            ),
-            click.option(
-                "--contour-opacity", type=click.FloatRange(0, 1), default=0.7, show_default=True, help="Of the lines."
-            ),
-            click.option(
-                "--silhouettes", is_flag=True, help="Draw lines where ridges stand before what is behind them."
-            ),
-            click.option(
-                "--silhouette-width",
-                type=click.FloatRange(0.25, 32),
-                default=2.0,
-                show_default=True,
-                metavar="PX",
-                help="Of the nearest ones; farther ones are thinner.",
-            ),
+            *LINE_OPTIONS,
             click.option("--sky", is_flag=True, help="Draw sky and haze, instead of paper."),
             click.option("--furniture", is_flag=True, help="Add a title, a colour bar, a north arrow and a scale bar."),
             click.option("--title", help="The title (with --furniture).  [default: the file's name]"),
@@ -258,31 +206,10 @@ def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memor
         terrain, view, options["sun"].over(terrain.grid),
         mesh_view=None if mesh_view is None else View.load(mesh_view, crs=terrain.grid.crs),
         water=None if options["water"] == "none" else options["water"], max_memory=max_memory, jobs=jobs,
-        contours=_contours(options), silhouettes=_silhouettes(options), layers=layers_of_options(options),
+        contours=contours_of(options), silhouettes=silhouettes_of(options), layers=layers_of_options(options),
         lamps=lamps, discs=discs,
         **{k: options[k] for k in SCENE},
     )  # fmt: skip
-
-
-def _contours(options: Mapping[str, Any]) -> Any:
-    """The contour lines of a scene, or None."""
-    if options["contours"] is None:
-        return None
-    from orograph.picture.contours import Contours
-
-    interval = None if options["contours"] == "auto" else options["contours"]
-    return Contours(
-        interval, options["contour_index"], opacity=options["contour_opacity"], labels=options["contour_labels"]
-    )
-
-
-def _silhouettes(options: Mapping[str, Any]) -> Any:
-    """The silhouettes of a scene, or None."""
-    if not options["silhouettes"]:
-        return None
-    from orograph.picture.silhouettes import Silhouettes
-
-    return Silhouettes(options["silhouette_width"])
 
 
 def _lights(terrain: Terrain, options: Mapping[str, Any]) -> tuple[Any, Any]:

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
+from orograph.cli.engines import engine_option
 from orograph.cli.layers import layers_of_options, layers_option
-from orograph.cli.options import Bytes, jobs_option, progress_of, source_options, vertical_options
+from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
+from orograph.cli.options import Bytes, F, jobs_option, progress_of, source_options, vertical_options
+from orograph.cli.scenes import LIGHTS, Water
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
@@ -17,8 +20,15 @@ if TYPE_CHECKING:
     from orograph.view import View
 
 WINDOW = (1280, 800)
-OWN = {*CAMERA, "sun", "exaggeration", "tolerance", "colormap", "layers", "adapter"}
+OWN = {*CAMERA, *LINES, "sun", "exaggeration", "tolerance", "colormap", "layers", "adapter", "light", "shadows",
+       "water", "engine"}  # fmt: skip
 """What is said about the window; all other options are about reading."""
+
+
+def _line_options(function: F) -> F:
+    for option in reversed(LINE_OPTIONS):
+        function = option(function)
+    return function
 
 
 @click.command("view")
@@ -36,6 +46,15 @@ OWN = {*CAMERA, "sun", "exaggeration", "tolerance", "colormap", "layers", "adapt
 )
 @click.option("--colormap", metavar="NAME", help="Colours of heights.  [default: alpine]")
 @layers_option
+@click.option(
+    "--light", type=click.Choice(LIGHTS), default="relief", show_default=True, help="How light falls: see render."
+)
+@click.option("--shadows/--no-shadows", default=True, show_default=True, help="Whether the ground casts shadows.")
+@click.option(
+    "--water", type=Water(), metavar="auto|none|METRES", default="auto", show_default=True, help="See render."
+)
+@_line_options
+@engine_option(help="The method that makes the mesh.  [default: batched]")
 @click.option("--gpu-memory", type=Bytes(), default="512MiB", show_default=True, help="GPU memory for tiles.")
 @click.option("--memory", type=Bytes(), default="1GiB", show_default=True, help="Memory for tables and caches.")
 @click.option(
@@ -98,6 +117,11 @@ def command(
     check_exaggeration(options["exaggeration"])
     colour_table(options["colormap"])
     layers = layers_of_options(options)
+    more = {
+        "way": options["light"], "shadows": options["shadows"], "contours": contours_of(options),
+        "silhouettes": silhouettes_of(options), "water": None if options["water"] == "none" else options["water"],
+        "engine": None if options["engine"] == "batched" else options["engine"],
+    }  # fmt: skip
     if screenshot is not None:
         if Path(screenshot).suffix.lower() != ".png":
             raise UsageError("A screenshot is a PNG.", path=screenshot, remedy="Give it the ending .png.")
@@ -113,7 +137,7 @@ def command(
         session = Session(
             terrain, _view(terrain, options, size), size=size, sun=options["sun"],
             exaggeration=options["exaggeration"], tolerance=options["tolerance"], colormap=options["colormap"],
-            layers=layers, paths=paths,
+            layers=layers, more=more, paths=paths,
         )  # fmt: skip
     make = renderer_of(gpu_memory, memory, jobs)
     show(

@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from orograph.errors import OrographError, UsageError
 from orograph.geovis.layers import Layer
@@ -75,6 +76,7 @@ class Session:
         view: where from; None: all of it, from the south.
         size: (width, height), pixels.
         sun, exaggeration, tolerance, layers, colormap: as the settings begin.
+        more: how other attributes of the settings begin, by name.
         paths: what the terrain was opened from, for command lines that are shown.
         changed: called, from any thread, when the picture should be drawn again.
     """
@@ -90,6 +92,7 @@ class Session:
         tolerance: float | None = None,
         colormap: str | None = None,
         layers: Sequence[Layer] = (),
+        more: Mapping[str, Any] | None = None,
         paths: Sequence[str] = (),
         changed: Callable[[], None] = lambda: None,
     ) -> None:
@@ -97,7 +100,7 @@ class Session:
         self.paths = tuple(paths)
         self.changed = changed
         self.settings = Settings(
-            Light.over(terrain, sun), exaggeration=exaggeration, colormap=colormap, layers=list(layers),
+            Light.over(terrain, sun), exaggeration=exaggeration, colormap=colormap, layers=list(layers), **(more or {}),
         )  # fmt: skip
         if tolerance is not None:
             self.settings.tolerance = tolerance
