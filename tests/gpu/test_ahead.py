@@ -70,6 +70,10 @@ def flown(device: Device, terrain: Terrain, monkeypatch: pytest.MonkeyPatch, loo
     reader = tiles.streamer = Reader(terrain)  # type: ignore[assignment]
     clock = [0.0]
     monkeypatch.setattr(residency.time, "monotonic", lambda: clock[0])
+    # How fast this machine is must not matter: no upload is put off, and pages of errors are there at once.
+    monkeypatch.setattr(residency, "UPLOADING", float("inf"))
+    select = tiles.engine.select
+    monkeypatch.setattr(tiles.engine, "select", lambda *given, **named: select(*given, **{**named, "wait": True}))
     x, y = (float(v) for v in terrain.grid.xy(300, 450))
     view = View((x, y, 150.0), (x + 600, y, 0.0), width=640, height=360)
     lacking = 0
@@ -88,7 +92,7 @@ def test_a_steady_flight_lacks_less_if_it_reads_ahead(device: Device, monkeypatc
     with_it, reader = flown(device, terrain, monkeypatch, look=True)
     assert len(set(reader.read)) == len(reader.read)  # none twice
     assert without > 100
-    assert with_it < 0.2 * without, (with_it, without)  # measured: 23 and 937
+    assert with_it < 0.2 * without, (with_it, without)  # measured: 23 and 846
 
 
 def test_a_small_atlas_settles_on_the_largest_errors(device: Device) -> None:
