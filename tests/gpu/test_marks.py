@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from affine import Affine
-from numpy.typing import NDArray
+from cielab import lab
 from pyproj import CRS
 
 from orograph.dem.raster import Dem
@@ -46,16 +46,6 @@ def scenes(terrain: Terrain) -> dict[str, Scene]:
         name: Scene(terrain, view, samples=4, tolerance=0.5, contours=lines, sky=name == "slanted")
         for name, view in (("slanted", slanted), ("plan", plan))
     }
-
-
-def lab(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """CIE L*a*b* (D65) of sRGB bytes."""
-    c = pixels / 255.0
-    c = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-    xyz = c @ np.array([[0.4124564, 0.2126729, 0.0193339], [0.3575761, 0.7151522, 0.1191920],
-                        [0.1804375, 0.0721750, 0.9503041]]) / [0.95047, 1.0, 1.08883]  # fmt: skip
-    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
-    return np.stack([116 * f[..., 1] - 16, 500 * (f[..., 0] - f[..., 1]), 200 * (f[..., 1] - f[..., 2])], -1)
 
 
 @pytest.mark.parametrize("name", ["slanted", "plan"])
