@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from occlusion import ground
-from orograph.light.aperture import Lights, aperture, field, light, shade
+from orograph.light.aperture import CapField, Lights, aperture, light, shade
 from orograph.light.shadow import shadow_rays
 from orograph.light.sun import Sun
 
@@ -69,7 +69,7 @@ def cost(h: np.ndarray, linear: np.ndarray) -> None:
 
     rows, cols = h.shape
     caster = Caster.of(h, 1)
-    caps = field(aperture(h, linear, azimuths=16))
+    caps = CapField.of(aperture(h, linear, azimuths=16), linear)
     gx, gy = gradient(h, linear)
     inverse = np.linalg.inv(linear)
     spacing = abs(linear[0, 0])
@@ -92,14 +92,14 @@ def cost(h: np.ndarray, linear: np.ndarray) -> None:
 
     lights = Lights([(Sun(300.0, 30.0), WHITE)], ambient=(0.3, 0.3, 0.35))
     points, slopes = trace()
-    light(caps, points, slopes, linear, lights, jobs=1)
+    light(caps, points, slopes, lights, jobs=1)
     traced, lit = [], []
     for _ in range(5):
         start = time.process_time()
         points, slopes = trace()
         traced.append(time.process_time() - start)
         start = time.process_time()
-        light(caps, points, slopes, linear, lights, jobs=1)
+        light(caps, points, slopes, lights, jobs=1)
         lit.append(time.process_time() - start)
     a, b = min(traced), min(lit)
     print(f"\n1280 × 720, {len(points):,} hits: cast {1e3 * a:.0f} ms, light through caps {1e3 * b:.0f} ms,", end=" ")

@@ -121,8 +121,9 @@ def test_several_lights_through_random_caps(exact: bool):
         lamps=[Lamp(12, 30, 900.0, (2e5, 1e5, 0)), Lamp(45, 3, 1500.0, (0, 1e5, 9e4))],
         ambient=(0.2, 0.3, 0.4),
     )
-    expected = aperture.light(field, points, gradient, CELL, lights, exact=exact)
-    got = twin.light(field, points, gradient, CELL, lights, exact=exact)
+    caps = aperture.CapField(field, CELL)
+    expected = aperture.light(caps, points, gradient, lights, exact=exact)
+    got = twin.light(caps, points, gradient, lights, exact=exact)
     assert np.isnan(got[7]).all() and np.isnan(expected[7]).all()
     # A cap with a missing corner is open sky on the CPU; the twin mixes what corners there are.
     whole = ~np.isnan(got[:, 0]) & ~((np.abs(points[:, 0] - 6) < 2.5) & (np.abs(points[:, 1] - 6) < 2.5))
@@ -147,9 +148,10 @@ def test_the_true_sun_in_its_penumbra():
     field[0, :, :3], field[0, :, 3] = axes, np.cos(np.clip(radius, 0.1, math.pi / 2))
     points = np.column_stack([np.arange(n), np.zeros(n), np.zeros(n)]).astype(float)
     gradient = rng.normal(size=(n, 2)) * 0.3
+    caps = aperture.CapField(field, CELL)
     for exact in (False, True):
         lights = Lights(suns=[(sun, (1.0, 1.0, 1.0))])
-        expected = aperture.light(field, points, gradient, CELL, lights, exact=exact)[keep]
-        got = twin.light(field, points, gradient, CELL, lights, exact=exact)[keep]
+        expected = aperture.light(caps, points, gradient, lights, exact=exact)[keep]
+        got = twin.light(caps, points, gradient, lights, exact=exact)[keep]
         assert ((expected > 0.01) & (expected < 0.5)).mean() > 0.2
         assert np.abs(got - expected).max() < 6e-5 and np.abs(got - expected).mean() < 5e-6

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orograph.errors import UsageError
-from orograph.light.aperture import Lamp, Lights, aperture, field, light, shade
+from orograph.light.aperture import CapField, Lamp, Lights, aperture, light, shade
 from orograph.light.caps import exact_overlap
 from orograph.light.shadow import shadow_rays
 from orograph.light.sun import Sun
@@ -93,12 +93,14 @@ def test_the_kernel_says_what_the_text_says(diameter):
     points = np.stack([np.arange(n), np.zeros(n), np.zeros(n)], 1).astype(float)
     sun = Sun(70.0, 30.0, diameter)
     lights = Lights([(sun, (1.0, 0.5, 0.0)), (sun, (0.0, 0.5, 0.0))])
-    got = light(field(caps[:, None]), points, slopes, CELL, lights, exact=True)
+    got = light(CapField.of(caps[:, None], CELL), points, slopes, lights, exact=True)
     expected = [plain(caps[:, k], normals[:, k], sun) for k in range(n)]
     np.testing.assert_allclose(got[:, 0], expected, atol=3e-4)
     np.testing.assert_allclose(got[:, 0], got[:, 1], atol=1e-6)  # two suns add up
     assert (got[:, 2] == 0).all() and 20 < np.count_nonzero(got[:, 0]) < 200
-    np.testing.assert_array_equal(light(field(caps[:, None]), points, slopes, CELL, lights, exact=True, jobs=3), got)
+    np.testing.assert_array_equal(
+        light(CapField.of(caps[:, None], CELL), points, slopes, lights, exact=True, jobs=3), got
+    )
 
 
 def test_level_ground_under_sun_and_sky():
@@ -128,11 +130,11 @@ def test_lamps_fall_off_and_are_clipped():
 def test_missing_caps_are_open_sky_and_bands_interpolate():
     caps = np.full((4, 3, 3), np.nan, np.float32)
     points, slopes = np.array([[1.2, 1.7, 5.0], [np.nan, 0, 0]]), np.zeros((2, 2))
-    got = light(field(caps), points, slopes, CELL, Lights(ambient=WHITE))
+    got = light(CapField.of(caps, CELL), points, slopes, Lights(ambient=WHITE))
     assert got[0] == pytest.approx(WHITE) and np.isnan(got[1]).all()
     caps[:] = np.array([0, 0, 1, 60.0])[:, None, None]
     caps[3, :, 2] = 30.0
-    middle = light(field(caps), np.array([[1.5, 1.0, 0.0]]), slopes[:1], CELL, Lights(ambient=WHITE))
+    middle = light(CapField.of(caps, CELL), np.array([[1.5, 1.0, 0.0]]), slopes[:1], Lights(ambient=WHITE))
     rim = (math.cos(math.radians(60.0)) + math.cos(math.radians(30.0))) / 2
     assert middle[0, 0] == pytest.approx(1 - rim**2, abs=1e-6)
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
-from orograph.light.aperture import Lights
+from orograph.light.aperture import CapField, Lights
 
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
@@ -67,34 +67,15 @@ def packed(caps: Values) -> Values:
 
 
 def light(
-    caps: Values,
-    points: Array,
-    gradient: Array,
-    linear: ArrayLike,
-    lights: Lights,
-    *,
-    exact: bool = False,
-    scale: float = 1.0,
-    row0: float = 0.0,
-    col0: float = 0.0,
-    device: Device | None = None,
+    caps: CapField, points: Array, gradient: Array, lights: Lights, *, exact: bool = False, device: Device | None = None
 ) -> Values:
     """Light on points of the ground through the caps of a field: ``orograph.light.aperture.light``, on the GPU.
-
-    Args:
-        caps: (rows, cols, 4), see ``orograph.light.aperture.field``; samples ``scale`` apart from (row0, col0).
-        points: (n, 3) float64: column, row, metres. gradient: (n, 2) float64: rise per metre east and north.
-        linear: (2, 2) metres east and north per column and per row.
-        exact: the overlap of caps in closed form, instead of a smoothstep.
-
-    Returns:
-        (n, 3) float32, in the unit of the lights' colours; NaN where points are.
 
     Raises:
         NoAdapterError: there is no GPU to do it.
     """
     gpu = device or open_device()
-    cells = np.asarray(linear, np.float64)
+    cells, values = caps.linear, caps.values
     known = np.isfinite(points).all(axis=1)
     out = np.full((len(points), 3), np.nan, np.float32)
     if not known.any():
@@ -103,14 +84,14 @@ def light(
     origin = where.mean(axis=0)
     rows = np.zeros(int(known.sum()), _POINT)
     rows["place"], rows["gradient"] = where - origin, gradient[known]
-    rows["col"] = (points[known, 0] + 0.5) / scale - 0.5 - col0
-    rows["row"] = (points[known, 1] + 0.5) / scale - 0.5 - row0
+    rows["col"] = (points[known, 0] + 0.5) / caps.scale - 0.5 - caps.col0
+    rows["row"] = (points[known, 1] + 0.5) / caps.scale - 0.5 - caps.row0
     suns, lamps = tables(lights, cells, origin)
     frame = np.zeros(12, np.uint32)
     frame[:4] = len(rows), len(lights.suns), len(lights.lamps), exact
-    frame[4:6] = caps.shape[1], caps.shape[0]
+    frame[4:6] = values.shape[1], values.shape[0]
     frame[8:11] = np.asarray(lights.ambient, np.float32).view(np.uint32)
-    field = np.where(np.isfinite(caps).all(axis=-1, keepdims=True), caps, np.float32(0.0)).astype(np.float32)
+    field = np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, np.float32(0.0)).astype(np.float32)
     result = gpu.buffer(16 * len(rows), "STORAGE|COPY_SRC")
     plan = layout(gpu, "uniform", "read", "read", "read", "read", "write")
     group = bind(

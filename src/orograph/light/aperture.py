@@ -189,25 +189,36 @@ def field(caps: Values) -> Values:
     return out
 
 
+@dataclass(frozen=True, slots=True)
+class CapField:
+    """Caps of visible sky on a grid of samples, which light is seen through between them.
+
+    Attributes:
+        values: (rows, cols, 4) float32: direction east, north, up, and the cosine of the radius; NaN: missing.
+        linear: (2, 2) metres east and north per column and per row of the terrain.
+        scale: columns and rows of the terrain from one cap to the next; (row0, col0): the first, counted in such steps.
+    """
+
+    values: Values
+    linear: Array
+    scale: float = 1.0
+    row0: float = 0.0
+    col0: float = 0.0
+
+    @classmethod
+    def of(cls, caps: Values, linear: ArrayLike) -> CapField:
+        """One cap per sample: (4, rows, cols) as the product has them, radius in degrees."""
+        return cls(field(caps), np.asarray(linear, np.float64))
+
+
 def light(
-    caps: Values,
-    points: Array,
-    gradient: Array,
-    linear: ArrayLike,
-    lights: Lights,
-    *,
-    exact: bool = False,
-    scale: float = 1.0,
-    row0: float = 0.0,
-    col0: float = 0.0,
-    jobs: int | None = None,
+    caps: CapField, points: Array, gradient: Array, lights: Lights, *, exact: bool = False, jobs: int | None = None
 ) -> Values:
     """Light on points of the ground through the caps of a field, interpolated between its samples.
 
     Args:
-        caps: (rows, cols, 4), see ``field``; samples ``scale`` apart, the first at (row0, col0) of that spacing.
-        points: (n, 3) float64: column, row, metres. gradient: (n, 2) float64: rise per metre east and north.
-        linear: (2, 2) metres east and north per column and per row.
+        points: (n, 3) float64: column and row of the terrain, metres.
+        gradient: (n, 2) float64: rise per metre east and north.
         exact: the overlap of caps in closed form, instead of a smoothstep.
         jobs: threads; None: all processors.
 
@@ -216,13 +227,15 @@ def light(
     """
     from orograph.light.aperture_kernels import light_hits
 
-    cells = np.asarray(linear, np.float64)
-    tables = lights.tables(cells)
+    tables = lights.tables(caps.linear)
     out = np.full((len(points), 3), np.nan, np.float32)
 
     def share(first: int) -> None:
         last = min(first + _SHARE, len(points))
-        light_hits(points, gradient, cells, caps, scale, row0, col0, *tables, exact, first, last, out)
+        light_hits(
+            points, gradient, caps.linear, caps.values, caps.scale, caps.row0, caps.col0, *tables, exact, first, last,
+            out,
+        )  # fmt: skip
 
     for _ in map_ordered(share, range(0, len(points), _SHARE), jobs):
         pass
@@ -248,7 +261,8 @@ def shade(
     row, col = np.indices(surface.shape, np.float64)
     points = np.stack([np.where(np.isnan(surface), np.nan, col), row, surface.astype(np.float64)], axis=-1)
     slopes = np.stack([gx, gy], axis=-1).astype(np.float64)
-    made = light(field(caps), points.reshape(-1, 3), slopes.reshape(-1, 2), linear, lights, exact=exact, jobs=jobs)
+    seen = CapField.of(caps, linear)
+    made = light(seen, points.reshape(-1, 3), slopes.reshape(-1, 2), lights, exact=exact, jobs=jobs)
     return made.reshape(rows, cols, 3)
 
 
