@@ -42,6 +42,9 @@ def test_fit_holds_every_point_and_fills_the_picture(azimuth, pitch, exaggeratio
     view = camera.fit(points, camera.direction(azimuth, pitch), fov_y, (width, height), exaggeration)
     reach = spread(points, view, exaggeration)
     assert reach.max() <= MARGIN * (1 + 1e-6)
+    pixels, _ = view.project(points, exaggeration)
+    # Both ways as near to one side as to the other.
+    assert np.abs(pixels.min(0) + pixels.max(0) - [width, height]).max() < 1e-3 * max(width, height)
     close = view.axes(exaggeration)[2]
     depths = (points - view.eye) * [1, 1, exaggeration] @ close
     # Full on one axis, unless the nearest point is at the lens already.
@@ -66,7 +69,33 @@ def test_fit_of_one_axis_leaves_the_other_centred():
     x = pixels[:, 0] - 200
     y = pixels[:, 1] - 45
     assert y.max() == pytest.approx(-y.min(), abs=1e-6) and y.max() == pytest.approx(45 * MARGIN)
-    assert abs(x.max() + x.min()) < 0.1 * (x.max() - x.min())
+    assert x.max() == pytest.approx(-x.min(), abs=1e-6)
+
+
+@pytest.mark.parametrize("azimuth", [0, 45, 140, 225])
+@pytest.mark.parametrize("pitch", [1, 5, 18, 20, 42, 70, 90])
+@pytest.mark.parametrize("exaggeration", [0.5, 1, 5])
+@pytest.mark.parametrize(("size", "fov"), [((1280, 720), 30), ((400, 2000), 30), ((3000, 300), 60), ((900, 900), 5)])
+def test_whole_terrain_touches_two_opposite_margins_and_stands_in_the_middle(azimuth, pitch, exaggeration, size, fov):
+    ground = terrain(hills(40, 60, tall=700))
+    view = camera.whole(ground, size, azimuth=azimuth, pitch=pitch, fov_y=fov, exaggeration=exaggeration)
+    r, c = np.mgrid[:40, :60]
+    points = np.stack([*ground.grid.xy(c, r), ground.read(0, 0, 40, 0, 60)], -1).reshape(-1, 3)
+    pixels, depth = view.project(points, exaggeration)
+    assert (depth > 0).all()
+    low, high = pixels.min(0) / size * 2 - 1, pixels.max(0) / size * 2 - 1
+    assert max(np.abs(low).max(), np.abs(high).max()) < MARGIN + 1e-9
+    np.testing.assert_allclose(low, -high, atol=1e-6)
+    assert high.max() > MARGIN - 1e-6 or depth.min() < 2e-3 * np.ptp(points * [1, 1, exaggeration], axis=0).max()
+
+
+@pytest.mark.parametrize("spacing", [1e-4, 0.01, 1.0, 1e5])
+def test_terrain_of_any_size_is_framed(spacing):
+    ground = terrain(hills(9, 12, tall=spacing), Affine(spacing, 0, 5e5, 0, -spacing, 4e6))
+    view = camera.whole(ground, SIZE, azimuth=140, pitch=18)
+    c, r = np.meshgrid([0, 11], [0, 8])
+    pixels, _ = view.project(np.stack([*ground.grid.xy(c, r), ground.read(0, 0, 9, 0, 12)[r, c]], -1).reshape(-1, 3))
+    assert np.ptp(pixels[:, 0]) > 0.8 * MARGIN * SIZE[0]
 
 
 def test_whole_terrain_is_in_the_picture():
@@ -83,11 +112,20 @@ def test_whole_terrain_is_in_the_picture():
 
 def test_straight_down_has_north_up():
     ground = terrain(hills())
-    view = camera.whole(ground, SIZE, azimuth=77, pitch=90)
+    view = camera.whole(ground, SIZE, pitch=90)
     right, up, forward = view.axes()
     np.testing.assert_allclose(forward, [0, 0, -1], atol=1e-9)
     np.testing.assert_allclose(up, [0, 1, 0], atol=1e-9)
     np.testing.assert_allclose(right, [1, 0, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("distance", [None, 5000.0])
+def test_straight_down_from_the_east_has_the_east_at_its_foot(distance):
+    # As a plan has it, and as the pictures on the way there have it.
+    for pitch in (89.9, 90):
+        view = camera.around(terrain(hills()), SIZE, azimuth=90, pitch=pitch, distance=distance)
+        np.testing.assert_allclose(view.axes()[1], [-1, 0, 0], atol=2e-3)
+        np.testing.assert_allclose(view.axes()[0], [0, 1, 0], atol=1e-9)
 
 
 def test_small_and_scattered_ground_is_held_too():

@@ -1,7 +1,8 @@
 """Where to stand: cameras made for a terrain out of what people say (from the south-west, at this place, all of it).
 
 Framing is exact: for a given direction the position that sees every given point with the least distance has a closed
-form, since each side of the frustum bounds the eye by one half-space (see ``fit``).
+form, since each side of the frustum bounds the eye by one half-space (see ``fit``). Where that leaves room in one
+direction, what is seen stands in the middle of it.
 """
 
 from __future__ import annotations
@@ -90,12 +91,20 @@ def fit(
     size: tuple[int, int],
     exaggeration: float = 1.0,
     insets: Insets = NO_INSETS,
+    heading: float = 0.0,
 ) -> View:
-    """The perspective view along ``forward`` that holds all ``points`` (n, 3) from as near as possible.
+    """The perspective view along ``forward`` that holds all ``points`` (n, 3) from as near as possible, in its middle.
 
     In camera axes (right a, up b, forward c) a point lies within the left and right sides seen from eye e if
     −l·(c − e_c) ≤ a − e_a ≤ r·(c − e_c), with the tangents l, r of how far each side reaches: two half-spaces in
-    (e_a, e_c), whose nearest common point is the eye; likewise up and down.
+    (e_a, e_c), whose nearest common point is the eye; likewise up and down. One direction leaves room at the depth that
+    the other demands: there what is seen reaches as near to one side as to the other on the screen, whose middle is not
+    that of the places the eye may have, since what is near looks larger.
+
+    Args:
+        forward: the viewing direction (3,), as it looks in the picture. size: (width, height), pixels.
+        insets: parts of the picture to leave free. heading: of a view straight down, the direction that is up in the
+            picture, degrees clockwise from north.
 
     Raises:
         UsageError: the exaggeration is no factor greater than 0, or an inset is not in [0, 0.5).
@@ -105,8 +114,9 @@ def fit(
     stretch = np.array([1.0, 1.0, exaggeration])
     drawn = points * stretch
     forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(right) < 1e-9 else right / np.linalg.norm(right)
+    skyward = _skyward(forward, heading)
+    right = np.cross(forward, skyward)
+    right /= np.linalg.norm(right)
     up = np.cross(right, forward)
     a, b, c = drawn @ right, drawn @ up, drawn @ forward
     ty = math.tan(math.radians(fov_y) / 2)
@@ -122,17 +132,48 @@ def fit(
     back = min(depth)
     span = max(float(np.ptp(a)), float(np.ptp(b)), float(np.ptp(c)), 1.0)
     back = min(back, float(c.min()) - 1e-3 * span)
-    # Where one direction leaves room, its points are centred in it, at the depth the other demands.
-    eye = [((least + more * back) + (most - less * back)) / 2 for least, most, less, more in bounds]
+    eye = [
+        _centred(across, c - back, least + more * back, most - less * back, more - less)
+        for across, (least, most, less, more) in zip((a, b), bounds)
+    ]
     position = right * eye[0] + up * eye[1] + forward * back
     target = position + forward * (float((c.min() + c.max()) / 2) - back)
     return View(
         tuple(position / stretch),
         tuple(target / stretch),
-        fov_y=fov_y,
-        width=width,
-        height=height,
+        tuple(skyward),
+        fov_y,
+        width,
+        height,
     )
+
+
+def _skyward(forward: Array, heading: float) -> Array:
+    """What is up (3,) in a picture: the zenith; to one who looks along it, the direction of a heading (degrees)."""
+    if np.hypot(forward[0], forward[1]) >= 1e-9 * np.linalg.norm(forward):
+        return np.array([0.0, 0.0, 1.0])
+    return direction(heading + 180.0, 0.0)
+
+
+def _centred(across: Array, depth: Array, low: float, high: float, aside: float) -> float:
+    """The place of the eye between ``low`` and ``high`` from which the largest and the least tangent of points sum up
+    to ``aside``.
+
+    Args:
+        across, depth: (n,) of the points, metres from the axis and from the eye; the tangents are
+            (across - eye) / depth, so each is linear in the eye and their sum falls piecewise linearly.
+    """
+    eye = (low + high) / 2
+    for _ in range(60):
+        tangent = (across - eye) / depth
+        i, j = int(tangent.argmax()), int(tangent.argmin())
+        off = tangent[i] + tangent[j] - aside
+        low, high = (eye, high) if off > 0 else (low, eye)
+        there = eye + off / (1 / depth[i] + 1 / depth[j])  # exact if the same two points decide there
+        if abs(there - eye) <= 1e-12 * (high - low) or high - low <= 1e-12 * float(np.ptp(across) + abs(eye)):
+            break
+        eye = there if low < there < high else (low + high) / 2
+    return float(eye)
 
 
 def whole(
@@ -149,7 +190,7 @@ def whole(
 
     ``insets`` are parts of the picture to leave free, such as ``furniture.insets``.
     """
-    return fit(outline(terrain), direction(azimuth, pitch), fov_y, size, exaggeration, insets)
+    return fit(outline(terrain), direction(azimuth, pitch), fov_y, size, exaggeration, insets, azimuth + 180.0)
 
 
 def around(
@@ -183,8 +224,9 @@ def around(
     points = outline(terrain)
     middle = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     target = np.array([*middle, ground(terrain, middle[0], middle[1], default=float(np.median(points[:, 2])))])
-    eye = target - direction(azimuth, pitch) * distance / np.array([1.0, 1.0, exaggeration])
-    return View(tuple(eye), tuple(target), fov_y=fov_y, width=size[0], height=size[1])
+    forward = direction(azimuth, pitch)
+    eye = target - forward * distance / np.array([1.0, 1.0, exaggeration])
+    return View(tuple(eye), tuple(target), tuple(_skyward(forward, azimuth + 180.0)), fov_y, size[0], size[1])
 
 
 def place(terrain: Terrain, lon: float, lat: float) -> tuple[float, float]:

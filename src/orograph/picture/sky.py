@@ -7,8 +7,9 @@ eye adapts: at a high sun its mean brightness is ``BRIGHTNESS`` (white, that is 
 
 Aerial perspective: extinction and in-scattering along the ray (Koschmieder 1924), stronger for short waves by
 Ångström's law λ^−α. The part of the colour that is lost is replaced by the sky at the horizon in that direction. Its
-strength comes from the depths in view, not from the weather: the farthest ground loses ``LOSS`` · √(1 − near / far) of
-its green light, and the air before the nearest ground is left out: any scene gets a cue of depth, none gets fog.
+strength comes from the depths in view, not from the weather: the farthest ground loses ``LOSS`` · (1 − near / far)^1.5
+of its green light, and the air before the nearest ground is left out. So any scene gets a cue of depth and none gets
+fog: a panorama from within has it all, a terrain looked at from outside, whose ends are about as far away, little.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ class Atmosphere:
         self.ring = _tone(self._above((ring @ turn).astype(np.float32)))
         near, far = max(float(visible_range[0]), 0.0), float(visible_range[1])
         self.near = near
-        loss = LOSS * math.sqrt(max(0.0, 1.0 - near / far)) if far > near else 0.0
+        loss = LOSS * (1.0 - near / far) ** 1.5 if far > near else 0.0
         per_metre = -math.log1p(-loss) / (far - near) if loss > 0 else 0.0
         self.extinction = (per_metre * (WAVELENGTHS / WAVELENGTHS[1]) ** -ANGSTROM).astype(np.float32)
         """Extinction coefficients of red, green and blue, per metre."""
