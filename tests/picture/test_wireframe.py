@@ -12,9 +12,12 @@ import orograph
 from orograph.errors import UsageError
 from orograph.lod.soar import Soar
 from orograph.picture import camera, cpu
+from orograph.picture.mesh_terrain import MeshTerrain
 from orograph.picture.scene import Scene
 from orograph.picture.surface import surface_of
 from orograph.picture.wireframe import draw_edges, draw_lines, edges_of, project
+from orograph.raycast.select import rectangles
+from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
 from orograph.view import View
 
@@ -86,9 +89,88 @@ def test_its_heights_are_the_triangles_own():
         assert surface[int(r), int(c)] == z
 
 
-def test_a_raster_beyond_memory_is_refused(ground, mesh):
-    with pytest.raises(UsageError, match="--max-memory"):
-        surface_of(mesh, ground, 100_000)
+@pytest.mark.parametrize("shape", [(100, 75), (129, 257), (2, 2), (3, 90), (600, 530)])
+def test_read_by_windows_it_is_the_same(shape):
+    """Samples of every level, in any window, and their box means, as of the whole in memory."""
+    ground = terrain(holes(hills(*shape)) if min(shape) > 60 else hills(*shape))
+    mesh = Soar(ground, cull=False).refine(View((501_500, 3_998_000, 2000), (501_200, 3_999_500, 800)), tolerance=4.0)
+    whole = surface_of(mesh, ground)
+    windows = surface_of(mesh, ground, 4)
+    assert isinstance(whole, MemoryTerrain) and not isinstance(windows, MemoryTerrain)
+    rng = np.random.default_rng(5)
+    for level in range(ground.levels):
+        for read, size in (("read", ground.shape(level)), ("read_mean", ground.mean_shape(level))):
+            for _ in range(8):
+                r0, r1 = sorted(rng.integers(0, size[0] + 1, 2))
+                c0, c1 = sorted(rng.integers(0, size[1] + 1, 2))
+                got, want = (np.array(getattr(t, read)(level, r0, r1, c0, c1)) for t in (windows, whole))
+                assert got.shape == want.shape and (np.isnan(got) == np.isnan(want)).all()
+                if read == "read" or level < 3:
+                    np.testing.assert_allclose(got, want, rtol=2e-6)
+        table = windows.tiles(level)
+        heights = whole.tiles(level)
+        assert (np.nan_to_num(table.minimum, nan=1e9) <= np.nan_to_num(heights.minimum, nan=1e9) + 1e-3).all()
+        assert (np.nan_to_num(table.maximum, nan=-1e9) >= np.nan_to_num(heights.maximum, nan=-1e9) - 1e-3).all()
+
+
+def test_means_of_coarse_levels_are_those_of_the_surface():
+    """From level 3 by the trapezoid rule: off by half a sample's slope on a plane, and little more on round hills."""
+    y, x = np.mgrid[:1500, :1301]
+    for heights, close in ((0.3 * x - 0.2 * y, 0.06), (100 * np.sin(x / 40) * np.cos(y / 30), 3.5)):
+        ground = terrain(heights.astype(np.float32))
+        mesh = Tessellation(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+        windows = MeshTerrain(mesh, ground)
+        rows, cols = ground.mean_shape(3)
+        got, want = windows.read_mean(3, 0, rows, 0, cols), ground.read_mean(3, 0, rows, 0, cols)
+        assert np.abs(got - want)[:-1, :-1].max() < close
+
+
+def test_a_large_mesh_is_drawn_as_it_is_within_a_part_of_a_pixel(monkeypatch):
+    """What windows of coarse levels show of it, sample by sample on the screen beside the whole; and the picture."""
+    y, x = np.mgrid[:1100, :1025]
+    ground = terrain((2000 * np.sin(x / 40) * np.cos(y / 50)).astype(np.float32))
+    view = camera.whole(ground, SIZE, azimuth=205.0, pitch=12.0)
+    mesh = Soar(ground).refine(view, tolerance=0.1)  # finer than the windows
+    whole = surface_of(mesh, ground)
+    scene = Scene(ground, view, engine="soar", water=None, samples=1)
+    monkeypatch.setattr("orograph.picture.surface.EXACT_SAMPLES", 1000)
+    windows = surface_of(mesh, ground)
+    found = rectangles(windows, view, 1.0, 0.25)
+    assert found[-1].level > 0
+    rows, cols = np.mgrid[0 : whole.grid.rows : 3, 0 : whole.grid.cols : 3]
+    shown = np.full(rows.shape, np.nan)
+    for r in found:  # the finest window that holds a sample is what is seen
+        step = 1 << r.level
+        read = windows.read(r.level, r.row0, r.row1, r.col0, r.col1)
+        inside = (rows >= r.row0 * step) & (rows < (r.row1 - 1) * step)
+        inside &= (cols >= r.col0 * step) & (cols < (r.col1 - 1) * step)
+        shown[inside] = cell_heights(read, rows[inside] / step - r.row0, cols[inside] / step - r.col0, r)
+    there = np.isfinite(shown)
+    assert there.mean() > 0.98
+    east, north = ground.grid.samples @ (cols[there], rows[there])
+    placed = [
+        np.asarray(view.project(np.stack([east, north, z], -1))[0]) for z in (shown[there], whole.heights[::3, ::3][there])
+    ]
+    moved = np.hypot(*(placed[0] - placed[1]).T)
+    assert 0.01 < moved.max() <= 0.25
+    parts = cpu.draw(scene, mesh=mesh)
+    assert parts.facts["tolerance_px"] == 0.25
+    monkeypatch.undo()
+    exact = cpu.draw(scene, mesh=mesh)
+    both = np.isfinite(exact.depth) & np.isfinite(parts.depth)
+    assert (np.isfinite(exact.depth) == np.isfinite(parts.depth)).mean() > 0.99
+    assert np.abs(parts.pixels[both].astype(int) - exact.pixels[both]).mean() < 2.0
+
+
+def cell_heights(heights, row, col, window):
+    """The surface of a level at places (n,) of a window of it: each cell is cut from its even to its odd corner."""
+    i, j = row.astype(int), col.astype(int)
+    v, u = row - i, col - j
+    a, b, c, d = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
+    turned = (i + window.row0 + j + window.col0) % 2 == 1
+    upper = np.where(u >= v, a + u * (b - a) + v * (d - b), a + v * (c - a) + u * (d - c))
+    other = np.where(u + v <= 1, a + u * (b - a) + v * (c - a), d + (1 - u) * (c - d) + (1 - v) * (b - d))
+    return np.where(turned, other, upper)
 
 
 # ---- lines -----------------------------------------------------------------------------------------------------------

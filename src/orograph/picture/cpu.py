@@ -28,6 +28,7 @@ from orograph.picture.shading import Shader
 from orograph.picture.silhouettes import Outlines, rim
 from orograph.picture.survey import Survey
 from orograph.progress import SILENT, Progress
+from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
 from orograph.view import View
 
@@ -64,6 +65,7 @@ def draw(
     """
     clock = [time.perf_counter()]
     facts: dict[str, Any] = {}
+    engines = kept  # of a single picture, the engine's tiles need not stay
     kept = Kept() if kept is None else kept
 
     def lap(name: str) -> None:
@@ -80,19 +82,22 @@ def draw(
         progress.warn(warning)
     surface = None
     if scene.engine is not None or mesh is not None:
-        from orograph.picture.surface import refined, surface_of
+        from orograph.picture.surface import WINDOWS, refined, surface_of
 
         if mesh is None:
             known = (
                 scene.engine, scene.metric, scene.view.whole, scene.mesh_view, scene.tolerance, scene.triangles,
                 scene.exaggeration,
             )  # fmt: skip
-            mesh = kept("mesh", known, lambda: refined(scene, progress, kept), scene.terrain)
+            mesh = kept("mesh", known, lambda: refined(scene, progress, engines), scene.terrain)
         made, terrain = mesh, scene.terrain
         facts["mesh"] = mesh.stats
         surface = kept("surface", id(terrain), lambda: surface_of(made, terrain, scene.max_memory), mesh)
         lap("mesh")
-        scene = replace(scene, tolerance=0.0, triangles=None, terrain=scene.terrain if scene.wireframe else surface)
+        scene = replace(
+            scene, tolerance=0.0 if isinstance(surface, MemoryTerrain) else WINDOWS, triangles=None,
+            terrain=scene.terrain if scene.wireframe else surface,
+        )  # fmt: skip
     with progress.task("Reading heights"):
         ground = Ground.load(scene, surface, kept)
         if ground.tolerance > scene.pixel_tolerance:

@@ -6,6 +6,8 @@ So the surface of a mesh is a raster of the terrain's own size, and light, shado
 of meshes. (Where the raster is not 2^n + 1 samples a side, triangles squeezed onto its last row and column have slanted
 edges, and these are true to a cell.)
 
+A large terrain's mesh is read by windows instead (``mesh_terrain``), each as coarse as the picture allows.
+
 What no triangle covers keeps the terrain's heights: that is ground out of view, left out by the engine, which still
 casts its shadow into the picture; and holes stay holes.
 """
@@ -18,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.errors import UsageError
 from orograph.picture.kept import Kept
-from orograph.picture.memory import amount, available
-from orograph.picture.scene import Scene
+from orograph.picture.memory import available
+from orograph.picture.scene import EXACT_SAMPLES, Scene
 from orograph.progress import SILENT, Progress
 from orograph.store.memory import MemoryTerrain
 from orograph.store.terrain import Heights, Terrain
@@ -34,6 +35,9 @@ BYTES_PER_SAMPLE = 4 * (1 + 5 / 12) + 4
 TOLERANCE = 1.0
 """Pixels: what an engine is asked to keep unless the scene says."""
 
+WINDOWS = 0.25
+"""Pixels within which a large mesh is drawn as it is."""
+
 ENGINE_MEMORY = 1 << 30
 """Bytes of tiles that an engine may hold where no limit is given."""
 
@@ -42,8 +46,8 @@ def refined(scene: Scene, progress: Progress = SILENT, kept: Kept | None = None)
     """What the scene's engine makes of its terrain for its view, or for its ``mesh_view``.
 
     Raises:
-        UsageError: there is no such engine, or it has no such metric. StoreError: the store was built without errors of
-            diamonds.
+        UsageError: there is no such engine, it has no such metric, or one view needs more tiles than fit into memory.
+        StoreError: the store was built without errors of diamonds.
     """
     from orograph.lod import engine_of
 
@@ -78,26 +82,23 @@ def goal(scene: Scene) -> dict[str, Any]:
     return {"tolerance": TOLERANCE if scene.tolerance is None else scene.tolerance}
 
 
-def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | None = None) -> MemoryTerrain:
-    """The terrain as a tessellation of it shows it, at full resolution.
+def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | None = None) -> Terrain:
+    """The terrain as a tessellation of it shows it: at full resolution in memory, or, where that is large, by windows.
 
     Args:
         tessellation: triangles between samples of ``terrain``.
         max_memory: bytes; None: whatever the machine has free.
 
     Raises:
-        UsageError: the raster does not fit into memory. DamagedChunkError: as ``terrain.read``.
+        DamagedChunkError: as ``terrain.read``.
     """
     rows, cols = terrain.grid.shape
     needed = int(rows * cols * BYTES_PER_SAMPLE)
     limits = [limit for limit in (max_memory, available()) if limit is not None]
-    if limits and needed > min(limits):
-        raise UsageError(
-            f"The surface of a mesh of {cols} × {rows} samples takes {amount(needed)} of memory to draw, and "
-            f"{amount(min(limits))} may be used.",
-            path=terrain.name,
-            remedy="Allow more (--max-memory), or draw a part or a coarser resolution of it (--resolution).",
-        )
+    if rows * cols > EXACT_SAMPLES or (limits and needed > min(limits)):
+        from orograph.picture.mesh_terrain import MeshTerrain
+
+        return MeshTerrain(tessellation, terrain)
     heights = np.array(terrain.read(0, 0, rows, 0, cols), np.float32)
     fill_triangles(tessellation.vertices, tessellation.triangles, heights)
     return MemoryTerrain(heights, terrain.grid, terrain.name, terrain.vertical)
