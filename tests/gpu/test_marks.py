@@ -112,3 +112,24 @@ def test_frames_do_not_wait_for_labels(device: Device, terrain: Terrain) -> None
         assert renderer._letters.view is None
     finally:
         renderer.close()
+
+
+@pytest.mark.parametrize("wireframe", [False, True])
+def test_both_backends_draw_the_terrains_lines_over_a_coarse_mesh(
+    device: Device, terrain: Terrain, wireframe: bool
+) -> None:
+    """They are those of the terrain: where the mesh is pixels off, they are where they are without it."""
+    scene = replace(
+        scenes(terrain)["slanted"], engine="soar", tolerance=8.0, wireframe=wireframe, sky=False,
+        contours=Contours(20.0, labels=wireframe),
+    )  # fmt: skip
+    cpu, gpu = draw_cpu(scene), draw_gpu(scene, device=device)
+    bare = replace(scene, contours=None)
+    without = draw_cpu(bare), draw_gpu(bare, device=device)
+    # (Edges of triangles, a pixel wide, are drawn by other means on each.)
+    alike = np.linalg.norm(lab(without[0].pixels) - lab(without[1].pixels), axis=-1) < 1.5
+    assert alike.mean() > (0.7 if wireframe else 0.95)
+    apart = np.linalg.norm(lab(cpu.pixels) - lab(gpu.pixels), axis=-1)[alike]
+    assert apart.mean() < 1.0 and np.quantile(apart, 0.95) < 3.0, (apart.mean(), np.quantile(apart, 0.95))
+    marked = np.linalg.norm(lab(without[1].pixels) - lab(gpu.pixels), axis=-1)[alike] > 8
+    assert marked.mean() > 0.03 and apart[marked].mean() < 3.0, apart[marked].mean()

@@ -152,3 +152,36 @@ def test_what_makes_no_sense_is_refused() -> None:
         with pytest.raises(UsageError):
             Contours(**wrong)  # type: ignore[arg-type]
     assert lines_of(None) is None and lines_of(20).interval == 20.0  # type: ignore[union-attr]
+
+
+def test_lines_over_a_coarse_mesh_in_plan_are_those_without_one() -> None:
+    terrain, (x, y) = cone()
+    view = View((x, y, 5000.0), (x, y, 0.0), up=(0, 1, 0), projection="plan", fov_y=30, width=200, height=160)
+    scene = plain(terrain, view, Contours(50.0))
+    camera = View((x, y - 9000.0, 4000.0), (x, y, 0.0), width=64, height=48)
+    bare, over = cover(scene), cover(replace(scene, engine="soar", tolerance=None, mesh_view=camera))
+    assert bare.max() > 0.95
+    np.testing.assert_allclose(over, bare, atol=0.02)
+
+
+@pytest.mark.parametrize("wireframe", [False, True])
+def test_lines_over_a_coarse_mesh_lie_where_the_terrain_has_their_height(wireframe: bool) -> None:
+    """At a slant on a mesh that is pixels off: what is inked has a contour's height, to less than its half width."""
+    terrain, (x, y) = cone()
+    view = View((x, y - 5200.0, 3300.0), (x, y - 300.0, 700.0), fov_y=35, width=240, height=180)
+    scene = plain(terrain, view, Contours(100.0, 0, labels=False, colour=(0.0, 0.0, 0.0), opacity=1.0, width=2.0))
+    scene = replace(scene, engine="soar", tolerance=6.0, wireframe=wireframe)
+    without, with_ = (draw(replace(scene, contours=c)) for c in (None, scene.contours))
+    assert with_.facts["mesh"]["triangles"] < 400
+    light = without.pixels.astype(int).sum(-1)
+    inked = (with_.pixels.astype(int).sum(-1) < 0.3 * light) & (light > 200)
+    o0, _, _, d0, du, dv = view.ray_basis()
+    px, py = np.meshgrid(np.arange(240) + 0.5, np.arange(180) + 0.5)
+    at = o0 + with_.depth[..., None] * (d0 + px[..., None] * du + py[..., None] * dv)
+    height = 1000.0 - 0.4 * np.hypot(at[..., 0] - x, at[..., 1] - y)
+    rate = np.hypot(*np.gradient(height))
+    off = np.abs(height - 100.0 * np.round(height / 100.0)) / rate
+    assert inked.sum() > 400
+    assert np.quantile(off[inked], 0.98) < 1.2
+    # The mesh's own heights are elsewhere: lines of those would not be the terrain's.
+    assert np.nanmax(np.abs(at[..., 2] - height) / rate) > 3

@@ -1,8 +1,8 @@
 """Bind groups in a line each: wgpu wants a layout, a pipeline layout and a group for every set of resources.
 
 A layout is written as words, one per binding: ``uniform``, ``uniform+dynamic``, ``read`` and ``write`` (storage
-buffers), ``texture`` and ``texture3d`` (filterable floats), ``depth`` (an unfilterable float texture), ``sampler``,
-``out:FORMAT`` (a storage texture to write).
+buffers), ``texture`` and ``texture3d`` (filterable floats), ``depth`` and ``depths`` (an unfilterable float texture, an
+array of them), ``sampler``, ``out:FORMAT`` (a storage texture to write).
 """
 
 from __future__ import annotations
@@ -52,6 +52,8 @@ def layout(device: Device, *words: str, stages: str = "COMPUTE") -> Layout:
             kind = {"texture": {"sample_type": "float", "view_dimension": "3d" if word.endswith("3d") else "2d"}}
         elif word == "depth":
             kind = {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d"}}
+        elif word == "depths":
+            kind = {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d-array"}}
         elif word == "sampler":
             kind = {"sampler": {"type": "filtering"}}
         elif word.startswith("out:"):

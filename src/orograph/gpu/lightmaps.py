@@ -203,10 +203,10 @@ class _Seen:
 
 
 class _ground:
-    """What ``MapGrid`` asks of the ground: how far apart samples are."""
+    """What ``MapGrid`` asks of the ground: what it is, and how far apart samples are."""
 
     def __init__(self, scene: Scene) -> None:
-        self.rays = self
+        self.rays, self.bare = self, scene
         t = scene.terrain.grid.transform
         self.spacing = math.sqrt(abs(t.determinant))
         self.linear = np.array([[t.a, t.b], [t.d, t.e]])

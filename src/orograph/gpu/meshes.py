@@ -20,7 +20,7 @@ from orograph.errors import OrographError
 from orograph.gpu.aside import Aside
 from orograph.gpu.binding import bind, layout
 from orograph.gpu.device import Device
-from orograph.gpu.passes import DEPTH, GIVEN, MARKS, Targets
+from orograph.gpu.passes import DEPTH, FIELD, GIVEN, MARKS, Targets
 from orograph.lod import engine_of
 from orograph.picture.scene import Scene
 from orograph.picture.surface import ENGINE_MEMORY, goal
@@ -127,27 +127,36 @@ class Meshes:
 
 
 class MeshPass:
-    """Draws a mesh into depth and marks; with ``given`` the slope of each triangle besides.
+    """Draws a mesh into depth and marks; with ``given`` the slope of each triangle besides, with ``field`` also the
+    terrain's own height in each pixel.
 
     Args:
         camera: the uniform buffer (``camera.CAMERA``).
+        field: a view of the atlas of heights, its pages and the table of levels (``shaders/field.wgsl``).
+        missing: what is added to heights that are missing (``tiles.missing``), metres.
     """
 
-    def __init__(self, device: Device, camera: Any) -> None:
-        self.device, self.camera = device, camera
-        self.layout = layout(device, "uniform", "read", "read", stages="VERTEX|FRAGMENT")
-        self._pipelines: dict[tuple[bool, bool], Any] = {}
+    def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
+        self.device, self.camera, self.field, self.missing = device, camera, field, missing
+        words = "uniform", "read", "read", "depths", "read", "read"
+        self.layout = layout(device, *words, stages="VERTEX|FRAGMENT")
+        self._pipelines: dict[tuple[bool, bool, bool], Any] = {}
         self._held: tuple[Tessellation | None, Any, int] = (None, None, 0)
 
-    def draw(self, encoder: Any, targets: Targets, mesh: Tessellation, *, edges: bool, given: bool) -> None:
-        """Clear the targets and draw; ``edges``: mark those of triangles; ``given``: leave their slopes."""
+    def draw(
+        self, encoder: Any, targets: Targets, mesh: Tessellation, *, edges: bool, given: bool, field: bool = False
+    ) -> None:
+        """Clear the targets and draw; ``edges``: mark those of triangles; ``given``: leave their slopes; ``field``: and
+        the terrain's own heights."""
         if self._held[0] is not mesh:
             points, corners = packed(mesh)
             some = (a if a.size else np.zeros(4, np.uint32) for a in (points, corners))
             buffers = [self.device.buffer(a, "STORAGE", "mesh") for a in some]
-            group = bind(self.device, self.layout, self.camera, *buffers)
+            group = bind(self.device, self.layout, self.camera, *buffers, *self.field)
             self._held = mesh, group, len(corners)
-        colours = [targets.marks_view, targets.given_view(self.device)] if given else [targets.marks_view]
+        colours = [targets.marks_view]
+        colours += [targets.given_view(self.device)] if given or field else []
+        colours += [targets.field_view(self.device)] if field else []
         pass_ = encoder.begin_render_pass(
             color_attachments=[
                 {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"} for view in colours
@@ -158,15 +167,18 @@ class MeshPass:
             },
         )  # fmt: skip
         if self._held[2]:
-            pass_.set_pipeline(self._pipeline(edges, given))
+            pass_.set_pipeline(self._pipeline(edges, given, field))
             pass_.set_bind_group(0, self._held[1])
             pass_.draw(self._held[2])
         pass_.end()
 
-    def _pipeline(self, edges: bool, given: bool) -> Any:
-        found = self._pipelines.get((edges, given))
+    def _pipeline(self, edges: bool, given: bool, field: bool) -> Any:
+        found = self._pipelines.get((edges, given, field))
         if found is None:
-            module = self.device.shader("mesh", {"EDGES": int(edges)})
+            module = self.device.shader("mesh", {"EDGES": int(edges), "MISSING": self.missing})
+            entry, formats = "fragment", [MARKS]
+            if given or field:
+                entry, formats = ("with_field", [MARKS, GIVEN, FIELD]) if field else ("with_slope", [MARKS, GIVEN])
             found = self.device.handle.create_render_pipeline(
                 label="mesh",
                 layout=self.layout.pipeline,
@@ -174,9 +186,8 @@ class MeshPass:
                 primitive={"topology": "triangle-list", "cull_mode": "none"},
                 depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
                 fragment={
-                    "module": module, "entry_point": "with_slope" if given else "fragment",
-                    "targets": [{"format": MARKS}, {"format": GIVEN}] if given else [{"format": MARKS}],
+                    "module": module, "entry_point": entry, "targets": [{"format": format} for format in formats],
                 },
             )  # fmt: skip
-            self._pipelines[edges, given] = found
+            self._pipelines[edges, given, field] = found
         return found

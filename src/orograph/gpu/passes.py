@@ -20,12 +20,12 @@ from orograph.gpu.tracing import RAYS
 SHOWN = "fragment", "background"
 """Entries of the shading shader that make a picture."""
 
-DEPTH, MARKS, LIGHT, GIVEN = "depth32float", "r32uint", "rgba16float", "rg32float"
+DEPTH, MARKS, LIGHT, GIVEN, FIELD = "depth32float", "r32uint", "rgba16float", "rg32float", "r32float"
 
 
 class Targets:
     """What a frame is drawn into: depth, marks, linear light, and where it is asked for the slopes of what was drawn
-    (metres per metre east and north), of one size in pixels."""
+    (metres per metre east and north) and the terrain's own heights there, of one size in pixels."""
 
     def __init__(self, device: Device, width: int, height: int) -> None:
         self.width, self.height = width, height
@@ -37,6 +37,19 @@ class Targets:
         self.depth_view, self.marks_view = self.depth.create_view(), self.marks.create_view()
         self.light_view = self.light.create_view()
         self._given: Any = None
+        self._field: Any = None
+
+    @property
+    def has_field(self) -> bool:
+        """Whether heights were asked for; as ``has_given``."""
+        return self._field is not None
+
+    def field_view(self, device: Device) -> Any:
+        """The view of the heights, which are made when they are first asked for."""
+        if self._field is None:
+            attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
+            self._field = device.texture((self.width, self.height), FIELD, attach, label="heights").create_view()
+        return self._field
 
     @property
     def has_given(self) -> bool:
@@ -66,7 +79,7 @@ class ShadePass:
                     *(storage(k) for k in (4, 5, 6, 7, 8)),
                     texture(9, "float", "2d-array"), {"binding": 10, "visibility": stage("FRAGMENT"), "sampler": {}},
                     storage(11), storage(12), storage(13),
-                    *(texture(k, "unfilterable-float") for k in (14, 15, 16, 17)),
+                    *(texture(k, "unfilterable-float") for k in (14, 15, 16, 17, 18)),
                 ]
             ),
         ]  # fmt: skip

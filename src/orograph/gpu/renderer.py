@@ -23,7 +23,7 @@ from orograph.gpu.following import Following, maps_key
 from orograph.gpu.frame import PLAIN, FrameStats, Normals, Overlay
 from orograph.gpu.imagery import Imagery
 from orograph.gpu.lettering import Letters
-from orograph.gpu.look import DRAPE, GIVEN, LABELS, SILHOUETTES, VEILED, WIREFRAME, Look
+from orograph.gpu.look import DRAPE, FIELD, GIVEN, LABELS, SILHOUETTES, VEILED, WIREFRAME, Look
 from orograph.gpu.meshes import Meshes, MeshPass
 from orograph.gpu.outlines import BreakPass
 from orograph.gpu.passes import ResolvePass, ScreenOcclusion, ShadePass, Targets
@@ -87,7 +87,9 @@ class Renderer:
             patch_indices(legs), INSTANCE.itemsize, missing(terrain),
         )  # fmt: skip
         self._slopes: Slopes = ""
-        self._meshes, self._triangles = Meshes(terrain), MeshPass(device, self._camera)
+        field = self.heights.texture.create_view(dimension="2d-array"), self.heights.page_buffer, self._resources.levels
+        self._meshes, self._triangles = Meshes(terrain), MeshPass(device, self._camera, field, missing(terrain))
+        self._field = False
         self._letters = Letters(device, terrain)
         self._breaks = BreakPass(device, self._camera, terrain)
         self._veil = VeilPass(device, self._camera)
@@ -153,6 +155,7 @@ class Renderer:
         instances = patches.instances
         self._slopes = slopes = SLOPES[overlay.normals]
         given = bool(slopes)
+        self._field = field = mesh is not None and scene.contours is not None  # lines are the terrain's
         self._light_for(scene, targets, instances, wait=wait)
         maps = self._light.maps
         assert maps is not None
@@ -168,10 +171,10 @@ class Renderer:
             self._breaks.aim((float(near), float(far)))
             breaks = self._breaks.views(targets)
         views = self._letters.view, *breaks
-        bound = self._resources.bound(look, maps, scene, targets, given=given, marks=views)
+        bound = self._resources.bound(look, maps, scene, targets, given=given or field, field=field, marks=views)
         group = self._shading.group(targets, bound)
         flags = int(u["flags"]) | (VEILED if self._veil.count else 0) | (GIVEN if given else 0)
-        flags |= (LABELS if lettered else 0) | (DRAPE if layers else 0)
+        flags |= (LABELS if lettered else 0) | (DRAPE if layers else 0) | (FIELD if field else 0)
         edges = bool(flags & WIREFRAME)
         flags = self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, slopes), wait=wait)
         if begin and flags != self._flags:  # it was compiled meanwhile: what was gathered looks otherwise
@@ -321,7 +324,8 @@ class Renderer:
         if self._meshes.mesh is None:
             self._patches.draw(encoder, targets, instances, edges=edges, slopes=slopes)
         else:
-            self._triangles.draw(encoder, targets, self._meshes.mesh, edges=edges, given=bool(slopes))
+            mesh, given = self._meshes.mesh, bool(slopes)
+            self._triangles.draw(encoder, targets, mesh, edges=edges, given=given, field=self._field)
 
     def _mesh_for(self, scene: Scene, freeze: View | None, *, wait: bool) -> None:
         """Have the mesh of the scene's engine: at once if ``wait``, else aside while the old one serves."""

@@ -48,13 +48,15 @@ class Resources:
         targets: Targets,
         *,
         given: bool = False,
+        field: bool = False,
         marks: tuple[Any, Any, Any] = (None, None, None),
     ) -> dict[int, Any]:
         """Buffers and views by binding of ``shade.wgsl``, for ``passes.ShadePass.group``.
 
         Args:
-            given: slopes are those that the targets hold. marks: the views of the labels' sheet, if there are
-                any, and of where ground breaks off, if silhouettes are drawn.
+            given, field: slopes, and heights of contour lines, are those that the targets hold.
+            marks: the views of the labels' sheet, if there are any, and of where ground breaks off, if silhouettes are
+                drawn.
         """
         if maps is not self._of[0]:
             windows = np.concatenate([maps.windows, maps.fields])
@@ -80,6 +82,7 @@ class Resources:
             15: self._blank if marks[0] is None else marks[0],
             16: self._blank if marks[1] is None else marks[1],
             17: self._blank if marks[2] is None else marks[2],
+            18: targets.field_view(self.device) if field or targets.has_field else self._blank,
         }
 
     def upload(self, name: str, values: NDArray[Any]) -> None:
@@ -90,6 +93,11 @@ class Resources:
     def stored_slopes(self) -> tuple[Any, Any, Any]:
         """The view of the slopes' atlas, its pages, and the table of levels."""
         return self._slopes, self.slopes.page_buffer, self._levels
+
+    @property
+    def levels(self) -> Any:
+        """The table of levels: where each one's tiles begin, how many there are, and how many blocks."""
+        return self._levels
 
     def stored(self, name: str, values: NDArray[Any]) -> Any:
         """A storage buffer with these values; written again only if they are other ones."""

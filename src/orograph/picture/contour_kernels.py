@@ -21,13 +21,16 @@ def _ramp(low, high, x):
 
 
 @kernel
-def line_cover(px, py, t, points, gradient, water, scale, row0, col0, to_world, basis, interval, index, width, out):
+def line_cover(
+    px, py, t, points, heights, gradient, drawn, water, scale, row0, col0, to_world, basis, interval, index, width, out
+):  # fmt: skip
     """Part of each pixel (n,) that contour lines cover.
 
     Args:
         px, py: pixel positions. t: depths, NaN where there is no ground.
-        points: (n, 3) sample coordinates and height, metres.
-        gradient: (n, 2) metres per sample along columns and rows. water: the field of water, scale, row0, col0:
+        points: (n, 3) sample coordinates and height, metres. heights: (n,) that lines are of, metres.
+        gradient: (n, 2) of heights, metres per sample along columns and rows. drawn: (n, 2) of what is seen, if that
+            is another surface (a mesh), else the same. water: the field of water, scale, row0, col0:
             where it lies (``kernels.compose``).
         to_world: (2, 2) gradients per sample → per metre.
         basis: (6, 3) of ``View.ray_basis``, true space.
@@ -37,24 +40,28 @@ def line_cover(px, py, t, points, gradient, water, scale, row0, col0, to_world, 
     ou, ov, d0, du, dv = basis[1], basis[2], basis[3], basis[4], basis[5]
     for i in range(len(t)):
         out[i] = 0.0
-        if t[i] != t[i]:
+        if t[i] != t[i] or heights[i] != heights[i]:
             continue
         a, b = gradient[i, 0], gradient[i, 1]
         gx = to_world[0, 0] * a + to_world[0, 1] * b
         gy = to_world[1, 0] * a + to_world[1, 1] * b
+        a, b = drawn[i, 0], drawn[i, 1]
+        hx = to_world[0, 0] * a + to_world[0, 1] * b
+        hy = to_world[1, 0] * a + to_world[1, 1] * b
         dx = d0[0] + px[i] * du[0] + py[i] * dv[0]
         dy = d0[1] + px[i] * du[1] + py[i] * dv[1]
         dz = d0[2] + px[i] * du[2] + py[i] * dv[2]
-        facing = dz - gx * dx - gy * dy
+        facing = dz - hx * dx - hy * dy
         if facing == 0.0:
             continue
-        # The height's derivative along the screen's axes, on the tangent plane.
+        # The height's derivative along the screen's axes, over the tangent plane.
         ux, uy, uz = ou[0] + t[i] * du[0], ou[1] + t[i] * du[1], ou[2] + t[i] * du[2]
         vx, vy, vz = ov[0] + t[i] * dv[0], ov[1] + t[i] * dv[1], ov[2] + t[i] * dv[2]
-        across = uz - (uz - gx * ux - gy * uy) / facing * dz
-        down = vz - (vz - gx * vx - gy * vy) / facing * dz
+        u, v = (uz - hx * ux - hy * uy) / facing, (vz - hx * vx - hy * vy) / facing
+        across = gx * (ux - u * dx) + gy * (uy - u * dy)
+        down = gx * (vx - v * dx) + gy * (vy - v * dy)
         rate = max(np.sqrt(across * across + down * down), 1e-9)
-        n = points[i, 2] / interval
+        n = heights[i] / interval
         nearest = np.floor(n + 0.5)
         away = abs(n - nearest) * interval / rate
         thick = index > 0 and nearest - index * np.floor(nearest / max(index, 1) + 0.5) == 0
@@ -63,7 +70,7 @@ def line_cover(px, py, t, points, gradient, water, scale, row0, col0, to_world, 
         cover = min(max(half - away + 0.5, 0.0), 1.0) * _ramp(CLOSE[0], CLOSE[1], apart)
         cover *= _ramp(LEVEL[0], LEVEL[1], np.sqrt(gx * gx + gy * gy))
         if cover > 0.0 and water.shape[0] > 0:
-            u = (points[i, 0] + 0.5) / scale - 0.5 - col0
-            v = (points[i, 1] + 0.5) / scale - 0.5 - row0
-            cover *= 1.0 - _ramp(0.5 - SHORE, 0.5 + SHORE, _bilinear(water, u, v))
+            x = (points[i, 0] + 0.5) / scale - 0.5 - col0
+            y = (points[i, 1] + 0.5) / scale - 0.5 - row0
+            cover *= 1.0 - _ramp(0.5 - SHORE, 0.5 + SHORE, _bilinear(water, x, y))
         out[i] = cover

@@ -80,7 +80,7 @@ def draw(
     facts["warnings"] = doubts(scene)
     for warning in facts["warnings"]:
         progress.warn(warning)
-    surface = None
+    surface = bare = None
     if scene.engine is not None or mesh is not None:
         from orograph.picture.surface import WINDOWS, refined, surface_of
 
@@ -91,6 +91,9 @@ def draw(
             )  # fmt: skip
             mesh = kept("mesh", known, lambda: refined(scene, progress, engines), scene.terrain)
         made, terrain = mesh, scene.terrain
+        bare = replace(
+            scene, tolerance=None, engine=None, triangles=None, metric=None, mesh_view=None, wireframe=False
+        )  # fmt: skip
         facts["mesh"] = mesh.stats
         surface = kept("surface", id(terrain), lambda: surface_of(made, terrain, scene.max_memory), mesh)
         lap("mesh")
@@ -99,7 +102,7 @@ def draw(
             terrain=scene.terrain if scene.wireframe else surface,
         )  # fmt: skip
     with progress.task("Reading heights"):
-        ground = Ground.load(scene, surface, kept)
+        ground = Ground.load(scene, surface, kept, bare)
         if ground.tolerance > scene.pixel_tolerance:
             progress.warn(
                 f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not "
@@ -174,7 +177,10 @@ def draw(
         from orograph.picture.wireframe import draw_edges
 
         with progress.task("Drawing edges"):
-            draw_edges(linear, t, mesh, scene.terrain.grid, view, exaggeration=scene.exaggeration, jobs=scene.jobs)
+            free = None if shader.lines is None else shader.lines.gaps()
+            draw_edges(
+                linear, t, mesh, scene.terrain.grid, view, exaggeration=scene.exaggeration, gaps=free, jobs=scene.jobs
+            )
         lap("edges")
     pixels = encode(linear)
     if scene.furniture:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,11 +155,19 @@ class Rays:
 
 
 class Ground:
-    """The caster and relief a scene needs, loaded within its budget of memory."""
+    """The caster and relief a scene needs, loaded within its budget of memory.
+
+    Attributes:
+        relief: of the surface that light falls on. drawn: of the surface that rays meet.
+        bare: the scene; of a mesh, that of the terrain itself, whose tint, water and strength of relief it has, too.
+        under: of a mesh with contour lines, the ground of the terrain itself, which those are of; else None.
+    """
 
     def __init__(self, scene: Scene, surface: Terrain, windows: list[Rectangle], tolerance: float, kept: Kept) -> None:
         terrain = scene.terrain
         self.scene, self.tolerance = scene, tolerance
+        self.bare = scene
+        self.under: Ground | None = None
         self.windows = windows
         shape, jobs = terrain.grid.shape, scene.jobs
         self.caster = kept(
@@ -167,6 +175,7 @@ class Ground:
         )
         means = rectangles(terrain, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
         self.relief = kept("relief", tuple(means), lambda: Relief.load(terrain, means, jobs), terrain)
+        self.drawn = self.relief
         over = None
         if terrain.valid_fraction < 1:
             found = kept("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
@@ -181,14 +190,29 @@ class Ground:
         self.to_samples = np.linalg.inv(linear)
 
     @classmethod
-    def load(cls, scene: Scene, surface: Terrain | None = None, kept: Kept | None = None) -> Ground:
+    def load(
+        cls, scene: Scene, surface: Terrain | None = None, kept: Kept | None = None, bare: Scene | None = None
+    ) -> Ground:
         """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed.
 
         Args:
             surface: what rays meet, if not the terrain itself (on the same grid); light falls on the terrain's slopes.
             kept: what earlier pictures left.
+            bare: of a mesh, the scene of the terrain itself, which contour lines are of.
         """
         kept = Kept() if kept is None else kept
+        if bare is not None:
+            both = scene.contours is not None
+            half = (scene.max_memory + fixed_memory(scene)) // 2 if both and scene.max_memory else scene.max_memory
+            ground = cls.load(replace(scene, contours=None, max_memory=half), surface, kept)
+            ground.bare = bare
+            if not both:
+                return ground
+            ground.under = cls.load(replace(bare, max_memory=half), None, kept)
+            if surface is not None and surface is not scene.terrain:
+                means = rectangles(surface, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
+                ground.drawn = kept("relief", tuple(means), lambda: Relief.load(surface, means, scene.jobs), surface)
+            return ground
         terrain = scene.terrain if surface is None else surface
         rows, cols = terrain.grid.shape
         tolerance, by = scene.pixel_tolerance, "error"

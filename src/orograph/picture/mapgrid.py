@@ -58,14 +58,14 @@ class MapGrid:
         known = window, scene.exaggeration
         self.sky_view = kept("sky", known, sky, terrain) if scene.light == "relief" else np.empty((0, 0), np.float32)
         self.strength = (
-            kept("strength", known, lambda: strength_of(scene, window), terrain)
+            kept("strength", known, lambda: strength_of(ground.bare, window), ground.bare.terrain)
             if scene.relief is None
             else scene.relief
         )
         self.water, self.water_fraction = np.empty((0, 0), np.float32), 0.0
         if scene.water is not None:
             self.water, self.water_fraction = kept(
-                "water", (window, scene.water), lambda: _water(scene, ground, window), terrain
+                "water", (window, scene.water), lambda: _water(ground.bare, ground, window), ground.bare.terrain
             )
 
 

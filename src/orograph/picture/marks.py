@@ -1,6 +1,7 @@
 """What is drawn on the ground besides its colour: contour lines and their labels, as ``picture.contours`` says them.
 
-Lines and labels lie on the ground: haze comes before them, and ground before them hides them.
+Lines and labels lie on the ground: haze comes before them, and ground before them hides them. On a mesh of the terrain
+they are the terrain's own, laid over the mesh: its heights' would be as coarse as it is.
 """
 
 from __future__ import annotations
@@ -46,6 +47,10 @@ class Lines:
     def __init__(self, scene: Scene, ground: Ground, maps: MapGrid, kept: Kept) -> None:
         assert scene.contours is not None
         self.ground, self.maps = ground, maps
+        self.under = ground.under
+        if self.under is not None:
+            scene = self.under.scene
+        assert scene.contours is not None
         self.contours = scene.contours.fitted(scene.terrain, scene.view, kept)
         self.ink = ink(self.contours)
         self.facts: dict[str, Any] = {"interval_m": self.contours.interval, "index": self.contours.index}
@@ -69,10 +74,14 @@ class Lines:
         """Draw over the colours (n, 3) of hits at pixel positions (n,) of the whole picture."""
         c, maps = self.contours, self.maps
         cover = np.empty(len(hits.t), np.float32)
-        gradient = self.ground.relief.gradient(hits.points, hits.width)
+        drawn = gradient = self.ground.drawn.gradient(hits.points, hits.width)
+        heights = hits.points[:, 2]
+        if self.under is not None:
+            heights = self.under.caster.surfaces(hits.points[:, 0], hits.points[:, 1])
+            gradient = self.under.relief.gradient(hits.points, hits.width)
         line_cover(
-            px, py, hits.t, hits.points, gradient, maps.water, maps.scale, maps.row0, maps.col0, self.ground.to_world,
-            self._basis, float(c.interval or 1.0), c.index, c.width, cover,
+            px, py, hits.t, hits.points, heights, gradient, drawn, maps.water, maps.scale, maps.row0, maps.col0,
+            self.ground.to_world, self._basis, float(c.interval or 1.0), c.index, c.width, cover,
         )  # fmt: skip
         cover *= np.float32(c.opacity)
         if self.letters.words:
@@ -85,3 +94,9 @@ class Lines:
             cover += letters[:, 0] * np.float32(min(1.0, c.opacity + STRONGER))
         some = np.flatnonzero(cover > 0)
         out[some] += cover[some, None] * (self.ink - out[some])
+
+    def gaps(self) -> Colours | None:
+        """How much of each pixel (height, width) of the view labels keep free, 0 to 1; None: there are none."""
+        if not self.letters.words:
+            return None
+        return self._sheet[RIM:-RIM, RIM:-RIM, 1] * np.float32(1 / 255)

@@ -117,7 +117,7 @@ class Shader:
         self._lock = threading.Lock()
         self.to_sun, self.sunlight, self.skylight = illumination(scene.sun)
         self.maps = MapGrid(scene, ground, survey, kept)
-        terrain, sea = scene.terrain, None if scene.water is not None else False
+        terrain, sea = ground.bare.terrain, None if scene.water is not None else False
         self.tint = kept("tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain)
         self.air = None
         if scene.sky:

@@ -42,6 +42,9 @@ USUAL = 900
 DENSE, FAINT = 5.0, 0.3
 """Lines between triangles less than this many pixels high would make one dark area: they are fainter, down to FAINT."""
 
+SPARED = 0.85
+"""The part of lines that is left out where labels stand."""
+
 BANDS = 16
 
 
@@ -54,6 +57,7 @@ def draw_edges(
     *,
     exaggeration: float = 1.0,
     width: float | None = None,
+    gaps: Colours | None = None,
     jobs: int | None = None,
 ) -> None:
     """Draw a tessellation's edges over a picture.
@@ -64,6 +68,7 @@ def draw_edges(
         grid, view: of the terrain and of the picture.
         exaggeration: as the picture's.
         width: of the lines in pixels (default: 1, more in very large pictures).
+        gaps: (height, width), 0 to 1: how much of each pixel is kept free for labels.
         jobs: threads.
     """
     width = max(WIDTH, WIDTH * min(depth.shape) / USUAL) if width is None else width
@@ -78,6 +83,8 @@ def draw_edges(
 
     for _ in map_ordered(band, range(0, depth.shape[0], tall), jobs):
         pass
+    if gaps is not None:
+        ink *= 1 - np.float32(SPARED) * gaps
     cover = (ink * np.float32(OPACITY))[..., None]
     linear *= 1 - cover
     linear += cover * INK

@@ -53,6 +53,17 @@ class Caster:
         ray = np.array([[x, y, self.stack.high + 1.0]]), np.array([[0.0, 0.0, -1.0]])
         return self.stack.high + 1.0 - float(self.cast(*ray)[0][0])
 
+    def surfaces(self, x: Array, y: Array) -> Array:
+        """Heights (n,) of the surface at points, metres, in the calling thread; NaN outside it, in a hole or at NaN."""
+        from orograph.raycast.kernels import cast_rays
+
+        s, n = self.stack, len(x)
+        t, which = np.empty(n), np.empty(n, np.int8)
+        origins = np.stack([x, y, np.full(n, s.high + 1.0)], -1)
+        down = np.broadcast_to([0.0, 0.0, -1.0], (n, 3)).copy()
+        cast_rays(s.scene, s.ints, s.floats, s.low, s.high, origins, down, 0.0, np.inf, t, which, 0, n)
+        return np.asarray(s.high + 1.0 - t)
+
     def cast(
         self, origins: Array, directions: Array, near: float = 0.0, far: float = np.inf
     ) -> tuple[Array, NDArray[np.int8]]:

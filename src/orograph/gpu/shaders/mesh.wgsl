@@ -6,6 +6,10 @@ struct Sample { row: i32, col: i32, height: f32, pad: u32 };
 
 @group(0) @binding(1) var<storage, read> samples: array<Sample>;
 @group(0) @binding(2) var<storage, read> corners: array<u32>;
+@group(0) @binding(3) var heights: texture_2d_array<f32>;
+@group(0) @binding(4) var<storage, read> height_pages: array<u32>;
+@group(0) @binding(5) var<storage, read> levels: array<FieldLevel>;
+// include: field.wgsl
 
 const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover
 
@@ -14,6 +18,7 @@ struct Vertex {
   @location(0) part: vec3<f32>,                     // of each corner
   @location(1) @interpolate(flat) what: u32,
   @location(2) @interpolate(flat) slope: vec2<f32>,  // of the true triangle, metres per metre east and north
+  @location(3) cell: vec2<f32>,                      // (col, row) from the eye's
 };
 
 fn place(k: u32) -> vec3<f32> {
@@ -38,6 +43,8 @@ fn vertex(@builtin(vertex_index) k: u32) -> Vertex {
   out.position = to_clip(vec3<f32>(here.xy, above_eye(here.z)));
   out.part = select(vec3<f32>(0.0), vec3<f32>(1.0), vec3<u32>(0u, 1u, 2u) == vec3<u32>(k % 3u));
   out.what = ((size >> 1u) << 8u) | ((size & 1u) << 4u) | 1u;
+  let own = samples[corners[k]];
+  out.cell = vec2<f32>(vec2<i32>(own.col, own.row) - camera.eye_cell);
   out.slope = vec2<f32>(dot(across, camera.inverse.xz), dot(across, camera.inverse.yw));
   return out;
 }
@@ -69,4 +76,17 @@ struct WithSlope { @location(0) marks: u32, @location(1) slope: vec2<f32> };
 @fragment
 fn with_slope(in: Vertex) -> WithSlope {
   return WithSlope(marked(in), in.slope);
+}
+
+struct WithField { @location(0) marks: u32, @location(1) slope: vec2<f32>, @location(2) field: f32 };
+
+// The same, and the terrain's own height there, which contour lines are of: that of the triangle is as coarse as it is.
+@fragment
+fn with_field(in: Vertex) -> WithField {
+  let marks = marked(in);
+  let down = floor(in.cell);
+  let whole = camera.eye_cell + vec2<i32>(down);
+  let inside = clamp(whole, vec2<i32>(0), camera.last);
+  let part = select(vec2<f32>(0.0), in.cell - down, (inside == whole) & (inside < camera.last));
+  return WithField(marks, in.slope, field_height(Place(inside, part)));
 }

@@ -50,6 +50,7 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(15) var lettering: texture_2d<f32>;  // of labels: ink, and where lines are left out around it
 @group(1) @binding(16) var breaks: texture_2d<f32>;   // between a pixel and the next one to the right, and below
 @group(1) @binding(17) var breaks_near: texture_2d<f32>;   // the heaviest of 8 × 8 pixels
+@group(1) @binding(18) var field: texture_2d<f32>;    // the terrain's own heights, metres
 // include: aperture.wgsl
 // when: RAYS
 // include: rays.wgsl
@@ -59,7 +60,7 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 
 // What is drawn, known when the shader is compiled: software renderers work through branches whether they are taken or
 // not. 1 shadows, 2 water, 4 layers, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
-// 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes.
+// 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes, 16384 lines of ``field``.
 const FLAGS: u32 = {{FLAGS}}u;
 // Lights, too: 131072 lamps; discs of light from the bit of 2²⁰ up, 7: as many as there are.
 const SUNS: u32 = (FLAGS >> 20u) & 7u;
@@ -234,15 +235,16 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
 }
 
 // Part of a pixel that contour lines cover (picture/contour_kernels.py): the height's derivative along the screen's
-// axes on the tangent plane says how far the next contour is.
-fn contours(height: f32, depth: f32, direction: vec3<f32>, slope: vec2<f32>) -> f32 {
-  let normal = vec3<f32>(-slope * camera.forward.w, 1.0);
+// axes on the tangent plane says how far the next contour is. ``drawn``: the slope of that plane; ``slope``: of heights.
+fn contours(height: f32, depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope: vec2<f32>) -> f32 {
+  let normal = vec3<f32>(-drawn * camera.forward.w, 1.0);
   let facing = dot(normal, direction);
   let size = camera.pixel * select(depth, 1.0, camera.plan == 1u);   // metres that a pixel's step goes at this depth
   let u = camera.right.xyz * size;
   let v = camera.up.xyz * size;
-  let change = vec2<f32>(u.z - dot(normal, u) / facing * direction.z, v.z - dot(normal, v) / facing * direction.z);
-  let rate = max(length(change) / camera.forward.w, 1e-9);
+  let over = u.xy - dot(normal, u) / facing * direction.xy;   // how far a pixel's step goes over the ground
+  let down = v.xy - dot(normal, v) / facing * direction.xy;
+  let rate = max(length(vec2<f32>(dot(slope, over), dot(slope, down))), 1e-9);
   let n = height / shade.contour.x;
   let far = abs(n - round(n)) * shade.contour.x / rate;
   let index = shade.contour.y > 0.0 && abs(round(n) - shade.contour.y * round(n / max(shade.contour.y, 1.0))) < 0.25;
@@ -316,7 +318,18 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     colour = mix(colour, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(colour, vec3<f32>(0.4)), 0.65);
   }
   if ((FLAGS & 512u) != 0u) {
-    var cover = contours(hit.height, depth, ray.direction, seen.slope) * (1.0 - seen.wet) * shade.contour.w;
+    var height = hit.height;
+    var own = seen.slope;
+    var drawn = seen.slope;
+    if ((FLAGS & 16384u) != 0u) {   // a mesh is drawn, but lines are those of the terrain
+      height = textureLoad(field, pixel, 0).r;
+      drawn = textureLoad(given, pixel, 0).rg;
+      if ((FLAGS & 2048u) != 0u) {
+        let s = slope(hit.place, hit.footprint);
+        own = vec2<f32>(s.x * camera.inverse.x + s.y * camera.inverse.z, s.x * camera.inverse.y + s.y * camera.inverse.w);
+      }
+    }
+    var cover = contours(height, depth, ray.direction, drawn, own) * (1.0 - seen.wet) * shade.contour.w;
     if ((FLAGS & 4096u) != 0u) {   // labels: picture/marks.py
       let letters = textureLoad(lettering, pixel, 0).rg;
       colour = mix(colour, vec3<f32>(1.0), 0.16 * letters.g);
@@ -331,7 +344,11 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     colour = outlined(colour, pixel, d);
   }
   if ((FLAGS & 8u) != 0u) {
-    colour = mix(colour, vec3<f32>(0.02), 0.75 * f32((mark >> 16u) & 255u) / 255.0);
+    var edge = 0.75 * f32((mark >> 16u) & 255u) / 255.0;
+    if ((FLAGS & 4608u) == 4608u) {   // labels stay legible
+      edge *= 1.0 - 0.85 * textureLoad(lettering, pixel, 0).g;
+    }
+    colour = mix(colour, vec3<f32>(0.02), edge);
   }
   return vec4<f32>(colour, 1.0);
 }
