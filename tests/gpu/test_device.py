@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -92,28 +91,6 @@ def test_a_device_out_of_memory_is_told(device: Device) -> None:
         small.buffer(3 << 20, "STORAGE", "maps")
     with pytest.raises(DeviceLimitError, match="memory left"):
         small.texture((64, 64), "rgba8unorm", "TEXTURE_BINDING")
-
-
-@pytest.mark.parametrize("method", ["shadow-maps", "cone-tracing"])
-def test_occlusion_beyond_the_device_is_refused_before_any_work(device: Device, method: str) -> None:
-    """A raster of 20,000² that nobody reads: the radius that fits is named."""
-    from orograph.gpu import cone_tracing, occlusion_maps
-    from orograph.light.products import Options
-
-    def never(*window: int) -> np.ndarray:
-        raise AssertionError("work was begun")
-
-    small = replace(device, handle=Small(device.handle, max_storage_buffer_binding_size=1 << 27))
-    run = {"shadow-maps": occlusion_maps.run, "cone-tracing": cone_tracing.run}[method]
-    how = {"shape": (20_000, 20_000), "linear": np.diag([10.0, -10.0]), "heights": never, "budget": 1 << 40}
-
-    def context(radius: float | None) -> Any:
-        return SimpleNamespace(options=Options(radius=radius, rays=64, more={"method": method}), **how)
-
-    for radius in (None, 100_000.0):
-        with pytest.raises(DeviceLimitError, match=r"radius of at most 28000 m.*sweeps"):
-            run(context(radius), small)
-    run(context(28_000.0), small)
 
 
 def _offers(monkeypatch: pytest.MonkeyPatch, *offered: tuple[str, str, str]) -> None:

@@ -8,7 +8,8 @@ of what one sees of it along columns and along rows that the ground in it hides 
 sec. 4.2): a cliff in the middle of a voxel fills half of it and hides all behind it. They form a clip map: level l has
 voxels 2^l cells wide and as thick, made straight out of the heights, and reaches only as far around a tile as cones
 need it: read trilinear, a voxel blurs as much as something √3 times as wide, so a cone of half angle a wants voxels of
-width 2 t tan a / √3 at distance t. So a tile takes some megabytes, whatever the radius.
+width 2 t tan a / √3 at distance t. Voxels of level l are made out of every 2^(l − 3)-th sample, 64 of them each, so a
+tile takes some megabytes whatever the radius and the raster.
 
 *Cones* fill the hemisphere around the normal in rings of equal height, as many per ring as are about square. Each
 carries the integral of the cosine over its patch of the sky. Along it voxels of its own width are read, trilinear and
@@ -37,11 +38,12 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
-from orograph.gpu.occlusion_maps import check_device
-from orograph.light.occlusion import Neighbourhood, check_reach, flat_only
+from orograph.gpu.occlusion_maps import by_tiles
+from orograph.gpu.rings import MISSING, Held, Store
+from orograph.light.occlusion import flat_only
 from orograph.light.products import Blocks, Context, Values
-from orograph.light.raster import rectangles
 from orograph.light.rho import Transmission, transmission
+from orograph.raycast.select import Rectangle
 
 Array = NDArray[np.float64]
 
@@ -53,10 +55,11 @@ FIT = 1 / math.sqrt(3)
 """Widths of a cone that a voxel read in it is wide: read trilinear, such a voxel blurs as much as the cone's width."""
 FIRST = 1.0
 """Where cones begin: where they are this many cells wide."""
-_MISSING = np.float32(-1e30)
+DENSE = 3
+"""Voxels of level l are made out of samples of level l − ``DENSE``."""
 _FRAME = np.dtype(
     [("linear", "f4", 4), ("inverse", "f4", 4), ("run", "f4", 4), ("tile", "i4", 4), ("counts", "i4", 4),
-     ("ground", "i4", 4), ("levels", [("origin", "f4", 4), ("size", "f4", 4)], LEVELS)]
+     ("levels", [("origin", "f4", 4), ("size", "f4", 4)], LEVELS)]
 )  # fmt: skip
 
 
@@ -110,6 +113,7 @@ class Tracer:
         self._trace = layout(device, *words)
         self.fill = compute(device, self._voxelise, "voxels")
         self.trace = compute(device, self._trace, "cones")
+        self.store = Store(device, context.terrain)
         self.cones = device.buffer(table, "STORAGE")
         self.table = device.buffer(np.append(ways.table, ways.free).astype(np.float32), "STORAGE")
         self.sampler = device.handle.create_sampler(
@@ -128,8 +132,8 @@ class Tracer:
 
     def tile(self, row0: int, row1: int, col0: int, col1: int) -> Values:
         """A tile of the result, (rows, cols) float32."""
-        near = Neighbourhood(self.context, row0, row1, col0, col1, self.ways.radius)
-        inner = near.block(near.heights)
+        window = row0, row1, col0, col1
+        inner = self.context.heights(*window)
         missing = np.isnan(inner)
         if missing.all():
             return np.full(inner.shape, np.nan, np.float32)
@@ -140,12 +144,10 @@ class Tracer:
         limit = self.device.limit("max-texture-dimension-3d")
         if max(int(size.max()) for _, size in sizes) > limit:
             return self._parts(row0, row1, col0, col1)
-        heights = self.device.buffer(
-            np.where(np.isnan(near.heights), _MISSING, near.heights - np.float32(base)), "STORAGE"
-        )
-        ground = (near.col0, near.row0, near.heights.shape[1], near.heights.shape[0])
         encoder = self.device.handle.create_command_encoder()
-        textures = [self._level(encoder, k, sizes[k], ground, heights) for k in range(self.levels)]
+        wanted = [self._samples(level, box) for level, box in enumerate(sizes)]
+        held = self.store.load(tuple(wanted))
+        textures = [self._level(encoder, k, sizes[k], wanted[k], held[k], base) for k in range(self.levels)]
         frame = np.zeros(1, _FRAME)
         linear = self.context.linear
         frame["linear"] = *linear[:, 0], *linear[:, 1]
@@ -153,11 +155,11 @@ class Tracer:
         frame["run"] = self.cell, self.radius, FIT, FIRST
         frame["tile"] = col0, row0, col1 - col0, row1 - row0
         frame["counts"] = self.count, self.levels, self.ways.step, 0
-        frame["ground"] = ground
         for k, (origin, size) in enumerate(sizes):
             frame["levels"]["origin"][0, k] = *origin, self.cell * (1 << k)
             frame["levels"]["size"][0, k, :3] = size
-        gx, gy = near.block(near.gx), near.block(near.gy)
+        heights = self.device.buffer(np.where(missing, MISSING, inner - np.float32(base)), "STORAGE")
+        gx, gy = self.context.gradient(*window)
         slopes = self.device.buffer(np.nan_to_num(np.stack([gx, gy], axis=-1)).astype(np.float32), "STORAGE")
         result = self.device.buffer(4 * inner.size, "STORAGE|COPY_SRC")
         group = bind(
@@ -190,20 +192,32 @@ class Tracer:
         origin = np.floor(first).astype(np.int64) - 1
         return origin, np.ceil(last).astype(np.int64) + 1 - origin
 
-    def _level(self, encoder: Any, level: int, box: Any, ground: tuple[int, ...], heights: Any) -> Any:
-        """A texture of a level's voxels, and the pass that fills it."""
+    def _samples(self, level: int, box: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Rectangle:
+        """The samples out of which a level's voxels are made."""
+        terrain = self.context.terrain
+        source = min(max(level - DENSE, 0), terrain.levels - 1)
+        (col, row, _), (cols, rows, _) = (v << (level - source) for v in box)
+        tall, wide = terrain.shape(source)
+        row0, col0 = min(max(int(row) - 1, 0), tall - 1), min(max(int(col) - 1, 0), wide - 1)
+        row1, col1 = max(min(int(row + rows) + 1, tall), row0 + 1), max(min(int(col + cols) + 1, wide), col0 + 1)
+        return Rectangle(source, row0, row1, col0, col1)
+
+    def _level(self, encoder: Any, level: int, box: Any, source: Rectangle, held: Held, base: float) -> Any:
+        """A texture of a level's voxels, and the pass that fills it. base: what heights are relative to, metres."""
         origin, size = box
         usage = "STORAGE_BINDING|TEXTURE_BINDING"
         texture = self.device.texture(tuple(int(v) for v in size), "rgba8unorm", usage, dimension="3d")
-        uniform = np.zeros(16, np.int32)
+        uniform = np.zeros(20, np.int32)
         uniform[:4] = *origin, level
-        uniform[4:7] = size
-        uniform[8:12] = ground
-        uniform[12:14] = np.array([self.cell, 0.0], np.float32).view(np.int32)
+        uniform[4:8] = *size, source.level
+        uniform[8:12] = source.col0, source.row0, source.col1 - source.col0, source.row1 - source.row0
+        uniform[12:16] = np.array([self.cell, base, 0.0, 0.0], np.float32).view(np.int32)
+        rows, cols = self.context.shape
+        uniform[16:18] = cols - 1, rows - 1
         filling = encoder.begin_compute_pass()
         filling.set_pipeline(self.fill)
         filling.set_bind_group(
-            0, bind(self.device, self._voxelise, self.device.buffer(uniform, "UNIFORM"), heights, texture)
+            0, bind(self.device, self._voxelise, self.device.buffer(uniform, "UNIFORM"), held.buffer, texture)
         )
         filling.dispatch_workgroups(-(-int(size[0]) // 8), -(-int(size[1]) // 8))
         filling.end()
@@ -227,7 +241,7 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     """The product ``ambient-occlusion`` with ``method`` "cone-tracing": about ``cones`` of them (40) per sample.
 
     Raises:
-        NoAdapterError: there is no GPU to do it. DeviceLimitError: what is within reach does not fit on it.
+        NoAdapterError: there is no GPU to do it. DeviceLimitError: its memory does not hold a tile.
         UsageError: too few cones, or as for rays.
     """
     options = context.options
@@ -236,16 +250,9 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     if about < 3:
         raise UsageError(f"At least three cones are needed, not {about}.")
     ways = transmission(options.more.get("rho", "step"), options.radius)
-    check_reach(context, ways.radius, TILE, TILE, 1)
     gpu = device or open_device()
-    check_device(gpu, context, ways.radius, TILE)
 
     def blocks() -> Blocks:
-        tracer = Tracer(gpu, context, ways, about)
-        windows = list(rectangles(context.shape, TILE, TILE))
-        with context.progress.task("Tracing cones", total=len(windows)) as task:
-            for window in windows:
-                yield window[0], window[2], tracer.tile(*window)[None]
-                task.advance()
+        yield from by_tiles(context, TILE, "Tracing cones", Tracer(gpu, context, ways, about).tile)
 
     return blocks()

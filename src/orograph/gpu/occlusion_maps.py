@@ -16,13 +16,16 @@ that meet in the sample itself, on which a texel's width would matter most, are 
 of half a texel in where occluders stand: samples come out a little too light, by 0.001 on average with 4 texels.
 
 *Tiles* of ``tile``² samples have their own maps; terrain within R of them, on the light's side and no farther than its
-relief can shade, is drawn into them. The result does not depend on the tiles beyond float32 rounding (1e-4 at single
-samples). Heights and lengths in metres. Missing samples do not occlude; ground behind a hole counts as a wall.
+relief can shade, is drawn into them: at full resolution within 512 samples, beyond that out of coarser levels
+(``rings`` has the bound), so that a tile takes some tens of MB whatever the raster and R. The result does not depend on
+the tiles within 512 samples beyond float32 rounding (1e-4 at single samples). Heights and lengths in metres. Missing
+samples do not occlude; ground behind a hole counts as a wall.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,8 +34,9 @@ from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 from orograph.gpu.binding import bind, compute, layout
-from orograph.gpu.device import Device, DeviceLimitError, open_device
-from orograph.light.occlusion import Neighbourhood, check_reach, flat_only
+from orograph.gpu.device import Device, open_device
+from orograph.gpu.rings import REACH, Held, Ring, Store, rings
+from orograph.light.occlusion import flat_only
 from orograph.light.products import Blocks, Context, Values
 from orograph.light.raster import rectangles
 from orograph.light.rho import Transmission, transmission
@@ -44,7 +48,6 @@ NEAR = 1e-3
 """Cells within which a face is the sample's own."""
 HOLE = 2.0
 """Cells beyond which a face seen from below is ground behind a hole."""
-MISSING = np.float32(-1e30)
 _RECORD = 256  # bytes between records of a uniform buffer with dynamic offsets
 _SMALL = 16  # samples along the side of a tile that is not divided further
 _BATCH = 16  # directions per submission: enough to keep a GPU busy, and Ctrl-C is heard in between
@@ -56,12 +59,13 @@ class Settings:
 
     Attributes:
         texels: per distance between samples. tile: samples along a tile's side, even. layers: faces that a texel
-            keeps to begin with.
+            keeps to begin with. reach: samples beyond a tile within which the ground is drawn at full resolution.
     """
 
     texels: float = 4.0
     tile: int = 128
     layers: int = 4
+    reach: int = REACH
 
 
 SETTINGS = Settings()
@@ -75,32 +79,6 @@ def directions(n: int, seed: int = 0) -> Array:
     turn = 2.0 * math.pi * (i * GOLDEN + (seed * GOLDEN) % 1.0)
     level = np.sqrt(np.maximum(1.0 - up * up, 0.0))
     return np.stack([level * np.cos(turn), level * np.sin(turn), up], axis=-1)
-
-
-def check_device(device: Device, context: Context, reach: float, tile: int) -> None:
-    """Raise DeviceLimitError if a tile of samples with what is within reach does not fit on the device, and say how far
-    reach may go."""
-    most = device.largest // 4
-    rows, cols = context.shape
-    across = [float(np.linalg.norm(v)) for v in np.linalg.inv(context.linear)]  # samples per metre
-
-    def samples(metres: float) -> float:
-        tall, wide = (min(n, tile + 2 * (metres * k + 2)) for n, k in zip((rows, cols), reversed(across)))
-        return tall * wide
-
-    if samples(min(reach, 1e9)) <= most:
-        return
-    low, high = 0.0, min(reach, 1e9)
-    for _ in range(50):
-        middle = (low + high) / 2
-        low, high = (middle, high) if samples(middle) <= most else (low, middle)
-    spacing = 10.0 ** math.floor(math.log10(max(low, 1.0)) - 1)
-    raise DeviceLimitError(
-        f"What is within reach of a sample is up to {int(samples(min(reach, 1e9))):,} samples; "
-        f"{device.adapter.name} holds at most {most:,} at a time.",
-        remedy=f"Give a radius of at most {math.floor(low / spacing) * spacing:g} m (--radius), or leave out --method: "
-        "sweeps know no limit of distance.",
-    )
 
 
 class Maps:
@@ -123,12 +101,13 @@ class Maps:
         self.omegas = directions(rays, seed)
         self.cell = float(np.sqrt(abs(np.linalg.det(context.linear))))
         self.inverse = np.linalg.inv(context.linear)
-        words = ("uniform+dynamic", "read", "write", "write", "read", "read", "write")
+        words = ("uniform+dynamic", "read", "write", "write", "read", "read", "write", "uniform")
         self.layout = layout(device, *words, stages="COMPUTE|VERTEX|FRAGMENT")
         self.gather = compute(device, self.layout, "occlusion_map", "gather")
         self.draw = {front: self._pipeline(front) for front in (False, True)}
         table = np.append(ways.table, ways.free).astype(np.float32)
         self.table = device.buffer(table, "STORAGE")
+        self.store = Store(device, context.terrain)
         self._size, self._target = (0, 0), None
 
     def _pipeline(self, front: bool) -> Any:
@@ -152,23 +131,34 @@ class Maps:
             },
         )
 
-    def tile(self, row0: int, row1: int, col0: int, col1: int, tall: float = 1.0) -> Values:
-        """A tile of the result, (rows, cols) float32. ``tall``: texels are this much taller than wide."""
-        near = Neighbourhood(self.context, row0, row1, col0, col1, self.ways.radius)
-        inner = near.block(near.heights)
+    def tile(self, row0: int, row1: int, col0: int, col1: int) -> Values:
+        """A tile of the result, (rows, cols) float32."""
+        window = row0, row1, col0, col1
+        heights = self.context.heights(*window)
+        if np.isnan(heights).all():
+            return np.full(heights.shape, np.nan, np.float32)
+        around = rings(self.context.terrain, window, self.context.linear, self.ways.radius, self.how.reach)
+        return self._part(window, (row0, col0), around, 1.0)
+
+    def _part(
+        self, window: tuple[int, int, int, int], origin: tuple[int, int], around: tuple[Ring, ...], tall: float
+    ) -> Values:
+        """A part of the tile that begins at ``origin``. ``tall``: its texels are this much taller than wide."""
+        inner = self.context.heights(*window)
         missing = np.isnan(inner)
         if missing.all():
             return np.full(inner.shape, np.nan, np.float32)
-        gx, gy = near.block(near.gx).astype(np.float64), near.block(near.gy).astype(np.float64)
-        frames = _Frames(self, near, gx, gy, tall)
+        gx, gy = (np.asarray(g, np.float64) for g in self.context.gradient(*window))
+        held = self.store.load(tuple(r.where for r in around))
+        frames = _Frames(self, window, origin, around, held, inner, (gx, gy), tall)
         layers = self.how.layers
         while True:
             if (
                 frames.texels * layers * 4 > self.device.largest
                 or max(frames.size) > self.device.limit("max-texture-dimension-2d")
             ):  # fmt: skip
-                return self._parts(row0, row1, col0, col1, tall)
-            sums, lost = self._pass(near, frames, gx, gy, layers)
+                return self._parts(window, origin, around, tall)
+            sums, lost = self._pass(held, frames, gx, gy, layers)
             if not lost:
                 break
             layers *= 2
@@ -177,37 +167,42 @@ class Maps:
         out[missing] = np.nan
         return np.asarray(np.clip(out, 0.0, 1.0))
 
-    def _parts(self, row0: int, row1: int, col0: int, col1: int, tall: float) -> Values:
+    def _parts(
+        self, window: tuple[int, int, int, int], origin: tuple[int, int], around: tuple[Ring, ...], tall: float
+    ) -> Values:
         """A tile whose maps are too large: in two parts, or below a cliff of thousands of texels with taller texels."""
+        row0, row1, col0, col1 = window
         if max(row1 - row0, col1 - col0) <= _SMALL:
-            return self.tile(row0, row1, col0, col1, 2.0 * tall)
-        if row1 - row0 >= col1 - col0:
-            half = (row0 + row1) // 2
-            return np.concatenate([self.tile(*w, tall) for w in ((row0, half, col0, col1), (half, row1, col0, col1))])
-        half = (col0 + col1) // 2
-        parts = [self.tile(*w, tall) for w in ((row0, row1, col0, half), (row0, row1, half, col1))]
-        return np.concatenate(parts, axis=1)
+            return self._part(window, origin, around, 2.0 * tall)
+        axis = 0 if row1 - row0 >= col1 - col0 else 1
+        halves = (
+            [(row0, (row0 + row1) // 2, col0, col1), ((row0 + row1) // 2, row1, col0, col1)]
+            if axis == 0
+            else [(row0, row1, col0, (col0 + col1) // 2), (row0, row1, (col0 + col1) // 2, col1)]
+        )
+        return np.concatenate([self._part(w, origin, around, tall) for w in halves], axis=axis)
 
-    def _pass(self, near: Neighbourhood, frames: _Frames, gx: Array, gy: Array, layers: int) -> tuple[Values, int]:
+    def _pass(self, held: list[Held], frames: _Frames, gx: Array, gy: Array, layers: int) -> tuple[Values, int]:
         """Sums (rows, cols, 2) over all directions, and how many faces found no layer."""
         device, handle = self.device, self.device.handle
         rows, cols = gx.shape
-        heights = np.where(np.isnan(near.heights), MISSING, near.heights - np.float32(frames.level))
         records = frames.records(layers)
         width, height = frames.size
         if self._size[0] < width or self._size[1] < height:
             self._size = max(self._size[0], width), max(self._size[1], height)
             self._target = device.texture(self._size, "r8unorm", "RENDER_ATTACHMENT").create_view()
-        uniforms = np.zeros((len(records), _RECORD), np.uint8)
-        uniforms[:, : records.dtype.itemsize] = records.view(np.uint8).reshape(len(records), -1)
+        uniforms = np.zeros((max(len(records), 1), _RECORD), np.uint8)
+        uniforms[: len(records), : records.dtype.itemsize] = records.view(np.uint8).reshape(len(records), -1)
         slopes = np.nan_to_num(np.stack([gx, gy], axis=-1)).astype(np.float32)
         texels = device.buffer(frames.texels * layers * 4, "STORAGE")
         sums = device.buffer(np.zeros((rows, cols, 2), np.float32), "STORAGE|COPY_SRC")
         lost = device.buffer(np.zeros(1, np.uint32), "STORAGE|COPY_SRC")
-        group = bind(
-            device, self.layout, device.buffer(uniforms, "UNIFORM"), device.buffer(heights, "STORAGE"), texels, sums,
-            device.buffer(slopes, "STORAGE"), self.table, lost, sizes={0: _RECORD},
-        )  # fmt: skip
+        shared = device.buffer(uniforms, "UNIFORM"), device.buffer(slopes, "STORAGE")
+        groups = [
+            bind(device, self.layout, shared[0], h.buffer, texels, sums, shared[1], self.table, lost,
+                 device.buffer(ring.view(np.uint8), "UNIFORM"), sizes={0: _RECORD})
+            for h, ring in zip(held, frames.rings)
+        ]  # fmt: skip
         draw = self.draw[frames.holes]
         target = {"view": self._target, "load_op": "clear", "store_op": "discard", "clear_value": (0, 0, 0, 0)}
         for first in range(0, len(records), _BATCH):
@@ -219,12 +214,13 @@ class Maps:
                 drawing.set_viewport(0, 0, w, h, 0.0, 1.0)
                 drawing.set_scissor_rect(0, 0, w, h)
                 drawing.set_pipeline(draw)
-                drawing.set_bind_group(0, group, [k * _RECORD])
-                drawing.draw(6 * int(records["window"][k, 2]), int(frames.rows[k]))
+                for number, row0, row1, col0, col1 in frames.cells[k]:
+                    drawing.set_bind_group(0, groups[number], [k * _RECORD])
+                    drawing.draw(6 * (col1 - col0), row1 - row0, 6 * col0, row0)
                 drawing.end()
                 gathering = encoder.begin_compute_pass()
                 gathering.set_pipeline(self.gather)
-                gathering.set_bind_group(0, group, [k * _RECORD])
+                gathering.set_bind_group(0, groups[0], [k * _RECORD])
                 gathering.dispatch_workgroups(-(-cols // 8), -(-rows // 8))
                 gathering.end()
             device.queue.submit([encoder.finish()])
@@ -234,81 +230,99 @@ class Maps:
 
 _DIRECTION = np.dtype(
     [("u", "f4", 4), ("v", "f4", 4), ("s", "f4", 4), ("omega", "f4", 4), ("run", "f4", 4), ("map", "u4", 4),
-     ("window", "u4", 4), ("tile", "u4", 4), ("ground", "u4", 4), ("bias", "f4", 4)]
+     ("tile", "i4", 4), ("bias", "f4", 4)]
 )  # fmt: skip
 """``Direction`` of the shader."""
 
+_RING = np.dtype([("origin", "i4", 4), ("last", "i4", 4), ("hole", "i4", 4), ("drop", "f4", 4)])
+"""``Ring`` of the shader."""
+
+Cells = tuple[int, int, int, int, int]
+"""A rectangle of a ring's cells: the ring's number, first row, end, first column, end."""
+
 
 class _Frames:
-    """How the directions that matter to a tile map it: everything in float64, relative to the terrain.
+    """How the directions that matter to a tile map it: everything in float64, relative to the tile's first sample.
 
     Attributes:
-        level: the height that heights are relative to. size, texels: width and height that hold all maps, and
-            the area of the largest. holes: whether samples are missing.
-        rows: how many rows of cells are drawn, by direction.
+        rings: ``_RING`` of each ring. level: the height that heights are relative to. size, texels: width and height
+            that hold all maps, and the area of the largest. holes: whether samples are missing.
+        cells: what is drawn, by direction.
     """
 
-    def __init__(self, maps: Maps, near: Neighbourhood, gx: Array, gy: Array, tall: float) -> None:
-        self.maps, self.near = maps, near
-        omegas = maps.omegas
+    def __init__(
+        self, maps: Maps, window: tuple[int, int, int, int], origin: tuple[int, int], around: tuple[Ring, ...],
+        held: list[Held], inner: Values, slopes: tuple[Array, Array], tall: float,
+    ) -> None:  # fmt: skip
+        gx, gy = slopes
         up = 1.0 / np.sqrt(1.0 + gx * gx + gy * gy)
         normals = np.stack([-gx * up, -gy * up, up], axis=-1)[np.isfinite(up)]
-        facing = np.concatenate([(normals @ part.T).max(axis=0) for part in np.array_split(omegas, 8) if len(part)])
-        self.omegas = omegas[facing > 0]
-        inner = near.block(near.heights)
+        parts = [part for part in np.array_split(maps.omegas, 8) if len(part)]
+        facing = np.concatenate([(normals @ part.T).max(axis=0) for part in parts])
+        self.omegas = maps.omegas[facing > 0]
         low, high = float(np.nanmin(inner)), float(np.nanmax(inner))
         self.level = round((low + high) / 2)
-        self.holes = bool(np.isnan(near.heights).any())
-        relief = max(float(np.nanmax(near.heights)) - low, 0.0)
-        a, b, c, d = near.inner
-        n = len(self.omegas)
-        self.rows = np.zeros(n, np.int64)
-        out = np.zeros(n, _DIRECTION)
+        self.holes = any(h.holes for h in held)
+        # The lowest and the highest there is, as seen from the tile.
+        deepest, tallest = min(h.low for h in held), max(h.high for h in held)
+        a, b = window[0] - origin[0], window[1] - origin[0]
+        c, d = window[2] - origin[1], window[3] - origin[1]
+        self.rings = [self._ring(maps, ring, origin, tallest - deepest) for ring in around]
+        self.cells: list[list[Cells]] = []
+        out = np.zeros(len(self.omegas), _DIRECTION)
         linear, cell = maps.context.linear, maps.cell
         texel = cell / maps.how.texels
-        level_of = np.hypot(self.omegas[:, 0], self.omegas[:, 1])
         corners = np.array([[x, y, z - self.level] for x in (c, d - 1) for y in (a, b - 1) for z in (low, high)])
-        everything = np.array(
-            [[x, y, z - self.level] for x in (0, near.heights.shape[1] - 1) for y in (0, near.heights.shape[0] - 1)
-             for z in (float(np.nanmin(near.heights)), float(np.nanmax(near.heights)))]
-        )  # fmt: skip
         # Where the tile lies in the terrain, so that texels do not depend on the tile.
-        origin = np.append(linear @ [near.col0, near.row0], float(self.level))
-        for k, (omega, level) in enumerate(zip(self.omegas, level_of)):
+        place = np.append(linear @ [origin[1], origin[0]], float(self.level))
+        for k, omega in enumerate(self.omegas):
+            level = math.hypot(omega[0], omega[1])
             az = omega[:2] / level if level > 1e-12 else np.array([0.0, 1.0])
             u = np.array([-az[1], az[0], 0.0])
             v = np.cross(omega, u)  # u × v = ω: looking against the light u is right and v is up
-            rows = []
-            for along, scale in ((u, texel), (v, texel * tall), (omega, -1.0)):
-                flat = along[:2] @ linear / scale
-                rows.append(np.array([*flat, along[2] / scale, float(along @ origin) / scale]))
-            for axis, row in enumerate(rows[:2]):
+            for axis, (along, scale) in enumerate(((u, texel), (v, texel * tall))):
+                row = np.append(along[:2] @ linear, [along[2], along @ place]) / scale
                 row[3] -= math.floor(float((corners @ row[:3]).min()) + row[3]) - 1
                 out["map"][k, axis] = math.floor(float((corners @ row[:3]).max()) + row[3]) + 2
-            rows[2][3] = 1.0 - float((everything @ rows[2][:3]).min())  # the light's plane is before everything
-            out["u"][k], out["v"][k], out["s"][k] = rows
+                out["uv"[axis]][k] = row
+            out["s"][k, :3] = *(-omega[:2] @ linear), -omega[2]
             out["omega"][k] = *omega, 1.0 / (1.0 + omega[2])
             run = maps.inverse @ omega[:2]
-            out["run"][k] = *run, min(maps.ways.radius, 1e30), 0.0
-            # How far occluders can be: within R, and no higher than the terrain is.
-            reach = maps.ways.radius * level
-            if omega[2] > 1e-9:
-                reach = min(reach, relief * level / omega[2])
-            reach = min(reach, 1e9)
-            shift = maps.inverse @ (az * reach)
-            c0, c1 = min(c, c + shift[0]) - 2, max(d, d + shift[0]) + 2
-            r0, r1 = min(a, a + shift[1]) - 2, max(b, b + shift[1]) + 2
-            c0, c1 = max(int(c0), 0), min(math.ceil(c1), near.heights.shape[1]) - 1
-            r0, r1 = max(int(r0), 0), min(math.ceil(r1), near.heights.shape[0]) - 1
-            out["window"][k] = c0, r0, max(c1 - c0, 0), maps.ways.step
-            self.rows[k] = max(r1 - r0, 0)
+            out["run"][k] = *run, min(maps.ways.radius, 1e30), maps.ways.step
+            # How far occluders can be: within R, no higher than the terrain is, and no deeper.
+            reach = min(maps.ways.radius * level, 1e9)
+            if abs(omega[2]) > 1e-9:
+                reach = min(reach, (tallest - low if omega[2] > 0 else high - deepest) * level / abs(omega[2]))
+            over, down = maps.inverse @ (az * reach)
+            box = min(a, a + down) - 2, max(b, b + down) + 2, min(c, c + over) - 2, max(d, d + over) + 2
+            self.cells.append([
+                (number, *part) for number, ring in enumerate(around) for part in _cells(ring, origin, box)
+            ])  # fmt: skip
+        first = around[0].where
         out["map"][:, 3] = self.holes
-        out["tile"] = c, a, d - c, b - a
-        out["ground"] = near.heights.shape[1], near.heights.shape[0], 0, 0
+        out["tile"] = window[2] - first.col0, window[0] - first.row0, d - c, b - a
         out["bias"] = NEAR * cell, HOLE * cell, texel * tall, 0.0
         self._records = out
-        self.size = int(out["map"][:, 0].max()), int(out["map"][:, 1].max())
-        self.texels = int((out["map"][:, 0].astype(np.int64) * out["map"][:, 1]).max())
+        self.size = int(out["map"][:, 0].max(initial=1)), int(out["map"][:, 1].max(initial=1))
+        self.texels = int((out["map"][:, 0].astype(np.int64) * out["map"][:, 1]).max(initial=1))
+
+    def _ring(self, maps: Maps, ring: Ring, origin: tuple[int, int], relief: float) -> Any:
+        """``_RING`` of a ring."""
+        r, (rows, cols) = ring.where, maps.context.shape
+        out = np.zeros(1, _RING)
+        out["origin"] = (r.col0 << r.level) - origin[1], (r.row0 << r.level) - origin[0], r.level, 0
+        out["last"] = cols - 1 - origin[1], rows - 1 - origin[0], r.col1 - r.col0, r.row1 - r.row0
+        far = 1 << 30
+        if ring.hole is not None:
+            (a, b, c, d), sides = ring.hole, ring.open_sides()
+            edge = [v if is_open else way * far for v, is_open, way in zip(
+                (a - r.row0, b - r.row0, c - r.col0, d - r.col0), sides, (-1, 1, -1, 1))]  # fmt: skip
+            out["hole"] = edge[2], edge[0], edge[3], edge[1]
+        else:
+            out["hole"] = far, far, -far, -far
+        # Below the border of its hole a ring goes down a ramp steeper than rays: none slips in under its edge.
+        out["drop"] = relief + 8.0 * maps.cell * (1 << r.level), self.level, 0, 0
+        return out
 
     def records(self, layers: int) -> NDArray[Any]:
         """The uniforms (n,) of all directions."""
@@ -316,11 +330,34 @@ class _Frames:
         return self._records
 
 
+def _cells(ring: Ring, origin: tuple[int, int], box: tuple[float, ...]) -> list[tuple[int, int, int, int]]:
+    """The cells of a ring within a box (first row, end, first column, end, in samples from the tile's first), but for
+    those well inside its hole: rectangles (first row, end, first column, end)."""
+    r = ring.where
+    at = ((r.row0 << r.level) - origin[0], (r.col0 << r.level) - origin[1])
+    a, b, c, d = (math.floor((v - at[k // 2]) / (1 << r.level)) + k % 2 for k, v in enumerate(box))
+    a, b = max(a, 0), min(b, r.row1 - r.row0 - 1)
+    c, d = max(c, 0), min(d, r.col1 - r.col0 - 1)
+    if a >= b or c >= d:
+        return []
+    if ring.hole is None:
+        return [(a, b, c, d)]
+    sides = ring.open_sides()  # there the outermost cells of the hole are a ramp
+    e, f, g, h = (v + s * way for v, s, way in zip(
+        (ring.hole[0] - r.row0, ring.hole[1] - r.row0, ring.hole[2] - r.col0, ring.hole[3] - r.col0),
+        sides, (1, -1, 1, -1)))  # fmt: skip
+    e, f, g, h = max(e, a), min(f, b), max(g, c), min(h, d)
+    if e >= f or g >= h:
+        return [(a, b, c, d)]
+    found = [(a, e, c, d), (f, b, c, d), (e, f, c, g), (e, f, h, d)]
+    return [(r0, r1, c0, c1) for r0, r1, c0, c1 in found if r0 < r1 and c0 < c1]
+
+
 def run(context: Context, device: Device | None = None) -> Blocks:
     """The product ``ambient-occlusion`` with ``method`` "shadow-maps": ``rays`` directions.
 
     Raises:
-        NoAdapterError: there is no GPU to do it. DeviceLimitError: what is within reach does not fit on it.
+        NoAdapterError: there is no GPU to do it. DeviceLimitError: its memory does not hold a tile.
         UsageError: as for rays.
     """
     options = context.options
@@ -328,17 +365,29 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     if options.rays < 1:
         raise UsageError(f"At least one direction is needed, not {options.rays}.")
     ways = transmission(options.more.get("rho", "step"), options.radius)
-    how = SETTINGS
-    check_reach(context, ways.radius, how.tile, how.tile, 1)
     gpu = device or open_device()
-    check_device(gpu, context, ways.radius, how.tile)
+    how = SETTINGS
 
     def blocks() -> Blocks:
         maps = Maps(gpu, context, ways, options.rays, int(options.more.get("seed", 0)), how)
-        windows = list(rectangles(context.shape, how.tile, how.tile))
-        with context.progress.task("Drawing shadow maps", total=len(windows)) as task:
-            for window in windows:
-                yield window[0], window[2], maps.tile(*window)[None]
-                task.advance()
+        yield from by_tiles(context, how.tile, "Drawing shadow maps", maps.tile)
 
     return blocks()
+
+
+def by_tiles(context: Context, side: int, what: str, make: Callable[[int, int, int, int], Values]) -> Blocks:
+    """The product tile by tile, in order; tiles are kept where the context keeps anything."""
+    windows = list(rectangles(context.shape, side, side))
+
+    def one(window: tuple[int, int, int, int]) -> Values:
+        def new() -> Values:
+            return make(*window)[None]
+
+        if context.kept is None:
+            return new()
+        return context.kept.window("ambient-occlusion", window[0], window[2], new)
+
+    with context.progress.task(what, total=len(windows)) as task:
+        for window in windows:
+            yield window[0], window[2], one(window)
+            task.advance()

@@ -11,7 +11,6 @@ struct Frame {
     run: vec4f,      // metres of a voxel of level 0, R, widths of a cone that a voxel is wide, first distance in voxels
     tile: vec4i,     // first column and row, columns, rows
     counts: vec4i,   // cones, levels, 1 for a step, 0
-    ground: vec4i,   // of the heights: first column and row, columns, rows
     levels: array<Level, 12>,
 };
 
@@ -21,7 +20,7 @@ struct Cone {
 };
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> heights: array<f32>;
+@group(0) @binding(1) var<storage, read> heights: array<f32>;  // of the tile, metres above where layers begin
 @group(0) @binding(2) var<storage, read> gradient: array<vec2f>;
 @group(0) @binding(3) var<storage, read> cones: array<Cone>;
 @group(0) @binding(4) var<storage, read> table: array<f32>;
@@ -87,7 +86,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let index = id.y * u32(frame.tile.z) + id.x;
     let col = frame.tile.x + i32(id.x);
     let row = frame.tile.y + i32(id.y);
-    let z = heights[(row - frame.ground.y) * frame.ground.z + (col - frame.ground.x)];
+    let z = heights[index];
     if (z < 0.5 * MISSING) {
         return;
     }

@@ -5,35 +5,60 @@
 // them in front of it, which is where its ray enters the ground, and adds ρ of the distance (gather).
 
 struct Direction {
-    u: vec4f,       // texel column of a point (x, y, z, 1): samples, samples, metres, from the tile's origin
+    u: vec4f,       // texel column of a point (x, y, z, 1): samples, samples, metres, from the tile's first sample
     v: vec4f,       // texel row
-    s: vec4f,       // metres behind the light's plane: smaller is nearer to the light
+    s: vec4f,       // metres away from the light: smaller is nearer to it
     omega: vec4f,   // east, north, up; weight 1 / density
-    run: vec4f,     // samples per metre along ω: columns, rows; R in metres; 0
+    run: vec4f,     // samples per metre along ω: columns, rows; R in metres; 1 if ρ is a step
     map: vec4u,     // width, height and layers of the map; 1 if front faces are in it as well
-    window: vec4u,  // first column and row of the cells that are drawn; columns; 1 if ρ is a step
-    tile: vec4u,    // first column and row of the receivers; their columns and rows
-    ground: vec4u,  // columns and rows of the heights
-    bias: vec4f,    // metres: nearest back face, nearest front face that count; width of a texel
+    tile: vec4i,    // first column and row of the receivers in the finest ring; their columns and rows
+    bias: vec4f,    // metres: nearest back face, nearest front face that count; width of a texel; 0
+};
+
+struct Ring {
+    origin: vec4i,  // its first column and row, in samples of the terrain from the tile's first; its level
+    last: vec4i,    // the terrain's last column and row, likewise; its own columns and rows
+    hole: vec4i,    // in its own columns and rows: what lies between is drawn finer (left, top, right, bottom)
+    drop: vec4f,    // metres by which its surface falls within the hole; the height that heights are relative to
 };
 
 @group(0) @binding(0) var<uniform> d: Direction;
-@group(0) @binding(1) var<storage, read> heights: array<f32>;       // metres above the origin; MISSING
+@group(0) @binding(1) var<storage, read> heights: array<f32>;       // of the ring, metres; MISSING
 @group(0) @binding(2) var<storage, read_write> layers: array<atomic<u32>>;
 @group(0) @binding(3) var<storage, read_write> sums: array<vec2f>;  // per receiver Σ w ρ, Σ w
 @group(0) @binding(4) var<storage, read> gradient: array<vec2f>;    // per receiver, rise per metre east and north
 @group(0) @binding(5) var<storage, read> table: array<f32>;
 @group(0) @binding(6) var<storage, read_write> lost: array<atomic<u32>>;  // faces for which there was no layer
+@group(0) @binding(7) var<uniform> ring: Ring;
 
 // include: rho.wgsl
 
 const MISSING = -1e30;
 
 fn height(col: i32, row: i32) -> f32 {
-    if (col < 0 || row < 0 || col >= i32(d.ground.x) || row >= i32(d.ground.y)) {
+    if (col < 0 || row < 0 || col >= ring.last.z || row >= ring.last.w) {
         return MISSING;
     }
-    return heights[u32(row) * d.ground.x + u32(col)];
+    let h = heights[row * ring.last.z + col];
+    return select(h - ring.drop.y, MISSING, h < 0.5 * MISSING);
+}
+
+// A point of the ring: columns and rows of the terrain from the tile's first sample, metres. Beyond the terrain's border
+// coarse samples repeat those on it.
+fn point(at: vec2i, z: f32) -> vec4f {
+    let place = min(ring.origin.xy + (at << vec2u(u32(ring.origin.z))), ring.last.xy);
+    let within = all(at > ring.hole.xy) && all(at < ring.hole.zw);
+    return vec4f(vec2f(place), z - select(0.0, ring.drop.x, within), 1.0);
+}
+
+// Unsigned numbers in the order of floats of either sign, none of them 0; and back.
+fn ordered(x: f32) -> u32 {
+    let bits = bitcast<u32>(x);
+    return select(bits | 0x80000000u, ~bits, (bits >> 31u) == 1u);
+}
+
+fn unordered(key: u32) -> f32 {
+    return bitcast<f32>(select(~key, key & 0x7fffffffu, (key >> 31u) == 1u));
 }
 
 struct Corner {
@@ -44,8 +69,8 @@ struct Corner {
 // Six vertices per cell, one instance per row of cells; cells are cut along the diagonal of even (row + column).
 @vertex
 fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> Corner {
-    let col = i32(d.window.x + index / 6u);
-    let row = i32(d.window.y + instance);
+    let col = i32(index / 6u);
+    let row = i32(instance);
     let even = ((col + row) & 1) == 0;
     let corner = index % 6u;
     let second = corner >= 3u;
@@ -64,7 +89,7 @@ fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: 
         return out;
     }
     let z = select(select(hc, hb, k == 1u), ha, k == 0u);
-    let p = vec4f(f32(col + at.x), f32(row + at.y), z, 1.0);
+    let p = point(vec2i(col, row) + at, z);
     let texel = vec2f(dot(d.u, p), dot(d.v, p));
     out.position = vec4f(texel.x * 2.0 / f32(d.map.x) - 1.0, 1.0 - texel.y * 2.0 / f32(d.map.y), 0.5, 1.0);
     out.s = dot(d.s, p);
@@ -72,14 +97,13 @@ fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: 
 }
 
 // Keeps the depths of a texel sorted, the largest first, whatever the order in which faces arrive: each slot ends as
-// the largest of what is passed to it (Liu et al. 2009, multi-layer depth by atomic minima). 0 is empty; positive
-// floats are ordered as their bits. The last bit says whether the face looks towards the light.
+// the largest of what is passed to it (Liu et al. 2009, multi-layer depth by atomic minima). 0 is empty. The last bit says
+// whether the face looks towards the light.
 @fragment
 fn fragment(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
     let texel = vec2u(in.position.xy);
     let first = (texel.y * d.map.x + texel.x) * d.map.z;
-    var value = bitcast<u32>(max(in.s, 1e-6));
-    value = (value & 0xfffffffeu) | select(0u, 1u, front && d.map.w == 1u);
+    var value = (ordered(in.s) & 0xfffffffeu) | select(0u, 1u, front && d.map.w == 1u);
     for (var k = 0u; k < d.map.z; k++) {
         let old = atomicMax(&layers[first + k], value);
         value = min(old, value);
@@ -118,12 +142,12 @@ fn buried(col: i32, row: i32, z: f32) -> bool {
 
 @compute @workgroup_size(8, 8)
 fn gather(@builtin(global_invocation_id) id: vec3u) {
-    if (id.x >= d.tile.z || id.y >= d.tile.w) {
+    if (i32(id.x) >= d.tile.z || i32(id.y) >= d.tile.w) {
         return;
     }
-    let index = id.y * d.tile.z + id.x;
-    let col = i32(d.tile.x + id.x);
-    let row = i32(d.tile.y + id.y);
+    let index = id.y * u32(d.tile.z) + id.x;
+    let col = d.tile.x + i32(id.x);
+    let row = d.tile.y + i32(id.y);
     let z = height(col, row);
     let g = gradient[index];
     if (z < 0.5 * MISSING) {
@@ -135,12 +159,12 @@ fn gather(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let radius = d.run.z;
-    let step = d.window.w == 1u;
+    let step = d.run.w == 1.0;
     var through = rho_free();
     if (buried(col, row, z)) {
         through = select(table[0], 0.0, step);
     } else {
-        let p = vec4f(f32(col), f32(row), z, 1.0);
+        let p = point(vec2i(col, row), z);
         let s = dot(d.s, p);
         let texel = clamp(vec2i(floor(vec2f(dot(d.u, p), dot(d.v, p)))), vec2i(0), vec2i(d.map.xy) - 1);
         let first = (u32(texel.y) * d.map.x + u32(texel.x)) * d.map.z;
@@ -151,7 +175,7 @@ fn gather(@builtin(global_invocation_id) id: vec3u) {
             if (bits == 0u) {
                 break;
             }
-            let length = s - bitcast<f32>(bits & 0xfffffffeu);
+            let length = s - unordered(bits & 0xfffffffeu);
             if (length > select(d.bias.x, front, (bits & 1u) == 1u)) {
                 if (length < radius) {
                     if (step) {

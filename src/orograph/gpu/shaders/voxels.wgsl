@@ -2,9 +2,10 @@
 
 struct Level {
     origin: vec4i,  // of the level's voxels in its own units: columns, rows, layers; level
-    size: vec4u,    // voxels along columns, rows, layers
-    ground: vec4i,  // of the heights: first column and row (full resolution), columns, rows
-    height: vec4f,  // of a voxel of level 0, metres; what layers count from, metres relative to the heights
+    size: vec4u,    // voxels along columns, rows, layers; the level of the samples
+    ground: vec4i,  // of the samples: first column and row, columns, rows
+    height: vec4f,  // of a voxel of level 0, metres; what layers count from
+    last: vec4i,    // the terrain's last column and row at full resolution
 };
 
 @group(0) @binding(0) var<uniform> level: Level;
@@ -13,24 +14,31 @@ struct Level {
 
 const MISSING = -1e30;
 
-fn height(col: i32, row: i32) -> f32 {
-    let at = vec2i(col, row) - level.ground.xy;
-    if (any(at < vec2i(0)) || any(at >= level.ground.zw)) {
+fn height(at: vec2i) -> f32 {
+    let k = at - level.ground.xy;
+    if (any(k < vec2i(0)) || any(k >= level.ground.zw)) {
         return MISSING;
     }
-    return heights[at.y * level.ground.z + at.x];
+    return heights[k.y * level.ground.z + k.x];
 }
 
-// A height between samples (quarter points of the cells around), from those that are there.
-fn between(col: i32, row: i32, side: vec2i) -> f32 {
-    let h = height(col, row);
-    let x = height(col + side.x, row);
-    let y = height(col, row + side.y);
-    let xy = height(col + side.x, row + side.y);
-    if (min(min(h, x), min(y, xy)) < 0.5 * MISSING) {
-        return h;
+// The height in the middle of one of the four quarters of what a sample stands for, from the samples around that are
+// there. Sample i of level m stands for 2^m columns from i 2^m − 1/2 on.
+fn between(at: vec2i, side: vec2i) -> f32 {
+    let offset = vec2f(side) * 0.25 + 0.5 - exp2(-1.0 - f32(level.size.w));
+    let base = at + vec2i(floor(offset));
+    let f = offset - floor(offset);
+    let a = height(base);
+    let b = height(base + vec2i(1, 0));
+    let c = height(base + vec2i(0, 1));
+    let d = height(base + vec2i(1, 1));
+    if (min(min(a, b), min(c, d)) < 0.5 * MISSING) {
+        // Beyond the terrain's border there is none, though its last coarse sample may stand there.
+        let place = (vec2f(at) + offset) * exp2(f32(level.size.w));
+        let own = select(height(at), MISSING, any(place > vec2f(level.last.xy) + 0.5));
+        return select(own - level.height.y, MISSING, own < 0.5 * MISSING);
     }
-    return 0.5625 * h + 0.1875 * (x + y) + 0.0625 * xy;
+    return mix(mix(a, b, f.x), mix(c, d, f.x), f.y) - level.height.y;
 }
 
 // One invocation per column of voxels: each of the samples under it is four quarters, whose heights fill layers. Seen along
@@ -40,10 +48,10 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     if (id.x >= level.size.x || id.y >= level.size.y) {
         return;
     }
-    let wide = 1 << u32(level.origin.w);
+    let wide = 1 << (u32(level.origin.w) - level.size.w);
     let first = (vec2i(id.xy) + level.origin.xy) * wide;
-    let thick = level.height.x * f32(wide);
-    let bottom = level.height.y + f32(level.origin.z) * thick;
+    let thick = level.height.x * exp2(f32(level.origin.w));
+    let bottom = f32(level.origin.z) * thick;
     let part = 1.0 / f32(2 * wide);
     for (var k0 = 0u; k0 < level.size.z; k0 += 16u) {
         var along: array<f32, 16>;
@@ -60,12 +68,12 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             let side = select(-1, 1, (line & 1) == 1);
             for (var i = 0; i < 2 * wide; i++) {
                 let other = select(-1, 1, (i & 1) == 1);
-                let h = between(first.x + (i >> 1u), first.y + (line >> 1u), vec2i(other, side));
+                let h = between(first + vec2i(i >> 1u, line >> 1u), vec2i(other, side));
                 row = max(row, h);
                 for (var k = 0; k < 16; k++) {
                     filled[k] += clamp((h - bottom) / thick - f32(k0) - f32(k), 0.0, 1.0) * part * part;
                 }
-                col = max(col, between(first.x + (line >> 1u), first.y + (i >> 1u), vec2i(side, other)));
+                col = max(col, between(first + vec2i(line >> 1u, i >> 1u), vec2i(side, other)));
             }
             for (var k = 0; k < 16; k++) {
                 along[k] += clamp((row - bottom) / thick - f32(k0) - f32(k), 0.0, 1.0) * part;

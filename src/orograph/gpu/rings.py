@@ -1,0 +1,153 @@
+"""The ground around a tile of samples: at full resolution near by, coarser the farther away it lies.
+
+Ring k holds every 2^k-th sample (the terrain's nested level k) as far as ``REACH`` of its own samples beyond the tile,
+and R, where there is one; what finer rings hold is its hole. So rings are a few MB each whatever the raster, and there
+are as many as the logarithm of what is within R. What lies d metres away stands on samples at most 2 d / ``REACH``
+apart; where such a level is off by e metres, the tangent of an elevation seen from the tile is off by e / d at most:
+``bound`` is the largest of these over a terrain. Within ``REACH`` samples all is exact.
+
+Rings depend on the tile they are for and on nothing else, neither on memory nor on the device. Units: samples, metres.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+from orograph.raycast.select import Rectangle
+from orograph.store.terrain import Terrain
+
+REACH = 512
+"""Samples of its own that a ring reaches beyond its tile."""
+MISSING = np.float32(-1e30)
+_SNAP = 64  # rings but the finest begin and end at multiples of this: neighbouring tiles share them
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """What is drawn of one level.
+
+    Attributes:
+        where: the level and its samples. hole: what finer rings hold, in this level's samples, (first row, last row,
+            first column, last column); None of the finest.
+    """
+
+    where: Rectangle
+    hole: tuple[int, int, int, int] | None
+
+    def open_sides(self) -> tuple[bool, bool, bool, bool]:
+        """On which sides of its hole (first row, last row, first column, last column) the ring goes on."""
+        if self.hole is None:
+            return False, False, False, False
+        r, (a, b, c, d) = self.where, self.hole
+        return a > r.row0, b < r.row1 - 1, c > r.col0, d < r.col1 - 1
+
+
+def rings(
+    terrain: Terrain, tile: tuple[int, int, int, int], linear: NDArray[np.float64], radius: float, reach: int
+) -> tuple[Ring, ...]:
+    """The rings around a tile (first row, end, first column, end), the finest first.
+
+    Args:
+        linear: (2, 2) metres east and north per column and per row. radius: R, metres; inf: the whole terrain.
+        reach: samples of its own that a ring reaches beyond the tile.
+    """
+    rows, cols = terrain.grid.shape
+    over, down = cols, rows
+    if math.isfinite(radius):
+        over, down = (min(math.ceil(radius * float(np.linalg.norm(v))) + 2, n)
+                      for v, n in zip(np.linalg.inv(linear), (cols, rows)))  # fmt: skip
+    row0, row1, col0, col1 = tile
+    need = max(row0 - down, 0), min(row1 + down, rows) - 1, max(col0 - over, 0), min(col1 + over, cols) - 1
+    out: list[Ring] = []
+    hole: tuple[int, int, int, int] | None = None
+    for level in range(terrain.levels):
+        last = level == terrain.levels - 1
+        shape, far, snap = terrain.shape(level), reach << level, _SNAP if level else 2
+        sides: list[int] = []
+        for axis, (first, end, most) in enumerate(((row0, row1, shape[0]), (col0, col1, shape[1]))):
+            low, high = need[2 * axis], need[2 * axis + 1]
+            if not last:
+                low, high = max(low, first - far), min(high, end - 1 + far)
+            a, b = low >> level, -(-high >> level)
+            if hole is not None:
+                a, b = min(a, hole[2 * axis]), max(b, hole[2 * axis + 1])
+            # Cells are cut along the terrain's diagonals, and the next ring's samples lie on the border.
+            a, b = a // snap * snap, min(-(-b // snap) * snap, most - 1)
+            sides += [min(a, max(most - 2, 0) & ~1), b]
+        out.append(Ring(Rectangle(level, sides[0], sides[1] + 1, sides[2], sides[3] + 1), hole))
+        low_enough = all(sides[k] << level <= need[k] for k in (0, 2))
+        if low_enough and all(sides[k] << level >= need[k] for k in (1, 3)):
+            break
+        hole = sides[0] // 2, -(-sides[1] // 2), sides[2] // 2, -(-sides[3] // 2)
+    return tuple(out)
+
+
+def bound(terrain: Terrain, radius: float = math.inf, reach: int = REACH) -> float:
+    """By how much the tangent of an elevation may be off, at most, as the ground far away is coarser.
+
+    Args:
+        radius: R, metres.
+    """
+    worst, spacing = 0.0, min(terrain.grid.spacing)
+    for level in range(1, terrain.levels):
+        nearest = (reach << (level - 1)) * spacing
+        if nearest >= min(radius, max(terrain.grid.shape) * max(terrain.grid.spacing)):
+            break
+        error = terrain.tiles(level).error
+        known = error[np.isfinite(error)]
+        worst = max(worst, float(known.max()) / nearest if known.size else 0.0)
+    return worst
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Heights on the device.
+
+    Attributes:
+        buffer: (rows, cols) float32, ``MISSING`` where there is none. low, high: of those there are, metres; inf and
+            −inf if there are none. holes: whether any are missing.
+    """
+
+    buffer: Any
+    low: float
+    high: float
+    holes: bool
+
+
+class Store:
+    """Rings' heights on a device; those of the last tile are kept for the next.
+
+    Args:
+        terrain: to read.
+    """
+
+    def __init__(self, device: Device, terrain: Terrain) -> None:
+        self.device, self.terrain = device, terrain
+        self._held: dict[Rectangle, Held] = {}
+
+    def load(self, wanted: tuple[Rectangle, ...]) -> list[Held]:
+        """The heights of rectangles.
+
+        Raises:
+            DeviceLimitError: the device's memory does not hold them.
+        """
+        self._held = {r: self._held[r] for r in wanted if r in self._held}
+        for r in wanted:
+            if r not in self._held:
+                self._held[r] = self._read(r)
+        return [self._held[r] for r in wanted]
+
+    def _read(self, r: Rectangle) -> Held:
+        heights = self.terrain.read(r.level, r.row0, r.row1, r.col0, r.col1)
+        gone = np.isnan(heights)
+        holes = bool(gone.any())
+        low, high = (math.inf, -math.inf) if holes and gone.all() else (
+            float(np.nanmin(heights)), float(np.nanmax(heights)))  # fmt: skip
+        data = np.where(gone, MISSING, heights) if holes else np.ascontiguousarray(heights, np.float32)
+        return Held(self.device.buffer(data, "STORAGE", "the ground around a tile"), low, high, holes)
