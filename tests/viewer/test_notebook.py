@@ -80,3 +80,47 @@ def test_a_still_where_there_is_no_gpu(terrain, front_end, monkeypatch):
     assert isinstance(still, Still)
     assert "nonsuch" in still.why
     assert pixels(still._repr_png_()).std() > 10
+
+
+def test_messages_of_a_page_are_heard_in_the_thread_that_draws(monkeypatch):
+    """Also where Jupyter hands them to another (subshells): a scheduler of another thread's loop is never woken."""
+    import asyncio
+    import threading
+
+    heard: list[tuple[str, int]] = []
+
+    class Canvas:
+        def __init__(self, size):
+            pass
+
+        def _rfb_maybe_draw(self):
+            heard.append(("draw", threading.get_ident()))
+
+        def _rfb_handle_msg(self, widget, content, buffers):
+            heard.append((content["type"], threading.get_ident()))
+
+        def submit_event(self, event):
+            heard.append((event["event_type"], threading.get_ident()))
+
+    module = types.ModuleType("rendercanvas.anywidget")
+    module.RenderCanvas = Canvas
+    monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", module)
+    from orograph.viewer.cell import Clipboard, make_canvas
+
+    async def live() -> str:
+        canvas = make_canvas((300, 200))
+        clipboard = Clipboard(canvas)
+
+        def page() -> None:
+            canvas._rfb_schedule_maybe_draw({"name": "_frame_feedback"})
+            canvas._rfb_handle_msg(None, {"type": "pointer_move"}, [])
+            canvas._rfb_handle_msg(None, {"type": "orograph_paste", "text": "a view"}, [])
+
+        other = threading.Thread(target=page)
+        other.start()
+        other.join()
+        await asyncio.sleep(0.01)
+        return clipboard.get()
+
+    assert asyncio.run(live()) == "a view"
+    assert heard == [(kind, threading.get_ident()) for kind in ("draw", "pointer_move", "key_down", "key_up")]

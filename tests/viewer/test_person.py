@@ -110,6 +110,10 @@ def test_panels_help_views_and_pictures(person):
     someone.do("key", "Tab")  # the terrain takes the whole window
     wide = someone.settled()
     assert wide["width"] == 1200 > home["width"]
+    sky = someone.wait(
+        lambda: (seen := someone.see()[10:40, 560:640]).mean() > 0.9 * picture[10:40, 560:640].mean() and seen, 20
+    )
+    assert sky.std() < 10  # nothing of the panels lies over the picture
     someone.do("key", "Tab")
     assert someone.settled()["width"] == home["width"]
 

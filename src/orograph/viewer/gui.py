@@ -52,7 +52,7 @@ class Gui:
         io.config_flags |= imgui.ConfigFlags_.docking_enable
         io.config_windows_move_from_title_bar_only = True
         io.config_error_recovery_enable_assert = False
-        self.fresh = layout is None or not layout.exists()
+        self.fresh = layout is None or not _places_panels(layout)
         self._later: list[tuple[Callable[[], None], bool]] = []
         self._fresh_pointer = False
         self.raised: list[str] = []
@@ -187,6 +187,14 @@ class Gui:
         imgui.set_current_context(self.context)
         implot.destroy_context(self.plots)
         imgui.destroy_context(self.context)
+
+
+def _places_panels(layout: Path) -> bool:
+    """Whether a layout's file says where panels are: one kept by a window that never showed any does not."""
+    try:
+        return "DockId=" in layout.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
 
 
 def _style() -> None:

@@ -119,9 +119,10 @@ def view(
     session.settings.panels = panels
     scene = session.scene()
     try:
-        from rendercanvas.anywidget import RenderCanvas
+        import rendercanvas.anywidget  # noqa: F401
 
         from orograph.viewer.app import renderer_of
+        from orograph.viewer.cell import Clipboard, make_canvas
         from orograph.viewer.window import Window
     except ImportError as error:
         session.close()
@@ -135,10 +136,12 @@ def view(
         made = renderer_of(gpu_memory)(device, terrain)
         assert isinstance(made, Renderer)
         still = draw(scene, SILENT, device=device, renderer=made)
-        canvas = RenderCanvas(size=size, title="", update_mode="ondemand", max_fps=30)
+        canvas = make_canvas(size, title="", update_mode="ondemand", max_fps=30)
+        clipboard = Clipboard(canvas)
         window = Window(
-            session, canvas, lambda d, t: made if d is device else renderer_of(gpu_memory)(d, t), device=device
-        )
+            session, canvas, lambda d, t: made if d is device else renderer_of(gpu_memory)(d, t), device=device,
+            clipboard=(clipboard.get, clipboard.put),
+        )  # fmt: skip
     except OrographError as error:
         session.close()
         return Still(_cpu(scene), str(error))

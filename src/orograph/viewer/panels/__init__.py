@@ -31,7 +31,8 @@ def dock(window: Window) -> Area:
     viewport = imgui.get_main_viewport()
     whole = (viewport.pos.x, viewport.pos.y, viewport.size.x, viewport.size.y)
     if not window.session.settings.panels:
-        flags = imgui.DockNodeFlags_.keep_alive_only
+        # Without the second flag the space has a ground of its own, which darkens the picture.
+        flags = imgui.DockNodeFlags_.keep_alive_only | imgui.DockNodeFlags_.passthru_central_node
         imgui.dock_space_over_viewport(DOCK, viewport, flags)
         return whole
     if window.gui.fresh:

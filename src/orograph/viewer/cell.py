@@ -1,0 +1,120 @@
+"""A canvas in a notebook's cell: ``rendercanvas``'s widget, and what it leaves to be done for a window.
+
+- Jupyter may hand messages of the page to a thread of their own (*subshells*, ipykernel 7), where ``rendercanvas``
+  would draw, too; its scheduler waits in the loop of the thread that made it, and is never woken. All go to that loop.
+- Keys that a browser has a use for (Tab, F1, F12, Ctrl + digit) are kept from it while the cell has the keyboard.
+- The clipboard is the page's: what is copied is sent there, and what is pasted comes with the page's own event (no page
+  may read the clipboard otherwise).
+
+Lengths are CSS pixels.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import Any
+
+FRAME = 4
+"""CSS pixels that the widget's frame takes beside the picture."""
+
+SCRIPT = """
+{
+  const register = AnywidgetRenderView.prototype._registerEvents
+  AnywidgetRenderView.prototype._registerEvents = function () {
+    const signal = this._abortController.signal
+    const element = this._focusElement
+    const seconds = () => performance.now() / 1000
+    element.addEventListener('keydown', (event) => {
+      const control = event.ctrlKey || event.metaKey
+      if (control && event.key.toLowerCase() === 'v') {
+        event.stopImmediatePropagation()
+      } else if (['Tab', 'F1', 'F12'].includes(event.key) || (control && /^[1-9q]$/i.test(event.key))) {
+        event.preventDefault()
+      }
+    }, { signal })
+    element.addEventListener('paste', (event) => {
+      event.preventDefault()
+      this.onEvent({ type: 'orograph_paste', text: event.clipboardData.getData('text'), timestamp: seconds() })
+    }, { signal })
+    register.call(this)
+  }
+  const add = RenderviewAnywidgetModel.prototype.addView
+  RenderviewAnywidgetModel.prototype.addView = function (view) {
+    if (this.views.length === 0) {
+      this.anymodel.on('msg:custom', (message) => {
+        if (message.type === 'orograph_copy') { navigator.clipboard?.writeText(message.text).catch(() => {}) }
+      })
+    }
+    add.call(this, view)
+  }
+}
+"""
+"""Appended to the widget's own script, whose classes it changes."""
+
+
+def make_canvas(size: tuple[int, int], **options: Any) -> Any:
+    """A canvas of ``size``, narrower where the cell is.
+
+    Raises:
+        ImportError: the extra is missing.
+    """
+    from rendercanvas.anywidget import RenderCanvas
+
+    class Canvas(RenderCanvas):  # type: ignore[misc]
+        """The widget; ``pasted`` is called with what the page pastes."""
+
+        _esm = getattr(RenderCanvas, "_esm", "") + SCRIPT
+
+        def __init__(self, **given: Any) -> None:
+            try:
+                self._home: asyncio.AbstractEventLoop | None = asyncio.get_running_loop()
+            except RuntimeError:
+                self._home = None
+            self.pasted: Callable[[str], None] = lambda text: None
+            super().__init__(**given)
+
+        def _at_home(self, do: Callable[..., None], *arguments: Any) -> None:
+            if self._home is None or self._home.is_closed():
+                do(*arguments)
+            else:
+                self._home.call_soon_threadsafe(do, *arguments)
+
+        def _rfb_schedule_maybe_draw(self, *_: Any) -> None:
+            self._at_home(super()._rfb_maybe_draw)
+
+        def _rfb_handle_msg(self, widget: Any, content: dict[str, Any], buffers: Sequence[Any]) -> None:
+            if content.get("type") == "orograph_paste":
+                self._at_home(self.pasted, str(content.get("text", "")))
+            else:
+                self._at_home(super()._rfb_handle_msg, widget, content, buffers)
+
+    canvas = Canvas(size=size, **options)
+    if hasattr(canvas, "set_css_width"):
+        canvas.set_css_width(f"min({size[0]}px, calc(100% - {FRAME}px))")
+    return canvas
+
+
+class Clipboard:
+    """The clipboard of the page that shows a canvas: what was copied here or pasted there last."""
+
+    def __init__(self, canvas: Any) -> None:
+        self._canvas, self._text = canvas, ""
+        canvas.pasted = self._pasted
+
+    def get(self) -> str:
+        """The text."""
+        return self._text
+
+    def put(self, text: str) -> None:
+        """Have the page copy a text."""
+        self._text = text
+        send = getattr(self._canvas, "send", None)
+        if send is not None:
+            send({"type": "orograph_copy", "text": text})
+
+    def _pasted(self, text: str) -> None:
+        """As if Ctrl + V were pressed, now that the text is here."""
+        self._text = text
+        for kind in ("key_down", "key_up"):
+            self._canvas.submit_event({"event_type": kind, "key": "v", "modifiers": ("Control",), "time_stamp": 0.0})

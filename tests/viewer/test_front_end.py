@@ -1,0 +1,180 @@
+"""The widget in a real front end: JupyterLab in a headless Chromium, with mouse, wheel, keys and clipboard.
+
+Skipped where JupyterLab, playwright or a Chromium is missing: no other test needs them.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import orograph
+
+pytest.importorskip("jupyterlab")
+pytest.importorskip("anywidget")
+sync_api = pytest.importorskip("playwright.sync_api")
+CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if p), None)
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")]
+
+VIEW = ".renderview-view"
+SOON = 120_000
+"""Milliseconds: nothing takes as long."""
+
+
+def cell(code: str) -> dict:
+    return {"cell_type": "code", "source": code, "metadata": {}, "outputs": [], "execution_count": None}
+
+
+@pytest.fixture
+def page(dem: Path, device, tmp_path: Path) -> Iterator:
+    """A notebook, opened, whose first cell shows the test terrain and whose second closes it."""
+    orograph.build([str(dem)], str(tmp_path / "area.oro")).close()
+    kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    notebook = {
+        "nbformat": 4, "nbformat_minor": 4, "metadata": {"kernelspec": kernel},
+        "cells": [
+            cell("import orograph\nw = orograph.open('area.oro').view(size=(700, 420))\nw"),
+            cell("w.close()\nprint('closed' if w.canvas.get_closed() else 'open')"),
+        ],
+    }  # fmt: skip
+    (tmp_path / "look.ipynb").write_text(json.dumps(notebook))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    folders = {f"JUPYTER_{kind}_DIR": str(tmp_path / kind) for kind in ("CONFIG", "DATA", "RUNTIME")}
+    server = subprocess.Popen(
+        [sys.executable, "-m", "jupyterlab", "--allow-root", "--no-browser", "--ip=127.0.0.1", f"--port={port}",
+         "--ServerApp.token=", "--ServerApp.password=", "--ServerApp.disable_check_xsrf=True"],
+        cwd=tmp_path, env={**os.environ, **folders, "OROGRAPH_ADAPTER": "software"}, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    base = f"http://127.0.0.1:{port}"
+    try:
+        for _ in range(300):
+            try:
+                urllib.request.urlopen(f"{base}/api").close()
+                break
+            except OSError:
+                time.sleep(0.2)
+        with sync_api.sync_playwright() as play:
+            browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+            context = browser.new_context(viewport={"width": 1280, "height": 900})
+            context.grant_permissions(["clipboard-read", "clipboard-write"], origin=base)
+            found = context.new_page()
+            found.goto(f"{base}/lab/tree/look.ipynb")
+            found.wait_for_selector(".jp-CodeCell", timeout=SOON)
+            for _ in range(300):  # until the notebook has its kernel
+                found.wait_for_timeout(200)
+                with urllib.request.urlopen(f"{base}/api/sessions") as answer:
+                    if any(s["kernel"]["connections"] for s in json.load(answer)):
+                        break
+            yield found
+            browser.close()
+    finally:
+        server.terminate()
+        server.wait(30)
+
+
+def run(page, k: int) -> None:
+    """Run a cell: again where the notebook, still being laid out, has not heard of it."""
+    code = page.locator(".jp-CodeCell").nth(k)
+    for _ in range(20):
+        code.locator(".cm-content").click()
+        page.keyboard.press("Control+Enter")
+        page.wait_for_timeout(1000)
+        if code.locator(".jp-InputPrompt").inner_text() != "[ ]:":
+            return
+    raise AssertionError("the cell does not run")
+
+
+def seen(page) -> np.ndarray:
+    """The widget on the page."""
+    return np.asarray(Image.open(io.BytesIO(page.locator(VIEW).screenshot())).convert("RGB"))
+
+
+def camera(page) -> dict:
+    """The view as Ctrl + C gives it to the page's clipboard."""
+    page.wait_for_timeout(500)  # after a click the widget takes the keyboard a little later
+    page.evaluate("navigator.clipboard.writeText('')")
+    page.keyboard.press("Control+c")
+    for _ in range(300):
+        page.wait_for_timeout(100)
+        text = page.evaluate("navigator.clipboard.readText()")
+        if text:
+            return json.loads(text)
+    raise AssertionError("nothing is copied")
+
+
+def rested(page) -> dict:
+    """The camera when it has come to rest."""
+    last = camera(page)
+    for _ in range(60):
+        page.wait_for_timeout(400)
+        now = camera(page)
+        if now == last:
+            return now
+        last = now
+    raise AssertionError("the camera does not come to rest")
+
+
+def test_a_person_explores_a_cell(page):
+    run(page, 0)
+    page.wait_for_function(f"(document.querySelector('{VIEW}')?.src ?? '').startsWith('blob')", timeout=SOON)
+    box = page.locator(VIEW).bounding_box()
+    assert (box["width"], box["height"]) == (700, 420)
+    x, y = box["x"], box["y"]
+    page.mouse.click(x + 300, y + 300)
+    home = rested(page)
+    shown = seen(page)
+    assert shown.std() > 15
+    assert shown[5:15, 500:600].mean() > 140  # the sky: nothing lies over the picture
+
+    page.mouse.move(x + 300, y + 300)
+    page.mouse.down()
+    page.mouse.move(x + 400, y + 260, steps=6)
+    page.mouse.up()
+    panned = rested(page)
+    assert panned["eye"][2] == pytest.approx(home["eye"][2], abs=1.0)
+    assert panned["eye"][0] < home["eye"][0] - 100  # the ground went to the right
+    assert np.abs(seen(page).astype(int) - shown).mean() > 3
+
+    page.mouse.wheel(0, -300)
+    near = rested(page)
+    assert near["eye"][2] < 0.8 * panned["eye"][2]
+
+    page.evaluate("text => navigator.clipboard.writeText(text)", json.dumps(home))
+    page.keyboard.press("Control+v")
+    page.wait_for_timeout(500)
+    assert rested(page)["eye"] == pytest.approx(home["eye"], abs=0.1)
+
+    page.keyboard.press("Tab")  # panels, and the keyboard stays here
+    page.wait_for_timeout(1000)
+    assert rested(page)["width"] < 500
+
+    handle = page.locator(".renderview-resizer").bounding_box()
+    page.mouse.move(handle["x"] + 5, handle["y"] + 5)
+    page.mouse.down()
+    page.mouse.move(handle["x"] - 95, handle["y"] - 45, steps=4)
+    page.mouse.up()
+    page.mouse.click(x + 100, y + 300)
+    for _ in range(60):
+        small = rested(page)
+        if small["height"] < 400:
+            break
+    assert small["height"] == round(page.locator(VIEW).bounding_box()["height"])
+
+    run(page, 1)
+    page.wait_for_selector("text=/^closed/", timeout=SOON)
+    page.wait_for_function(f"!document.querySelector('{VIEW}')", timeout=SOON)
