@@ -80,6 +80,51 @@ def test_a_slow_flight_changes_no_more_than_a_fine_one(camera: Camera, projectio
     assert np.abs(drawn[-1] - last[1]).mean() < np.abs(last[0] - last[1]).mean()
 
 
+def test_the_horizon_does_not_follow_every_sample(camera: Camera) -> None:
+    """Hills a pixel high, one behind another, seen at a grazing angle: the samples of a frame tell little of the mean,
+    and nor do those of the pixels around it."""
+    slow = camera.scene.view.pixel_slope * 3000.0 / 5
+    scenes = [camera.moved(slow * k) for k in range(40)]
+    fine = [camera.draw(s, wait=True, samples=16) for s in scenes[-6:]]
+    there = np.isfinite(camera.renderer.depth())
+    top, row = np.where(there.any(0), there.argmax(0), SIZE[1]), np.arange(SIZE[1])[:, None]
+    band = (row >= top - 1) & (row < top + 8)
+    rough = [camera.draw(s, wait=True, samples=1) for s in scenes[-6:]]
+    drawn = [camera.draw(s) for s in scenes][-6:]
+
+    def flicker(frames: list[NDArray[np.float64]]) -> float:
+        return change([frame[band] for frame in frames])
+
+    assert flicker(rough) > 2 * flicker(fine)
+    assert flicker(drawn) < 1.3 * flicker(fine)
+    assert np.abs(drawn[-1] - fine[-1])[band].mean() < 0.5 * np.abs(rough[-1] - fine[-1])[band].mean()
+
+
+def test_what_a_ridge_uncovers_has_no_ghost_of_it(camera: Camera) -> None:
+    """A bright wall before dark ground, passed sideways by a pixel a frame: beside it the ground is dark."""
+    z = np.full((300, 300), 0.0, np.float32)
+    z[150:152, 100:140] = 300.0
+    grid = Grid(z.shape, Affine(30, 0, 500_000, 0, -30, 5_300_000), CRS.from_epsg(32632))
+    terrain = in_memory(Dem(z, grid))
+    renderer, made = camera.renderer, camera
+    made.renderer = Renderer(made.device, terrain, gpu_memory=1 << 27)
+    renderer.close()
+    eye, target = (503_600.0, 5_294_000.0, 400.0), (503_600.0, 5_296_000.0, 100.0)
+    view = View(eye, target, width=SIZE[0], height=SIZE[1])
+    scene = Scene(terrain, view, tolerance=0.5, shadows=False, water=None, colormap="grey", light="none")
+    step = np.array([view.pixel_slope * 1500.0, 0.0, 0.0])
+
+    def moved(k: int) -> Scene:
+        here = (tuple(float(v) for v in np.add(p, k * step)) for p in (eye, target))
+        return replace(scene, view=replace(view, **dict(zip(("eye", "target"), here, strict=True))))
+
+    made.draw(moved(0), wait=True, samples=1)
+    drawn = [made.draw(moved(k)) for k in range(24)][-1]
+    fine = made.draw(moved(23), wait=True, samples=16)
+    assert np.ptp(fine) > 40  # the wall stands out
+    assert np.quantile(np.abs(drawn - fine), 0.98) < 6
+
+
 def test_a_jump_leaves_no_ghost(camera: Camera) -> None:
     for k in range(8):
         camera.draw(camera.moved(2.0 * k))

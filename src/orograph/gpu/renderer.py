@@ -205,7 +205,8 @@ class Renderer:
             self._steady.forget()
         else:
             settings = overlay, freeze is None, layers, flags
-            light = self._steady.encode(encoder, targets, scene, settings, self._shift, self._gathered)
+            made = loaded, maps, mesh
+            light = self._steady.encode(encoder, targets, scene, settings, self._shift, self._gathered, made)
         self._resolves[format].draw(encoder, targets, target, occlusion=dark, strength=overlay.occlusion, light=light)
         took_python = time.perf_counter() - begun
         self.device.queue.submit([encoder.finish()])

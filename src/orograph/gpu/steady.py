@@ -3,8 +3,11 @@
 Every frame puts the samples of its pixels elsewhere (a Halton sequence). Where the ground that a pixel shows was in the
 last frame follows from its depth and the two cameras; the mean gathered there goes on, the new frame being one of many
 in it, with ``SHARE`` at least (temporal supersampling: Yang et al. 2009, *Amortized supersampling*; Karis 2014 for the
-rest). What was gathered is clamped to the range of the 3 × 3 pixels around, so that what was hidden before leaves no
-ghost. At rest the mean of a pixel's own samples takes over by degrees. Linear light.
+cubic). It has more of what moves fast or changes its scale, since every look-up blurs. What the mean is of is known by
+depth: ground at a depth that no pixel around had in the last frame was hidden there. Only then, and where tiles or
+light have come since, is the mean clamped to the range of the 3 × 3 pixels around, so that it leaves no ghost; clamped
+always, the mean of a horizon with more detail than pixels would follow every sample. At rest the mean of a pixel's own
+samples takes over by degrees. Linear light; depths in metres.
 """
 
 from __future__ import annotations
@@ -18,8 +21,11 @@ from orograph.gpu.device import Device
 from orograph.gpu.passes import LIGHT, Targets, texture, uniform
 from orograph.picture.scene import Scene
 
-SHARE = 1 / 32
+SHARE = 1 / 48
 """Of a new frame in the mean of many, at least: an edge between ground and sky may not flicker by more."""
+
+FAR = "r32float"
+"""Of the depths that a frame leaves to the next one."""
 
 FULL = 16
 """Samples of a pixel at rest that need no others."""
@@ -58,7 +64,7 @@ class Steady:
         self._layout = handle.create_bind_group_layout(
             entries=[
                 uniform(0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "depth"), texture(3, "float"),
-                sampler,
+                sampler, texture(5, "unfilterable-float"),
             ]
         )  # fmt: skip
         module = device.shader("steady")
@@ -67,16 +73,18 @@ class Steady:
             layout=handle.create_pipeline_layout(bind_group_layouts=[first, self._layout]),
             vertex={"module": module, "entry_point": "vertex"},
             primitive={"topology": "triangle-list"},
-            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": LIGHT}]},
+            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": LIGHT}, {"format": FAR}]},
         )
         self._camera = handle.create_bind_group(layout=first, entries=[{"binding": 0, "resource": {"buffer": camera}}])
         self._sampler = handle.create_sampler(mag_filter="linear", min_filter="linear")
         self._uniform = device.buffer(_UNIFORM.size, "UNIFORM", "steady")
         self._targets: Targets | None = None
         self._views: list[Any] = []
+        self._far: list[Any] = []
         self._groups: list[Any] = []
         self._turn = self._tick = 0
         self._last: tuple[Any, Scene, Any] | None = None
+        self._made: tuple[Any, ...] = ()
 
     @property
     def shift(self) -> tuple[float, float]:
@@ -88,8 +96,9 @@ class Steady:
         self._last = None
 
     def encode(
-        self, encoder: Any, targets: Targets, scene: Scene, settings: Any, shift: tuple[float, float], gathered: int
-    ) -> Any:
+        self, encoder: Any, targets: Targets, scene: Scene, settings: Any, shift: tuple[float, float], gathered: int,
+        made: tuple[Any, ...] = (0,),
+    ) -> Any:  # fmt: skip
         """Add the pass that takes a frame into the mean; the view of a texture of it.
 
         Args:
@@ -97,16 +106,20 @@ class Steady:
             settings: what makes it another picture besides the scene.
             shift: where in its pixels the samples lay that the depths are of.
             gathered: samples of the same place that the light is the mean of.
+            made: what of the ground and its light was made aside: how many tiles came, and things known by their id.
         """
         if targets is not self._targets:
             self._fit(targets)
         same = self._last is not None and settings == self._last[2] and _alike(scene, self._last[1])
-        self._write(scene, shift, gathered, same)
+        fresh = bool(made[0]) or [id(thing) for thing in made[1:]] != [id(thing) for thing in self._made]
+        self._made = made[1:]  # (held, so that no other thing gets their ids)
+        self._write(scene, shift, gathered, same, fresh)
         self._turn = 1 - self._turn
         self._tick += 1
         pass_ = encoder.begin_render_pass(
             color_attachments=[
-                {"view": self._views[self._turn], "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}
+                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}
+                for view in (self._views[self._turn], self._far[self._turn])
             ]
         )
         pass_.set_pipeline(self._pipeline)
@@ -117,14 +130,15 @@ class Steady:
         self._last = camera_of(scene.view, scene.terrain, scene.exaggeration), scene, settings
         return self._views[self._turn]
 
-    def _write(self, scene: Scene, shift: tuple[float, float], gathered: int, same: bool) -> None:
+    def _write(self, scene: Scene, shift: tuple[float, float], gathered: int, same: bool, fresh: bool) -> None:
         packed = bytes(_UNIFORM.size)
         if same and self._last is not None:
             camera, before, _ = self._last
             (a, b, c), (p, q, r) = _eye(scene), _eye(before)
-            share = max(SHARE, min(1.0, gathered / FULL))
+            share = SHARE if gathered <= 1 else min(1.0, gathered / FULL)
+            known = 2.0 if fresh else 1.0
             packed = _UNIFORM.pack(
-                *camera["right"].tolist(), *camera["up"].tolist(), *camera["forward"][:3].tolist(), 1.0,
+                *camera["right"].tolist(), *camera["up"].tolist(), *camera["forward"][:3].tolist(), known,
                 a - p, b - q, (c - r) * scene.exaggeration, share, *camera["centre"].tolist(), *shift,
             )  # fmt: skip
         self.device.queue.write_buffer(self._uniform, 0, packed)
@@ -132,10 +146,13 @@ class Steady:
     def _fit(self, targets: Targets) -> None:
         self._targets, self._last = targets, None
         size = targets.width, targets.height
-        self._views = [
-            self.device.texture(size, LIGHT, "RENDER_ATTACHMENT|TEXTURE_BINDING", label="steady").create_view()
-            for _ in range(2)
-        ]
+        self._views, self._far = (
+            [
+                self.device.texture(size, kind, "RENDER_ATTACHMENT|TEXTURE_BINDING", label="steady").create_view()
+                for _ in range(2)
+            ]
+            for kind in (LIGHT, FAR)
+        )
         self._groups = [
             self.device.handle.create_bind_group(
                 layout=self._layout,
@@ -145,6 +162,7 @@ class Steady:
                     {"binding": 2, "resource": targets.depth_view},
                     {"binding": 3, "resource": self._views[1 - turn]},
                     {"binding": 4, "resource": self._sampler},
+                    {"binding": 5, "resource": self._far[1 - turn]},
                 ],
             )
             for turn in range(2)

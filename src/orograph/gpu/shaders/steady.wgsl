@@ -5,7 +5,7 @@
 struct Steady {
   right: vec4<f32>,      // the last frame's axes and focal lengths, as the camera has them
   up: vec4<f32>,
-  forward: vec4<f32>,    // w: 1 if there is a last frame
+  forward: vec4<f32>,    // w: 1 if there is a last frame, 2 if what it showed has changed since
   moved: vec4<f32>,      // how far the eye has moved since, stretched metres; w: the least part of this frame in the mean
   centre: vec2<f32>,     // clip offset of the last frame's optical axis, samples in the middle of pixels
   shift: vec2<f32>,      // where in its pixel this frame's sample lies, pixels from the middle
@@ -16,6 +16,16 @@ struct Steady {
 @group(1) @binding(2) var depth: texture_depth_2d;
 @group(1) @binding(3) var before: texture_2d<f32>;
 @group(1) @binding(4) var smooth_: sampler;
+@group(1) @binding(5) var far_before: texture_2d<f32>;   // metres of depth in the last frame
+
+const SKY: f32 = 1e30;
+const SAME: f32 = 0.02;   // depths that differ by less, as parts of them, may be those of one surface
+const SCALE: f32 = 2.0;   // how much of a mean is given up for a change of scale, times that change
+
+const FAST: f32 = 0.0625; // a frame's least part in the mean of what moves by a pixel or more: each look-up blurs it
+
+// The mean, and the depth that the next frame looks for (its own sample's).
+struct Mean { @location(0) light: vec4<f32>, @location(1) far: f32 };
 
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
@@ -46,45 +56,69 @@ fn gathered(at: vec2<f32>) -> vec3<f32> {
   return sum / weight;
 }
 
+// Whether a surface at a depth was seen around a pixel of the last frame: what was not, was hidden there.
+fn seen_before(nearest: vec2<i32>, last: vec2<i32>, z: f32) -> bool {
+  var near = SKY;
+  var far = 0.0;
+  for (var k = 0; k < 9; k++) {
+    let there = textureLoad(far_before, clamp(nearest + vec2<i32>(k % 3 - 1, k / 3 - 1), vec2<i32>(0), last), 0).r;
+    near = min(near, there);
+    far = max(far, there);
+  }
+  return z >= near * (1.0 - SAME) && z <= far * (1.0 + SAME);
+}
+
 @fragment
-fn fragment(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
+fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
   let pixel = vec2<i32>(position.xy);
   let now = textureLoad(light, pixel, 0).rgb;
+  let stored = textureLoad(depth, pixel, 0);
+  let ground = stored > 0.0;
+  let depth_now = select(SKY, depth_of(stored), ground);
+  let alone = Mean(vec4<f32>(now, 1.0), depth_now);
   if (steady.forward.w == 0.0 || steady.moved.w >= 1.0) {
-    return vec4<f32>(now, 1.0);
+    return alone;
   }
   // Where this pixel's ground was.
-  let stored = textureLoad(depth, pixel, 0);
   let ray = ray_of(position.xy - steady.shift);
   var p = ray.direction;
-  if (stored > 0.0) {
-    p = ray.origin + ray.direction * depth_of(stored) + steady.moved.xyz;
+  var scaled = 0.0;
+  if (ground) {
+    let here = ray.origin + ray.direction * depth_now;
+    p = here + steady.moved.xyz;
+    scaled = abs(1.0 - length(here) / max(length(p), 1e-6));
   } else if (camera.plan == 1u) {
-    return vec4<f32>(now, 1.0);
+    return alone;
   }
   let z = dot(steady.forward.xyz, p);
   var clip = vec2<f32>(dot(steady.right.xyz, p) * steady.right.w, dot(steady.up.xyz, p) * steady.up.w);
   if (camera.plan == 0u) {
     if (z <= 0.0) {
-      return vec4<f32>(now, 1.0);
+      return alone;
     }
     clip /= z;
   }
   clip += steady.centre;
   let at = vec2<f32>(0.5 + 0.5 * clip.x, 0.5 - 0.5 * clip.y) * camera.size;
   if (any(at < vec2<f32>(-1.0)) || any(at > camera.size + 1.0)) {
-    return vec4<f32>(now, 1.0);   // it came into the picture
+    return alone;   // it came into the picture
   }
-  // What was seen there and is hidden now, or lit otherwise, is nothing like what lies around the pixel.
   let last = vec2<i32>(camera.size) - 1;
-  var low = now;
-  var high = now;
-  for (var k = 0; k < 9; k++) {
-    let beside = textureLoad(light, clamp(pixel + vec2<i32>(k % 3 - 1, k / 3 - 1), vec2<i32>(0), last), 0).rgb;
-    low = min(low, beside);
-    high = max(high, beside);
-  }
   let nearest = clamp(vec2<i32>(floor(at)), vec2<i32>(0), last);
+  var mean = gathered(at);
+  if (steady.forward.w > 1.0 || !seen_before(nearest, last, select(SKY, z, ground))) {
+    // It was hidden, or is drawn or lit otherwise now: what is nothing like what lies around the pixel is left.
+    var low = now;
+    var high = now;
+    for (var k = 0; k < 9; k++) {
+      let beside = textureLoad(light, clamp(pixel + vec2<i32>(k % 3 - 1, k / 3 - 1), vec2<i32>(0), last), 0).rgb;
+      low = min(low, beside);
+      high = max(high, beside);
+    }
+    mean = clamp(mean, low, high);
+  }
   let count = min(textureLoad(before, nearest, 0).a + 1.0, 1024.0);
-  return vec4<f32>(mix(clamp(gathered(at), low, high), now, max(steady.moved.w, 1.0 / count)), count);
+  let fast = min(length(at - position.xy), 1.0) * FAST;
+  let share = max(max(steady.moved.w, 1.0 / count), max(min(SCALE * scaled, 1.0), fast));
+  return Mean(vec4<f32>(mix(max(mean, vec3<f32>(0.0)), now, share), count), depth_now);
 }
