@@ -88,7 +88,8 @@ class Hand:
 
 
 @pytest.fixture
-def window(device, dem) -> Iterator[Window]:
+def window(device, dem, monkeypatch) -> Iterator[Window]:
+    monkeypatch.setattr("orograph.viewer.session.SHOWN", 600.0)  # a slow machine may take longer than a message stays
     session = Session(prepare([str(dem)]), size=(640, 480), tolerance=4.0)
     canvas = RenderCanvas(size=(900, 600))
     kept: list[str] = [""]
