@@ -59,7 +59,7 @@ DENSE = 3
 """Voxels of level l are made out of samples of level l − ``DENSE``."""
 _FRAME = np.dtype(
     [("linear", "f4", 4), ("inverse", "f4", 4), ("run", "f4", 4), ("tile", "i4", 4), ("counts", "i4", 4),
-     ("levels", [("origin", "f4", 4), ("size", "f4", 4)], LEVELS)]
+     ("levels", [("origin", "f4", 4), ("size", "f4", 4), ("place", "f4", 4)], LEVELS)]
 )  # fmt: skip
 
 
@@ -89,6 +89,18 @@ def cones(about: int) -> tuple[Values, float]:
     return np.array(rows, np.float32), math.tan(height / 2)
 
 
+def _packed(sizes: list[NDArray[np.int64]]) -> tuple[list[tuple[int, int, int]], tuple[int, int, int]]:
+    """Where boxes (columns, rows, layers) lie in one texture, the first beside all others, which stand on each other;
+    and its size."""
+    first, rest = sizes[0], sizes[1:]
+    places, top = [(0, 0, 0)], 0
+    for size in rest:
+        places.append((int(first[0]), 0, top))
+        top += int(size[2])
+    wide = int(first[0]) + max((int(s[0]) for s in rest), default=0)
+    return places, (wide, max(int(s[1]) for s in sizes), max(int(first[2]), top))
+
+
 class Tracer:
     """Cones through a terrain's voxels on a device.
 
@@ -109,8 +121,7 @@ class Tracer:
         self.radius = min(ways.radius, far)
         self.levels = min(max(math.ceil(math.log2(self.radius * 2 * self.tangent * FIT / self.cell)), 0) + 1, LEVELS)
         self._voxelise = layout(device, "uniform", "read", "out:rgba8unorm/3d")
-        words = ("uniform", "read", "read", "read", "read", "write", "sampler", *["texture3d"] * LEVELS)
-        self._trace = layout(device, *words)
+        self._trace = layout(device, "uniform", "read", "read", "read", "read", "write", "sampler", "texture3d")
         self.fill = compute(device, self._voxelise, "voxels")
         self.trace = compute(device, self._trace, "cones")
         self.store = Store(device, context.terrain)
@@ -120,8 +131,6 @@ class Tracer:
             mag_filter="linear", min_filter="linear", address_mode_u="clamp-to-edge", address_mode_v="clamp-to-edge",
             address_mode_w="clamp-to-edge",
         )  # fmt: skip
-        usage = "STORAGE_BINDING|TEXTURE_BINDING"
-        self.nothing = device.texture((1, 1, 1), "rgba8unorm", usage, dimension="3d")
 
     def reach(self, level: int) -> float:
         """How far from a tile voxels of a level are read, in cells."""
@@ -141,13 +150,16 @@ class Tracer:
         thickest = self.cell * (1 << (self.levels - 1))
         base = math.floor(low / thickest) * thickest  # where layers of all levels begin, whatever the tile
         sizes = [self._size(k, row0, row1, col0, col1, low - base, high - base) for k in range(self.levels)]
-        limit = self.device.limit("max-texture-dimension-3d")
-        if max(int(size.max()) for _, size in sizes) > limit:
+        places, whole = _packed([size for _, size in sizes])
+        if max(whole) > self.device.limit("max-texture-dimension-3d"):
             return self._parts(row0, row1, col0, col1)
+        usage = "STORAGE_BINDING|TEXTURE_BINDING"
+        voxels = self.device.texture(whole, "rgba8unorm", usage, label="voxels", dimension="3d")
         encoder = self.device.handle.create_command_encoder()
         wanted = [self._samples(level, box) for level, box in enumerate(sizes)]
         held = self.store.load(tuple(wanted))
-        textures = [self._level(encoder, k, sizes[k], wanted[k], held[k], base) for k in range(self.levels)]
+        for k in range(self.levels):
+            self._fill(encoder, voxels, k, sizes[k], places[k], wanted[k], held[k], base)
         frame = np.zeros(1, _FRAME)
         linear = self.context.linear
         frame["linear"] = *linear[:, 0], *linear[:, 1]
@@ -158,13 +170,14 @@ class Tracer:
         for k, (origin, size) in enumerate(sizes):
             frame["levels"]["origin"][0, k] = *origin, self.cell * (1 << k)
             frame["levels"]["size"][0, k, :3] = size
+            frame["levels"]["place"][0, k, :3] = places[k]
         heights = self.device.buffer(np.where(missing, MISSING, inner - np.float32(base)), "STORAGE")
         gx, gy = self.context.gradient(*window)
         slopes = self.device.buffer(np.nan_to_num(np.stack([gx, gy], axis=-1)).astype(np.float32), "STORAGE")
         result = self.device.buffer(4 * inner.size, "STORAGE|COPY_SRC")
         group = bind(
             self.device, self._trace, self.device.buffer(frame.view(np.uint8), "UNIFORM"), heights, slopes, self.cones,
-            self.table, result, self.sampler, *textures, *[self.nothing] * (LEVELS - self.levels),
+            self.table, result, self.sampler, voxels,
         )  # fmt: skip
         tracing = encoder.begin_compute_pass()
         tracing.set_pipeline(self.trace)
@@ -202,26 +215,27 @@ class Tracer:
         row1, col1 = max(min(int(row + rows) + 1, tall), row0 + 1), max(min(int(col + cols) + 1, wide), col0 + 1)
         return Rectangle(source, row0, row1, col0, col1)
 
-    def _level(self, encoder: Any, level: int, box: Any, source: Rectangle, held: Held, base: float) -> Any:
-        """A texture of a level's voxels, and the pass that fills it. base: what heights are relative to, metres."""
+    def _fill(
+        self, encoder: Any, voxels: Any, level: int, box: tuple[NDArray[np.int64], NDArray[np.int64]],
+        place: tuple[int, int, int], source: Rectangle, held: Held, base: float,
+    ) -> None:  # fmt: skip
+        """The pass that fills a level's voxels. base: what heights are relative to, metres."""
         origin, size = box
-        usage = "STORAGE_BINDING|TEXTURE_BINDING"
-        texture = self.device.texture(tuple(int(v) for v in size), "rgba8unorm", usage, dimension="3d")
-        uniform = np.zeros(20, np.int32)
+        uniform = np.zeros(24, np.int32)
         uniform[:4] = *origin, level
         uniform[4:8] = *size, source.level
         uniform[8:12] = source.col0, source.row0, source.col1 - source.col0, source.row1 - source.row0
         uniform[12:16] = np.array([self.cell, base, 0.0, 0.0], np.float32).view(np.int32)
         rows, cols = self.context.shape
         uniform[16:18] = cols - 1, rows - 1
+        uniform[20:23] = place
         filling = encoder.begin_compute_pass()
         filling.set_pipeline(self.fill)
         filling.set_bind_group(
-            0, bind(self.device, self._voxelise, self.device.buffer(uniform, "UNIFORM"), held.buffer, texture)
+            0, bind(self.device, self._voxelise, self.device.buffer(uniform, "UNIFORM"), held.buffer, voxels)
         )
         filling.dispatch_workgroups(-(-int(size[0]) // 8), -(-int(size[1]) // 8))
         filling.end()
-        return texture
 
     def _parts(self, row0: int, row1: int, col0: int, col1: int) -> Values:
         """A tile with more layers than a texture holds, in two parts."""

@@ -3,6 +3,7 @@
 struct Level {
     origin: vec4f,  // voxels, of the level's own size: columns, rows, layers; metres thick
     size: vec4f,    // voxels
+    place: vec4f,   // of its first voxel in the texture of all levels
 };
 
 struct Frame {
@@ -26,18 +27,7 @@ struct Cone {
 @group(0) @binding(4) var<storage, read> table: array<f32>;
 @group(0) @binding(5) var<storage, read_write> result: array<f32>;
 @group(0) @binding(6) var linear_sampler: sampler;
-@group(0) @binding(7) var voxels0: texture_3d<f32>;
-@group(0) @binding(8) var voxels1: texture_3d<f32>;
-@group(0) @binding(9) var voxels2: texture_3d<f32>;
-@group(0) @binding(10) var voxels3: texture_3d<f32>;
-@group(0) @binding(11) var voxels4: texture_3d<f32>;
-@group(0) @binding(12) var voxels5: texture_3d<f32>;
-@group(0) @binding(13) var voxels6: texture_3d<f32>;
-@group(0) @binding(14) var voxels7: texture_3d<f32>;
-@group(0) @binding(15) var voxels8: texture_3d<f32>;
-@group(0) @binding(16) var voxels9: texture_3d<f32>;
-@group(0) @binding(17) var voxels10: texture_3d<f32>;
-@group(0) @binding(18) var voxels11: texture_3d<f32>;
+@group(0) @binding(7) var voxels: texture_3d<f32>;
 
 // include: rho.wgsl
 
@@ -49,21 +39,8 @@ fn share_of(level: i32, p: vec3f) -> vec3f {
     let l = frame.levels[level];
     let wide = f32(1 << u32(level));
     let at = vec3f((p.xy + 0.5) / wide, p.z / l.origin.w) - l.origin.xyz;
-    let uvw = at / l.size.xyz;
-    switch (level) {
-        case 0: { return textureSampleLevel(voxels0, linear_sampler, uvw, 0.0).xyz; }
-        case 1: { return textureSampleLevel(voxels1, linear_sampler, uvw, 0.0).xyz; }
-        case 2: { return textureSampleLevel(voxels2, linear_sampler, uvw, 0.0).xyz; }
-        case 3: { return textureSampleLevel(voxels3, linear_sampler, uvw, 0.0).xyz; }
-        case 4: { return textureSampleLevel(voxels4, linear_sampler, uvw, 0.0).xyz; }
-        case 5: { return textureSampleLevel(voxels5, linear_sampler, uvw, 0.0).xyz; }
-        case 6: { return textureSampleLevel(voxels6, linear_sampler, uvw, 0.0).xyz; }
-        case 7: { return textureSampleLevel(voxels7, linear_sampler, uvw, 0.0).xyz; }
-        case 8: { return textureSampleLevel(voxels8, linear_sampler, uvw, 0.0).xyz; }
-        case 9: { return textureSampleLevel(voxels9, linear_sampler, uvw, 0.0).xyz; }
-        case 10: { return textureSampleLevel(voxels10, linear_sampler, uvw, 0.0).xyz; }
-        default: { return textureSampleLevel(voxels11, linear_sampler, uvw, 0.0).xyz; }
-    }
+    let uvw = (l.place.xyz + clamp(at, vec3f(0.5), l.size.xyz - 0.5)) / vec3f(textureDimensions(voxels));
+    return textureSampleLevel(voxels, linear_sampler, uvw, 0.0).xyz;
 }
 
 // The shares that the sample's own tangent plane would have of a filter of width d, a height s above it: normal law with

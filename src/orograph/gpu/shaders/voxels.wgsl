@@ -6,6 +6,7 @@ struct Level {
     ground: vec4i,  // of the samples: first column and row, columns, rows
     height: vec4f,  // of a voxel of level 0, metres; what layers count from
     last: vec4i,    // the terrain's last column and row at full resolution
+    place: vec4i,   // of the level's first voxel in the texture of all levels
 };
 
 @group(0) @binding(0) var<uniform> level: Level;
@@ -82,7 +83,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         }
         for (var k = 0; k < 16; k++) {
             if (k0 + u32(k) < level.size.z) {
-                textureStore(voxels, vec3i(vec2i(id.xy), i32(k0) + k), vec4f(along[k], across[k], filled[k], 0.0));
+                textureStore(voxels, level.place.xyz + vec3i(vec2i(id.xy), i32(k0) + k), vec4f(along[k], across[k], filled[k], 0.0));
             }
         }
     }
