@@ -6,6 +6,8 @@ import json
 
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
 from PIL import Image
 
 from orograph.cli.compare import load_views
@@ -170,3 +172,12 @@ def test_what_is_refused(run, hilly, tmp_path, monkeypatch, arguments, code, wor
     for word in words:
         assert word in err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_raster_without_a_surface(run, tmp_path):
+    """One sample: no view of it, and said so before one is looked for."""
+    with rasterio.open(tmp_path / "one.tif", "w", driver="GTiff", height=1, width=1, count=1, dtype="float32",
+                       crs="EPSG:32611", transform=Affine(30, 0, 500_000, 0, -30, 4_000_000)) as file:  # fmt: skip
+        file.write(np.full((1, 1, 1), 5.0, np.float32))
+    got, said, err = run("compare", tmp_path / "one.tif", "--quiet")
+    assert got == 2 and said == "" and "at least two of each" in err

@@ -144,6 +144,7 @@ def command(
     if source["band"] == 1:
         source["band"] = None
     with progress.task("Loading Orograph"):
+        from orograph.lod.field import check_surface
         from orograph.output import Beside, check_folder
         from orograph.picture.prepare import prepare
         from orograph.picture.result import picture_format
@@ -157,6 +158,7 @@ def command(
     for file in filter(None, (json_file, picture)):
         check_folder(Path(file))
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    check_surface(terrain)
     views = _views(terrain, views_path, flight_path, size, options["exaggeration"])
     color = color_errors(terrain, options, max_memory, jobs, progress)
     if color is not None and {name for name, _ in engines} == set(ENGINES):

@@ -24,7 +24,7 @@ from orograph.lod.pages import BEYOND, PAGE_BYTES, SHIFT, SIDE, Pages, find
 from orograph.parallel import map_ordered
 from orograph.store.terrain import Terrain, level_shape
 
-__all__ = ["ColorErrors", "Field", "Pages", "find"]
+__all__ = ["ColorErrors", "Field", "Pages", "check_surface", "find"]
 
 ColorErrors = Callable[[int, int, int, int, int], NDArray[np.float32]]
 
@@ -57,11 +57,8 @@ class Field:
         max_memory: int = 1 << 30,
         jobs: int | None = None,
     ) -> None:
+        check_surface(terrain)
         rows, cols = terrain.grid.shape
-        if min(rows, cols) < 2:
-            raise UsageError(
-                f"{terrain.name} has {rows} row(s) and {cols} column(s); a surface needs at least two of each."
-            )
         self.terrain, self.kind, self.color, self.jobs = terrain, cast(ErrorKind, kind), color, jobs
         self.n, self.top = terrain.n, terrain.levels - 1
         self.shapes = [level_shape(terrain.grid.shape, level) for level in range(self.top)]
@@ -187,6 +184,15 @@ class Field:
         here[..., 3] = np.where(missing, -1.0 - color, color)
         place = self.pages.down[:, None] + self.pages.across >> 2
         self.pages.data[slot].reshape(-1, 4)[place] = data
+
+
+def check_surface(terrain: Terrain) -> None:
+    """Raise UsageError if a raster is too narrow for a surface."""
+    rows, cols = terrain.grid.shape
+    if min(rows, cols) < 2:
+        raise UsageError(
+            f"{terrain.name} has {rows} row(s) and {cols} column(s); a surface needs at least two of each."
+        )
 
 
 def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
