@@ -1,4 +1,5 @@
-"""Silhouettes against where they must be: a hemisphere's outline, none on plains, planes and the raster's border."""
+"""Silhouettes against where they must be: a hemisphere's outline, the crease of a ridge that hides nothing, none on
+plains, planes and the raster's border."""
 
 from __future__ import annotations
 
@@ -60,7 +61,8 @@ def test_a_hemisphere_has_its_outline(samples: int) -> None:
     terrain, centre = hemisphere()
     eye = centre + np.array([0.0, -900.0, 420.0])
     view = View(tuple(eye), tuple(centre), fov_y=36, width=300, height=240)
-    ink = inked(replace(plain(terrain, view, samples=samples), depths=(5e3, 1e5)))  # no line is far away
+    lines = replace(BLACK, creases=0.0)  # which go on for some pixels where the sphere meets the plain
+    ink = inked(replace(plain(terrain, view, lines, samples), depths=(5e3, 1e5)))  # no line is far away
     distance = float(np.linalg.norm(eye - centre))
     touch = 200.0**2 / distance  # of the circle's middle from the centre, towards the eye
     wide = np.sqrt(200.0**2 - touch**2)
@@ -91,6 +93,50 @@ def test_a_hemisphere_has_its_outline(samples: int) -> None:
     # As wide as asked.
     column = ink[: int(middle[1]), 150]
     assert column.sum() == pytest.approx(2.0, abs=0.35)
+
+
+def ridge(steep: float, metres: float = 10.0) -> Terrain:
+    """A smooth ridge from west to east through the raster's middle, steepest at ``steep`` on both flanks."""
+    row = np.mgrid[:401, :401][0] - 200
+    return make(steep * 600.0 * np.sqrt(np.e / 2) * np.exp(-((row * metres / 600.0) ** 2)), metres)
+
+
+def test_a_ridge_that_hides_nothing_has_a_crease() -> None:
+    """Its far flank is seen at 4° at least: the line lies where n · v is least along a column, by its closed form."""
+    terrain = ridge(0.43)
+    x, y = (float(v) for v in terrain.grid.xy(200, 200))
+    view = View((x, y - 5400.0, 2900.0), (x, y, 0.0), fov_y=14, width=200, height=160)
+    for samples in (1, 4):
+        scene = replace(plain(terrain, view, samples=samples), depths=(1e4, 1e5))
+        assert inked(replace(scene, silhouettes=replace(BLACK, creases=0.0))).max() < 0.02
+        ink = inked(scene)
+        north = np.linspace(0.0, 1500.0, 3001)
+        height = 0.43 * 600.0 * np.sqrt(np.e / 2) * np.exp(-((north / 600.0) ** 2))
+        fall = -2 * north / 600.0**2 * height
+        at = np.stack([np.full(len(north), x), y + north, height], -1)
+        to_eye = np.array(view.eye) - at
+        facing = (to_eye[:, 2] - fall * to_eye[:, 1]) / np.linalg.norm(to_eye, axis=1) / np.sqrt(1 + fall**2)
+        assert facing.min() > 0.02  # nothing is hidden
+        row = view.project(at[facing.argmin()])[0][1]
+        middle = ink[:, 60:140]
+        found = (middle * (np.arange(160)[:, None] + 0.5)).sum(0) / middle.sum(0)
+        assert middle.max(0).min() > 0.4
+        assert np.abs(found - row).max() < 1.5, (found, row)
+        assert np.ptp(found) < 0.6  # straight: it does not jump from pixel to pixel
+
+
+def test_gentle_ridges_have_no_crease_and_lines_come_by_degrees() -> None:
+    """Tilting a camera by degrees changes how heavy the crease is by degrees, from nothing."""
+    terrain = ridge(0.43)
+    x, y = (float(v) for v in terrain.grid.xy(200, 200))
+    weights = []
+    for pitch in np.arange(26.0, 56.0, 1.0):
+        a = np.radians(pitch)
+        view = View((x, y - 6000 * np.cos(a), 6000 * np.sin(a)), (x, y, 0.0), fov_y=14, width=60, height=160)
+        scene = replace(plain(terrain, view, samples=4), depths=(1e4, 1e5))
+        weights.append(inked(scene)[:, 20:40].sum(0).mean())
+    assert weights[0] > 0.5 and max(weights[-10:]) < 0.02
+    assert np.abs(np.diff(weights)).max() < 0.25, weights
 
 
 def test_plains_and_borders_have_none() -> None:
@@ -148,6 +194,6 @@ def test_none_in_a_plan_and_the_same_in_tiles() -> None:
 
 
 def test_what_makes_no_sense_is_refused() -> None:
-    for wrong in ({"width": 0.0}, {"width": 99.0}, {"opacity": -1.0}, {"colour": (0.0, 0.0)}):
+    for wrong in ({"width": 0.0}, {"width": 99.0}, {"opacity": -1.0}, {"colour": (0.0, 0.0)}, {"creases": 1.5}):
         with pytest.raises(UsageError):
             Silhouettes(**wrong)  # type: ignore[arg-type]

@@ -1,4 +1,5 @@
-"""Silhouettes on the GPU: a pass between geometry and light finds where ground breaks off (``shaders/breaks.wgsl``).
+"""Silhouettes on the GPU: passes between geometry and light find how ground faces the eye (``shaders/facing.wgsl``),
+and where it breaks off or turns away and back (``shaders/breaks.wgsl``).
 
 The shading pass draws the lines (``shaders/lines.wgsl``), as ``picture.silhouettes`` does.
 """
@@ -15,7 +16,8 @@ from orograph.picture.silhouettes import terrain_ends
 from orograph.store.terrain import Terrain
 
 BREAKS = "rgba16float"
-SHADERS = "breaks", "breaks_near"
+FACING = "r16float"
+SHADERS = {"facing": FACING, "breaks": BREAKS, "breaks_near": BREAKS}
 
 
 class BreakPass:
@@ -23,34 +25,42 @@ class BreakPass:
 
     Args:
         camera: the uniform buffer (``camera.CAMERA``). terrain: what is drawn.
+        slopes: the view of the slopes' atlas, its pages and the table of levels (``shaders/slopes.wgsl``).
     """
 
-    def __init__(self, device: Device, camera: Any, terrain: Terrain) -> None:
-        self.device, self.camera, self.terrain = device, camera, terrain
+    def __init__(self, device: Device, camera: Any, terrain: Terrain, slopes: tuple[Any, Any, Any]) -> None:
+        self.device, self.camera, self.terrain, self.slopes = device, camera, terrain, slopes
         self._away: Any = None  # where the terrain ends (``terrain_ends``), made when first asked for
         self._step = 1
         self.range = device.buffer(16, "UNIFORM", "depths in view")
         self._pipelines: dict[str, Any] = {}
         self._of: Targets | None = None
-        self._views: tuple[Any, Any] = (None, None)
-        self._groups: tuple[Any, Any] = (None, None)
+        self._views: tuple[Any, ...] = ()
+        self._groups: tuple[Any, ...] = ()
 
     def views(self, targets: Targets) -> tuple[Any, Any]:
         """The views of the breaks of these targets, and of the heaviest one in every square of 8 × 8 pixels."""
         if self._of is not targets:
             usage = "RENDER_ATTACHMENT|TEXTURE_BINDING"
-            sizes = (targets.width, targets.height), (-(-targets.width // 8), -(-targets.height // 8))
-            textures = [self.device.texture(size, BREAKS, usage, label="breaks") for size in sizes]
-            self._of, self._views = targets, (textures[0].create_view(), textures[1].create_view())
-            buffers = [{"buffer": b} for b in (self.camera, self.range)]
-            self._groups = (
-                self._group("breaks", buffers[0], targets.depth_view, buffers[1], self._away.create_view()),
-                self._group("breaks_near", self._views[0]),
+            full = targets.width, targets.height
+            sizes = full, full, (-(-targets.width // 8), -(-targets.height // 8))
+            self._of = targets
+            facing, breaks, _ = self._views = tuple(
+                self.device.texture(size, format, usage, label=name).create_view()
+                for size, (name, format) in zip(sizes, SHADERS.items(), strict=True)
             )
-        return self._views
+            camera, range_, pages, levels = (
+                {"buffer": b} for b in (self.camera, self.range, self.slopes[1], self.slopes[2])
+            )
+            self._groups = (
+                self._group("facing", camera, targets.depth_view, self.slopes[0], pages, levels),
+                self._group("breaks", camera, targets.depth_view, range_, self._away.create_view(), facing),
+                self._group("breaks_near", breaks),
+            )
+        return self._views[1], self._views[2]
 
-    def aim(self, depths: tuple[float, float]) -> None:
-        """Say which depths are in view, metres; before ``views``."""
+    def aim(self, depths: tuple[float, float], creases: float) -> None:
+        """Say which depths are in view, metres, and how heavy creases are; before ``views``."""
         if self._away is None:
             away, self._step = terrain_ends(self.terrain)
             height, width = away.shape
@@ -58,11 +68,12 @@ class BreakPass:
             self.device.queue.write_texture(
                 {"texture": self._away}, away, {"bytes_per_row": 4 * width}, (width, height, 1)
             )
-        self.device.queue.write_buffer(self.range, 0, np.array([*depths, self._step, 0], np.float32))
+        self.device.queue.write_buffer(self.range, 0, np.array([*depths, self._step, creases], np.float32))
 
     def draw(self, encoder: Any, targets: Targets) -> None:
         """Find the breaks of what the targets hold."""
-        for name, view, group in zip(SHADERS, self.views(targets), self._groups, strict=True):
+        self.views(targets)
+        for name, view, group in zip(SHADERS, self._views, self._groups, strict=True):
             pass_ = encoder.begin_render_pass(
                 color_attachments=[{"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}]
             )
@@ -79,7 +90,7 @@ class BreakPass:
                 layout="auto",
                 vertex={"module": module, "entry_point": "vertex"},
                 primitive={"topology": "triangle-list"},
-                fragment={"module": module, "entry_point": "fragment", "targets": [{"format": BREAKS}]},
+                fragment={"module": module, "entry_point": "fragment", "targets": [{"format": SHADERS[name]}]},
             )
         return self._pipelines[name]
 

@@ -91,7 +91,7 @@ class Renderer:
         self._meshes, self._triangles = Meshes(terrain), MeshPass(device, self._camera, field, missing(terrain))
         self._field = False
         self._letters = Letters(device, terrain)
-        self._breaks = BreakPass(device, self._camera, terrain)
+        self._breaks = BreakPass(device, self._camera, terrain, self._resources.stored_slopes)
         self._veil = VeilPass(device, self._camera)
         self._shading = ShadePass(device, self._camera)
         self._corners = ScreenOcclusion(device, self._shading)
@@ -168,7 +168,7 @@ class Renderer:
         breaks: tuple[Any, Any] = None, None
         if int(u["flags"]) & SILHOUETTES:
             near, far, *_ = u["edge_range"]
-            self._breaks.aim((float(near), float(far)))
+            self._breaks.aim((float(near), float(far)), scene.silhouettes.creases if scene.silhouettes else 0.0)
             breaks = self._breaks.views(targets)
         views = self._letters.view, *breaks
         bound = self._resources.bound(look, maps, scene, targets, given=given or field, field=field, marks=views)

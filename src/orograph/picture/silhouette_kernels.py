@@ -15,6 +15,18 @@ ACROSS, BESIDE = 2.0, 0.5
 FAINT, THIN = 0.35, 0.6
 """Parts of opacity and of width that lines at the farthest ground keep."""
 
+WALK = 6
+"""Pixels to both sides within which n · v has to rise for a crease."""
+
+PROMINENT = 0.10, 0.24
+"""By how much n · v has to rise to both sides where creases begin, and where they have their whole weight."""
+
+NEARBY = 3
+"""Pixels from a break within which no crease runs beside it."""
+
+GRAZING = 0.12, 0.34
+"""n · v up to which creases have their whole weight, and from which on they have none."""
+
 
 @inlined
 def farness(z, near, far):
@@ -34,6 +46,25 @@ def _broken(w0, w1, w2, w3):
     hidden = (abs(w2 - w1) - ACROSS * min(a, b) - BESIDE * max(a, b)) / max(w1, w2)
     t = min(max((hidden - HIDDEN[0]) / (HIDDEN[1] - HIDDEN[0]), 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t)
+
+
+@kernel
+def _hides(depth, i, j, di, dj):
+    """Weight of the break between a pixel and the next one along an axis; 1 beside nothing."""
+    rows, cols = depth.shape
+    if i < 0 or j < 0 or i + di >= rows or j + dj >= cols:
+        return 0.0
+    z1, z2 = depth[i, j], depth[i + di, j + dj]
+    if not (z1 == z1 and z2 == z2):
+        return 1.0
+    w0 = w3 = 0.0
+    if i - di >= 0 and j - dj >= 0:
+        z0 = depth[i - di, j - dj]
+        w0 = 1.0 / z0 if z0 == z0 else 0.0
+    if i + 2 * di < rows and j + 2 * dj < cols:
+        z3 = depth[i + 2 * di, j + 2 * dj]
+        w3 = 1.0 / z3 if z3 == z3 else 0.0
+    return _broken(w0, 1.0 / z1, 1.0 / z2, w3)
 
 
 @kernel
@@ -64,14 +95,7 @@ def breaks(
                 z = min(z1, z2) if one and two else (z1 if one else z2)
                 weight = 1.0
                 if one and two:
-                    w0 = w3 = 0.0
-                    if i - di >= 0 and j - dj >= 0:
-                        z0 = depth[i - di, j - dj]
-                        w0 = 1.0 / z0 if z0 == z0 else 0.0
-                    if i + 2 * di < rows and j + 2 * dj < cols:
-                        z3 = depth[i + 2 * di, j + 2 * dj]
-                        w3 = 1.0 / z3 if z3 == z3 else 0.0
-                    weight = _broken(w0, 1.0 / z1, 1.0 / z2, w3)
+                    weight = _hides(depth, i, j, di, dj)
                 else:
                     # Against nothing: unless the terrain ends there.
                     px, py = left + j + (0 if one else dj), top + i + (0 if one else di)
@@ -92,6 +116,62 @@ def breaks(
                 if weight > 0.0:
                     strong[k, i, j] = weight * (1.0 - (1.0 - FAINT) * farness(z, near, far))
                     nearest[k, i, j] = z
+
+
+@kernel
+def _prominence(facing, i, j, di, dj):
+    """By how much n · v rises to both sides of a pixel along an axis before it falls below the pixel's; the lesser."""
+    low = facing[i, j]
+    least = np.float32(2.0)
+    for side in (-1, 1):
+        top = low
+        for k in range(1, WALK + 1):
+            r, c = i + side * k * di, j + side * k * dj
+            if r < 0 or c < 0 or r >= facing.shape[0] or c >= facing.shape[1]:
+                break
+            here = facing[r, c]
+            if not here >= low:
+                break
+            top = max(top, here)
+        least = min(least, top - low)
+    return least
+
+
+@kernel
+def creases(facing, depth, near, far, weight, strong, nearest):
+    """Add to ``strong`` and ``nearest`` (``breaks``) the lines where ground turns away and back.
+
+    Args:
+        facing: (rows, cols) float32, n · v, NaN where there is no ground. weight: of whole ones.
+    """
+    rows, cols = facing.shape
+    for i in range(rows):
+        for j in range(cols):
+            low = facing[i, j]
+            if not low < GRAZING[1]:
+                continue
+            for k in range(2):
+                di, dj = (0, 1) if k == 0 else (1, 0)
+                if i < di or j < dj or i + di >= rows or j + dj >= cols:
+                    continue
+                before, after = facing[i - di, j - dj], facing[i + di, j + dj]
+                if not (before >= low and after >= low):
+                    continue
+                t = (_prominence(facing, i, j, di, dj) - PROMINENT[0]) / (PROMINENT[1] - PROMINENT[0])
+                if t <= 0.0:
+                    continue
+                t = min(t, 1.0)
+                u = min(max((GRAZING[1] - low) / (GRAZING[1] - GRAZING[0]), 0.0), 1.0)
+                s = weight * t * t * (3.0 - 2.0 * t) * u * u * (3.0 - 2.0 * u)
+                beside = 0.0
+                for n in range(-NEARBY, NEARBY):
+                    beside = max(beside, _hides(depth, i + n * di, j + n * dj, di, dj))
+                z = depth[i, j]
+                s *= (1.0 - beside) * (1.0 - (1.0 - FAINT) * farness(z, near, far))
+                # On the side of the lower neighbour: the valley's floor is there.
+                r, c = (i, j) if after <= before else (i - di, j - dj)
+                if s > strong[k, r, c]:
+                    strong[k, r, c], nearest[k, r, c] = s, z
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Silhouettes: lines where one ridge stands before another or before the sky, as in drawn panoramas.
+"""Silhouettes: lines where one ridge stands before another or before the sky, and creases, as in drawn panoramas.
 
 Along a row or a column of pixels 1/depth is linear on any plane, however slanted, so its steps are equal there. Where
 the step between two pixels is larger than those beside it account for, ground is hidden between them: the surface has
@@ -7,6 +7,12 @@ plains seen at a grazing angle, whose steps are large and alike, have no lines, 
 has a faint one. Lines lie on the borders between such pixels, are ``width`` pixels wide, fade and become thinner with
 distance, as drawn panoramas have them, and lie as far away as the nearer ground does: haze comes before them. Where the
 terrain ends, at its raster's border or at missing data open to it, there is none: that is no ridge.
+
+Ridges that hide next to nothing are found by the normal instead: n · v, the cosine between the ground's normal and the
+direction to the eye, falls towards 0 where ground turns away, and rises again where it turns back. Its valleys on the
+screen are the image-space form of suggestive contours (DeCarlo et al. 2003, section 5). They are drawn fainter, where
+they are deep (``silhouette_kernels.PROMINENT``) and near 0 (``GRAZING``); slopes are means over ``SMOOTH`` pixels, so
+that relief finer than that gives no lines that come and go. Within some pixels of a break there is no crease beside it.
 
 A map seen from straight above has no silhouettes. Units: pixels; metres of depth; colours are sRGB from 0 to 1.
 """
@@ -23,6 +29,7 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.geovis.colour import srgb_to_linear
 from orograph.parallel import map_ordered
+from orograph.picture.silhouette_kernels import WALK
 from orograph.store.terrain import Terrain
 from orograph.view import View
 
@@ -31,6 +38,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
+
+SMOOTH = 2.5
+"""Pixels that slopes are averaged over for creases."""
+
+BLOCK = 1 << 15
+"""Pixels at a time."""
 
 USUAL = 1100
 """Pixels of a picture's shorter side beyond which lines are wider: such pictures are for print."""
@@ -42,7 +55,8 @@ class Silhouettes:
 
     Attributes:
         width: of the nearest ones, pixels; more in pictures for print (``USUAL``). opacity: of those, 0 to 1.
-        colour: sRGB, 0 to 1.
+        colour: sRGB, 0 to 1. creases: how heavy lines are where ground turns away and back but hides nothing, as a part
+            of those where it hides something; 0: none.
 
     Raises:
         UsageError: a number is out of its range.
@@ -51,12 +65,15 @@ class Silhouettes:
     width: float = 2.0
     opacity: float = 0.8
     colour: tuple[float, float, float] = (0.20, 0.18, 0.20)
+    creases: float = 0.6
 
     def __post_init__(self) -> None:
         if not 0 < self.width <= 32:
             raise UsageError(f"Silhouettes are a number of pixels wide, more than 0 and at most 32, not {self.width}.")
         if not 0 <= self.opacity <= 1:
             raise UsageError(f"The opacity of silhouettes is from 0 to 1, not {self.opacity:g}.")
+        if not 0 <= self.creases <= 1:
+            raise UsageError(f"Creases are a part of silhouettes from 0 to 1, not {self.creases:g}.")
         if len(self.colour) != 3 or not all(0 <= c <= 1 for c in self.colour):
             raise UsageError(f"The colour of silhouettes is three numbers from 0 to 1, not {self.colour}.")
 
@@ -78,7 +95,7 @@ class Silhouettes:
 
 def rim(lines: Silhouettes) -> int:
     """Pixels around a tile that its silhouettes depend on."""
-    return lines.reach + 3
+    return lines.reach + (WALK + 1 if lines.creases > 0 else 3)
 
 
 def terrain_ends(terrain: Terrain) -> tuple[NDArray[np.float32], int]:
@@ -121,7 +138,12 @@ class Outlines:
             samples: (n, 2) positions in a pixel that its coverage is averaged over.
             air: what comes before lines (``picture.sky.Atmosphere``), or None.
         """
-        cover, near = self._cover(depth, 0.5, 0.5)
+        middle = np.zeros((0, 0), np.float32)
+        if self.lines.creases > 0:
+            i, j = (a.ravel().astype(np.float64) for a in np.indices(depth.shape))
+            middle = self._facing(j + (self.area[2] + 0.5), i + (self.area[0] + 0.5), depth.ravel())
+            middle = middle.reshape(depth.shape)
+        cover, near = self._cover(depth, middle, 0.5, 0.5)
         if len(samples) > 1:
             from scipy.ndimage import binary_dilation
 
@@ -134,7 +156,13 @@ class Outlines:
                 moved = depth.copy()
                 t, _, veil = self.ground.rays.cast(cols + self.area[2] + place[0], rows + self.area[0] + place[1])
                 moved[rows, cols] = np.where(np.isfinite(veil), veil, t)
-                return self._cover(moved, *place)
+                facing = middle
+                if facing.size:
+                    facing = facing.copy()
+                    facing[rows, cols] = self._facing(
+                        cols + (self.area[2] + place[0]), rows + (self.area[0] + place[1]), moved[rows, cols]
+                    )
+                return self._cover(moved, facing, *place)
 
             for one, z in map_ordered(at, list(samples), self.ground.scene.jobs):
                 mean += one
@@ -155,9 +183,26 @@ class Outlines:
         part = (cover[rows, cols] * np.float32(self.lines.opacity))[:, None]
         linear[rows, cols] += part * (ink - linear[rows, cols])
 
-    def _cover(self, depth: Array, x: float, y: float) -> tuple[Colours, Array]:
+    def _facing(self, px: Array, py: Array, depth: Array) -> Colours:
+        """n · v of the ground at pixel positions (n,) and depths; NaN where there is none."""
+        ground, out = self.ground, np.empty(len(px), np.float32)
+
+        def some(start: int) -> None:
+            k = slice(start, start + BLOCK)
+            none = np.full(len(px[k]), np.nan)
+            hits = ground.rays.meet(px[k], py[k], depth[k], np.zeros(len(none), np.int8), none)
+            slope = ground.relief.gradient(hits.points, SMOOTH * hits.width) @ ground.to_world.T
+            slope *= ground.scene.exaggeration
+            toward = (slope * hits.rays[:, :2]).sum(-1) - hits.rays[:, 2]
+            out[k] = toward / np.sqrt(1 + (slope * slope).sum(-1))
+
+        for _ in map_ordered(some, range(0, len(px), BLOCK), ground.scene.jobs):
+            pass
+        return out
+
+    def _cover(self, depth: Array, facing: Colours, x: float, y: float) -> tuple[Colours, Array]:
         """Coverage (rows, cols) by lines where depths are those at (x, y) in each pixel, and depths of the lines."""
-        from orograph.picture.silhouette_kernels import breaks, gather
+        from orograph.picture.silhouette_kernels import breaks, creases, gather
 
         rays, grid = self.ground.rays, self.ground.scene.terrain.grid
         rows, cols = depth.shape
@@ -167,6 +212,8 @@ class Outlines:
             rays.view.pixel_slope, rays.spacing, float(grid.cols - 1), float(grid.rows - 1), *self.ground.ends,
             *self.depths, strong, near,
         )  # fmt: skip
+        if facing.size:
+            creases(facing, depth, *self.depths, self.lines.creases, strong, near)
         cover, nearest = np.empty((rows, cols), np.float32), np.empty((rows, cols))
         gather(strong, near, *self.depths, self.lines.width, self.lines.reach, cover, nearest)
         return cover, nearest
