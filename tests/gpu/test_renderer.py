@@ -17,6 +17,7 @@ from pyproj import CRS
 from orograph.dem.raster import Dem
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
+from orograph.gpu import following
 from orograph.gpu.device import Device
 from orograph.gpu.frame import FrameStats, Overlay
 from orograph.gpu.renderer import Renderer
@@ -225,14 +226,25 @@ def test_overlays_show_the_engine(bench) -> None:
 
 
 @pytest.mark.parametrize("light", ["ao", "aperture"])
-def test_the_first_frame_has_an_open_sky(bench, light: str) -> None:
+def test_the_first_frame_has_an_open_sky(bench, light: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before maps of light are made nothing is hidden, and no frame is dark or late."""
+    drawn, quick = threading.Event(), following.quick_maps
+
+    def held_back(*args: object, **how: object) -> object:
+        drawn.wait(60)
+        return quick(*args, **how)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(following, "quick_maps", held_back)
     terrain = make(np.zeros((300, 300), np.float32))
     b = bench(terrain)
     scene = Scene(terrain, above(terrain), tolerance=1.0, colormap="grey", water=None, light=light)  # type: ignore[arg-type]
-    b.draw(scene)
-    first = b.pixels()
+    try:
+        b.draw(scene)
+        first = b.pixels()
+    finally:
+        drawn.set()
     b.draw(scene, wait=True, samples=1)
+    assert first[30:-30, 30:-30].min() > 50
     assert np.abs(first - b.pixels())[30:-30, 30:-30].max() < 12
 
 
