@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import ctypes
-import os
 import subprocess
 import tempfile
 import threading
@@ -29,6 +28,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from machine import before_all
 from orograph._numba import kernel
 from orograph.lod.soar import Soar
 from orograph.picture import camera
@@ -59,14 +59,6 @@ def at_once(count: int) -> None:
     other.start()
     arithmetic(count)
     other.join()
-
-
-def before_all() -> None:
-    """Threads of this process run as soon as they can, whatever else wants to."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-    except (AttributeError, PermissionError):
-        raise SystemExit("--priority needs Linux and the right to set a real-time priority.") from None
 
 
 def compiled(folder: Path) -> ctypes.CDLL:

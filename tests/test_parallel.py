@@ -1,4 +1,4 @@
-"""Threads: a crew is called again and again, survives errors, and goes when nobody holds it."""
+"""Threads: every item is worked on once; a crew is called again and again, survives errors, and goes with its holder."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import gc
 import threading
 import time
 
-from orograph.parallel import Crew
+import pytest
+
+from orograph.parallel import Crew, for_each
 
 
 def until(condition) -> bool:
@@ -50,3 +52,29 @@ def test_a_crew_that_nobody_holds_ends_and_keeps_nothing():
     del crew
     gc.collect()
     assert until(lambda: not any(t.is_alive() for t in threads))
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 5])
+def test_each_item_is_worked_on_once(jobs):
+    done = []
+    for_each(done.append, range(500), jobs)
+    assert sorted(done) == list(range(500))
+    for_each(done.append, [], jobs)
+    assert len(done) == 500
+
+
+@pytest.mark.parametrize("jobs", [2, 3])
+@pytest.mark.parametrize("fails", [ValueError, KeyboardInterrupt])
+def test_an_error_stops_the_rest_and_is_raised_when_all_threads_are_done(jobs, fails):
+    done, before = [], threading.active_count()
+
+    def work(item):
+        if item == 20:
+            raise fails(item)
+        time.sleep(1e-3)
+        done.append(item)
+
+    with pytest.raises(fails):
+        for_each(work, range(1000), jobs)
+    assert set(range(15)) <= set(done) and len(done) < 100
+    assert threading.active_count() == before

@@ -41,6 +41,19 @@ def swept(h: np.ndarray, linear: np.ndarray, azimuths: np.ndarray, **how) -> tup
     return out, came
 
 
+@pytest.mark.parametrize("below", [False, True])
+def test_how_heights_lie_in_memory_changes_no_bit(below):
+    """Rows of 128 samples or a multiple are copied apart where azimuths share them; windows are read in place."""
+    wide = rough(40, 400, 5, 0.05)
+    azimuths = np.array([0.0, 20.0, 90.0, 110.0, 190.0, 280.0])
+    plain, _ = swept(np.ascontiguousarray(wide[:, 7:263]), SQUARE, azimuths, below=below)
+    for h in (wide[:, 7:263], np.asfortranarray(wide[:, 7:263]), np.repeat(wide[:, 7:263], 2, axis=0)[::2]):
+        assert np.array_equal(swept(h, SQUARE, azimuths, below=below)[0], plain, equal_nan=True)
+    for k, azimuth in enumerate(azimuths):
+        alone, _ = swept(wide[:, 7:263], SQUARE, np.array([azimuth]), below=below)
+        assert np.array_equal(alone[0], plain[k], equal_nan=True)
+
+
 @settings(max_examples=25, deadline=None)
 @given(
     st.integers(1, 60), st.integers(1, 60), st.integers(0, 99), st.integers(1, 40), st.integers(1, 3),

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from orograph.errors import UsageError
 from orograph.light.sky import sky_view
-from orograph.light.sweep import Values, horizons
+from orograph.light.sweep import Block, Values, fold, horizons
 from orograph.light.sweep_lines import direction
 
 __all__ = ["direction", "horizon", "sky_view"]
@@ -53,6 +53,9 @@ def horizon(
         np.asarray(linear, np.float64), np.array([azimuth], np.float64), lowest=lowest, radius=radius,
         curvature=curvature, jobs=jobs,
     )  # fmt: skip
-    for block in blocks:
-        out[block.row0 : block.row1, block.col0 : block.col1] = block.slopes[0]
+
+    def keep(block: Block, first: int, last: int) -> None:
+        out[block.row0 + first : block.row0 + last, block.col0 : block.col1] = block.slopes[0, first:last]
+
+    fold(blocks, keep, jobs)
     return out

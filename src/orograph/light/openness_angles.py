@@ -38,19 +38,21 @@ def _angles(slopes: Values, total: Values, count: Values) -> None:
 
 
 @kernel
-def _add_angles(slopes: Values, first: int, last: int, row0: int, col0: int, total: Values, count: Values) -> None:
-    """Add all azimuths to the rows [first, last) of a window."""
-    cols = slopes.shape[2]
+def _add_angles(
+    slopes: Values, cols: int, first: int, last: int, row0: int, col0: int, total: Values, count: Values
+) -> None:
+    """Add all azimuths to the rows [first, last) of a window ``cols`` wide."""
     for i in range(first, last):
         for k in range(slopes.shape[0]):
             row, at = row0 + i, slice(col0, col0 + cols)
-            _angles(slopes[k, i], total[row, at], count[row, at])
+            _angles(slopes[k, i, :cols], total[row, at], count[row, at])
 
 
 def _openness(below: bool) -> Product:
     def make(context: Context) -> Sweep:
         def add(canvas: Values, block: Block, first: int, last: int) -> None:
-            _add_angles(block.slopes, first, last, block.row0, block.col0, canvas[0], canvas[1])
+            cols = block.col1 - block.col0
+            _add_angles(block.padded, cols, first, last, block.row0, block.col0, canvas[0], canvas[1])
 
         def finish(canvas: Values, window: Window) -> Values:
             total, count = canvas[:, window[0] : window[1], window[2] : window[3]]

@@ -86,29 +86,30 @@ def _inclined(slopes: Values, gx: Values, gy: Values, east: np.float32, north: n
 
 
 @kernel
-def _add_sine(slopes: Values, first: int, last: int, square: bool, row0: int, col0: int, total: Values) -> None:
-    """Add sin h, or sin² h, of all azimuths to the rows [first, last) of a window of ``total``."""
-    cols = slopes.shape[2]
+def _add_sine(
+    slopes: Values, cols: int, first: int, last: int, square: bool, row0: int, col0: int, total: Values
+) -> None:
+    """Add sin h, or sin² h, of all azimuths to the rows [first, last) of a window of ``total``, ``cols`` wide."""
     for i in range(first, last):
         for k in range(slopes.shape[0]):
             if square:
-                _square(slopes[k, i], total[row0 + i, col0 : col0 + cols])
+                _square(slopes[k, i, :cols], total[row0 + i, col0 : col0 + cols])
             else:
-                _sine(slopes[k, i], total[row0 + i, col0 : col0 + cols])
+                _sine(slopes[k, i, :cols], total[row0 + i, col0 : col0 + cols])
 
 
 @kernel
 def _add_inclined(
-    slopes: Values, first: int, last: int, gx: Values, gy: Values, toward: Values, row0: int, col0: int, total: Values
-) -> None:
+    slopes: Values, cols: int, first: int, last: int, gx: Values, gy: Values, toward: Values, row0: int, col0: int,
+    total: Values,
+) -> None:  # fmt: skip
     """Add what each azimuth ``toward`` (k, 2) (east, north) gives to inclined samples, but for their cos S.
 
     ``gx``, ``gy``: (last − first, cols) rise per metre east and north.
     """
-    cols = slopes.shape[2]
     for i in range(first, last):
         for k in range(slopes.shape[0]):
-            _inclined(slopes[k, i], gx[i - first], gy[i - first], toward[k, 0], toward[k, 1],
+            _inclined(slopes[k, i, :cols], gx[i - first], gy[i - first], toward[k, 0], toward[k, 1],
                       total[row0 + i, col0 : col0 + cols])  # fmt: skip
 
 
@@ -118,13 +119,13 @@ def sweep_of(context: Context, measure: Measure) -> Sweep:
     toward = np.array([direction(a) for a in azimuths], np.float32)
 
     def add(canvas: Values, block: Block, first: int, last: int) -> None:
-        at, total = (block.row0, block.col0), canvas[0]
+        at, total, cols = (block.row0, block.col0), canvas[0], block.col1 - block.col0
         if measure == "sky-view-slope":
             gx, gy = context.gradient(block.row0 + first, block.row0 + last, block.col0, block.col1)
             gx, gy = np.ascontiguousarray(gx), np.ascontiguousarray(gy)
-            _add_inclined(block.slopes, first, last, gx, gy, toward[block.azimuths], *at, total)
+            _add_inclined(block.padded, cols, first, last, gx, gy, toward[block.azimuths], *at, total)
         else:
-            _add_sine(block.slopes, first, last, measure == "sky-view", *at, total)
+            _add_sine(block.padded, cols, first, last, measure == "sky-view", *at, total)
 
     return Sweep(azimuths, 1, add, lambda canvas, window: finish(context, canvas[0], measure, window))
 

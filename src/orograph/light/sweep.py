@@ -21,6 +21,7 @@ bands, threads or memory, to the bit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -33,7 +34,7 @@ from orograph.errors import UsageError
 from orograph.geo.ellipsoid import Ellipsoid
 from orograph.light.sweep_kernels import GROUP, PAGE, sweep_lines, sweep_windows, working
 from orograph.light.sweep_lines import Lines, Pool, taken
-from orograph.parallel import cpu_count, map_ordered
+from orograph.parallel import cpu_count, for_each
 from orograph.progress import SILENT, Progress
 
 Values = NDArray[np.float32]
@@ -44,8 +45,12 @@ EARTH = 6_371_008.8
 
 _BAND = 256
 """Steps of a band: the tiles of a store."""
-_CACHE = 48 << 20
+_CACHE = 16 << 20
 """Slopes of a band that are still in the processor's cache, more or less, when they are used."""
+_CLASH = 128
+"""Rows that are a multiple of so many samples long share their places in the cache."""
+_COPIED = 16
+"""Rows that are copied at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +63,7 @@ class Block:
         slopes: (k, rows, cols) float32, tangents of the horizon's elevation; NaN where heights are. Valid until the
             next block is asked for.
         ends: whether it is the last of its pass: these azimuths are complete.
+        padded: (k, rows, ≥ cols) the same slopes and what lies between their rows in memory, C-contiguous, for kernels.
     """
 
     row0: int
@@ -67,6 +73,20 @@ class Block:
     azimuths: NDArray[np.int64]
     slopes: Values
     ends: bool
+    padded: Values
+
+
+def pitch(cols: int) -> int:
+    """Samples from one row to the next in memory: an odd number of cache lines, so that rows do not share their places
+    in the cache, as they do a power of two apart."""
+    return (-(-cols // GROUP) | 1) * GROUP
+
+
+def aligned(samples: int) -> Values:
+    """Room for so many samples (float32) that begins with a cache line."""
+    space = np.empty(samples + GROUP, np.float32)
+    begin = -space.ctypes.data % (4 * GROUP) // 4
+    return space[begin : begin + samples]
 
 
 def curvature_of(crs: CRS | None, refraction: float = 0.13) -> float:
@@ -142,9 +162,12 @@ def horizons(
                 made = _Pass(group, shape, lowest, below, radius, curvature, jobs, memory, band)
                 passes.append(made)
                 group = group[len(made.lines) :]
+    # Memory that is used again costs no page faults, which threads wait for one another in.
+    slopes = aligned(max((p.samples for p in passes), default=0))
+    spare: list[Pool] = []
     with progress.task(what, total=sum(len(p.bands) * len(p.lines) for p in passes)) as task:
         for each in passes:
-            for block in each.run(read):
+            for block in each.run(read, slopes, spare):
                 yield block
                 task.advance(len(each.lines))
 
@@ -170,7 +193,7 @@ class _Pass:
         reach = 0 if radius is None else max(max(int(radius * a.scale + 1e-9), 1) for a in group)
         reach = min(reach, self.steps)
         # A third of the memory for a band's heights and slopes, a third for stacks; the rest is what their user needs.
-        third, step = memory // 3, 4 * self.lanes
+        third, step = memory // 3, 4 * self._pitch(self.lanes)
 
         def needed(width: int, count: int) -> int:
             halo = min(2 * reach, self.steps)
@@ -199,28 +222,67 @@ class _Pass:
         share = -(-self.lanes * count // (16 * jobs))
         self.share = min(max(4 * GROUP, share + -share % GROUP), 512)
         self.pools: dict[tuple[int, int], Pool] = {}
-        # Memory that is used again costs no page faults, which threads wait for one another in.
         self._spare: list[Pool] = []
         self._rows: list[tuple[NDArray[np.float64], Values]] = []
+        self._heights: Values | None = None
+        self._scarce = 2 * needed(width, count) > third
 
-    def run(self, read: Read) -> Iterator[Block]:
-        """Sweep band by band, away from the light."""
+    @property
+    def samples(self) -> int:
+        """Of a buffer that has room for the slopes of a band, padding included."""
         longest = max(end - begin for begin, end in self.bands)
-        buffer = np.empty(len(self.lines) * longest * self.lanes, np.float32)
+        return len(self.lines) * longest * self._pitch(self.lanes)
+
+    def _pitch(self, cols: int) -> int:
+        return cols if self.by_columns else pitch(cols)  # columns are swept along rows, one after the other
+
+    def run(self, read: Read, buffer: Values, spare: list[Pool]) -> Iterator[Block]:
+        """Sweep band by band, away from the light.
+
+        ``buffer`` has room for ``samples``; ``spare`` are pools of passes before, and gets those of this one.
+        """
+        if sum(p.size for p in spare) > self.stacks // 2:
+            spare.clear()
+        self._spare = spare
+        indices = np.array([a.index for a in self.lines])
         for s0, s1 in self.bands:
             r0, r1, c0, c1 = (0, self.lanes, s0, s1) if self.by_columns else (s0, s1, 0, self.lanes)
-            slopes = buffer[: len(self.lines) * (r1 - r0) * (c1 - c0)].reshape(-1, r1 - r0, c1 - c0)
+            shape = len(self.lines), r1 - r0, self._pitch(c1 - c0)
+            padded = buffer[: math.prod(shape)].reshape(shape)
             if self.radius is None:
-                self._unlimited(read(r0, r1, c0, c1), s0, s1, slopes)
+                self._unlimited(read(r0, r1, c0, c1), s0, s1, padded)
             else:
-                self._limited(read, s0, s1, slopes)
-            yield Block(r0, r1, c0, c1, np.array([a.index for a in self.lines]), slopes, (s0, s1) == self.bands[-1])
-        self._spare.clear()
+                self._limited(read, s0, s1, padded)
+            if self._scarce:
+                self._heights = None
+            slopes = padded[:, :, : c1 - c0]
+            yield Block(r0, r1, c0, c1, indices, slopes, (s0, s1) == self.bands[-1], padded)
         self._rows.clear()
+        self._heights = None
 
-    def _flat(self, heights: Values) -> Values:
-        heights = np.negative(heights) if self.below else heights
-        return np.ascontiguousarray(heights, np.float32).reshape(-1)
+    def _flat(self, heights: Values, uses: int) -> tuple[Values, int]:
+        """Heights as they are swept ``uses`` times, flat, and the distance between their rows."""
+        rows, cols = heights.shape
+        wide = self._pitch(cols)
+        stride = heights.strides[0] // 4
+        apart = self.by_columns or stride % _CLASH or uses == 1
+        in_rows = heights.dtype == np.float32 and heights.strides[1] == 4 and heights.strides[0] >= 4 * cols
+        if apart and in_rows and not self.below:
+            span = (rows - 1) * stride + cols
+            return np.lib.stride_tricks.as_strided(heights, (span,), (4,), writeable=False), stride
+        if self._heights is None or len(self._heights) < rows * wide:
+            self._heights = aligned(rows * wide)
+        flat = self._heights[: rows * wide]
+        padded = flat.reshape(rows, wide)[:, :cols]
+
+        def copy(row: int) -> None:
+            part = np.s_[row : row + _COPIED]
+            (np.negative if self.below else np.positive)(heights[part], out=padded[part])
+
+        for_each(copy, range(0, rows, _COPIED), self.jobs)
+        flat = flat.view()
+        flat.flags.writeable = False  # as heights that are not copied: kernels are compiled once
+        return flat, wide
 
     def _shares(self, s0: int, s1: int, lines: list[Lines]) -> list[tuple[Lines, int]]:
         work = []
@@ -230,8 +292,9 @@ class _Pass:
         return work
 
     def _unlimited(self, heights: Values, s0: int, s1: int, slopes: Values) -> None:
-        flat, width = self._flat(heights), s1 - s0
-        lane, step = (width, 1) if self.by_columns else (1, self.lanes)
+        (flat, wide), width = self._flat(heights, len(self.lines)), s1 - s0
+        lane, step = (wide, 1) if self.by_columns else (1, wide)
+        out_lane, out_step = (slopes.shape[2], 1) if self.by_columns else (1, slopes.shape[2])
         work = self._shares(s0, s1, self.lines)
         last = (s0, s1) == self.bands[-1]
         keep = {(a.index, s) for a, s in work}
@@ -242,7 +305,7 @@ class _Pass:
 
         def run(item: tuple[Lines, int]) -> None:
             a, s = item
-            pool = self.pools.get((a.index, s)) or taken(self._spare, lambda: Pool(self.share))
+            pool = self.pools.get((a.index, s)) or self._pool()
             rows = taken(self._rows, lambda: working(longest))
             profile, slope = rows
             out = slopes[place[a.index]].reshape(-1)
@@ -251,7 +314,7 @@ class _Pass:
                 done = sweep_lines(
                     flat, lane, step, self.lanes, a.shift[s0:s1], a.part[s0:s1], a.backward, a.position(s0), a.scale,
                     self.lowest, self.curvature, s * self.share, self.share, done, pool.top, pool.position,
-                    pool.height, pool.link, pool.free, profile, slope, lane, out,
+                    pool.height, pool.link, pool.free, profile, slope, out_lane, out_step, out,
                 )  # fmt: skip
                 if done >= self.share:
                     break
@@ -260,15 +323,19 @@ class _Pass:
             if last:
                 self.pools.pop((a.index, s), None)
                 if not pool.release:
-                    pool.clear()
                     self._spare.append(pool)
                 return
             if pool.release:
                 pool.release()
             self.pools[a.index, s] = pool
 
-        for _ in map_ordered(run, work, self.jobs):
-            pass
+        for_each(run, work, self.jobs)
+
+    def _pool(self) -> Pool:
+        """An empty pool, from any thread."""
+        pool = taken(self._spare, Pool)
+        pool.clear(self.share)
+        return pool
 
     def _limited(self, read: Read, s0: int, s1: int, slopes: Values) -> None:
         rows, cols = self.shape
@@ -284,17 +351,16 @@ class _Pass:
         heights = read(0, rows, least, most) if self.by_columns else read(least, most, 0, cols)
         for k, (a, (reach, h0, h1)) in enumerate(zip(self.lines, windows)):
             part = np.s_[h0 - least : h1 - least]
-            flat = self._flat(heights[:, part] if self.by_columns else heights[part])
-            width = h1 - h0
-            lane, step = (width, 1) if self.by_columns else (1, self.lanes)
+            flat, wide = self._flat(heights[:, part] if self.by_columns else heights[part], 1)
+            lane, step = (wide, 1) if self.by_columns else (1, wide)
+            out_lane, out_step = (slopes.shape[2], 1) if self.by_columns else (1, slopes.shape[2])
             sweep = partial(
                 sweep_windows, flat, lane, step, self.lanes, a.shift[h0:h1], a.part[h0:h1], a.backward, a.position(h0),
                 a.scale, self.lowest, self.curvature, lines=self.share, reach=reach, skip=s0 - h0, own=s1 - s0,
-                out_lane=s1 - s0 if self.by_columns else 1, out=slopes[k].reshape(-1),
+                out_lane=out_lane, out_step=out_step, out=slopes[k].reshape(-1),
             )  # fmt: skip
             first_lines = [share * self.share for _, share in self._shares(s0, s1, [a])]
-            for _ in map_ordered(partial(_at_line, sweep), first_lines, self.jobs):
-                pass
+            for_each(partial(_at_line, sweep), first_lines, self.jobs)
 
 
 def _at_line(sweep: Callable[..., None], line0: int) -> None:
@@ -314,11 +380,10 @@ def fold(
     """
     for block in blocks:
         rows, cols = block.row1 - block.row0, block.col1 - block.col0
-        height = max(8, (1 << 18) // cols)
+        height = max(8, (1 << 16) // cols)
 
         def strip(first: int, block: Block = block, height: int = height, rows: int = rows) -> None:
             add(block, first, min(first + height, rows))
 
-        for _ in map_ordered(strip, range(0, rows, height), jobs):
-            pass
+        for_each(strip, range(0, rows, height), jobs)
         after(block)

@@ -218,17 +218,17 @@ def _limited(
 @kernel
 def _scatter(
     values: F32, heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, begin: int,
-    lines: int, first: int, last: int, skip: int, out_lane: int, out: F32,
+    lines: int, first: int, last: int, skip: int, out_lane: int, out_step: int, out: F32,
 ) -> None:  # fmt: skip
     """Interpolate values (1 + lines, steps), of lines begin − 1 …, at the samples between; NaN where samples are.
 
-    ``skip`` steps of the heights have no place in ``out``, whose lanes are ``out_lane`` apart.
+    ``skip`` steps of the heights have no place in ``out``, whose lanes are ``out_lane`` apart, and steps ``out_step``.
     """
     one, nan = np.float32(1.0), np.float32(np.nan)
     if lane_stride == 1:
         for i in range(first, last):
             lane0, f = begin + shift[i], part[i]
-            base, target = lane0 + i * step_stride, lane0 + (i - skip) * step_stride
+            base, target = lane0 + i * step_stride, lane0 + (i - skip) * out_step
             b0, b1 = max(-lane0, 0), min(lanes - lane0, lines)
             if f > 0:
                 for b in range(b0, b1):
@@ -266,7 +266,7 @@ def _range(shift: I64, lanes: int, line0: int, lines: int) -> tuple[int, int]:
 def sweep_lines(
     heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, backward: bool, origin: int,
     scale: float, lowest: float, bend: float, line0: int, lines: int, begin: int, top: I64, position: I32,
-    height: F64, link: I64, free: I64, profile: F64, slope: F32, out_lane: int, out: F32,
+    height: F64, link: I64, free: I64, profile: F64, slope: F32, out_lane: int, out_step: int, out: F32,
 ) -> int:  # fmt: skip
     """Sweep a band of ``len(shift)`` steps for the samples on or just before ``lines`` lines from ``line0``, unlimited.
 
@@ -294,7 +294,7 @@ def sweep_lines(
             _unlimited(profile[b], first, last, backward, origin, scale, lowest, bend, begin + b + 1, top, position,
                        height, link, free, slope[b + 1])  # fmt: skip
         _scatter(slope, heights, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, 0,
-                 out_lane, out)  # fmt: skip
+                 out_lane, out_step, out)  # fmt: skip
         for i in range(first, last):
             slope[0, i] = slope[count, i]
         begin += count
@@ -305,7 +305,7 @@ def sweep_lines(
 def sweep_windows(
     heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, backward: bool, origin: int,
     scale: float, lowest: float, bend: float, line0: int, lines: int, reach: int, skip: int, own: int, out_lane: int,
-    out: F32,
+    out_step: int, out: F32,
 ) -> None:  # fmt: skip
     """As ``sweep_lines``, among the points within ``reach`` steps only, for steps [skip, skip + own) of the band."""
     steps = len(shift)
@@ -326,5 +326,5 @@ def sweep_windows(
         # The first line of all only takes part in interpolation.
         a = 1 if begin < 0 else 0
         _scatter(slope[a:], heights, lane_stride, step_stride, lanes, shift, part, line0 + begin + a, count - a, skip,
-                 skip + own, skip, out_lane, out)  # fmt: skip
+                 skip + own, skip, out_lane, out_step, out)  # fmt: skip
         slope[0] = slope[count]

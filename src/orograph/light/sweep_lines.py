@@ -60,10 +60,10 @@ class Lines:
 
 
 class Pool:
-    """The stacks of a share of an azimuth's lines, between two bands."""
+    """The stacks of a share of an azimuth's lines, between two bands; ``clear`` it first."""
 
-    def __init__(self, lines: int) -> None:
-        self.top = np.full(lines + 1, -1, np.int64)
+    def __init__(self) -> None:
+        self.top = np.empty(0, np.int64)
         self.position = np.empty(0, np.int32)
         self.height = np.empty(0, np.float64)
         self.link = np.empty(0, np.int64)
@@ -91,9 +91,9 @@ class Pool:
         free[0] = count + after - before
         self.free = free
 
-    def clear(self) -> None:
-        """Empty all stacks."""
-        self.top[:] = -1
+    def clear(self, lines: int) -> None:
+        """Begin with so many empty stacks, and one of the line before them."""
+        self.top = np.full(lines + 1, -1, np.int64)
         self.free[0] = len(self.link)
         self.free[1:] = np.arange(len(self.link) - 1, -1, -1)
 
