@@ -1,4 +1,4 @@
-"""Threads: every item is worked on once; a crew is called again and again, survives errors, and goes with its holder."""
+"""Threads: every item is worked on once; a crew is called again and again, survives errors, and goes."""
 
 from __future__ import annotations
 
