@@ -171,3 +171,44 @@ def test_small_rasters_seen_small_have_labels_too() -> None:
     middle = (EAST + 2500.0, NORTH - 2400.0, 500.0)
     view = View((middle[0], middle[1], 8500.0), middle, projection="plan", width=220, height=200)
     assert len(labelled(Scene(small, view, contours=Contours(20.0)))[0]) >= 2
+
+
+def zoomed(terrain: Terrain, pixels: float) -> Scene:
+    """A plan in which a sample is so many pixels large, index contours some hundred pixels apart."""
+    x, y = EAST + 5150.0, NORTH - 4800.0
+    away = METRES / pixels * 400 / (2 * math.tan(math.radians(20.0)))
+    view = View((x, y, 1000.0 + away), (x, y, 1000.0), projection="plan", fov_y=40, width=640, height=400)
+    interval = 60.0 / pixels
+    return Scene(terrain, view, contours=Contours(interval), samples=1)
+
+
+@pytest.mark.parametrize("pixels", [5.0, 50.0, 300.0])
+def test_lines_have_as_many_labels_however_near_one_comes(terrain: Terrain, pixels: float) -> None:
+    """Far beyond a sample, too: labels stand as densely, on the surface between samples."""
+    scene = zoomed(terrain, pixels)
+    assert METRES / scene.view.pixel_metres == pytest.approx(pixels)
+    labels, contours = labelled(scene)
+    assert 6 <= len(labels) <= 40, len(labels)
+    middle = labels.lines[:, POINTS // 2]
+    # Each on the surface that is drawn, within a pixel: heights across there change by so much from pixel to pixel.
+    shown = draw(replace(scene, contours=None, tolerance=0.0, light="none"))
+    px = scene.view.project(middle)[0]
+    j, i = np.clip(np.floor(px).astype(int), 2, [637, 397]).T
+    ground = scene.view.eye[2] - shown.depth.astype(np.float64)
+    rate = np.hypot(ground[i, j + 1] - ground[i, j - 1], ground[i + 1, j] - ground[i - 1, j]) / 2
+    assert (np.abs(ground[i, j] - labels.heights) < 1.5 * rate + 1e-3).all()
+
+
+def test_labels_come_by_degrees_as_one_zooms_in_beyond_samples(terrain: Terrain) -> None:
+    """An eighth of a percent a frame, while spots of one level take the place of another's."""
+    placer, before = Placer(terrain), {}
+    jumps = []
+    for pixels in np.geomspace(20.5, 25.0, 166):
+        scene = replace(zoomed(terrain, float(pixels)), contours=Contours(2.5, fading=True))
+        labels, _ = labelled(scene, placer)
+        found = zip(labels.lines[:, POINTS // 2].round(3).tolist(), labels.opacity, strict=True)
+        now = {tuple(at): o for at, o in found}
+        jumps += [abs(before.get(at, 0.0) - now.get(at, 0.0)) for at in ({*now, *before} if before else ())]
+        before = now
+    assert len(before) >= 4 and len(jumps) > 800
+    assert max(jumps) < 0.75 and np.mean(np.array(jumps) > 0.35) < 0.02, sorted(jumps)[-5:]

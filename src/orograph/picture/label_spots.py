@@ -4,6 +4,8 @@ Index contours are traced (marching squares: contourpy) on blocks of ``BLOCK`` �
 stretch of a line gives one spot, where the line bends least. What is found depends on the block alone: spots hold still
 however the camera moves, and only which of them are shown depends on the view (``picture.labels``). The line through a
 spot is then moved onto the next finer level's heights, so that it lies on the line that is drawn when one comes closer.
+Levels go on beyond the finest: level −k has 2^k times as many samples a side, on the surface between the raster's own,
+so that lines have as many spots on the screen however near one comes.
 
 Units: metres in the terrain's CRS; samples of the block's level.
 """
@@ -76,7 +78,7 @@ def spots(terrain: Terrain, level: int, row: int, col: int, step: float) -> Spot
     """
     from contourpy import LineType, contour_generator
 
-    rows, cols = level_shape(terrain.grid.shape, level)
+    rows, cols = shape_of(terrain, level)
     r0, c0 = max(row * BLOCK - MARGIN, 0), max(col * BLOCK - MARGIN, 0)
     r1, c1 = min((row + 1) * BLOCK + MARGIN + 1, rows), min((col + 1) * BLOCK + MARGIN + 1, cols)
     if r1 - r0 < 2 or c1 - c0 < 2:
@@ -103,7 +105,7 @@ def spots(terrain: Terrain, level: int, row: int, col: int, step: float) -> Spot
         return none(level)
     lines = np.stack([f[0] for f in found])
     values = np.array([f[2] for f in found])
-    lines = _finer(terrain, level, lines + corner, values) if level else lines + corner
+    lines = _finer(terrain, level, lines + corner, values) if level > 0 else lines + corner
     middle = lines[:, POINTS // 2]
     slope = _gradient(heights, middle - corner)
     to_world = np.linalg.inv(linear)
@@ -182,9 +184,20 @@ def coarsest(terrain: Terrain) -> int:
     return level
 
 
+def shape_of(terrain: Terrain, level: int) -> tuple[int, int]:
+    """Rows and columns of a level, also beyond the finest."""
+    if level >= 0:
+        return level_shape(terrain.grid.shape, level)
+    rows, cols = terrain.grid.shape
+    return ((rows - 1) << -level) + 1, ((cols - 1) << -level) + 1
+
+
 def read(terrain: Terrain, level: int, row0: int, row1: int, col0: int, col1: int) -> Array:
-    """Heights of a level, or of one beyond the coarsest: every second, fourth… sample of that."""
+    """Heights of a level, or of one beyond the coarsest: every second, fourth… sample of that; or beyond the finest:
+    those of the surface between samples, whose cells are cut from their (even, even) to their (odd, odd) corner."""
     top = terrain.levels - 1
+    if level < 0:
+        return _between(terrain, -level, row0, row1, col0, col1)
     if level <= top:
         return np.asarray(terrain.read(level, row0, row1, col0, col1), np.float64)
     rows, cols = terrain.shape(top)
@@ -192,6 +205,20 @@ def read(terrain: Terrain, level: int, row0: int, row1: int, col0: int, col1: in
     r, c = np.arange(row0, row1) * step, np.arange(col0, col1) * step
     whole = np.asarray(terrain.read(top, 0, rows, 0, cols), np.float64)
     return np.asarray(whole[np.ix_(np.minimum(r, rows - 1), np.minimum(c, cols - 1))])
+
+
+def _between(terrain: Terrain, finer: int, row0: int, row1: int, col0: int, col1: int) -> Array:
+    """Heights of the triangulated surface at every 2^-finer-th of a sample."""
+    rows, cols = terrain.grid.shape
+    r, c = (np.arange(a, b) / 2.0**finer for a, b in ((row0, row1), (col0, col1)))
+    i, j = (np.minimum(np.floor(v).astype(np.intp), n - 2) for v, n in ((r, rows), (c, cols)))
+    r0, c0 = int(i[0]), int(j[0])
+    own = np.asarray(terrain.read(0, r0, int(i[-1]) + 2, c0, int(j[-1]) + 2), np.float64)
+    v, u = (r - i)[:, None], (c - j)[None, :]
+    a, b, d, e = (own[np.ix_(i - r0 + di, j - c0 + dj)] for di, dj in ((0, 0), (0, 1), (1, 0), (1, 1)))
+    falling = np.where(u >= v, a + u * (b - a) + v * (e - b), a + u * (e - d) + v * (d - a))  # from a to e
+    rising = np.where(u + v > 1, e + (1 - u) * (d - e) + (1 - v) * (b - e), a + u * (b - a) + v * (d - a))
+    return np.asarray(np.where((i[:, None] + j[None, :]) % 2 == 0, falling, rising))
 
 
 def _finer(terrain: Terrain, level: int, lines: Array, values: Array) -> Array:

@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 
 from orograph.picture.contours import USUAL, Contours
 from orograph.picture.label_kernels import lie, stand
-from orograph.picture.label_spots import BLOCK, POINTS, Spots, coarsest, spots
+from orograph.picture.label_spots import BLOCK, POINTS, Spots, coarsest, shape_of, spots
 from orograph.picture.scene import Scene
 from orograph.raycast.caster import Caster
 from orograph.raycast.select import Boxes, Rectangle, distances, in_frustum, load, rectangles
-from orograph.store.terrain import TILE, Terrain, level_shape
+from orograph.store.terrain import TILE, Terrain
 from orograph.view import View
 
 Array = NDArray[np.float64]
@@ -51,6 +51,9 @@ COARSE = 2.0
 
 DEEP = 0.15
 """How much deeper or nearer than its middle (as a part of the depth) ground under a label's corners may be."""
+
+FINEST = -6
+"""The finest level of spots: 64 to a sample of the raster."""
 
 MOST = 4096
 """Blocks whose spots are remembered."""
@@ -131,7 +134,7 @@ class Placer:
         lines, heights, slopes, bends, levels = (v[kept] for v in (lines, heights, slopes, bends, levels))
         pixels, depth, per_sample = pixels[kept], depth[kept], per_sample[kept]
         opacity = _ramp(0.9 * FARTHEST, 1.1 * FARTHEST, per_sample)
-        opacity *= np.where(levels > 0, 1 - _ramp(0.85 * NEAREST, NEAREST, per_sample), 1.0)
+        opacity *= np.where(levels > FINEST, 1 - _ramp(0.85 * NEAREST, NEAREST, per_sample), 1.0)
         rate = _rates(view, scene.exaggeration, pixels, depth, slopes)
         least = max(8.0, 1.15 * contours.type_size)
         opacity *= _ramp(0.8 * least, least, step / np.maximum(rate, 1e-9))
@@ -165,8 +168,15 @@ class Placer:
     def _wanted(self, scene: Scene, step: float, large: float) -> Iterator[Spots]:
         """The spots of all blocks in view whose level suits the scale there."""
         terrain, view = self.terrain, scene.view
-        for level in range(coarsest(terrain), -1, -1):
-            boxes = _blocks(terrain, level)
+        blocks: NDArray[np.int64] | None = None
+        for level in range(coarsest(terrain), FINEST - 1, -1):
+            if blocks is None or level >= 0:
+                blocks = _all_blocks(terrain, level)
+            else:  # the quarters of those that are near enough
+                blocks = (2 * blocks[:, None] + [[0, 0], [0, 1], [1, 0], [1, 1]]).reshape(-1, 2)
+                rows, cols = shape_of(terrain, level)
+                blocks = blocks[(blocks * BLOCK < [rows - 1, cols - 1]).all(-1)]
+            boxes = _blocks(terrain, level, blocks)
             near = in_frustum(terrain, view, scene.exaggeration, boxes)
             spacing = float(np.mean(terrain.grid.spacing)) * 2.0**level
             if view.projection == "plan":
@@ -179,10 +189,11 @@ class Placer:
                     most = spacing / (view.pixel_slope * large) / np.maximum(0.5 * away, 1e-9)
                     least = spacing / (view.pixel_slope * large) / (away + reach)
             near &= most > 0.9 * FARTHEST
-            if level > 0:
-                near &= least < NEAREST
-            for row, col in np.argwhere(near).tolist():
+            blocks = blocks[near]
+            for row, col in blocks[least[near] < NEAREST].tolist() if level > FINEST else blocks.tolist():
                 yield self._spots_of(level, row, col, step)
+            if not len(blocks) and level <= 0:
+                return
 
     def _spots_of(self, level: int, row: int, col: int, step: float) -> Spots:
         key = level, row, col, step
@@ -230,18 +241,24 @@ class Placer:
         return np.asarray(_ramp(0.55, 0.95, seen / (3 * len(CLEAR))) * _ramp(0.7, 0.95, held / 4))
 
 
-def _blocks(terrain: Terrain, level: int) -> Boxes:
-    """The boxes of a level's blocks, heights being those of the tiles they lie in."""
-    rows, cols = level_shape(terrain.grid.shape, level)
+def _all_blocks(terrain: Terrain, level: int) -> NDArray[np.int64]:
+    """Row and column (n, 2) of a level's blocks."""
+    rows, cols = shape_of(terrain, level)
     n_rows, n_cols = max(1, -(-(rows - 1) // BLOCK)), max(1, -(-(cols - 1) // BLOCK))
-    side = float(BLOCK << level)
-    west, north = np.meshgrid(np.arange(n_cols) * side, np.arange(n_rows) * side)
+    return np.stack([a.ravel() for a in np.indices((n_rows, n_cols))], -1)
+
+
+def _blocks(terrain: Terrain, level: int, blocks: NDArray[np.int64]) -> Boxes:
+    """The boxes (n,) of blocks (n, 2) of a level, heights being those of the tiles they lie in."""
+    side = BLOCK * 2.0**level
+    north, west = blocks[:, 0] * side, blocks[:, 1] * side
     last_col, last_row = terrain.grid.cols - 1.0, terrain.grid.rows - 1.0
     east, south = np.minimum(west + side, last_col), np.minimum(north + side, last_row)
-    table = terrain.tiles(min(level, terrain.levels - 1))
-    of_rows = np.minimum(np.arange(n_rows) * BLOCK // TILE, table.minimum.shape[0] - 1)
-    of_cols = np.minimum(np.arange(n_cols) * BLOCK // TILE, table.minimum.shape[1] - 1)
-    low, high = (t[np.ix_(of_rows, of_cols)].astype(np.float64) for t in (table.minimum, table.maximum))
+    table = terrain.tiles(max(min(level, terrain.levels - 1), 0))
+    tile = TILE << max(min(level, terrain.levels - 1), 0)  # samples of the raster
+    tile_row = np.minimum((north // tile).astype(np.intp), table.minimum.shape[0] - 1)
+    tile_col = np.minimum((west // tile).astype(np.intp), table.minimum.shape[1] - 1)
+    low, high = (t[tile_row, tile_col].astype(np.float64) for t in (table.minimum, table.maximum))
     return Boxes(west, east, north, south, low, high)
 
 

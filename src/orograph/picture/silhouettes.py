@@ -138,7 +138,7 @@ class Outlines:
             samples: (n, 2) positions in a pixel that its coverage is averaged over.
             air: what comes before lines (``picture.sky.Atmosphere``), or None.
         """
-        middle = np.zeros((0, 0), np.float32)
+        middle: Colours = np.zeros((0, 0), np.float32)
         if self.lines.creases > 0:
             i, j = (a.ravel().astype(np.float64) for a in np.indices(depth.shape))
             middle = self._facing(j + (self.area[2] + 0.5), i + (self.area[0] + 0.5), depth.ravel())
