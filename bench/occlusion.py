@@ -68,7 +68,7 @@ def methods(rho: str, radius: float | None, gpu: bool) -> list[tuple[str, dict[s
     rows += [(f"{name} in {n} azimuths", {"azimuths": n}, False) for n in (8, 16, 32, 64, 128)]
     if gpu:
         rows += [(f"{n:,} shadow maps", {"method": "shadow-maps", "rays": n}, True) for n in (64, 256, 1024)]
-        rows += [(f"{len(cones(n)[0])} cones", {"method": "cone-tracing", "cones": n}, True) for n in (10, 24, 40, 92)]
+        rows += [(f"{len(cones(n)[0])} cones", {"method": "cone-tracing", "cones": n}, True) for n in (10, 24, 40, 64)]
     return rows
 
 

@@ -57,7 +57,7 @@ AT_ONCE = ("normal", "slope", "aspect", "hillshade")
     method="Of ambient occlusion, the last two on the GPU; of apertures, the first two.  [default: horizon]",
     rays="Rays per sample by Monte Carlo; directions of shadow maps.",
 )
-@click.option("--cones", type=click.IntRange(min=3), help="Of cone tracing: about how many per sample.  [default: 40]")
+@click.option("--cones", type=click.IntRange(min=3), help="Of cone tracing: about how many per sample.  [default: 64]")
 @insolation_options
 @click.option("--byte", is_flag=True, help="8-bit values for looking at, instead of float32 in physical units.")
 @click.option("--crs", help="Projected CRS to work in.  [default: the file's own, or its UTM zone]")

@@ -13,12 +13,14 @@ tile takes some megabytes whatever the radius and the raster.
 
 *Cones* fill the hemisphere around the normal in rings of equal height, as many per ring as are about square. Each
 carries the integral of the cosine over its patch of the sky. Along it voxels of its own width are read, trilinear and
-between levels. Three things make it right for terrain:
+between levels. These make it right for terrain:
 
 - The share of a voxel that the sample's own tangent plane fills, or hides, is taken off: else the lowest ring, whose
   patches touch the plane, would be occluded on level ground.
-- What a voxel hides is too much where ground rises through it (its highest lies farther away than its middle), its
-  share too little at a cliff: ``EDGE`` of the shader mixes them.
+- What a voxel hides is too much along a slope that the cone grazes (its highest lies farther away than its middle), its
+  share too little at a cliff: the one counts where the share rises along the cone (``EDGE`` of the shader).
+- Where a cone is narrower than ``FIRST`` cells the ground itself is the finest level: its elevation above the sample's
+  plane, at distances that grow by 1.3, hides the patch from below. Creases are narrower than any voxel.
 - Ground fills a patch from below and behind what is filled there may be more of the same: what is hidden is the largest
   share along the cone, not the product of many transparencies. Where it grows, ρ is taken at that distance.
 - The share of a patch becomes a share of light by the integral of the cosine from the patch's lower edge up.
@@ -53,8 +55,10 @@ LEVELS = 12
 """Levels of voxels there can be: cells of 1 m see 40 km."""
 FIT = 1 / math.sqrt(3)
 """Widths of a cone that a voxel read in it is wide: read trilinear, such a voxel blurs as much as the cone's width."""
-FIRST = 1.0
-"""Where cones begin: where they are this many cells wide."""
+FIRST = 2.0
+"""Where voxels are read first: where cones are this many cells wide; nearer it is the ground itself."""
+CONES = 64
+"""How many there are if nothing is said."""
 DENSE = 3
 """Voxels of level l are made out of samples of level l − ``DENSE``."""
 _FRAME = np.dtype(
@@ -119,6 +123,8 @@ class Tracer:
             np.linalg.norm(context.linear @ [cols, -rows])
         )
         self.radius = min(ways.radius, far)
+        stretch = max(float(np.linalg.norm(v)) for v in self.inverse) * self.cell
+        self.border = math.ceil(FIRST / (2 * self.tangent) * stretch) + 1
         self.levels = min(max(math.ceil(math.log2(self.radius * 2 * self.tangent * FIT / self.cell)), 0) + 1, LEVELS)
         self._voxelise = layout(device, "uniform", "read", "out:rgba8unorm/3d")
         self._trace = layout(device, "uniform", "read", "read", "read", "read", "write", "sampler", "texture3d")
@@ -166,12 +172,12 @@ class Tracer:
         frame["inverse"] = *self.inverse[:, 0], *self.inverse[:, 1]
         frame["run"] = self.cell, self.radius, FIT, FIRST
         frame["tile"] = col0, row0, col1 - col0, row1 - row0
-        frame["counts"] = self.count, self.levels, self.ways.step, 0
+        frame["counts"] = self.count, self.levels, self.ways.step, self.border
         for k, (origin, size) in enumerate(sizes):
             frame["levels"]["origin"][0, k] = *origin, self.cell * (1 << k)
             frame["levels"]["size"][0, k, :3] = size
             frame["levels"]["place"][0, k, :3] = places[k]
-        heights = self.device.buffer(np.where(missing, MISSING, inner - np.float32(base)), "STORAGE")
+        heights = self.device.buffer(self._bordered(window, base), "STORAGE")
         gx, gy = self.context.gradient(*window)
         slopes = self.device.buffer(np.nan_to_num(np.stack([gx, gy], axis=-1)).astype(np.float32), "STORAGE")
         result = self.device.buffer(4 * inner.size, "STORAGE|COPY_SRC")
@@ -204,6 +210,16 @@ class Tracer:
         last = [(col1 + over) / wide, (row1 + down) / wide, (high + up) / thick]
         origin = np.floor(first).astype(np.int64) - 1
         return origin, np.ceil(last).astype(np.int64) + 1 - origin
+
+    def _bordered(self, window: tuple[int, int, int, int], base: float) -> Values:
+        """Heights of a tile and ``border`` samples around it above ``base``, ``MISSING`` where there are none."""
+        (row0, row1, col0, col1), n, (rows, cols) = window, self.border, self.context.shape
+        out = np.full((row1 - row0 + 2 * n, col1 - col0 + 2 * n), MISSING, np.float32)
+        a, b, c, d = max(row0 - n, 0), min(row1 + n, rows), max(col0 - n, 0), min(col1 + n, cols)
+        there = self.context.heights(a, b, c, d)
+        inner = out[a - row0 + n : b - row0 + n, c - col0 + n : d - col0 + n]
+        inner[...] = np.where(np.isnan(there), MISSING, there - np.float32(base))
+        return out
 
     def _samples(self, level: int, box: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Rectangle:
         """The samples out of which a level's voxels are made."""
@@ -252,7 +268,7 @@ class Tracer:
 
 
 def run(context: Context, device: Device | None = None) -> Blocks:
-    """The product ``ambient-occlusion`` with ``method`` "cone-tracing": about ``cones`` of them (40) per sample.
+    """The product ``ambient-occlusion`` with ``method`` "cone-tracing": about ``cones`` of them (64) per sample.
 
     Raises:
         NoAdapterError: there is no GPU to do it. DeviceLimitError: its memory does not hold a tile.
@@ -260,7 +276,7 @@ def run(context: Context, device: Device | None = None) -> Blocks:
     """
     options = context.options
     flat_only(context)
-    about = int(options.more.get("cones", 40))
+    about = int(options.more.get("cones", CONES))
     if about < 3:
         raise UsageError(f"At least three cones are needed, not {about}.")
     ways = transmission(options.more.get("rho", "step"), options.radius)

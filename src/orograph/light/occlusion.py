@@ -313,7 +313,7 @@ def ambient_occlusion(
     method: Method = "horizon",
     azimuths: int = 32,
     rays: int = 256,
-    cones: int = 40,
+    cones: int = 64,
     seed: int = 0,
     jobs: int | None = None,
 ) -> Heights:

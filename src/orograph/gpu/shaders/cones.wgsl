@@ -11,7 +11,7 @@ struct Frame {
     inverse: vec4f,  // columns, rows per metre east; per metre north
     run: vec4f,      // metres of a voxel of level 0, R, widths of a cone that a voxel is wide, first distance in voxels
     tile: vec4i,     // first column and row, columns, rows
-    counts: vec4i,   // cones, levels, 1 for a step, 0
+    counts: vec4i,   // cones, levels, 1 for a step, samples around the tile that heights hold
     levels: array<Level, 12>,
 };
 
@@ -21,7 +21,7 @@ struct Cone {
 };
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> heights: array<f32>;  // of the tile, metres above where layers begin
+@group(0) @binding(1) var<storage, read> heights: array<f32>;  // tile and border, metres above where layers begin
 @group(0) @binding(2) var<storage, read> gradient: array<vec2f>;
 @group(0) @binding(3) var<storage, read> cones: array<Cone>;
 @group(0) @binding(4) var<storage, read> table: array<f32>;
@@ -32,7 +32,13 @@ struct Cone {
 // include: rho.wgsl
 
 const MISSING = -1e30;
-const EDGE = 0.6;  // how much what a voxel hides counts beside the share of it that is filled
+const NEAR = 0.5;  // cells: where the ground itself is looked at first
+const FARTHER = 1.3;  // how much farther away each time
+// What a voxel hides counts in place of the share of it that is filled where that share rises along the cone from one step
+// to the next: not if it rises by less than FLAT, wholly if it rises by FLAT + EDGE. Along a slope that the cone grazes the
+// share stays the same, and what lies highest in a voxel hides nothing; before a cliff it rises.
+const FLAT = 0.03;
+const EDGE = 0.067;
 
 // What of a voxel of a level at a point (columns, rows, metres) is hidden along columns, along rows, and filled; trilinear.
 fn share_of(level: i32, p: vec3f) -> vec3f {
@@ -55,6 +61,27 @@ fn plane_share(s: f32, d: f32, g: vec2f) -> vec3f {
     return 1.0 / (1.0 + exp(clamp(1.5957691 * x + 0.0713548 * x * x * x, vec3f(-80.0), vec3f(80.0))));
 }
 
+fn height(col: i32, row: i32) -> f32 {
+    let border = frame.counts.w;
+    let wide = frame.tile.z + 2 * border;
+    let at = clamp(vec2i(col, row) + border, vec2i(0), vec2i(wide, frame.tile.w + 2 * border) - 1);
+    return heights[at.y * wide + at.x];
+}
+
+// The height at a place in columns and rows of the tile, bilinear; MISSING where a corner is.
+fn ground(at: vec2f) -> f32 {
+    let first = vec2i(floor(at));
+    let f = at - floor(at);
+    let a = height(first.x, first.y);
+    let b = height(first.x + 1, first.y);
+    let c = height(first.x, first.y + 1);
+    let d = height(first.x + 1, first.y + 1);
+    if (min(min(a, b), min(c, d)) < 0.5 * MISSING) {
+        return MISSING;
+    }
+    return mix(mix(a, b, f.x), mix(c, d, f.x), f.y);
+}
+
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     if (i32(id.x) >= frame.tile.z || i32(id.y) >= frame.tile.w) {
@@ -63,7 +90,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let index = id.y * u32(frame.tile.z) + id.x;
     let col = frame.tile.x + i32(id.x);
     let row = frame.tile.y + i32(id.y);
-    let z = heights[index];
+    let z = height(i32(id.x), i32(id.y));
     if (z < 0.5 * MISSING) {
         return;
     }
@@ -90,6 +117,26 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         var t = frame.run.w * cell / (2.0 * cone.band.z);
         var dark = 0.0;
         var lost = 0.0;
+        // Nearer than voxels can tell the ground itself hides a patch up to its own elevation.
+        let across = cone.axis.x * east + cone.axis.y * north;
+        let aside = normalize(across.xy + vec2f(1e-9, 0.0));
+        let along = frame.inverse.xy * aside.x + frame.inverse.zw * aside.y;
+        for (var s = NEAR * cell; s < min(t, radius); s *= FARTHER) {
+            let h = ground(vec2f(id.xy) + s * along);
+            let v = vec3f(s * aside, h - z);
+            let far = length(v);
+            if (h < 0.5 * MISSING || far > min(t, radius)) {
+                continue;
+            }
+            let up = asin(clamp(dot(v, normal) / far, -1.0, 1.0));
+            let edge = sin(clamp(up, cone.band.x, cone.band.y));
+            let hidden = (edge * edge - low * low) / span;
+            if (hidden > dark) {
+                lost += (hidden - dark) * (rho_free() - select(rho(far, radius), 0.0, step));
+                dark = hidden;
+            }
+        }
+        var before = -1.0;
         while (t < radius) {
             let wide = max(2.0 * t * cone.band.z, cell);
             let lod = clamp(log2(wide * frame.run.z / cell), 0.0, f32(last));
@@ -102,7 +149,9 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             // The ground's own plane is no occluder, though a filter as wide as the cone reaches into it.
             let own = plane_share(t * (way.z - dot(g, way.xy)), cell * exp2(lod), cellwise);
             let hides = clamp((share - own) / max(1.0 - own, vec3f(1e-3)), vec3f(0.0), vec3f(1.0));
-            let filled = mix(hides.z, dot(hides.xy, weight), EDGE);
+            let rising = select(clamp((hides.z - before - FLAT) / EDGE, 0.0, 1.0), 0.0, before < 0.0);
+            before = hides.z;
+            let filled = mix(hides.z, max(hides.z, dot(hides.xy, weight)), rising);
             // Ground fills a patch of the sky from below, where the cosine is least.
             let edge = sin(mix(cone.band.x, cone.band.y, filled));
             let hidden = (edge * edge - low * low) / span;
