@@ -187,7 +187,7 @@ def test_lines_have_as_many_labels_however_near_one_comes(terrain: Terrain, pixe
     """Far beyond a sample, too: labels stand as densely, on the surface between samples."""
     scene = zoomed(terrain, pixels)
     assert METRES / scene.view.pixel_metres == pytest.approx(pixels)
-    labels, contours = labelled(scene)
+    labels, _ = labelled(scene)
     assert 6 <= len(labels) <= 40, len(labels)
     middle = labels.lines[:, POINTS // 2]
     # Each on the surface that is drawn, within a pixel: heights across there change by so much from pixel to pixel.

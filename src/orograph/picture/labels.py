@@ -123,7 +123,7 @@ class Placer:
         pixels, depth = view.project(middle, scene.exaggeration)
         size = view.pixel_metres if view.projection == "plan" else view.pixel_slope * depth
         spacing = float(np.mean(self.terrain.grid.spacing)) * 2.0**levels
-        margin = contours.type_size
+        margin = 2.0  # (nearer to the edge no label has room)
         with np.errstate(invalid="ignore", divide="ignore"):
             inside = (pixels > margin).all(-1) & (pixels < [view.width - margin, view.height - margin]).all(-1)
             per_sample = spacing / (size * large)
@@ -173,7 +173,8 @@ class Placer:
             if blocks is None or level >= 0:
                 blocks = _all_blocks(terrain, level)
             else:  # the quarters of those that are near enough
-                blocks = (2 * blocks[:, None] + [[0, 0], [0, 1], [1, 0], [1, 1]]).reshape(-1, 2)
+                quarters = np.array([[0, 0], [0, 1], [1, 0], [1, 1]], np.int64)
+                blocks = (2 * blocks[:, None] + quarters).reshape(-1, 2)
                 rows, cols = shape_of(terrain, level)
                 blocks = blocks[(blocks * BLOCK < [rows - 1, cols - 1]).all(-1)]
             boxes = _blocks(terrain, level, blocks)
@@ -251,7 +252,7 @@ def _all_blocks(terrain: Terrain, level: int) -> NDArray[np.int64]:
 def _blocks(terrain: Terrain, level: int, blocks: NDArray[np.int64]) -> Boxes:
     """The boxes (n,) of blocks (n, 2) of a level, heights being those of the tiles they lie in."""
     side = BLOCK * 2.0**level
-    north, west = blocks[:, 0] * side, blocks[:, 1] * side
+    north, west = blocks.T.astype(np.float64) * side
     last_col, last_row = terrain.grid.cols - 1.0, terrain.grid.rows - 1.0
     east, south = np.minimum(west + side, last_col), np.minimum(north + side, last_row)
     table = terrain.tiles(max(min(level, terrain.levels - 1), 0))
