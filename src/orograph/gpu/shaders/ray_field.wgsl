@@ -51,43 +51,41 @@ fn window_span(w: u32, at: Place, v: vec2<f32>, t0: f32, t1: f32) -> vec2<f32> {
   return vec2<f32>(max(t0, max(low.x, low.y)), min(t1, min(high.x, high.y)));
 }
 
-// Height of one of a cell's two triangles at (u, v), whose diagonal runs from a (0, 0) to d (1, 1).
-fn on_cell(a: f32, b: f32, c: f32, d: f32, u: f32, v: f32) -> f32 {
-  return a + min(u, v) * (d - a) + max(u - v, 0.0) * (b - a) + max(v - u, 0.0) * (c - a);
+// Height of one of a cell's two triangles at a place in it, whose diagonal runs from z.x at (0, 0) to z.w at (1, 1).
+fn on_cell(z: vec4<f32>, p: vec2<f32>) -> f32 {
+  return z.x + min(p.x, p.y) * (z.w - z.x) + max(p.x - p.y, 0.0) * (z.y - z.x) + max(p.y - p.x, 0.0) * (z.z - z.x);
 }
 
-fn above_cell(a: f32, b: f32, c: f32, d: f32, p: vec3<f32>) -> f32 {
-  let known = min(min(a, d), select(c, b, p.x >= p.y)) > GONE;
-  return select(1.0, p.z - on_cell(a, b, c, d, p.x, p.y), known);
+fn above_cell(z: vec4<f32>, p: vec3<f32>) -> f32 {
+  let known = min(min(z.x, z.w), select(z.z, z.y, p.x >= p.y)) > GONE;
+  return select(1.0, p.z - on_cell(z, p.xy), known);
+}
+
+// The corners a, b, c, d of the cell whose first sample is i, mirrored where its diagonal does not run from the first to
+// the last of them (odd cells): then the place in it is mirrored, too.
+fn corners(i: i32, stride: i32, even: bool) -> vec4<f32> {
+  let z = vec4<f32>(ray_pool[i], ray_pool[i + 1], ray_pool[i + stride], ray_pool[i + stride + 1]);
+  return select(z.yxwz, z, even);
+}
+
+fn mirrored(x: f32, even: bool) -> f32 {
+  return select(1.0 - x, x, even);
 }
 
 // Whether a passage p → q through a cell comes below one of its triangles; i: its first sample.
 fn cell_blocks(i: i32, stride: i32, even: bool, p0: vec3<f32>, q0: vec3<f32>) -> bool {
-  var a = ray_pool[i];
-  var b = ray_pool[i + 1];
-  var c = ray_pool[i + stride];
-  var d = ray_pool[i + stride + 1];
-  if (min(p0.z, q0.z) > max(max(a, b), max(c, d))) {
+  let z = corners(i, stride, even);
+  if (min(p0.z, q0.z) > max(max(z.x, z.y), max(z.z, z.w))) {
     return false;
   }
-  var p = p0;
-  var q = q0;
-  if (!even) {   // mirrored, so that the diagonal runs from a to d
-    p.x = 1.0 - p.x;
-    q.x = 1.0 - q.x;
-    let left = a;
-    let low = c;
-    a = b;
-    b = left;
-    c = d;
-    d = low;
-  }
+  let p = vec3<f32>(mirrored(p0.x, even), p0.yz);
+  let q = vec3<f32>(mirrored(q0.x, even), q0.yz);
   let begin = p.x - p.y;
   let end = q.x - q.y;
-  var least = min(above_cell(a, b, c, d, p), above_cell(a, b, c, d, q));
-  if (begin * end < 0.0 && min(a, d) > GONE) {
+  var least = min(above_cell(z, p), above_cell(z, q));
+  if (begin * end < 0.0 && min(z.x, z.w) > GONE) {
     let m = mix(p, q, begin / (begin - end));
-    least = min(least, m.z - mix(a, d, m.x));
+    least = min(least, m.z - mix(z.x, z.w, m.x));
   }
   return least < 0.0;
 }
@@ -107,22 +105,10 @@ fn foot_of(at: Place) -> Foot {
   let data = ray.windows[3u * w + 1u];
   let o = clamp(in_window(w, at), vec2<f32>(0.0), window_end(w));
   let cell = min(vec2<i32>(o), cells - 1);
-  var p = o - vec2<f32>(cell);
-  let i = data.x + cell.y * data.y + cell.x;
-  var a = ray_pool[i];
-  var b = ray_pool[i + 1];
-  var c = ray_pool[i + data.y];
-  var d = ray_pool[i + data.y + 1];
-  if (((cell.x + cell.y) & 1) == 1) {
-    p.x = 1.0 - p.x;
-    let left = a;
-    let low = c;
-    a = b;
-    b = left;
-    c = d;
-    d = low;
-  }
-  return Foot(on_cell(a, b, c, d, p.x, p.y), exp2(f32(data.z)));
+  let even = ((cell.x + cell.y) & 1) == 0;
+  let p = o - vec2<f32>(cell);
+  let z = corners(data.x + cell.y * data.y + cell.x, data.y, even);
+  return Foot(on_cell(z, vec2<f32>(mirrored(p.x, even), p.y)), exp2(f32(data.z)));
 }
 
 // Whether anything stands between `skip` and `far` on the way from a place on the raster at a height.
