@@ -348,8 +348,9 @@ NEXT = {"time": 1, "eye": [9, 0, 10], "target": [5, 5, 0]}
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({}, "keys"),
-        ({"keys": []}, "keys"),
+        ({}, 'lacks "keys"'),
+        ({"keys": []}, "is empty"),
+        ({"keys": "no"}, "is a list"),
         ({"keys": [KEY], "velocity": 3}, "velocity"),
         ({"keys": [KEY, 5]}, "Key 1"),
         ({"keys": [KEY, {**NEXT, "roll": 2}]}, "Key 1: There is no 'roll'"),

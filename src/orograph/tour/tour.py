@@ -216,8 +216,14 @@ class Tour:
         if values.get("tour") not in (None, FORMAT):
             raise UsageError(f"This tour is of format {values['tour']!r}; here format {FORMAT} is known.")
         keys = values.get("keys")
-        if not isinstance(keys, Sequence) or isinstance(keys, str) or not keys:
+        if keys is None:
             raise UsageError('A tour lacks "keys": a list of cameras, each with a "time" in seconds.')
+        if not isinstance(keys, Sequence) or isinstance(keys, str):
+            raise UsageError('"keys" of a tour is a list of cameras, each with a "time" in seconds.')
+        if not keys:
+            raise UsageError(
+                'The list "keys" of the tour is empty.', remedy='Give it cameras, each with a "time" in seconds.'
+            )
         common = {k: values[k] for k in INHERITED if values.get(k) is not None}
         made = []
         for i, key in enumerate(keys):

@@ -206,12 +206,14 @@ def _style() -> None:
     style.grab_rounding = 3.0
     style.popup_rounding = 4.0
     style.window_border_size = 0.0
+    style.frame_border_size = 1.0  # unchosen radio buttons and empty boxes would hardly be seen without
     style.item_spacing = (8.0, 6.0)
     style.window_padding = (10.0, 8.0)
     c = imgui.Col_
     for which, colour in (
         (c.window_bg, PAPER), (c.popup_bg, (0.08, 0.09, 0.10, 1)), (c.text, INK), (c.title_bg, (0.08, 0.09, 0.10, 1)),
-        (c.title_bg_active, (0.13, 0.15, 0.18, 1)),
+        (c.title_bg_active, (0.13, 0.15, 0.18, 1)), (c.border, (0.62, 0.70, 0.80, 0.38)),
+        (c.border_shadow, (0, 0, 0, 0)), (c.text_disabled, (0.62, 0.65, 0.69, 1)), (c.separator, (0.3, 0.33, 0.37, 1)),
         (c.frame_bg, (0.18, 0.20, 0.23, 1)), (c.frame_bg_hovered, (0.23, 0.26, 0.30, 1)),
         (c.frame_bg_active, (0.25, 0.30, 0.36, 1)), (c.slider_grab, ACCENT), (c.slider_grab_active, ACCENT),
         (c.check_mark, ACCENT), (c.button, (0.20, 0.25, 0.31, 1)), (c.button_hovered, (0.26, 0.36, 0.46, 1)),

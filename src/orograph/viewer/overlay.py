@@ -46,7 +46,7 @@ def furniture(window: Window) -> None:
         return
     _north(window, draw, x + w - MARGIN - 46, y + MARGIN)
     _scale(window, draw, x + MARGIN, y + h - MARGIN - 40)
-    if h > 360 and not any(layer.hides for layer in window.session.settings.layers):
+    if h > 360 and not window.cover.hides():
         _colours(window, draw, x + w - MARGIN, y + h - MARGIN)
     _readout(window, draw, x + w / 2, y + h - MARGIN - 24)
 
@@ -129,7 +129,7 @@ def _readout(window: Window, draw: Any, middle: float, y: float) -> None:
     hit = window.session.probe.hit
     if hit is None or window.pointer is None:
         return
-    parts = [f"{hit.easting:.1f}  {hit.northing:.1f}"]
+    parts = [f"E {hit.easting:,.1f}   N {hit.northing:,.1f}".replace(",", " ")]
     if hit.longitude is not None and hit.latitude is not None:
         parts.append(lonlat(hit.longitude, hit.latitude))
     if hit.height is not None:

@@ -102,7 +102,8 @@ class Plan:
         self._relief(w, h)
         canvas = imgui.get_window_draw_list()
         if self._texture is not None:
-            canvas.add_image(self._texture[0], (x, y), (x + w, y + h))
+            left, top, wide, tall = self._map
+            canvas.add_image(self._texture[0], (left, top), (left + wide, top + tall))
         elif self.trouble:
             imgui.text_wrapped(self.trouble)
         if self.view is not None:
@@ -118,13 +119,22 @@ class Plan:
 
     # ---- places ----------------------------------------------------------------------------------------------------
 
+    @property
+    def _map(self) -> Area:
+        """Where the relief is: in the middle of the plan, as large as fits; one of another size is not stretched."""
+        assert self.view is not None
+        x, y, w, h = self._rect
+        scale = min(w / self.view.width, h / self.view.height)
+        wide, tall = scale * self.view.width, scale * self.view.height
+        return x + (w - wide) / 2, y + (h - tall) / 2, wide, tall
+
     def to_screen(self, points: Array) -> Array:
         """Logical pixels (n, 2) of places (n, 2) in the terrain's CRS."""
         assert self.view is not None
         grid = plan_grid(self.view, None)
         assert grid is not None
         col, row = grid.index(points[:, 0], points[:, 1])
-        x, y, w, h = self._rect
+        x, y, w, h = self._map
         return np.stack([x + (col + 0.5) * w / self.view.width, y + (row + 0.5) * h / self.view.height], 1)
 
     def to_ground(self, x: float, y: float) -> tuple[float, float]:
@@ -132,7 +142,7 @@ class Plan:
         assert self.view is not None
         grid = plan_grid(self.view, None)
         assert grid is not None
-        left, top, w, h = self._rect
+        left, top, w, h = self._map
         e, n = grid.xy((x - left) / w * self.view.width - 0.5, (y - top) / h * self.view.height - 0.5)
         return float(e), float(n)
 
@@ -232,7 +242,7 @@ class Plan:
     def _scale(self, canvas: Any) -> None:
         assert self.view is not None
         x, y, w, h = self._rect
-        metres = self.view.pixel_metres * self.view.width / w
+        metres = self.view.pixel_metres * self.view.width / self._map[2]
         length, _, text = bar_length(metres * min(90.0, 0.4 * w))
         wide, top = length / metres, y + h - 10
         canvas.add_rect_filled(

@@ -63,6 +63,10 @@ class Messages:
         self.shown = [m for m in self.shown if m.until > now]
         return any(not m.error for m in self.shown)
 
+    def hush(self) -> None:
+        """Drop all that would go by itself: something is to be watched now."""
+        self.shown = [m for m in self.shown if m.error]
+
     def dismiss(self, message: Message) -> None:
         """Drop one."""
         self.shown = [m for m in self.shown if m is not message]

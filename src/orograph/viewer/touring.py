@@ -201,6 +201,7 @@ class Touring:
         if not self.loop and self.time >= self.duration - 1e-6:
             self.time = 0.0
         self.playing, self._shown = True, None
+        self.session.messages.hush()
 
     def advance(self, seconds: float) -> None:
         """Let time pass. Whoever moves the camera meanwhile has it, and the tour pauses."""

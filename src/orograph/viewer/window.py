@@ -19,6 +19,7 @@ from orograph.gpu.device import Device, open_device
 from orograph.store.terrain import Terrain
 from orograph.view import Point, View
 from orograph.viewer import overlay, panels
+from orograph.viewer.cover import Cover
 from orograph.viewer.drawing import Drawer, Drawing
 from orograph.viewer.events import Events
 from orograph.viewer.opening import Opened, open_canvas
@@ -51,7 +52,7 @@ class Window:
 
     Attributes:
         drawing: the terrain's picture; pictures: what saves it; plan, tools: the map inset and the measuring tool.
-        touring: the tour that is being made or played.
+        touring: the tour that is being made or played. cover: what layers hide of the colours of heights.
         area: where the terrain is: (x, y, width, height), logical pixels.
         pointer: where the mouse is over the terrain, pixels of the view, or None.
         interval: seconds between frames in motion.
@@ -78,6 +79,7 @@ class Window:
         self.plan = Plan(self)
         self.tools = Tools(self)
         self.touring = Touring(session)
+        self.cover = Cover(session)
         self.pictures = Pictures(self)
         self.area: Area = (0.0, 0.0, *canvas.get_logical_size())
         self.interval = 0.0

@@ -29,7 +29,7 @@ def draw(window: Window) -> None:
     above = f"   {z - ground:,.0f} m above ground".replace(",", " ") if ground == ground else ""
     imgui.text(f"{z:,.1f} m{above}".replace(",", " "))
     heading, pitch = heading_pitch(view, session.settings.exaggeration)
-    imgui.text(f"heading {round(heading, 1) % 360:.1f}°   pitch {pitch:.1f}°")
+    imgui.text(f"heading {round(heading, 1) % 360:.1f}°   pitch {pitch:.1f}°".replace("-", "−"))
     moved, fov = imgui.slider_float("field of view", view.fov_y, 5.0, 100.0, "%.0f°", imgui.SliderFlags_.always_clamp)
     if moved:
         nav.view = replace(view, fov_y=fov)
