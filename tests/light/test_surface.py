@@ -130,6 +130,8 @@ def test_normals_are_unit_and_level_ground_has_no_aspect():
     np.testing.assert_allclose(n[:, 4, 4], np.array([-0.3, 0.4, 1]) / math.sqrt(1.25), atol=1e-6)
     assert np.isnan(of("aspect", np.zeros((4, 5), np.float32))).all()
     assert (of("slope", np.zeros((4, 5), np.float32)) == 0).all()
+    north = of("aspect", plane(0.0, -0.4))  # falls due north
+    assert (north == 0).all() and not np.signbit(north).any()
 
 
 def test_missing_samples_stay_missing_and_blocks_leave_no_seam():

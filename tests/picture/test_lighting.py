@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from orograph.errors import UsageError
 from orograph.geovis.colour import srgb_to_linear
 from orograph.light.aperture import Lamp
 from orograph.light.bake import bake
+from orograph.light.field import Field
 from orograph.light.products import Options
 from orograph.light.sun import Sun
 from orograph.picture import camera, cpu
@@ -150,6 +152,15 @@ def test_baked_light_is_the_same_as_swept_light(tmp_path, light, place):
     name = "ambient-occlusion" if light == "ao" else "aperture"
     with bake(tmp_path / "s", [name], Options(azimuths=32)) as baked:
         view = camera.around(baked, SIZE, azimuth=200, pitch=40, distance=None)
+        loads = []
+        load = Field.load
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Field, "load", lambda *how: loads.append(threading.current_thread()) or load(*how))
+            alone = orograph.render(baked, view, light=light, jobs=1).pixels
+            draw = cpu.session()
+            assert all(np.array_equal(draw(Scene(baked, view, light=light, jobs=2)).pixels, alone) for _ in range(3))
+        # With more than one thread, a layer is read in a thread aside; and for many frames, once.
+        assert len(loads) == 2 and loads[0] is threading.main_thread() is not loads[1]
         a, b = (light_on(t, light=light, sun=Sun(300, 30), view=view) for t in (ground, baked))
         assert np.nanmax(np.abs(a - b)) < 0.02 and np.nanmean(np.abs(a - b)) < 0.002
         picture = orograph.render(baked, view, light=light)

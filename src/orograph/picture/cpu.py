@@ -44,6 +44,8 @@ seen at less than 10°, or a silhouette."""
 
 BLOCK = 1 << 15
 """Samples shaded at a time by a thread."""
+EDGES = 1 << 12
+"""The same of edges: where a picture has few, all threads have some."""
 
 
 def draw(
@@ -155,9 +157,10 @@ def draw(
             edges = np.flatnonzero(found.ravel() & counted)
             facts["edge_fraction"] = len(edges) / (view.width * view.height)
             offsets = pattern(scene.samples)
+            few = max(1, EDGES // scene.samples)
 
             def refine(start: int) -> int:
-                chosen = edges[start : start + BLOCK // scene.samples]
+                chosen = edges[start : start + few]
                 px = (area[2] + chosen % wide)[:, None] + offsets[None, :, 0]
                 py = (area[0] + chosen // wide)[:, None] + offsets[None, :, 1]
                 u, v = px.ravel(), py.ravel()
@@ -165,7 +168,7 @@ def draw(
                 flat[chosen] = colours.reshape(len(chosen), scene.samples, 3).mean(1)
                 return len(chosen)
 
-            for n in map_ordered(refine, range(0, len(edges), max(1, BLOCK // scene.samples)), scene.jobs):
+            for n in map_ordered(refine, range(0, len(edges), few), scene.jobs):
                 task.advance(n * len(ft) / max(1, len(edges)))
             lap("antialiasing")
         if lines is not None:

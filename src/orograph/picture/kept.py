@@ -25,6 +25,11 @@ class Kept:
         self._held: dict[str, dict[Hashable, tuple[Any, Any]]] = {}
         self._lock = threading.RLock()
 
+    def has(self, kind: str, key: Hashable, source: Any = None) -> bool:
+        """Whether something was made of ``key`` before."""
+        with self._lock:
+            return (id(source), key) in self._held.get(kind, {})
+
     def __call__(self, kind: str, key: Hashable, make: Callable[[], T], source: Any = None, most: int = 0) -> T:
         """What was made of ``key`` before, or ``make()``.
 

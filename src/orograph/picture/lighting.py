@@ -8,6 +8,8 @@ grid.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import cos, radians
 from typing import TYPE_CHECKING, Any, Protocol
@@ -35,6 +37,12 @@ AZIMUTHS = 32
 
 SKIES = ("ambient-occlusion", "sky-view-factor")
 """Layers that tell how much of the sky's light falls on the ground, the best first."""
+
+BAKED: dict[str, tuple[str, ...]] = {"ao": SKIES, "aperture": ("aperture",)}
+"""The layers that a light is made of, the best first."""
+
+Ahead = Callable[[], "Field"]
+"""Waits for a field that is being read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,27 +76,48 @@ class Lighting(Protocol):
 
 
 def lighting_of(
-    scene: Scene, ground: Ground, shine: Shine, window: Window, strength: float, kept: Kept, progress: Progress
-) -> Lighting:
+    scene: Scene, ground: Ground, shine: Shine, window: Window, strength: float, kept: Kept, progress: Progress,
+    ahead: Ahead | None = None,
+) -> Lighting:  # fmt: skip
     """The scene's light.
 
     Args:
         window: the working grid (``mapgrid.working_window``). strength: factor on slopes for shading.
+        ahead: what ``field_ahead`` began.
     """
     if scene.light == "none":
         return Bare()
     if scene.light == "raytraced":
         return Raytraced(scene, ground, shine, strength)
     if scene.light == "aperture":
-        field, told = field_of(scene, ground, window, ("aperture",), kept, progress)
+        field, told = field_of(scene, ground, window, BAKED["aperture"], kept, progress, ahead)
         return Apertures(scene, ground, shine, strength, field, told)
-    field, told = field_of(scene, ground, window, SKIES, kept, progress)
+    field, told = field_of(scene, ground, window, SKIES, kept, progress, ahead)
     return Occlusion(scene, ground, shine, strength, field, told)
 
 
+def field_ahead(scene: Scene, kept: Kept) -> Ahead | None:
+    """Begin to read the baked layer that the scene's light wants, in a thread aside; None if there is nothing to do."""
+    from orograph.light.field import PIXELS, Field
+
+    terrain = scene.terrain
+    baked = [name for name in BAKED.get(scene.light, ()) if name in terrain.layers]
+    if not baked or scene.exaggeration != 1 or scene.jobs == 1:
+        return None
+    layer = terrain.layer(baked[0])
+    chosen = rectangles(terrain, scene.view.whole, 1.0, PIXELS, by="spacing")
+    if kept.has("field", (baked[0], tuple(chosen)), terrain):
+        return None
+    pool = ThreadPoolExecutor(1)
+    begun = pool.submit(Field.load, layer, terrain, chosen, scene.jobs)
+    pool.shutdown(wait=False)
+    return begun.result
+
+
 def field_of(
-    scene: Scene, ground: Ground, window: Window, names: tuple[str, ...], kept: Kept, progress: Progress
-) -> tuple[Field, str]:
+    scene: Scene, ground: Ground, window: Window, names: tuple[str, ...], kept: Kept, progress: Progress,
+    ahead: Ahead | None = None,
+) -> tuple[Field, str]:  # fmt: skip
     """The first of the layers that is baked; else the first of the products, swept."""
     from orograph.light.field import PIXELS, Field
 
@@ -100,8 +129,9 @@ def field_of(
         layer = terrain.layer(baked[0])
         chosen = rectangles(terrain, scene.view.whole, 1.0, PIXELS, by="spacing")
         field = kept(
-            "field", (baked[0], tuple(chosen)), lambda: Field.load(layer, terrain, chosen, scene.jobs), terrain
-        )
+            "field", (baked[0], tuple(chosen)), ahead or (lambda: Field.load(layer, terrain, chosen, scene.jobs)),
+            terrain,
+        )  # fmt: skip
         return field, f"baked {baked[0]}"
 
     def sweep() -> Field:

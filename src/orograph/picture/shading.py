@@ -23,7 +23,7 @@ from orograph.light.sun import Sun
 from orograph.picture.ground import Ground, Hits
 from orograph.picture.kept import Kept
 from orograph.picture.kernels import LEAST, compose, paint
-from orograph.picture.lighting import Lighting, Shine, lighting_of
+from orograph.picture.lighting import Lighting, Shine, field_ahead, lighting_of
 from orograph.picture.mapgrid import MapGrid
 from orograph.picture.scene import Scene
 from orograph.picture.survey import Survey
@@ -116,6 +116,7 @@ class Shader:
         self.shown = {"ground": 0, "water": 0, "draped": 0, "missing": 0}
         self._lock = threading.Lock()
         self.to_sun, self.sunlight, self.skylight = illumination(scene.sun)
+        ahead = field_ahead(scene, kept)
         self.maps = MapGrid(scene, ground, survey, kept)
         terrain, sea = ground.bare.terrain, None if scene.water is not None else False
         self.tint = kept("tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain)
@@ -136,7 +137,7 @@ class Shader:
         if scene.light != "relief":
             bounce = np.float32(BOUNCE) * (self.sunlight + self.skylight)
             shine = Shine(self.to_sun, self.sunlight, self.skylight, bounce)
-            self.lighting = lighting_of(scene, ground, shine, self.maps.window, self.strength, kept, progress)
+            self.lighting = lighting_of(scene, ground, shine, self.maps.window, self.strength, kept, progress, ahead)
             self.facts["light"] = self.lighting.told
         self.lower_limb = math.tan(math.radians(max(scene.sun.altitude - scene.sun.diameter / 2, -89.0))) * (1 + 1e-9)
         self.facts["relief"] = self.strength
