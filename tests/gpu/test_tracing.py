@@ -139,3 +139,16 @@ def test_terrain_too_large_to_be_held_is_met_in_windows(device: Device, monkeypa
     assert len(chosen) > 2 and chosen[-1].level == 0
     nested = draw(scene, device=device)
     assert np.abs(nested.pixels.astype(int) - exact.pixels).mean() < 1.0
+
+
+def test_rays_meet_the_mesh_that_a_picture_shows(device: Device) -> None:
+    """As the CPU's do: at 20 pixels a mesh leaves out the ridges whose shadows the terrain casts."""
+    from orograph.picture.cpu import draw as on_cpu
+
+    scene = replace(seen(ground(), rays=16), engine="soar", tolerance=20.0)
+    theirs = on_cpu(scene).pixels.astype(int)
+    ours = draw(scene, device=device).pixels.astype(int)
+    on_patches = draw(replace(scene, engine=None), device=device).pixels.astype(int)
+    d = np.abs(ours - theirs)
+    assert d.mean() < 1.0 and np.percentile(d, 95) < 4
+    assert np.abs(on_patches - theirs).mean() > 6.0

@@ -159,7 +159,10 @@ class Renderer:
         self._light_for(scene, targets, instances, wait=wait)
         maps = self._light.maps
         assert maps is not None
-        (self._around.at_once if wait else self._around.aside)(scene)
+        if wait:
+            self._around.at_once(scene, mesh if overlay.normals == "faces" else None)
+        else:
+            self._around.aside(scene)
         self._shading.rays.load(self._around.field)
         look = self._look(scene, overlay, exact=wait)
         self.tint = look.tint

@@ -16,7 +16,9 @@ from orograph.gpu.aside import Aside
 from orograph.gpu.device import Device
 from orograph.gpu.rays import EXACT, NOTHING, Field, field_of, samples_in
 from orograph.picture.scene import Scene
+from orograph.picture.surface import surface_of
 from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
 
 RAYS = 1 << 16
 """The flag of ``shaders/shade.wgsl`` for light by rays."""
@@ -42,17 +44,19 @@ class Around:
         self._aside = Aside()
         self._made: Any = None
         self._wish: Any = None
+        self._mesh: Tessellation | None = None  # held, so that no other has its identity
 
     @property
     def busy(self) -> bool:
         """Whether what the last scene wants is not there yet."""
         return self._wish is not None and (self._aside.busy or self._wish != self._made)
 
-    def at_once(self, scene: Scene) -> None:
-        """Have what a scene's rays meet, if it has rays."""
-        self._wish = self._key(scene)
+    def at_once(self, scene: Scene, mesh: Tessellation | None = None) -> None:
+        """Have what a scene's rays meet, if it has rays: the terrain, or a mesh that is drawn in its place."""
+        key = self._key(scene)
+        self._wish = key if key is None or mesh is None else (*key, id(mesh))
         if self._wish is not None and self._wish != self._made:
-            self.field, self._made = self._make(scene), self._wish
+            self.field, self._made, self._mesh = self._make(scene, mesh), self._wish, mesh
 
     def aside(self, scene: Scene) -> None:
         """Take what was made meanwhile, and have other terrain made if the scene wants it."""
@@ -66,8 +70,9 @@ class Around:
     def close(self) -> None:
         self._aside.close()
 
-    def _make(self, scene: Scene) -> Field:
-        made = field_of(self.terrain, scene.view, scene.exaggeration, scene.tolerance or 1.0, self.most, scene.jobs)
+    def _make(self, scene: Scene, mesh: Tessellation | None = None) -> Field:
+        terrain = self.terrain if mesh is None else surface_of(mesh, self.terrain, scene.max_memory)
+        made = field_of(terrain, scene.view, scene.exaggeration, scene.tolerance or 1.0, self.most, scene.jobs)
         return made[1]()  # type: ignore[no-any-return]
 
     def _key(self, scene: Scene) -> Any:
