@@ -10,7 +10,8 @@ import pytest
 
 from orograph.light.sun import Sun
 from orograph.picture import scattering
-from orograph.picture.sky import LOSS, Atmosphere
+from orograph.picture.cpu import encode
+from orograph.picture.sky import LOSS, Atmosphere, dithered
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -143,3 +144,20 @@ def test_empty_and_vertical_directions() -> None:
     out = sky.sky(straight)
     assert out.dtype == np.float32 and np.isfinite(out).all()
     assert np.isfinite(sky.haze(out, straight, np.array([1.0, 2.0]))).all()
+
+
+def test_a_sky_has_no_bands() -> None:
+    """Bytes of a calm gradient, averaged over squares of 8 × 8 pixels, are what they stand for to a tenth of a step;
+    not dithered they are off by half a step, in bands."""
+    rows, cols = 64, 640
+    ramp = np.linspace(0.70, 0.72, cols)  # sRGB: five steps in 640 pixels
+    colour = np.repeat(((ramp + 0.055) / 1.055) ** 2.4, 3).reshape(-1, 3).astype(np.float32)
+    py, px = (a.ravel() + 0.5 for a in np.mgrid[:rows, :cols])
+    plain = np.tile(colour, (rows, 1))
+    means = []
+    for linear in (plain, dithered(plain, px, py)):
+        bytes_ = encode(linear.reshape(rows, cols, 3)).astype(float)
+        means.append(bytes_.reshape(rows // 8, 8, cols // 8, 8, 3).mean((1, 3)))
+    wanted = (ramp * 255).reshape(-1, 8).mean(1)[None, :, None]
+    assert np.abs(means[0] - wanted).max() > 0.4
+    assert np.abs(means[1] - wanted).max() < 0.1

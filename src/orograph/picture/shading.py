@@ -162,7 +162,7 @@ class Shader:
         out = np.empty((len(hits.t), 3), np.float32)
         missed = np.flatnonzero(np.isnan(hits.t))
         if len(missed):
-            out[missed] = self.background(hits.rays[missed])
+            out[missed] = self.background(hits.rays[missed], px[missed], py[missed])
         if len(missed) < len(hits.t):
             self._lit(hits, px, py, out, counted)
             if wet is not None and self.maps.water.size:
@@ -243,8 +243,10 @@ class Shader:
             composite(drape.spread(x, y, ground, least), layer.opacity, layer.blend == "multiply", stack)
         return stack
 
-    def background(self, directions: Array) -> Colours:
-        """What is seen where no ground is."""
+    def background(self, directions: Array, px: Array, py: Array) -> Colours:
+        """What is seen where no ground is, in directions (n, 3) and at pixel positions (n,)."""
         if self.air is not None:
-            return self.air.sky(directions)
+            from orograph.picture.sky import dithered
+
+            return dithered(self.air.sky(directions), px, py)
         return np.broadcast_to(PAPER, (len(directions), 3)).astype(np.float32)

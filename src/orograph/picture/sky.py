@@ -157,6 +157,19 @@ class Atmosphere:
         return out
 
 
+def dithered(colours: Colours, px: Array, py: Array) -> Colours:
+    """Linear colours (n, 3) at pixel positions (n,), moved by up to half a step of what a byte of sRGB can tell: a sky
+    whose colour changes by less than a step over many pixels has no bands then (ordered dither, Bayer 1973, 8 × 8)."""
+    x, y = np.floor(px).astype(np.int64), np.floor(py).astype(np.int64)
+    rank = np.zeros(len(x), np.int64)
+    for k in range(3):
+        u, v = (x >> k) & 1, (y >> k) & 1
+        rank |= ((u ^ v) << (5 - 2 * k)) | (v << (4 - 2 * k))
+    aside = ((rank + 0.5) / 64 - 0.5).astype(np.float32)
+    step = np.float32(2.4 / 1.055 / 255) * np.maximum(colours, np.float32(1e-3)) ** np.float32(1.4 / 2.4)
+    return np.asarray(colours + aside[:, None] * step, np.float32)
+
+
 def adapted(altitude: float) -> float:
     """Mean brightness of the sky on the display, sun at ``altitude`` degrees: a fifth of the day's at civil dusk."""
     day = 1.0 / (1.0 + math.exp(-(altitude + 1.5) / 2.2))

@@ -282,7 +282,7 @@ fn background(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let d = normalize(ray_of(at.xy).direction);
   var colour = shade.paper.rgb;
   if ((FLAGS & 256u) != 0u) {
-    colour = sky(d);
+    colour = dithered(sky(d), vec2<u32>(at.xy));
   }
   if ((FLAGS & 8192u) != 0u) {
     colour = outlined(colour, vec2<i32>(at.xy), d);
