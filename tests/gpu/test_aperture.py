@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from orograph.gpu.binding import bind, layout
 from orograph.gpu.device import Device
 from orograph.light import aperture, caps
 from orograph.light.aperture import Lamp, Lights
+from orograph.light.normal import gradient
 from orograph.light.sun import Sun
 
 pytestmark = pytest.mark.usefixtures("device")
@@ -155,3 +157,61 @@ def test_the_true_sun_in_its_penumbra():
         got = twin.light(caps, points, gradient, lights, exact=exact)[keep]
         assert ((expected > 0.01) & (expected < 0.5)).mean() > 0.2
         assert np.abs(got - expected).max() < 6e-5 and np.abs(got - expected).mean() < 5e-6
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_moving_lights_on_real_ground(shared_data: Path, exact: bool) -> None:
+    """Suns contained by caps, cut by their rims and hidden; lamps inside and outside; the sky less what discs cover:
+    through the caps of mountains, in eight moments."""
+    import rasterio
+
+    with rasterio.open(next((shared_data / "bigtujunga-srtm30m-utm").glob("*.tif"))) as file:
+        h, t = file.read(1, window=((200, 328), (300, 428))).astype(np.float32), file.transform
+    linear = np.array([[t.a, t.b], [t.d, t.e]])
+    caps = aperture.aperture(h, linear, azimuths=32)
+    field = aperture.CapField.of(caps, linear)
+    rng = np.random.default_rng(5)
+    points = np.column_stack([rng.uniform(1, 126, (4000, 2)), np.zeros(4000)])
+    gx, gy = gradient(h, linear, 1)
+    at = np.rint(points[:, [1, 0]]).astype(int)
+    points[:, 2] = h[at[:, 0], at[:, 1]]
+    slopes = np.stack([gx, gy], -1)[at[:, 0], at[:, 1]].astype(float)
+    kinds = np.zeros(3, int)
+    for moment in range(8):
+        suns = [
+            (Sun(40.0 * moment, 3.0 + 9 * moment), (1.0, 0.9, 0.8)),
+            (Sun(300 - 25.0 * moment, 40 - 5.0 * moment, 12.0), (0.3, 0.4, 0.5)),
+            (Sun(90, 80 - 10.0 * moment, 80.0), (0.1, 0.2, 0.3)),
+        ]
+        lamps = [
+            Lamp(20 + 12.0 * moment, 64, 1800.0, (2e5, 1e5, 0)),
+            Lamp(64, 120 - 10.0 * moment, 1200.0, (0, 9e4, 9e4)),
+        ]
+        lights = Lights(suns=suns, lamps=lamps, ambient=(0.2, 0.3, 0.4))
+        expected = aperture.light(field, points, slopes, lights, exact=exact)
+        got = twin.light(field, points, slopes, lights, exact=exact)
+        error = np.abs(got - expected).max(axis=1)
+        flipped = error > 5e-3  # a lamp on a cap's rim
+        assert flipped.sum() <= 1 and error[~flipped].max() < 6e-5 and error[~flipped].mean() < 3e-6
+        # Without a kind of light both lack it: what discs cover of the sky is the sky's.
+        dark = [f(field, points, slopes, Lights(suns=suns), exact=exact) for f in (aperture.light, twin.light)]
+        assert np.abs(dark[0] - dark[1]).max() < 6e-5
+        covered = [
+            f(
+                field,
+                points,
+                slopes,
+                Lights(suns=[(s, (0.0, 0.0, 0.0)) for s, _ in suns], ambient=(1, 1, 1)),
+                exact=exact,
+            )
+            for f in (aperture.light, twin.light)
+        ]
+        open_sky = aperture.light(field, points, slopes, Lights(ambient=(1, 1, 1)), exact=exact)
+        assert np.abs(covered[0] - covered[1]).max() < 6e-5 and (covered[0] <= open_sky + 1e-6).all()
+        assert (open_sky - covered[0]).max() > 0.1
+        axes, radii = caps[:3, at[:, 0], at[:, 1]], np.radians(caps[3, at[:, 0], at[:, 1]])
+        for sun, _ in suns:
+            d, b = np.arccos(np.clip(np.asarray(sun.direction) @ axes, -1, 1)), np.radians(sun.diameter / 2)
+            whole, none = d <= np.abs(radii - b), d >= radii + b
+            kinds += [whole.sum(), none.sum(), (~whole & ~none).sum()]
+    assert (kinds > 1000).all(), kinds
