@@ -133,11 +133,11 @@ def test_memory_and_the_picture_decide_how_much_is_read(tmp_path: Path, overview
         with rasterio.open(path, "r+") as file:
             file.build_overviews([2, 4], rasterio.enums.Resampling.average)
     x, y = places(GRID)
-    small = Drape.open(path, GRID, max_memory=8 << 20)
-    assert small._pool.nbytes <= 2 << 20
-    assert len(small.warnings) == 1 and "times coarser" in small.warnings[0]
+    small = Drape.open(path, GRID, max_memory=16 << 20)
+    assert small.tiles is not None and small.texels.pool.nbytes + small.tiles._pool.nbytes <= 4 << 20
+    assert small.step == 1 and not small.warnings
     far = Drape.open(path, GRID, metres=30.0)
-    assert far._pool.nbytes < 2000 * 2000 * 4 / 3 and not far.warnings
+    assert far.tiles is None and far.texels.pool.nbytes < 2000 * 2000 * 4 / 3 and not far.warnings
     assert 12 <= far.pixel <= 30
     grey = 0.5 if not overviews else LINEAR[127:129].mean()  # the file's own means are of its bytes
     for drape in (small, far):
@@ -151,7 +151,7 @@ def test_reduced_windows_stay_in_register(tmp_path: Path) -> None:
     path = write(tmp_path / "a.tif", picture, fine)
     x, y = places(GRID.window(10, 390, 10, 390))
     full, less = Drape.open(path, GRID), Drape.open(path, GRID, max_memory=3 << 20)
-    assert less._pool.nbytes < full._pool.nbytes / 10
+    assert less.texels.pool.nbytes < full.texels.pool.nbytes / 10
     a, b = (d.sample(x, y, np.full(len(x), 60.0)) for d in (full, less))
     np.testing.assert_allclose(a, b, atol=0.012)  # bytes are up to 0.009 apart
     assert np.abs((a - b).mean(0)).max() < 0.002  # half a texel would make 0.004

@@ -93,7 +93,7 @@ class Colors:
             self._image = Drape.open(drape, terrain.grid, max_memory, metres=min(terrain.grid.spacing))
             for warning in self._image.warnings:
                 progress.warn(warning)
-        self.step = 1 if self._image is None else self._image.window.step
+        self.step = 1 if self._image is None else self._image.step
         self._tint = tint_of(terrain, colormap)
         self._light = None
         if sun is not None:

@@ -1,11 +1,12 @@
-"""A layer laid over the terrain, in memory: from a place in the terrain's CRS to the colour of an image in any CRS.
+"""A layer laid over the terrain, as the CPU draws it: from a place in the terrain's CRS to the colour of an image in
+any CRS.
 
-The image stays in its own projection; positions go to it (``placement``). Of the image the window over the terrain is
-read once (``imagery``), made into a pyramid of area means (``mipmap``), and looked up over the footprint of a pixel of
-the picture: the ellipse that is the pixel's image on the ground. The level is chosen by the ellipse's minor axis and
-several look-ups along its major axis are averaged (after Heckbert 1989, *Fundamentals of texture mapping and image
-warping*, and McCormack et al. 1999, *Feline*): no aliasing, no blur at grazing angles, and no more memory than a
-quarter of what is allowed.
+The image stays in its own projection; positions go to it (``placement``). What is seen of it is looked up over the
+footprint of a pixel of the picture: the ellipse that is the pixel's image on the ground. Of means at all resolutions
+(``texels``) the level is chosen by the ellipse's minor axis, and several look-ups along its major axis are averaged
+(after Heckbert 1989, *Fundamentals of texture mapping and image warping*, and McCormack et al. 1999, *Feline*): no
+aliasing and no blur at grazing angles. Where a quarter of the memory allowed holds all that is wanted, it is read once;
+else only coarse levels are held, and tiles of finer ones are read where the picture looks (``image_tiles``).
 
 Units: positions in the terrain's CRS, footprints in metres, image positions in pixels from its upper left corner.
 """
@@ -14,24 +15,27 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geo.grid import Grid
 from orograph.geovis import mipmap
-from orograph.geovis.imagery import Window, read_into, step_for
+from orograph.geovis.image_tiles import ImageTiles
+from orograph.geovis.imagery import step_for
 from orograph.geovis.layers import Layer
-from orograph.geovis.laying import Laid, empty
+from orograph.geovis.laying import Laid
 from orograph.geovis.placement import TOLERANCE, interpolate, slopes_into
+from orograph.geovis.texels import Texels
 
 Array = NDArray[np.float64]
-Bytes = NDArray[np.uint8]
 Colours = NDArray[np.float32]
 
 BUDGET = 1 << 30
-"""Bytes for the pyramid where no limit is given."""
+"""Bytes of texels where no limit is given."""
+
+WHOLE = 4
+"""Of the bytes of an image that does not fit, the part (one of so many) that holds coarse levels of all of it."""
 
 
 class Drape:
@@ -39,18 +43,24 @@ class Drape:
 
     Attributes:
         laid: where it lies. warnings: what a user should know, full sentences.
-        pixel: the size of the finest texel held, in metres on the ground (median).
+        texels: the levels that are held. tiles: finer ones, read where they are looked up; None: none are wanted.
+        step: pixels along the side of the finest texels. pixel: the size of one in metres on the ground (median).
     """
 
-    def __init__(
-        self, laid: Laid, window: Window, pyramid: tuple[Bytes, NDArray[np.int64]], warnings: list[str]
-    ) -> None:
-        """Use ``open``. ``pyramid``: of the window, see ``mipmap``."""
-        self.laid, self.warnings = laid, warnings
-        self._placement, self._lattice, self._window = laid.placement, laid.lattice, window
-        self._pool, self._levels = pyramid
-        self._density = laid.lattice.density()
-        self.pixel = 1.0 / (float(np.median(self._density)) / window.step or math.inf)
+    def __init__(self, texels: Texels, tiles: ImageTiles | None) -> None:
+        """Use ``open``."""
+        self.laid, self.texels, self.tiles = texels.laid, texels, tiles
+        self.warnings = list(self.laid.warnings)
+        if tiles is not None and texels.slow:
+            rows, cols = texels.shape(0)
+            self.warnings.append(
+                f"{self.path} has no overviews: {rows * cols / 1e6:,.0f} million pixels are read if any of it is seen "
+                "from afar (gdaladdo makes overviews)."
+            )
+        self._placement, self._lattice = self.laid.placement, self.laid.lattice
+        self._density = self._lattice.density()
+        self.step = 1 if tiles is not None else 1 << texels.base
+        self.pixel = 1.0 / (float(np.median(self._density)) / self.step or math.inf)
 
     @classmethod
     def open(
@@ -61,7 +71,7 @@ class Drape:
         *,
         metres: float | None = None,
     ) -> Drape:
-        """Read the part of an image that lies over a terrain.
+        """Lay an image over a terrain, and read it where it fits into the memory allowed.
 
         Args:
             layer: what is shown, or the path of an image.
@@ -74,35 +84,36 @@ class Drape:
             UsageError: its CRS cannot be reached from the terrain's.
         """
         laid = Laid.open(layer if isinstance(layer, Layer) else Layer(os.fspath(layer)), grid)
-        area, _ = laid.aligned()
+        return cls.of(laid, *cls.plan(laid, max_memory, metres))
+
+    @staticmethod
+    def plan(laid: Laid, max_memory: int | None = None, metres: float | None = None) -> tuple[int, int]:
+        """The finest level to hold of an image, and bytes for tiles of finer ones (0: none are wanted)."""
+        window, _ = laid.aligned()
         budget = BUDGET if max_memory is None else max(max_memory // 4, 1 << 16)
         least = 1.0 if metres is None else metres * float(laid.lattice.density().max())
-        size = area.row1 - area.row0, area.col1 - area.col0
-        wanted, step = step_for(*size, math.inf, least), step_for(*size, budget, least)
-        warnings = list(laid.warnings)
-        if step > wanted:
-            warnings.append(
-                f"{laid.layer.path} is drawn {step // wanted} times coarser than it could be: more would not fit into "
-                "the memory allowed."
-            )
-        window = replace(area, step=step)
-        pool, levels = mipmap.pool_for(*window.shape)
-        finest = pool[: window.shape[0] * window.shape[1]].reshape(*window.shape, 4)
-        read_into(finest, laid.location, window, laid.bands)
-        if not finest[..., 3].any():
-            raise empty(laid.layer.path)
-        mipmap.fill(pool, levels)
-        return cls(laid, window, (pool, levels), warnings)
+        size = window.row1 - window.row0, window.col1 - window.col0
+        step = step_for(*size, budget, least)
+        if step == step_for(*size, math.inf, least):
+            return step.bit_length() - 1, 0
+        return step_for(*size, budget / WHOLE, 1.0).bit_length() - 1, budget - budget // WHOLE
+
+    @classmethod
+    def of(cls, laid: Laid, base: int, memory: int) -> Drape:
+        """An image held as ``plan`` says.
+
+        Raises:
+            ReadError: the file cannot be read, or shows nothing over the terrain.
+        """
+        texels = Texels(laid, base)
+        if not memory or not texels.slow:
+            texels.hold()
+        return cls(texels, ImageTiles(texels, memory) if memory else None)
 
     @property
     def path(self) -> str:
         """The image."""
         return self.laid.layer.path
-
-    @property
-    def window(self) -> Window:
-        """The part of the image that is held, and how many of its pixels a texel is wide."""
-        return self._window
 
     def positions(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Where places in the terrain's CRS (n,) lie in the image: u, v in pixels from its upper left corner, NaN where
@@ -127,12 +138,16 @@ class Drape:
         """
         u, v, density = self.positions(x, y)
         self._leave_out(u, v)
-        step = self._window.step
-        width = np.broadcast_to(footprint_metres, u.shape) * density / step
+        step = self.step
+        width = np.ascontiguousarray(np.broadcast_to(footprint_metres, u.shape) * density / step)
         out = np.empty((len(u), 4), np.float32)
-        mipmap.look_up(
-            self._pool, self._levels, mipmap.curves()[0], *self._in_window(u, v), np.ascontiguousarray(width), out
-        )
+        u, v = self._in_window(u, v)
+        if self.tiles is None:
+            mipmap.look_up(self.texels.pool, self.texels.table, mipmap.curves()[0], u, v, width, out)
+            return out
+        axes = np.zeros((len(u), 4))
+        axes[:, 0] = axes[:, 3] = width
+        self.tiles.look_along(u, v, axes, np.zeros(len(u)), np.array([-np.inf, np.inf, -np.inf, np.inf]), out)
         return out
 
     def spread(self, x: Array, y: Array, ground: Array, least: Array) -> Colours:
@@ -149,28 +164,26 @@ class Drape:
         """
         x, y = np.ascontiguousarray(x, np.float64), np.ascontiguousarray(y, np.float64)
         u, v, _ = self.positions(x, y)
-        image, step = self._placement.image, float(self._window.step)
         axes, floor = np.empty((len(x), 4)), np.empty(len(x))
         slopes_into(
-            self._lattice.u, self._lattice.v, np.array(self._lattice.index[:6]), x, y, ground, least, 1.0 / step, axes,
-            floor,
+            self._lattice.u, self._lattice.v, np.array(self._lattice.index[:6]), x, y, ground, least,
+            1.0 / self.step, axes, floor,
         )  # fmt: skip
-        inside = np.array([0.0, float(image.rows), 0.0, float(image.cols)])
-        if self._placement.stretched:
-            inside[:] = -np.inf, np.inf, -np.inf, np.inf
-        elif self._placement.cyclic:
-            inside[2:] = -np.inf, np.inf
-        inside[:2], inside[2:] = (inside[:2] - self._window.row0) / step, (inside[2:] - self._window.col0) / step
+        inside = np.array(self.texels.bounds()) / self.step
         out = np.empty((len(u), 4), np.float32)
-        mipmap.look_along(
-            self._pool, self._levels, mipmap.curves()[0], *self._in_window(u, v), axes, floor, inside, out
-        )
+        u, v = self._in_window(u, v)
+        if self.tiles is None:
+            mipmap.look_along(
+                self.texels.pool, self.texels.table, mipmap.curves()[0], u, v, axes, floor, inside, out
+            )  # fmt: skip
+        else:
+            self.tiles.look_along(u, v, axes, floor, inside, out)
         return out
 
     def _in_window(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Positions in texels of the finest level held."""
-        w = self._window
-        return (u - w.col0) / w.step, (v - w.row0) / w.step
+        """Positions in texels of the finest level there is, from the window's corner."""
+        w = self.texels.window
+        return (u - w.col0) / self.step, (v - w.row0) / self.step
 
     def _leave_out(self, u: Array, v: Array) -> None:
         """Make positions beyond the image NaN."""

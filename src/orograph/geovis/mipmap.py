@@ -129,6 +129,21 @@ def _add(
 
 
 @inlined
+def footprint(axes: Floats, floor: Floats, n: int, top: float) -> tuple[float, float, float, float]:
+    """How to look at a footprint (see ``look_along``): how often, at which level, and the step u, v between looks."""
+    p = axes[n, 0] * axes[n, 0] + axes[n, 2] * axes[n, 2]
+    r = axes[n, 1] * axes[n, 1] + axes[n, 3] * axes[n, 3]
+    q = axes[n, 0] * axes[n, 1] + axes[n, 2] * axes[n, 3]
+    area = abs(axes[n, 0] * axes[n, 3] - axes[n, 1] * axes[n, 2])
+    major = np.sqrt(0.5 * (p + r + np.sqrt((p - r) * (p - r) + 4.0 * q * q)))
+    minor = max(max(area / max(major, 1e-30), floor[n]), 1.0)
+    taps = min(max(np.ceil(major / minor - 1e-3), 1.0), np.float64(TAPS))
+    level = min(np.log2(max(minor, major / taps)), top)
+    turn = 0.5 * np.arctan2(2.0 * q, p - r)
+    return taps, level, major * np.cos(turn) / taps, major * np.sin(turn) / taps
+
+
+@inlined
 def _give(sums: Floats, out: Colours, n: int) -> None:
     """A mean of ``_add``: linear RGB, not multiplied by opacity, and opacity."""
     if sums[3] > 0.0:
@@ -181,16 +196,7 @@ def look_along(
     for n in range(u.shape[0]):
         sums[:] = 0.0
         if u[n] == u[n] and v[n] == v[n]:
-            p = axes[n, 0] * axes[n, 0] + axes[n, 2] * axes[n, 2]
-            r = axes[n, 1] * axes[n, 1] + axes[n, 3] * axes[n, 3]
-            q = axes[n, 0] * axes[n, 1] + axes[n, 2] * axes[n, 3]
-            area = abs(axes[n, 0] * axes[n, 3] - axes[n, 1] * axes[n, 2])
-            major = np.sqrt(0.5 * (p + r + np.sqrt((p - r) * (p - r) + 4.0 * q * q)))
-            minor = max(max(area / max(major, 1e-30), floor[n]), 1.0)
-            taps = min(max(np.ceil(major / minor - 1e-3), 1.0), np.float64(TAPS))
-            level = min(np.log2(max(minor, major / taps)), top)
-            turn = 0.5 * np.arctan2(2.0 * q, p - r)
-            du, dv = major * np.cos(turn) / taps, major * np.sin(turn) / taps
+            taps, level, du, dv = footprint(axes, floor, n, top)
             for k in range(np.int64(taps)):
                 s = k + 0.5 - 0.5 * taps
                 a, b = u[n] + s * du, v[n] + s * dv

@@ -2,10 +2,9 @@
 
 Level k has texels of 2^k × 2^k pixels of the file, in register with its upper left corner, as overviews are: texel
 (i, j) is the mean of the pixels [i·2^k, (i+1)·2^k) × [j·2^k, (j+1)·2^k) that exist, of linear light weighted by
-opacity. A tile is 256 × 256 of them with a border of one all around, so that blending never leaves it. Levels so coarse
-that the whole area is at most ``BASE`` texels are held in memory, read once when the layer is opened; finer tiles are
-read from the file, or from its overviews, when they are wanted. Columns go on beyond the border of a file that goes
-once around the body. Units: pixels of the file, metres on the ground.
+opacity (``geovis.texels``). A tile is 256 × 256 of them with a border of one all around, so that blending never leaves
+it. Levels so coarse that the whole area is at most ``BASE`` texels are held in memory, read once when the layer is
+opened; finer tiles are read when they are wanted. Units: pixels of the file, metres on the ground.
 """
 
 from __future__ import annotations
@@ -18,10 +17,11 @@ from numpy.typing import NDArray
 
 from orograph._numba import kernel
 from orograph.geovis import mipmap
-from orograph.geovis.imagery import Window, read_into
+from orograph.geovis.imagery import Window
 from orograph.geovis.layers import Layer
-from orograph.geovis.laying import Laid, empty
+from orograph.geovis.laying import Laid
 from orograph.geovis.placement import Placement
+from orograph.geovis.texels import Texels, shape_at
 from orograph.gpu.wanted import Tree
 from orograph.store.terrain import TILE, Terrain
 
@@ -37,9 +37,6 @@ BASE = 1 << 21
 
 MOST_TILES = 1 << 20
 """Tiles of a layer, at most: what is finer is left out."""
-
-SLOW = 1 << 28
-"""Pixels without overviews from which on a user is told why it takes its time."""
 
 NOTHING: Bytes = np.empty((0, 0, 4), np.uint8)
 """A tile on which nothing is to be seen."""
@@ -101,7 +98,17 @@ class Sheet:
                 for k in range(self.coarsest, self.finest - 1, -1)
             ]
         )
-        self._read_base()
+        self.base = self.finest
+        window, _ = laid.aligned()
+        while math.prod(shape_at(window, self.base)) > BASE and self.base < self.coarsest:
+            self.base += 1
+        self.texels = texels = Texels(laid, self.base)
+        if texels.slow:
+            self.warnings.append(
+                f"{layer.path} has no overviews: {math.prod(texels.shape(0)) / 1e6:,.0f} million pixels are read "
+                "before it is seen (gdaladdo makes overviews)."
+            )
+        texels.hold()
         self.tree = self._tree(terrain)
 
     # ---- texels --------------------------------------------------------------------------------------------------
@@ -124,14 +131,7 @@ class Sheet:
         rows, cols = -(-image.rows >> k), -(-image.cols >> k)
         r0, r1 = max(row, 0), min(row + SIDE, rows)
         c0, c1 = (col, col + SIDE) if self.laid.cyclic else (max(col, 0), min(col + SIDE, cols))
-        if k >= self.base:
-            block = self._held(k, r0, r1, c0, c1)
-        else:
-            window = Window(r0 << k, min(r1 << k, image.rows), c0 << k, c1 << k, 1 << k)
-            if not self.laid.cyclic:
-                window = Window(window.row0, window.row1, window.col0, min(window.col1, image.cols), 1 << k)
-            block = np.empty((*window.shape, 4), np.uint8)
-            read_into(block, self.laid.location, window, self.laid.bands)
+        block = self.texels.read(k, r0, r1, c0, c1)
         if not block[..., 3].any():
             return NOTHING
         around = ((r0 - row, row + SIDE - r0 - block.shape[0]), (c0 - col, col + SIDE - c0 - block.shape[1]), (0, 0))
@@ -146,39 +146,10 @@ class Sheet:
             inside &= laid_cols(placement, u)
             u = np.where(inside, u, np.nan)
         out = np.empty((len(u), 4), np.float32)
-        u, v = u / scale - self._origin[1], v / scale - self._origin[0]
-        mipmap.look_up(self._pool, self._table, mipmap.curves()[0], u, v, np.ones(len(u)), out)
+        window, texels = self.texels.window, self.texels
+        u, v = (u - window.col0) / scale, (v - window.row0) / scale
+        mipmap.look_up(texels.pool, texels.table, mipmap.curves()[0], u, v, np.ones(len(u)), out)
         return np.asarray(out[:, 3], np.float64)
-
-    def _read_base(self) -> None:
-        window, _ = self.laid.aligned()
-        row0, row1, col0, col1 = window.row0, window.row1, window.col0, window.col1
-        self.base = self.finest
-        while -(-(row1 - row0) >> self.base) * -(-(col1 - col0) >> self.base) > BASE and self.base < self.coarsest:
-            self.base += 1
-        pixels = (row1 - row0) * (col1 - col0)
-        if pixels > SLOW and not any(f > 1 for f in self.laid.overviews):
-            self.warnings.append(
-                f"{self.laid.layer.path} has no overviews: {pixels / 1e6:,.0f} million pixels are read before it is "
-                "seen (gdaladdo makes overviews)."
-            )
-        window = Window(row0, row1, col0, col1, 1 << self.base)
-        self._pool, self._table = mipmap.pool_for(*window.shape)
-        finest = self._pool[: window.shape[0] * window.shape[1]].reshape(*window.shape, 4)
-        read_into(finest, self.laid.location, window, self.laid.bands)
-        if not finest[..., 3].any():
-            raise empty(self.laid.layer.path)
-        mipmap.fill(self._pool, self._table, 1)
-        self._origin = row0 >> self.base, col0 >> self.base
-
-    def _held(self, k: int, r0: int, r1: int, c0: int, c1: int) -> Bytes:
-        """Texels of a level that is in memory; beyond what is, its border goes on."""
-        base, rows, cols = (int(v) for v in self._table[k - self.base])
-        level = self._pool[base : base + rows * cols].reshape(rows, cols, 4)
-        first = self._origin[0] >> (k - self.base), self._origin[1] >> (k - self.base)
-        i = np.clip(np.arange(r0, r1) - first[0], 0, rows - 1)
-        j = np.clip(np.arange(c0, c1) - first[1], 0, cols - 1)
-        return np.asarray(level[i[:, None], j[None, :]])
 
     # ---- places --------------------------------------------------------------------------------------------------
 

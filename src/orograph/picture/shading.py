@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import threading
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -83,8 +82,10 @@ def drapes_of(scene: Scene, survey: Survey, kept: Kept, progress: Progress) -> l
     if not layers:
         return []
     from orograph.geovis.drape import Drape
+    from orograph.geovis.laying import Laid
 
-    grid, view = scene.terrain.grid, scene.view.whole
+    terrain, view = scene.terrain, scene.view.whole
+    grid = terrain.grid
     # Half of what the nearest ground wants that some rays have met: others may meet nearer ground.
     pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * survey.range[0]
     metres = 0.5 * LEAST * pixel
@@ -92,14 +93,20 @@ def drapes_of(scene: Scene, survey: Survey, kept: Kept, progress: Progress) -> l
     memory = None if scene.max_memory is None else scene.max_memory // len(layers)
 
     def held(layer: Layer) -> Drape:
-        drape = Drape.open(layer, grid, memory, metres=metres)
-        for warning in drape.warnings:
-            progress.warn(warning)
-        return drape
+        """What is held of a layer: the same for all frames that want no finer of it, or read it where they look."""
+        content = layer.content
+        laid = kept("laid", content, lambda: Laid.open(content, grid), terrain, MOST)
+        plan = Drape.plan(laid, memory, metres)
 
-    return [
-        (one, kept("drape", (one.content, memory, metres), partial(held, one), scene.terrain, MOST)) for one in layers
-    ]
+        def opened() -> Drape:
+            drape = Drape.of(laid, *plan)
+            for warning in drape.warnings:
+                progress.warn(warning)
+            return drape
+
+        return kept("drape", (content, plan), opened, laid, MOST)
+
+    return [(layer, held(layer)) for layer in layers]
 
 
 class Shader:

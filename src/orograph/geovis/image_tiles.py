@@ -1,0 +1,161 @@
+"""The finer levels of an image as tiles that are read when a picture looks them up, within a fixed memory.
+
+An image of 100,000 pixels a side takes 40 GB; a picture of a million pixels shows about as many of its texels, fine
+ones near by and coarse ones far away. So footprints are looked at twice: once for the tiles that they need
+(``tile_kernels.collect``), which are read, and once for their means. What was used longest ago makes room. The texels
+are those of ``Texels``, whatever the memory and the order, so pictures are too. Units: pixels.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis import mipmap, tile_kernels
+from orograph.geovis.texels import Texels
+from orograph.geovis.tile_kernels import EDGE, SIDE
+
+Floats = NDArray[np.float64]
+Places = NDArray[np.int64]
+Colours = NDArray[np.float32]
+
+LEAST = 2 * mipmap.TAPS
+"""Tiles that one footprint may take."""
+
+MOST = 1 << 12
+"""Tiles that are looked up at once, at most."""
+
+BYTES = 4 * EDGE * EDGE
+"""Of a tile."""
+
+
+class ImageTiles:
+    """Tiles of an image's levels below ``Texels.base``; safe from any thread.
+
+    Args:
+        texels: the image.
+        memory: bytes for tiles; room for ``LEAST`` is taken in any case.
+
+    Attributes:
+        read: how many tiles were read.
+    """
+
+    def __init__(self, texels: Texels, memory: int) -> None:
+        self.texels = texels
+        self.capacity = max(LEAST, memory // BYTES)
+        self.read = 0
+        threads = max(1, min(os.cpu_count() or 1, self.capacity // (4 * LEAST)))
+        self._share = min(self.capacity // threads, MOST)
+        self._turn = threading.BoundedSemaphore(threads)
+        rows, cols = texels.shape(0)
+        self._levels = mipmap.layout(rows, cols)
+        self._pool = np.empty((self.capacity * EDGE * EDGE, 4), np.uint8)
+        self._slots: OrderedDict[int, int] = OrderedDict()  # by key, used longest ago first
+        self._users = np.zeros(self.capacity, np.int64)
+        self._ready = np.zeros(self.capacity, bool)
+        self._free = list(range(self.capacity - 1, -1, -1))
+        self._changed = threading.Condition()
+
+    def look_along(self, u: Floats, v: Floats, axes: Floats, floor: Floats, inside: Floats, out: Colours) -> None:
+        """As ``mipmap.look_along``, positions and axes in pixels from the window's corner.
+
+        Raises:
+            ReadError: a tile cannot be read.
+        """
+        texels, decode = self.texels, mipmap.curves()[0]
+        keys = np.empty(1 << (2 * self._share - 1).bit_length(), np.int64)
+        slots, found = np.empty(len(keys), np.int64), np.empty(self._share, np.int64)
+        first = 0
+        with self._turn:
+            while first < len(u):
+                keys[:] = tile_kernels.EMPTY
+                count, last, coarse = tile_kernels.collect(
+                    self._levels, texels.base, u, v, axes, floor, inside, first, keys, found
+                )
+                if coarse:
+                    texels.hold()
+                with self._held(found[:count]) as given:
+                    tile_kernels.assign(keys, found[:count], given, slots)
+                    tile_kernels.look(
+                        self._pool, keys, slots, texels.pool, texels.table, self._levels, texels.base, decode,
+                        u, v, axes, floor, inside, first, last, out,
+                    )  # fmt: skip
+                first = last
+
+    @contextmanager
+    def _held(self, keys: Places) -> Iterator[Places]:
+        """The slots (n,) of tiles that do not leave meanwhile; reads those that are not there."""
+        given, own, awaited = np.empty(len(keys), np.int64), [], []
+        with self._changed:
+            for n, key in enumerate(keys.tolist()):
+                slot = self._slots.get(key)
+                if slot is None:
+                    slot = self._free.pop() if self._free else self._leave()
+                    self._slots[key], self._ready[slot] = slot, False
+                    own.append((key, slot))
+                else:
+                    self._slots.move_to_end(key)
+                    awaited.append((key, slot))
+                self._users[slot] += 1
+                given[n] = slot
+        try:
+            try:
+                for key, slot in sorted(own):
+                    self._read(key, slot)
+            except BaseException:
+                with self._changed:
+                    for key, slot in own:
+                        if not self._ready[slot]:
+                            del self._slots[key]
+                    self._changed.notify_all()
+                raise
+            for key, slot in awaited:
+                with self._changed:
+                    while not self._ready[slot] and self._slots.get(key) == slot:
+                        self._changed.wait()
+                if not self._ready[slot]:  # the thread that was to read it failed: here it does too, or it has passed
+                    self._read(key, slot)
+            yield given
+        finally:
+            with self._changed:
+                np.subtract.at(self._users, given, 1)
+                if not self._ready[given].all():
+                    self._tidy()
+                self._changed.notify_all()
+
+    def _tidy(self) -> None:
+        """Give up tiles that a thread was to read and could not."""
+        for key in [key for key, slot in self._slots.items() if not self._ready[slot] and not self._users[slot]]:
+            del self._slots[key]
+        taken = {*self._slots.values(), *self._free}
+        self._free += [slot for slot in range(self.capacity) if slot not in taken and not self._users[slot]]
+
+    def _leave(self) -> int:
+        """Take the slot of the tile that was used longest ago."""
+        for key, slot in self._slots.items():
+            if not self._users[slot]:
+                del self._slots[key]
+                return slot
+        raise AssertionError("tiles of all threads together are more than there is room for")
+
+    def _read(self, key: int, slot: int) -> None:
+        """Bring a tile to its slot, its border from the tiles beside it, or going on where there are none."""
+        texels, k = self.texels, key >> 56
+        row, col = ((key >> 28) & ((1 << 28) - 1)) * SIDE - 1, (key & ((1 << 28) - 1)) * SIDE - 1
+        rows, cols = texels.shape(k)
+        r0, r1, c0, c1 = max(row, 0), min(row + EDGE, rows), max(col, 0), min(col + EDGE, cols)
+        top, left = texels.window.row0 >> k, texels.window.col0 >> k
+        block = texels.read(k, top + r0, top + r1, left + c0, left + c1)
+        around = ((r0 - row, row + EDGE - r0 - len(block)), (c0 - col, col + EDGE - c0 - block.shape[1]), (0, 0))
+        place = slice(slot * EDGE * EDGE, (slot + 1) * EDGE * EDGE)
+        self._pool[place] = np.pad(block, around, "edge").reshape(-1, 4)
+        with self._changed:
+            self._ready[slot] = True
+            self.read += 1
+            self._changed.notify_all()

@@ -1,0 +1,104 @@
+"""An image over a terrain at any resolution: means of 2^k × 2^k of its pixels, whatever the file holds.
+
+Texel (i, j) of level k is the mean of the pixels [i·2^k, (i+1)·2^k) × [j·2^k, (j+1)·2^k) of the file that exist, of
+linear light weighted by opacity, in register with its upper left corner, as overviews are. Levels from ``base`` on are
+made of one reading of the area and held in memory; what is finer is read from the file, or from its overviews, window
+by window when it is asked for. Columns go on beyond the border of a file that goes once around the body. Every backend
+has its texels from here, so that pictures agree. Units: pixels of the file, texels of a level.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis import mipmap
+from orograph.geovis.imagery import Window, read_into
+from orograph.geovis.laying import Laid, empty
+
+Bytes = NDArray[np.uint8]
+
+SLOW = 1 << 28
+"""Pixels without overviews from which on a user is told why it takes its time."""
+
+
+class Texels:
+    """All levels of the part of an image that lies over a terrain.
+
+    Attributes:
+        laid: where it lies. base: the finest level that is held.
+        window: the pixels that there are means of; every level begins at its corner. coarsest: the last level.
+        pool, table: the levels that are held (see ``mipmap``), from ``base`` on; filled by ``hold``.
+    """
+
+    def __init__(self, laid: Laid, base: int) -> None:
+        self.laid, self.base = laid, base
+        self.window, self.coarsest = laid.aligned()
+        self.pool, self.table = mipmap.pool_for(*self.shape(base))
+        self._lock = threading.Lock()
+        self._there = False
+
+    def shape(self, k: int) -> tuple[int, int]:
+        """Rows and columns of a level."""
+        return shape_at(self.window, k)
+
+    @property
+    def slow(self) -> bool:
+        """Whether holding the coarse levels takes a reading of very many pixels, for want of overviews."""
+        rows, cols = self.shape(0)
+        return rows * cols > SLOW and self.base > 0 and not any(f > 1 for f in self.laid.overviews)
+
+    def hold(self) -> None:
+        """Have the levels from ``base`` on in memory; safe from any thread.
+
+        Raises:
+            ReadError: the file cannot be read, or shows nothing there.
+        """
+        with self._lock:
+            if self._there:
+                return
+            w = self.window
+            rows, cols = self.shape(self.base)
+            finest = self.pool[: rows * cols].reshape(rows, cols, 4)
+            window = Window(w.row0, w.row1, w.col0, w.col1, 1 << self.base)
+            read_into(finest, self.laid.location, window, self.laid.bands)
+            if not finest[..., 3].any():
+                raise empty(self.laid.layer.path)
+            mipmap.fill(self.pool, self.table)
+            self._there = True
+
+    def read(self, k: int, r0: int, r1: int, c0: int, c1: int) -> Bytes:
+        """Texels [r0, r1) × [c0, c1) of a level, counted from the file's corner and within the file but for columns of
+        one that goes around the body: (rows, cols, 4), sRGB and opacity. Beyond what is held its border goes on.
+
+        Raises:
+            ReadError: the file cannot be read there.
+        """
+        if k >= self.base:
+            self.hold()
+            base, rows, cols = (int(v) for v in self.table[k - self.base])
+            level = self.pool[base : base + rows * cols].reshape(rows, cols, 4)
+            i = np.clip(np.arange(r0, r1) - (self.window.row0 >> k), 0, rows - 1)
+            j = np.clip(np.arange(c0, c1) - (self.window.col0 >> k), 0, cols - 1)
+            return np.asarray(level[i[:, None], j[None, :]])
+        image = self.laid.placement.image
+        last = c1 << k if self.laid.cyclic else min(c1 << k, image.cols)
+        window = Window(r0 << k, min(r1 << k, image.rows), c0 << k, last, 1 << k)
+        block = np.empty((*window.shape, 4), np.uint8)
+        read_into(block, self.laid.location, window, self.laid.bands)
+        return block
+
+    def bounds(self) -> tuple[float, float, float, float]:
+        """The first and last v and u of the image in pixels from the window's corner: beyond there is nothing."""
+        placement, w = self.laid.placement, self.window
+        if placement.stretched:
+            return -np.inf, np.inf, -np.inf, np.inf
+        across = (-np.inf, np.inf) if placement.cyclic else (-float(w.col0), float(placement.image.cols - w.col0))
+        return -float(w.row0), float(placement.image.rows - w.row0), *across
+
+
+def shape_at(window: Window, k: int) -> tuple[int, int]:
+    """Rows and columns of texels of a level over a window of pixels."""
+    return -(-(window.row1 - window.row0) >> k), -(-(window.col1 - window.col0) >> k)
