@@ -4,9 +4,9 @@ Run: ``python bench/horizon.py [DEM or STORE] [--size 2048] [--map] [--azimuths 
 [--peer-python PYTHON]``. Without a DEM the terrain is a fractal. ``--map`` makes the sky-view factor of all of it as
 ``orograph light`` does, in a process of its own, and tells the time per million samples and the largest memory. Rates
 on one thread are per second of processor time (other work on the machine does not count). What a second thread gains
-(``--threads``: only that) is by the clock, in rounds with a kernel that does nothing but arithmetic, whose gain is the
-machine's own limit at that moment. ``--priority`` asks the system to run this before all else, so that other programs
-do not decide (Linux, with the right to do so).
+(``--threads``: only that) is by the clock, in rounds with two sweeps that share nothing but the machine, and a kernel
+that does nothing but arithmetic: what they gain are the machine's own limits at that moment. ``--priority`` asks the
+system to run this before all else, so that other programs do not decide (Linux, with the right to do so).
 
 Peers (``horizon_peers.py``) run under ``--peer-python``, an interpreter of an environment that has them: topocalc
 (Dozier 2022, horizons of the whole raster) and rvt-py (Zakšek et al. 2011, a search within 100 pixels).
@@ -19,6 +19,7 @@ import json
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -78,8 +79,20 @@ def spin(count: int) -> float:
     return x
 
 
+def at_once(work: Callable[[np.ndarray], object], items: list[np.ndarray]) -> None:
+    """A thread for each item."""
+    started = [threading.Thread(target=work, args=(item,)) for item in items[1:]]
+    for thread in started:
+        thread.start()
+    work(items[0])
+    for thread in started:
+        thread.join()
+
+
 def threads(heights: np.ndarray, rounds: int = 9) -> None:
-    """By how much two threads are faster than one by the clock: horizons, and arithmetic alone."""
+    """By how much two threads are faster than one by the clock: horizons shared between them; two whole sweeps beside
+    each other, which share nothing but the machine; and arithmetic alone."""
+    other = heights.copy()
 
     def clocked(work: Callable[[], object]) -> float:
         start = time.perf_counter()
@@ -97,8 +110,12 @@ def threads(heights: np.ndarray, rounds: int = 9) -> None:
         # Less than a second at a time: what runs before all else for longer is stopped for a while.
         one = clocked(lambda: sky_view(heights, LINEAR, 12, jobs=1))
         time.sleep(0.1)
-        gained.append((one / clocked(lambda: sky_view(heights, LINEAR, 12, jobs=2)), alone))
-    for name, found in zip(("horizons", "arithmetic"), np.sort(gained, axis=0).T):
+        shared = one / clocked(lambda: sky_view(heights, LINEAR, 12, jobs=2))
+        time.sleep(0.1)
+        beside = 2 * one / clocked(lambda: at_once(lambda h: sky_view(h, LINEAR, 12, jobs=1), [heights, other]))
+        gained.append((shared, beside, alone))
+    names = "horizons", "two sweeps beside each other", "arithmetic"
+    for name, found in zip(names, np.sort(gained, axis=0).T, strict=True):
         print(f"  two threads, {name}: {np.median(found):.2f} times one ({found[0]:.2f} to {found[-1]:.2f})")
 
 

@@ -66,7 +66,7 @@ def test_each_item_is_worked_on_once(jobs):
 @pytest.mark.parametrize("jobs", [2, 3])
 @pytest.mark.parametrize("fails", [ValueError, KeyboardInterrupt])
 def test_an_error_stops_the_rest_and_is_raised_when_all_threads_are_done(jobs, fails):
-    done, before = [], threading.active_count()
+    done = []
 
     def work(item):
         if item == 20:
@@ -76,5 +76,13 @@ def test_an_error_stops_the_rest_and_is_raised_when_all_threads_are_done(jobs, f
 
     with pytest.raises(fails):
         for_each(work, range(1000), jobs)
-    assert set(range(15)) <= set(done) and len(done) < 100
-    assert threading.active_count() == before
+    count = len(done)
+    assert set(range(15)) <= set(done) and count < 100
+    time.sleep(0.02)
+    assert len(done) == count
+
+
+def test_work_within_work_does_not_wait_for_itself():
+    done = []
+    for_each(lambda k: for_each(lambda j: done.append((k, j)), range(20), 3), range(20), 3)
+    assert sorted(done) == [(k, j) for k in range(20) for j in range(20)]

@@ -60,34 +60,42 @@ def map_ordered(work: Callable[[T], R], items: Iterable[T], jobs: int | None = N
 def for_each(work: Callable[[T], object], items: Sequence[T], jobs: int | None = None) -> None:
     """Call ``work(item)`` for every item, in any order, and wait for all.
 
-    The calling thread takes its share, and no thread is woken between items: of many small ones two threads make almost
-    twice as many as one. An error or Ctrl-C lets the others finish what they are at.
+    The calling thread takes its share, the others stand ready, and none is woken between items: of many small ones two
+    threads make almost twice as many as one. An error or Ctrl-C lets the others finish what they are at.
 
     Args:
         work: called from ``jobs`` threads.
         jobs: threads (default: all processors).
     """
     jobs = min(jobs or cpu_count(), len(items))
-    left, lock, failed = iter(items), threading.Lock(), list[BaseException]()
+    left, failed, busy = iter(items), list[BaseException](), 0
+    lock = threading.Condition()
 
-    def attend() -> None:
+    def attend(number: int = 0) -> None:
+        nonlocal busy
+        with lock:
+            busy += 1
         try:
             while not failed:
                 with lock:
                     item = next(left, _NONE)
                 if item is _NONE:
-                    return
+                    break
                 work(cast(T, item))
         except BaseException as error:
             failed.append(error)
+        finally:
+            with lock:
+                busy -= 1
+                lock.notify_all()
 
-    threads = [threading.Thread(target=attend, daemon=True) for _ in range(jobs - 1)]
-    for thread in threads:
-        thread.start()
+    if jobs > 1:
+        _crew(jobs - 1).call(attend)
     try:
         attend()
-        for thread in threads:
-            thread.join()
+        with lock:  # who comes too late finds nothing to do
+            while busy:
+                lock.wait()
     except BaseException as error:  # Ctrl-C between two items
         failed.append(error)
         raise
@@ -150,3 +158,11 @@ def _attend(inbox: Inbox) -> None:
 def _dismiss(inboxes: list[Inbox]) -> None:
     for inbox in inboxes:
         inbox.put(None)
+
+
+_crews: dict[int, Crew] = {}
+
+
+def _crew(count: int) -> Crew:
+    """The threads that help ``for_each``, as many as ``count``."""
+    return _crews.setdefault(count, Crew(count))
