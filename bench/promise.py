@@ -57,6 +57,7 @@ ENGINES: dict[str, tuple[str, dict[str, Any]]] = {
     "blow": ("blow", {}),
     "blow isotropic": ("blow", {"metric": "isotropic"}),
     "roam": ("roam", {}),
+    "roam wedgie": ("roam", {"metric": "wedgie"}),
     "soar midpoint": ("soar", {"error": "midpoint"}),
     "soar isotropic-published": ("soar", {"metric": "isotropic-published"}),
     "top-down anisotropic-published": ("top-down", {"metric": "anisotropic-published"}),

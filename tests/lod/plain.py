@@ -132,6 +132,28 @@ class Plain:
         with np.errstate(invalid="ignore"):
             return (d.max(1) + np.where(np.isinf(reach), np.inf, reach)[:, None] * along < 0).any(1)
 
+    def displacement(self, camera: Camera, corners) -> float:
+        """The largest displacement in pixels of a sample in view under a triangle, by looking at each.
+
+        Args:
+            corners: (3, 2) rows and columns, not beyond the raster.
+        """
+        a, b, c = (np.array(q) for q in corners)
+        rows, cols = zip(*corners)
+        grid = np.mgrid[min(rows) : max(rows) + 1, min(cols) : max(cols) + 1].reshape(2, -1)
+        u, v = np.linalg.solve(np.stack([b - a, c - a], 1), grid - a[:, None])
+        grid, u, v = (x[..., (np.minimum(u, v) > -1e-9) & (u + v < 1 + 1e-9)] for x in (grid, u, v))
+        z = [self.filled[tuple(q)] for q in (a, b, c)]
+        at = camera.to_camera(self.at[tuple(grid)])
+        planes = camera.planes()
+        seen = (at @ planes[:, :3].T + planes[:, 3] >= 0).all(1)
+        moved = at + (z[0] + u * (z[1] - z[0]) + v * (z[2] - z[0]) - self.filled[tuple(grid)])[:, None] * camera.up
+        at, moved = at[seen], moved[seen]
+        if (moved[:, 2] <= 0).any():
+            return math.inf
+        off = moved[:, :2] / moved[:, 2:] - at[:, :2] / at[:, 2:]
+        return float(camera.focal * np.hypot(*off.T).max(initial=0.0))
+
     def spheres_outside(self, camera: Camera):
         """(N + 1, N + 1): whether a diamond's sphere is beyond a plane."""
         planes = camera.planes()

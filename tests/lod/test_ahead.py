@@ -30,27 +30,12 @@ def pruned_of(t, view, tolerance: float, *, cull=True, exaggeration=1.0, field=N
 def displacement(p: plain.Plain, camera: plain.Camera, row: int, col: int) -> float:
     """The largest displacement in pixels of a sample in view under the diamond's two triangles, by looking at each."""
     side = p.row.shape[0]
-    a, b = (np.array(diamonds.end(row, col, k)) for k in (0, 1))
     worst = 0.0
-    planes = camera.planes()
     for k in (0, 1):
-        apex = np.array(diamonds.apex(row, col, k))
-        if apex.min() < 0 or apex.max() >= side:
-            continue
-        for r in range(min(a[0], b[0], apex[0]), max(a[0], b[0], apex[0]) + 1):
-            for c in range(min(a[1], b[1], apex[1]), max(a[1], b[1], apex[1]) + 1):
-                u, v = np.linalg.solve(np.stack([b - a, apex - a], 1), np.array([r, c]) - a)
-                if min(u, v) < -1e-9 or u + v > 1 + 1e-9:
-                    continue
-                at = camera.to_camera(p.at[r, c])
-                if (planes[:, :3] @ at + planes[:, 3] < 0).any():
-                    continue
-                z = [p.filled[tuple(q)] for q in (a, b, apex)]
-                on = z[0] + u * (z[1] - z[0]) + v * (z[2] - z[0])
-                moved = at + (on - p.filled[r, c]) * camera.up
-                if moved[2] <= 0:
-                    return np.inf
-                worst = max(worst, camera.focal * float(np.hypot(*(moved[:2] / moved[2] - at[:2] / at[2]))))
+        apex = diamonds.apex(row, col, k)
+        if min(apex) >= 0 and max(apex) < side:
+            corners = diamonds.end(row, col, 0), diamonds.end(row, col, 1), apex
+            worst = max(worst, p.displacement(camera, corners))
     return worst
 
 

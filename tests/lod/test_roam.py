@@ -13,7 +13,8 @@ import rasterio
 from orograph import verify
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts
-from orograph.lod.roam import Roam, engine, mesh, priorities, queues
+from orograph.lod import ahead
+from orograph.lod.roam import Roam, bounds, engine, mesh, priorities, queues
 from orograph.store.memory import MemoryTerrain
 from orograph.view import View
 
@@ -33,11 +34,13 @@ class Recursion:
         self.spheres = p.sphere_errors(camera, loose=True)
         low, high = p.t.height_range
         n = side - 1
+        self.pruned = 0
         self.visit((0, 0), (n, n), (0, n), low, high)
         self.visit((n, n), (0, 0), (n, 0), low, high)
         self.front = fronts.front_of(diamonds.closure(self.wanted))
 
     def visit(self, a, b, c, low, high, hidden=False):
+        """Whether the triangle is to be split for its own sake or that of one below it."""
         p = self.p
         m = ((a[0] + b[0]) // 2, (a[1] + b[1]) // 2)
         finest = (a[0] + b[0]) % 2 or (a[1] + b[1]) % 2
@@ -46,7 +49,7 @@ class Recursion:
         z = p.z[rows, cols]
         e = 0.0 if finest else p.e[m]
         if (not finest and p.r[m] < 0) or rows.min() >= p.t.grid.rows - 1 or cols.min() >= p.t.grid.cols - 1:
-            return  # nothing there, on this side of the hypotenuse at least
+            return False  # nothing there, on this side of the hypotenuse at least
         if not finest:
             low, high = max(low, p.filled[m] - p.r[m]), min(high, p.filled[m] + p.r[m])
         if not squeezed and math.isfinite(e) and not np.isnan(z).any():
@@ -62,8 +65,8 @@ class Recursion:
         if out:
             self.out.add(tuple(sorted((a, b, c))))
         if finest:
-            return
-        if self.metric == "wedgie":
+            return False
+        if self.metric in ("wedgie", "localised"):
             depth = q[:, 2].min()
             size = self.camera.stretch_of(q).max()
             near = max(depth, self.camera.view.near)
@@ -77,10 +80,15 @@ class Recursion:
             )
         else:
             bound = self.spheres[m]
-        if (bound > self.tolerance and not out) or (math.isinf(e) and not self.cull):
-            self.wanted[m] = True
-        self.visit(c, a, m, low, high, out)
-        self.visit(b, c, m, low, high, out)
+        wanted = (bound > self.tolerance and not out) or (math.isinf(e) and not self.cull)
+        below = [self.visit(c, a, m, low, high, out), self.visit(b, c, m, low, high, out)]
+        if wanted and self.metric == "localised" and math.isfinite(e) and not squeezed and not any(below):
+            r = p.r[m] * max(1.0, self.camera.exaggeration)
+            near = r > ahead.nearness(self.tolerance) * (self.camera.to_camera(p.at[m])[2] - r)
+            wanted = not near or p.displacement(self.camera, (a, b, c)) > self.tolerance
+            self.pruned += not wanted
+        self.wanted[m] |= wanted
+        return wanted
 
 
 def flight(rng: np.random.Generator, t: MemoryTerrain, frames: int, **options):
@@ -136,6 +144,35 @@ def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
             assert verify.judge(found, t, view, exaggeration=exaggeration).ok(tolerance)
 
 
+@pytest.mark.parametrize("shape", [(9, 9), (8, 9), (5, 7)])
+def test_looking_ahead_leaves_what_looking_at_every_sample_allows(shape):
+    """On 9² samples six halvings reach every sample, so what is left is told by the displacements themselves."""
+    rng = np.random.default_rng([4, *shape])
+    pruned = fewer = 0
+    for case in range(16):
+        t = plain.terrain(plain.rough(rng, shape, amplitude=60.0, gaps=0.1 * (case % 3 == 2)), angle=30.0 * case)
+        p, exaggeration = plain.Plain(t), float(rng.choice([0.5, 1.0, 3.0]))
+        tolerance = float(10 ** rng.uniform(-0.3, 1.7))
+        carried = Roam(t, exaggeration=exaggeration)
+        for view in flight(rng, t, 6):
+            found = carried.refine(view, tolerance=tolerance)
+            camera = plain.Camera(view, exaggeration)
+            want = Recursion(p, camera, tolerance, True, "localised")
+            rows, cols = p.corners(want.front)
+            i, j = p.i[rows, cols], p.j[rows, cols]
+            drawn = (j[:, 1] - j[:, 0]) * (i[:, 2] - i[:, 0]) != (j[:, 2] - j[:, 0]) * (i[:, 1] - i[:, 0])
+            drawn &= ~np.isnan(p.z[rows, cols]).any(1)
+            r, c = diamonds.of_triangle(*want.front.arrays)
+            drawn &= (r < 0) | (p.r[r, c] >= 0)
+            drawn &= [tuple(sorted(zip(a, b))) not in want.out for a, b in zip(rows.tolist(), cols.tolist())]
+            assert plain.triangles_of(found) == p.triangle_set(want.front, drawn)
+            assert verify.judge(found, t, view, exaggeration=exaggeration).ok(tolerance)
+            pruned += want.pruned
+            plainly = Roam(t, metric="wedgie", exaggeration=exaggeration).refine(view, tolerance=tolerance)
+            fewer += len(plainly.triangles) - len(found.triangles)
+    assert min(pruned, fewer) > 50
+
+
 def real(shared_data, name: str) -> MemoryTerrain:
     path, window = {
         "bigtujunga": ("bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif", ((100, 400), (100, 520))),
@@ -148,7 +185,9 @@ def real(shared_data, name: str) -> MemoryTerrain:
 
 
 @pytest.mark.parametrize("name", ["bigtujunga", "rainier"])
-@pytest.mark.parametrize("error, metric", [("exact", "wedgie"), ("wedgie", "wedgie"), ("exact", "isotropic")])
+@pytest.mark.parametrize(
+    "error, metric", [("exact", "localised"), ("exact", "wedgie"), ("wedgie", "wedgie"), ("exact", "isotropic")]
+)
 def test_flights_over_real_ground_keep_the_promise_and_depend_on_the_view_alone(shared_data, name, error, metric):
     t = real(shared_data, name)
     rng = np.random.default_rng(len(name) + len(error) * 10 + len(metric))
@@ -221,9 +260,9 @@ def test_budgets_of_triangles_are_kept_and_used(gaps):
                 assert report.ok(found.stats["tolerance"])
         # The best of its size: scratch needs about as much for the tolerance that was reached.
         if gaps == 0 and found.stats["tolerance"]:
-            fresh = Roam(t).mesh(view, tolerance=found.stats["tolerance"])[0]
+            fresh = Roam(t, metric="wedgie").mesh(view, tolerance=found.stats["tolerance"])[0]
             assert fresh.triangles <= budget
-            finer = Roam(t).mesh(view, tolerance=found.stats["tolerance"] / 1.2)[0]
+            finer = Roam(t, metric="wedgie").mesh(view, tolerance=found.stats["tolerance"] / 1.2)[0]
             assert finer.triangles >= min(budget, len(found.triangles)) * 0.98
 
 
@@ -240,25 +279,53 @@ def test_with_a_budget_priorities_are_known_to_a_bucket_where_the_queues_cross()
         roam.refine(view, triangles=1500)
         s = roam._state
         before, counts = s.nodes.copy(), s.counts.copy()
-        low, high = s.options[[priorities.LEAST, priorities.MOST]]
+        low, high = s.options[[mesh.LEAST, mesh.MOST]]
         swept += s.counts[mesh.SWEPT] > 0
         nodes = s.nodes[: s.counts[mesh.TOP]]
         live = (nodes["state"] == mesh.LEAF) | ((nodes["flags"] & mesh.MERGEABLE) > 0)
         live &= nodes["state"] != mesh.FREE
         known = nodes["priority"].astype(np.float64)
         for i in np.flatnonzero(live):
-            args = s.nodes, s.pages, s.lens, s.clock, s.counts, s.options, s.terms, s.stack, s.work, s.waiting
+            args = (
+                s.nodes,
+                s.pages,
+                s.lens,
+                s.clock,
+                s.counts,
+                s.options,
+                s.terms,
+                s.stack,
+                s.work,
+                s.waiting,
+                s.family,
+                s.todo,
+            )
             priorities.priority_of(*args, i)
         true = s.nodes["priority"][: len(known)].astype(np.float64)
         s.nodes[:], s.counts[:] = before, counts
         inside = live & (known > low) & (known <= high) & (high < math.inf)
-        near = 1 + priorities.STALE * (1 + 1e-6)
+        near = 1 + bounds.STALE * (1 + 1e-6)
         assert (true[inside] <= known[inside] * near).all() and (true[inside] * near >= known[inside]).all()
         assert (true[live & (known <= low)] <= low * near).all()
         assert (true[live & (known > high)] * near > high).all()
         compared += inside.sum()
         off.append(np.abs(true[inside] / known[inside] - 1).max(initial=0.0))
     assert compared > 500 and swept and max(off) > 0  # the thresholds moved; some priorities were not computed again
+
+
+def test_the_second_frame_of_a_budget_costs_no_more_than_those_after_it():
+    """Where the queues cross is known when the first frame ends, and only what is near it is kept up to date."""
+    rng = np.random.default_rng(6)
+    t = plain.terrain(plain.rough(rng, (257, 257)))
+    first, second = list(flight(rng, t, 2))
+    step = 0.1 * (np.array(second.eye) - first.eye)
+    roam, computed = Roam(t), []
+    for frame in range(12):
+        view = replace(first, eye=tuple(first.eye + frame * step), target=tuple(first.target + frame * step))
+        made = roam.mesh(view, triangles=3000)[0]
+        computed.append(made.stats["recomputed"])
+    assert 2500 < made.triangles <= 3000
+    assert computed[1] < 2 * max(computed[2:]) and computed[1] < 0.5 * made.stats["leaves"]
 
 
 def test_a_budget_of_time_ends_in_a_sound_mesh_and_goes_on_in_the_next_frame(monkeypatch):
@@ -329,17 +396,31 @@ def test_what_is_not_culled_is_refined_out_of_view():
     assert sizes[0] == sizes[1] > 4 * sizes[2]
 
 
-def test_pages_that_leave_take_nothing_of_the_mesh_with_them():
-    rng = np.random.default_rng(11)
-    t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=3000), cell=30)
-    small, large = Roam(t, max_memory=5 << 20), Roam(t)
-    for k in range(8):
+@pytest.mark.parametrize("metric, memory", [("wedgie", 5), ("localised", 8)])
+def test_pages_that_leave_take_nothing_of_the_mesh_with_them(metric, memory):
+    t = plain.terrain(plain.rough(np.random.default_rng(11), (1025, 1025), amplitude=3000), cell=30)
+    small, large = Roam(t, metric=metric, max_memory=memory << 20), Roam(t, metric=metric)
+    for view in across(t, 8):
+        assert keys_of(small, view, tolerance=2) == keys_of(large, view, tolerance=2)
+    assert small.field.tiles_read > large.field.tiles_read > memory >= len(small.field.pages.used)
+    assert not verify.judge(small.refine(view, tolerance=2), t, view).defects
+
+
+def test_where_memory_is_too_small_to_look_ahead_bounds_decide_alone():
+    t = plain.terrain(plain.rough(np.random.default_rng(11), (1025, 1025), amplitude=3000), cell=30)
+    small, plainly = Roam(t, max_memory=5 << 20), Roam(t, metric="wedgie")
+    for view in across(t, 4):
+        found = keys_of(small, view, tolerance=2)
+    assert small._blind and found == keys_of(plainly, view, tolerance=2)
+    assert keys_of(small, view, tolerance=40) == keys_of(Roam(t), view, tolerance=40) and not small._blind
+
+
+def across(t: MemoryTerrain, frames: int):
+    """Over 1025² samples, from west to east."""
+    for k in range(frames):
         x, y = t.grid.xy(100 + 100 * k, 512)
         eye = (float(x), float(y), t.height_range[1] + 200)
-        view = View(eye, (eye[0] + 3000, eye[1] + 1000 * k - 3500, eye[2] - 2500), width=300, height=200)
-        assert keys_of(small, view, tolerance=2) == keys_of(large, view, tolerance=2)
-    assert small.field.tiles_read > large.field.tiles_read > 8 > len(small.field.pages.used)
-    assert not verify.judge(small.refine(view, tolerance=2), t, view).defects
+        yield View(eye, (eye[0] + 3000, eye[1] + 1000 * k - 3500, eye[2] - 2500), width=300, height=200)
 
 
 def test_colors_split_what_heights_do_not():

@@ -8,7 +8,7 @@ from affine import Affine
 
 from orograph.geo.grid import Grid
 from orograph.hierarchy import fronts
-from orograph.lod.roam import Roam, frame, mesh, priorities, queues
+from orograph.lod.roam import Roam, bounds, frame, mesh, queues
 from orograph.store.memory import MemoryTerrain
 from orograph.view import View
 
@@ -133,10 +133,10 @@ def test_slack_is_the_largest_motion_that_cannot_cross() -> None:
     for _ in range(300):
         e, n, m, up, t = rng.uniform(0.1, 10, 5) * (1, 1, 5, 0.3, 1)
         if e * n <= t * m * m:
-            x = priorities.below(e, n, m, up, t)
+            x = bounds.below(e, n, m, up, t)
             assert 0 <= x <= m
             assert e * (n + up * x) == pytest.approx(t * (m - x) ** 2, rel=1e-9)
         else:
-            x = priorities.above(e, n, m, up, t)
+            x = bounds.above(e, n, m, up, t)
             assert x >= 0
             assert e * (n - up * x) == pytest.approx(t * (m + x) ** 2, rel=1e-9)

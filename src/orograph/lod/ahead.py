@@ -28,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, leaf
-from orograph.error.screen import FOCAL, TOLERANCE, color_exceeds, outside, sphere_exceeds, to_camera, triangle_bound
+from orograph.error.screen import FOCAL, TOLERANCE, color_exceeds, outside, sphere_exceeds, to_camera
 from orograph.hierarchy.kernels import diamonds
-from orograph.lod.field import Field, find
-from orograph.lod.localise import STACK, localised_bound, prism_outside
+from orograph.lod.field import Field
+from orograph.lod.localise import STACK, diamond_exceeds
 from orograph.lod.pages import BEYOND, locate
 
 NEAR = 1.0 / 16.0
@@ -56,6 +56,11 @@ DONE, MISSED, ROOM = range(3)
 PATIENCE = 16
 """How many times as many pages as memory holds may be read; then memory is too small for the search, and spheres decide
 alone."""
+
+
+def nearness(tolerance: float) -> float:
+    """The radius of a sphere over its least depth from which on it is near, at a tolerance in pixels."""
+    return NEAR * min(max(1.0, 2.0 / tolerance), 2.0)
 
 
 @inlined
@@ -212,7 +217,7 @@ def decide(pages, lens, depth, cull, n, ahead, found, state, kids, counts, todo)
     """Decide, from the finest up, which of those that were collected are active: 1 in ``state``, else 0 or 2.
 
     Args:
-        lens: the camera. ahead: as for ``collect``. todo: scratch of ``exceeds``.
+        lens: the camera. ahead: as for ``collect``. todo: scratch of ``diamond_exceeds``.
         counts: its last number is how many are left.
     """
     missed = np.int64(0)
@@ -224,7 +229,7 @@ def decide(pages, lens, depth, cull, n, ahead, found, state, kids, counts, todo)
             sure = sure or (kids[at, k] >= 0 and state[kids[at, k]] == 1)
         verdict, lacks = np.int64(1), False
         if not sure:
-            verdict, lacks = exceeds(pages, lens, cull, depth, found[at, 0], found[at, 1], n, todo)
+            verdict, lacks = diamond_exceeds(pages, lens, cull, depth, found[at, 0], found[at, 1], n, todo)
         if lacks and not ahead:
             return 1
         if lacks or missed > 0:
@@ -233,85 +238,6 @@ def decide(pages, lens, depth, cull, n, ahead, found, state, kids, counts, todo)
         state[at] = verdict
         counts[4] = at
     return 1 if missed > 0 else 0
-
-
-@inlined
-def sample_exceeds(lens, col, row, z, on, cull):
-    """Whether a sample in view is displaced by more than the tolerance from the height ``on``."""
-    x, y, w = to_camera(lens, col, row, z)
-    p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
-    moved = w + (on - z) * lens[10]
-    far = lens[13] * w * moved
-    off = lens[12] * (on - z)
-    seen = w > 0.0 and (moved <= 0.0 or off * off * (p * p + q * q) > far * far)
-    if cull and seen:
-        for plane in range(6):
-            at = 20 + 4 * plane
-            seen = seen and lens[at] * col + lens[at + 1] * row + lens[at + 2] * z + lens[at + 3] >= 0.0
-    return seen
-
-
-@leaf
-def exceeds(pages, lens, cull, depth, row, col, n, todo):
-    """(1 if B of the diamond at (row, col) exceeds the tolerance, 2 if its triangles are out of view, else 0; whether a
-    page was missing).
-
-    Args:
-        todo: float64 (depth + 2, STACK), scratch.
-    """
-    size = np.int64(1) << n
-    slot, i, j = find(pages, row, col, diamonds.octave(row, col))
-    mz, e = np.float64(pages.data[slot, i, j, 0]), np.float64(pages.data[slot, i, j, 1])
-    er, ec = diamonds.end(row, col, 0)
-    xr, xc = diamonds.end(row, col, 1)
-    es, ei, ej = _corner(pages, er, ec, size)
-    xs, xi, xj = _corner(pages, xr, xc, size)
-    tolerance = lens[13]
-    missed = es < 0 or xs < 0
-    out = True
-    # The middle is a sample of both triangles: many need no more than a look at it.
-    if not missed:
-        on = 0.5 * (np.float64(pages.data[es, ei, ej, 0]) + np.float64(pages.data[xs, xi, xj, 0]))
-        inside = er + xr == 2 * row and max(er, xr) <= pages.edge[0] and max(ec, xc) <= pages.edge[1]
-        if inside and sample_exceeds(lens, np.float64(col), np.float64(row), mz, on, cull):
-            return 1, False
-    for k in range(2):
-        ar, ac = diamonds.apex(row, col, k)
-        if ar < 0 or ac < 0 or ar > size or ac > size:
-            continue
-        if max(er, max(xr, ar)) > pages.edge[0] or max(ec, max(xc, ac)) > pages.edge[1]:
-            return 1, False
-        s, i, j = _corner(pages, ar, ac, size)
-        if missed or s < 0:
-            missed = True
-            continue
-        ez, xz, az = pages.data[es, ei, ej, 0], pages.data[xs, xi, xj, 0], pages.data[s, i, j, 0]
-        if cull and prism_outside(lens, ec, er, ez, xc, xr, xz, ac, ar, az, e):
-            continue
-        out = False
-        ex, ey, ew = to_camera(lens, ec, er, np.float64(ez))
-        xx, xy, xw = to_camera(lens, xc, xr, np.float64(xz))
-        ax, ay, aw = to_camera(lens, ac, ar, np.float64(az))
-        if triangle_bound(lens, ex, ey, ew, xx, xy, xw, ax, ay, aw, e) <= tolerance:
-            continue
-        level = np.int64(diamonds.level(row, col, n))
-        bound, lacks = localised_bound(
-            pages, lens, er, ec, ez, xr, xc, xz, ar, ac, az, level, 2 * n, e, mz, tolerance, tolerance, cull, depth,
-            todo,
-        )  # fmt: skip
-        if bound > tolerance:
-            return 1, False
-        missed = missed or lacks
-    return (2 if out else 0), missed
-
-
-@inlined
-def _corner(pages, row, col, size):
-    """(slot, i, j) of a vertex of any octave; the corners of the square are in the coarsest pages."""
-    octave = np.int64(63)
-    if (row | col) & (size - 1) != 0:
-        octave = diamonds.octave(row, col)
-    return find(pages, row, col, octave)
 
 
 @leaf
@@ -369,7 +295,7 @@ class Ahead:
     def _look(self, field: Field, lens: NDArray[np.float64], cull: bool) -> NDArray[np.int64]:
         slack = lens.copy()
         slack[TOLERANCE] *= 1.0 - 1e-9
-        near = NEAR * min(max(1.0, 2.0 / lens[TOLERANCE]), 2.0)
+        near = nearness(float(lens[TOLERANCE]))
         counts, before, stalls = self._begin(), (), 0
         most = field.tiles_read + PATIENCE * len(field.pages.used)
         while True:

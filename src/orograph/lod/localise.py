@@ -21,8 +21,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined
+from orograph._numba import inlined, leaf
 from orograph.error.screen import to_camera, triangle_bound
+from orograph.hierarchy.kernels import diamonds
 from orograph.lod.field import find
 
 STACK = 14
@@ -138,3 +139,82 @@ def localised_bound(
             todo[top, 11] = at + 1
             top += 1
     return worst, missed
+
+
+@inlined
+def sample_exceeds(lens, col, row, z, on, cull):
+    """Whether a sample in view is displaced by more than the tolerance from the height ``on``."""
+    x, y, w = to_camera(lens, col, row, z)
+    p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
+    moved = w + (on - z) * lens[10]
+    far = lens[13] * w * moved
+    off = lens[12] * (on - z)
+    seen = w > 0.0 and (moved <= 0.0 or off * off * (p * p + q * q) > far * far)
+    if cull and seen:
+        for plane in range(6):
+            at = 20 + 4 * plane
+            seen = seen and lens[at] * col + lens[at + 1] * row + lens[at + 2] * z + lens[at + 3] >= 0.0
+    return seen
+
+
+@leaf
+def diamond_exceeds(pages, lens, cull, depth, row, col, n, todo):
+    """(1 if B of the diamond at (row, col) exceeds the tolerance, 2 if its triangles are out of view, else 0; whether a
+    page was missing).
+
+    Args:
+        todo: float64 (depth + 2, STACK), scratch.
+    """
+    size = np.int64(1) << n
+    slot, i, j = find(pages, row, col, diamonds.octave(row, col))
+    mz, e = np.float64(pages.data[slot, i, j, 0]), np.float64(pages.data[slot, i, j, 1])
+    er, ec = diamonds.end(row, col, 0)
+    xr, xc = diamonds.end(row, col, 1)
+    es, ei, ej = _corner(pages, er, ec, size)
+    xs, xi, xj = _corner(pages, xr, xc, size)
+    tolerance = lens[13]
+    missed = es < 0 or xs < 0
+    out = True
+    # The middle is a sample of both triangles: many need no more than a look at it.
+    if not missed:
+        on = 0.5 * (np.float64(pages.data[es, ei, ej, 0]) + np.float64(pages.data[xs, xi, xj, 0]))
+        inside = er + xr == 2 * row and max(er, xr) <= pages.edge[0] and max(ec, xc) <= pages.edge[1]
+        if inside and sample_exceeds(lens, np.float64(col), np.float64(row), mz, on, cull):
+            return 1, False
+    for k in range(2):
+        ar, ac = diamonds.apex(row, col, k)
+        if ar < 0 or ac < 0 or ar > size or ac > size:
+            continue
+        if max(er, max(xr, ar)) > pages.edge[0] or max(ec, max(xc, ac)) > pages.edge[1]:
+            return 1, False
+        s, i, j = _corner(pages, ar, ac, size)
+        if missed or s < 0:
+            missed = True
+            continue
+        ez, xz, az = pages.data[es, ei, ej, 0], pages.data[xs, xi, xj, 0], pages.data[s, i, j, 0]
+        if cull and prism_outside(lens, ec, er, ez, xc, xr, xz, ac, ar, az, e):
+            continue
+        out = False
+        ex, ey, ew = to_camera(lens, ec, er, np.float64(ez))
+        xx, xy, xw = to_camera(lens, xc, xr, np.float64(xz))
+        ax, ay, aw = to_camera(lens, ac, ar, np.float64(az))
+        if triangle_bound(lens, ex, ey, ew, xx, xy, xw, ax, ay, aw, e) <= tolerance:
+            continue
+        level = np.int64(diamonds.level(row, col, n))
+        bound, lacks = localised_bound(
+            pages, lens, er, ec, ez, xr, xc, xz, ar, ac, az, level, 2 * n, e, mz, tolerance, tolerance, cull, depth,
+            todo,
+        )  # fmt: skip
+        if bound > tolerance:
+            return 1, False
+        missed = missed or lacks
+    return (2 if out else 0), missed
+
+
+@inlined
+def _corner(pages, row, col, size):
+    """(slot, i, j) of a vertex of any octave; the corners of the square are in the coarsest pages."""
+    octave = np.int64(63)
+    if (row | col) & (size - 1) != 0:
+        octave = diamonds.octave(row, col)
+    return find(pages, row, col, octave)

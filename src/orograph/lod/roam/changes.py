@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import leaf
+from orograph._numba import inlined, leaf
 from orograph.lod.roam.mesh import (
     LEAF,
     LOADED,
@@ -20,15 +20,15 @@ from orograph.lod.roam.mesh import (
     QUEUED_MERGES,
     QUEUED_SPLITS,
     SPLITS,
-    WAITING,
     coarser_base,
     is_mergeable,
     rejoin,
     split_links,
 )
-from orograph.lod.roam.priorities import load, priority_of
+from orograph.lod.roam.priorities import pend, priority_of
 from orograph.lod.roam.queues import MERGE, SPLIT, dequeue, enqueue, schedule, unschedule
 from orograph.lod.roam.strips import hide, show
+from orograph.lod.roam.volumes import load
 
 # ---- places in the queues --------------------------------------------------------------------------------------------
 
@@ -68,11 +68,16 @@ def leave(nodes, heads, occupied, counts, i):
         dequeue(nodes, heads, occupied, MERGE, i)
 
 
-@leaf
+@inlined
 def assess(s, i):
-    """Compute node i's priority and put it where it belongs: queue, crossing list, output."""
+    """Compute node i's priority and put it where it belongs: queue, crossing list, output.
+
+    (Inlined: the state is some 300 words, and every call that passes it copies them.)
+    """
     unschedule(s.nodes, s.lists, i)
-    priority_of(s.nodes, s.pages, s.lens, s.clock, s.counts, s.options, s.terms, s.stack, s.work, s.waiting, i)
+    priority_of(
+        s.nodes, s.pages, s.lens, s.clock, s.counts, s.options, s.terms, s.stack, s.work, s.waiting, s.family, s.todo, i
+    )
     if s.nodes[i].due < np.inf:
         schedule(s.nodes, s.lists, s.clock, i)
     place(s.nodes, s.heads, s.occupied, s.counts, i)
@@ -189,7 +194,4 @@ def wait(s, i):
     """Leaf i cannot be split before a page has come."""
     leave(s.nodes, s.heads, s.occupied, s.counts, i)
     unschedule(s.nodes, s.lists, i)
-    if not s.nodes[i].flags & PENDING:
-        s.nodes[i].flags |= PENDING
-        s.waiting[s.counts[WAITING]] = i
-        s.counts[WAITING] += 1
+    pend(s.nodes[i], s.counts, s.waiting, i)

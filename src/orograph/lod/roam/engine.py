@@ -18,10 +18,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import FOCAL, LENGTH, NEAR
+from orograph.error.screen import FOCAL, LENGTH, LOCALISED, NEAR, WEDGIE
 from orograph.errors import UsageError
+from orograph.lod import ahead
 from orograph.lod.engine import BOUNDS, Engine, Mesh
-from orograph.lod.roam import frame, mesh, priorities, queues, terms
+from orograph.lod.localise import STACK
+from orograph.lod.roam import bounds, frame, mesh, queues, terms
 from orograph.lod.roam import strips as stripping
 from orograph.view import Point, View
 
@@ -30,7 +32,7 @@ FINEST = 0.25
 
 BAND = 1.1
 """With a budget of triangles, priorities within this factor of the last crossing of the queues are kept up to date, to
-the width of a bucket (``priorities.STALE``)."""
+the width of a bucket (``bounds.STALE``)."""
 
 STEPS = 500
 """Steps between two looks at the clock."""
@@ -61,7 +63,7 @@ class Roam(Engine):
     """
 
     name = "roam"
-    metrics = ("wedgie", "anisotropic", "isotropic", "isotropic-published", "anisotropic-published")
+    metrics = ("localised", "wedgie", "anisotropic", "isotropic", "isotropic-published", "anisotropic-published")
 
     def __init__(
         self,
@@ -119,12 +121,12 @@ class Roam(Engine):
         capacity = 1 << 14
         counts = np.zeros(mesh.COUNTS, np.int64)
         counts[[mesh.TOP, mesh.FREED, mesh.LEAVES, mesh.UNUSED]] = 2, -1, 2, -1
-        options = np.zeros(priorities.OPTIONS)
-        options[priorities.CULL] = self.cull
-        options[priorities.BOUND] = self.error in BOUNDS
-        options[priorities.METRIC] = self.metric.number
-        options[priorities.N] = self.field.n
-        options[priorities.EVERY] = not self.deferral
+        options = np.zeros(mesh.OPTIONS)
+        options[mesh.CULL] = self.cull
+        options[mesh.BOUND] = self.error in BOUNDS
+        options[mesh.METRIC] = WEDGIE if self.metric.number == LOCALISED else self.metric.number
+        options[mesh.N] = self.field.n
+        options[mesh.EVERY] = not self.deferral
         keys, zs, members, blocks, dirty, loose = self._output(capacity)
         self._state = mesh.State(
             nodes=mesh.plant(self.field.n, self.field.corners, low, high, capacity),
@@ -142,6 +144,8 @@ class Roam(Engine):
             loose=loose,
             stack=np.zeros(256, np.int32),
             work=np.zeros(16),
+            family=np.zeros(mesh.FAMILY, mesh.NODE),
+            todo=np.zeros((ahead.DEPTH + 2, STACK)),
             counts=counts,
             lens=np.zeros(LENGTH),
             options=options,
@@ -149,6 +153,7 @@ class Roam(Engine):
             terms=self._terms,
         )
         self._crossing = 0.0
+        self._blind = False  # memory is too small to look ahead
         self._seen: tuple[Any, ...] | None = None
         self._pose: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
@@ -162,7 +167,8 @@ class Roam(Engine):
         c[mesh.FRAME] = (c[mesh.FRAME] + 1) % (1 << 31)
         budget = -1 if triangles is None else triangles
         steps = -1 if seconds is None else STEPS
-        reason, drifts = frame.ROOM, 0
+        reason, drifts, settled = frame.ROOM, 0, False
+        most = self.field.tiles_read + ahead.PATIENCE * len(self.field.pages.used)
         while reason != frame.DONE:
             self.field.begin()
             reason = int(frame.run_frame(self._state, budget, steps))
@@ -171,6 +177,14 @@ class Roam(Engine):
             elif reason == frame.DRIFT:
                 drifts += 1
                 self._drift(triangles, wide=drifts > 3)
+            elif reason == frame.DONE and triangles is not None and not settled:
+                settled = True
+                if self._settle(triangles):
+                    reason = frame.DRIFT
+            elif reason == frame.PAGES and self.field.tiles_read > most and not self._blind:
+                self._blind = True
+                self._state.options[mesh.NEARNESS] = 0.0
+                self._renew()
             late = seconds is not None and time.perf_counter() - began >= seconds
             if late and c[mesh.RELABELLED]:
                 self._split_mixed()
@@ -209,9 +223,9 @@ class Roam(Engine):
         s.terms.eye[2] = view.eye[2]
         if s.terms.factors[2] < 1:
             terms.hide_behind(s.terms, s.pages.edge)
-        s.options[priorities.TOLERANCE] = s.options[priorities.RATE] = goal
+        s.options[mesh.TOLERANCE] = s.options[mesh.RATE] = goal
         if goal == 0:
-            s.options[priorities.RATE] = 1.0
+            s.options[mesh.RATE] = 1.0
         if triangles is None:
             self._know(goal, goal)
         elif renew:
@@ -221,13 +235,24 @@ class Roam(Engine):
         queues.advance(s.clock, moved, turned)
         if renew:
             s.counts[mesh.RENEW] = 1
+            self._blind = False
+            s.options[mesh.NEARNESS] = self._nearness(goal if triangles is None else 0.0)
         s.counts[mesh.STAGE] = not (s.counts[mesh.RENEW] or moved or turned or self._is_behind)
         s.counts[mesh.RELABELLED] = s.counts[mesh.STAGE]
+
+    def _nearness(self, tolerance: float) -> float:
+        """From which ratio on spheres are near enough to look ahead (``lod.ahead``); 0: it is not done.
+
+        It is a matter of a tolerance; and where factors weigh what is seen, the bounds over volumes decide alone.
+        """
+        plainly = self._terms.factors.tolist() == [1.0, 1.0, 1.0, 0.0]
+        looks = self.metric.number == LOCALISED and plainly and tolerance > 0.0
+        return ahead.nearness(tolerance) if looks else 0.0
 
     def _know(self, low: float, high: float) -> None:
         """Let these be the thresholds: what is computed from now on is computed for them, and nothing else is left."""
         s = self._state
-        s.options[[priorities.LOW, priorities.HIGH]] = s.options[[priorities.LEAST, priorities.MOST]] = low, high
+        s.options[[mesh.LOW, mesh.HIGH]] = s.options[[mesh.LEAST, mesh.MOST]] = low, high
         s.counts[mesh.SWEPT] = 0
 
     def _follow(self) -> None:
@@ -236,14 +261,14 @@ class Roam(Engine):
         What was computed for the old ones holds between both until all has been computed for the new ones.
         """
         s, crossing = self._state, self._crossing
-        low, high = s.options[[priorities.LOW, priorities.HIGH]]
+        low, high = s.options[[mesh.LOW, mesh.HIGH]]
         near = math.sqrt(BAND)
         if high == math.inf:  # everything is known to a bucket's width
             self._know(crossing / BAND, crossing * BAND)
         elif not s.counts[mesh.SWEPT] and not low * near <= crossing <= high / near:
-            s.options[[priorities.LOW, priorities.HIGH]] = crossing / BAND, crossing * BAND
-            s.options[priorities.LEAST] = max(low, crossing / BAND)
-            s.options[priorities.MOST] = min(high, crossing * BAND)
+            s.options[[mesh.LOW, mesh.HIGH]] = crossing / BAND, crossing * BAND
+            s.options[mesh.LEAST] = max(low, crossing / BAND)
+            s.options[mesh.MOST] = min(high, crossing * BAND)
             s.counts[mesh.SWEPT] = 1
 
     def _drift(self, triangles: int | None, wide: bool) -> None:
@@ -254,7 +279,23 @@ class Roam(Engine):
         over = triangles is not None and s.counts[mesh.DRAWN] > triangles
         self._crossing = queues.largest_in(merge if over or split < 0 else split)
         self._know(*((0.0, math.inf) if wide else (self._crossing / BAND, self._crossing * BAND)))
-        s.counts[[mesh.RENEW, mesh.STAGE, mesh.RELABELLED]] = 1, 0, 0
+        self._renew()
+
+    def _settle(self, triangles: int) -> bool:
+        """Once the queues have met, with everything known to a bucket: let it be known for where they did from now on.
+
+        So the next frame is like any other; else all would be due in it. Returns whether there is something to do.
+        """
+        s = self._state
+        worst = int(queues.highest(s.occupied, queues.SPLIT))
+        if s.options[mesh.HIGH] < math.inf or not 0 <= worst < queues.HOLES - 1:
+            return False
+        self._drift(triangles, wide=False)
+        return True
+
+    def _renew(self) -> None:
+        """Have everything computed again."""
+        self._state.counts[[mesh.RENEW, mesh.STAGE, mesh.RELABELLED]] = 1, 0, 0
 
     def _output(self, capacity: int) -> list[NDArray[Any]]:
         """The output's arrays (``mesh.State``: keys to loose) for so many nodes, or so many blocks of strips."""
@@ -292,7 +333,7 @@ class Roam(Engine):
         reached: float | None = tolerance
         if triangles is not None:
             self._crossing = queues.largest_in(worst) if worst >= 0 else 0.0
-            reached = max(self._crossing, float(s.options[priorities.LEAST])) * (1.0 + priorities.STALE)
+            reached = max(self._crossing, float(s.options[mesh.LEAST])) * (1.0 + bounds.STALE)
         elif seconds is not None:
             reached = FINEST * max(1.0, queues.largest_in(worst))
         within = done if seconds is not None else triangles is None or int(c[mesh.DRAWN]) <= triangles

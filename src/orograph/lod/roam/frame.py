@@ -12,15 +12,20 @@ import numpy as np
 from orograph._numba import leaf
 from orograph.lod.roam.changes import assess, force_split, merge_diamond, wait
 from orograph.lod.roam.mesh import (
+    CULL,
     DRAWN,
     EMPTY,
     FRAME,
     FREE,
     FREED,
+    HIGH,
     INNER,
     LEAF,
+    LEAST,
     LOADED,
+    LOW,
     MERGEABLE,
+    MOST,
     OUT,
     PENDING,
     RELABELLED,
@@ -30,8 +35,8 @@ from orograph.lod.roam.mesh import (
     TOP,
     WAITING,
     coarser_base,
+    touch,
 )
-from orograph.lod.roam.priorities import CULL, HIGH, LEAST, LOW, MOST
 from orograph.lod.roam.queues import CLASSES, HOLES, MERGE, SLOTS, SPLIT, UNITY, bucket_of, highest, lowest, slot_of
 from orograph.lod.roam.strips import ABSENT, lacks_room
 
@@ -58,6 +63,10 @@ def assess_due(s, steps):
                 if is_full(s):
                     return 0
                 following = np.int64(nodes[i].due_after)
+                if following >= 0:
+                    # Called into the cache while this one is computed: the parent of the next, and the one after it.
+                    touch(nodes, max(np.int64(nodes[following].parent), np.int64(0)))
+                    touch(nodes, max(np.int64(nodes[following].due_after), np.int64(0)))
                 if slot < now or nodes[i].due <= s.clock[k]:
                     # It may come back into this very list, at its head.
                     assess(s, i)
@@ -157,9 +166,11 @@ def assess_waiting(s):
     s.counts[WAITING] = 0
     for at in range(count):
         i = np.int64(s.waiting[at])
-        if s.nodes[i].state != FREE and s.nodes[i].flags & PENDING:
-            s.nodes[i].flags &= ~np.uint8(PENDING)
-            assess(s, i)
+        node = s.nodes[i]
+        if node.state != FREE and node.flags & PENDING:
+            node.flags &= ~np.uint8(PENDING)
+            if node.state == LEAF or node.flags & MERGEABLE:
+                assess(s, i)
 
 
 @leaf

@@ -13,9 +13,12 @@ are chained through ``child``. Rows and columns are of the padded square, height
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from orograph._numba import leaf
@@ -58,6 +61,18 @@ SPLITS, MERGES, COMPUTED, SHOWN, LABELS = range(9, 14)
 LOOSE, DIRTY, BLOCKS, UNUSED, RELABELLED, FRAME, SWEPT = range(14, 21)
 COUNTS = 24
 
+# What ``State.options`` holds.
+TOLERANCE, LOW, HIGH, CULL, EVERY, BOUND, METRIC, N, RATE, LEAST, MOST, NEARNESS = range(12)
+"""Pixels that have priority 1; the thresholds, pixels, below and above which nothing is computed again; whether what is
+out of view is left out; whether everything is computed in every frame; whether errors are bounds; the metric's number;
+the exponent of the square; how many priority units a color error of γ is worth; between which pixels all priorities are
+known (``LOW`` and ``HIGH``, but for a while after those have changed); the ratio from which on spheres are near (0: no
+looking ahead, ``lookahead``)."""
+OPTIONS = 16
+
+FAMILY = 128
+"""Room for a triangle and those below it that wait to be looked at, two on each level."""
+
 
 class State(NamedTuple):
     """All that kernels carry from frame to frame.
@@ -73,8 +88,9 @@ class State(NamedTuple):
             int32, the nodes drawn, in the order of the triangles or of each strip; strips: int32 (blocks, 4), dirty:
             int32 (blocks,), loose: int32 (capacity,): see ``strips``. Without strips there is one of them.
         stack: int32 (256,), work: float64 (16,).
+        family: NODE (FAMILY,), todo: float64 (DEPTH + 2, STACK): scratch of ``lookahead``.
         counts: int64 (COUNTS,).
-        lens: the camera (``error.screen.lens``). options: float64, see ``priorities``.
+        lens: the camera (``error.screen.lens``). options: float64 (OPTIONS,).
         pages: ``field.Pages``. terms: ``terms.Terms``.
     """
 
@@ -93,11 +109,35 @@ class State(NamedTuple):
     loose: NDArray[np.int32]
     stack: NDArray[np.int32]
     work: NDArray[np.float64]
+    family: NDArray[np.void]
+    todo: NDArray[np.float64]
     counts: NDArray[np.int64]
     lens: NDArray[np.float64]
     options: NDArray[np.float64]
     pages: Pages
     terms: Terms
+
+
+@intrinsic
+def _touch(typing, nodes, i):
+    """Ask the processor to bring node i's cache lines (LLVM's ``prefetch``, for writing, to be used soon)."""
+
+    def generate(context, builder, signature, args):
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        size, number = NODE.itemsize, ir.IntType(32)
+        byte = ir.IntType(8)
+        begin = builder.gep(builder.bitcast(data, byte.as_pointer()), [builder.mul(args[1], args[1].type(size))])
+        kind = ir.FunctionType(ir.VoidType(), [byte.as_pointer(), number, number, number])
+        function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")  # type: ignore[no-untyped-call]
+        for line in (*range(0, size - 1, 64), size - 1):
+            place = builder.gep(begin, [args[1].type(line)])
+            builder.call(function, [place, number(1), number(3), number(1)])
+        return context.get_dummy_value()
+
+    return types.void(nodes, types.int64), generate
+
+
+touch: Any = _touch  # (Numba passes the first argument.)
 
 
 @leaf
@@ -154,13 +194,11 @@ def relink(nodes, i, old, new):
 
 
 @leaf
-def halve(nodes, counts, i, z):
-    """Give leaf i its two children, linked to each other and to their outer neighbours; z is their apex's height."""
-    first = new_pair(nodes, counts)
-    second = first + 1
+def begin_pair(nodes, first, i, z):
+    """Let two nodes be the children of node i, without neighbours; z is their apex's height."""
     begin_node(nodes, first, i)
-    begin_node(nodes, second, i)
-    node, a, b = nodes[i], nodes[first], nodes[second]
+    begin_node(nodes, first + 1, i)
+    node, a, b = nodes[i], nodes[first], nodes[first + 1]
     row, col = (node.r0 + node.r1) >> 1, (node.c0 + node.c1) >> 1
     a.r0, a.c0, a.z0 = node.r2, node.c2, node.z2
     a.r1, a.c1, a.z1 = node.r0, node.c0, node.z0
@@ -168,6 +206,15 @@ def halve(nodes, counts, i, z):
     b.r0, b.c0, b.z0 = node.r1, node.c1, node.z1
     b.r1, b.c1, b.z1 = node.r2, node.c2, node.z2
     b.r2, b.c2, b.z2 = row, col, z
+
+
+@leaf
+def halve(nodes, counts, i, z):
+    """Give leaf i its two children, linked to each other and to their outer neighbours; z is their apex's height."""
+    first = new_pair(nodes, counts)
+    second = first + 1
+    begin_pair(nodes, first, i, z)
+    node, a, b = nodes[i], nodes[first], nodes[second]
     a.base, a.left = node.left, second
     b.base, b.right = node.right, first
     relink(nodes, node.left, i, first)

@@ -18,8 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import leaf
-from orograph.lod.roam.mesh import BLOCKS, DIRTY, DRAWN, EMPTY, LEAF, LOOSE, LOOSELY, OUT, SHOWN, UNUSED
-from orograph.lod.roam.priorities import CULL
+from orograph.lod.roam.mesh import BLOCKS, CULL, DIRTY, DRAWN, EMPTY, LEAF, LOOSE, LOOSELY, OUT, SHOWN, UNUSED
 
 LENGTH = 24
 """Vertices of a block."""

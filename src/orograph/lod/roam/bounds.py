@@ -1,0 +1,124 @@
+"""The bound in pixels over a triangle's volume, and for how long it stays on its side of a threshold.
+
+*Bound* (ROAM, sec. 6.2). With the metric ``wedgie``
+
+    f · e · max N / (a · b),    N = |(a_u·w − c_u·x, b_u·w − c_u·y)|, which does not change along a vertical,
+
+with N at the footprint's corners, a the least depth of the volume (of a sample that is seen: at least ``near``), b that
+of the mesh (at least a − e·|c_u|), u the vertical unit. Everything in it can only grow from a triangle to its parent,
+for volumes nest. With a sphere metric the bound is ``sphere_bound``'s (of the anisotropic one ``loose_bound``); the
+published metrics promise nothing.
+
+*Slack* (sec. 5.3). A camera motion changes each depth, each distance to a plane of the frustum, and N / |u|, by at most
+x = s + D·θ (see ``queues``). With m the depth and E = f·e: a bound that is below a threshold t stays so while
+E·(N + |u|·x) ≤ t·(m − g − x)², g what the metric takes off; one above while E·(N − |u|·x) > t·(m + x)²: quadratics in
+x. What is outside a plane by d stays so while x < d, what is not while x < its distance from leaving.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orograph._numba import leaf
+from orograph.error.screen import color_exceeds, loose_bound, sphere_bound
+from orograph.lod.roam.mesh import EMPTY, LOADED, METRIC, RATE
+from orograph.lod.roam.queues import PER_OCTAVE
+from orograph.lod.roam.volumes import corner, straddles
+
+STALE = 2.0 ** (1.0 / PER_OCTAVE) - 1.0
+"""How far, as a share of it, a priority between the thresholds may have moved before it is computed again: the width of
+a bucket, within which the order is any."""
+
+
+@leaf
+def below(e, n, m, up, t):
+    """The motion for which e·(n + up·x) ≤ t·(m − x)² with x ≤ m goes on to hold, if it does now."""
+    if not m > 0.0:
+        return 0.0
+    c = t * m * m - e * n
+    if not c > 0.0:
+        return 0.0
+    b = 2.0 * t * m + e * up
+    return 2.0 * c / (b + np.sqrt(max(b * b - 4.0 * t * c, 0.0)))
+
+
+@leaf
+def above(e, n, m, up, t):
+    """The motion for which e·(n − up·x) > t·(m + x)² goes on to hold, if it does now."""
+    if e == np.inf:
+        return np.inf
+    c = e * n - t * m * m
+    if not c > 0.0:
+        return 0.0
+    b = 2.0 * t * m + e * up
+    return 2.0 * c / (b + np.sqrt(b * b + 4.0 * t * c))
+
+
+@leaf
+def screen(node, edge, lens, options, low, high):
+    """(the bound in pixels over a node's volume, the motion for which it does not come to lie between low and high).
+
+    If it lies there, the motion for which it stays within ``STALE`` of what it is.
+    """
+    if not node.flags & LOADED or node.flags & EMPTY:
+        return 0.0, np.inf
+    e = np.float64(node.error)
+    focal, near, up = lens[12], lens[14], lens[16]
+    metric = int(options[METRIC])
+    if e == np.inf:
+        return np.inf, np.inf
+    bound, slack = 0.0, np.inf
+    if metric != 2 or node.color > 0.0 or node.color < -1.0:
+        row = np.float64(min((node.r0 + node.r1) >> 1, edge[0]))
+        col = np.float64(min((node.c0 + node.c1) >> 1, edge[1]))
+        z, r = np.float64(node.height), np.float64(node.radius) * lens[15]
+        x = lens[0] * col + lens[1] * row + lens[2] * z + lens[3]
+        y = lens[4] * col + lens[5] * row + lens[6] * z + lens[7]
+        w = lens[8] * col + lens[9] * row + lens[10] * z + lens[11]
+    if e > 0.0 and focal > 0.0:
+        if metric == 2:
+            depth, numerator = np.inf, 0.0
+            z = np.float64(node.low if lens[10] > 0.0 else node.high)
+            count = 4 if straddles(node, edge) else 3
+            for k in range(count):
+                row_k, col_k = corner(node, edge, k)
+                px = lens[0] * col_k + lens[1] * row_k + lens[2] * z + lens[3]
+                py = lens[4] * col_k + lens[5] * row_k + lens[6] * z + lens[7]
+                pw = lens[8] * col_k + lens[9] * row_k + lens[10] * z + lens[11]
+                depth = min(depth, pw)
+                p, q = lens[2] * pw - lens[10] * px, lens[6] * pw - lens[10] * py
+                numerator = max(numerator, p * p + q * q)
+            numerator = np.sqrt(numerator)
+            nearest, taken = max(depth, near), 0.0
+            moved = max(depth, nearest - e * abs(lens[10]))
+            bound = focal * e * numerator / (nearest * moved) if moved > 0.0 else np.inf
+        else:
+            bound = loose_bound(lens, x, y, w, e, r) if metric == 0 else sphere_bound(lens, metric, x, y, w, e, r)
+            depth = w - r
+            nearest, taken = max(depth, near), e * up
+            if metric == 0:
+                p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
+                numerator = np.sqrt(p * p + q * q) + r * up
+            else:
+                numerator = up * (np.sqrt(x * x + y * y + w * w) + r)
+        if metric > 2:
+            slack = 0.0  # not bounds: nothing is known of how they change
+        elif bound <= low:
+            slack = below(focal * e, numerator, depth - taken, up, low)
+            if near > e * up and focal * e * numerator <= low * near * (near - e * up):
+                # Never nearer than ``near``, whatever the depth.
+                slack = max(slack, low * near * (near - e * up) / (focal * e * up) - numerator / up)
+        elif bound > high:
+            slack = max(above(focal * e, numerator, max(nearest, 0.0), up, high), -depth if near == 0.0 else 0.0)
+        else:
+            more, less = bound * (1.0 + STALE), bound / (1.0 + STALE)
+            slack = below(focal * e, numerator, depth - taken, up, more)
+            slack = min(slack, above(focal * e, numerator, max(nearest, 0.0), up, less))
+    if node.color > 0.0 or node.color < -1.0:
+        c = np.float64(node.color)
+        c = -1.0 - c if c < 0.0 else c
+        if c > lens[44]:
+            slack = min(slack, abs(w - r - r / lens[45]))
+            if color_exceeds(lens, c, w, r):
+                bound = max(bound, options[RATE] * c / max(lens[44], 1e-6))
+    return bound, slack
