@@ -156,6 +156,18 @@ def test_rasters_larger_than_the_device_and_the_memory_allowed(
     np.testing.assert_array_equal(*made)
 
 
+def test_nothing_depends_on_how_much_a_submission_draws(device: Device, mountains: np.ndarray) -> None:
+    """Few cells at a time: a driver's watchdog is not kept waiting."""
+    made = []
+    for cells in (occlusion_maps._CELLS, 9000):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(occlusion_maps, "_CELLS", cells)
+            context = context_of(mountains[:64, :64], CELL, Options())
+            maps = Maps(device, context, transmission("step", None), 40, 0, Settings(tile=32))
+            made.append(maps.tile(0, 32, 32, 64))
+    np.testing.assert_array_equal(*made)
+
+
 def test_what_was_made_is_kept(
     device: Device, mountains: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

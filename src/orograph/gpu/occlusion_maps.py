@@ -25,7 +25,7 @@ samples do not occlude; ground behind a hole counts as a wall.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,7 +50,10 @@ HOLE = 2.0
 """Cells beyond which a face seen from below is ground behind a hole."""
 _RECORD = 256  # bytes between records of a uniform buffer with dynamic offsets
 _SMALL = 16  # samples along the side of a tile that is not divided further
-_BATCH = 16  # directions per submission: enough to keep a GPU busy, and Ctrl-C is heard in between
+_BATCH = 16  # directions per submission at most: enough to keep a GPU busy, and Ctrl-C is heard in between
+_CELLS = 1 << 22  # and cells drawn: a fraction of a second on the slowest GPU, whose driver's watchdog waits for two
+_LARGEST = 1 << 27  # bytes of a map, and texels along its side: what any device allows, so that tiles are divided alike
+_SIDE = 8192
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +157,8 @@ class Maps:
         layers = self.how.layers
         while True:
             if (
-                frames.texels * layers * 4 > self.device.largest
-                or max(frames.size) > self.device.limit("max-texture-dimension-2d")
+                frames.texels * layers * 4 > min(self.device.largest, _LARGEST)
+                or max(frames.size) > min(self.device.limit("max-texture-dimension-2d"), _SIDE)
             ):  # fmt: skip
                 return self._parts(window, origin, around, tall)
             sums, lost = self._pass(held, frames, gx, gy, layers)
@@ -205,9 +208,9 @@ class Maps:
         ]  # fmt: skip
         draw = self.draw[frames.holes]
         target = {"view": self._target, "load_op": "clear", "store_op": "discard", "clear_value": (0, 0, 0, 0)}
-        for first in range(0, len(records), _BATCH):
+        for some in frames.batches():
             encoder = handle.create_command_encoder()
-            for k in range(first, min(first + _BATCH, len(records))):
+            for k in some:
                 w, h = (int(v) for v in records["map"][k, :2])
                 encoder.clear_buffer(texels, 0, w * h * layers * 4)
                 drawing = encoder.begin_render_pass(color_attachments=[target])
@@ -323,6 +326,18 @@ class _Frames:
         # Below the border of its hole a ring goes down a ramp steeper than rays: none slips in under its edge.
         out["drop"] = relief + 8.0 * maps.cell * (1 << r.level), self.level, 0, 0
         return out
+
+    def batches(self) -> Iterator[range]:
+        """The directions of each submission."""
+        first, drawn = 0, 0
+        for k, parts in enumerate(self.cells):
+            count = sum((b - a) * (d - c) for _, a, b, c, d in parts)
+            if k > first and (k - first == _BATCH or drawn + count > _CELLS):
+                yield range(first, k)
+                first, drawn = k, 0
+            drawn += count
+        if self.cells:
+            yield range(first, len(self.cells))
 
     def records(self, layers: int) -> NDArray[Any]:
         """The uniforms (n,) of all directions."""

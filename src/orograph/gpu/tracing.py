@@ -24,8 +24,14 @@ RAYS = 1 << 16
 """The flag of ``shaders/shade.wgsl`` for light by rays."""
 
 WORK = {True: 1 << 21, False: 1 << 23}
-"""Rays that one submission traces, and a frame of the window if it can help it, on software and on hardware: a second
-of the one, some hundredths of the other. No driver's watchdog waits for less than two."""
+"""Rays that one submission traces, and a frame of the window if it can help it, on slow devices (software, GPUs in
+processors) and on others: a second of the one, some hundredths of the other. No driver's watchdog waits for less than
+two."""
+
+
+def work_of(device: Device) -> int:
+    """``WORK`` of a device."""
+    return WORK[device.adapter.kind != "DiscreteGPU"]
 
 
 class Around:
@@ -119,7 +125,7 @@ class Share:
         if samples is not None:
             rays = max(-(-scene.rays // samples), min(scene.rays, 8))
             return cls(0, rays, rays, samples, lights, (left + shift[0], top + shift[1]))
-        most = WORK[device.adapter.software] // max(view.width * view.height * lights, 1)
+        most = work_of(device) // max(view.width * view.height * lights, 1)
         rays = max(min(-(-scene.rays // frames), most), 1)
         frames = max(frames, -(-scene.rays // rays))
         return cls(frame * rays % scene.rays, rays, scene.rays, frames, lights, (left, top))
@@ -128,7 +134,7 @@ class Share:
 def parts_of(device: Device, size: tuple[int, int], rays: int) -> list[tuple[int, int, int, int]]:
     """Rectangles (x, y, width, height) of a target whose pixels trace so many rays each: a submission's work each."""
     width, height = size
-    pixels = max(WORK[device.adapter.software] // max(rays, 1), 64)
+    pixels = max(work_of(device) // max(rays, 1), 64)
     wide = min(width, pixels)
     high = min(max(pixels // wide, 1), height)
     return [
