@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -190,31 +191,17 @@ class View:
 
     def axes(self, exaggeration: float = 1.0) -> tuple[Array, Array, Array]:
         """Unit vectors (right, up, forward) of the camera, in stretched space."""
-        right, up, forward = self._axes(exaggeration)
+        right, up, forward = self.plain_axes(exaggeration)
         return np.array(right), np.array(up), np.array(forward)
 
-    def _axes(self, exaggeration: float) -> tuple[Vector, Vector, Vector]:
+    def plain_axes(self, exaggeration: float = 1.0) -> tuple[Vector, Vector, Vector]:
         """``axes`` in plain numbers, which take a fifth of NumPy's time for so few: cameras move at every frame."""
-        (x, y, z), (u, v, w), up = self.eye, self.target, self.up
-        forward = _unit((u - x, v - y, (w - z) * exaggeration))
-        if self.projection == "plan":
-            heading = up[0], up[1], 0.0
-            if _length(heading) < 1e-9 * max(1.0, _length(up)):
-                heading = forward[0], forward[1], 0.0
-            up = heading if _length(heading) >= 1e-9 else (0.0, 1.0, 0.0)
-            forward = 0.0, 0.0, -1.0
-        right = _cross(forward, up)
-        if _length(right) < 1e-9 * _length(up):  # looking along up: north is up in the picture
-            right = _cross(forward, (0.0, 1.0, 0.0))
-            if _length(right) < 1e-9:
-                right = 1.0, 0.0, 0.0
-        right = _unit(right)
-        return right, _cross(right, forward), forward
+        return _axes(self.eye, self.target, self.up, self.projection == "plan", exaggeration)
 
     @property
     def distance(self) -> float:
         """From the eye to the target, metres."""
-        return float(np.linalg.norm(np.subtract(self.target, self.eye)))
+        return math.dist(self.target, self.eye)
 
     @property
     def pixel_slope(self) -> float:
@@ -265,7 +252,7 @@ class View:
 
         Left, right, bottom, top, near, and far if it is finite.
         """
-        right, up, forward = self._axes(exaggeration)
+        right, up, forward = self.plain_axes(exaggeration)
         eye = self.eye[0], self.eye[1], self.eye[2] * exaggeration
         left, top, width, height = self.frame
         plan = self.projection == "plan"
@@ -331,6 +318,28 @@ class View:
         du, dv = right * s * unstretch, -up * s * unstretch
         d0 = forward * unstretch - du * across - dv * down
         return np.array(self.eye), zero, zero, d0, du, dv
+
+
+@lru_cache(maxsize=16)  # a frame's parts all ask for those of its camera
+def _axes(
+    eye: Vector, target: Vector, up: Vector, plan: bool, exaggeration: float
+) -> tuple[Vector, Vector, Vector]:  # fmt: skip
+    """Right, up and forward of a camera, in stretched space."""
+    (x, y, z), (u, v, w) = eye, target
+    forward = _unit((u - x, v - y, (w - z) * exaggeration))
+    if plan:
+        heading = up[0], up[1], 0.0
+        if _length(heading) < 1e-9 * max(1.0, _length(up)):
+            heading = forward[0], forward[1], 0.0
+        up = heading if _length(heading) >= 1e-9 else (0.0, 1.0, 0.0)
+        forward = 0.0, 0.0, -1.0
+    right = _cross(forward, up)
+    if _length(right) < 1e-9 * _length(up):  # looking along up: north is up in the picture
+        right = _cross(forward, (0.0, 1.0, 0.0))
+        if _length(right) < 1e-9:
+            right = 1.0, 0.0, 0.0
+    right = _unit(right)
+    return right, _cross(right, forward), forward
 
 
 def _cross(a: Vector, b: Vector) -> Vector:

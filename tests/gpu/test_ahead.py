@@ -36,7 +36,7 @@ class Reader:
 
     def want(self, wanted: object) -> None:
         waiting = sorted((-p, kind, key) for p, kind, key in wanted if (kind, key) not in self.begun)  # type: ignore[attr-defined]
-        for _, kind, key in waiting[:2]:
+        for _, kind, key in waiting[: 2 - sum(when == self.frame for when in self.begun.values())]:  # two a frame
             self.begun[kind, key] = self.frame
 
     def take(self, most: int) -> list[tuple[Kind, Key, NDArray[np.float32]]]:
@@ -82,6 +82,7 @@ def flown(device: Device, terrain: Terrain, monkeypatch: pytest.MonkeyPatch, loo
         far = max(0.0, frame - 60) / RATE * SPEED  # two seconds at rest: the first view is complete by then or never
         here = replace(view, eye=(x + far, y, 150.0), target=(x + far + 600, y, 0.0))
         chosen = tiles.choose(here, 1.0, 1.0, wait=False)
+        tiles.prepare(here, 1.0, 1.0)
         lacking += chosen.missing if frame > 60 else 0
     return lacking, reader
 

@@ -225,6 +225,25 @@ def test_overlays_show_the_engine(bench) -> None:
         assert changed > 0.01, overlay
 
 
+def test_what_was_prepared_compiles_nothing_in_its_first_frame(bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    terrain = make(hills(300, 300))
+    b = bench(terrain)
+    scene = Scene(terrain, above(terrain), tolerance=1.0)
+    b.renderer.prepare("rgba8unorm", scene)
+    compiled = []
+    create = b.device.handle.create_render_pipeline
+    frame = threading.current_thread()
+
+    def noted(**options: object) -> object:
+        if threading.current_thread() is frame:
+            compiled.append(options.get("label"))
+        return create(**options)
+
+    monkeypatch.setattr(b.device.handle, "create_render_pipeline", noted)
+    assert b.draw(scene).patches > 0
+    assert compiled == []
+
+
 @pytest.mark.parametrize("light", ["ao", "aperture"])
 def test_the_first_frame_has_an_open_sky(bench, light: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before maps of light are made nothing is hidden, and no frame is dark or late."""

@@ -8,6 +8,7 @@ import importlib.abc
 import os
 import sys
 import traceback
+from pathlib import Path
 
 import click
 
@@ -133,11 +134,13 @@ def main(argv: list[str] | None = None) -> None:
 def _spare_imports(args: list[str]) -> None:
     """Keep two libraries from loading what this process does not use: half a second of a two-second command.
 
-    Numba loads SciPy's linear algebra with its first kernel, for products of matrices that no kernel here has; rasterio
-    loads boto3, if it is installed, to sign requests to S3. Both take its absence as an answer. Only the command line
-    does this, never the library: the process is ours alone.
+    Numba loads SciPy's linear algebra with its first kernel, for products of matrices that no kernel here has, and YAML
+    for a file of settings; rasterio loads boto3, if it is installed, to sign requests to S3. They take its absence as
+    an answer. Only the command line does this, never the library: the process is ours alone.
     """
     hidden = ["scipy"]
+    if not Path(".numba_config.yaml").exists():
+        hidden.append("yaml")
     if not any(a.startswith(("s3:", "/vsis3")) for a in args):
         hidden.append("boto3")
     absent = [name for name in hidden if name not in sys.modules]

@@ -116,7 +116,7 @@ def lens(
     # A vector in stretched space → along a column, a row, a metre of height, and to the first sample from the eye.
     matrix = [
         (p * a + q * d, p * b + q * e, r * exaggeration, p * (c - x) + q * (f - y) - r * z)
-        for p, q, r in (axis.tolist() for axis in view.axes(exaggeration))
+        for p, q, r in view.plain_axes(exaggeration)
     ]
     planes = [
         (p * a + q * d, p * b + q * e, r * exaggeration, p * c + q * f + s)

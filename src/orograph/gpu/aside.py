@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -16,36 +17,39 @@ class Aside:
 
     def __init__(self) -> None:
         self.done: Any = None
-        self._thread: threading.Thread | None = None
+        self._ended: threading.Event | None = None
         self._result: Any = None
         self._key: Any = None
         self._closed = False
 
     @property
     def busy(self) -> bool:
-        return self._thread is not None
+        return self._ended is not None
 
     def wants(self, key: Any) -> bool:
         """Whether something is to be made for ``key`` and nothing is under way."""
-        return not self._closed and self._thread is None and self.done != key
+        return not self._closed and self._ended is None and self.done != key
 
     def start(self, key: Any, make: Callable[[], Any]) -> None:
+        """Begin to make something; ends with the program, whatever it is at."""
+        ended = threading.Event()
+
         def work() -> None:
             try:
                 self._result = make()
             except Exception as error:
                 self._result = error
+            finally:
+                ended.set()
 
-        self._key = key
-        self._thread = threading.Thread(target=work, name="light", daemon=True)
-        self._thread.start()
+        self._key, self._ended = key, ended
+        _thread.start_new_thread(work, ())  # (Thread.start waits until the thread has had the interpreter)
 
     def take(self) -> Any:
         """What was made since it was last asked for, or None."""
-        if self._thread is None or self._thread.is_alive():
+        if self._ended is None or not self._ended.is_set():
             return None
-        self._thread.join()
-        self._thread, self.done = None, self._key
+        self._ended, self.done = None, self._key
         result, self._result = self._result, None
         return None if isinstance(result, Exception) else result
 

@@ -35,6 +35,22 @@ def nearest(view: View) -> float:
     return max(view.near, 0.02)
 
 
+Numbers = tuple[float, ...]
+
+
+def axes_of(
+    view: View, exaggeration: float, shift: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    """What of the uniform tells how a view projects: right and up, each with its fourth number, forward, centre."""
+    right, up, forward = view.plain_axes(exaggeration)
+    left, top, width, height = view.frame
+    pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope
+    # The optical axis in the target, from its left upper corner; a sample lies ``shift`` from its pixel's centre.
+    x, y = width / 2 - left - shift[0], height / 2 - top - shift[1]
+    centre = 2 * x / view.width - 1, 1 - 2 * y / view.height
+    return (*right, 2.0 / (view.width * pixel)), (*up, 2.0 / (view.height * pixel)), forward, centre
+
+
 def camera_of(
     view: View, terrain: Terrain, exaggeration: float, *, scale: float = 1.0, shift: tuple[float, float] = (0.0, 0.0)
 ) -> NDArray[np.void]:
@@ -45,12 +61,9 @@ def camera_of(
         shift: where in a pixel its sample lies, pixels from its centre (jitter).
     """
     grid = terrain.grid
-    right, up, forward = (axis.tolist() for axis in view.axes(exaggeration))
-    left, top, whole_width, whole_height = view.frame
+    right, up, forward, centre = axes_of(view, exaggeration, shift)
     plan = view.projection == "plan"
     pixel = view.pixel_metres if plan else view.pixel_slope
-    # The optical axis in the target, from its left upper corner; a sample lies ``shift`` from its pixel's centre.
-    x, y = whole_width / 2 - left - shift[0], whole_height / 2 - top - shift[1]
     a, b, _, d, e, _ = grid.samples[:6]
     area = a * e - b * d
     col, row = (float(v) for v in grid.index(*(view.target if plan else view.eye)[:2]))
@@ -61,9 +74,9 @@ def camera_of(
         near = max(view.near, (view.eye[2] - top_height) * exaggeration - 1.0)
         far = min(view.far, (view.eye[2] - low) * exaggeration + 1.0)
     packed = _PACKED.pack(
-        *right, 2.0 / (view.width * pixel), *up, 2.0 / (view.height * pixel), *forward, exaggeration,
+        *right, *up, *forward, exaggeration,
         a, b, d, e, e / area, -b / area, -d / area, a / area,
-        col - math.floor(col), row - math.floor(row), 2 * x / view.width - 1, 1 - 2 * y / view.height,
+        col - math.floor(col), row - math.floor(row), *centre,
         math.floor(col), math.floor(row), grid.cols - 1, grid.rows - 1, high, view.eye[2] - high, near, far,
         view.width * scale, view.height * scale, plan, pixel,
     )  # fmt: skip

@@ -8,6 +8,7 @@ that the thread leaves three quarters of the time to others.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -87,6 +88,12 @@ class Following:
         self.veil.load(*self._veils(scene, self.kept))
         self._aside.done = self._wish = self._key(scene)
 
+    def begin(self) -> LightMaps:
+        """The maps to draw with: those of an open sky, until there are others."""
+        if self.maps is None:
+            self.maps = plain_maps()
+        return self.maps
+
     def aside(self, scene: Scene, instances: NDArray[Any]) -> None:
         """Take the maps that were made meanwhile, and have new ones made if the scene wants others."""
         now = time.monotonic()
@@ -96,27 +103,25 @@ class Following:
             self._taken, self._took = now, now - self._begun
             if veil is not None:
                 self.veil.load(*veil)
-        if self.maps is None:
-            self.maps, self.range = plain_maps(), self._about(scene, instances)[1]
+        self.begin()
+        if self._last_view is None:
+            self.range = self._about(scene, instances)[1]
         key = self._wish = self._key(scene)
         if scene.view != self._last_view:
             self._last_view, self._moved = scene.view, now
         if not self._due(key, now) or not self._aside.wants(key):
             return
-        points, visible = self._about(scene, instances)
-        self._begun, own = now, self._own
-        if self._aside.done is None:
-            key = (*key[:KINDS], QUICK)
-            self._aside.start(
-                key, lambda: (self._uploaded(quick_maps(scene, points, own, detail=COARSE)), visible, None)
-            )
-            return
-        self._aside.start(
-            key,
-            lambda: (
-                self._uploaded(light_maps(scene, points, own, detail=DETAIL)), visible, self._veils(scene, own)
-            ),
-        )  # fmt: skip
+        instances = instances.copy()  # the next frame's take their place
+        self._begun, quick = now, self._aside.done is None
+
+        def make() -> tuple[LightMaps, tuple[float, float], Any]:
+            points, visible = self._about(scene, instances)
+            if quick:
+                return self._uploaded(quick_maps(scene, points, self._own, detail=COARSE)), visible, None
+            maps = self._uploaded(light_maps(scene, points, self._own, detail=DETAIL))
+            return maps, visible, self._veils(scene, self._own)
+
+        self._aside.start((*key[:KINDS], QUICK) if quick else key, make)
 
     def _due(self, key: tuple[Any, ...], now: float) -> bool:
         """Whether it is time to make maps: a new sun, the first maps and those after quick ones are not waited with."""
@@ -146,8 +151,5 @@ class Following:
 
     def _key(self, scene: Scene) -> Any:
         view = scene.view
-        eye = np.asarray(view.eye)
         step = 0.15 * max(view.distance, 1.0)
-        return (
-            *maps_key(scene), tuple(np.floor(eye / step).tolist()), tuple(np.floor(np.array(view.target) / step)),
-        )  # fmt: skip
+        return (*maps_key(scene), *(math.floor(v / step) for v in (*view.eye, *view.target)))

@@ -38,8 +38,9 @@ class FrameStats:
 
     Attributes:
         patches, triangles: drawn. error_px: the bound of the largest error on the screen with the tiles there are.
-        select_ms: selection. cpu_ms: all of the frame's Python, but for what the driver does when it is given the work
-            (software drivers do all of it then).
+        select_ms: selection. submit_ms: Python until the frame is handed over, for which the GPU waits. cpu_ms: all of
+            the frame's Python, with what is done after that (looking ahead), but for what the driver does when it is
+            given the work (software drivers do all of it then).
         tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of all kinds; wanted: not there yet.
         samples: how many are averaged in the picture.
         failed: a tile that could not be read, or a mesh that could not be made, and why, or "".
@@ -60,3 +61,4 @@ class FrameStats:
     failed: str = ""
     notes: tuple[str, ...] = ()
     current: bool = True
+    submit_ms: float = 0.0

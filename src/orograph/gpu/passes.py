@@ -14,6 +14,7 @@ import numpy as np
 from orograph.gpu.aside import Aside
 from orograph.gpu.device import Device
 from orograph.gpu.rays import Rays
+from orograph.gpu.recording import KEEP, Attachments, write
 from orograph.gpu.ssao import Ssao
 from orograph.gpu.tracing import RAYS
 
@@ -21,6 +22,7 @@ SHOWN = "fragment", "background"
 """Entries of the shading shader that make a picture."""
 
 DEPTH, MARKS, LIGHT, GIVEN, FIELD = "depth32float", "r32uint", "rgba16float", "rg32float", "r32float"
+EMPTY = 0.0, 0.0, 0.0, 0.0
 
 
 class Targets:
@@ -38,6 +40,14 @@ class Targets:
         self.light_view = self.light.create_view()
         self._given: Any = None
         self._field: Any = None
+        self._attached: dict[str, Attachments] = {}
+
+    def attached(self, name: str, make: Callable[[], Attachments]) -> Attachments:
+        """What a pass draws into, described when it is first asked for by this name."""
+        found = self._attached.get(name)
+        if found is None:
+            found = self._attached[name] = make()
+        return found
 
     @property
     def has_field(self) -> bool:
@@ -181,16 +191,11 @@ class ShadePass:
         Args:
             clear: whether a first frame finds the target as it was left. part: x, y, width and height; None: all.
         """
-        fresh = frame == 0 and clear
-        pass_ = encoder.begin_render_pass(
-            color_attachments=[
-                {
-                    "view": targets.light_view, "clear_value": (0, 0, 0, 0), "load_op": "clear" if fresh else "load",
-                    "store_op": "store",
-                }
-            ],
-            depth_stencil_attachment={"view": targets.depth_view, "depth_read_only": True},
-        )  # fmt: skip
+        before = EMPTY if frame == 0 and clear else None
+        pass_ = targets.attached(
+            "light" if before else "more light",
+            lambda: Attachments([(targets.light_view, before)], (targets.depth_view, KEEP)),
+        ).begin(encoder)
         pass_.set_bind_group(0, self.camera_group)
         pass_.set_bind_group(1, group)
         if flags & RAYS:
@@ -213,7 +218,7 @@ class ScreenOcclusion:
 
     def __init__(self, device: Device, shading: ShadePass) -> None:
         self.device, self.shading = device, shading
-        self.passes = Ssao(device)
+        self._passes: Ssao | None = None
         self._surface: list[Any] = []
 
     def encode(self, encoder: Any, targets: Targets, group: Any, pixel: float, radius: float, perspective: bool) -> Any:
@@ -237,7 +242,9 @@ class ScreenOcclusion:
         pass_.set_bind_group(1, group)
         pass_.draw(3)
         pass_.end()
-        made = self.passes.encode(
+        if self._passes is None:
+            self._passes = Ssao(self.device)
+        made = self._passes.encode(
             encoder, self._surface[0], self._surface[1], size, (pixel, pixel), radius, perspective=perspective
         )
         return made.create_view()
@@ -254,6 +261,7 @@ class ResolvePass:
         self.uniform = device.buffer(16, "UNIFORM", "resolve")
         self._told = b""
         self._bound: list[tuple[Any, Any, Any]] = []
+        self._onto: tuple[Any, Attachments] | None = None
         self.layout = handle.create_bind_group_layout(
             entries=[uniform(0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "unfilterable-float")]
         )
@@ -281,7 +289,7 @@ class ResolvePass:
         values[1:2].view(np.float32)[0] = frames
         values[3:4].view(np.float32)[0] = strength if occlusion is not None else 0.0
         if values.tobytes() != self._told:
-            self.device.queue.write_buffer(self.uniform, 0, values)
+            write(self.device, self.uniform, values)
             self._told = values.tobytes()
         light = targets.light_view if light is None else light
         group = next((g for bright, dark, g in self._bound if bright is light and dark is occlusion), None)
@@ -295,9 +303,9 @@ class ResolvePass:
                 ],
             )
             self._bound = [(light, occlusion, group), *self._bound[:2]]  # (frames take turns with two)
-        pass_ = encoder.begin_render_pass(
-            color_attachments=[{"view": view, "clear_value": (0, 0, 0, 1), "load_op": "clear", "store_op": "store"}]
-        )
+        if self._onto is None or self._onto[0] is not view:
+            self._onto = view, Attachments([(view, (0.0, 0.0, 0.0, 1.0))])
+        pass_ = self._onto[1].begin(encoder)
         pass_.set_pipeline(self.pipeline)
         pass_.set_bind_group(0, group)
         pass_.draw(3)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
-from orograph.gpu.passes import DEPTH, GIVEN, MARKS, Targets, stage, texture, uniform
+from orograph.gpu.passes import DEPTH, EMPTY, GIVEN, MARKS, Targets, stage, texture, uniform
+from orograph.gpu.recording import Attachments, write
 
 Slopes = Literal["", "stored", "flat"]
 """Which slopes are left, if any."""
@@ -118,17 +119,10 @@ class PatchPass:
             self.capacity = max(256, 1 << (n - 1).bit_length())
             self.instances = self.device.buffer(self.capacity * self.stride, "VERTEX", "instances")
         if n:
-            self.device.queue.write_buffer(self.instances, 0, np.ascontiguousarray(instances))
-        pass_ = encoder.begin_render_pass(
-            color_attachments=[
-                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}
-                for view in (targets.marks_view, *((targets.given_view(self.device),) if slopes else ()))
-            ],
-            depth_stencil_attachment={
-                "view": targets.depth_view, "depth_clear_value": 0.0, "depth_load_op": "clear",
-                "depth_store_op": "store",
-            },
-        )  # fmt: skip
+            write(self.device, self.instances, np.ascontiguousarray(instances))
+        pass_ = targets.attached(
+            "patches with slopes" if slopes else "patches", lambda: self._attachments(targets, bool(slopes))
+        ).begin(encoder)
         if n:
             pass_.set_pipeline(self.pipeline(edges, slopes))
             for k, group in enumerate(self.groups):
@@ -138,3 +132,8 @@ class PatchPass:
             pass_.set_index_buffer(self.indices, "uint32")
             pass_.draw_indexed(self.count, n)
         pass_.end()
+
+    def _attachments(self, targets: Targets, slopes: bool) -> Attachments:
+        """Empty marks and depth, and slopes if they are to be left."""
+        views = [targets.marks_view, *([targets.given_view(self.device)] if slopes else [])]
+        return Attachments([(view, EMPTY) for view in views], (targets.depth_view, 0.0))

@@ -9,7 +9,9 @@ frames are drawn with samples elsewhere in the pixels and averaged: a picture at
 
 from __future__ import annotations
 
+import contextlib
 import math
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -26,9 +28,10 @@ from orograph.gpu.lettering import Letters
 from orograph.gpu.look import DRAPE, FIELD, GIVEN, LABELS, SILHOUETTES, VEILED, WIREFRAME, Look
 from orograph.gpu.meshes import Meshes, MeshPass
 from orograph.gpu.outlines import BreakPass
-from orograph.gpu.passes import ResolvePass, ScreenOcclusion, ShadePass, Targets
+from orograph.gpu.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass, Targets
 from orograph.gpu.patches import PatchPass, Slopes
 from orograph.gpu.readback import depth_of, veiled_of
+from orograph.gpu.recording import write
 from orograph.gpu.residency import Residency
 from orograph.gpu.resources import Resources
 from orograph.gpu.seen import points_of, wet_at
@@ -167,7 +170,7 @@ class Renderer:
         look = self._look(scene, overlay, exact=wait)
         self.tint = look.tint
         u = look.uniform
-        self.device.queue.write_buffer(self._resources.shade, 0, u)
+        self._resources.shade_with(u)
         breaks: tuple[Any, Any] = None, None
         if int(u["flags"]) & SILHOUETTES:
             near, far, *_ = u["edge_range"]
@@ -176,21 +179,22 @@ class Renderer:
         views = self._letters.view, *breaks
         bound = self._resources.bound(look, maps, scene, targets, given=given or field, field=field, marks=views)
         group = self._shading.group(targets, bound)
-        flags = int(u["flags"]) | (VEILED if self._veil.count else 0) | (GIVEN if given else 0)
-        flags |= (LABELS if lettered else 0) | (DRAPE if layers else 0) | (FIELD if field else 0)
+        flags = self._features(look, given) | (LABELS if lettered else 0) | (DRAPE if layers else 0)
+        flags |= FIELD if field else 0
         edges = bool(flags & WIREFRAME)
         flags = self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, slopes), wait=wait)
         if begin and flags != self._flags:  # it was compiled meanwhile: what was gathered looks otherwise
             begin, count = 0, 1
         self._flags = flags
-        if format not in self._resolves:
-            self._resolves[format] = ResolvePass(self.device, format)
+        resolve = self._resolve(format)
         self._gathered = begin + count
         encoder = self.device.handle.create_command_encoder()
         for k in range(begin, begin + count):
-            shift = _sample(k, samples or SAMPLES) if (samples or SAMPLES) > 1 else (0.0, 0.0)
+            shift = (0.0, 0.0)
             if k == 0 and samples is None:
-                shift = (0.0, 0.0) if wait else self._steady.shift
+                shift = shift if wait else self._steady.shift
+            elif (samples or SAMPLES) > 1:
+                shift = _sample(k, samples or SAMPLES)
             self._shift = shift
             encoder = self._pass(encoder, targets, scene, instances, group, flags, shift, k, samples, advance)
             if k + 1 < begin + count:  # the camera is written before the next pass
@@ -210,9 +214,14 @@ class Renderer:
             settings = overlay, freeze is None, layers, flags
             made = loaded, maps, mesh
             light = self._steady.encode(encoder, targets, scene, settings, self._shift, self._gathered, made)
-        self._resolves[format].draw(encoder, targets, target, occlusion=dark, strength=overlay.occlusion, light=light)
-        took_python = time.perf_counter() - begun
-        self.device.queue.submit([encoder.finish()])
+        resolve.draw(encoder, targets, target, occlusion=dark, strength=overlay.occlusion, light=light)
+        commands = encoder.finish()
+        took_python = to_submit = time.perf_counter() - begun
+        self.device.queue.submit([commands])
+        if not wait:
+            handed = time.perf_counter()
+            self.tiles.prepare(freeze or view, tolerance, scene.exaggeration)
+            took_python += time.perf_counter() - handed
         return FrameStats(
             len(instances) if mesh is None else 0,
             patches.stats["triangles"] if mesh is None else len(mesh.triangles),
@@ -221,7 +230,30 @@ class Renderer:
             self.tiles.count + self.imagery.count, self._missing,
             self._gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
             current=scene.engine is None or self._meshes.current, notes=tuple(self.imagery.told()),
+            submit_ms=to_submit * 1e3,
         )  # fmt: skip
+
+    def prepare(self, format: str, scene: Scene, *, overlay: Overlay = PLAIN) -> None:
+        """Do what the first frame of a scene would do once and for all, so that it takes no longer than others.
+
+        Kernels are loaded, shaders compiled, tiles asked for; may be called in a thread, before any frame. Arguments
+        are those of ``draw``.
+        """
+        self._light.begin()
+        look, slopes = self._look(scene, overlay, exact=False), SLOPES[overlay.normals]
+        flags = self._features(look, bool(slopes))
+
+        def compile() -> None:
+            with contextlib.suppress(Exception):  # the frame says what is wrong
+                self._resolve(format)
+                self._patches.pipeline(bool(flags & WIREFRAME), slopes)
+                for entry in SHOWN:
+                    self._shading.pipeline(flags, entry)
+
+        beside = threading.Thread(target=compile, daemon=True)
+        beside.start()
+        self.tiles.choose(scene.view, scene.tolerance or 1.0, scene.exaggeration, wait=False)
+        beside.join()
 
     @property
     def busy(self) -> bool:
@@ -298,7 +330,7 @@ class Renderer:
     ) -> Any:  # fmt: skip
         """Add a pass to the mean of the ``k`` before it; the encoder to go on with."""
         camera = camera_of(scene.view, self.terrain, scene.exaggeration, shift=shift)
-        self.device.queue.write_buffer(self._camera, 0, camera)
+        write(self.device, self._camera, camera)
         self._ground(encoder, targets, instances, edges=bool(flags & WIREFRAME), slopes=self._slopes)
         self._veil.draw(encoder, targets)
         if flags & SILHOUETTES:
@@ -368,6 +400,15 @@ class Renderer:
 
         return self.kept("look", key, make, maps)
 
+    def _features(self, look: Look, given: bool) -> int:
+        """What the shading shader is compiled for; ``given``: slopes are those that the targets hold."""
+        return int(look.uniform["flags"]) | (VEILED if self._veil.count else 0) | (GIVEN if given else 0)
+
+    def _resolve(self, format: str) -> ResolvePass:
+        if format not in self._resolves:
+            self._resolves[format] = ResolvePass(self.device, format)
+        return self._resolves[format]
+
     def _fit(self, width: int, height: int) -> Targets:
         if self._targets is None or (self._targets.width, self._targets.height) != (width, height):
             self._targets = Targets(self.device, width, height)
@@ -381,7 +422,7 @@ class Renderer:
         if not wait:
             self._light.aside(scene, instances)
             return
-        self.device.queue.write_buffer(self._camera, 0, camera_of(scene.view, self.terrain, scene.exaggeration))
+        write(self.device, self._camera, camera_of(scene.view, self.terrain, scene.exaggeration))
         encoder = self.device.handle.create_command_encoder()
         self._ground(encoder, targets, instances)
         self.device.queue.submit([encoder.finish()])

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +82,7 @@ class Residency:
         self.look_ahead = True
         self._prediction = Prediction()
         self._ahead: dict[int, list[tuple[float, Kind, Key]]] = {}
-        self._asked: set[tuple[Kind, Key]] = set()
+        self._asked: dict[tuple[Kind, Key], float] = {}
         self._frame = 0
         self._full = False
         top = terrain.levels - 1
@@ -107,8 +108,6 @@ class Residency:
         loaded, size = self._upload(wait)
         if wait:
             self._ahead.clear()
-        else:
-            self._look_ahead(view, tolerance, exaggeration)
         patches, wanted, seconds = self._select(view, tolerance, exaggeration, wait)
         while wait and (wanted or self.streamer.waiting) and not self._full:
             self.streamer.wait(1.0)
@@ -116,7 +115,7 @@ class Residency:
             loaded, size = loaded + more, size + bytes_
             patches, wanted, took = self._select(view, tolerance, exaggeration, wait)
             seconds += took
-            for kind, key in set(self.streamer.failed) & self._asked:
+            for kind, key in self.streamer.failed.keys() & self._asked.keys():
                 why = self.streamer.failed[kind, key][1]
                 raise StoreError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
         return Chosen(patches, seconds, len(wanted) + int(patches.stats["absent"]), loaded, size)
@@ -125,7 +124,7 @@ class Residency:
     def waiting(self) -> int:
         """How many tiles are on their way, or would be asked for again by a frame because it is time to."""
         again = time.monotonic() - self.streamer.RETRY
-        failed = [self.streamer.failed[key][0] for key in self._asked & set(self.streamer.failed)]
+        failed = [self.streamer.failed[key][0] for key in self._asked.keys() & self.streamer.failed.keys()]
         return self.streamer.waiting + sum(when < again for when in failed)
 
     @property
@@ -136,7 +135,7 @@ class Residency:
     @property
     def failure(self) -> str:
         """What this view lacks because it could not be read, and why; "" if there is nothing."""
-        for kind, key in self._asked & set(self.streamer.failed):
+        for kind, key in self._asked.keys() & self.streamer.failed.keys():
             return f"{kind} of tile {key}: {self.streamer.failed[kind, key][1]}"
         error = self.engine.field.failure
         return "" if error is None else str(error)
@@ -152,26 +151,26 @@ class Residency:
         begun = time.perf_counter()
         judged, frustum = _judged(view, exaggeration)
         patches = self.engine.select(
-            judged, tolerance, resident=self.heights.resident, exaggeration=exaggeration, frustum=frustum, wait=wait
-        )
+            judged, tolerance, resident=self.heights.resident, slots=self.heights.pages, exaggeration=exaggeration,
+            frustum=frustum, wait=wait,
+        )  # fmt: skip
         seconds = time.perf_counter() - begun
-        used = patches.instances
-        used["slot"] = self.heights.slots(
-            self.heights.places(used["level"], used["tile_row"].astype(np.int64), used["tile_col"])
-        )
         wanted = self._lacking(view, patches, exaggeration, self._frame)
-        now = {(kind, key): p for p, kind, key in wanted}
-        for some in self._ahead.values():
-            for p, kind, key in some:
-                if self._atlases[kind].slot(key) >= 0:
-                    continue  # it has come since
-                now[kind, key] = now.get((kind, key), 0.0) + AHEAD * p / len(self._ahead)
-        self.streamer.want((p, kind, key) for (kind, key), p in now.items())
-        self._asked = {(kind, key) for _, kind, key in wanted}
+        self._asked = {(kind, key): p for p, kind, key in wanted}
+        self._ask()
         return patches, [w for w in wanted if (w[1], w[2]) not in self.streamer.failed], seconds
 
-    def _look_ahead(self, view: View, tolerance: float, exaggeration: float) -> None:
-        """Note the tiles that will be lacking in a moment."""
+    def _ask(self) -> None:
+        """Have what is lacking read, now and in a moment."""
+        every = self._asked.copy()
+        for some in self._ahead.values():
+            for p, kind, key in some:
+                if self._atlases[kind].slot(key) < 0:  # it may have come since
+                    every[kind, key] = every.get((kind, key), 0.0) + AHEAD * p / len(self._ahead)
+        self.streamer.want([(p, kind, key) for (kind, key), p in every.items()])
+
+    def prepare(self, view: View, tolerance: float, exaggeration: float) -> None:
+        """Ask for the tiles that will be lacking in a moment: when a frame was handed over, for it need not wait."""
         now = time.monotonic()
         self._prediction.see(view, now)
         if not self.look_ahead or not self._prediction.moving:
@@ -186,6 +185,7 @@ class Residency:
         )
         # What is there already stays, if this frame and the last leave it room.
         self._ahead[self._prediction.turn] = self._lacking(ahead, patches, exaggeration, self._frame - 2)
+        self._ask()
 
     def _lacking(self, view: View, patches: Patches, exaggeration: float, frame: int) -> list[tuple[float, Kind, Key]]:
         """The tiles that a view wants and that are not there; those that are there are noted as wanted in a frame.
@@ -193,19 +193,18 @@ class Residency:
         No more are wanted than there is room for: then the tiles of the largest errors settle in the atlas, instead of
         all taking each other's place.
         """
-        w = patches.wanted[: self.heights.room]
-        slots = self.heights.slots(self.heights.places(w["level"], w["row"].astype(np.int64), w["col"]))
-        self.heights.touch(slots, frame)
-        wanted: list[tuple[float, Kind, Key]] = [(p, "heights", (k, i, j)) for k, i, j, p in w[slots < 0].tolist()]
-        which, priority = self._slope_tiles.of(view, exaggeration)
-        if len(which) > self.slopes.room:
-            most = np.argsort(-priority, kind="stable")[: self.slopes.room]
-            which, priority = which[most], priority[most]
-        slots = self.slopes.slots(self._slope_tiles.index[which])
-        self.slopes.touch(slots, frame)
-        lack = slots < 0
-        for p, key in zip(priority[lack].tolist(), self._slope_tiles.keys[which[lack]].tolist(), strict=True):
-            wanted.append((p, "slopes", (key[0], key[1], key[2])))
+        tiles, pixels = _largest(patches.tiles, patches.pixels, self.heights.room)
+        lack = self.heights.lacking(tiles, frame)
+        wanted: list[tuple[float, Kind, Key]] = []
+        if lack.any():
+            level, row, col = (a.tolist() for a in patches.tiling.where(tiles[lack]))
+            keys = zip(level, row, col, strict=True)
+            wanted += [(p, "heights", key) for p, key in zip(pixels[lack].tolist(), keys, strict=True)]
+        which, priority = _largest(*self._slope_tiles.of(view, exaggeration), self.slopes.room)
+        lack = self.slopes.lacking(self._slope_tiles.index[which], frame)
+        if lack.any():
+            for p, (k, i, j) in zip(priority[lack].tolist(), self._slope_tiles.keys[which[lack]].tolist(), strict=True):
+                wanted.append((p, "slopes", (k, i, j)))
         return wanted
 
     def _upload(self, wait: bool) -> tuple[int, int]:
@@ -223,6 +222,14 @@ class Residency:
         for atlas in self._atlases.values():
             atlas.flush()
         return count, size
+
+
+def _largest(which: NDArray[Any], errors: NDArray[Any], most: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Those of the largest errors, ``most`` at most."""
+    if len(which) <= most:
+        return which, errors
+    order = np.argsort(-errors, kind="stable")[:most]
+    return which[order], errors[order]
 
 
 def _judged(view: View, exaggeration: float) -> tuple[View, Array | None]:

@@ -13,6 +13,7 @@ from orograph.gpu.imagery import Imagery
 from orograph.gpu.lightmaps import LightMaps
 from orograph.gpu.look import SHADE, Look
 from orograph.gpu.passes import Targets
+from orograph.gpu.recording import write
 from orograph.gpu.tiles import Atlas
 from orograph.light.aperture import Lights
 from orograph.picture.kept import Kept
@@ -32,6 +33,7 @@ class Resources:
     def __init__(self, device: Device, terrain: Terrain, slopes: Atlas, imagery: Imagery, kept: Kept) -> None:
         self.device, self.terrain, self.slopes, self.imagery, self.kept = device, terrain, slopes, imagery, kept
         self.shade = device.buffer(SHADE.itemsize, "UNIFORM", "shade")
+        self._shaded: Any = None
         self._buffers: dict[str, tuple[Any, Any]] = {}
         self._uploaded: dict[str, tuple[Any, Any]] = {}
         self._levels = self._level_table()
@@ -84,6 +86,12 @@ class Resources:
             17: self._blank if marks[2] is None else marks[2],
             18: targets.field_view(self.device) if field or targets.has_field else self._blank,
         }
+
+    def shade_with(self, uniform: NDArray[Any]) -> None:
+        """Write the numbers of a look (``look.SHADE``), if they are others than those there."""
+        if uniform is not self._shaded:
+            write(self.device, self.shade, uniform)
+            self._shaded = uniform
 
     def upload(self, name: str, values: NDArray[Any]) -> None:
         """Have a buffer of these values ready for ``stored``, from any thread: large ones hold a frame up."""

@@ -6,6 +6,8 @@ A layer of the array holds 4 × 4 tiles. Uploads are the frame's own (``put``); 
 
 from __future__ import annotations
 
+import contextlib
+import threading
 from typing import Any
 
 import numpy as np
@@ -38,7 +40,8 @@ class Slots:
         self.texture = device.texture(
             (PER_SIDE * side, PER_SIDE * side, layers), format, "TEXTURE_BINDING|COPY_DST|COPY_SRC", label=label
         )
-        self._clear(layers)
+        # In a thread, as software drivers clear when they are told to; whoever comes first has a layer cleared.
+        threading.Thread(target=self._clear, args=(layers,), name="clear", daemon=True).start()
         self._slots: dict[Any, int] = {}
         self._keys: list[Any] = [None] * self.capacity
         self._free = list(range(self.capacity))[::-1]
@@ -50,14 +53,15 @@ class Slots:
 
         wgpu clears a layer before its first use, be it that a texel is copied out of it.
         """
-        out = self.device.buffer(256, "COPY_SRC", "cleared")
-        encoder = self.device.handle.create_command_encoder()
-        for layer in range(layers):
-            encoder.copy_texture_to_buffer(
-                {"texture": self.texture, "origin": (0, 0, layer)},
-                {"buffer": out, "offset": 0, "bytes_per_row": 256, "rows_per_image": 1}, (1, 1, 1),
-            )  # fmt: skip
-        self.device.queue.submit([encoder.finish()])
+        with contextlib.suppress(Exception):  # what is wrong is told by the next that uses the device
+            out = self.device.buffer(256, "COPY_SRC", "cleared")
+            encoder = self.device.handle.create_command_encoder()
+            for layer in range(layers):
+                encoder.copy_texture_to_buffer(
+                    {"texture": self.texture, "origin": (0, 0, layer)},
+                    {"buffer": out, "offset": 0, "bytes_per_row": 256, "rows_per_image": 1}, (1, 1, 1),
+                )  # fmt: skip
+            self.device.queue.submit([encoder.finish()])
 
     def slot(self, key: Any) -> int:
         """Where a tile is, −1 if it is not there."""

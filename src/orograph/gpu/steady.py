@@ -13,12 +13,14 @@ samples takes over by degrees. Linear light; depths in metres.
 from __future__ import annotations
 
 from dataclasses import fields
+from operator import attrgetter
 from struct import Struct
 from typing import Any
 
-from orograph.gpu.camera import camera_of
+from orograph.gpu.camera import axes_of
 from orograph.gpu.device import Device
-from orograph.gpu.passes import LIGHT, Targets, texture, uniform
+from orograph.gpu.passes import EMPTY, LIGHT, Targets, texture, uniform
+from orograph.gpu.recording import Attachments, write
 from orograph.picture.scene import Scene
 
 SHARE = 1 / 48
@@ -31,7 +33,9 @@ FULL = 16
 """Samples of a pixel at rest that need no others."""
 
 _UNIFORM = Struct("<20f")
-_SETTINGS = tuple(f.name for f in fields(Scene) if f.name not in ("view", "depths", "terrain", "furniture", "title"))
+OWN = "view", "depths", "terrain", "furniture", "title"
+"""What of a scene may change from frame to frame of one picture."""
+_settings = attrgetter(*(f.name for f in fields(Scene) if f.name not in OWN))
 
 
 def _halton(k: int, base: int) -> float:
@@ -81,9 +85,10 @@ class Steady:
         self._targets: Targets | None = None
         self._views: list[Any] = []
         self._far: list[Any] = []
+        self._onto: list[Attachments] = []
         self._groups: list[Any] = []
         self._turn = self._tick = 0
-        self._last: tuple[Any, Scene, Any] | None = None
+        self._last: tuple[tuple[float, ...], Scene, Any] | None = None
         self._made: tuple[Any, ...] = ()
 
     @property
@@ -116,18 +121,14 @@ class Steady:
         self._write(scene, shift, gathered, same, fresh)
         self._turn = 1 - self._turn
         self._tick += 1
-        pass_ = encoder.begin_render_pass(
-            color_attachments=[
-                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}
-                for view in (self._views[self._turn], self._far[self._turn])
-            ]
-        )
+        pass_ = self._onto[self._turn].begin(encoder)
         pass_.set_pipeline(self._pipeline)
         pass_.set_bind_group(0, self._camera)
         pass_.set_bind_group(1, self._groups[self._turn])
         pass_.draw(3)
         pass_.end()
-        self._last = camera_of(scene.view, scene.terrain, scene.exaggeration), scene, settings
+        right, up, forward, centre = axes_of(scene.view, scene.exaggeration)
+        self._last = (*right, *up, *forward, *centre), scene, settings
         return self._views[self._turn]
 
     def _write(self, scene: Scene, shift: tuple[float, float], gathered: int, same: bool, fresh: bool) -> None:
@@ -138,10 +139,9 @@ class Steady:
             share = SHARE if gathered <= 1 else min(1.0, gathered / FULL)
             known = 2.0 if fresh else 1.0
             packed = _UNIFORM.pack(
-                *camera["right"].tolist(), *camera["up"].tolist(), *camera["forward"][:3].tolist(), known,
-                a - p, b - q, (c - r) * scene.exaggeration, share, *camera["centre"].tolist(), *shift,
+                *camera[:11], known, a - p, b - q, (c - r) * scene.exaggeration, share, *camera[11:], *shift,
             )  # fmt: skip
-        self.device.queue.write_buffer(self._uniform, 0, packed)
+        write(self.device, self._uniform, packed)
 
     def _fit(self, targets: Targets) -> None:
         self._targets, self._last = targets, None
@@ -153,6 +153,9 @@ class Steady:
             ]
             for kind in (LIGHT, FAR)
         )
+        self._onto = [
+            Attachments([(view, EMPTY) for view in pair]) for pair in zip(self._views, self._far, strict=True)
+        ]
         self._groups = [
             self.device.handle.create_bind_group(
                 layout=self._layout,
@@ -180,4 +183,4 @@ def _alike(one: Scene, other: Scene) -> bool:
         return True
     if one.view.projection != other.view.projection:
         return False
-    return all(getattr(one, name) == getattr(other, name) for name in _SETTINGS)
+    return bool(_settings(one) == _settings(other))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import heapq
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar
 
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ K = TypeVar("K")
 """Kinds of tiles."""
 T = TypeVar("T")
 """Keys of tiles."""
+
+AHEAD = 64
+"""Tiles that may have been read and not yet been taken, before threads wait."""
 
 
 class Streamer(Generic[K, T]):
@@ -47,8 +50,13 @@ class Streamer(Generic[K, T]):
         for thread in self._threads:
             thread.start()
 
-    def want(self, wanted: Iterable[tuple[float, K, T]]) -> None:
-        """Replace what is waited for: (priority, kind, key), the highest first. What is being read goes on."""
+    def want(self, wanted: Sequence[tuple[float, K, T]]) -> None:
+        """Replace what is waited for: (priority, kind, key), the highest first. What is being read goes on.
+
+        Threads are woken only if there is something for them to do: each would take the interpreter from the frame.
+        """
+        if not wanted and not self._heap:
+            return
         now = time.monotonic()
         with self._condition:
             have = self._busy | {(kind, key) for kind, key, _ in self._ready}
@@ -58,13 +66,17 @@ class Streamer(Generic[K, T]):
                 if (kind, key) not in have and self.failed.get((kind, key), (-1e9, ""))[0] + self.RETRY < now
             ]
             heapq.heapify(self._heap)
-            self._condition.notify_all()
+            if self._heap:
+                self._condition.notify_all()
 
     def take(self, most: int) -> list[tuple[K, T, NDArray[Any]]]:
         """Up to ``most`` tiles that have been read."""
+        if not self._ready:
+            return []
         with self._condition:
             taken, self._ready = self._ready[:most], self._ready[most:]
-            self._condition.notify_all()
+            if len(self._ready) + len(taken) > AHEAD:  # threads waited for room
+                self._condition.notify_all()
             return taken
 
     @property
@@ -93,7 +105,7 @@ class Streamer(Generic[K, T]):
     def _work(self) -> None:
         while True:
             with self._condition:
-                while not self._closed and (not self._heap or len(self._ready) > 64):
+                while not self._closed and (not self._heap or len(self._ready) > AHEAD):
                     self._condition.wait()
                 if self._closed:
                     return

@@ -191,7 +191,8 @@ class Atlas(Slots):
 
     Attributes:
         kind: of the tiles.
-        pages: uint32 (tiles of all levels): slot + 1, 0 where a tile is not there.
+        pages: uint32 (tiles of all levels): slot + 1, 0 where a tile is not there. resident: uint8, as many: 1 where
+            it is there.
     """
 
     def __init__(self, device: Device, terrain: Terrain, kind: Kind, budget: int) -> None:
@@ -200,21 +201,15 @@ class Atlas(Slots):
         super().__init__(device, SIDES[kind], *_FORMATS[kind], budget, self.tables.total, kind)
         self.pages: NDArray[np.uint32] = np.zeros(self.tables.total, np.uint32)
         self.page_buffer = device.buffer(self.pages, "STORAGE", f"{kind} pages")
-        self.resident = [np.zeros(shape, np.uint8) for shape in self.tables.shapes]
-        """Per level (tile rows, tile cols): 1 where a tile is there."""
+        self.resident: NDArray[np.uint8] = np.zeros(self.tables.total, np.uint8)
         self._changed = False
-        self._offsets = np.asarray(self.tables.offsets, np.int64)
-        self._widths = np.asarray([shape[1] for shape in self.tables.shapes], np.int64)
 
-    def slots(self, index: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Where tiles are, by their places in the page table; −1 for those that are not there."""
-        found: NDArray[np.int32] = self.pages[index].view(np.int32) - np.int32(1)
-        return found
-
-    def places(self, level: NDArray[Any], row: NDArray[Any], col: NDArray[Any]) -> NDArray[np.int64]:
-        """Places in the page table of tiles, arrays of one shape."""
-        found: NDArray[np.int64] = self._offsets[level] + row * self._widths[level] + col
-        return found
+    def lacking(self, tiles: NDArray[np.int64], frame: int) -> NDArray[np.bool_]:
+        """Which tiles, by their places in the page table, are not there; the others are noted as wanted in a frame."""
+        pages = self.pages[tiles]
+        lack: NDArray[np.bool_] = pages == 0
+        self.touch(pages.view(np.int32) - np.int32(1), frame)
+        return lack
 
     def insert(self, key: Key, data: NDArray[Any], frame: int, *, pin: bool = False) -> bool:
         """Upload a tile; False if all slots hold tiles that this frame wants."""
@@ -236,7 +231,7 @@ class Atlas(Slots):
 
     def _mark(self, key: Key, page: int) -> None:
         self.pages[self.tables.index(key)] = page
-        self.resident[key[0]][key[1], key[2]] = page > 0
+        self.resident[self.tables.index(key)] = page > 0
         self._changed = True
 
 

@@ -78,6 +78,11 @@ class Tree:
 
     def __init__(self, terrain: Terrain, boxes: Array, parents: NDArray[np.int64], sizes: Array) -> None:
         self.terrain, self._boxes, self.parents, self._sizes = terrain, boxes, parents, sizes
+        a, b, _, d, e, _ = terrain.grid.samples[:6]
+        scale = np.linalg.svd(np.array([[a, b], [d, e]]), compute_uv=False)
+        square = abs(a * b + d * e) < 1e-9 * scale[0] ** 2
+        self._scale = np.array((math.hypot(a, d), math.hypot(b, e)) if square else (scale[1], scale[1]))
+        """Metres per column and row, at least."""
         n = len(sizes)
         self._grow, self._priority, self._out = np.zeros(n, np.uint8), np.zeros(n), np.zeros(n, np.int64)
 
@@ -88,18 +93,17 @@ class Tree:
             pixels: how large samples may be.
         """
         a, b, c, d, e, f = self.terrain.grid.samples[:6]
-        planes = view.frustum(exaggeration)
-        across, down = planes[:, 0] * a + planes[:, 1] * d, planes[:, 0] * b + planes[:, 1] * e
-        offset = planes[:, 3] + planes[:, 0] * c + planes[:, 1] * f
-        table = np.stack([across, down, planes[:, 2] * exaggeration, offset], 1)
-        scale = np.linalg.svd(np.array([[a, b], [d, e]]), compute_uv=False)
-        square = abs(a * b + d * e) < 1e-9 * scale[0] ** 2
-        each = (math.hypot(a, d), math.hypot(b, e)) if square else (scale[1], scale[1])
+        table = np.array(
+            [
+                (p * a + q * d, p * b + q * e, r * exaggeration, s + p * c + q * f)
+                for p, q, r, s in view.frustum(exaggeration).tolist()
+            ]
+        )
         col, row = self.terrain.grid.index(view.eye[0], view.eye[1])
         plan = view.projection == "plan"
         count = _wanted(
             self._boxes, self.parents, self._sizes, table, np.array([float(col), float(row), view.eye[2]]),
-            np.array(each), exaggeration, 1.0 / (view.pixel_metres if plan else view.pixel_slope), plan, pixels,
+            self._scale, exaggeration, 1.0 / (view.pixel_metres if plan else view.pixel_slope), plan, pixels,
             self._grow, self._priority, self._out,
         )  # fmt: skip
         found = self._out[:count].copy()

@@ -42,8 +42,29 @@ from orograph.view import View
 
 __all__ = ["INSTANCE", "LEGS", "WANTED", "Batched", "Patches", "patch_indices", "patch_vertices"]
 
+NOWHERE: NDArray[np.uint32] = np.zeros(0, np.uint32)
+
 WANTED = np.dtype([("level", "<i4"), ("row", "<i4"), ("col", "<i4"), ("pixels", "<f4")])
 """A tile that a view needs: where it is, and the largest error in pixels that patches out of it take away."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tiling:
+    """The tiles of all levels in one row: level 0 first, each level row by row.
+
+    Attributes:
+        bases, widths: int64 (levels,): where a level's tiles begin, and how many are in a row. top: the last level.
+    """
+
+    bases: NDArray[np.int64]
+    widths: NDArray[np.int64]
+    top: int
+
+    def where(self, tiles: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Level, row and column of tiles."""
+        level = np.searchsorted(self.bases, tiles, side="right") - 1
+        row, col = np.divmod(tiles - self.bases[level], self.widths[level])
+        return level, row, col
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +73,29 @@ class Patches:
 
     Attributes:
         instances: (k,) of ``INSTANCE``, coarse patches first; good until the next selection.
-        wanted: (w,) of ``WANTED``, all tiles that the view would use if every tile was there, largest error first.
+        tiles: int64 (t,), all tiles that the view would use if every tile was there, as places in ``tiling``;
+            pixels: float32 (t,), the errors that patches out of them take away.
         stats: patches, triangles, split, nodes, blocked (diamonds that wait for tiles), pixels (the largest bound of a
             patch's error).
     """
 
     instances: NDArray[Any]
-    wanted: NDArray[Any]
+    tiles: NDArray[np.int64]
+    pixels: NDArray[np.float32]
+    tiling: Tiling
     stats: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def wanted(self) -> NDArray[Any]:
+        """(w,) of ``WANTED``: the tiles, largest error first, the roots' before all others."""
+        order = np.argsort(-self.pixels, kind="stable")
+        level, row, col = self.tiling.where(self.tiles[order])
+        below = level < self.tiling.top
+        found = np.zeros(1 + int(below.sum()), WANTED)
+        found[0] = self.tiling.top, 0, 0, np.inf
+        for name, values in (("level", level), ("row", row), ("col", col), ("pixels", self.pixels[order])):
+            found[name][1:] = values[below]
+        return found
 
 
 class Batched(Engine):
@@ -94,9 +130,11 @@ class Batched(Engine):
         ground: Any = PatchTerrain(self.terrain, self.field.kind, self.legs, jobs=self.jobs, progress=progress)
         self.field: Pager = Pager(ground, self.error, max_memory=options.get("max_memory", 1 << 30), jobs=self.jobs)
         shapes = [tile_shape(self.terrain.grid.shape, level) for level in range(self.field.top + 1)]
-        self._widths = np.array([cols for _, cols in shapes], np.int64)
         ends = np.cumsum([rows * cols for rows, cols in shapes])
-        self._bases = np.concatenate([[0], ends[:-1]]).astype(np.int64)
+        self.tiling = Tiling(
+            np.concatenate([[0], ends[:-1]]).astype(np.int64), np.array([cols for _, cols in shapes], np.int64),
+            self.field.top,
+        )  # fmt: skip
         self._all = np.ones(int(ends[-1]), np.uint8)
         self._priorities = np.zeros(int(ends[-1]), np.float32)
         self._touched = np.zeros(int(ends[-1]), np.int64)
@@ -111,7 +149,7 @@ class Batched(Engine):
         self._table = np.empty(4 * size, np.int32)
         self._queue = (
             np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.uint8),
-            np.empty((size, 2), np.float32), np.empty((size, 2), np.float32),
+            np.empty((size, 2), np.float32), np.empty((size, 2), np.float32), np.empty((4, 3), np.int64),
         )  # fmt: skip
         self._instances = np.zeros(2 * size, INSTANCE)
         raw = self._instances.view(np.int32).reshape(-1, 8)
@@ -122,7 +160,7 @@ class Batched(Engine):
         whole = np.zeros(len(self._all), np.uint8)
         return [
             whole[base : base + rows * cols].reshape(rows, cols)
-            for base, (rows, cols) in zip(self._bases, self._shapes, strict=True)
+            for base, (rows, cols) in zip(self.tiling.bases, self._shapes, strict=True)
         ]
 
     def select(
@@ -130,7 +168,8 @@ class Batched(Engine):
         view: View,
         tolerance: float = 1.0,
         *,
-        resident: Sequence[NDArray[np.uint8]] | None = None,
+        resident: Sequence[NDArray[np.uint8]] | NDArray[np.uint8] | None = None,
+        slots: NDArray[np.uint32] | None = None,
         cull: bool | None = None,
         frustum: NDArray[np.float64] | None = None,
         exaggeration: float | None = None,
@@ -143,9 +182,10 @@ class Batched(Engine):
         Args:
             view: the camera whose errors count.
             tolerance: pixels.
-            resident: for each level a uint8 array (tile rows, tile cols), not 0 where a tile is there; a diamond is
-                split only if all tiles its children need are (default: all are). The tile of the coarsest level that
-                holds the roots is taken to be there.
+            resident: for each level a uint8 array (tile rows, tile cols), or for all tiles in the order of ``tiling``
+                one, not 0 where a tile is there; a diamond is split only if all tiles its children need are (default:
+                all are). The tile of the coarsest level that holds the roots is taken to be there.
+            slots: for all tiles in that order 1 + what is to be put into the patches' ``slot``.
             cull: leave out what is outside the frustum (default: as the engine does).
             frustum: (m, 4), at most 6 planes to cull with instead of the view's (``View.frustum``: stretched space,
                 positive inside), a light's for example. What the eye does not see is judged by its distance.
@@ -170,7 +210,11 @@ class Batched(Engine):
             lens[PLANES : PLANES + 24] = self._planes(frustum, stretch)
         plan = 1.0 / view.pixel_metres if lens[FOCAL] == 0.0 else 0.0
         tolerances = np.array([tolerance / KAPPA if geomorph else tolerance, tolerance, plan])
-        there = self._all if resident is None else np.concatenate([np.ravel(level) for level in resident])
+        there = self._all
+        if isinstance(resident, np.ndarray):
+            there = resident
+        elif resident is not None:
+            there = np.concatenate([np.ravel(level) for level in resident])
         if there.shape != self._all.shape or there.dtype != np.uint8:
             raise UsageError("Residency is a uint8 array (tile rows, tile cols) for each level of the terrain.")
         counts = np.zeros(6, np.int64)
@@ -181,10 +225,13 @@ class Batched(Engine):
             self.field.begin()
             full = select_patches(
                 self.field.pages, lens, eye, self.metric.number, self.cull if cull is None else cull, self.field.n,
-                self._q, tolerances, self._unbounded if exact_holes else self._holes, there, self._bases, self._widths,
-                self._priorities, self._touched, self._table, *self._queue, self._words, self._floats, counts,
+                self._q, tolerances, self._unbounded if exact_holes else self._holes, there,
+                NOWHERE if slots is None else slots, self.tiling.bases, self.tiling.widths, self._priorities,
+                self._touched, self._table, *self._queue, self._words, self._floats, counts,
             )  # fmt: skip
-            wanted = self._wanted(int(counts[TOUCHED]))
+            tiles = self._touched[: counts[TOUCHED]].copy()
+            pixels = self._priorities[tiles]
+            self._priorities[tiles] = 0.0  # as it was before
             if full:
                 self._room(2 * len(self._queue[0]))
             elif wait and self.field.fetch():
@@ -199,7 +246,7 @@ class Batched(Engine):
             "nodes": int(counts[NODES]), "blocked": int(counts[BLOCKED]), "absent": int(counts[ABSENT]),
             "pixels": float(made["pixels"].max()) if len(made) else 0.0,
         }  # fmt: skip
-        return Patches(made, wanted, stats)
+        return Patches(made, tiles, pixels, self.tiling, stats)
 
     def _planes(self, frustum: NDArray[np.float64], stretch: float) -> NDArray[np.float64]:
         """Planes in stretched space as a lens has them: (24,), over column, row and height."""
@@ -213,22 +260,6 @@ class Batched(Engine):
         table[: len(planes)] = planes @ whole
         flat: NDArray[np.float64] = table.ravel()
         return flat
-
-    def _wanted(self, count: int) -> NDArray[Any]:
-        """The tiles that the kernel touched, largest error first; and its tables as they were before."""
-        tiles = self._touched[:count]
-        pixels = self._priorities[tiles]
-        self._priorities[tiles] = 0.0
-        order = np.argsort(-pixels, kind="stable")
-        tiles = tiles[order]
-        wanted = np.zeros(count + 1, WANTED)
-        level = np.searchsorted(self._bases, tiles, side="right") - 1
-        row, col = np.divmod(tiles - self._bases[level], self._widths[level])
-        wanted[0] = self.field.top, 0, 0, np.inf
-        for name, values in (("level", level), ("row", row), ("col", col), ("pixels", pixels[order])):
-            wanted[name][1:] = values
-        kept: NDArray[Any] = wanted[(wanted["level"] < self.field.top) | (np.arange(count + 1) == 0)]
-        return kept
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
         if tolerance is None:

@@ -26,6 +26,11 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 120.0
 """Frames in a second, at most."""
+SWITCH = 0.0005
+"""Seconds after which a thread that reads tiles hands the interpreter to the frame that waits for it: it would lose the
+usual 5 ms several times."""
+POLL = 0.03
+"""Seconds between two looks at what mouse and keyboard do, before the first frame."""
 _GARBAGE = gc.get_threshold()
 
 
@@ -219,13 +224,15 @@ def show(
         try:
             opened = open_canvas(canvas, device, clipboard())
             announce(canvas, device, opened, f"Opening {session.terrain.name} …")
-            if warm is not None:
-                warm.join()
+            again = make or renderer_of()
+            first = _prepared(session, canvas, again, device, opened[2], warm)
+            if canvas.get_closed():
+                return
             from orograph.viewer.window import Window
 
             window = Window(
-                session, canvas, make or renderer_of(), device=device, clipboard=clipboard(), adapter=adapter,
-                opened=opened,
+                session, canvas, lambda d, terrain: first.pop() if first else again(d, terrain), device=device,
+                clipboard=clipboard(), adapter=adapter, opened=opened,
             )  # fmt: skip
             accept_files(canvas, window)
         except Exception as error:
@@ -239,9 +246,43 @@ def show(
     if screenshot is not None:
         _shoot(window, screenshot, frames, failure)
     settle()
+    sys.setswitchinterval(SWITCH)
     loop.run()
     if failure:
         raise failure[0]
+
+
+def _prepared(
+    session: Session, canvas: Any, make: Callable[[Device, Terrain], Drawer], device: Device, format: str,
+    warm: Warm | None,
+) -> list[Drawer]:  # fmt: skip
+    """The renderer, made ready for the first frame in a thread: meanwhile the window answers, and may be closed.
+
+    Args:
+        format: of the picture. warm: what loads the window's modules.
+    """
+    made: list[Drawer] = []
+    failure: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            if warm is not None:
+                warm.join()
+            renderer = make(device, session.terrain)
+            if hasattr(renderer, "prepare"):
+                renderer.prepare(format, session.scene(), overlay=session.settings.overlay())
+            made.append(renderer)
+        except BaseException as error:
+            failure.append(error)
+
+    thread = threading.Thread(target=work, name="prepare", daemon=True)
+    thread.start()
+    while thread.is_alive() and not canvas.get_closed():
+        canvas._process_events()
+        thread.join(POLL)
+    if failure:
+        raise failure[0]
+    return made
 
 
 def _shoot(window: Window, path: Path, frames: int, failure: list[BaseException]) -> None:

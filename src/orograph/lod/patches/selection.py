@@ -40,19 +40,16 @@ def place_of(table, keys, key):
 
 
 @leaf
-def tile_of(x, y, L, omega, q, top, last_row, last_col):
-    """(step, level, tile row, tile col) of a triangle's patch; the level is −1 if it lies beyond the raster."""
-    step = -q
-    while L >> (step + q) > 1:
-        step += 1
+def tile_of(x, y, L, omega, step, top, last_row, last_col):
+    """(level, tile row, tile col) of a triangle's patch; the level is −1 if it lies beyond the raster."""
     level = min(step, top)
     ax, ay = triangles.apex(x, y, L, omega)
     lx, ly = triangles.left_end(x, y, L, omega)
     rx, ry = triangles.right_end(x, y, L, omega)
     row, col = min(ay, min(ly, ry)), min(ax, min(lx, rx))
     if row >= last_row or col >= last_col:
-        return step, np.int64(-1), np.int64(0), np.int64(0)
-    return step, level, row >> (level + 8), col >> (level + 8)
+        return np.int64(-1), np.int64(0), np.int64(0)
+    return level, row >> (level + 8), col >> (level + 8)
 
 
 @leaf
@@ -75,9 +72,11 @@ def prism_outside(lens, x, y, L, omega, z, r, inside, last_row, last_col):
 
 
 @leaf
-def put(words, floats, at, x, y, L, omega, q, top, last_row, last_col, flags, morph, pixels):
+def put(
+    words, floats, at, places, bases, widths, x, y, L, omega, step, top, last_row, last_col, flags, morph, pixels
+):  # fmt: skip
     """Write a patch as row ``at`` of the instances; whether it is one (not beyond the raster)."""
-    step, level, i, j = tile_of(x, y, L, omega, q, top, last_row, last_col)
+    level, i, j = tile_of(x, y, L, omega, step, top, last_row, last_col)
     if level < 0:
         return 0
     ax, ay = triangles.apex(x, y, L, omega)
@@ -86,7 +85,7 @@ def put(words, floats, at, x, y, L, omega, q, top, last_row, last_col, flags, mo
     words[at, 2] = omega | step << 8 | level << 16 | flags << 24
     words[at, 3] = i | j << 16
     floats[at, 4] = morph
-    words[at, 5] = -1
+    words[at, 5] = np.int32(places[bases[level] + i * widths[level] + j]) - 1 if len(places) else -1
     floats[at, 6] = pixels
     words[at, 7] = 0
     return 1
@@ -105,8 +104,8 @@ def has_no_ground(pages, row, col, last_row, last_col):
 
 @leaf
 def select_patches(
-    pages, lens, eye, metric, cull, n, q, tolerances, holes, resident, bases, widths, priorities, touched,
-    table, keys, masks, sides, morphs, bounds, words, floats, counts,
+    pages, lens, eye, metric, cull, n, q, tolerances, holes, resident, places, bases, widths, priorities, touched,
+    table, keys, masks, sides, morphs, bounds, kids, words, floats, counts,
 ):  # fmt: skip
     """The patches of a view; returns DONE or GROW.
 
@@ -120,12 +119,12 @@ def select_patches(
         tolerances: float64 (3,): pixels at which diamonds are split; those at which their geomorph is over; pixels per
             metre in a plan, else 0.
         holes: float64 (2n + 1,), the longest edge of the triangles of a level's patches, metres.
-        resident: uint8, for each tile whether it is there. bases, widths: int64 (levels,), where a level's tiles begin
-            in that, and how many are in a row.
+        resident: uint8, for each tile whether it is there. places: uint32, for each tile its slot + 1, or empty.
+        bases, widths: int64 (levels,), where a level's tiles begin in these, and how many are in a row.
         priorities: float32, as many, 0 before: the pixels that a tile would take away; touched: int64, as many: which
             tiles have got one.
         table: int32 (2^m,): hash table. keys, masks: int64, sides: uint8, morphs: float32 (:, 2), bounds: float32
-            (:, 2), all of one length: the queue.
+            (:, 2), all of one length: the queue. kids: int64 (4, 3), for a diamond's children.
         words, floats: int32 and float32 (:, 8), the same memory: the instances (``shape.INSTANCE``).
         counts: int64 (6,).
     """
@@ -139,8 +138,10 @@ def select_patches(
     if finest == 0:  # the raster is no larger than a patch
         for k in range(2):
             x, y, L, omega = triangles.root(np.int64(k), n)
-            done = put(words, floats, counts[0], x, y, L, omega, q, top, last_row, last_col, 1, 1.0, 0.0)
-            counts[0] += done
+            counts[0] += put(
+                words, floats, counts[0], places, bases, widths, x, y, L, omega, n - q, top, last_row, last_col, 1,
+                1.0, 0.0,
+            )  # fmt: skip
         return 0
     keys[0], masks[0], sides[0] = middle << 32 | middle, 0, 15
     morphs[0, 0], morphs[0, 1], bounds[0, 0], bounds[0, 1] = 1.0, 1.0, 0.0, 0.0
@@ -154,7 +155,8 @@ def select_patches(
         head += 1
         row, col = keys[at] >> 32, keys[at] & 0xFFFFFFFF
         k = diamonds.octave(row, col)
-        level = diamonds.level(row, col, n)
+        shape = diamonds.kind(row, col)
+        level = 2 * (n - 1 - k) + shape
         # 1. Is it in view, and how large is its error?
         slot, u, v = find(pages, row, col, k)
         if slot == BEYOND:
@@ -210,21 +212,27 @@ def select_patches(
             ripe = ripe and ((sides[at] >> side & 5) == 0 or morphs[at, side] >= 1.0)
         might = might and ripe and known and pixels > split_at
         may = may and might
+        born = 0
+        L = np.int64(1) << k  # (of its children, whichever kind it is)
         if might:
-            for child in range(4):
-                x, y, L, omega = diamonds.top(row, col, child >> 1)
-                if not triangles.inside(x, y, L, omega, n):
+            error = np.float32(min(pixels, 1e30))
+            for side in range(2):
+                tx, ty, tL, around = diamonds.top(row, col, side)
+                if not triangles.inside(tx, ty, tL, around, n):
                     continue
-                x, y, L, omega = triangles.child(x, y, L, omega, child & 1)
-                _, tile_level, i, j = tile_of(x, y, L, omega, q, top, last_row, last_col)
-                if tile_level < 0:
-                    continue
-                tile = bases[tile_level] + i * widths[tile_level] + j
-                if priorities[tile] == 0.0:
-                    touched[counts[2]] = tile
-                    counts[2] += 1
-                priorities[tile] = max(priorities[tile], np.float32(min(pixels, 1e30)))
-                may = may and resident[tile] != 0
+                for half in range(2):
+                    x, y, _, omega = triangles.child(tx, ty, tL, around, half)
+                    kids[born, 0], kids[born, 1], kids[born, 2] = x, y, omega
+                    born += 1
+                    tile_level, i, j = tile_of(x, y, L, omega, k - q, top, last_row, last_col)
+                    if tile_level < 0:
+                        continue
+                    tile = bases[tile_level] + i * widths[tile_level] + j
+                    if priorities[tile] == 0.0:
+                        touched[counts[2]] = tile
+                        counts[2] += 1
+                    priorities[tile] = max(priorities[tile], error)
+                    may = may and resident[tile] != 0
             if not may:
                 counts[5] += 1
         # 3. Its children, or what split parents left of it.
@@ -234,18 +242,16 @@ def select_patches(
             if pixels < whole_at:
                 morph = (pixels - split_at) / (whole_at - split_at)
             rest = pixels if pixels < whole_at else 0.0
-            for child in range(4):
-                x, y, L, omega = diamonds.top(row, col, child >> 1)
-                if not triangles.inside(x, y, L, omega, n):
-                    continue
-                x, y, L, omega = triangles.child(x, y, L, omega, child & 1)
+            for child in range(born):
+                x, y, omega = kids[child, 0], kids[child, 1], kids[child, 2]
                 if level + 1 == finest:
                     if may:
                         if cull and prism_outside(lens, x, y, L, omega, z, r, inside, last_row, last_col):
                             continue
                         counts[0] += put(
-                            words, floats, counts[0], x, y, L, omega, q, top, last_row, last_col, flags, morph, rest
-                        )
+                            words, floats, counts[0], places, bases, widths, x, y, L, omega, k - q, top, last_row,
+                            last_col, flags, morph, rest,
+                        )  # fmt: skip
                     continue
                 name = np.int64(y) << 32 | np.int64(x)
                 place = place_of(table, keys, name)
@@ -263,15 +269,15 @@ def select_patches(
         if not may:
             for side in range(2):
                 if sides[at] >> side & 1:
-                    x, y, L, omega = diamonds.top(row, col, side)
-                    if not triangles.inside(x, y, L, omega, n):
+                    x, y, tL, omega = diamonds.top(row, col, side)
+                    if not triangles.inside(x, y, tL, omega, n):
                         continue
-                    if known and cull and prism_outside(lens, x, y, L, omega, z, r, inside, last_row, last_col):
+                    if known and cull and prism_outside(lens, x, y, tL, omega, z, r, inside, last_row, last_col):
                         continue
                     rest = max(np.float64(bounds[at, side]), pixels)
                     counts[0] += put(
-                        words, floats, counts[0], x, y, L, omega, q, top, last_row, last_col, flags,
-                        morphs[at, side], rest,
+                        words, floats, counts[0], places, bases, widths, x, y, tL, omega, k + 1 - shape - q, top,
+                        last_row, last_col, flags, morphs[at, side], rest,
                     )  # fmt: skip
     counts[1] = size
     return 0

@@ -1,0 +1,196 @@
+"""Render passes and writes with a fraction of wgpu-py's Python: a frame is the same few of them, again and again.
+
+wgpu-py describes what a pass draws into by dictionaries, which it checks and copies into C structures every time, and
+looks for errors after every call. Here attachments are described once (``Attachments``), and what is recorded between
+the beginning and the end of a pass goes straight to the native library: by WebGPU's rules what is wrong with it is not
+told before the pass or the encoder ends, and those calls are wgpu-py's own, as are its errors.
+
+Where wgpu-py is not as expected (another backend, another version) its own passes are used: they have the same methods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+
+KEEP = "keep"
+"""Of depth: it is looked at and stays as it is."""
+
+Colour = tuple[Any, tuple[float, float, float, float] | None]
+"""A texture's view, and what it is cleared with; None: what it holds is loaded."""
+
+
+class Attachments:
+    """What a pass draws into: described once, begun as often as there are frames.
+
+    Args:
+        colours: the views. depth: a view and what it is cleared with, None (it is loaded), or ``KEEP``.
+    """
+
+    def __init__(self, colours: Sequence[Colour], depth: tuple[Any, float | str | None] | None = None) -> None:
+        self._colours, self._depth = tuple(colours), depth
+        self._native = _native()
+        self._described = None if self._native is None else self._native.described(self._colours, depth)
+
+    def begin(self, encoder: Any) -> Any:
+        """Begin a pass of a command encoder of wgpu-py: a ``GPURenderPassEncoder``, or what does as it does."""
+        if self._native is not None:
+            return self._native.begin(encoder, self._described)
+        colours = [
+            {
+                "view": view, "clear_value": clear or (0, 0, 0, 0), "load_op": "load" if clear is None else "clear",
+                "store_op": "store",
+            }
+            for view, clear in self._colours
+        ]  # fmt: skip
+        depth: dict[str, Any] = {}
+        if self._depth is not None:
+            view, clear = self._depth
+            depth = {"view": view, "depth_read_only": True}
+            if clear != KEEP:
+                depth = {
+                    "view": view, "depth_load_op": "load" if clear is None else "clear",
+                    "depth_clear_value": clear or 0.0, "depth_store_op": "store",
+                }  # fmt: skip
+        return encoder.begin_render_pass(color_attachments=colours, depth_stencil_attachment=depth or None)
+
+
+def write(device: Device, buffer: Any, values: NDArray[Any] | bytes) -> None:
+    """Write the beginning of a buffer: a contiguous array, or bytes; a multiple of 4."""
+    native = _native()
+    if native is None:
+        device.queue.write_buffer(buffer, 0, values)
+    else:
+        native.write(device.queue, buffer, values)
+
+
+class _Native:
+    """wgpu-native's functions, as ``wgpu.backends.wgpu_native`` loads them.
+
+    Attributes:
+        begin: begins a pass of an encoder. write: writes a buffer.
+    """
+
+    def __init__(self) -> None:
+        from wgpu.backends.wgpu_native import _api
+
+        self._ffi, self._lib = _api.ffi, _api.lib
+        lib, checked, ffi = _api.lib, _api.libf, _api.ffi
+        begin_pass = lib.wgpuCommandEncoderBeginRenderPass
+        pass_ = _pass_class(lib, checked, ffi)
+        write_buffer, from_buffer = checked.wgpuQueueWriteBuffer, ffi.from_buffer
+
+        def begin(encoder: Any, described: Any) -> Any:
+            return pass_(begin_pass(encoder._internal, described[0]))
+
+        def write(queue: Any, buffer: Any, values: Any) -> None:
+            data = from_buffer(values)
+            write_buffer(queue._internal, buffer._internal, 0, data, len(data))
+
+        self.begin: Callable[[Any, Any], Any] = begin
+        self.write: Callable[[Any, Any, Any], None] = write
+
+    def described(self, colours: tuple[Colour, ...], depth: tuple[Any, float | str | None] | None) -> tuple[Any, ...]:
+        """The C structure of a pass, and what it points to."""
+        ffi, lib = self._ffi, self._lib
+        targets = ffi.new("WGPURenderPassColorAttachment[]", len(colours))
+        for target, (view, clear) in zip(targets, colours, strict=True):
+            target.view = view._internal
+            target.depthSlice = lib.WGPU_DEPTH_SLICE_UNDEFINED
+            target.loadOp = lib.WGPULoadOp_Load if clear is None else lib.WGPULoadOp_Clear
+            target.storeOp = lib.WGPUStoreOp_Store
+            c = target.clearValue
+            c.r, c.g, c.b, c.a = clear or (0.0, 0.0, 0.0, 0.0)
+        whole = ffi.new("WGPURenderPassDescriptor *")
+        whole.colorAttachmentCount, whole.colorAttachments = len(colours), targets
+        behind = ffi.NULL
+        if depth is not None:
+            view, empty = depth
+            behind = ffi.new("WGPURenderPassDepthStencilAttachment *")
+            behind.view = view._internal
+            behind.depthReadOnly = empty == KEEP
+            if empty != KEEP:
+                behind.depthLoadOp = lib.WGPULoadOp_Load if empty is None else lib.WGPULoadOp_Clear
+                behind.depthStoreOp = lib.WGPUStoreOp_Store
+                behind.depthClearValue = empty or 0.0
+        whole.depthStencilAttachment = behind
+        return whole, targets, behind, colours, depth
+
+
+def _pass_class(lib: Any, checked: Any, ffi: Any) -> type:
+    """The class of passes that call ``lib`` directly; ``checked``: wgpu-py's functions, which raise its errors."""
+    pipeline, group, vertices = (
+        lib.wgpuRenderPassEncoderSetPipeline, lib.wgpuRenderPassEncoderSetBindGroup,
+        lib.wgpuRenderPassEncoderSetVertexBuffer,
+    )  # fmt: skip
+    indices, scissor, blend = (
+        lib.wgpuRenderPassEncoderSetIndexBuffer, lib.wgpuRenderPassEncoderSetScissorRect,
+        lib.wgpuRenderPassEncoderSetBlendConstant,
+    )  # fmt: skip
+    draw, draw_indexed, let_go = (
+        lib.wgpuRenderPassEncoderDraw, lib.wgpuRenderPassEncoderDrawIndexed, lib.wgpuRenderPassEncoderRelease
+    )  # fmt: skip
+    end, null, whole = checked.wgpuRenderPassEncoderEnd, ffi.NULL, lib.WGPU_WHOLE_SIZE
+    widths = {"uint16": lib.WGPUIndexFormat_Uint16, "uint32": lib.WGPUIndexFormat_Uint32}
+
+    class Pass:
+        """A pass being recorded; the methods are ``GPURenderPassEncoder``'s."""
+
+        __slots__ = ("_internal",)
+
+        def __init__(self, internal: Any) -> None:
+            self._internal = internal
+
+        def set_pipeline(self, which: Any) -> None:
+            pipeline(self._internal, which._internal)
+
+        def set_bind_group(self, index: int, which: Any) -> None:
+            group(self._internal, index, which._internal, 0, null)
+
+        def set_vertex_buffer(self, slot: int, buffer: Any) -> None:
+            vertices(self._internal, slot, buffer._internal, 0, whole)
+
+        def set_index_buffer(self, buffer: Any, width: str) -> None:
+            indices(self._internal, buffer._internal, widths[width], 0, whole)
+
+        def set_scissor_rect(self, x: int, y: int, width: int, height: int) -> None:
+            scissor(self._internal, x, y, width, height)
+
+        def set_blend_constant(self, colour: tuple[float, float, float, float]) -> None:
+            blend(self._internal, ffi.new("WGPUColor *", colour))
+
+        def draw(self, vertices: int, instances: int = 1) -> None:
+            draw(self._internal, vertices, instances, 0, 0)
+
+        def draw_indexed(self, count: int, instances: int = 1) -> None:
+            draw_indexed(self._internal, count, instances, 0, 0, 0)
+
+        def end(self) -> None:
+            internal, self._internal = self._internal, None
+            try:
+                end(internal)
+            finally:
+                let_go(internal)
+
+        def __del__(self) -> None:
+            if self._internal is not None:  # an error came before its end
+                let_go(self._internal)
+
+    return Pass
+
+
+_FOUND: list[_Native | None] = []
+
+
+def _native() -> _Native | None:
+    """The native functions, None where wgpu-py has others."""
+    if not _FOUND:
+        try:
+            _FOUND.append(_Native())
+        except (ImportError, AttributeError):
+            _FOUND.append(None)
+    return _FOUND[0]
