@@ -31,7 +31,7 @@ from orograph.viewer.window import Window
 
 SIZE = (1280, 800)
 EVENING = datetime.datetime(2026, 9, 27, 17, 15, tzinfo=datetime.timezone(datetime.timedelta(hours=-4)))
-WASHINGTON, MADISON = (316_250.0, 4_904_480.0), (318_750.0, 4_910_850.0)
+WASHINGTON, ADAMS = (316_181.0, 4_904_514.0), (317_278.0, 4_909_999.0)
 """Summits, UTM zone 19N."""
 
 
@@ -150,7 +150,7 @@ def tour(m: Maker) -> None:
 def profile(m: Maker) -> None:
     m.session.settings.light.altitude = 35.0
     m.look(309_500.0, 4_889_500.0, 11_500.0, 24.0, -30.0)
-    m.measure("line", (309_600.0, 4_901_700.0), WASHINGTON, MADISON, (325_000.0, 4_912_500.0))
+    m.measure("line", (309_600.0, 4_901_700.0), WASHINGTON, ADAMS, (325_000.0, 4_912_500.0))
     m.frames(3)
     m.point(430, 200)
     m.frames(4)

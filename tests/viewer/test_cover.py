@@ -70,8 +70,8 @@ def test_layers_that_hide_it_together(session, tmp_path):
     assert cover.hides()
 
 
-def test_what_cannot_be_read_counts_as_hiding(session, tmp_path):
+def test_what_cannot_be_read_hides_nothing(session, tmp_path):
     session.settings.layers = [Layer(str(tmp_path / "gone.tif"))]
     cover = Cover(session)
     cover.hides()
-    assert cover.hides()
+    assert not cover.hides()

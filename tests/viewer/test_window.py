@@ -277,8 +277,12 @@ def test_layers_by_hand(window, hand, tmp_path):
     with rasterio.open(far, "w", "GTiff", 4, 4, 3, dtype="uint8", crs=grid.crs.to_wkt(),
                        transform=Affine(30, 0, 0, 0, -30, 100)) as file:  # fmt: skip
         file.write(np.ones((3, 4, 4), np.uint8))
-    assert layers.add(window, str(far))
-    hand.until(lambda: any("does not overlap" in m.text for m in window.session.messages.shown), 60)
+    assert not layers.add(window, str(far))
+    assert "does not overlap" in window.session.messages.shown[-1].text
+    words = tmp_path / "words.txt"
+    words.write_text("no raster")
+    assert not layers.add(window, str(words))
+    assert "words.txt" in window.session.messages.shown[-1].text
     settings.layers = []
     hand.rest()
 

@@ -165,7 +165,8 @@ def accept_files(canvas: Any, window: Window) -> None:
 
     def dropped(_: Any, paths: list[str]) -> None:
         for path in paths:
-            add(window, path)
+            if add(window, path):
+                window.session.messages.say(f"{Path(path).name} lies on the ground now, above the other layers.")
         window.touch()
 
     set_callback: Any = glfw.set_drop_callback  # its stub has the C function's arguments

@@ -36,14 +36,14 @@ def places(probe: Probe) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def inside(path: str, grid: Grid, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which places, in the CRS of the terrain's ``grid``, lie in the image of a file; all, if that is not known."""
+    """Which places, in the CRS of the terrain's ``grid``, lie in the image of a file; none, if it cannot be read."""
     try:
         location = locate(path)
         with HANDLES.borrow(location) as file:
             image = grid_of(file)
         u, v = Placement.of(grid, image, path, []).pixels(x, y)
     except (OrographError, OSError):
-        return np.ones(x.shape, bool)
+        return np.zeros(x.shape, bool)
     return np.asarray((u >= 0) & (u <= image.cols) & (v >= 0) & (v <= image.rows))
 
 

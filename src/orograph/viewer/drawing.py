@@ -121,8 +121,10 @@ class Drawing:
             empty, self._empty = self._empty, self.stats.triangles == 0
             if self._empty and not empty:
                 session.messages.say("No ground is in view: H goes home, where all of it is.")
+            own = settings.painted.path if settings.painted is not None else None
             for note in getattr(self.stats, "notes", ()):
-                session.messages.say(note)
+                if own is None or own not in note:  # of a layer that a tool paints there is nothing to be told
+                    session.messages.say(note)
             if trouble and trouble != before:
                 session.messages.say(f"A part of the picture cannot be read: {trouble}", error=True)
             if getattr(self.stats, "current", True) and settings.balance(int(self.stats.triangles)):

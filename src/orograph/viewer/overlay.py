@@ -195,11 +195,14 @@ def _message(window: Window, message: Message, wide: float) -> None:
 
 
 def help(window: Window) -> None:
-    """All keys."""
-    x, y, w, h = window.area
-    imgui.set_next_window_pos((x + w / 2, y + h / 2), imgui.Cond_.always, (0.5, 0.5))
-    flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
-    flags |= imgui.WindowFlags_.no_saved_settings
+    """All keys, in the middle of the window; what a small window does not hold is scrolled to."""
+    wide, tall = imgui.get_io().display_size
+    imgui.set_next_window_pos((wide / 2, tall / 2), imgui.Cond_.always, (0.5, 0.5))
+    imgui.set_next_window_size_constraints((0, 0), (max(wide - 2 * PAD, 60.0), max(tall - 2 * PAD, 60.0)))
+    imgui.set_next_window_bg_alpha(0.97)
+    flags = imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_move
+    flags |= imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
+    flags |= imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.horizontal_scrollbar
     imgui.begin("##help", None, flags)
     for title, rows in (("Mouse", MOUSE), ("Flying", HELD), ("Keys", help_rows())):
         imgui.separator_text(title)

@@ -29,6 +29,7 @@ from orograph.geovis.layers import Layer
 from orograph.progress import Progress, Task
 from orograph.view import Point
 from orograph.viewer.overlay import colour
+from orograph.viewer.panels.tips import beside
 from orograph.viewer.results import KINDS, Kind, paint, rows, save_rgba
 
 if TYPE_CHECKING:
@@ -43,6 +44,8 @@ HINTS: dict[Kind, str] = {
 }
 MOST = {"place": 1, "sight": 2, "viewshed": 1}
 """Points of a measurement, where that is limited: a further click begins anew."""
+FIELD = 90.0
+"""Logical pixels of a number's field."""
 Array = NDArray[np.float64]
 
 
@@ -220,7 +223,7 @@ class Tools:
     def _panel(self) -> None:
         for k, kind in enumerate(KINDS):
             if k:
-                imgui.same_line()
+                beside(imgui.get_frame_height() + imgui.calc_text_size(kind).x)
             if imgui.radio_button(kind, self.kind == kind) and self.kind != kind:
                 self.choose(kind)
         if self.kind in ("sight", "viewshed"):
@@ -248,22 +251,23 @@ class Tools:
         imgui.end_disabled()
 
     def _heights(self) -> None:
-        imgui.push_item_width(90)
+        """Eye and target above the ground, and how far a viewshed reaches: measured anew when one was changed."""
+        imgui.push_item_width(FIELD)
         changed = False
-        for name, field in (("eye", "eye"), ("target", "target")):
-            moved, value = imgui.drag_float(name, getattr(self, field), 0.1, 0.0, 10_000.0, "%.1f m")
+        for name in ("eye", "target"):
+            if name == "target":
+                beside(FIELD + imgui.calc_text_size(name).x)
+            moved, value = imgui.drag_float(name, getattr(self, name), 0.1, 0.0, 10_000.0, "%.1f m")
             if moved:
-                setattr(self, field, value)
+                setattr(self, name, value)
             changed |= imgui.is_item_deactivated_after_edit()
-            imgui.same_line()
         if self.kind == "viewshed":
+            beside(FIELD + imgui.calc_text_size("radius").x)
             flags = imgui.SliderFlags_.logarithmic
             moved, value = imgui.drag_float("radius", self.radius, 100.0, 100.0, 500_000.0, "%.0f m", flags)
             if moved:
                 self.radius = value
             changed |= imgui.is_item_deactivated_after_edit()
-            imgui.same_line()
-        imgui.new_line()
         imgui.pop_item_width()
         if changed and self.points:
             self.measure()
@@ -280,7 +284,8 @@ class Tools:
             high = max(high, float(np.nanmax(sight)))
         room = 0.08 * max(high - low, 1.0)
         self._marked = None
-        if implot.begin_plot("##profile", (-1, 170), implot.Flags_.no_legend | implot.Flags_.no_menus):
+        flags = implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
+        if implot.begin_plot("##profile", (-1, 170), flags):
             implot.setup_axes("km", "m")
             implot.setup_axes_limits(0.0, max(float(x[-1]), 1e-6), low - room, high + room, implot.Cond_.always)
             implot.plot_shaded("ground", x, np.ascontiguousarray(z), low - room)

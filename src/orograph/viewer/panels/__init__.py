@@ -56,7 +56,7 @@ def _layout(viewport: imgui.Viewport) -> None:
     share = min(0.4, WIDTH / max(viewport.size.x, 1.0))
     _, right, _ = build.dock_builder_split_node_py(DOCK, imgui.Dir.right, share)
     _, top, rest = build.dock_builder_split_node_py(right, imgui.Dir.up, 0.315)
-    _, middle, bottom = build.dock_builder_split_node_py(rest, imgui.Dir.up, 0.56)
+    _, middle, bottom = build.dock_builder_split_node_py(rest, imgui.Dir.up, 0.585)
     places = {"top": top, "middle": middle, "bottom": bottom}
     for name, _, place in PANELS:
         build.dock_builder_dock_window(name, places[place])

@@ -14,6 +14,7 @@ from orograph.dem.handles import locate
 from orograph.errors import OrographError
 from orograph.geovis.colour import TINTS, colour_table
 from orograph.geovis.layers import Layer, check_count
+from orograph.geovis.laying import Laid
 from orograph.picture.contours import Contours
 from orograph.picture.kept import Kept
 from orograph.picture.silhouettes import Silhouettes
@@ -210,7 +211,9 @@ def add(window: Window, text: str) -> bool:
     try:
         layer = Layer.parse(text.strip().strip("'\""))
         layer = replace(layer, path=str(Path(layer.path).expanduser()))
-        locate(layer.path)
+        if "://" not in layer.path:  # what is far away is waited for by the threads that draw it
+            locate(layer.path)
+            Laid.open(layer, session.terrain.grid)
         check_count([*session.settings.layers, layer])
     except OrographError as error:
         session.messages.say(str(error))

@@ -83,5 +83,5 @@ def _moment(window: Window) -> None:
     _, hours = imgui.slider_float("h/s", light.speed / 3600.0, 0.1, 6.0, "%.1f", imgui.SliderFlags_.logarithmic)
     light.speed = hours * 3600.0
     sun = light.sun(window.session.terrain)
-    below = "  (below the horizon)" if sun.altitude < 0 else ""
-    imgui.text(f"azimuth {sun.azimuth:.1f}°  altitude {sun.altitude:.1f}°{below}")
+    below = ", below the horizon" if sun.altitude < 0 else ""
+    imgui.text_wrapped(f"azimuth {sun.azimuth:.1f}°, altitude {sun.altitude:.1f}°{below}".replace("-", "−"))

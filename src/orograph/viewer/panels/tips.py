@@ -1,4 +1,4 @@
-"""Tool tips: a sentence on what the pointer rests on."""
+"""Small helps for panels: a sentence on what the pointer rests on, and rows that wrap in a narrow panel."""
 
 from __future__ import annotations
 
@@ -9,3 +9,10 @@ def tip(text: str) -> None:
     """A tool tip on the last item, also where it is disabled."""
     if imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled | imgui.HoveredFlags_.delay_short):
         imgui.set_tooltip(text)
+
+
+def beside(wide: float) -> None:
+    """Put the next item, so many logical pixels wide, beside the last one if it fits into the panel."""
+    room = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x - imgui.get_item_rect_max().x
+    if room > wide + 2 * imgui.get_style().item_spacing.x:
+        imgui.same_line()
