@@ -61,7 +61,8 @@ def sheet(terrain: orograph.Terrain, args: argparse.Namespace) -> Image.Image:
 
     panels.append(("normal", "east, north, up as red, green, blue", vectors(made("normal"))))
     add("slope", made("slope")[0], lambda v, a, b: 255 - grey(v, a, b), "°, steep is dark", 0.0)
-    add("aspect", made("aspect")[0], lambda v, a, b: coloured(v, a, b, "twilight_shifted"), "°", 0.0, 360.0)
+    aspect = coloured(made("aspect")[0], 0.0, 360.0, "twilight_shifted")
+    panels.append(("aspect", "north purple, east blue, south white, west red", aspect))
     add("hillshade", made("hillshade", sun=(315, 45))[0], grey, "", 0.0, 1.0)
     many = made("hillshade", lights=((315, 45, 2.0), (255, 40, 1.0), (15, 40, 1.0)))[0]
     add("hillshade, three lights", many, grey, "", 0.0, 1.0)
@@ -69,13 +70,14 @@ def sheet(terrain: orograph.Terrain, args: argparse.Namespace) -> Image.Image:
         "horizon in the west",
         made("horizon")[args.azimuths * 3 // 4],
         lambda v, a, b: 255 - grey(v, a, b, 0.7),
-        "°",
+        "°, high is dark",
         0.0,
     )
     add("sky-view-factor", made("sky-view-factor")[0], grey, "")
     add("visible-sky", made("visible-sky")[0], grey, "")
     add("openness", made("openness", radius=radius)[0], grey, f"°, R = {radius:g} m")
-    add("openness-negative", made("openness-negative", radius=radius)[0], lambda v, a, b: 255 - grey(v, a, b), "°")
+    add("openness-negative", made("openness-negative", radius=radius)[0], lambda v, a, b: 255 - grey(v, a, b),
+        f"°, R = {radius:g} m, high is dark")  # fmt: skip
     add("ambient-occlusion", made("ambient-occlusion")[0], grey, "")
     near = made("ambient-occlusion", radius=radius, rho="linear")[0]
     add("ambient-occlusion, linear", near, grey, f", R = {radius:g} m")

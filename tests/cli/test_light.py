@@ -217,7 +217,7 @@ def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_pa
     assert code == 130 and "same command" in err and not out.exists() and (tmp_path / "out.tif.partial").is_dir()
     swept, run_pass = [], sweep._Pass.run
     with monkeypatch.context() as patch:
-        patch.setattr(sweep._Pass, "run", lambda self, read: swept.append(len(self.lines)) or run_pass(self, read))
+        patch.setattr(sweep._Pass, "run", lambda self, *how: swept.append(len(self.lines)) or run_pass(self, *how))
         code, _, err = run("light", hilly, *given, "-o", out)
     assert code == 0, err
     assert len(swept) == 2 and sum(swept) == 12 - passes[-1]  # two of four passes were left
@@ -262,7 +262,7 @@ def test_several_products_share_a_sweep(run, hilly, tmp_path, monkeypatch):
     from orograph.light import sweep
 
     swept, run_pass = [], sweep._Pass.run
-    monkeypatch.setattr(sweep._Pass, "run", lambda self, read: swept.append(len(self.lines)) or run_pass(self, read))
+    monkeypatch.setattr(sweep._Pass, "run", lambda self, *how: swept.append(len(self.lines)) or run_pass(self, *how))
     alone, count = [], []
     for name in ("visible-sky", "sky-view-factor", "aperture", "openness"):
         swept.clear()

@@ -202,7 +202,7 @@ def test_a_sweep_that_is_interrupted_goes_on(tmp_path, monkeypatch, path):
         with pytest.raises(KeyboardInterrupt):
             bake(folder, given, FEW)
     swept, run_pass = [], sweep._Pass.run
-    monkeypatch.setattr(sweep._Pass, "run", lambda self, read: swept.append(len(self.lines)) or run_pass(self, read))
+    monkeypatch.setattr(sweep._Pass, "run", lambda self, *how: swept.append(len(self.lines)) or run_pass(self, *how))
     bake(folder, given, FEW)
     assert sum(swept) == 2 * 5 - passes[-1]
     assert files(folder) == files(path)
