@@ -159,6 +159,8 @@ def main() -> None:
     row("tolerance 1 px", base)
     for tolerance in (0.5, 2.0, 4.0):
         row(f"tolerance {tolerance} px", fly(Roam(t), views, tolerance=tolerance))
+    for tolerance in (1.0, 4.0):
+        row(f"tolerance {tolerance} px, wedgie", fly(Roam(t, metric="wedgie"), views, tolerance=tolerance))
     for factor in (0.0, 0.25, 4.0):
         row(
             f"{factor * given.speed:.0f} m/s",
