@@ -394,6 +394,35 @@ def test_any_size(window, hand, size):
     assert window.session.view.height == 500
 
 
+def test_the_help_fits_a_small_window(window, hand):
+    window.canvas.set_logical_size(360, 240)
+    hand.key("F1")
+    hand.frames(4)
+    shown = imgui.internal.find_window_by_name("##help")
+    assert shown.pos.x >= 0 and shown.pos.y >= 0
+    assert shown.pos.x + shown.size.x <= 360 and shown.pos.y + shown.size.y <= 240
+    assert shown.scroll_max.y > 0  # the rest is scrolled to
+
+
+def test_panels_that_are_hidden_from_the_first_leave_the_picture_alone_and_dock_when_they_come(
+    device, dem, own_config, monkeypatch
+):
+    own_config.mkdir(parents=True)
+    (own_config / "layout.ini").write_text("[Docking][Data]\nDockSpace ID=0x06092A11 Pos=0,0 Size=0,0 CentralNode=1\n")
+    session = Session(prepare([str(dem)]), size=(640, 480), tolerance=4.0)
+    session.settings.panels = False
+    window = Window(session, RenderCanvas(size=(900, 600)), renderer_of(64 << 20), device=device)
+    hand = Hand(window)
+    hand.rest()
+    shown, terrain = hand.frames(2)[300:320, 440:460], window.drawing.screen.pixels()[300:320, 440:460]
+    assert np.abs(shown.astype(int) - terrain).max() <= 2  # nothing lies over it
+    hand.key("Tab")
+    hand.frames(6)
+    assert window.area[2] < 700  # they are docked, not strewn over the picture
+    window.canvas.close()
+    window.gui.close()
+
+
 def test_every_key_does_something_and_is_in_the_help(window, hand):
     said = dict(help_rows())
     for b in bindings():
