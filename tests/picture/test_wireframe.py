@@ -90,8 +90,9 @@ def test_its_heights_are_the_triangles_own():
 
 
 @pytest.mark.parametrize("shape", [(100, 75), (129, 257), (2, 2), (3, 90), (600, 530)])
-def test_read_by_windows_it_is_the_same(shape):
+def test_read_by_windows_it_is_the_same(shape, monkeypatch):
     """Samples of every level, in any window, and their box means, as of the whole in memory."""
+    monkeypatch.setattr("orograph.picture.mesh_terrain.STRIP", 3000)
     ground = terrain(holes(hills(*shape)) if min(shape) > 60 else hills(*shape))
     mesh = Soar(ground, cull=False).refine(View((501_500, 3_998_000, 2000), (501_200, 3_999_500, 800)), tolerance=4.0)
     whole = surface_of(mesh, ground)
@@ -149,7 +150,8 @@ def test_a_large_mesh_is_drawn_as_it_is_within_a_part_of_a_pixel(monkeypatch):
     assert there.mean() > 0.98
     east, north = ground.grid.samples @ (cols[there], rows[there])
     placed = [
-        np.asarray(view.project(np.stack([east, north, z], -1))[0]) for z in (shown[there], whole.heights[::3, ::3][there])
+        np.asarray(view.project(np.stack([east, north, z], -1))[0])
+        for z in (shown[there], whole.heights[::3, ::3][there])
     ]
     moved = np.hypot(*(placed[0] - placed[1]).T)
     assert 0.01 < moved.max() <= 0.25

@@ -26,6 +26,9 @@ from orograph.tessellation import Tessellation
 
 Corners = NDArray[np.float64]
 
+STRIP = 1 << 21
+"""Samples that are read at a time for means."""
+
 QUARTERS = 2
 """Means of level k are made of samples of level k − 2, five each way and weighted as the trapezoid rule has it."""
 
@@ -62,6 +65,15 @@ class MeshTerrain(Terrain):
         self._inside(self.mean_shape(level), row0, row1, col0, col1)
         if level == 0:
             return self.read(0, row0, row1, col0, col1)
+        means = np.empty((row1 - row0, col1 - col0), np.float32)
+        tall = max(1, STRIP >> 2 * min(level, QUARTERS)) // max(1, col1 - col0) or 1
+        for row in range(row0, row1, tall):
+            end = min(row + tall, row1)
+            means[row - row0 : end - row0] = self._means(level, row, end, col0, col1)
+        return means
+
+    def _means(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """``read_mean`` of a strip, for which finer samples are read."""
         down = min(level, QUARTERS)
         times, finer = 1 << down, level - down
         # The last block of a side that ends early has fewer samples: those repeated beyond the raster do not count.
