@@ -20,7 +20,7 @@ from pyproj import CRS, Transformer
 from orograph.dem.raster import Dem
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid, apply
-from orograph.geovis.colour import colour_table, linear_to_srgb
+from orograph.geovis.colour import colour_table, linear_to_srgb, srgb_to_linear
 from orograph.geovis.layers import Layer
 from orograph.gpu.device import Device
 from orograph.gpu.frame import FrameStats
@@ -319,3 +319,42 @@ def test_memory_is_fixed_whatever_is_wanted(device: Device, ground: Terrain, tmp
         assert {key[0] for key in atlas._slots} == held  # what is gone left its places
     finally:
         frames.renderer.close()
+
+
+def test_near_by_a_huge_image_both_backends_show_its_pixels(device: Device, ground: Terrain, tmp_path: Path) -> None:
+    """20,000 pixels a side, of which a part has colours: no memory holds it, and a view from near by shows each."""
+    side, at, span = 20_000, 9_000, 1536
+    path = tmp_path / "huge.tif"
+    pixels = patches(span, span, span // 12, 4)
+    with rasterio.open(
+        path, "w", driver="GTiff", count=3, height=side, width=side, dtype="uint8", crs=CRS(32632).to_wkt(),
+        transform=Affine(SPAN / side, 0, EAST, 0, -SPAN / side, NORTH), tiled=True, compress="deflate", sparse_ok=True,
+        photometric="rgb", BIGTIFF="YES", blockxsize=512, blockysize=512,
+    ) as file:  # fmt: skip
+        file.write(np.moveaxis(pixels, -1, 0), window=((at, at + span), (at, at + span)))
+    pixel = SPAN / side
+    x, y = EAST + pixel * (at + span / 2), NORTH - pixel * (at + span / 2)
+    col, row = (round(float(v)) for v in ground.grid.index(x, y))
+    z = float(ground.read(0, row, row + 1, col, col + 1)[0, 0])
+    view = View((x, y - 75, z + 180), (x, y, z), fov_y=40, width=200, height=130)
+    scene = Scene(
+        ground, view, layers=(Layer(str(path)),), light="none", samples=1, water=None, tolerance=0.1,
+        max_memory=400 << 20,
+    )  # fmt: skip
+    off = difference(scene, device)
+    assert off.mean() < 1.0
+    assert np.percentile(off, 95) < 3.0
+    # It is the image: what the nearest pixels under 64 rays of every pixel show.
+    o0, ou, ov, d0, du, dv = view.ray_basis(1.0)
+    depth = cpu_draw(replace(scene, layers=(), tolerance=0.0)).depth.astype(np.float64)
+    py, px = np.mgrid[: view.height, : view.width][..., None] + 0.5
+    total, drawn = np.zeros((view.height, view.width, 3)), cpu_draw(scene)
+    for i, j in np.ndindex(8, 8):
+        a, b = px + (j - 3.5) / 8, py + (i - 3.5) / 8
+        places = o0 + a * ou + b * ov + depth[..., None] * (d0 + a * du + b * dv)
+        c = np.clip((places[..., 0] - EAST) / pixel - at, 0, span - 1).astype(int)
+        r = np.clip((NORTH - places[..., 1]) / pixel - at, 0, span - 1).astype(int)
+        total += srgb_to_linear(pixels[r, c] / 255.0)
+    ours = srgb_to_linear(drawn.pixels / 255.0)
+    assert np.sqrt(np.mean((ours - total / 64) ** 2)) < 0.04  # of a contrast (rms) of 0.16
+    assert np.std(ours) > 0.9 * np.std(total / 64) > 0.05

@@ -26,7 +26,7 @@ from orograph.geovis.imagery import step_for
 from orograph.geovis.layers import Layer
 from orograph.geovis.laying import Laid
 from orograph.geovis.placement import TOLERANCE, interpolate, slopes_into
-from orograph.geovis.texels import Texels
+from orograph.geovis.texels import Texels, slow
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
@@ -36,6 +36,9 @@ BUDGET = 1 << 30
 
 WHOLE = 4
 """Of the bytes of an image that does not fit, the part (one of so many) that holds coarse levels of all of it."""
+
+FEW = 1 << 20
+"""The same in bytes, at most, where holding them takes a reading of the whole file."""
 
 
 class Drape:
@@ -51,7 +54,7 @@ class Drape:
         """Use ``open``."""
         self.laid, self.texels, self.tiles = texels.laid, texels, tiles
         self.warnings = list(self.laid.warnings)
-        if tiles is not None and texels.slow:
+        if tiles is not None and slow(self.laid, texels.base):
             rows, cols = texels.shape(0)
             self.warnings.append(
                 f"{self.path} has no overviews: {rows * cols / 1e6:,.0f} million pixels are read if any of it is seen "
@@ -96,7 +99,9 @@ class Drape:
         step = step_for(*size, budget, least)
         if step == step_for(*size, math.inf, least):
             return step.bit_length() - 1, 0
-        return step_for(*size, budget / WHOLE, 1.0).bit_length() - 1, budget - budget // WHOLE
+        # To hold levels of all of a file without overviews all of it is read: as few as can be.
+        held = FEW if slow(laid, 1) else budget / WHOLE
+        return step_for(*size, min(held, budget / WHOLE), 1.0).bit_length() - 1, budget - budget // WHOLE
 
     @classmethod
     def of(cls, laid: Laid, base: int, memory: int) -> Drape:
@@ -106,7 +111,7 @@ class Drape:
             ReadError: the file cannot be read, or shows nothing over the terrain.
         """
         texels = Texels(laid, base)
-        if not memory or not texels.slow:
+        if not memory or not slow(laid, base):
             texels.hold()
         return cls(texels, ImageTiles(texels, memory) if memory else None)
 

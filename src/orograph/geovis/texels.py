@@ -44,12 +44,6 @@ class Texels:
         """Rows and columns of a level."""
         return shape_at(self.window, k)
 
-    @property
-    def slow(self) -> bool:
-        """Whether holding the coarse levels takes a reading of very many pixels, for want of overviews."""
-        rows, cols = self.shape(0)
-        return rows * cols > SLOW and self.base > 0 and not any(f > 1 for f in self.laid.overviews)
-
     def hold(self) -> None:
         """Have the levels from ``base`` on in memory; safe from any thread.
 
@@ -102,3 +96,9 @@ class Texels:
 def shape_at(window: Window, k: int) -> tuple[int, int]:
     """Rows and columns of texels of a level over a window of pixels."""
     return -(-(window.row1 - window.row0) >> k), -(-(window.col1 - window.col0) >> k)
+
+
+def slow(laid: Laid, base: int) -> bool:
+    """Whether holding levels from ``base`` on takes a reading of very many pixels, for want of overviews."""
+    rows, cols = shape_at(laid.aligned()[0], 0)
+    return rows * cols > SLOW and base > 0 and not any(f > 1 for f in laid.overviews)

@@ -6,8 +6,7 @@ size, which is made when there is a first layer. Each layer has a page table: fo
 that is there for its place, itself or one above, so that shaders look up once and there is never a hole; the coarsest
 tiles never leave. A layer is opened, and its coarse levels are read, by the same threads: frames do not wait for it.
 
-One buffer holds all that ``shaders/imagery.wgsl`` asks for: heads (a layer each, in the order they are drawn), then for
-every layer its levels, its lattice of image positions (whole pixels apart from what is left of them) and its pages.
+One buffer holds all that ``shaders/imagery.wgsl`` asks for (``image_words``).
 """
 
 from __future__ import annotations
@@ -22,9 +21,10 @@ from numpy.typing import NDArray
 
 from orograph._numba import kernel
 from orograph.errors import ReadError
-from orograph.geovis.layers import MOST, Layer, drawn
+from orograph.geovis.layers import Layer, drawn
 from orograph.geovis.mipmap import TAPS
 from orograph.gpu.device import Device
+from orograph.gpu.image_words import HEAD_DTYPE, HEADS, STATIC, aim, fixed, level_words, node_words
 from orograph.gpu.sheets import SIDE, Sheet
 from orograph.gpu.slots import Slots
 from orograph.gpu.streamer import Streamer
@@ -45,28 +45,11 @@ UPLOAD = 16
 OPENING = -1
 """The place of a layer's tile that stands for opening it."""
 
-HEAD, HEADS = 24, 4
-"""Words of a head, and where the first one is."""
-
-STATIC = HEADS + MOST * HEAD
-LEVEL = 8
-"""Words of a level."""
-
 THERE = np.uint32(1 << 31)
 """A page's bit that says: this is known (perhaps that nothing is to be seen). Bits 24–28 are the level, those below 24
 the slot + 1, 0 where nothing is to be seen."""
 
 SLOT = np.uint32((1 << 24) - 1)
-
-HEAD_DTYPE = np.dtype(
-    [
-        ("across", "<f4", 2), ("down", "<f4", 2), ("cell", "<i4", 2), ("part", "<f4", 2), ("nodes", "<i4", 2),
-        ("size", "<i4", 2), ("finest", "<u4"), ("coarsest", "<u4"), ("levels_at", "<u4"), ("lattice_at", "<u4"),
-        ("pages_at", "<u4"), ("opacity", "<f4"), ("multiply", "<u4"), ("bounded", "<u4"), ("pad", "<u4", 4),
-    ]
-)  # fmt: skip
-"""A head of ``shaders/imagery.wgsl``. across, down: the lattice's nodes per metre east and north; cell, part: where the
-eye is in it; nodes: how many; size: the image's columns and rows; bounded: 1 if columns end, and 2 if rows do."""
 
 
 @kernel
@@ -338,13 +321,8 @@ class Imagery:
         held.stale = False
         first, last = _inherit(held.own, held.sheet.tree.parents, held.pages)
         if self._buffer is not None and first < last:
-            at = 4 * (held.at + self._fixed(held.sheet) + first)
+            at = 4 * (held.at + fixed(held.sheet) + first)
             self.device.queue.write_buffer(self._buffer, at, held.pages[first:last])
-
-    @staticmethod
-    def _fixed(sheet: Sheet) -> int:
-        """Words of a layer before its pages."""
-        return LEVEL * len(sheet.levels) + 4 * sheet.laid.lattice.u.size
 
     def _write(self, layers: Sequence[Layer], view: View, taps: int) -> None:
         """Have the buffer hold all open layers, and heads for those to draw; ``taps``: look-ups in a footprint."""
@@ -354,7 +332,7 @@ class Imagery:
             parts, at = [np.zeros(STATIC, np.uint32)], STATIC
             for held in self._held.values():
                 held.at = at
-                words = [_levels(held.sheet), _nodes(held.sheet), held.pages]
+                words = [level_words(held.sheet), node_words(held.sheet), held.pages]
                 parts += words
                 at += sum(w.size for w in words)
             self._buffer = self.device.buffer(np.concatenate(parts), "STORAGE", "imagery")
@@ -363,46 +341,6 @@ class Imagery:
         heads = head[HEADS:].view(HEAD_DTYPE)
         for k, layer in enumerate(layers):
             held = self._held[layer.content]
-            _aim(heads[k], held, view)
+            aim(heads[k], held.sheet, held.at, view)
             heads[k]["opacity"], heads[k]["multiply"] = layer.opacity, layer.blend == "multiply"
         self.device.queue.write_buffer(self._buffer, 0, head)
-
-
-def _levels(sheet: Sheet) -> Words:
-    out = np.zeros((len(sheet.levels), LEVEL), np.int32)
-    for k, level in enumerate(sheet.levels):
-        out[k, :5] = level.first, level.row0, level.col0, *level.shape
-    return out.view(np.uint32).ravel()
-
-
-def _nodes(sheet: Sheet) -> Words:
-    """Positions of the lattice's nodes: whole columns and rows of pixels, and what is left of them; the least integer
-    where there is none."""
-    lattice = sheet.laid.lattice
-    out = np.empty((lattice.u.size, 4), np.uint32)
-    for k, values in enumerate((lattice.u.ravel(), lattice.v.ravel())):
-        there = np.isfinite(values) & (np.abs(values) < 2**30)
-        whole = np.floor(np.where(there, values, 0.0))
-        out[:, k] = np.where(there, whole, -(2.0**31)).astype(np.int64).astype(np.int32).view(np.uint32)
-        out[:, 2 + k] = np.where(there, values - whole, 0.0).astype(np.float32).view(np.uint32)
-    return out.ravel()
-
-
-def _aim(head: Any, held: Held, view: View) -> None:
-    """Where a layer's words are, and where the eye is in its lattice, differenced in double precision."""
-    laid = held.sheet.laid
-    a, b, c, d, e, f = laid.lattice.index[:6]
-    x, y = view.target[:2] if view.projection == "plan" else view.eye[:2]
-    place = np.array([a * x + b * y + c, d * x + e * y + f])
-    place = np.clip(place, -1e6, 1e6)
-    cell = np.floor(place)
-    head["across"], head["down"] = (a, b), (d, e)
-    head["cell"], head["part"] = cell, place - cell
-    rows, cols = laid.lattice.u.shape
-    head["nodes"] = cols, rows
-    head["size"] = laid.placement.image.cols, laid.placement.image.rows
-    head["finest"], head["coarsest"] = held.sheet.finest, held.sheet.coarsest
-    head["levels_at"] = held.at
-    head["lattice_at"] = held.at + LEVEL * len(held.sheet.levels)
-    head["pages_at"] = head["lattice_at"] + 4 * laid.lattice.u.size
-    head["bounded"] = 0 if laid.placement.stretched else 2 if laid.cyclic else 3

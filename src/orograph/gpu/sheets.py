@@ -21,7 +21,7 @@ from orograph.geovis.imagery import Window
 from orograph.geovis.layers import Layer
 from orograph.geovis.laying import Laid
 from orograph.geovis.placement import Placement
-from orograph.geovis.texels import Texels, shape_at
+from orograph.geovis.texels import Texels, shape_at, slow
 from orograph.gpu.wanted import Tree
 from orograph.store.terrain import TILE, Terrain
 
@@ -103,7 +103,7 @@ class Sheet:
         while math.prod(shape_at(window, self.base)) > BASE and self.base < self.coarsest:
             self.base += 1
         self.texels = texels = Texels(laid, self.base)
-        if texels.slow:
+        if slow(laid, self.base):
             self.warnings.append(
                 f"{layer.path} has no overviews: {math.prod(texels.shape(0)) / 1e6:,.0f} million pixels are read "
                 "before it is seen (gdaladdo makes overviews)."
