@@ -37,6 +37,9 @@ UPLOADING = 0.002
 AHEAD = 0.5
 """What a pixel of error counts that will be missing in a moment; one that is missing now counts 1."""
 
+ASK = 64
+"""Tiles of a kind that a frame asks for, at most: until they are read it will be another frame that asks."""
+
 READERS, REMOTE_READERS = 2, 8
 """Threads that read tiles from a disk, which keep processors busy, and over a network, which mostly wait."""
 
@@ -108,17 +111,17 @@ class Residency:
         loaded, size = self._upload(wait)
         if wait:
             self._ahead.clear()
-        patches, wanted, seconds = self._select(view, tolerance, exaggeration, wait)
-        while wait and (wanted or self.streamer.waiting) and not self._full:
+        patches, missing, seconds = self._select(view, tolerance, exaggeration, wait)
+        while wait and (missing or self.streamer.waiting) and not self._full:
             self.streamer.wait(1.0)
             more, bytes_ = self._upload(wait)
             loaded, size = loaded + more, size + bytes_
-            patches, wanted, took = self._select(view, tolerance, exaggeration, wait)
+            patches, missing, took = self._select(view, tolerance, exaggeration, wait)
             seconds += took
             for kind, key in self.streamer.failed.keys() & self._asked.keys():
                 why = self.streamer.failed[kind, key][1]
                 raise StoreError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
-        return Chosen(patches, seconds, len(wanted) + int(patches.stats["absent"]), loaded, size)
+        return Chosen(patches, seconds, missing + int(patches.stats["absent"]), loaded, size)
 
     @property
     def waiting(self) -> int:
@@ -144,10 +147,8 @@ class Residency:
         """Stop reading."""
         self.streamer.close()
 
-    def _select(
-        self, view: View, tolerance: float, exaggeration: float, wait: bool
-    ) -> tuple[Patches, list[tuple[float, Kind, Key]], float]:
-        """The patches to draw, the tiles that are missing, and the seconds that took."""
+    def _select(self, view: View, tolerance: float, exaggeration: float, wait: bool) -> tuple[Patches, int, float]:
+        """The patches to draw, how many tiles are missing that can be read, and the seconds that took."""
         begun = time.perf_counter()
         judged, frustum = _judged(view, exaggeration)
         patches = self.engine.select(
@@ -155,10 +156,10 @@ class Residency:
             frustum=frustum, wait=wait,
         )  # fmt: skip
         seconds = time.perf_counter() - begun
-        wanted = self._lacking(view, patches, exaggeration, self._frame)
+        wanted, missing = self._lacking(view, patches, exaggeration, self._frame)
         self._asked = {(kind, key): p for p, kind, key in wanted}
         self._ask()
-        return patches, [w for w in wanted if (w[1], w[2]) not in self.streamer.failed], seconds
+        return patches, missing - len(self._asked.keys() & self.streamer.failed.keys()), seconds
 
     def _ask(self) -> None:
         """Have what is lacking read, now and in a moment."""
@@ -184,11 +185,15 @@ class Residency:
             judged, tolerance, resident=self.heights.resident, exaggeration=exaggeration, frustum=frustum, wait=False
         )
         # What is there already stays, if this frame and the last leave it room.
-        self._ahead[self._prediction.turn] = self._lacking(ahead, patches, exaggeration, self._frame - 2)
+        self._ahead[self._prediction.turn], _ = self._lacking(ahead, patches, exaggeration, self._frame - 2)
         self._ask()
 
-    def _lacking(self, view: View, patches: Patches, exaggeration: float, frame: int) -> list[tuple[float, Kind, Key]]:
-        """The tiles that a view wants and that are not there; those that are there are noted as wanted in a frame.
+    def _lacking(
+        self, view: View, patches: Patches, exaggeration: float, frame: int
+    ) -> tuple[list[tuple[float, Kind, Key]], int]:
+        """The tiles that a view wants and that are not there, those of the largest errors, and how many there are.
+
+        Those that are there are noted as wanted in a frame.
 
         No more are wanted than there is room for: then the tiles of the largest errors settle in the atlas, instead of
         all taking each other's place.
@@ -196,16 +201,20 @@ class Residency:
         tiles, pixels = _largest(patches.tiles, patches.pixels, self.heights.room)
         lack = self.heights.lacking(tiles, frame)
         wanted: list[tuple[float, Kind, Key]] = []
-        if lack.any():
-            level, row, col = (a.tolist() for a in patches.tiling.where(tiles[lack]))
+        missing, most = int(lack.sum()), ASK + len(self.streamer.failed)  # (what cannot be read is in nobody's way)
+        if missing:
+            tiles, pixels = _largest(tiles[lack], pixels[lack], most)
+            level, row, col = (a.tolist() for a in patches.tiling.where(tiles))
             keys = zip(level, row, col, strict=True)
-            wanted += [(p, "heights", key) for p, key in zip(pixels[lack].tolist(), keys, strict=True)]
+            wanted += [(p, "heights", key) for p, key in zip(pixels.tolist(), keys, strict=True)]
         which, priority = _largest(*self._slope_tiles.of(view, exaggeration), self.slopes.room)
         lack = self.slopes.lacking(self._slope_tiles.index[which], frame)
         if lack.any():
-            for p, (k, i, j) in zip(priority[lack].tolist(), self._slope_tiles.keys[which[lack]].tolist(), strict=True):
+            missing += int(lack.sum())
+            which, priority = _largest(which[lack], priority[lack], most)
+            for p, (k, i, j) in zip(priority.tolist(), self._slope_tiles.keys[which].tolist(), strict=True):
                 wanted.append((p, "slopes", (k, i, j)))
-        return wanted
+        return wanted, missing
 
     def _upload(self, wait: bool) -> tuple[int, int]:
         """Bring tiles that have been read to the GPU; how many, and their bytes."""
