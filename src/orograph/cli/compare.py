@@ -18,6 +18,7 @@ from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
     ParamType,
+    grid_options,
     jobs_option,
     memory_option,
     progress_of,
@@ -102,8 +103,7 @@ class Engines(ParamType):
     "--json", "json_path", metavar="OUT|-", help="Write the table as JSON; - is stdout, in place of the text."
 )
 @click.option("--picture", type=FILE, metavar="OUT.png", help="Draw the first view's meshes side by side.")
-@click.option("--crs", help="Projected CRS to work in.  [default: the file's own, or its UTM zone]")
-@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
+@grid_options("work")
 @source_options
 @vertical_options
 @memory_option

@@ -12,7 +12,15 @@ import click
 
 from orograph.cli.camera import Numbers
 from orograph.cli.files import check_ending, check_outputs
-from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.options import (
+    FILE,
+    grid_options,
+    jobs_option,
+    memory_option,
+    progress_of,
+    source_options,
+    vertical_options,
+)
 from orograph.cli.products import Names, horizon_options, insolation_options, more_of, once, ray_options
 from orograph.cli.suns import sun_option
 from orograph.errors import UsageError
@@ -60,8 +68,7 @@ AT_ONCE = ("normal", "slope", "aspect", "hillshade")
 @click.option("--cones", type=click.IntRange(min=3), help="Of cone tracing: about how many per sample.  [default: 64]")
 @insolation_options
 @click.option("--byte", is_flag=True, help="8-bit values for looking at, instead of float32 in physical units.")
-@click.option("--crs", help="Projected CRS to work in.  [default: the file's own, or its UTM zone]")
-@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
+@grid_options("work")
 @click.option(
     "--resume",
     is_flag=True,

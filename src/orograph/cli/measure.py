@@ -24,7 +24,15 @@ from orograph.cli.measuring import (
     tell,
     without,
 )
-from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.options import (
+    FILE,
+    grid_options,
+    jobs_option,
+    memory_option,
+    progress_of,
+    source_options,
+    vertical_options,
+)
 from orograph.errors import UsageError
 
 
@@ -50,8 +58,7 @@ class Measures(click.Group):
 
 @click.group("measure", cls=Measures, context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("path", metavar="PATH")
-@click.option("--crs", help="Projected CRS to measure in.  [default: the file's own, or its UTM zone]")
-@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the file's]")
+@grid_options("measure")
 @source_options
 @vertical_options
 @memory_option

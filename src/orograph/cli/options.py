@@ -2,8 +2,8 @@
 
 ``@source_options`` gives a verb the options of ``orograph.dem.Source.open`` as keyword arguments ``band``, ``nodata``,
 ``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``; ``@vertical_options`` gives
-``to_vertical`` and ``geoid``, ``@memory_option`` ``max_memory`` (bytes, int), ``@jobs_option`` ``jobs`` (int or None:
-all processors).
+``to_vertical`` and ``geoid``, ``@grid_options(…)`` ``crs`` and ``resolution``, ``@memory_option`` ``max_memory``
+(bytes, int), ``@jobs_option`` ``jobs`` (int or None: all processors).
 """
 
 from __future__ import annotations
@@ -60,6 +60,19 @@ class Bytes(ParamType):
         if size < LEAST_MEMORY:
             self.fail(f"{value!r} is less than 64MiB, in which no work can be done (write it like 1GiB).", param, ctx)
         return size
+
+
+def grid_options(doing: str) -> Callable[[F], F]:
+    """Give a verb ``crs`` and ``resolution``, those of the grid that terrain is brought to.
+
+    Args:
+        doing: what the verb does in that CRS ("draw", "measure"…).
+    """
+    crs = click.option("--crs", help=f"Projected CRS to {doing} in.  [default: the file's own, or its UTM zone]")
+    resolution = click.option(
+        "--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']"
+    )
+    return lambda function: crs(resolution(function))
 
 
 class Nodata(ParamType):

@@ -16,7 +16,7 @@ from orograph.cli.camera import Numbers
 from orograph.cli.engines import engine_option
 from orograph.cli.layers import layers_of_options, layers_option
 from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
-from orograph.cli.options import FILE, F, ParamType
+from orograph.cli.options import FILE, F, ParamType, grid_options
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
@@ -150,10 +150,7 @@ def scene_options(function: F) -> F:
                 help="With --engine: the camera to refine for, to look at the mesh from elsewhere.  "
                 "[default: the picture's]",
             ),
-            click.option("--crs", help="Projected CRS to draw in.  [default: the file's own, or its UTM zone]"),
-            click.option(
-                "--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']"
-            ),
+            grid_options("draw"),
             click.option(
                 "--backend",
                 type=click.Choice(["cpu", "gpu"]),

@@ -22,7 +22,15 @@ from orograph.cli.engines import (
     refine_options,
 )
 from orograph.cli.files import check_outputs
-from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.options import (
+    FILE,
+    grid_options,
+    jobs_option,
+    memory_option,
+    progress_of,
+    source_options,
+    vertical_options,
+)
 from orograph.errors import OrographError
 
 OWN = {*CAMERA, *REFINE, "seconds", "metric", "exaggeration", "geomorph"}
@@ -42,8 +50,7 @@ OWN = {*CAMERA, *REFINE, "seconds", "metric", "exaggeration", "geomorph"}
     "--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
 )
 @click.option("--check", is_flag=True, help="Let the referee measure the mesh against every sample in view.")
-@click.option("--crs", help="Projected CRS to triangulate in.  [default: the file's own, or its UTM zone]")
-@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
+@grid_options("triangulate")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @source_options
 @vertical_options

@@ -10,7 +10,7 @@ import click
 
 from orograph.cli.camera import Size
 from orograph.cli.files import check_outputs
-from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options
+from orograph.cli.options import FILE, grid_options, jobs_option, memory_option, progress_of, source_options
 from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
 from orograph.errors import UsageError
 
@@ -28,8 +28,7 @@ def command() -> None:
 @click.option(
     "--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Heights will be stretched so."
 )
-@click.option("--crs", help="Projected CRS to draw in.  [default: the file's own, or its UTM zone]")
-@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
+@grid_options("draw")
 @source_options
 @memory_option
 @jobs_option

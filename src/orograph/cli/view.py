@@ -11,7 +11,7 @@ from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camer
 from orograph.cli.engines import engine_option
 from orograph.cli.layers import layers_of_options, layers_option
 from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
-from orograph.cli.options import Bytes, F, jobs_option, progress_of, source_options, vertical_options
+from orograph.cli.options import Bytes, F, grid_options, jobs_option, progress_of, source_options, vertical_options
 from orograph.cli.scenes import LIGHTS, Water
 from orograph.cli.suns import sun_option
 
@@ -72,8 +72,7 @@ def _line_options(function: F) -> F:
     show_default=True,
     help="Frames before the --screenshot, or fewer if nothing changes any more.",
 )
-@click.option("--crs", help="Projected CRS to draw in.  [default: the file's own, or its UTM zone]")
-@click.option("--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']")
+@grid_options("draw")
 @source_options
 @vertical_options
 @jobs_option
