@@ -192,6 +192,8 @@ class Tracer:
         tracing.end()
         self.device.queue.submit([encoder.finish()])
         out = self.device.read_buffer(result, np.float32).reshape(inner.shape).copy()
+        for used in (voxels, heights, slopes, result):
+            used.destroy()
         out[missing] = np.nan
         return np.asarray(np.clip(out, 0.0, 1.0))
 

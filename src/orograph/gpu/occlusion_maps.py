@@ -112,6 +112,7 @@ class Maps:
         self.table = device.buffer(table, "STORAGE")
         self.store = Store(device, context.terrain)
         self._size, self._target = (0, 0), None
+        self._texels: Any = None  # of the largest map so far
 
     def _pipeline(self, front: bool) -> Any:
         """The pass that fills a map with faces that look away from the light, or with all of them."""
@@ -197,7 +198,11 @@ class Maps:
         uniforms = np.zeros((max(len(records), 1), _RECORD), np.uint8)
         uniforms[: len(records), : records.dtype.itemsize] = records.view(np.uint8).reshape(len(records), -1)
         slopes = np.nan_to_num(np.stack([gx, gy], axis=-1)).astype(np.float32)
-        texels = device.buffer(frames.texels * layers * 4, "STORAGE")
+        if self._texels is None or self._texels.size < frames.texels * layers * 4:
+            if self._texels is not None:
+                self._texels.destroy()
+            self._texels = device.buffer(frames.texels * layers * 4, "STORAGE")
+        texels = self._texels
         sums = device.buffer(np.zeros((rows, cols, 2), np.float32), "STORAGE|COPY_SRC")
         lost = device.buffer(np.zeros(1, np.uint32), "STORAGE|COPY_SRC")
         shared = device.buffer(uniforms, "UNIFORM"), device.buffer(slopes, "STORAGE")
@@ -227,8 +232,11 @@ class Maps:
                 gathering.dispatch_workgroups(-(-cols // 8), -(-rows // 8))
                 gathering.end()
             device.queue.submit([encoder.finish()])
-        found = device.read_buffer(sums, np.float32).reshape(rows, cols, 2)
-        return found.copy(), int(device.read_buffer(lost, np.uint32)[0])
+        found = device.read_buffer(sums, np.float32).reshape(rows, cols, 2).copy()
+        missed = int(device.read_buffer(lost, np.uint32)[0])
+        for buffer in (sums, lost, *shared):  # not when Python comes to it: on software it is the process' memory
+            buffer.destroy()
+        return found, missed
 
 
 _DIRECTION = np.dtype(

@@ -137,7 +137,8 @@ class Store:
         Raises:
             DeviceLimitError: the device's memory does not hold them.
         """
-        self._held = {r: self._held[r] for r in wanted if r in self._held}
+        for r in [r for r in self._held if r not in wanted]:
+            self._held.pop(r).buffer.destroy()
         for r in wanted:
             if r not in self._held:
                 self._held[r] = self._read(r)
