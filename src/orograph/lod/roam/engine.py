@@ -37,6 +37,9 @@ the width of a bucket (``bounds.STALE``)."""
 STEPS = 500
 """Steps between two looks at the clock."""
 
+LEARNT = 1000
+"""Triangles that come in a frame, from which on it tells how long the strips of a triangle take."""
+
 
 class Roam(Engine):
     """ROAM. See ``Engine`` for the arguments; ``refine`` goes on from the mesh of the last view. Besides:
@@ -154,6 +157,7 @@ class Roam(Engine):
         )
         self._crossing = 0.0
         self._blind = False  # memory is too small to look ahead
+        self._pace = 0.0  # seconds that the strips of a triangle that comes take
         self._seen: tuple[Any, ...] | None = None
         self._pose: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
@@ -185,7 +189,8 @@ class Roam(Engine):
                 self._blind = True
                 self._state.options[mesh.NEARNESS] = 0.0
                 self._renew()
-            late = seconds is not None and time.perf_counter() - began >= seconds
+            spent = time.perf_counter() - began + self._pace * int(c[mesh.SHOWN])
+            late = seconds is not None and spent >= seconds
             if late and c[mesh.RELABELLED]:
                 self._split_mixed()
                 break
@@ -315,7 +320,8 @@ class Roam(Engine):
         names = "nodes", "waiting", "keys", "zs", "members", "strips", "dirty", "loose"
         larger: dict[str, Any] = dict(zip(names, fresh))
         for name, array in larger.items():
-            array[: len(getattr(s, name))] = getattr(s, name)
+            old = getattr(s, name).reshape(-1).view(np.uint8)  # (as bytes: NumPy copies records field by field)
+            array.reshape(-1).view(np.uint8)[: len(old)] = old
         self._state = s._replace(**larger)
 
     # ---- what came of it ---------------------------------------------------------------------------------------------
@@ -358,7 +364,11 @@ class Roam(Engine):
         """Bring the strips up to date, or build them anew."""
         if not self.strips:
             return
+        began = time.perf_counter()
         if self.strips == "rebuilt":
             stripping.unravel(self._state)
         while not stripping.restrip(self._state):
             self._grow()
+            began = time.perf_counter()
+        if (shown := int(self._state.counts[mesh.SHOWN])) >= LEARNT:
+            self._pace = (time.perf_counter() - began) / shown
