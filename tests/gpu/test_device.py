@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from orograph.gpu import device as gpu
 from orograph.gpu.device import Adapter, Device, DeviceLimitError, NoAdapterError
+from orograph.light.occlusion import ambient_occlusion
 
 
 def test_there_is_one_device_for_the_process(device: Device) -> None:
@@ -115,3 +117,20 @@ def test_an_adapter_is_chosen_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     assert gpu.choose().name == "llvmpipe"
     with pytest.raises(NoAdapterError, match="named 'none'"):
         gpu.choose("none")
+
+
+def test_records_that_change_compile_nothing_anew(device: Device) -> None:
+    """Lavapipe makes shaders of uniforms' values, and keeps them: software is given storage instead."""
+    if not device.adapter.software or not Path("/proc/self/maps").exists():
+        pytest.skip("of software renderers on Linux")
+
+    def compiled() -> int:
+        maps = [line.split() for line in Path("/proc/self/maps").read_text().splitlines()]
+        return sum("x" in fields[1] and len(fields) == 5 for fields in maps)  # executable, of no file
+
+    heights = np.random.default_rng(3).normal(0, 20, (24, 24)).astype(np.float32)
+    linear = np.diag([10.0, -10.0])
+    ambient_occlusion(heights, linear, method="shadow-maps", rays=4)
+    before = compiled()
+    ambient_occlusion(heights, linear, method="shadow-maps", rays=64)
+    assert compiled() - before < 10

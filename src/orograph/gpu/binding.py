@@ -42,7 +42,7 @@ def layout(device: Device, *words: str, stages: str = "COMPUTE") -> Layout:
         kind: dict[str, Any]
         visible = seen
         if word.startswith("uniform"):
-            kind = {"buffer": {"type": "uniform", "has_dynamic_offset": word.endswith("+dynamic")}}
+            kind = {"buffer": {"type": device.record, "has_dynamic_offset": word.endswith("+dynamic")}}
         elif word == "read":
             kind = {"buffer": {"type": "read-only-storage"}}
         elif word == "write":

@@ -171,6 +171,15 @@ class Device:
     def queue(self) -> Any:
         return self.handle.queue
 
+    @property
+    def record(self) -> str:
+        """The type of binding that what shaders call uniform has: a storage buffer on software.
+
+        Mesa's lavapipe compiles a shader anew, in milliseconds, whenever a pass begins with uniforms that its branches
+        depend on, and keeps every one.
+        """
+        return "read-only-storage" if self.adapter.software else "uniform"
+
     def shader(self, name: str, constants: dict[str, int | float] | None = None) -> Any:
         """The compiled module ``shaders/NAME.wgsl``, its includes put in.
 
@@ -180,7 +189,10 @@ class Device:
         """
         key = name + repr(sorted((constants or {}).items()))
         if key not in self._modules:
-            self._modules[key] = self.handle.create_shader_module(label=name, code=source(name, constants))
+            text = source(name, constants)
+            if self.record != "uniform":
+                text = text.replace("var<uniform>", "var<storage, read>")
+            self._modules[key] = self.handle.create_shader_module(label=name, code=text)
         return self._modules[key]
 
     def limit(self, name: str) -> int:
@@ -208,6 +220,8 @@ class Device:
         flags = wgpu.BufferUsage.COPY_DST
         for part in words:
             flags |= getattr(wgpu.BufferUsage, part)
+        if "UNIFORM" in words and self.record != "uniform":
+            flags |= wgpu.BufferUsage.STORAGE
         size = data if isinstance(data, int) else data.nbytes
         most = self.limit("max-buffer-size")
         if "STORAGE" in words:  # bound whole; of uniforms records are bound one at a time

@@ -48,7 +48,7 @@ NEAR = 1e-3
 """Cells within which a face is the sample's own."""
 HOLE = 2.0
 """Cells beyond which a face seen from below is ground behind a hole."""
-_RECORD = 256  # bytes between records of a uniform buffer with dynamic offsets
+_RECORD = 256  # bytes between records of a buffer with dynamic offsets
 _SMALL = 16  # samples along the side of a tile that is not divided further
 _BATCH = 16  # directions per submission at most: enough to keep a GPU busy, and Ctrl-C is heard in between
 _CELLS = 1 << 22  # and cells drawn: a fraction of a second on the slowest GPU, whose driver's watchdog waits for two
@@ -195,8 +195,8 @@ class Maps:
         if self._size[0] < width or self._size[1] < height:
             self._size = max(self._size[0], width), max(self._size[1], height)
             self._target = device.texture(self._size, "r8unorm", "RENDER_ATTACHMENT").create_view()
-        uniforms = np.zeros((max(len(records), 1), _RECORD), np.uint8)
-        uniforms[: len(records), : records.dtype.itemsize] = records.view(np.uint8).reshape(len(records), -1)
+        apart = np.zeros((max(len(records), 1), _RECORD), np.uint8)
+        apart[: len(records), : records.dtype.itemsize] = records.view(np.uint8).reshape(len(records), -1)
         slopes = np.nan_to_num(np.stack([gx, gy], axis=-1)).astype(np.float32)
         if self._texels is None or self._texels.size < frames.texels * layers * 4:
             if self._texels is not None:
@@ -205,7 +205,7 @@ class Maps:
         texels = self._texels
         sums = device.buffer(np.zeros((rows, cols, 2), np.float32), "STORAGE|COPY_SRC")
         lost = device.buffer(np.zeros(1, np.uint32), "STORAGE|COPY_SRC")
-        shared = device.buffer(uniforms, "UNIFORM"), device.buffer(slopes, "STORAGE")
+        shared = device.buffer(apart, "UNIFORM"), device.buffer(slopes, "STORAGE")
         groups = [
             bind(device, self.layout, shared[0], h.buffer, texels, sums, shared[1], self.table, lost,
                  device.buffer(ring.view(np.uint8), "UNIFORM"), sizes={0: _RECORD})
@@ -348,7 +348,7 @@ class _Frames:
             yield range(first, len(self.cells))
 
     def records(self, layers: int) -> NDArray[Any]:
-        """The uniforms (n,) of all directions."""
+        """The records (n,) of all directions."""
         self._records["map"][:, 2] = layers
         return self._records
 

@@ -81,10 +81,10 @@ class ShadePass:
         self.device, self.camera = device, camera
         handle = device.handle
         layouts = [
-            handle.create_bind_group_layout(entries=[uniform(0, "VERTEX|FRAGMENT")]),
+            handle.create_bind_group_layout(entries=[uniform(device, 0, "VERTEX|FRAGMENT")]),
             handle.create_bind_group_layout(
                 entries=[
-                    uniform(0, "FRAGMENT"),
+                    uniform(device, 0, "FRAGMENT"),
                     texture(1, "depth"), texture(2, "uint"), texture(3, "unfilterable-float", "2d-array"),
                     *(storage(k) for k in (4, 5, 6, 7, 8)),
                     texture(9, "float", "2d-array"), {"binding": 10, "visibility": stage("FRAGMENT"), "sampler": {}},
@@ -263,7 +263,7 @@ class ResolvePass:
         self._bound: list[tuple[Any, Any, Any]] = []
         self._onto: tuple[Any, Attachments] | None = None
         self.layout = handle.create_bind_group_layout(
-            entries=[uniform(0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "unfilterable-float")]
+            entries=[uniform(device, 0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "unfilterable-float")]
         )
         self.pipeline = handle.create_render_pipeline(
             label="resolve",
@@ -321,8 +321,8 @@ def stage(names: str) -> int:
     return flags
 
 
-def uniform(binding: int, stages: str) -> dict[str, Any]:
-    return {"binding": binding, "visibility": stage(stages), "buffer": {"type": "uniform"}}
+def uniform(device: Device, binding: int, stages: str) -> dict[str, Any]:
+    return {"binding": binding, "visibility": stage(stages), "buffer": {"type": device.record}}
 
 
 def storage(binding: int) -> dict[str, Any]:

@@ -41,7 +41,7 @@ class PatchPass:
         self.stride, self.capacity, self.missing = stride, 0, missing
         self.instances: Any = None
         layouts = [
-            handle.create_bind_group_layout(entries=[uniform(0, "VERTEX|FRAGMENT")]),
+            handle.create_bind_group_layout(entries=[uniform(device, 0, "VERTEX|FRAGMENT")]),
             handle.create_bind_group_layout(
                 entries=[
                     *({**texture(k, "unfilterable-float", "2d-array"), "visibility": stage("VERTEX")} for k in (0, 1)),

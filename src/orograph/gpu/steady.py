@@ -64,10 +64,10 @@ class Steady:
         self.device = device
         handle = device.handle
         sampler = {"binding": 4, "visibility": wgpu.ShaderStage.FRAGMENT, "sampler": {}}
-        first = handle.create_bind_group_layout(entries=[uniform(0, "VERTEX|FRAGMENT")])
+        first = handle.create_bind_group_layout(entries=[uniform(device, 0, "VERTEX|FRAGMENT")])
         self._layout = handle.create_bind_group_layout(
             entries=[
-                uniform(0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "depth"), texture(3, "float"),
+                uniform(device, 0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "depth"), texture(3, "float"),
                 sampler, texture(5, "unfilterable-float"),
             ]
         )  # fmt: skip
