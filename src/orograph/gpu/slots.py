@@ -40,7 +40,9 @@ class Slots:
         self.texture = device.texture(
             (PER_SIDE * side, PER_SIDE * side, layers), format, "TEXTURE_BINDING|COPY_DST|COPY_SRC", label=label
         )
-        # In a thread, as software drivers clear when they are told to; whoever comes first has a layer cleared.
+        # In a thread, as software drivers clear when they are told to; whoever comes first has a layer cleared. Never
+        # both at once: within wgpu a submission and a write that want the same texture cleared wait for each other.
+        self._clearing = threading.Lock()
         threading.Thread(target=self._clear, args=(layers,), name="clear", daemon=True).start()
         self._slots: dict[Any, int] = {}
         self._keys: list[Any] = [None] * self.capacity
@@ -61,7 +63,9 @@ class Slots:
                     {"texture": self.texture, "origin": (0, 0, layer)},
                     {"buffer": out, "offset": 0, "bytes_per_row": 256, "rows_per_image": 1}, (1, 1, 1),
                 )  # fmt: skip
-            self.device.queue.submit([encoder.finish()])
+            commands = encoder.finish()
+            with self._clearing:
+                self.device.queue.submit([commands])
 
     def slot(self, key: Any) -> int:
         """Where a tile is, −1 if it is not there."""
@@ -98,12 +102,13 @@ class Slots:
             del self._slots[before]
         layer, place = divmod(slot, PER_SIDE**2)
         y, x = divmod(place, PER_SIDE)
-        self.device.queue.write_texture(
-            {"texture": self.texture, "origin": (x * self.side, y * self.side, layer)},
-            np.ascontiguousarray(data),
-            {"bytes_per_row": self._row, "rows_per_image": self.side},
-            (self.side, self.side, 1),
-        )
+        with self._clearing:
+            self.device.queue.write_texture(
+                {"texture": self.texture, "origin": (x * self.side, y * self.side, layer)},
+                np.ascontiguousarray(data),
+                {"bytes_per_row": self._row, "rows_per_image": self.side},
+                (self.side, self.side, 1),
+            )
         self._slots[key], self._keys[slot] = slot, key
         self._used[slot], self._pinned[slot] = frame, pin
         return slot, before
