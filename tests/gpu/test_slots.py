@@ -20,7 +20,6 @@ def test_tiles_are_put_while_the_texture_is_cleared(device: Device) -> None:
             for key in range(12):
                 slots.put(key, tile, key)
             device.wait()
-            slots.texture.destroy()
 
     worker = threading.Thread(target=work, daemon=True)
     worker.start()

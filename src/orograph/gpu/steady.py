@@ -67,8 +67,8 @@ class Steady:
         first = handle.create_bind_group_layout(entries=[uniform(device, 0, "VERTEX|FRAGMENT")])
         self._layout = handle.create_bind_group_layout(
             entries=[
-                uniform(device, 0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "depth"), texture(3, "float"),
-                sampler, texture(5, "unfilterable-float"),
+                uniform(device, 0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "depth"),
+                texture(3, "float"), sampler, texture(5, "unfilterable-float"),
             ]
         )  # fmt: skip
         module = device.shader("steady")
