@@ -18,7 +18,7 @@ Facts = dict[str, Any]
 EXTRAS = {
     "gpu": ("wgpu",),
     "view": ("rendercanvas", "glfw", "imgui-bundle"),
-    "notebook": ("anywidget",),
+    "notebook": ("anywidget", "simplejpeg"),
     "movie": ("av",),
     "mesh": ("trimesh",),
     "sample": ("matplotlib",),

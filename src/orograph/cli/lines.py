@@ -58,7 +58,7 @@ LINE_OPTIONS: tuple[Callable[[Any], Any], ...] = (
     click.option(
         "--contour-opacity", type=click.FloatRange(0, 1), default=0.7, show_default=True, help="Of the lines."
     ),
-    click.option("--silhouettes", is_flag=True, help="Draw lines where ridges stand before what is behind them."),
+    click.option("--silhouettes", is_flag=True, help="Draw lines along ridges and creases."),
     click.option(
         "--silhouette-width",
         type=click.FloatRange(0.25, 32),

@@ -52,7 +52,7 @@ class Scene:
         sky: draw sky and haze; else the background is paper.
         water: "auto" finds seas and lakes by their flatness, None draws none, a number is a water level in metres.
         contours: lines of equal height on the ground; None: none.
-        silhouettes: lines where ridges stand before what is behind them; None: none.
+        silhouettes: lines where ridges hide what is behind them, and along creases; None: none.
         relief: factor on slopes for shading only; None strengthens small scales and gentle land, 1 is nature.
         samples: rays per pixel where the picture has edges (1: no antialiasing).
         tolerance: pixels; 0 demands the exact surface, None decides by size (``EXACT_SAMPLES``, ``DEFAULT_TOLERANCE``).

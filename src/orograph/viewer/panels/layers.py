@@ -67,7 +67,7 @@ def draw(window: Window) -> None:
 
 
 def _silhouettes(window: Window) -> None:
-    """Lines where ridges stand before what is behind them, and their width."""
+    """Lines along ridges and creases, and their width."""
     settings = window.session.settings
     moved, on = imgui.checkbox("silhouettes", settings.silhouettes is not None)
     if moved:
