@@ -93,7 +93,7 @@ def render(
             Default "auto".
         contours: lines of equal height: metres from line to line, or a ``Contours`` (``orograph.Contours()`` finds an
             interval itself). Default None: none.
-        silhouettes: lines where ridges hide what is behind, and along creases: True, or a ``Silhouettes``. Default None.
+        silhouettes: lines along ridges and creases: True, or a ``Silhouettes``. Default None.
         sky: draw sky and haze instead of paper. Default False.
         furniture: add a title, a colour bar, a north arrow and a scale bar. Default False.
         title: the title of the furniture. Default None: the terrain's name.
