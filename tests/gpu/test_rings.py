@@ -12,7 +12,7 @@ from affine import Affine
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.gpu import cone_tracing, occlusion_maps
+from orograph.gpu import cone_tracing, occlusion_frames, occlusion_maps
 from orograph.gpu.device import Device
 from orograph.gpu.occlusion_maps import Maps, Settings
 from orograph.gpu.rings import bound, rings
@@ -159,9 +159,9 @@ def test_rasters_larger_than_the_device_and_the_memory_allowed(
 def test_nothing_depends_on_how_much_a_submission_draws(device: Device, mountains: np.ndarray) -> None:
     """Few cells at a time: a driver's watchdog is not kept waiting."""
     made = []
-    for cells in (occlusion_maps._CELLS, 9000):
+    for cells in (occlusion_frames.MOST_CELLS, 9000):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(occlusion_maps, "_CELLS", cells)
+            patch.setattr(occlusion_frames, "MOST_CELLS", cells)
             context = context_of(mountains[:64, :64], CELL, Options())
             maps = Maps(device, context, transmission("step", None), 40, 0, Settings(tile=32))
             made.append(maps.tile(0, 32, 32, 64))
