@@ -358,3 +358,22 @@ def test_near_by_a_huge_image_both_backends_show_its_pixels(device: Device, grou
     ours = srgb_to_linear(drawn.pixels / 255.0)
     assert np.sqrt(np.mean((ours - total / 64) ** 2)) < 0.04  # of a contrast (rms) of 0.16
     assert np.std(ours) > 0.9 * np.std(total / 64) > 0.05
+
+
+def test_an_image_covers_water_as_on_the_cpu(device: Device, tmp_path: Path) -> None:
+    y, x = np.mgrid[:SAMPLES, :SAMPLES]
+    heights = np.where(x < 180, 0, 40 + 30 * np.sin(x / 9) * np.cos(y / 11)).astype(np.float32)
+    lake = in_memory(
+        Dem(heights, Grid(heights.shape, Affine(METRES, 0, EAST, 0, -METRES, NORTH), CRS.from_epsg(32632)))
+    )
+    pixels = np.zeros((60, 60, 4), np.uint8)
+    pixels[:30] = *RED, 255
+    layer = Layer(write(tmp_path / "i.tif", pixels))
+    scene = Scene(lake, plan(lake, SIZE), layers=(layer,), light="none", tolerance=0.5)
+    ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
+    assert np.linalg.norm(lab(ours.pixels) - lab(caster.pixels), axis=-1).mean() < 0.5
+    red = (np.abs(ours.pixels.astype(int) - RED).max(-1) <= 2)[np.isfinite(ours.depth)]
+    assert abs(red.mean() - 0.5) < 0.03
+    for what in ("water", "draped"):
+        assert abs(ours.facts["shown"][what] - caster.facts["shown"][what]) < 0.02 * red.size
+    assert ours.facts["shown"]["water"] > 0.2 * red.size

@@ -12,12 +12,13 @@ import scenes
 from affine import Affine
 from numpy.typing import NDArray
 
-from orograph.geovis.colour import srgb_to_linear
+from orograph.geovis.colour import linear_to_srgb, srgb_to_linear
 from orograph.geovis.drape import Drape
 from orograph.geovis.layers import Layer
 from orograph.picture.camera import plan
 from orograph.picture.cpu import draw
 from orograph.picture.scene import Scene
+from orograph.picture.shading import WATER
 from orograph.view import View
 
 METRES = 2000.0
@@ -160,3 +161,24 @@ def test_less_detail_is_read_where_less_is_seen(tmp_path: Path) -> None:
     truth, inside = supersampled(scene.view, board(64))
     ours = srgb_to_linear(picture.pixels[..., 0] / 255.0)
     assert np.sqrt(np.mean((ours - truth)[inside] ** 2)) < 0.12
+
+
+def test_an_image_covers_water(tmp_path: Path) -> None:
+    heights = scenes.hills(200, 200, tall=60)
+    heights[:, :120] = 0  # a lake, of which the image covers the northern half
+    ground = scenes.terrain(heights, Affine(METRES / 200, 0, WEST, 0, -METRES / 200, NORTH))
+    pixels = np.zeros((100, 100, 4), np.uint8)
+    pixels[:50] = 200, 40, 40, 255
+    scene = Scene(ground, plan(ground, (200, 200)), light="none", layers=(Layer(image(tmp_path / "i.tif", pixels)),))
+    picture = draw(scene)
+    y, x = np.nonzero(np.isfinite(picture.depth))
+    west, east, top, bottom = x.min(), x.max(), y.min(), y.max()
+    tall, wide = bottom - top, east - west
+    lake = slice(west + wide // 10, west + wide // 3)
+    assert np.abs(picture.pixels[top + tall // 10 : top + tall // 3, lake].astype(int) - [200, 40, 40]).max() <= 2
+    water = picture.pixels[bottom - tall // 3 : bottom - tall // 10, lake].astype(int)
+    assert np.abs(water - np.round(linear_to_srgb(WATER) * 255)).max() <= 2
+    # What is counted is what is seen: half of the lake is water, half of all is draped.
+    ground_seen = picture.facts["shown"]["ground"]
+    assert abs(picture.facts["shown"]["water"] / ground_seen - 0.3) < 0.03
+    assert abs(picture.facts["shown"]["draped"] / ground_seen - 0.5) < 0.03

@@ -290,11 +290,11 @@ class Renderer:
         """How many pixels show ground, of it water and imagery, and missing ground; the middle two by a sample."""
         ground = int(np.isfinite(depth).sum())
         points, share = points_of(self.terrain, scene.view, scene.exaggeration, depth)
-        wet = wet_at(self._light.maps, points)
-        covered = 0
+        wet, covered = wet_at(self._light.maps, points), 0
         if scene.layers and len(points):
             x, y = self.terrain.grid.xy(points[:, 0], points[:, 1])
-            covered = int(((self.imagery.covered(scene.layers, x, y) > 0.5) & ~wet).sum())
+            hidden = self.imagery.covered(scene.layers, x, y) > 0.5
+            wet, covered = wet & ~hidden, int(hidden.sum())
         return {
             "ground": ground, "water": round(int(wet.sum()) * share), "draped": round(covered * share),
             "missing": int(veiled.sum()),

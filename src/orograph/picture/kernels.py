@@ -143,9 +143,9 @@ def paint(points, light, water_map, scale, row0, col0, land, low, high, sea, flo
         table = sea if below else land
         for c in range(3):
             albedo = table[k, c] * (1.0 - f) + table[k + 1, c] * f
+            albedo = albedo * (1.0 - wet) + water[c] * wet
             if draped:
                 albedo = albedo * drape[i, 3 + c] + drape[i, c]
-            albedo = albedo * (1.0 - wet) + water[c] * wet
             out[i, c] = _shoulder(albedo * light[i, c])
 
 
@@ -189,7 +189,7 @@ def compose(
         sunlit: (n,) part of the sun seen. sky_map, water_map: fields over samples of 2^level = ``scale``, first
             (row0, col0); water_map is 0.5 on the shore and may have no samples.
         land: (k, 3) tint from height ``low`` to ``high``; sea: (m, 3) from ``floor`` to 0 m, or (0, 3).
-        drape: (n, 7) what layers make of the tint (``geovis.layers.composite``), or (0, 7).
+        drape: (n, 7) what layers make of tint and water (``geovis.layers.composite``), or (0, 7).
         water, sunlight, skylight: (3,) colours; bounce: part of all light that ground sees instead of hidden sky.
     """
     wet_map, draped = water_map.shape[0] > 0, drape.shape[0] > 0
@@ -208,8 +208,8 @@ def compose(
         open_sky = sky * (0.5 + 0.5 * tilt[i])
         for c in range(3):
             albedo = table[k, c] * (1.0 - f) + table[k + 1, c] * f
+            albedo = albedo * (1.0 - wet) + water[c] * wet
             if draped:
                 albedo = albedo * drape[i, 3 + c] + drape[i, c]
-            albedo = albedo * (1.0 - wet) + water[c] * wet
             light = lit * sunlight[c] + open_sky * skylight[c] + (1.0 - sky) * bounce * (sunlight[c] + skylight[c])
             out[i, c] = _shoulder(albedo * light)

@@ -113,8 +113,8 @@ class Shader:
     """Colours samples of one scene.
 
     Attributes:
-        shown: pixel centres coloured so far: "ground", of it "water" and "draped" (mostly covered by layers, and not
-            water), and "missing".
+        shown: pixel centres coloured so far: "ground", of it "draped" (mostly covered by layers) and "water" (that is
+            not), and "missing".
     """
 
     def __init__(self, scene: Scene, ground: Ground, survey: Survey, kept: Kept, progress: Progress = SILENT) -> None:
@@ -200,8 +200,8 @@ class Shader:
         if counted is not None:
             bare = np.flatnonzero(counted & ~np.isnan(hits.t) & np.isnan(hits.veil))
             wet = self._wet(hits.points[bare])
-            covered = 0 if not self.drapes else int(((drape[bare, 6] < 0.5) & ~wet).sum())
-            self._count(ground=len(bare), water=int(wet.sum()), draped=covered)
+            covered = drape[bare, 6] < 0.5 if self.drapes else np.zeros(len(bare), bool)
+            self._count(ground=len(bare), water=int((wet & ~covered).sum()), draped=int(covered.sum()))
         if self.lines is not None:
             self.lines.draw(hits, px, py, out)
         if self.air is not None:

@@ -221,15 +221,15 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
     vec2<f32>(pixel) + 0.5);
   // end: RAYS
   var albedo = tint_of(height);
-  if ((FLAGS & 4u) != 0u) {
-    albedo = under_layers(albedo, position.xy, footprint_of(vec2<f32>(pixel) + 0.5, position, depth, g));
-  }
   var wet = 0.0;
   if ((FLAGS & 2u) != 0u) {
     wet = map_value(shade.light.x + size.x * size.y, size, first, shade.light.w, at);
     wet = clamp((wet - (0.5 - shade.water.w)) / (2.0 * shade.water.w), 0.0, 1.0);
     wet = wet * wet * (3.0 - 2.0 * wet);
     albedo = mix(albedo, shade.water.rgb, wet);
+  }
+  if ((FLAGS & 4u) != 0u) {
+    albedo = under_layers(albedo, position.xy, footprint_of(vec2<f32>(pixel) + 0.5, position, depth, g));
   }
   return Ground(shoulder(albedo * light), g, wet);
 }
