@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+
 import numpy as np
 import pytest
 import rasterio
@@ -62,6 +64,7 @@ def test_each_name_is_its_product(heights):
     same = {
         "aspect": light.aspect, "normal": light.normals, "hillshade": light.hillshade, "horizon": light.horizons,
         "sky-view-factor": light.sky_view_factor, "visible-sky": light.visible_sky,
+        "ambient-occlusion": light.ambient_occlusion, "aperture": light.apertures,
     }  # fmt: skip
     for name, function in same.items():
         np.testing.assert_array_equal(function(heights, cell=CELL), light.make(heights, name, cell=CELL))
@@ -70,6 +73,97 @@ def test_each_name_is_its_product(heights):
     for negative, name in ((False, "openness"), (True, "openness-negative")):
         got = light.openness(heights, 8, radius=90.0, negative=negative, cell=CELL)
         np.testing.assert_array_equal(got, light.make(heights, name, azimuths=8, radius=90.0, cell=CELL))
+
+
+def test_sun_and_seasons_by_name_on_whatever_has_heights(heights, tmp_path):
+    dem = Dem(heights, grid_of(heights))
+    when = "2026-03-21T16:00Z"
+    for data in (dem, orograph.store.terrain(dem)):
+        made = light.shadows(data, when)
+        assert [b.name for b in made.bands] == ["fraction", "code"]
+        np.testing.assert_array_equal(made.values, light.make(dem, "shadow", sun=when).values)
+        year = light.insolation(data, "2026", step=60.0)
+        assert [b.name for b in year.bands] == ["direct", "diffuse", "global"] and year.bands[0].unit == "Wh/m2"
+        np.testing.assert_array_equal(
+            year.values, light.make(dem, "insolation", date="2026", step=60.0, azimuths=64).values
+        )
+    np.testing.assert_array_equal(light.hillshade(dem, sun=when).values, light.make(dem, "hillshade", sun=when).values)
+    np.testing.assert_array_equal(
+        light.ambient_occlusion(heights, 200.0, rho="linear", method="rays", rays=8, cell=CELL),
+        light.make(heights, "ambient-occlusion", radius=200.0, rho="linear", method="rays", rays=8, cell=CELL),
+    )
+    with pytest.raises(UsageError, match="where on Earth"):
+        light.insolation(heights, "2026", cell=CELL)
+
+
+def named(heights, dims=("y", "x"), epsg=32611, **more):
+    """A DataArray of heights, as rioxarray has them."""
+    xr = pytest.importorskip("xarray")
+    grid = grid_of(heights, epsg)
+    x, y = grid.xy(np.arange(heights.shape[1]), 0)[0], grid.xy(0, np.arange(heights.shape[0]))[1]
+    ref = xr.DataArray(0, attrs={"crs_wkt": grid.crs.to_wkt()})
+    return xr.DataArray(heights, {dims[0]: y, dims[1]: x, "spatial_ref": ref, **more}, dims)
+
+
+def test_rows_of_a_data_array_are_not_taken_for_columns(heights):
+    """Dimensions that say they are turned: NetCDF files with (x, y), (lon, lat), or CF's axis and standard_name."""
+    expected = light.aspect(Dem(heights, grid_of(heights))).values[0]
+    for dims in (("y", "x"), ("northing", "easting"), ("lat", "lon")):
+        turned = named(heights, dims).transpose()
+        made = light.aspect(turned)
+        assert made.dims == dims[::-1]
+        np.testing.assert_array_equal(made.transpose().values, expected)
+    odd = named(heights, ("down", "across")).transpose()
+    odd["across"].attrs["axis"] = "X"
+    odd["down"].attrs["standard_name"] = "projection_y_coordinate"
+    np.testing.assert_array_equal(light.aspect(odd).transpose().values, expected)
+    assert light.normals(odd).dims == ("band", "across", "down")
+
+
+def test_what_a_data_array_keeps(heights):
+    xr = pytest.importorskip("xarray")
+    scalars = {"time": np.datetime64("2026-06-21", "ns"), "season": "summer", "band": 1}
+    given = named(heights.astype(np.float64), **scalars).assign_attrs(units="m", long_name="heights", source="SRTM")
+    given.name = "dem"
+    made = light.slope(given)
+    assert made.name == "slope" and made.attrs == {"units": "degrees", "long_name": "steepness of the ground"}
+    assert set(made.coords) == {"y", "x", "spatial_ref", "time", "season"} and made.season == "summer"
+    xr.testing.assert_identical(made, light.make(given, "slope"))
+    importlib.import_module("orograph.dem.accessor")
+    xr.testing.assert_identical(made, given.orograph.light("slope"))
+    np.testing.assert_array_equal(made.values, light.slope(given.expand_dims("band")).values)
+    shade = light.normals(given)
+    assert list(shade.band.values) == ["normal east", "normal north", "normal up"]
+    with pytest.raises(UsageError, match="dataset"):
+        light.slope(given.to_dataset())
+
+
+def test_metres_are_not_called_degrees(heights):
+    """A map of a grid in degrees is in metres, and its dimensions are not latitude and longitude."""
+    xr = pytest.importorskip("xarray")
+    y, x = 45.0 - np.arange(60) * 3e-4, 7.0 + np.arange(80) * 3e-4
+    given = xr.DataArray(heights, {"lat": y, "lon": x}, ("lat", "lon"), attrs={"crs": "EPSG:4326"})
+    made = light.slope(given)
+    assert made.dims == ("y", "x") and made.y.max() > 1e6 and "UTM" in made.spatial_ref.attrs["crs_wkt"]
+
+
+def test_lazy_masked_and_odd_arrays(heights):
+    expected = light.slope(heights, cell=CELL)
+    masked = np.ma.masked_invalid(heights)
+    masked.data[masked.mask] = -9999.0
+    np.testing.assert_array_equal(light.slope(masked, cell=CELL), expected)
+    np.testing.assert_array_equal(light.slope(np.where(np.isnan(heights), np.inf, heights), cell=CELL), expected)
+
+    class Lazy:
+        dtype, shape = heights.dtype, heights.shape
+
+        def __array__(self, dtype=None, copy=None):
+            return heights if dtype is None else heights.astype(dtype)
+
+    np.testing.assert_array_equal(light.slope(Lazy(), cell=CELL), expected)
+    for wrong in (heights.astype(complex), heights.astype(str), heights.astype("datetime64[s]")):
+        with pytest.raises(UsageError, match="real numbers"):
+            light.slope(wrong, cell=CELL)
 
 
 def test_cells_of_arrays(heights):
@@ -127,9 +221,14 @@ def test_a_scratch_folder_without_room_says_so(heights, monkeypatch):
 def test_wrong_options_are_refused(heights):
     with pytest.raises(UsageError, match="sky-view-factor"):
         light.make(heights, "sky", cell=CELL)
-    for wrong in ({"azimuths": 2}, {"radius": 0.0}, {"radius": np.inf}):
+    for wrong in (
+        {"azimuths": 2}, {"azimuths": 8.5}, {"radius": 0.0}, {"radius": np.inf}, {"radius": "300"}, {"jobs": 0},
+        {"refraction": np.nan}, {"exaggeration": 0.0}, {"lights": ((315.0, 45.0),)}, {"lights": ((0, 0, np.nan),)},
+    ):  # fmt: skip
         with pytest.raises(UsageError):
             light.make(heights, "visible-sky", cell=CELL, **wrong)
+    with pytest.raises(UsageError, match=r"raduis.*azimuths"):
+        light.make(heights, "visible-sky", cell=CELL, raduis=300.0)
 
 
 def test_bytes_are_gdals_for_hillshades():

@@ -27,11 +27,32 @@ if TYPE_CHECKING:
     from orograph.store import Terrain
 
 
+_ALONG_ROWS = {"x", "lon", "long", "longitude", "easting", "east", "e", "projection_x_coordinate"}
+_DOWN = {"y", "lat", "latitude", "northing", "north", "n", "projection_y_coordinate"}
+
+
+def axes_of(array: xr.DataArray) -> tuple[Any, Any]:
+    """The dimensions down the columns and along the rows: the last two, in the other order where they say so.
+
+    What a dimension is its name says, or its coordinate's ``axis`` or ``standard_name`` (CF).
+    """
+
+    def says(dim: Any, names: set[str], axis: str) -> bool:
+        attributes = array.coords[dim].attrs if dim in array.coords else {}
+        called = {str(dim).lower(), str(attributes.get("standard_name", "")).lower()}
+        return bool(called & names) or str(attributes.get("axis", "")).upper() == axis
+
+    first, second = array.dims[-2:]
+    turned = says(first, _ALONG_ROWS, "X") and says(second, _DOWN, "Y")
+    return (second, first) if turned else (first, second)
+
+
 def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str | None = None) -> Dem:
     """A Dem of a two-dimensional DataArray (dimensions of length 1 in front are dropped).
 
     Args:
-        array: heights with evenly spaced coordinates along its last two dimensions (rows, columns).
+        array: heights with evenly spaced coordinates along its last two dimensions: rows and columns, or columns and
+            rows where they are called so (``axes_of``).
         crs: the CRS, if the array does not say it.
         name: what to call it. Default: the array's own name, else that of its file.
 
@@ -46,6 +67,7 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
             f"{called} has the dimensions {dict(array.sizes)}; two are needed.", remedy="Select one layer with .isel()."
         )
     array = array.isel(dict.fromkeys(lead, 0))
+    array = array.transpose(*axes_of(array))
     if array.dtype.kind not in "iuf":
         raise ReadError(f"The numbers of {called} are {array.dtype}, which heights are not.")
     heights = array.to_numpy().astype(np.float64)
@@ -119,6 +141,13 @@ class OrographAccessor:
         from orograph.store import terrain
 
         return terrain(self.to_dem(crs=crs, name=name))
+
+    def light(self, name: str, **options: Any) -> xr.DataArray:
+        """A product of light on the array's ground, by its name: ``orograph.light.make``."""
+        from orograph.light import make
+
+        made: xr.DataArray = make(self._array, name, **options)
+        return made
 
     def render(self, view: Any = None, *, crs: str | CRS | None = None, name: str | None = None, **options: Any) -> Any:
         """A picture of the array: ``orograph.render(terrain, view, **options)``."""

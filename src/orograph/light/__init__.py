@@ -14,12 +14,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from orograph.light.api import (
         Map,
+        ambient_occlusion,
+        apertures,
         aspect,
         hillshade,
         horizons,
+        insolation,
         make,
         normals,
         openness,
+        shadows,
         sky_view_factor,
         slope,
         visible_sky,
@@ -27,12 +31,16 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Map",
+    "ambient_occlusion",
+    "apertures",
     "aspect",
     "hillshade",
     "horizons",
+    "insolation",
     "make",
     "normals",
     "openness",
+    "shadows",
     "sky_view_factor",
     "slope",
     "visible_sky",

@@ -6,6 +6,10 @@
 
 What comes back is what was given: an array for an array, a DataArray for a DataArray; for a Dem, a Terrain or files a
 ``Map``, whose grid is the terrain's. Heights in degrees or feet are brought to a metric CRS first, as everywhere.
+
+A DataArray keeps its dimensions, in their order, and its scalar coordinates; where its coordinates were degrees the
+map's are metres, along ``y`` and ``x``. Its attributes are the map's own (units, long_name). Lazy arrays (Dask) are
+computed: horizons need the whole terrain.
 """
 
 from __future__ import annotations
@@ -21,9 +25,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.light.products import MEMORY, Context, Options, compute, product
+from orograph.light.products import MEMORY, MORE, Context, Options, compute, product
 from orograph.light.raster import Band, write
-from orograph.light.sun import sun_of
+from orograph.light.rho import Rho
+from orograph.light.sun import Given, sun_of
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
 
@@ -91,7 +96,7 @@ def make(
         name: "slope", "sky-view-factor"…: ``products.names()``.
         cell: for arrays, which need it: metres between samples, along both axes or as (along rows, along columns), rows
             running south; or the (2, 2) linear part of a geotransform.
-        options: those of ``products.Options``: azimuths, radius, lights, curvature…; others go into its ``more``. The
+        options: those of ``products.Options``: azimuths, radius, lights, curvature…; and those of its ``more``. The
             ``sun`` is (azimuth, altitude), a datetime with its zone, or a ``Sun``.
 
     Returns:
@@ -104,10 +109,14 @@ def make(
     """
     wanted = product(name)
     fields = set(Options.__dataclass_fields__) - {"more"}
+    if unknown := sorted(set(options) - fields - set(MORE)):
+        raise UsageError(
+            f"There is no option {unknown[0]!r}.", remedy=f"There are {', '.join(sorted(fields | set(MORE)))}."
+        )
     known = {k: v for k, v in options.items() if k in fields and k != "sun"}
-    chosen = Options(**known, more={k: v for k, v in options.items() if k not in fields})
+    chosen = Options(**known, more={k: v for k, v in options.items() if k in MORE})
     is_xarray = "xarray" in sys.modules and isinstance(data, sys.modules["xarray"].DataArray)
-    is_array = isinstance(data, np.ndarray | list | tuple)
+    is_array = not is_xarray and (isinstance(data, list | tuple) or _like_an_array(data))
     if is_array:
         if cell is None:
             raise UsageError("An array does not say how far its samples are apart.", remedy="Give cell=…, in metres.")
@@ -127,6 +136,11 @@ def make(
         return values[0] if len(values) == 1 else values
     made = Map(values, terrain.grid, wanted.described(chosen))
     return _like(made.to_xarray(), data) if is_xarray else made
+
+
+def _like_an_array(data: Any) -> bool:
+    """NumPy's, or one that becomes NumPy's (Dask's, CuPy's…)."""
+    return hasattr(data, "__array__") and hasattr(data, "dtype") and hasattr(data, "shape")
 
 
 def _linear(cell: float | tuple[float, float] | ArrayLike) -> NDArray[np.float64]:
@@ -158,19 +172,32 @@ def _terrain(data: Any, is_xarray: bool, max_memory: int, jobs: int | None, prog
         return store.terrain(Mosaic.open(data, progress=progress), progress)
     dem: Dem = data
     if not hasattr(dem, "heights") or not hasattr(dem, "grid"):
-        raise UsageError(f"Heights are an array, a DataArray, a Dem, a Terrain or a path, not {type(data).__name__}.")
+        raise UsageError(
+            f"Heights are an array, a DataArray, a Dem, a Terrain or a path, not {type(data).__name__}.",
+            remedy="Take the variable that has the heights: dataset['name']." if hasattr(data, "data_vars") else "",
+        )
     return store.terrain(dem, progress)
 
 
 def _like(made: xr.DataArray, given: xr.DataArray) -> xr.DataArray:
-    """With the names of the given dimensions, and their order where the coordinates are the same."""
-    y, x = given.dims[-2:]
+    """With the scalar coordinates of what was given; on the same grid also with its dimensions, in their order."""
+    from orograph.dem.accessor import axes_of
+
+    scalars = {k: v.variable for k, v in given.coords.items() if v.ndim == 0 and k not in ("spatial_ref", "band")}
+    made = made.assign_coords({k: v for k, v in scalars.items() if k not in made.coords})
+    y, x = axes_of(given)
+    for ours, theirs in (("y", y), ("x", x)):
+        values = np.asarray(given[theirs].values, np.float64)
+        if len(values) != made.sizes[ours]:
+            return made
+        if len(values) > 1 and (values[-1] - values[0]) * float(made[ours][-1] - made[ours][0]) < 0:
+            made = made.isel({ours: slice(None, None, -1)})
+        # Coordinates may be float32: the same to a hundredth of a cell.
+        apart = np.abs(made[ours].values - values).max()
+        if (len(values) > 1 and apart > 0.01 * abs(values[1] - values[0])) or (len(values) == 1 and apart > 1e-3):
+            return made
     made = made.rename({k: v for k, v in (("y", y), ("x", x)) if k != v})
-    for dim in (y, x):
-        ours, theirs = made[dim].values, np.asarray(given[dim].values, np.float64)
-        if len(ours) == len(theirs) and len(ours) > 1 and (ours[1] - ours[0]) * (theirs[1] - theirs[0]) < 0:
-            made = made.isel({dim: slice(None, None, -1)})
-    return made
+    return made.transpose(..., *[d for d in given.dims if d in (y, x)])
 
 
 def normals(data: Any, **options: Any) -> Any:
@@ -194,10 +221,14 @@ def hillshade(
     altitude: float = 45.0,
     *,
     lights: Sequence[tuple[float, float, float]] = (),
+    sun: Given | None = None,
     **options: Any,
 ) -> Any:
-    """Lambert's cosine in [0, 1], under one light or the weighted mean of several (azimuth, altitude, weight)."""
-    return make(data, "hillshade", sun=(azimuth, altitude), lights=tuple(lights), **options)
+    """Lambert's cosine in [0, 1], under one light or the weighted mean of several (azimuth, altitude, weight).
+
+    ``sun``, if given, in place of azimuth and altitude: as for ``shadows``.
+    """
+    return make(data, "hillshade", sun=(azimuth, altitude) if sun is None else sun, lights=tuple(lights), **options)
 
 
 def horizons(data: Any, azimuths: int = 32, **options: Any) -> Any:
@@ -221,3 +252,49 @@ def openness(
     """Positive or negative openness, degrees (Yokoyama et al. 2002). Arguments and result: ``make``."""
     name = "openness-negative" if negative else "openness"
     return make(data, name, azimuths=azimuths, radius=radius, **options)
+
+
+def ambient_occlusion(
+    data: Any, radius: float | None = None, *, rho: Rho = "step", method: str = "horizon", **options: Any
+) -> Any:
+    """Share of ambient light that reaches the ground, out of the hemisphere around its normal.
+
+    Args:
+        radius: metres beyond which nothing occludes; None: unlimited (a step only).
+        rho: what an occluder at a distance lets through: "step", "linear" or a function of metres (``light.rho``).
+        method: "horizon" (of ``azimuths``), "rays", "shadow-maps" (``rays`` each) or "cone-tracing" (``cones``).
+        data, options: and the result: ``make``.
+    """
+    return make(data, "ambient-occlusion", radius=radius, rho=rho, method=method, **options)
+
+
+def apertures(data: Any, azimuths: int = 32, *, method: str = "horizon", **options: Any) -> Any:
+    """The sky that is seen as one cap, four bands: its direction (east, north, up) and radius in degrees.
+
+    ``method``: "horizon" or "rays". Further arguments and result: ``make``.
+    """
+    return make(data, "aperture", azimuths=azimuths, method=method, **options)
+
+
+def shadows(data: Any, sun: Given, **options: Any) -> Any:
+    """The part of the sun's disc that is seen, and a code (``light.shadow``): two bands.
+
+    Args:
+        sun: (azimuth, altitude) in degrees; a datetime with its zone, or such a time as text: the real sun over the
+            terrain's middle, refraction included; or a ``Sun``, with a diameter of its own.
+        data, options: and the result: ``make``. Further: ``strips``, ``diameter``, ``curvature``.
+    """
+    return make(data, "shadow", sun=sun, **options)
+
+
+def insolation(data: Any, date: str, azimuths: int = 64, **options: Any) -> Any:
+    """Energy of sun and sky on the ground under a clear sky, Wh/m²: direct, diffuse, global.
+
+    Args:
+        date: "2026", "2026-06" or "2026-06-21", in mean solar time.
+        data, options: and the result: ``make``. Further: ``step`` (minutes), ``turbidity`` (Linke's).
+
+    Raises:
+        UsageError: also where the data do not say where on Earth they lie, as plain arrays do not.
+    """
+    return make(data, "insolation", date=date, azimuths=azimuths, **options)

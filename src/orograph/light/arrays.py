@@ -17,13 +17,20 @@ def terrain_of(heights: ArrayLike, linear: ArrayLike) -> MemoryTerrain:
     """A terrain in memory of an array, sharing it if it is float32 already.
 
     Args:
-        heights: (rows, cols), metres, NaN where missing.
+        heights: (rows, cols), metres; missing where masked or not finite.
         linear: (2, 2) linear part of the geotransform [[a, b], [d, e]]: metres east and north per column and per row.
 
     Raises:
-        UsageError: other shapes, or cells that are degenerate.
+        UsageError: other shapes, what are no real numbers, or cells that are degenerate.
     """
-    surface = np.ascontiguousarray(heights, np.float32)
+    given = heights if isinstance(heights, np.ndarray) else np.asarray(heights)
+    if given.dtype.kind not in "iufb":
+        raise UsageError(f"Heights are real numbers, not {given.dtype}.")
+    surface = np.ascontiguousarray(np.ma.getdata(given), np.float32)
+    missing = np.ma.getmaskarray(given) if isinstance(given, np.ma.MaskedArray) else np.zeros((), np.bool_)
+    missing = missing | np.isinf(surface)
+    if missing.any():
+        surface = np.where(missing, np.float32(np.nan), surface)
     cells = np.asarray(linear, np.float64)
     if surface.ndim != 2 or surface.size == 0:
         raise UsageError(f"Heights must have the shape (rows, cols), not {surface.shape}.")

@@ -14,6 +14,7 @@ import importlib
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,13 +49,21 @@ _HOMES = {
     "ambient-occlusion": "orograph.light.occlusion",
     "aperture": "orograph.light.aperture",
     "shadow": "orograph.light.shadow",
-    "insolation": "orograph.light.insolation",
+    "insolation": "orograph.light.energy",
 }
 """The module that has a product, by the product's name."""
+
+MORE = ("rho", "method", "seed", "cones", "strips", "diameter", "date", "step", "turbidity")
+"""Options of single products."""
 
 MEMORY = 1 << 30
 BASE = 320 << 20
 """What the interpreter, its libraries, compiled kernels and a store's cache take."""
+
+
+def _number(value: Any, above: float = -math.inf) -> bool:
+    """Whether it is a finite number greater than ``above``."""
+    return isinstance(value, Real) and math.isfinite(value) and float(value) > above
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +79,8 @@ class Options:
         refraction: coefficient k of terrestrial refraction: rays bend by k times the body's curvature.
         exaggeration: heights are multiplied by this for hillshade only.
         rays: per sample, for Monte Carlo products.
-        more: what single products need, by name: ``rho``, ``method``, ``seed`` (ambient occlusion), ``strips``,
-            ``diameter`` (shadow), ``date``, ``step``, ``turbidity`` (insolation).
+        more: what single products need, by name (``MORE``): ``rho``, ``method``, ``seed``, ``cones`` (ambient
+            occlusion), ``strips``, ``diameter`` (shadow), ``date``, ``step``, ``turbidity`` (insolation).
     """
 
     azimuths: int = 32
@@ -85,10 +94,18 @@ class Options:
     more: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.azimuths < 3:
+        if not _number(self.azimuths, above=2.0) or self.azimuths != int(self.azimuths):
             raise UsageError(f"At least three azimuths are needed, not {self.azimuths}.")
-        if self.radius is not None and not (self.radius > 0 and math.isfinite(self.radius)):
-            raise UsageError(f"The radius must be a positive number of metres, not {self.radius}.")
+        if self.radius is not None and not _number(self.radius, above=0.0):
+            raise UsageError(f"The radius must be a positive number of metres, not {self.radius!r}.")
+        if not _number(self.exaggeration, above=0.0):
+            raise UsageError(f"Heights are stretched by a positive number, not {self.exaggeration!r}.")
+        if not _number(self.refraction) or not -1.0 <= self.refraction <= 1.0:
+            raise UsageError(
+                f"The coefficient of refraction lies between -1 and 1 (0.13 as a rule), not {self.refraction}."
+            )
+        if any(len(light) != 3 or not all(map(_number, light)) for light in self.lights):
+            raise UsageError("A light of several is (azimuth, altitude, weight), all of them numbers.")
 
     def directions(self) -> NDArray[np.float64]:
         """The azimuths (n,), degrees."""
@@ -120,6 +137,8 @@ class Context:
         kept: Kept | None = None,
     ) -> None:
         self.kept = kept
+        if jobs is not None and jobs < 1:
+            raise UsageError(f"At least one thread is needed, not {jobs}.")
         self.terrain, self.options = terrain, options or Options()
         self.jobs, self.max_memory, self.progress = jobs or cpu_count(), max_memory, progress
         self.shape = terrain.grid.shape

@@ -13,8 +13,8 @@ from pyproj import CRS
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.light.clearsky import air_mass, beam, diffuse, extraterrestrial, rayleigh
+from orograph.light.energy import Suns, insolation, period
 from orograph.light.horizon import horizon
-from orograph.light.insolation import Suns, insolation, period
 from orograph.light.normal import gradient
 from orograph.light.shade import disc_fraction
 from orograph.light.sun import position
