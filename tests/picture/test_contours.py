@@ -185,3 +185,51 @@ def test_lines_over_a_coarse_mesh_lie_where_the_terrain_has_their_height(wirefra
     assert np.quantile(off[inked], 0.98) < 1.2
     # The mesh's own heights are elsewhere: lines of those would not be the terrain's.
     assert np.nanmax(np.abs(at[..., 2] - height) / rate) > 3
+
+
+def bowl(view: View, sides: int = 65, bend: float = 0.01) -> tuple[Terrain, NDArray[np.float64]]:
+    """A paraboloid of revolution, and the heights (height, width) at which rays through the pixels' centres meet it."""
+    row, col = np.mgrid[:sides, :sides] - sides // 2
+    terrain = make(1000.0 - bend * METRES**2 * (row**2 + col**2))
+    x, y = (float(v) for v in terrain.grid.xy(sides // 2, sides // 2))
+    o0, ou, ov, d0, du, dv = view.ray_basis()
+    px, py = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
+    o = o0 + px[..., None] * ou + py[..., None] * ov - [x, y, 0]
+    d = d0 + px[..., None] * du + py[..., None] * dv
+    # 1000 - bend·|o + t d|² = height: the first root.
+    a = bend * (d[..., 0] ** 2 + d[..., 1] ** 2)
+    b = 2 * bend * (o[..., 0] * d[..., 0] + o[..., 1] * d[..., 1]) + d[..., 2]
+    c = bend * (o[..., 0] ** 2 + o[..., 1] ** 2) + o[..., 2] - 1000.0
+    with np.errstate(invalid="ignore"):  # beyond the horizon
+        t = 2 * c / (-b + np.sqrt(b * b - 4 * a * c))
+    return terrain, np.asarray(o[..., 2] + t * d[..., 2])
+
+
+@pytest.mark.parametrize("standing", [False, True])
+def test_far_beyond_a_sample_lines_are_smooth(standing: bool) -> None:
+    """A sample covers fifty pixels: lines are those of the surface, not of the triangles between its samples."""
+    x, y = 500_000 + METRES * 32.5, 5_000_000 - METRES * 32.5
+    if standing:
+        view = View((x + 20.0, y - 130.0, 1030.0), (x, y - 50.0, 975.0), fov_y=30, width=300, height=220)
+    else:
+        view = View((x, y - 70.0, 2000.0), (x, y - 70.0, 0.0), projection="plan", fov_y=2.5, width=300, height=220)
+    terrain, heights = bowl(view)
+    ink = cover(plain(terrain, view, Contours(4.0, 0)))
+    rate = np.hypot(*np.gradient(heights))
+    away = np.abs(heights / 4.0 - np.round(heights / 4.0)) * 4.0 / rate  # pixels
+    clear = (4.0 / rate > 8.0) & (rate < 2.0)
+    clear[:2] = clear[-2:] = clear[:, :2] = clear[:, -2:] = False
+    on, off = clear & (away < 0.2), clear & (away > 1.4)
+    assert on.sum() > 300 and off.sum() > 10_000
+    assert ink[on].min() > 0.5 and ink[off].max() < 0.1
+
+
+def test_of_lines_that_run_together_nothing_is_left_on_ledges() -> None:
+    """Steep ground of steps a few pixels wide, contours a pixel apart: no specks where a step is level."""
+    row, col = np.mgrid[:400, :400]
+    rough = np.random.default_rng(5).normal(0, 8.0, (400, 400))
+    terrain = make(2000.0 - 0.7 * METRES * row + rough)
+    x, y = (float(v) for v in terrain.grid.xy(200, 200))
+    view = View((x, y, 9000.0), (x, y, 0.0), projection="plan", fov_y=20, width=220, height=220)
+    ink = cover(plain(terrain, view, Contours(2 * view.pixel_metres * 0.7, 0)))
+    assert ink.max() < 0.05 and ink.mean() < 1e-4

@@ -4,7 +4,7 @@ Index contours are traced (marching squares: contourpy) on blocks of ``BLOCK`` �
 stretch of a line gives one spot, where the line bends least. What is found depends on the block alone: spots hold still
 however the camera moves, and only which of them are shown depends on the view (``picture.labels``). The line through a
 spot is then moved onto the next finer level's heights, so that it lies on the line that is drawn when one comes closer.
-Levels go on beyond the finest: level −k has 2^k times as many samples a side, on the surface between the raster's own,
+Levels go on beyond the finest: level −k has 2^k times as many samples a side, on the smooth surface through the raster's own,
 so that lines have as many spots on the screen however near one comes.
 
 Units: metres in the terrain's CRS; samples of the block's level.
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.picture.smooth import interpolated
 from orograph.store.terrain import Terrain, level_shape
 
 Array = NDArray[np.float64]
@@ -105,7 +106,7 @@ def spots(terrain: Terrain, level: int, row: int, col: int, step: float) -> Spot
         return none(level)
     lines = np.stack([f[0] for f in found])
     values = np.array([f[2] for f in found])
-    lines = _finer(terrain, level, lines + corner, values) if level > 0 else lines + corner
+    lines = _finer(terrain, level, lines + corner, values) if level >= 0 else lines + corner
     middle = lines[:, POINTS // 2]
     slope = _gradient(heights, middle - corner)
     to_world = np.linalg.inv(linear)
@@ -194,7 +195,7 @@ def shape_of(terrain: Terrain, level: int) -> tuple[int, int]:
 
 def read(terrain: Terrain, level: int, row0: int, row1: int, col0: int, col1: int) -> Array:
     """Heights of a level, or of one beyond the coarsest: every second, fourth… sample of that; or beyond the finest:
-    those of the surface between samples, whose cells are cut from their (even, even) to their (odd, odd) corner."""
+    those of the smooth surface through the samples, which lines near by are of (``picture.smooth``)."""
     top = terrain.levels - 1
     if level < 0:
         return _between(terrain, -level, row0, row1, col0, col1)
@@ -208,26 +209,25 @@ def read(terrain: Terrain, level: int, row0: int, row1: int, col0: int, col1: in
 
 
 def _between(terrain: Terrain, finer: int, row0: int, row1: int, col0: int, col1: int) -> Array:
-    """Heights of the triangulated surface at every 2^-finer-th of a sample."""
+    """Heights of the smooth surface at every 2^-finer-th of a sample; NaN beside missing samples."""
     rows, cols = terrain.grid.shape
     r, c = (np.arange(a, b) / 2.0**finer for a, b in ((row0, row1), (col0, col1)))
-    i, j = (np.minimum(np.floor(v).astype(np.intp), n - 2) for v, n in ((r, rows), (c, cols)))
-    r0, c0 = int(i[0]), int(j[0])
-    own = np.asarray(terrain.read(0, r0, int(i[-1]) + 2, c0, int(j[-1]) + 2), np.float64)
-    v, u = (r - i)[:, None], (c - j)[None, :]
-    a, b, d, e = (own[np.ix_(i - r0 + di, j - c0 + dj)] for di, dj in ((0, 0), (0, 1), (1, 0), (1, 1)))
-    falling = np.where(u >= v, a + u * (b - a) + v * (e - b), a + u * (e - d) + v * (d - a))  # from a to e
-    rising = np.where(u + v > 1, e + (1 - u) * (d - e) + (1 - v) * (b - e), a + u * (b - a) + v * (d - a))
-    return np.asarray(np.where((i[:, None] + j[None, :]) % 2 == 0, falling, rising))
+    # A sample more to every side, for slopes.
+    r0, c0 = (max(int(v[0]) - 1, 0) for v in (r, c))
+    r1, c1 = (min(int(math.ceil(v[-1])) + 2, n) for v, n in ((r, rows), (c, cols)))
+    own = terrain.read(0, r0, r1, c0, c1)
+    y, x = (v.ravel() for v in np.meshgrid(r - r0, c - c0, indexing="ij"))
+    return interpolated(own, x, y).reshape(len(r), len(c))
 
 
 def _finer(terrain: Terrain, level: int, lines: Array, values: Array) -> Array:
-    """Lines (n, POINTS, 2; columns and rows of the level) moved onto the contour of the next finer level's heights.
+    """Lines (n, POINTS, 2; columns and rows of the level) moved onto the contour of the next finer level's heights: of
+    level 0, that of the smooth surface.
 
     A few steps of Newton's method down or up the slope, of a sample at most in all; a point that does not arrive stays.
     """
     fine = 2.0 * lines
-    rows, cols = level_shape(terrain.grid.shape, level - 1)
+    rows, cols = shape_of(terrain, level - 1)
     r0, c0 = (max(int(v) - 4, 0) for v in (fine[..., 1].min(), fine[..., 0].min()))
     r1, c1 = min(int(fine[..., 1].max()) + 6, rows), min(int(fine[..., 0].max()) + 6, cols)
     heights = read(terrain, level - 1, r0, r1, c0, c1)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.colour import srgb_to_linear
-from orograph.picture.contour_kernels import line_cover
+from orograph.light.relief import Relief
+from orograph.picture.contour_kernels import AROUND, WIDE, line_cover, thin_out
 from orograph.picture.contours import Contours
 from orograph.picture.ground import Ground, Hits
 from orograph.picture.kept import Kept
@@ -20,6 +21,7 @@ from orograph.picture.label_type import Lettering
 from orograph.picture.labels import Placer
 from orograph.picture.mapgrid import MapGrid
 from orograph.picture.scene import Scene
+from orograph.picture.smooth import smoothed
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
@@ -75,14 +77,21 @@ class Lines:
         c, maps = self.contours, self.maps
         cover = np.empty(len(hits.t), np.float32)
         drawn = gradient = self.ground.drawn.gradient(hits.points, hits.width)
-        heights = hits.points[:, 2]
-        if self.under is not None:
+        own = self.ground.drawn
+        if self.under is None:
+            heights = smoothed(own, hits.points, hits.width, hits.points[:, 2], self._rays(hits))
+        else:
+            own = self.under.relief
             heights = self.under.caster.surfaces(hits.points[:, 0], hits.points[:, 1])
-            gradient = self.under.relief.gradient(hits.points, hits.width)
+            gradient = own.gradient(hits.points, hits.width)
+            heights = smoothed(own, hits.points, hits.width, heights)
         line_cover(
             px, py, hits.t, hits.points, heights, gradient, drawn, maps.water, maps.scale, maps.row0, maps.col0,
             self.ground.to_world, self._basis, float(c.interval or 1.0), c.index, c.width, cover,
         )  # fmt: skip
+        lines = np.flatnonzero(cover > 0)
+        if len(lines):
+            cover[lines] = self._thinned(hits, px, py, heights, own, lines, cover[lines])
         cover *= np.float32(c.opacity)
         if self.letters.words:
             top, _, left, _ = self._area
@@ -94,6 +103,27 @@ class Lines:
             cover += letters[:, 0] * np.float32(min(1.0, c.opacity + STRONGER))
         some = np.flatnonzero(cover > 0)
         out[some] += cover[some, None] * (self.ink - out[some])
+
+    def _rays(self, hits: Hits) -> Array:
+        """Directions (n, 3) of the rays: columns, rows and true metres."""
+        x, y, z = hits.rays.T
+        (a, b), (c, d) = self.ground.to_samples
+        return np.stack([a * x + b * y, c * x + d * y, z / self.ground.scene.exaggeration], -1)
+
+    def _thinned(
+        self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp], cover: Colours
+    ) -> Colours:
+        """``cover`` (m,) of the hits ``lines``, less where lines run together around."""
+        points, width = hits.points[lines], hits.width[lines]
+        away = np.zeros((4, *points.shape))
+        away[0, :, 0], away[1, :, 1] = AROUND * width, AROUND * width
+        away[2:] = -away[:2]
+        around = np.stack([own.gradient(points + step, WIDE * width) for step in away])
+        thin_out(
+            px[lines], py[lines], hits.t[lines], heights[lines], around, self.ground.to_world, self._basis,
+            float(self.contours.interval or 1.0), self.contours.index, cover,
+        )  # fmt: skip
+        return cover
 
     def gaps(self) -> Colours | None:
         """How much of each pixel (height, width) of the view labels keep free, 0 to 1; None: there are none."""
