@@ -226,7 +226,7 @@ def test_far_beyond_a_sample_lines_are_smooth(standing: bool) -> None:
 
 def test_of_lines_that_run_together_nothing_is_left_on_ledges() -> None:
     """Steep ground of steps a few pixels wide, contours a pixel apart: no specks where a step is level."""
-    row, col = np.mgrid[:400, :400]
+    row = np.mgrid[:400, :400][0]
     rough = np.random.default_rng(5).normal(0, 8.0, (400, 400))
     terrain = make(2000.0 - 0.7 * METRES * row + rough)
     x, y = (float(v) for v in terrain.grid.xy(200, 200))

@@ -1,4 +1,4 @@
-"""The smooth surface of contour lines: through the samples, with the light's slopes, without a bend, true on quadrics."""
+"""The smooth surface of contour lines: through the samples, with the light's slopes, no bend, true on quadrics."""
 
 from __future__ import annotations
 

@@ -26,8 +26,11 @@ def _ramp(low, high, x):
 
 @inlined
 def _rate(a, b, c, d, to_world, ux, uy, uz, vx, vy, vz, dx, dy, dz):
-    """Metres of height from pixel to pixel, the most on the screen: gradient (a, b) of heights over the tangent plane of
-    gradient (c, d); (u, v) pixels' steps at a ray's end and d its direction, east, north, up."""
+    """Metres of height from pixel to pixel, the most on the screen, and the slope, metres per metre.
+
+    (a, b) is the gradient of heights, (c, d) that of the tangent plane, per sample; u and v are a pixel's steps at the
+    ray's end, d its direction: east, north, up.
+    """
     gx = to_world[0, 0] * a + to_world[0, 1] * b
     gy = to_world[1, 0] * a + to_world[1, 1] * b
     hx = to_world[0, 0] * c + to_world[0, 1] * d

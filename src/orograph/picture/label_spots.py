@@ -4,8 +4,8 @@ Index contours are traced (marching squares: contourpy) on blocks of ``BLOCK`` �
 stretch of a line gives one spot, where the line bends least. What is found depends on the block alone: spots hold still
 however the camera moves, and only which of them are shown depends on the view (``picture.labels``). The line through a
 spot is then moved onto the next finer level's heights, so that it lies on the line that is drawn when one comes closer.
-Levels go on beyond the finest: level −k has 2^k times as many samples a side, on the smooth surface through the raster's own,
-so that lines have as many spots on the screen however near one comes.
+Levels go on beyond the finest: level −k has 2^k times as many samples a side, on the smooth surface through the
+raster's own (``picture.smooth``), so that lines have as many spots on the screen however near one comes.
 
 Units: metres in the terrain's CRS; samples of the block's level.
 """
@@ -214,7 +214,7 @@ def _between(terrain: Terrain, finer: int, row0: int, row1: int, col0: int, col1
     r, c = (np.arange(a, b) / 2.0**finer for a, b in ((row0, row1), (col0, col1)))
     # A sample more to every side, for slopes.
     r0, c0 = (max(int(v[0]) - 1, 0) for v in (r, c))
-    r1, c1 = (min(int(math.ceil(v[-1])) + 2, n) for v, n in ((r, rows), (c, cols)))
+    r1, c1 = (min(math.ceil(v[-1]) + 2, n) for v, n in ((r, rows), (c, cols)))
     own = terrain.read(0, r0, r1, c0, c1)
     y, x = (v.ravel() for v in np.meshgrid(r - r0, c - c0, indexing="ij"))
     return interpolated(own, x, y).reshape(len(r), len(c))

@@ -2,12 +2,12 @@
 
 The ground is triangles between samples; its isolines bend at every edge, which shows as soon as a cell covers some
 pixels, the more so as light there is smooth. So near by lines are those of a surface that passes through the samples,
-has at each the slope that light falls on (central differences, ``light.relief``), and no bend between cells: a bicubically
-blended Coons patch over every cell, with cubic Hermite curves along its edges, across which its slope changes linearly,
-just as the light's does. What the two directions say of the twist in a corner is blended as Gregory (1974) has it, so that
-four heights and four slopes are all a cell needs. Quadratic surfaces are reproduced. Beside missing samples lines are the
-triangles'. The sources: Gregory, J. A. (1974). Smooth interpolation without twist constraints. *Computer Aided Geometric
-Design*, Academic Press.
+has at each the slope that light falls on (central differences, ``light.relief``), and no bend between cells: a
+bicubically blended Coons patch over every cell, with cubic Hermite curves along its edges, across which its slope
+changes linearly, just as the light's does. What the two directions say of the twist in a corner is blended as Gregory
+(1974) has it, so that four heights and four slopes are all a cell needs. Quadratic surfaces are reproduced. Beside
+missing samples lines are the triangles'. Source: Gregory, J. A. (1974). Smooth interpolation without twist constraints.
+*Computer Aided Geometric Design*, Academic Press.
 
 Heights in metres, positions and slopes by sample.
 """
@@ -122,8 +122,8 @@ NO_RAYS = np.zeros((0, 3))
 
 
 def smoothed(relief: Relief, points: Array, footprint: Array, heights: Array, rays: Array = NO_RAYS) -> Array:
-    """Heights (n,) that contour lines are of, metres: where pixels cover so little of a sample that bends would be seen,
-    those of the smooth surface, elsewhere those given.
+    """Heights (n,) that contour lines are of, metres: those of the smooth surface where pixels cover so little of a
+    sample that bends would be seen, elsewhere those given.
 
     Args:
         relief: of the terrain. points: (n, 3) sample coordinates (and heights, which are not looked at).
