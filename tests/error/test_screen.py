@@ -26,7 +26,10 @@ def random_view(rng: np.random.Generator) -> View:
     target = (*map(float, GRID.xy(*rng.uniform(-50, 150, 2))), float(rng.uniform(-300, 300)))
     options = {"fov_y": float(rng.choice([20, 60, 120, 160])), "width": 400, "height": 300}
     up = tuple(float(v) for v in rng.normal(size=3))
-    return View(eye, target, up=up, near=float(rng.choice([0.0, 5.0])), **options)
+    view = View(eye, target, up=up, near=float(rng.choice([0.0, 5.0])), **options)
+    if rng.random() < 0.3:  # a part of the picture, with the frustum to one side
+        return view.tile(int(rng.integers(0, 200)), int(rng.integers(0, 150)), 200, 150)
+    return view
 
 
 def positions(col, row, z):

@@ -127,7 +127,9 @@ def lens(
     (a, b, h, c), (d, e, i, f), (u, v, w, o) = matrix  # (a, b, c of the page above are h, i, w here)
     lean = 0.0
     if not plan:
-        half_x, half_y = view.pixel_slope * view.width / 2, view.pixel_slope * view.height / 2
+        # (Of a tile the whole picture's: its own frustum may lie wholly to one side, and tiles must judge alike.)
+        _, _, width, height = view.frame
+        half_x, half_y = view.pixel_slope * width / 2, view.pixel_slope * height / 2
         # (The margin holds a sample on the picture's very edge.)
         lean = math.hypot(abs(h) + abs(w) * half_x, abs(i) + abs(w) * half_y) * (1 + 1e-12)
         texel /= focal  # pixels of γ are measured with the same focal length

@@ -128,7 +128,7 @@ class Blow(Engine):
         ratio = focal / tolerance if tolerance > 0 else math.inf
         if not self.metric.conservative:
             return self.exaggeration * ratio
-        cosine = 1.0 / math.hypot(1.0, view.pixel_slope * view.width / 2, view.pixel_slope * view.height / 2)
+        cosine = 1.0 / math.hypot(1.0, *(view.pixel_slope * pixels / 2 for pixels in view.frame[2:]))
         return self.exaggeration * (ratio / cosine**2 + 1.0 / cosine)
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
@@ -138,13 +138,13 @@ class Blow(Engine):
         grid, lens = self.terrain.grid, self._lens(view, tolerance)
         a, b, c, d, e, f = grid.samples[:6]
         size = math.hypot((abs(a) + abs(b)) * grid.cols, (abs(d) + abs(e)) * grid.rows) * lens[STRETCH]
-        cosine = 1.0 / math.hypot(1.0, view.pixel_slope * view.width / 2, view.pixel_slope * view.height / 2)
+        cosine = 1.0 / math.hypot(1.0, *(view.pixel_slope * pixels / 2 for pixels in view.frame[2:]))
         colored = math.inf if view.projection == "plan" else (1.0 + 1.0 / lens[TEXEL]) / cosine
         isotropic = self.spheres != ANISOTROPIC
         plan = view.projection == "plan"
         spheres: tuple[float, ...] = (self._lambda(view, tolerance), colored)
         if not isotropic:
-            spheres = (tolerance, view.pixel_slope, view.near, view.far, view.width, view.height, plan)
+            spheres = (tolerance, view.pixel_slope, view.near, view.far, *view.frame[2:], plan)
         if self._state is None or spheres != self._spheres or (plan and not isotropic):
             self._state, self._spheres = _State(self.field), spheres
         state = self._state
