@@ -30,8 +30,9 @@ from orograph.view import View
 Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
-WINDOW = 3_000_000
-"""Samples of a window of horizons towards the sun, at most."""
+WINDOW, LARGEST = 3_000_000, 6_000_000
+"""Samples of a window of horizons towards the sun, at most (or an eighth of a very large picture's pixels), and of the
+outermost one, or any."""
 
 FIELDS = {"ao": SKIES, "aperture": ("aperture",)}
 """The layers that a way of lighting looks up, the best first."""
@@ -156,14 +157,20 @@ def plain_maps() -> LightMaps:
 
 
 def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float) -> list[Rectangle]:
-    """Nested windows of box means, outermost first, whose samples are about ``detail`` pixels large where they show."""
+    """Nested windows of box means, outermost first, whose samples are about ``detail`` pixels large where they show, or
+    larger where that would be too many: the outermost holds the whole terrain."""
+    most = min(max(WINDOW, view.width * view.height // 8), LARGEST)
     found = rectangles(terrain, view, exaggeration, detail, by="spacing")
-    out: list[Rectangle] = []
+    level = found[0].level
+    while math.prod(terrain.mean_shape(level)) > LARGEST and level < terrain.levels - 1:
+        level += 1
+    rows, cols = terrain.mean_shape(level)
+    out = [Rectangle(level, 0, rows, 0, cols)]
     for r in found:
         rows, cols = terrain.mean_shape(r.level)
         row1, col1 = min(r.row1, rows), min(r.col1, cols)
         row0, col0 = min(r.row0, row1 - 1), min(r.col0, col1 - 1)
-        if (row1 - row0) * (col1 - col0) > WINDOW and out:
+        if r.level >= level or (row1 - row0) * (col1 - col0) > most:
             continue  # too large: the coarser one around it has to do, until a finer and smaller one comes
         out.append(Rectangle(r.level, row0, row1, col0, col1))
     return out

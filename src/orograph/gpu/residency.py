@@ -249,7 +249,7 @@ def _judged(view: View, exaggeration: float) -> tuple[View, Array | None]:
     """
     if view.projection != "plan":
         return view, None
-    away = 1e4 * view.pixel_metres * max(view.width, view.height)
+    away = 1e4 * view.pixel_metres * max(view.frame[2:])
     target = np.asarray(view.target)
     eye = target + away * np.array([0.0, -math.sqrt(0.5), math.sqrt(0.5) / exaggeration])
     fov = 2 * math.degrees(math.atan(view.pixel_metres * view.frame[3] / 2 / away))
