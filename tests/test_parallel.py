@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from orograph.parallel import Crew, for_each
+from orograph.parallel import Crew, for_each, for_groups
 
 
 def until(condition) -> bool:
@@ -86,3 +86,39 @@ def test_work_within_work_does_not_wait_for_itself():
     done = []
     for_each(lambda k: for_each(lambda j: done.append((k, j)), range(20), 3), range(20), 3)
     assert sorted(done) == [(k, j) for k in range(20) for j in range(20)]
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 4])
+def test_a_group_begins_when_all_but_the_one_before_it_are_done(jobs):
+    done, asked, overlapped = [], [], []
+
+    def groups():
+        for group in range(40):
+            asked.append((group, sorted(done)))
+            yield [(group, k) for k in range(group % 4)]  # some of them empty
+
+    def work(item):
+        group, k = item
+        complete = sorted(done)
+        assert [i for i in complete if i[0] < group - 1] == [(g, k) for g in range(group - 1) for k in range(g % 4)]
+        overlapped.append(len([i for i in complete if i[0] == group - 1]) < (group - 1) % 4)
+        time.sleep(2e-4 * (k + 1))
+        done.append(item)
+
+    for_groups(work, groups(), jobs)
+    assert sorted(done) == [(g, k) for g in range(40) for k in range(g % 4)]
+    for group, before in asked:  # two groups ahead of it are done when a group is asked for
+        assert [i for i in before if i[0] < group - 1] == [(g, k) for g in range(group - 1) for k in range(g % 4)]
+    assert any(overlapped) == (jobs > 1)
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_an_error_of_who_makes_the_groups_is_raised(jobs):
+    def groups():
+        yield range(10)
+        raise ValueError("no more")
+
+    done = []
+    with pytest.raises(ValueError, match="no more"):
+        for_groups(done.append, groups(), jobs)
+    assert sorted(done) == list(range(10))

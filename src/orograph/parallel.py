@@ -67,21 +67,64 @@ def for_each(work: Callable[[T], object], items: Sequence[T], jobs: int | None =
         work: called from ``jobs`` threads.
         jobs: threads (default: all processors).
     """
-    jobs = min(jobs or cpu_count(), len(items))
-    left, failed, busy = iter(items), list[BaseException](), 0
+    if items:
+        for_groups(work, [items], min(jobs or cpu_count(), len(items)))
+
+
+def for_groups(work: Callable[[T], object], groups: Iterable[Sequence[T]], jobs: int | None = None) -> None:
+    """``for_each`` over groups of items, one after the other, without waiting for the end of each.
+
+    The items of a group may begin while some of the group before it are still at work, but not before all groups before
+    that one are done. So threads need not wait for one another where work depends on what was done two groups before.
+
+    Args:
+        work: called from ``jobs`` threads.
+        groups: asked for the next group when all of the last one have begun and all before it are done; from any
+            thread, one at a time.
+        jobs: threads (default: all processors).
+    """
+    jobs = jobs or cpu_count()
+    source, failed, busy, ended = iter(groups), list[BaseException](), 0, False
+    left: Iterator[T] = iter(())
+    before, here = [0], [0]  # how many items of the last two groups are at work
     lock = threading.Condition()
+
+    def take() -> tuple[object, list[int]]:
+        """The next item, and the count of its group; holding the lock."""
+        nonlocal left, before, here, ended
+        while not failed:
+            item = next(left, _NONE)
+            if item is not _NONE:
+                here[0] += 1
+                return item, here
+            if ended:
+                break
+            if before[0]:
+                lock.wait()
+                continue
+            group = next(source, None)
+            if group is None:
+                ended = True
+                break
+            before, here, left = here, [0], iter(group)
+        return _NONE, here
 
     def attend(number: int = 0) -> None:
         nonlocal busy
         with lock:
             busy += 1
         try:
-            while not failed:
+            count = [1]
+            while True:
                 with lock:
-                    item = next(left, _NONE)
+                    count[0] -= 1
+                    if not count[0]:
+                        lock.notify_all()
+                    item, count = take()
                 if item is _NONE:
                     break
                 work(cast(T, item))
+                item = None  # what it holds is let go of
         except BaseException as error:
             failed.append(error)
         finally:

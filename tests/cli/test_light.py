@@ -197,8 +197,8 @@ def test_ctrl_c_leaves_what_was_there(tmp_path):
     "name", ["sky-view-factor", "openness", "horizon", "ambient-occlusion", "aperture,visible-sky,sky-view-factor"]
 )
 def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_path, monkeypatch, name):
-    from orograph.light import sweep
     from orograph.light.raster_resume import Kept
+    from orograph.light.sweep_pass import Pass
 
     whole, out = tmp_path / "whole.tif", tmp_path / "out.tif"
     given = ("--product", name, "--azimuths", 12, "--quiet", "--resume")
@@ -215,9 +215,9 @@ def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_pa
         patch.setattr(Kept, "save", interrupted)
         code, _, err = run("light", hilly, *given, "-o", out)
     assert code == 130 and "same command" in err and not out.exists() and (tmp_path / "out.tif.partial").is_dir()
-    swept, run_pass = [], sweep._Pass.run
+    swept, begin = [], Pass.begin
     with monkeypatch.context() as patch:
-        patch.setattr(sweep._Pass, "run", lambda self, *how: swept.append(len(self.lines)) or run_pass(self, *how))
+        patch.setattr(Pass, "begin", lambda self, *how: swept.append(len(self.lines)) or begin(self, *how))
         code, _, err = run("light", hilly, *given, "-o", out)
     assert code == 0, err
     assert len(swept) == 2 and sum(swept) == 12 - passes[-1]  # two of four passes were left
@@ -259,10 +259,10 @@ def test_resume_keeps_windows_of_walks(run, hilly, tmp_path, monkeypatch):
 
 def test_several_products_share_a_sweep(run, hilly, tmp_path, monkeypatch):
     """One pass over the terrain for all that sweep alike, and the same values as each alone."""
-    from orograph.light import sweep
+    from orograph.light.sweep_pass import Pass
 
-    swept, run_pass = [], sweep._Pass.run
-    monkeypatch.setattr(sweep._Pass, "run", lambda self, *how: swept.append(len(self.lines)) or run_pass(self, *how))
+    swept, begin = [], Pass.begin
+    monkeypatch.setattr(Pass, "begin", lambda self, *how: swept.append(len(self.lines)) or begin(self, *how))
     alone, count = [], []
     for name in ("visible-sky", "sky-view-factor", "aperture", "openness"):
         swept.clear()

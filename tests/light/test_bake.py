@@ -183,8 +183,8 @@ def test_stopped_at_any_write(tmp_path, monkeypatch, path, seed):
 
 
 def test_a_sweep_that_is_interrupted_goes_on(tmp_path, monkeypatch, path):
-    from orograph.light import sweep
     from orograph.light.raster_resume import Kept
+    from orograph.light.sweep_pass import Pass
 
     folder = tmp_path / "s"
     made(folder)
@@ -201,8 +201,8 @@ def test_a_sweep_that_is_interrupted_goes_on(tmp_path, monkeypatch, path):
         patch.setattr(Kept, "save", interrupted)
         with pytest.raises(KeyboardInterrupt):
             bake(folder, given, FEW)
-    swept, run_pass = [], sweep._Pass.run
-    monkeypatch.setattr(sweep._Pass, "run", lambda self, *how: swept.append(len(self.lines)) or run_pass(self, *how))
+    swept, begin = [], Pass.begin
+    monkeypatch.setattr(Pass, "begin", lambda self, *how: swept.append(len(self.lines)) or begin(self, *how))
     bake(folder, given, FEW)
     assert sum(swept) == 2 * 5 - passes[-1]
     assert files(folder) == files(path)

@@ -14,6 +14,7 @@ from orograph.errors import UsageError
 from orograph.light import sweep_lines
 from orograph.light.horizon import horizon
 from orograph.light.sweep import curvature_of, horizons
+from orograph.light.sweep import swept as done
 
 SQUARE = np.array([[1.0, 0.0], [0.0, -1.0]])
 
@@ -34,7 +35,7 @@ def swept(h: np.ndarray, linear: np.ndarray, azimuths: np.ndarray, **how) -> tup
         assert 0 <= row0 < row1 <= h.shape[0] and 0 <= col0 < col1 <= h.shape[1]
         return h[row0:row1, col0:col1]
 
-    for block in horizons(read, h.shape, linear, np.asarray(azimuths, float), **how):
+    for block in done(horizons(read, h.shape, linear, np.asarray(azimuths, float), **how), how.get("jobs")):
         at = np.ix_(block.azimuths, range(block.row0, block.row1), range(block.col0, block.col1))
         out[at] = block.slopes
         came[at] += 1
@@ -176,11 +177,11 @@ def test_a_sweep_stays_within_its_memory():
         return (50 * np.sin(row * 0.7) * np.cos(col * 0.4) + (row * col) % 7).astype(np.float32)
 
     azimuths = np.arange(16) * 22.5
-    for _ in horizons(read, (40, 40), SQUARE, azimuths, jobs=2):
+    for _ in done(horizons(read, (40, 40), SQUARE, azimuths, jobs=2), 2):
         pass
     tracemalloc.start()
     try:
-        for _ in horizons(read, (rows, cols), SQUARE, azimuths, memory=memory, jobs=2):
+        for _ in done(horizons(read, (rows, cols), SQUARE, azimuths, memory=memory, jobs=2), 2):
             pass
         _, peak = tracemalloc.get_traced_memory()
     finally:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,14 @@ from numpy.typing import NDArray
 from orograph.light.products import Blocks, Context, Product, Values
 from orograph.light.raster import Canvas, rectangles, trim
 from orograph.light.sweep import Block, fold
+from orograph.parallel import for_each, map_ordered
 
 _AROUND = 1 << 16
 """Bytes that the system maps around a touched place of a file."""
 _TOUCHED = 16 << 20
 """Bytes of a canvas on disk that a thread may have in memory before it lets go of them."""
+_WINDOW = 1 << 20
+"""Values of a window that is finished by a thread."""
 
 Add = Callable[[Values, Block, int, int], None]
 """(canvas (bands, rows, cols), block, first, last): add a block's rows [first, last); from threads, rows apart."""
@@ -81,9 +85,11 @@ def produce(context: Context, products: Sequence[Product]) -> Iterator[tuple[int
             yield from ((k, row, col, values) for row, col, values in each)
             continue
         canvas = canvases.pop(k)
-        with context.progress.task(f"Writing {products[k].name}", total=-(-context.shape[0] // 256)) as task:
-            for window in rectangles(context.shape, 256):
-                yield k, window[0], window[2], each.finish(canvas.values, window)
+        windows = list(rectangles(context.shape, 256, max(_WINDOW // 256 // each.bands // 256 * 256, 256)))
+        with context.progress.task(f"Writing {products[k].name}", total=len(windows)) as task:
+            finished = map_ordered(partial(each.finish, canvas.values), windows, context.jobs)
+            for window, values in zip(windows, finished):
+                yield k, window[0], window[2], values
                 canvas.release()
                 task.advance()
 
@@ -167,4 +173,22 @@ def collected(context: Context, blocks: Blocks, bands: int) -> Values:
     out = np.full((bands, *context.shape), np.nan, np.float32)
     for row, col, values in blocks:
         out[:, row : row + values.shape[1], col : col + values.shape[2]] = values
+    return out
+
+
+def whole(context: Context, product: Product) -> Values:
+    """A product as one array in memory, (bands, rows, cols) float32."""
+    bands = len(product.bands(context.options))
+    (made,), canvases = _begun(context, [product])
+    if not isinstance(made, Sweep):
+        return collected(context, made, bands)
+    canvas, sweep = canvases[0], made
+    out = np.empty((bands, *context.shape), np.float32)
+
+    def finish(window: Window) -> None:
+        out[:, window[0] : window[1], window[2] : window[3]] = sweep.finish(canvas.values, window)
+        canvas.release()
+
+    height = max(8, (1 << 16) // context.shape[1])
+    for_each(finish, list(rectangles(context.shape, height)), context.jobs)
     return out

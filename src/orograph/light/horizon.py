@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from orograph.errors import UsageError
 from orograph.light.sky import sky_view
-from orograph.light.sweep import Block, Values, fold, horizons
+from orograph.light.sweep import Block, fold, horizons
 from orograph.light.sweep_lines import direction
+from orograph.light.sweep_pass import Values
 
 __all__ = ["direction", "horizon", "sky_view"]
 

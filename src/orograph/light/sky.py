@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph._numba import inlined, kernel
 from orograph.errors import UsageError
-from orograph.light.gather import Sweep, Window, collected
+from orograph.light.gather import Sweep, Window, whole
 from orograph.light.products import Context, Options, Product
 from orograph.light.sweep import Block
 from orograph.light.sweep_lines import direction
@@ -175,8 +175,7 @@ def sky_view(
     if measure not in get_args(Measure):
         raise UsageError(f"There is no measure {measure!r}; there are {', '.join(get_args(Measure))}.")
     context = context_of(heights, linear, Options(azimuths=azimuths, radius=radius), jobs=jobs, progress=progress)
-    whole: Values = collected(context, _sky(measure).run(context), 1)[0]
-    return whole
+    return np.asarray(whole(context, _sky(measure))[0])
 
 
 def _sky(measure: Measure) -> Product:
