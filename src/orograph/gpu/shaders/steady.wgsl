@@ -19,6 +19,7 @@ struct Steady {
 @group(1) @binding(5) var far_before: texture_2d<f32>;   // metres of depth in the last frame
 
 const SKY: f32 = 1e30;
+const FULL: f32 = 65504.0;  // the largest number of a half float
 const SAME: f32 = 0.02;   // depths that differ by less, as parts of them, may be those of one surface
 const SCALE: f32 = 2.0;   // how much of a mean is given up for a change of scale, times that change
 
@@ -58,9 +59,9 @@ fn gathered(at: vec2<f32>) -> vec3<f32> {
 
 // Whether a surface at a depth was seen around a pixel of the last frame: what was not, was hidden there.
 fn seen_before(nearest: vec2<i32>, last: vec2<i32>, z: f32) -> bool {
-  var near = SKY;
-  var far = 0.0;
-  for (var k = 0; k < 9; k++) {
+  var near = textureLoad(far_before, nearest, 0).r;
+  var far = near;
+  for (var k = 0; k < 9 && (z < near * (1.0 - SAME) || z > far * (1.0 + SAME)); k++) {
     let there = textureLoad(far_before, clamp(nearest + vec2<i32>(k % 3 - 1, k / 3 - 1), vec2<i32>(0), last), 0).r;
     near = min(near, there);
     far = max(far, there);
@@ -106,17 +107,17 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
   let last = vec2<i32>(camera.size) - 1;
   let nearest = clamp(vec2<i32>(floor(at)), vec2<i32>(0), last);
   var mean = gathered(at);
-  if (steady.forward.w > 1.0 || !seen_before(nearest, last, select(SKY, z, ground))) {
-    // It was hidden, or is drawn or lit otherwise now: what is nothing like what lies around the pixel is left.
-    var low = now;
-    var high = now;
-    for (var k = 0; k < 9; k++) {
-      let beside = textureLoad(light, clamp(pixel + vec2<i32>(k % 3 - 1, k / 3 - 1), vec2<i32>(0), last), 0).rgb;
-      low = min(low, beside);
-      high = max(high, beside);
-    }
-    mean = clamp(mean, low, high);
+  // It was hidden, or is drawn or lit otherwise now: what is nothing like what lies around the pixel is left. (Software
+  // renderers work through a condition's body whether it is taken or not, but not through a loop that no pixel enters.)
+  let strange = steady.forward.w > 1.0 || !seen_before(nearest, last, select(SKY, z, ground));
+  var low = select(vec3<f32>(0.0), now, strange);
+  var high = select(vec3<f32>(FULL), now, strange);
+  for (var k = select(9, 0, strange); k < 9; k++) {
+    let beside = textureLoad(light, clamp(pixel + vec2<i32>(k % 3 - 1, k / 3 - 1), vec2<i32>(0), last), 0).rgb;
+    low = min(low, beside);
+    high = max(high, beside);
   }
+  mean = clamp(mean, low, high);
   let count = min(textureLoad(before, nearest, 0).a + 1.0, 1024.0);
   let fast = min(length(at - position.xy), 1.0) * FAST;
   let share = max(max(steady.moved.w, 1.0 / count), max(min(SCALE * scaled, 1.0), fast));
