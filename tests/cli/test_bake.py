@@ -66,6 +66,7 @@ def test_build_and_bake_in_one(run, hilly, tmp_path):
         (("--products", "sky"), 2, ("no product",)),
         (("--products", "insolation"), 2, ("--date",)),
         (("--products", "aperture", "--radius", "-1"), 2, ("radius",)),
+        (("--products", "visible-sky", "--rho", "linear"), 2, ("--rho changes nothing", "ambient-occlusion")),
     ],
 )
 def test_wrong_commands(run, built, options, code, words):

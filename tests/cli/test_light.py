@@ -10,10 +10,13 @@ import time
 import numpy as np
 import pytest
 import rasterio
+from pyproj import CRS
 
 from orograph import store
 from orograph.dem.mosaic import Mosaic
+from orograph.geo.grid import Grid
 from orograph.light.products import Context, Options, compute, names, product
+from orograph.store.memory import MemoryTerrain
 
 
 def heights_of(path):
@@ -152,6 +155,11 @@ def test_memory_jobs_and_a_store_change_no_bit(run, hilly, tmp_path):
         (("--product", "slope", "--sun", "noon"), "sun"),
         (("--product", "slope", "--light", "1,2"), "hillshade"),
         (("--product", "hillshade", "--light", "1"), "AZ,ALT"),
+        (("--product", "hillshade", "--light", "315,145"), "altitude"),
+        (("--product", "slope,aspect", "--radius", "300"), "--radius changes nothing of slope, aspect"),
+        (("--product", "openness", "--sun", "315,45"), "hillshade, shadow"),
+        (("--product", "visible-sky", "--date", "2026"), "insolation"),
+        (("--product", "insolation", "--date", "2026", "--rho", "linear"), "ambient-occlusion"),
         (("--product", "slope", "--azimuths", "2"), "azimuths"),
     ],
 )
@@ -297,6 +305,39 @@ def test_resume_refuses_other_work_and_damage(run, hilly, tmp_path, monkeypatch)
     assert code == 4 and "Delete that folder" in err
     code, _, err = run(*(a for a in given if a != "--resume"))
     assert code == 0 and folder.is_dir()  # left alone
+
+
+def test_it_is_known_which_products_an_option_changes(hilly):
+    """Each option against the products themselves: changed bits where it is said to matter, the same elsewhere."""
+    from orograph.cli.products import USERS
+
+    heights = heights_of(hilly)[:40, :40].astype(np.float32)
+    with rasterio.open(hilly) as file:
+        grid = Grid(heights.shape, file.transform, CRS.from_user_input(file.crs))
+    terrain = MemoryTerrain(heights, grid, "hilly")
+    base = {"azimuths": 6, "rays": 4, "curvature": True, "radius": 200.0, "sun": (315.0, 12.0)}
+    common = {"date": "2026-06-21", "step": 60.0}
+    other = {
+        "azimuths": 9, "radius": 90.0, "curvature": False, "sun": (100.0, 20.0), "lights": ((100.0, 20.0, 1.0),),
+        "exaggeration": 2.0, "turbidity": 5.0, "step": 30.0, "date": "2026-12-21",
+    }  # fmt: skip
+    fields = Options.__dataclass_fields__
+
+    def made(name, **change):
+        given = {**base, **common, **change}
+        if name == "ambient-occlusion":
+            given["curvature"] = False  # walks know none
+        more = {k: v for k, v in given.items() if k not in fields}
+        return compute(Context(terrain, Options(**{k: v for k, v in given.items() if k in fields}, more=more)), name)
+
+    for name in names():
+        plain = made(name)
+        for option, value in other.items():
+            if (name, option) in {("ambient-occlusion", "curvature")}:
+                continue
+            changed = made(name, **{option: value})
+            same = plain.shape == changed.shape and np.array_equal(plain, changed, equal_nan=True)
+            assert same == (name not in USERS[option]), (name, option)
 
 
 def test_every_product_has_its_names_and_units():

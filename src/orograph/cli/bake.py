@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.options import jobs_option, memory_option, progress_of
-from orograph.cli.products import Names, horizon_options, insolation_options, more_of, once, ray_options
+from orograph.cli.products import (
+    Names,
+    check_used,
+    horizon_options,
+    insolation_options,
+    more_of,
+    once,
+    ray_options,
+)
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
@@ -69,6 +77,7 @@ def command(
 
     began = time.perf_counter()
     wanted = once(products)
+    check_used(ctx, wanted)
     if "insolation" in wanted and options["date"] is None:
         raise UsageError("Insolation is over a period.", remedy="Give a year, a month or a day (--date 2026-06-21).")
     chosen = Options(more=more_of(options), **options)

@@ -21,9 +21,16 @@ from orograph.cli.options import (
     source_options,
     vertical_options,
 )
-from orograph.cli.products import Names, horizon_options, insolation_options, more_of, once, ray_options
+from orograph.cli.products import (
+    Names,
+    check_used,
+    horizon_options,
+    insolation_options,
+    more_of,
+    once,
+    ray_options,
+)
 from orograph.cli.suns import sun_option
-from orograph.errors import UsageError
 
 if TYPE_CHECKING:
     from orograph.light.products import Context, Product, Values
@@ -129,9 +136,8 @@ def command(
     check_folder(Path(output))
     wanted = once(options["products"])
     products = [product(name) for name in wanted]
+    check_used(ctx, wanted)
     lights = tuple((*light, 1.0) if len(light) == 2 else light for light in options["lights"])
-    if lights and "hillshade" not in wanted:
-        raise UsageError("--light is for --product hillshade.")
     common = {k: options[k] for k in ("azimuths", "radius", "curvature", "refraction", "exaggeration", "rays")}
     more = more_of(options)
     Options(**common, lights=lights, more=more)

@@ -18,6 +18,45 @@ MORE = ("rho", "method", "cones", "date", "step", "turbidity")
 """Options of single products, of which only those given are passed on."""
 
 
+_SKY = ("sky-view-factor", "sky-view-horizontal", "visible-sky", "openness", "openness-negative")
+_SWEPT = ("horizon", *_SKY, "ambient-occlusion", "aperture", "shadow", "insolation")
+USERS = {
+    "azimuths": tuple(name for name in _SWEPT if name != "shadow"),
+    "radius": _SWEPT,
+    "curvature": _SWEPT,
+    "refraction": _SWEPT,
+    "sun": ("hillshade", "shadow"),
+    "lights": ("hillshade",),
+    "exaggeration": ("hillshade",),
+    "rays": ("ambient-occlusion", "aperture"),
+    "method": ("ambient-occlusion", "aperture"),
+    "rho": ("ambient-occlusion",),
+    "cones": ("ambient-occlusion",),
+    "date": ("insolation",),
+    "step": ("insolation",),
+    "turbidity": ("insolation",),
+}
+"""The products that an option changes."""
+
+
+def check_used(ctx: click.Context, wanted: Sequence[str]) -> None:
+    """Refuse options that change none of the products: they would be passed over.
+
+    Raises:
+        UsageError: an option was given that none of ``wanted`` looks at.
+    """
+    from orograph.errors import UsageError
+
+    for option in ctx.command.params:
+        users = USERS.get(str(option.name))
+        given = ctx.get_parameter_source(str(option.name)) is click.core.ParameterSource.COMMANDLINE
+        if users is not None and given and not set(users) & set(wanted):
+            raise UsageError(
+                f"{option.opts[0]} changes nothing of {', '.join(wanted)}.",
+                remedy=f"Leave it out: it is for {', '.join(users)}.",
+            )
+
+
 class Names(click.ParamType["tuple[str, ...]"]):
     """Names of products, with commas between."""
 

@@ -106,6 +106,9 @@ class Options:
             )
         if any(len(light) != 3 or not all(map(_number, light)) for light in self.lights):
             raise UsageError("A light of several is (azimuth, altitude, weight), all of them numbers.")
+        for _, altitude, _ in self.lights:
+            if abs(altitude) > 90:
+                raise UsageError(f"A light's altitude lies between -90 and 90 degrees, not {altitude:g}.")
 
     def directions(self) -> NDArray[np.float64]:
         """The azimuths (n,), degrees."""
@@ -291,8 +294,6 @@ def product(name: str) -> Product:
 
 def compute(context: Context, name: str) -> Values:
     """A product as a whole, in memory: (bands, rows, cols) float32."""
-    wanted = product(name)
-    out = np.full((len(wanted.bands(context.options)), *context.shape), np.nan, np.float32)
-    for row, col, values in wanted.run(context):
-        out[:, row : row + values.shape[1], col : col + values.shape[2]] = values
-    return out
+    from orograph.light.gather import whole
+
+    return whole(context, product(name))

@@ -1,7 +1,8 @@
 """Where the sun stands: a direction given by hand, or the real sun at a moment and a place.
 
 The solar position is NOAA's (Meeus, *Astronomical Algorithms*, 1998, ch. 25, without nutation's small terms), computed
-by the library ``astral``: within 0.01° of the Solar Position Algorithm (SPA: Reda & Andreas 2004) over 1900–2100.
+by the library ``astral``: within 0.02° of the Solar Position Algorithm (SPA: Reda & Andreas 2004), 0.003° on average,
+at 300 random moments and places of 2000–2080.
 Altitudes are *apparent*: lifted by the refraction of a standard atmosphere at sea level (Sæmundsson 1986, as in the
 SPA: 0.48° for a sun geometrically on the horizon, 0.09° at 10°), since light arrives from where the sun is seen.
 
