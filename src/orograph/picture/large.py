@@ -39,19 +39,28 @@ ROWS, COLUMNS = 16, 64
 MOST_PIXELS = 1 << 30
 """Of a picture: 32768 × 32768. More would take hours, and is a slip of the keyboard."""
 
+ACROSS = 2048
+"""Columns of a tile that a graphics card draws, at most."""
+
+SIDE = 8192
+"""Pixels a side that any graphics card can draw at once."""
+
 MOST = {"JPEG": 65500, "WEBP": 16383}
 """Pixels a side that a format can hold."""
 
 
-def is_large(size: tuple[int, int], max_memory: int | None) -> bool:
-    """Whether a picture of so many pixels is drawn by bands: its arrays take more than half of the memory allowed."""
+def is_large(size: tuple[int, int], max_memory: int | None, *, gpu: bool = False) -> bool:
+    """Whether a picture of so many pixels is drawn by bands: its arrays take more than half of the memory allowed, or
+    it has more pixels a side than any graphics card that is to draw it must be able to."""
     pixels = size[0] * size[1]
-    return max_memory is not None and pixels <= MOST_PIXELS and BYTES_PER_PIXEL * pixels > max_memory // 2
+    if pixels > MOST_PIXELS:
+        return False
+    return (max_memory is not None and BYTES_PER_PIXEL * pixels > max_memory // 2) or (gpu and max(size) > SIDE)
 
 
 def draw_large(
     scene: Scene, path: str | os.PathLike[str], *, depth: str | os.PathLike[str] | None = None,
-    draw: Session | None = None, progress: Progress = SILENT, pixels: int | None = None,
+    draw: Session | None = None, progress: Progress = SILENT, pixels: int | None = None, across: int | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Draw a scene into a file, within ``scene.max_memory`` whatever the picture's size.
 
@@ -62,6 +71,7 @@ def draw_large(
         draw: a backend that draws tiles; None: the CPU caster.
         progress: hears of it.
         pixels: how many are drawn at a time; None: as many as ``memory.band_pixels`` says.
+        across: columns that a tile has at most; None: as many as the picture, if so many pixels make ``ROWS`` of them.
 
     Returns:
         the picture's facts, as in ``Picture``.
@@ -77,7 +87,7 @@ def draw_large(
     if most is not None and max(view.width, view.height) > most:
         raise UsageError(f"A {kind} has at most {most} × {most} pixels, not {view.width} × {view.height}.", path=out,
                          remedy="Use .png or .tif.")  # fmt: skip
-    if scene.wireframe:
+    if scene.wireframe and draw is None:
         raise UsageError("A wireframe is drawn over a whole picture in memory.",
                          remedy="Allow more (--max-memory), or make it smaller.")  # fmt: skip
     for file in filter(None, (out, None if depth is None else Path(depth))):
@@ -94,7 +104,7 @@ def draw_large(
         depths = None if depth is None else stack.enter_context(DepthFile(Path(depth), view.width, view.height, place))
         sheet = Sheet(scene, scratch, depths, session(progress) if draw is None else draw)
         with progress.task("Drawing", total=view.width * view.height) as task:
-            for band in bands(view.width, view.height, pixels or band_pixels(scene.max_memory)):
+            for band in bands(view.width, view.height, pixels or band_pixels(scene.max_memory), across):
                 sheet.draw(band, progress)
                 task.advance(sum(w * h for _, _, w, h in band))
         if scene.furniture:
@@ -110,9 +120,11 @@ Band = list[tuple[int, int, int, int]]
 """Tiles (left, top, width, height) of the same rows, from left to right."""
 
 
-def bands(width: int, height: int, pixels: int) -> Iterator[Band]:
-    """Tiles of at most about ``pixels`` pixels, at multiples of ``ROWS`` and ``COLUMNS``, that make up a picture."""
-    across = max(COLUMNS, min(width, pixels // ROWS) // COLUMNS * COLUMNS) if pixels < width * ROWS else width
+def bands(width: int, height: int, pixels: int, most: int | None = None) -> Iterator[Band]:
+    """Tiles that make up a picture, of at most about ``pixels`` pixels and ``most`` columns, at multiples of ``ROWS``
+    and ``COLUMNS``."""
+    most = min(width, pixels // ROWS, most or width)
+    across = width if most == width else max(COLUMNS, most // COLUMNS * COLUMNS)
     rows = max(ROWS, pixels // across // ROWS * ROWS)
     for top in range(0, height, rows):
         tall = min(rows, height - top)
@@ -170,6 +182,7 @@ class Sheet:
         shown = self.facts.get("shown", dict.fromkeys(facts["shown"], 0))
         means: dict[str, Any] = {name: self.facts.get(name, 0.0) + part * facts[name]
                  for name in ("hit_fraction", "edge_fraction") if name in facts}  # fmt: skip
+        means |= {name: self.facts.get(name, 0) + facts[name] for name in ("patches", "triangles") if name in facts}
         self.facts = {**facts, **means, "shown": {k: shown[k] + n for k, n in facts["shown"].items()}}
 
     def furnish(self) -> None:
