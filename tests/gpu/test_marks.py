@@ -19,6 +19,8 @@ from orograph.gpu.picture import draw as draw_gpu
 from orograph.gpu.renderer import Renderer
 from orograph.picture.contours import Contours
 from orograph.picture.cpu import draw as draw_cpu
+from orograph.picture.label_spots import POINTS
+from orograph.picture.labels import Labels, Placer
 from orograph.picture.scene import Scene
 from orograph.picture.silhouettes import Silhouettes
 from orograph.store import terrain as in_memory
@@ -41,14 +43,15 @@ def scenes(terrain: Terrain) -> dict[str, Scene]:
     middle = (EAST + 6200.0, NORTH - 5000.0, 500.0)
     slanted = View((EAST + 6000.0, NORTH - 14_000.0, 5000.0), middle, width=SIZE[0], height=SIZE[1])
     plan = View((middle[0], middle[1], 12_000.0), middle, projection="plan", width=SIZE[0], height=SIZE[1])
+    near = View((EAST + 5100.0, NORTH - 6350.0, 620.0), (EAST + 5150.0, NORTH - 6250.0, 528.0), width=360, height=240)
     lines = Contours(20.0)
     return {
         name: Scene(terrain, view, samples=4, tolerance=0.5, contours=lines, sky=name == "slanted")
         for name, view in (("slanted", slanted), ("plan", plan))
-    }
+    } | {"beyond samples": Scene(terrain, near, samples=4, tolerance=0.5, contours=Contours(1.0))}
 
 
-@pytest.mark.parametrize("name", ["slanted", "plan"])
+@pytest.mark.parametrize("name", ["slanted", "plan", "beyond samples"])
 def test_both_backends_draw_the_same_lines_and_labels(device: Device, terrain: Terrain, name: str) -> None:
     scene = scenes(terrain)[name]
     cpu, gpu = draw_cpu(scene), draw_gpu(scene, device=device)
@@ -133,3 +136,25 @@ def test_both_backends_draw_the_terrains_lines_over_a_coarse_mesh(
     assert apart.mean() < 1.0 and np.quantile(apart, 0.95) < 3.0, (apart.mean(), np.quantile(apart, 0.95))
     marked = np.linalg.norm(lab(without[1].pixels) - lab(gpu.pixels), axis=-1)[alike] > 8
     assert marked.mean() > 0.03 and apart[marked].mean() < 3.0, apart[marked].mean()
+
+
+@pytest.mark.parametrize("slow", [False, True])
+def test_labels_stand_on_the_mesh_that_is_drawn(device: Device, terrain: Terrain, slow: bool) -> None:
+    """However far off the mesh is: where a ray through a label's middle meets it, the terrain has that height."""
+    scene = replace(scenes(terrain)["slanted"], engine="soar", tolerance=25.0, sky=False, samples=1)
+    placed = []
+    place = Placer.place
+
+    def remembered(self: Placer, *args: object) -> Labels:
+        placed.append(place(self, *args))  # type: ignore[arg-type]
+        return placed[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Placer, "place", remembered)
+        picture = draw_cpu(scene) if slow else draw_gpu(scene, device=device)
+    middle = placed[-1].lines[:, POINTS // 2]
+    assert len(middle) >= 3
+    pixels, depth = scene.view.project(middle)
+    shown = picture.depth[pixels[:, 1].astype(int), pixels[:, 0].astype(int)]
+    assert (np.abs(shown / depth - 1) < 0.01).all()
+    assert np.abs(middle[:, 2] - placed[-1].heights).max() > 5.0  # the mesh is elsewhere than the terrain

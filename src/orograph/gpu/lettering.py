@@ -7,6 +7,7 @@ CPU's (``picture.label_type``), brought to a texture when something of it has ch
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,10 @@ from orograph.gpu.device import Device
 from orograph.picture.contours import Contours
 from orograph.picture.label_type import Lettering
 from orograph.picture.labels import NOTHING, Labels, Placer
+from orograph.picture.mesh_points import mesh_heights
 from orograph.picture.scene import Scene
 from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
 
 
 class Letters:
@@ -44,22 +47,23 @@ class Letters:
         """Whether other labels are on their way, or are to be found."""
         return self._wish is not None and (self._aside.busy or self._aside.done != self._wish)
 
-    def prepare(self, scene: Scene, contours: Contours | None, *, wait: bool) -> bool:
-        """Have the labels of a scene's contours (``fitted``; None: no lines): at once if ``wait``, else those there are
-        while others are found aside. Whether there is any."""
+    def prepare(self, scene: Scene, contours: Contours | None, *, wait: bool, mesh: Tessellation | None = None) -> bool:
+        """Have the labels of a scene's contours (``fitted``; None: no lines), on a mesh of the terrain if one is drawn:
+        at once if ``wait``, else those there are while others are found aside. Whether there is any."""
         if contours is None or not contours.labels or contours.step <= 0:
             self._labels, self._wish, self.view, self.state = NOTHING, None, None, None
             return False
-        key = self._wish = scene.view.whole, scene.exaggeration, scene.tolerance, contours
+        key = self._wish = scene.view.whole, scene.exaggeration, scene.tolerance, contours, id(mesh)
+        drawn = None if mesh is None else partial(mesh_heights, mesh)
         if wait:
             if self._aside.done != key:
-                self._labels = self.placer.place(scene, contours)
+                self._labels = self.placer.place(scene, contours, drawn)
             self._aside.done = key
         else:
             made = self._aside.take()
             self._labels = self._labels if made is None else made
             if self._aside.wants(key):
-                self._aside.start(key, lambda: self.placer.place(scene, contours))
+                self._aside.start(key, lambda: self.placer.place(scene, contours, drawn))
         self.state = id(self._labels)
         self._set(scene, contours)
         return self.view is not None

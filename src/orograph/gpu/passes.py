@@ -75,10 +75,15 @@ class Targets:
 
 
 class ShadePass:
-    """Light and colour of every pixel, from depth and marks, added to what the target holds or replacing it."""
+    """Light and colour of every pixel, from depth and marks, added to what the target holds or replacing it.
 
-    def __init__(self, device: Device, camera: Any) -> None:
-        self.device, self.camera = device, camera
+    Args:
+        camera: the uniform buffer (``camera.CAMERA``).
+        missing: what is added to heights that are missing (``tiles.missing``), metres.
+    """
+
+    def __init__(self, device: Device, camera: Any, missing: int) -> None:
+        self.device, self.camera, self.missing = device, camera, missing
         handle = device.handle
         layouts = [
             handle.create_bind_group_layout(entries=[uniform(device, 0, "VERTEX|FRAGMENT")]),
@@ -90,6 +95,7 @@ class ShadePass:
                     texture(9, "float", "2d-array"), {"binding": 10, "visibility": stage("FRAGMENT"), "sampler": {}},
                     storage(11), storage(12), storage(13),
                     *(texture(k, "unfilterable-float") for k in (14, 15, 16, 17, 18)),
+                    texture(19, "unfilterable-float", "2d-array"), storage(20),
                 ]
             ),
         ]  # fmt: skip
@@ -159,7 +165,9 @@ class ShadePass:
         found = self._pipelines.get((flags, entry))
         if found is None:
             by_rays = bool(flags & RAYS)
-            module = self.device.shader("shade", {"FLAGS": flags, "RAYS": int(by_rays), "RAY_GROUP": 2})
+            module = self.device.shader(
+                "shade", {"FLAGS": flags, "RAYS": int(by_rays), "RAY_GROUP": 2, "MISSING": self.missing}
+            )
             mean = {"src_factor": "constant", "dst_factor": "one-minus-constant", "operation": "add"}
             light: list[dict[str, Any]] = [{"format": LIGHT, "blend": {"color": mean, "alpha": mean}}]
             layouts = [*self.layouts, self.rays.layout.group] if by_rays else self.layouts

@@ -25,7 +25,7 @@ from orograph.gpu.following import Following, maps_key
 from orograph.gpu.frame import PLAIN, FrameStats, Normals, Overlay
 from orograph.gpu.imagery import Imagery
 from orograph.gpu.lettering import Letters
-from orograph.gpu.look import DRAPE, FIELD, GIVEN, LABELS, SILHOUETTES, VEILED, WIREFRAME, Look
+from orograph.gpu.look import DRAPE, FIELD, GIVEN, LABELS, SILHOUETTES, SMOOTH, VEILED, WIREFRAME, Look
 from orograph.gpu.meshes import Meshes, MeshPass
 from orograph.gpu.outlines import BreakPass
 from orograph.gpu.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass, Targets
@@ -46,6 +46,7 @@ from orograph.picture.kept import Kept
 from orograph.picture.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
+from orograph.picture.smooth import SMALL
 from orograph.view import View
 
 Array = NDArray[np.float64]
@@ -84,7 +85,7 @@ class Renderer:
         self.heights, self.slopes, self.engine = self.tiles.heights, self.tiles.slopes, self.tiles.engine
         self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
         legs = self.engine.legs
-        self._resources = Resources(device, terrain, self.slopes, self.imagery, self.kept)
+        self._resources = Resources(device, terrain, self.heights, self.slopes, self.imagery, self.kept)
         self._patches = PatchPass(
             device, self._camera, self.heights.texture, self._resources.stored_slopes, patch_vertices(legs),
             patch_indices(legs), INSTANCE.itemsize, missing(terrain),
@@ -96,7 +97,7 @@ class Renderer:
         self._letters = Letters(device, terrain)
         self._breaks = BreakPass(device, self._camera, terrain, self._resources.stored_slopes)
         self._veil = VeilPass(device, self._camera)
-        self._shading = ShadePass(device, self._camera)
+        self._shading = ShadePass(device, self._camera, missing(terrain))
         self._corners = ScreenOcclusion(device, self._shading)
         self._resolves: dict[str, ResolvePass] = {}
         self._targets: Targets | None = None
@@ -144,7 +145,7 @@ class Renderer:
         targets = self._fit(view.width, view.height)
         self._mesh_for(scene, freeze, wait=wait)
         mesh = self._meshes.mesh
-        lettered = self._letters.prepare(scene, self._contours(scene), wait=wait)
+        lettered = self._letters.prepare(scene, self._contours(scene), wait=wait, mesh=mesh)
         drawn = mesh, self._letters.state
         state = (scene, overlay, freeze, loaded, layers, len(patches.instances), drawn, maps_key(scene))
         if samples is None and state == self._at_rest and not self.busy:
@@ -180,7 +181,7 @@ class Renderer:
         bound = self._resources.bound(look, maps, scene, targets, given=given or field, field=field, marks=views)
         group = self._shading.group(targets, bound)
         flags = self._features(look, given) | (LABELS if lettered else 0) | (DRAPE if layers else 0)
-        flags |= FIELD if field else 0
+        flags |= (FIELD if field else 0) | (SMOOTH if self._beyond_samples(scene) else 0)
         edges = bool(flags & WIREFRAME)
         flags = self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, slopes), wait=wait)
         if begin and flags != self._flags:  # it was compiled meanwhile: what was gathered looks otherwise
@@ -383,6 +384,12 @@ class Renderer:
         contours = self._contours(scene)
         outlined = scene.silhouettes is not None and scene.view.projection != "plan"
         silhouettes = scene.silhouettes.fitted(scene.view) if scene.silhouettes and outlined else None
+    def _beyond_samples(self, scene: Scene) -> bool:
+        """Whether there are contour lines, and pixels somewhere so small that they follow the smooth surface."""
+        view = scene.view
+        pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * self._light.range[0]
+        return scene.contours is not None and pixel < SMALL[1] * min(self.terrain.grid.spacing)
+
         near, far = scene.depths or self._light.range
         if not exact:
             near, far = (math.exp(round(10 * math.log(max(v, 1e-3))) / 10) for v in (near, far))

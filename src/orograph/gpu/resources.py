@@ -27,11 +27,14 @@ class Resources:
     """Buffers and textures by what they hold.
 
     Args:
-        slopes: the atlas of slope tiles. imagery: the layers. kept: what earlier pictures left.
+        heights, slopes: the atlases of their tiles. imagery: the layers. kept: what earlier pictures left.
     """
 
-    def __init__(self, device: Device, terrain: Terrain, slopes: Atlas, imagery: Imagery, kept: Kept) -> None:
+    def __init__(
+        self, device: Device, terrain: Terrain, heights: Atlas, slopes: Atlas, imagery: Imagery, kept: Kept
+    ) -> None:
         self.device, self.terrain, self.slopes, self.imagery, self.kept = device, terrain, slopes, imagery, kept
+        self.heights, self._heights = heights, heights.texture.create_view(dimension="2d-array")
         self.shade = device.buffer(SHADE.itemsize, "UNIFORM", "shade")
         self._shaded: Any = None
         self._buffers: dict[str, tuple[Any, Any]] = {}
@@ -85,6 +88,8 @@ class Resources:
             16: self._blank if marks[1] is None else marks[1],
             17: self._blank if marks[2] is None else marks[2],
             18: targets.field_view(self.device) if field or targets.has_field else self._blank,
+            19: self._heights,
+            20: self.heights.page_buffer,
         }
 
     def shade_with(self, uniform: NDArray[Any]) -> None:

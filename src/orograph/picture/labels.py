@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +33,8 @@ from orograph.store.terrain import TILE, Terrain
 from orograph.view import View
 
 Array = NDArray[np.float64]
+Drawn = Callable[[Array, Array], Array]
+"""Columns and rows (n,) to heights (n,), metres, NaN where nothing is."""
 
 NEAREST, FARTHEST = 6.0, 1.5
 """Pixels that a sample of a spot's level is large: spots of a level are shown between these."""
@@ -93,19 +95,21 @@ class Placer:
         self._caster: tuple[tuple[Rectangle, ...], Caster | None] = ((), None)
         self._lock = threading.Lock()
 
-    def place(self, scene: Scene, contours: Contours) -> Labels:
+    def place(self, scene: Scene, contours: Contours, drawn: Drawn | None = None) -> Labels:
         """The labels of a scene's (whole) view.
 
         Args:
             contours: with an interval, ``fitted``.
+            drawn: heights at sample coordinates of what lines are laid over, if that is not the terrain but a mesh of
+                it: labels stand on that.
         """
         view = scene.view.whole
         if contours.step <= 0 or not contours.labels:
             return NOTHING
         with self._lock:
-            return self._place(replace(scene, view=view), contours)
+            return self._place(replace(scene, view=view), contours, drawn)
 
-    def _place(self, scene: Scene, contours: Contours) -> Labels:
+    def _place(self, scene: Scene, contours: Contours, drawn: Drawn | None) -> Labels:
         from orograph.picture.label_type import measured
 
         view, step = scene.view, contours.step
@@ -133,6 +137,9 @@ class Placer:
             return NOTHING
         lines, heights, slopes, bends, levels = (v[kept] for v in (lines, heights, slopes, bends, levels))
         pixels, depth, per_sample = pixels[kept], depth[kept], per_sample[kept]
+        if drawn is not None:
+            lines = self._laid(lines, drawn)
+            pixels, depth = view.project(lines[:, POINTS // 2], scene.exaggeration)
         opacity = _ramp(0.9 * FARTHEST, 1.1 * FARTHEST, per_sample)
         opacity *= np.where(levels > FINEST, 1 - _ramp(0.85 * NEAREST, NEAREST, per_sample), 1.0)
         rate = _rates(view, scene.exaggeration, pixels, depth, slopes)
@@ -207,6 +214,12 @@ class Placer:
             self._spots.move_to_end(key)
         return found
 
+    def _laid(self, lines: Array, drawn: Drawn) -> Array:
+        """Lines (n, POINTS, 3) at the heights of what is drawn there, where there is something."""
+        col, row = self.terrain.grid.index(lines[..., 0].ravel(), lines[..., 1].ravel())
+        found = drawn(col, row).reshape(lines.shape[:2])
+        return np.concatenate([lines[..., :2], np.where(np.isfinite(found), found, lines[..., 2])[..., None]], -1)
+
     def _seen(
         self, scene: Scene, lines: Array, depth: Array, places: Array, widths: Array, tall: float, large: float
     ) -> Array:
@@ -228,6 +241,9 @@ class Placer:
         for side in (-1.0, 0.0, 1.0):
             for lift in CLEAR:
                 at = middle + side * half[:, None] * tangent
+                # What lines are of may lie under the triangles that the ground is.
+                over = self._laid(at[:, None], self._caster[1].surfaces)[:, 0, 2]
+                at[:, 2] = np.maximum(at[:, 2], over)
                 at[:, 2] += lift * large * view.pixel_slope * depth / scene.exaggeration
                 pixels, far = view.project(at, scene.exaggeration)
                 t, _ = rays.positions(pixels[:, 0], pixels[:, 1])

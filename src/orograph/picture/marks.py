@@ -61,9 +61,10 @@ class Lines:
         if self.contours.labels and self.contours.step > 0:
             placer = kept("labels", (), lambda: Placer(scene.terrain), scene.terrain)
             view, exaggeration = scene.view.whole, scene.exaggeration
+            drawn = None if self.under is None else ground.caster.surfaces
             labels = kept(
                 "labels of a view", (view, exaggeration, self.contours),
-                lambda: placer.place(scene, self.contours), placer,
+                lambda: placer.place(scene, self.contours, drawn), placer if drawn is None else ground.caster,
             )  # fmt: skip
             self.letters = Lettering.of(labels, view, exaggeration, self.contours.type_size)
             left, top, _, _ = scene.view.frame

@@ -51,6 +51,8 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(16) var breaks: texture_2d<f32>;   // between a pixel and the next one to the right, and below
 @group(1) @binding(17) var breaks_near: texture_2d<f32>;   // the heaviest of 8 × 8 pixels
 @group(1) @binding(18) var field: texture_2d<f32>;    // the terrain's own heights, metres
+@group(1) @binding(19) var heights: texture_2d_array<f32>;   // tiles of them
+@group(1) @binding(20) var<storage, read> height_pages: array<u32>;
 // include: aperture.wgsl
 // when: RAYS
 // include: rays.wgsl
@@ -60,12 +62,14 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 
 // What is drawn, known when the shader is compiled: software renderers work through branches whether they are taken or
 // not. 1 shadows, 2 water, 4 layers, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
-// 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes, 16384 lines of ``field``.
+// 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes, 16384 lines of ``field``,
+// 32768 of the smooth surface where samples are large.
 const FLAGS: u32 = {{FLAGS}}u;
 // Lights, too: 131072 lamps; discs of light from the bit of 2²⁰ up, 7: as many as there are.
 const SUNS: u32 = (FLAGS >> 20u) & 7u;
 // include: lines.wgsl
 // include: slopes.wgsl
+// include: contours.wgsl
 
 fn map_value(offset: i32, size: vec2<i32>, first: vec2<i32>, level: i32, at: Place) -> f32 {
   let p = in_blocks(at, u32(level));
@@ -234,27 +238,6 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
   return Ground(shoulder(albedo * light), g, wet);
 }
 
-// Part of a pixel that contour lines cover (picture/contour_kernels.py): the height's derivative along the screen's
-// axes on the tangent plane says how far the next contour is. ``drawn``: the slope of that plane; ``slope``: of heights.
-fn contours(height: f32, depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope: vec2<f32>) -> f32 {
-  let normal = vec3<f32>(-drawn * camera.forward.w, 1.0);
-  let facing = dot(normal, direction);
-  let size = camera.pixel * select(depth, 1.0, camera.plan == 1u);   // metres that a pixel's step goes at this depth
-  let u = camera.right.xyz * size;
-  let v = camera.up.xyz * size;
-  let over = u.xy - dot(normal, u) / facing * direction.xy;   // how far a pixel's step goes over the ground
-  let down = v.xy - dot(normal, v) / facing * direction.xy;
-  let rate = max(length(vec2<f32>(dot(slope, over), dot(slope, down))), 1e-9);
-  let n = height / shade.contour.x;
-  let far = abs(n - round(n)) * shade.contour.x / rate;
-  let index = shade.contour.y > 0.0 && abs(round(n) - shade.contour.y * round(n / max(shade.contour.y, 1.0))) < 0.25;
-  let half = 0.5 * shade.contour.z * select(1.0, 2.0, index);
-  // Where lines would stand closer than some pixels they fade: first the plain ones, then the index contours.
-  let apart = shade.contour.x / rate * select(1.0, shade.contour.y, index);
-  // Ground too level has none: no line can be said to be its contour.
-  return clamp(half - far + 0.5, 0.0, 1.0) * smoothstep(3.0, 7.0, apart) * smoothstep(5e-5, 2e-4, length(slope));
-}
-
 // What a pixel of ground shows: where it is relative to the eye, on the raster, and how much of it a pixel covers.
 struct Hit { depth: f32, position: vec3<f32>, place: Place, height: f32, footprint: f32 };
 
@@ -329,7 +312,11 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
         own = vec2<f32>(s.x * camera.inverse.x + s.y * camera.inverse.z, s.x * camera.inverse.y + s.y * camera.inverse.w);
       }
     }
-    var cover = contours(height, depth, ray.direction, drawn, own) * (1.0 - seen.wet) * shade.contour.w;
+    if ((FLAGS & 32768u) != 0u) {
+      height = smooth_height(hit.place, hit.footprint, ray.direction, height, (FLAGS & 16384u) == 0u);
+    }
+    var cover = contours(height, hit.place, hit.footprint, depth, ray.direction, drawn, own);
+    cover *= (1.0 - seen.wet) * shade.contour.w;
     if ((FLAGS & 4096u) != 0u) {   // labels: picture/marks.py
       let letters = textureLoad(lettering, pixel, 0).rg;
       colour = mix(colour, vec3<f32>(1.0), 0.16 * letters.g);

@@ -1,0 +1,119 @@
+// Contour lines: how much of a pixel they cover (picture/contour_kernels.py), and the smooth surface through the samples
+// that they are of near by (picture/smooth.py).
+// Needs ``heights`` (texture_2d_array), ``height_pages``, and what slopes.wgsl needs; ``shade`` (uniform): contour.
+// include: place.wgsl
+
+const HEIGHTS_SIDE: i32 = 257;
+const MISSING: f32 = {{MISSING}}.0;   // added to heights that are missing
+
+// A place so many cells farther.
+fn moved(at: Place, by: vec2<f32>) -> Place {
+  let part = at.part + by;
+  let down = floor(part);
+  return Place(at.whole + vec2<i32>(down), part - down);
+}
+
+// The smooth surface at a place: height, slope (as light has it, per sample along columns and rows), and 1 where all
+// four samples are there, else 0.
+fn smooth_surface(at: Place) -> vec4<f32> {
+  let l = levels[0];
+  let cell = clamp(at.whole, vec2<i32>(0), camera.last - 1);
+  let f = clamp(at.part + vec2<f32>(at.whole - cell), vec2<f32>(0.0), vec2<f32>(1.0));
+  let tile = min(cell >> vec2<u32>(8u), vec2<i32>(i32(l.tile_cols), i32(l.tile_rows)) - 1);
+  let page = l.offset + u32(tile.y) * l.tile_cols + u32(tile.x);
+  let slot = i32(height_pages[page]) - 1;
+  let other = i32(pages[page]) - 1;
+  if (min(slot, other) < 0) {
+    return vec4<f32>(0.0);
+  }
+  let local = cell - tile * 256;
+  let place = slot % (PER_SIDE * PER_SIDE);
+  let origin = vec2<i32>(place % PER_SIDE, place / PER_SIDE) * HEIGHTS_SIDE + local;
+  let layer = slot / (PER_SIDE * PER_SIDE);
+  // Four corners: x: (0, 0), y: (1, 0), z: (0, 1), w: (1, 1) of (column, row).
+  let h = vec4<f32>(
+    textureLoad(heights, origin, layer, 0).r, textureLoad(heights, origin + vec2<i32>(1, 0), layer, 0).r,
+    textureLoad(heights, origin + vec2<i32>(0, 1), layer, 0).r, textureLoad(heights, origin + vec2<i32>(1, 1), layer, 0).r);
+  if (any(h >= vec4<f32>(0.5 * MISSING))) {
+    return vec4<f32>(0.0);
+  }
+  let s00 = load_slope(other, local + 1);
+  let s10 = load_slope(other, local + vec2<i32>(2, 1));
+  let s01 = load_slope(other, local + vec2<i32>(1, 2));
+  let s11 = load_slope(other, local + 2);
+  let g = 1.0 - f;
+  let high = f * f * (3.0 - 2.0 * f);
+  let low = 1.0 - high;
+  let u = vec2<f32>(f.x * g.x * g.x, -f.x * f.x * g.x);
+  let v = vec2<f32>(f.y * g.y * g.y, -f.y * f.y * g.y);
+  var height = h.x + (h.y - h.x) * high.x * low.y + (h.z - h.x) * low.x * high.y + (h.w - h.x) * high.x * high.y;
+  height += u.x * mix(s00.x, s01.x, f.y) + u.y * mix(s10.x, s11.x, f.y);
+  height += v.x * mix(s00.y, s10.y, f.x) + v.y * mix(s01.y, s11.y, f.x);
+  let west = s01.x - s00.x;
+  let east = s11.x - s10.x;
+  let north = s10.y - s00.y;
+  let south = s11.y - s01.y;
+  height -= u.x * v.x * (f.x * west + f.y * north) / max(f.x + f.y, 1e-9);
+  height -= u.y * v.x * (g.x * east + f.y * north) / max(g.x + f.y, 1e-9);
+  height -= u.x * v.y * (f.x * west + g.y * south) / max(f.x + g.y, 1e-9);
+  height -= u.y * v.y * (g.x * east + g.y * south) / max(g.x + g.y, 1e-9);
+  return vec4<f32>(height, mix(mix(s00, s10, f.x), mix(s01, s11, f.x), f.y), 1.0);
+}
+
+// The height that lines are of: that of the smooth surface where a pixel covers little of a sample, else the ground's.
+// ``by_ray``: where the ray through the pixel meets that surface, else above or below the ground.
+fn smooth_height(at: Place, footprint: f32, direction: vec3<f32>, ground: f32, by_ray: bool) -> f32 {
+  var found = smooth_surface(at);
+  let go = vec2<f32>(dot(camera.inverse.xy, direction.xy), dot(camera.inverse.zw, direction.xy));
+  let drop = direction.z / camera.forward.w;
+  var height = found.x;
+  var gone = 0.0;
+  for (var k = select(3, 0, by_ray && found.w > 0.0); k < 3; k++) {   // Newton's method
+    let facing = drop - dot(found.yz, go);
+    if (facing >= 0.0 || found.w == 0.0) {
+      break;
+    }
+    gone += (found.x - ground - gone * drop) / facing;
+    if (abs(gone) * length(go) >= 1.5) {
+      break;
+    }
+    height = ground + gone * drop;
+    found = smooth_surface(moved(at, gone * go));
+  }
+  return mix(height, ground, max(smoothstep(0.35, 0.7, footprint), select(1.0, 0.0, smooth_surface(at).w > 0.0)));
+}
+
+// Metres of height from pixel to pixel, the most on the screen: of ``slope`` on the tangent plane of slope ``drawn``.
+fn line_rate(depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope: vec2<f32>) -> f32 {
+  let normal = vec3<f32>(-drawn * camera.forward.w, 1.0);
+  let facing = dot(normal, direction);
+  let size = camera.pixel * select(depth, 1.0, camera.plan == 1u);   // metres that a pixel's step goes at this depth
+  let u = camera.right.xyz * size;
+  let v = camera.up.xyz * size;
+  let over = u.xy - dot(normal, u) / facing * direction.xy;   // how far a pixel's step goes over the ground
+  let down = v.xy - dot(normal, v) / facing * direction.xy;
+  return max(length(vec2<f32>(dot(slope, over), dot(slope, down))), 1e-9);
+}
+
+// Part of a pixel that contour lines cover: the height's derivative along the screen's axes on the tangent plane says how
+// far the next contour is. ``drawn``: the slope of that plane; ``slope``: of heights.
+fn contours(height: f32, at: Place, footprint: f32, depth: f32, direction: vec3<f32>, drawn: vec2<f32>, slope_here: vec2<f32>) -> f32 {
+  let rate = line_rate(depth, direction, drawn, slope_here);
+  let n = height / shade.contour.x;
+  let far = abs(n - round(n)) * shade.contour.x / rate;
+  let index = shade.contour.y > 0.0 && abs(round(n) - shade.contour.y * round(n / max(shade.contour.y, 1.0))) < 0.25;
+  let half = 0.5 * shade.contour.z * select(1.0, 2.0, index);
+  // Where lines would stand closer than some pixels they fade: first the plain ones, then the index contours.
+  let interval = shade.contour.x * select(1.0, shade.contour.y, index);
+  // Ground too level has none: no line can be said to be its contour.
+  var cover = clamp(half - far + 0.5, 0.0, 1.0) * smoothstep(3.0, 7.0, interval / rate);
+  cover *= smoothstep(5e-5, 2e-4, length(slope_here));
+  var total = 0.0;   // nor is a line left on a ledge among those that have faded (thin_out)
+  for (var k = select(4, 0, cover > 0.0); k < 4; k++) {
+    let side = select(6.0, -6.0, k > 1) * footprint;
+    let s = slope(moved(at, select(vec2<f32>(side, 0.0), vec2<f32>(0.0, side), (k & 1) == 1)), 4.0 * footprint);
+    let g = vec2<f32>(dot(s, camera.inverse.xz), dot(s, camera.inverse.yw));
+    total += min(line_rate(depth, direction, g, g), 1e6);
+  }
+  return cover * smoothstep(3.0, 7.0, 4.0 * interval / max(total, 1e-9));
+}
