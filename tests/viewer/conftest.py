@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ import rasterio
 from affine import Affine
 
 from orograph.gpu.device import Device
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 EAST, NORTH, SIDE, CELL = 412_000.0, 4_987_000.0, 257, 30.0
 """Where the test terrain lies: its first sample, samples a side, metres between them."""
@@ -216,3 +219,40 @@ def person(screen: str, device: Device, dem: Path, tmp_path: Path, own_config: P
         if someone.program.poll() is None:
             someone.program.kill()
             someone.program.wait(10)
+
+
+@pytest.fixture
+def window(device: Device, dem: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A window on the test terrain, on an off-screen canvas."""
+    pytest.importorskip("imgui_bundle")
+    from rendercanvas.offscreen import RenderCanvas
+
+    from orograph.picture.prepare import prepare
+    from orograph.viewer.app import renderer_of
+    from orograph.viewer.session import Session
+    from orograph.viewer.window import Window
+
+    monkeypatch.setattr("orograph.viewer.session.SHOWN", 600.0)  # a slow machine may take longer than a message stays
+    session = Session(prepare([str(dem)]), size=(640, 480), tolerance=4.0)
+    canvas = RenderCanvas(size=(900, 600))
+    kept: list[str] = [""]
+    window = Window(
+        session,
+        canvas,
+        renderer_of(64 << 20),
+        device=device,
+        clipboard=(lambda: kept[0], lambda t: kept.__setitem__(0, t)),
+    )
+    yield window
+    canvas.close()
+    window.gui.close()
+
+
+@pytest.fixture
+def hand(window: Any) -> Any:
+    """A hand on it."""
+    from hand import Hand
+
+    hand = Hand(window)
+    hand.frames(3)
+    return hand

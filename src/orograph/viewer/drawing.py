@@ -25,6 +25,8 @@ RETRY = 2.0
 PATIENCE = 0.4
 """Seconds of rest after which a slow device makes a picture smoother."""
 
+UNREAD = "A part of the picture cannot be read:"
+
 
 class Drawer(Protocol):
     """What draws terrain: ``gpu.renderer.Renderer``."""
@@ -74,7 +76,7 @@ class Drawing:
         self._resting = True
         self._slow = False
         self._drawn_at = 0.0
-        self._trouble = ""
+        self._trouble = self._making = ""
         self._empty = False
 
     @property
@@ -90,7 +92,16 @@ class Drawing:
     @property
     def waits(self) -> list[float]:
         """Seconds after which drawing is worth another try."""
-        return ([RETRY] if self.failed else []) + ([] if self._resting else [PATIENCE])
+        return ([RETRY] if self.failed or self._lacks else []) + ([] if self._resting else [PATIENCE])
+
+    @property
+    def _lacks(self) -> bool:
+        """Whether the last frame would be better later on: something could not be read, or is being made."""
+        return bool(getattr(self.stats, "failed", "") or getattr(self.stats, "making", ""))
+
+    def _due(self, now: float) -> bool:
+        """Whether it is time to look whether what is lacking is there."""
+        return self._lacks and now - self._drawn_at >= RETRY
 
     @property
     def _patient(self) -> bool:
@@ -104,7 +115,7 @@ class Drawing:
             scene, overlay = session.scene(scale), settings.overlay()
             state = scene, overlay, settings.frozen
             same = state == self._scene
-            if same and (self._resting if not self.failed else now - self.failed < RETRY):
+            if same and (self._resting if not self.failed else now - self.failed < RETRY) and not self._due(now):
                 return
             if same and self._patient and not self.failed and now - self._drawn_at < PATIENCE:
                 return  # on a slow device the pointer comes before a smoother picture
@@ -126,7 +137,16 @@ class Drawing:
                 if own is None or own not in note:  # of a layer that a tool paints there is nothing to be told
                     session.messages.say(note)
             if trouble and trouble != before:
-                session.messages.say(f"A part of the picture cannot be read: {trouble}", error=True)
+                session.messages.drop(UNREAD)
+                session.messages.say(f"{UNREAD} {trouble}", error=True)
+            elif before and not trouble:
+                session.messages.drop(UNREAD)
+                session.messages.say("All of the picture can be read again.")
+            made, self._making = self._making, getattr(self.stats, "making", "")
+            if made != self._making:
+                session.messages.drop(made)
+                if self._making:
+                    session.messages.say(self._making)
             if getattr(self.stats, "current", True) and settings.balance(int(self.stats.triangles)):
                 self.window.touch()
             if self.failed:

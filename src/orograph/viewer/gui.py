@@ -53,7 +53,8 @@ class Gui:
         io.config_windows_move_from_title_bar_only = True
         io.config_error_recovery_enable_assert = False
         self.fresh = layout is None or not _places_panels(layout)
-        self._later: list[tuple[Callable[[], None], bool]] = []
+        self._later: list[tuple[Callable[[], None], bool | None]] = []
+        """What is told, and whether of a button; None: of neither button nor pointer."""
         self._fresh_pointer = False
         self.raised: list[str] = []
         """Panels to be brought to the top of their stacks, one a frame."""
@@ -106,6 +107,13 @@ class Gui:
             self._fresh_pointer |= not button
             tell()
 
+    def _then(self, tell: Callable[[], None]) -> None:
+        """Tell of the keyboard or the wheel, after what waits: a Ctrl that is let go would overtake its click."""
+        if self._later:
+            self._later.append((tell, None))
+        else:
+            tell()
+
     def _tell_later(self) -> None:
         """What waited for a frame, up to and with one button."""
         while self._later:
@@ -113,14 +121,19 @@ class Gui:
             if button and self._fresh_pointer:
                 return
             self._later.pop(0)
-            self._fresh_pointer |= not button
+            self._fresh_pointer |= button is False
             tell()
             if button:
                 return
 
+    @property
+    def waiting(self) -> bool:
+        """Whether something waits for a frame to be told."""
+        return bool(self._later)
+
     def wheel(self, dx: float, dy: float) -> None:
         """The wheel turns, in notches."""
-        self._io().add_mouse_wheel_event(dx, dy)
+        self._then(partial(self._io().add_mouse_wheel_event, dx, dy))
 
     def key(self, name: str, down: bool) -> None:
         """A key goes down or up, by ``rendercanvas``'s name."""
@@ -138,14 +151,14 @@ class Gui:
             else:
                 return
         io = self._io()
-        io.add_key_event(key, down)
+        self._then(partial(io.add_key_event, key, down))
         if name in _MODIFIERS:
-            io.add_key_event(getattr(imgui.Key, _MODIFIERS[name]), down)
+            self._then(partial(io.add_key_event, getattr(imgui.Key, _MODIFIERS[name]), down))
 
     def text(self, characters: str) -> None:
         """Characters were typed."""
         if characters:
-            self._io().add_input_characters_utf8(characters)
+            self._then(partial(self._io().add_input_characters_utf8, characters))
 
     def over(self, x: float, y: float) -> bool:
         """Whether a panel (or a menu that is open) is at (x, y)."""

@@ -22,6 +22,7 @@ from orograph.viewer.flying import FAST, KEYS, SLOW, Flying
 from orograph.viewer.glide import Glide
 from orograph.viewer.navigation import (
     FREE,
+    GRAZING,
     Grab,
     Limits,
     Pixel,
@@ -305,7 +306,14 @@ class Navigator:
             self._drag = None
 
     def stretch(self, exaggeration: float) -> None:
-        """Heights are stretched anew: the eye stays above the same ground, the point in the middle where it is."""
+        """Heights are stretched anew, the ground that is looked at stays where it is in the picture: the camera keeps
+        its direction and its distance from the ground in the middle, or where it looks along the ground, from the
+        ground below it."""
+        pose = Pose.of(self.view, self.exaggeration)
+        held = self.pick(self.view.width / 2, self.view.height / 2) if pose.pitch < -GRAZING else None
+        height = self.limits.ground(*self.view.eye[:2]) if held is None else held[2]
+        grown = (exaggeration - self.exaggeration) * height if math.isfinite(height) else 0.0
+        pose = replace(pose.at(pose.eye + np.array([0.0, 0.0, grown])), exaggeration=exaggeration)
         self.exaggeration = exaggeration
         self.stop()
-        self.view = kept_above(self.view, self.limits, exaggeration)
+        self.view = kept_above(pose.to_view(), self.limits, exaggeration)

@@ -26,6 +26,9 @@ MARGIN = 14.0
 PAD = 8.0
 BESIDE = 190.0
 """What scale bar and colour bar take beside the read-out."""
+FOOT, NARROW, HIGH_FOOT = 34.0, 850.0, 120.0
+"""What the read-out takes at the foot of the terrain's area; the width below which its lines stand above the scale bar;
+what they take there."""
 
 
 def colour(r: float, g: float, b: float, a: float = 1.0) -> int:
@@ -167,11 +170,13 @@ def pivot(window: Window) -> None:
 
 
 def messages(window: Window) -> None:
-    """Sentences at the top of the terrain's area; errors have a button."""
-    x, y, w, _ = window.area
-    top = y + MARGIN
-    for k, message in enumerate(list(window.session.messages.shown)):
-        imgui.set_next_window_pos((x + w / 2, top), imgui.Cond_.always, (0.5, 0.0))
+    """Sentences above the foot of the terrain's area, before all panels; errors have a button."""
+    x, y, w, h = window.area
+    bottom = y + h - MARGIN - FOOT
+    if window.session.settings.furniture and w < NARROW:  # the read-out stands above the scale bar there
+        bottom -= HIGH_FOOT
+    for k, message in reversed(list(enumerate(window.session.messages.shown))):
+        imgui.set_next_window_pos((x + w / 2, max(bottom, y + 60.0)), imgui.Cond_.always, (0.5, 1.0))
         imgui.set_next_window_size_constraints((120, 0), (max(200.0, 0.7 * w), 10_000))
         flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize
         flags |= imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_focus_on_appearing
@@ -180,8 +185,9 @@ def messages(window: Window) -> None:
             imgui.Col_.window_bg, (0.42, 0.12, 0.10, 0.95) if message.error else (0.10, 0.12, 0.14, 0.9)
         )
         imgui.begin(f"##message{k}", None, flags)
+        imgui.internal.bring_window_to_display_front(imgui.internal.get_current_window())
         _message(window, message, max(180.0, 0.6 * w))
-        top += imgui.get_window_size().y + 6
+        bottom -= imgui.get_window_size().y + 6
         imgui.end()
         imgui.pop_style_color()
 

@@ -1,13 +1,18 @@
-"""What measuring comes to: names and values for the panel, and a viewshed as an image to lay over the ground."""
+"""What measuring comes to: names and values for the panel, files, and a viewshed as an image to lay over the ground."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.geovis.measure import Places
+from orograph.store.terrain import Terrain
+from orograph.view import Point
 from orograph.viewer.overlay import lonlat
 
 Kind = Literal["place", "line", "area", "sight", "viewshed"]
@@ -37,6 +42,47 @@ def save_rgba(path: Path, pixels: NDArray[np.uint8], grid: Any) -> None:
     ) as file:
         file.colorinterp = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
         file.write(pixels.transpose(2, 0, 1))
+
+
+def save(kind: Kind, result: Any, points: Sequence[Point], terrain: Terrain, stem: Path) -> Path:
+    """Write a result beside ``stem`` with the suffix of its kind: profiles as CSV, a viewshed as GeoTIFF, an area as
+    GeoJSON with its numbers as properties (``orograph measure area --geojson`` takes it), a place as JSON; the path.
+
+    Args:
+        points: that were clicked, in the terrain's CRS.
+
+    Raises:
+        OutputError, OSError: it cannot be written.
+    """
+    if kind in ("line", "sight"):
+        path = stem.with_name(stem.name + ".csv")
+        (result.profile if kind == "sight" else result).save_csv(path)
+        return path
+    if kind == "viewshed":
+        path = stem.with_name(stem.name + ".tif")
+        result[0].save(path)
+        return path
+    path, told = stem.with_name(stem.name + ".json"), result.to_dict()
+    if kind == "area":
+        corners = np.array(points)[:, :2]
+        degrees = Places(terrain).lonlat(corners)
+        told["corners"] = corners.tolist()
+        if degrees is not None:
+            path = stem.with_name(stem.name + ".geojson")
+            if _area2(degrees) < 0:  # RFC 7946: counter-clockwise
+                degrees = degrees[::-1]
+            ring = [*degrees.tolist(), degrees[0].tolist()]
+            told = {
+                "type": "Feature", "properties": told, "geometry": {"type": "Polygon", "coordinates": [ring]},
+            }  # fmt: skip
+    path.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    return path
+
+
+def _area2(ring: NDArray[np.float64]) -> float:
+    """Twice the signed area of a ring (n, 2), positive counter-clockwise."""
+    x, y = ring.T
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
 
 
 def length(metres: float | None) -> str:

@@ -67,6 +67,10 @@ class Messages:
         """Drop all that would go by itself: something is to be watched now."""
         self.shown = [m for m in self.shown if m.error]
 
+    def drop(self, beginning: str) -> None:
+        """Drop those that begin so."""
+        self.shown = [m for m in self.shown if not beginning or not m.text.startswith(beginning)]
+
     def dismiss(self, message: Message) -> None:
         """Drop one."""
         self.shown = [m for m in self.shown if m is not message]
@@ -163,11 +167,22 @@ class Session:
         light = self.settings.light
         return self.nav.moving or (light.playing and light.mode == "moment")
 
-    def stretch(self, exaggeration: float) -> None:
-        """Set the exaggeration."""
+    def stretch(self, exaggeration: float, *, hold: bool = True) -> None:
+        """Set the exaggeration; who has not left home sees all of the stretched terrain.
+
+        Args:
+            hold: move the camera so that what is looked at stays in the picture; else whoever calls places it.
+        """
+        nav = self.nav
+        at_home = nav.view == nav.home
         self.settings.exaggeration = exaggeration
-        self.nav.stretch(exaggeration)
-        self.nav.home = self._home((self.view.width, self.view.height), exaggeration)
+        nav.home = self._home((self.view.width, self.view.height), exaggeration)
+        if not hold:
+            nav.exaggeration = exaggeration
+            return
+        nav.stretch(exaggeration)
+        if at_home:
+            nav.view = nav.home
 
     def freeze(self, on: bool) -> None:
         """Keep the mesh of this view while the camera goes elsewhere; or let it follow again."""

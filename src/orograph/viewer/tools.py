@@ -11,7 +11,6 @@ for the user's own image until it is cleared.
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
 import time
@@ -28,9 +27,9 @@ from orograph.geovis import measure
 from orograph.geovis.layers import Layer
 from orograph.progress import Progress, Task
 from orograph.view import Point
-from orograph.viewer.overlay import colour
 from orograph.viewer.panels.tips import beside
-from orograph.viewer.results import KINDS, Kind, paint, rows, save_rgba
+from orograph.viewer.results import KINDS, Kind, paint, rows, save, save_rgba
+from orograph.viewer.traces import trace
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -56,6 +55,7 @@ class Tools:
         active: whether clicks measure. kind: what. points: those that were clicked, on the ground.
         result: of ``measure``, for these points, or None. trouble: why there is none, or "".
         eye, target: metres above the ground for lines of sight. radius: metres of viewsheds.
+        marked: the place on the ground under the cursor on the profile, or None.
     """
 
     def __init__(self, window: Window) -> None:
@@ -70,7 +70,8 @@ class Tools:
         self._asked = 0
         self._running = 0
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._marked: Point | None = None
+        self.marked: Point | None = None
+        self._border: tuple[Any, measure.Profile] | None = None
         self._ground: tuple[Any, Array] | None = None
 
     @property
@@ -92,7 +93,7 @@ class Tools:
 
     def clear(self) -> None:
         """Forget the points and the result."""
-        self.points, self.result, self.trouble, self._marked = [], None, "", None
+        self.points, self.result, self.trouble, self.marked = [], None, "", None
         self._asked += 1
         self.window.session.settings.painted = None
 
@@ -144,7 +145,7 @@ class Tools:
     def measure(self) -> None:
         """Have the points measured."""
         self._asked += 1
-        self.result, self.trouble, self._marked = None, "", None
+        self.result, self.trouble, self.marked = None, "", None
         work = self._work([p[:2] for p in self.points])
         if work is None:
             return
@@ -174,13 +175,20 @@ class Tools:
         if self.kind == "line" and len(at) > 1:
             return lambda: measure.profile(terrain, at)
         if self.kind == "area" and len(at) > 2:
-            return lambda: measure.area(terrain, at, jobs=1)
+            return lambda: self._area(at)
         if self.kind == "sight" and len(at) == 2:
             return lambda: measure.line_of_sight(terrain, at[0], at[1], self.eye, self.target)
         if self.kind == "viewshed" and at:
             asked = self._asked + 0
             return lambda: self._viewshed(at[0], asked)
         return None
+
+    def _area(self, at: list[tuple[float, float]]) -> Any:
+        """An area, and the ground along its border, to be drawn."""
+        terrain = self.window.session.terrain
+        found = measure.area(terrain, at, jobs=1)
+        self._border = found, measure.profile(terrain, [*at, at[0]])
+        return found
 
     def _viewshed(self, at: tuple[float, float], asked: int) -> Any:
         terrain = self.window.session.terrain
@@ -202,13 +210,26 @@ class Tools:
 
     _shown: Any = None
 
+    def _line(self) -> Array | None:
+        """The ground along what was measured, (n, 3), no more than a thousand places or so; else the points."""
+        border = self._border[1] if self._border is not None and self._border[0] is self.result else None
+        along = {"line": self.result, "sight": getattr(self.result, "profile", None), "area": border}.get(self.kind)
+        if along is None:
+            points = [*self.points, *self.points[:1]] if self.kind == "area" else self.points
+            return np.array(points) if len(points) > 1 else None
+        if self._ground is None or self._ground[0] is not self.result:
+            s = np.unique(np.append(np.linspace(0, along.distance[-1], 800), along.distance[along.vertices]))
+            points, heights, _ = along.at(s)
+            self._ground = self.result, np.column_stack([points, heights])
+        return self._ground[1]
+
     # ---- on the screen ---------------------------------------------------------------------------------------------
 
     def draw(self) -> None:
         """The panel, and the points on the ground."""
         if not self.active:
             return
-        self._marks()
+        trace(self.window, self.kind, self.points, self._line(), self.result, self.marked)
         x, y, w, _ = self.window.area
         beside = self.window.plan.inset_width
         imgui.set_next_window_pos((x + beside + 28, y + 14), imgui.Cond_.first_use_ever)
@@ -283,7 +304,7 @@ class Tools:
         if sight is not None:
             high = max(high, float(np.nanmax(sight)))
         room = 0.08 * max(high - low, 1.0)
-        self._marked = None
+        self.marked = None
         flags = implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
         if implot.begin_plot("##profile", (-1, 170), flags):
             implot.setup_axes("km", "m")
@@ -295,81 +316,18 @@ class Tools:
             if implot.is_plot_hovered():
                 at = min(max(implot.get_plot_mouse_pos().x * 1000.0, 0.0), float(profile.distance[-1]))
                 points, heights, _ = profile.at(at)
-                self._marked = float(points[0, 0]), float(points[0, 1]), float(heights[0])
+                self.marked = float(points[0, 0]), float(points[0, 1]), float(heights[0])
                 implot.plot_inf_lines("here", np.array([at / 1000.0]))
                 imgui.set_tooltip(f"{at / 1000.0:.3f} km   {heights[0]:.1f} m")
             implot.end_plot()
-
-    def _marks(self) -> None:
-        """Points and lines on the ground, as far as they are before the eye."""
-        draw: Any = imgui.get_background_draw_list()
-        ink, dark = colour(1.0, 0.82, 0.25), colour(0, 0, 0, 0.65)
-        line = self._line()
-        if line is not None:
-            for part in self._on_screen(line):
-                draw.add_polyline(part, dark, 4.0, 0)
-                draw.add_polyline(part, ink, 2.0, 0)
-        for spot in self._on_screen(np.array(self.points).reshape(-1, 3), single=True):
-            draw.add_circle_filled(spot[0], 5.0, dark)
-            draw.add_circle_filled(spot[0], 3.5, ink)
-        if self.kind == "sight" and self.result is not None and self.result.obstruction is not None:
-            mark = self.result.obstruction
-            for (at,) in self._on_screen(np.array([[mark.easting, mark.northing, mark.height]]), single=True):
-                for s in (-1, 1):
-                    draw.add_line((at[0] - 7, at[1] - 7 * s), (at[0] + 7, at[1] + 7 * s), dark, 5.0)
-                    draw.add_line((at[0] - 7, at[1] - 7 * s), (at[0] + 7, at[1] + 7 * s), colour(1, 0.25, 0.2), 2.5)
-        if self._marked is not None and math.isfinite(self._marked[2]):
-            for (at,) in self._on_screen(np.array([self._marked]), single=True):
-                draw.add_circle(at, 6.0, colour(1, 1, 1), 20, 2.0)
-
-    def _line(self) -> Array | None:
-        """The ground along what was measured, (n, 3), no more than a thousand places; else the points."""
-        if len(self.points) < 2:
-            return None
-        if self.kind == "area":
-            return np.array([*self.points, self.points[0]])
-        if self.kind in ("line", "sight") and self.result is not None:
-            if self._ground is None or self._ground[0] is not self.result:
-                profile = self.result.profile if self.kind == "sight" else self.result
-                s = np.unique(np.append(np.linspace(0, profile.distance[-1], 800), profile.distance[profile.vertices]))
-                points, heights, _ = profile.at(s)
-                self._ground = self.result, np.column_stack([points, heights])
-            return self._ground[1]
-        return np.array(self.points)
-
-    def _on_screen(self, points: Array, single: bool = False) -> list[list[tuple[float, float]]]:
-        """Runs of places before the eye, logical pixels; ``single``: one run for each."""
-        if len(points) == 0:
-            return []
-        session = self.window.session
-        pixels, depth = session.view.project(points, session.settings.exaggeration)
-        runs: list[list[tuple[float, float]]] = [[]]
-        for (x, y), d in zip(pixels, depth):
-            if single:
-                runs.append([])
-            if d > 0 and math.isfinite(x) and math.isfinite(y) and abs(x) < 1e5 and abs(y) < 1e5:
-                runs[-1].append(self.window.to_canvas(float(x), float(y)))
-            elif not single:
-                runs.append([])
-        return [r for r in runs if len(r) > (0 if single else 1)]
-
-    # ---- saving ----------------------------------------------------------------------------------------------------
 
     def _save(self) -> None:
         """The result, beside where the window was started."""
         session = self.window.session
         stem = "".join(c if c.isalnum() or c in "-_." else "-" for c in session.terrain.name)
-        path = Path.cwd() / f"{stem}-{self.kind}-{time.strftime('%Y%m%d-%H%M%S')}"
+        stem = f"{stem}-{self.kind}-{time.strftime('%Y%m%d-%H%M%S')}"
         try:
-            if self.kind in ("line", "sight"):
-                path = path.with_name(path.name + ".csv")
-                (self.result.profile if self.kind == "sight" else self.result).save_csv(path)
-            elif self.kind == "viewshed":
-                path = path.with_name(path.name + ".tif")
-                self.result[0].save(path)
-            else:
-                path = path.with_name(path.name + ".json")
-                path.write_text(json.dumps(self.result.to_dict(), indent=2) + "\n", encoding="utf-8")
+            path = save(self.kind, self.result, self.points, session.terrain, Path.cwd() / stem)
         except (OrographError, OSError) as error:
             session.messages.say(f"It was not saved: {error}", error=True)
         else:

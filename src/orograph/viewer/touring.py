@@ -228,7 +228,7 @@ class Touring:
         self.time = time
         values = tour.settings(time)
         if abs(values.get("exaggeration", settings.exaggeration) - settings.exaggeration) > 1e-9:
-            session.stretch(values["exaggeration"])
+            session.stretch(values["exaggeration"], hold=False)
         for name in ("relief", "tolerance", "water"):
             if name in values:
                 setattr(settings, name, values[name])

@@ -195,7 +195,7 @@ class Window:
     def _go_on(self, moving: bool) -> None:
         """Ask for the next frame: at once, later, or not before something happens."""
         talking = self.session.messages.advance()
-        if moving or self._pending or self.pictures.asked is not None or self.drawing.eager:
+        if moving or self._pending or self.gui.waiting or self.pictures.asked is not None or self.drawing.eager:
             self.canvas.request_draw()
             return
         waits = self.drawing.waits

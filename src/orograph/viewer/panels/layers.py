@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from imgui_bundle import imgui
@@ -18,6 +17,7 @@ from orograph.geovis.laying import Laid
 from orograph.picture.contours import Contours
 from orograph.picture.kept import Kept
 from orograph.picture.silhouettes import Silhouettes
+from orograph.viewer.panels.tips import path_of
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -27,6 +27,11 @@ COLOURS = (
     "crameri:oleron",     "crameri:bukavu",
 )  # fmt: skip
 WATERS = ("auto", "none", "level")
+FLATTEST, STEEPEST = 0.01, 100.0
+"""Exaggerations beyond which nothing is to be seen."""
+
+CLAMPED = imgui.SliderFlags_.always_clamp
+"""What is typed into a slider (Ctrl + click) keeps within it."""
 
 
 def draw(window: Window) -> None:
@@ -35,8 +40,8 @@ def draw(window: Window) -> None:
     moved, factor = imgui.slider_float(
         "exaggeration", settings.exaggeration, 0.2, 10.0, "× %.2f", imgui.SliderFlags_.logarithmic
     )
-    if moved and factor > 0:
-        session.stretch(1.0 if abs(factor - 1.0) < 0.03 else factor)
+    if moved and factor > 0:  # more than the slider has may be typed
+        session.stretch(1.0 if abs(factor - 1.0) < 0.03 else min(max(factor, FLATTEST), STEEPEST))
     names = ["automatic" if c is None else c for c in COLOURS]
     at = COLOURS.index(settings.colormap) if settings.colormap in COLOURS else 0
     if settings.colormap not in COLOURS:
@@ -52,14 +57,14 @@ def draw(window: Window) -> None:
     if settings.relief is not None:
         imgui.same_line()
         imgui.set_next_item_width(-60)
-        _, settings.relief = imgui.slider_float("##relief", settings.relief, 0.0, 6.0, "× %.1f")
+        _, settings.relief = imgui.slider_float("##relief", settings.relief, 0.0, 6.0, "× %.1f", CLAMPED)
     kind = 0 if settings.water == "auto" else 1 if settings.water is None else 2
     moved, kind = imgui.combo("water", kind, list(WATERS))
     if moved:
         settings.water = ("auto", None, max(session.terrain.height_range[0], 0.0))[kind]
     if isinstance(settings.water, float):
         low, high = session.terrain.height_range
-        _, settings.water = imgui.slider_float("water level", settings.water, low, high, "%.1f m")
+        _, settings.water = imgui.slider_float("water level", settings.water, low, high, "%.1f m", CLAMPED)
     _layers(window)
     _contours(window)
     _silhouettes(window)
@@ -98,7 +103,7 @@ def _contours(window: Window) -> None:
         flags = imgui.SliderFlags_.logarithmic
         moved, metres = imgui.slider_float("every", lines.interval, 0.5, 1000.0, "%.4g m", flags)
         if moved:
-            lines = replace(lines, interval=max(float(f"{metres:.2g}"), 0.5))
+            lines = replace(lines, interval=min(max(float(f"{metres:.2g}"), 0.5), 10_000.0))
     moved, opacity = imgui.slider_float("##lines", lines.opacity, 0.0, 1.0, "opacity %.2f")
     if moved:
         lines = replace(lines, opacity=min(max(opacity, 0.0), 1.0))
@@ -210,7 +215,7 @@ def add(window: Window, text: str) -> bool:
     session = window.session
     try:
         layer = Layer.parse(text.strip().strip("'\""))
-        layer = replace(layer, path=str(Path(layer.path).expanduser()))
+        layer = replace(layer, path=str(path_of(layer.path)))
         if "://" not in layer.path:  # what is far away is waited for by the threads that draw it
             locate(layer.path)
             Laid.open(layer, session.terrain.grid)

@@ -22,6 +22,9 @@ WAYS: tuple[tuple[str, Light], ...] = (
 )
 """How light falls (``Scene.light``): baked layers of the store are used where there are some; rays gather at rest."""
 
+CLAMPED = imgui.SliderFlags_.always_clamp
+"""What is typed into a slider (Ctrl + click) keeps within it."""
+
 
 def draw(window: Window) -> None:
     """The content of the panel."""
@@ -37,8 +40,8 @@ def draw(window: Window) -> None:
     if light.place is None and imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled):
         imgui.set_tooltip(light.trouble)
     if light.mode == "placed":
-        _, light.azimuth = imgui.slider_float("azimuth", light.azimuth, 0.0, 360.0, "%.0f°")
-        _, light.altitude = imgui.slider_float("altitude", light.altitude, 0.0, 90.0, "%.0f°")
+        _, light.azimuth = imgui.slider_float("azimuth", light.azimuth, 0.0, 360.0, "%.0f°", CLAMPED)
+        _, light.altitude = imgui.slider_float("altitude", light.altitude, 0.0, 90.0, "%.0f°", CLAMPED)
         for k, (name, azimuth, altitude) in enumerate(PRESETS):
             if k:
                 imgui.same_line()
@@ -55,7 +58,7 @@ def draw(window: Window) -> None:
     changed, chosen = imgui.combo("light", here, names)
     if changed:
         settings.way = WAYS[chosen][1]
-    _, settings.occlusion = imgui.slider_float("dark corners", settings.occlusion, 0.0, 1.0, "%.2f")
+    _, settings.occlusion = imgui.slider_float("dark corners", settings.occlusion, 0.0, 1.0, "%.2f", CLAMPED)
     if imgui.is_item_hovered():
         imgui.set_tooltip("Ambient occlusion in screen space: quick, and only of what is in the picture.")
 
@@ -63,24 +66,25 @@ def draw(window: Window) -> None:
 def _moment(window: Window) -> None:
     light = window.session.settings.light
     imgui.text(f"{light.when:%d %B %Y  %H:%M}  UTC{light.zone:+g}")
-    moved, hour = imgui.slider_float("time", light.hour, 0.0, 24.0, "%.2f h")
+    moved, hour = imgui.slider_float("time", light.hour, 0.0, 24.0, "%.2f h", CLAMPED)
     if moved:
         light.hour = hour
-    moved, day = imgui.slider_int("day", light.day, 1, 366)
+    moved, day = imgui.slider_int("day", light.day, 1, 366, "%d", CLAMPED)
     if moved:
         light.day = day
     moved, year = imgui.input_int("year", light.when.year, 1, 10)
     if moved and 1900 <= year <= 2100:
-        here = light.when.day
-        light.when = light.when.replace(year=year, day=min(here, 28))
-    moved, zone = imgui.slider_float("zone", light.zone, -12.0, 14.0, "UTC %+.0f h")
+        leap = (light.when.month, light.when.day) == (2, 29)
+        light.when = light.when.replace(year=year, day=28 if leap else light.when.day)
+    moved, zone = imgui.slider_float("zone", light.zone, -12.0, 14.0, "UTC %+.0f h", CLAMPED)
     if moved:
         light.zone = round(zone)
     if imgui.button("Pause" if light.playing else "Play the day"):
         light.playing = not light.playing
     imgui.same_line()
     imgui.set_next_item_width(90)
-    _, hours = imgui.slider_float("h/s", light.speed / 3600.0, 0.1, 6.0, "%.1f", imgui.SliderFlags_.logarithmic)
+    flags = CLAMPED | imgui.SliderFlags_.logarithmic
+    _, hours = imgui.slider_float("h/s", light.speed / 3600.0, 0.1, 6.0, "%.1f", flags)
     light.speed = hours * 3600.0
     sun = light.sun(window.session.terrain)
     below = ", below the horizon" if sun.altitude < 0 else ""

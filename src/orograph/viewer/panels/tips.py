@@ -1,6 +1,8 @@
-"""Small helps for panels: a sentence on what the pointer rests on, and rows that wrap in a narrow panel."""
+"""Small helps for panels: a sentence on what the pointer rests on, rows that wrap in a narrow panel, typed paths."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 from imgui_bundle import imgui
 
@@ -16,3 +18,11 @@ def beside(wide: float) -> None:
     room = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x - imgui.get_item_rect_max().x
     if room > wide + 2 * imgui.get_style().item_spacing.x:
         imgui.same_line()
+
+
+def path_of(text: str) -> Path:
+    """A path as it was typed; ``~`` is home, that of a user whom nobody knows stays as it is."""
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:
+        return Path(text)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from imgui_bundle import imgui
 
 from orograph.light.sun import Placed
-from orograph.viewer.panels.tips import tip
+from orograph.viewer.panels.tips import path_of, tip
 from orograph.viewer.touring import SHORTEST
 
 if TYPE_CHECKING:
@@ -173,7 +172,7 @@ def _file(window: Window) -> None:
     name = window.texts.get("tour", FILE)
     imgui.set_next_item_width(-110)
     _, window.texts["tour"] = imgui.input_text("##file", name)
-    path = Path(window.texts["tour"].strip() or FILE).expanduser()
+    path = path_of(window.texts["tour"].strip() or FILE)
     tip(f"{path.resolve()}")
     imgui.same_line()
     if imgui.button("Save"):
