@@ -14,6 +14,7 @@ import importlib
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,8 @@ MORE = ("rho", "method", "seed", "cones", "strips", "diameter", "date", "step", 
 MEMORY = 1 << 30
 BASE = 320 << 20
 """What the interpreter, its libraries, compiled kernels and a store's cache take."""
+_PIECE = 1024
+"""Columns read at a time where the same tiles are read again."""
 
 
 def _number(value: Any, above: float = -math.inf) -> bool:
@@ -166,7 +169,13 @@ class Context:
         r0, c0 = max(row0 - 1, 0), max(col0 - 1, 0)
         r1, c1 = min(row1 + 1, self.shape[0]), min(col1 + 1, self.shape[1])
         inner = np.s_[row0 - r0 : row1 - r0, col0 - c0 : col1 - c0]
-        east, north = gradient(self.heights(r0, r1, c0, c1), self.linear, 1)
+        # Strips of rows next to one another want the same tiles: pieces of a few tiles come from the store's cache.
+        cuts = [c0, c1]
+        if not isinstance(self.terrain, MemoryTerrain):
+            cuts[1:1] = range((c0 // _PIECE + 1) * _PIECE, c1, _PIECE)
+        pieces = [self.heights(r0, r1, a, b) for a, b in pairwise(cuts)]
+        heights = pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=1)
+        east, north = gradient(heights, self.linear, 1)
         return east[inner], north[inner]
 
     def canvas(self, bands: int) -> Canvas:
