@@ -19,8 +19,8 @@ from affine import Affine
 from orograph import store
 from orograph.dem.synth import Synth
 from orograph.errors import OutputError
+from orograph.folders import cache_folder
 from orograph.geo.grid import Grid
-from orograph.picture.prepare import cache_folder
 from orograph.progress import SILENT, Progress
 from orograph.store.memory import MemoryTerrain
 from orograph.store.stored import StoredTerrain

@@ -72,8 +72,8 @@ def command(as_json: bool) -> None:
 
 def examine() -> Facts:
     """All of it, as JSON can hold it."""
+    from orograph.folders import cache_folder
     from orograph.parallel import cpu_count
-    from orograph.picture.prepare import cache_folder
 
     folder = cache_folder()
     place = folder

@@ -79,11 +79,12 @@ def command(
         source["band"] = None
     with progress.task("Loading Orograph"):
         from orograph.errors import DamagedChunkError, NothingInViewError
+        from orograph.folders import cache_folder
         from orograph.output import Beside, check_folder
         from orograph.picture.backends import draw
         from orograph.picture.large import draw_large, is_large
         from orograph.picture.memory import check_memory
-        from orograph.picture.prepare import cache_folder, prepare
+        from orograph.picture.prepare import prepare
         from orograph.picture.result import picture_format
 
     # What is wrong with the command line is said before any work is done.

@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 
 from orograph.geo.grid import Grid
 from orograph.geovis import mipmap
-from orograph.geovis.image_tiles import ImageTiles
+from orograph.geovis.coarse import FINEST, wanted
+from orograph.geovis.image_tiles import BYTES, ImageTiles
 from orograph.geovis.imagery import step_for
 from orograph.geovis.layers import Layer
 from orograph.geovis.laying import Laid
 from orograph.geovis.placement import TOLERANCE, interpolate, slopes_into
-from orograph.geovis.texels import Texels, slow
+from orograph.geovis.texels import Texels
+from orograph.progress import SILENT, Progress
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]
@@ -40,6 +42,9 @@ WHOLE = 4
 FEW = 1 << 20
 """The same in bytes, at most, where holding them takes a reading of the whole file."""
 
+ROOM = 0.75
+"""The part of memory for tiles that those of a picture may fill, as some of its pixels tell: others want a few more."""
+
 
 class Drape:
     """An image over a terrain.
@@ -48,22 +53,18 @@ class Drape:
         laid: where it lies. warnings: what a user should know, full sentences.
         texels: the levels that are held. tiles: finer ones, read where they are looked up; None: none are wanted.
         step: pixels along the side of the finest texels. pixel: the size of one in metres on the ground (median).
+        coarser: levels by which everything is looked up coarser, so that a picture's tiles fit into memory.
     """
 
     def __init__(self, texels: Texels, tiles: ImageTiles | None) -> None:
         """Use ``open``."""
         self.laid, self.texels, self.tiles = texels.laid, texels, tiles
         self.warnings = list(self.laid.warnings)
-        if tiles is not None and slow(self.laid, texels.base):
-            rows, cols = texels.shape(0)
-            self.warnings.append(
-                f"{self.path} has no overviews: {rows * cols / 1e6:,.0f} million pixels are read if any of it is seen "
-                "from afar (gdaladdo makes overviews)."
-            )
         self._placement, self._lattice = self.laid.placement, self.laid.lattice
         self._density = self._lattice.density()
         self.step = 1 if tiles is not None else 1 << texels.base
         self.pixel = 1.0 / (float(np.median(self._density)) / self.step or math.inf)
+        self.coarser = 0.0
 
     @classmethod
     def open(
@@ -99,21 +100,60 @@ class Drape:
         step = step_for(*size, budget, least)
         if step == step_for(*size, math.inf, least):
             return step.bit_length() - 1, 0
-        # To hold levels of all of a file without overviews all of it is read: as few as can be.
-        held = FEW if slow(laid, 1) else budget / WHOLE
+        # To hold levels of all of a file without overviews all of it is read once: as few as can be.
+        held = FEW if wanted(laid) else budget / WHOLE
         return step_for(*size, min(held, budget / WHOLE), 1.0).bit_length() - 1, budget - budget // WHOLE
 
     @classmethod
-    def of(cls, laid: Laid, base: int, memory: int) -> Drape:
+    def of(cls, laid: Laid, base: int, memory: int, progress: Progress = SILENT) -> Drape:
         """An image held as ``plan`` says.
 
         Raises:
             ReadError: the file cannot be read, or shows nothing over the terrain.
+            StoreError: its coarse levels cannot be kept.
         """
         texels = Texels(laid, base)
-        if not memory or not slow(laid, base):
-            texels.hold()
+        if texels.kept is None or not memory:
+            if texels.hint and base >= FINEST:
+                progress.warn(texels.hint)
+            texels.hold(progress)
         return cls(texels, ImageTiles(texels, memory) if memory else None)
+
+    def prepare(
+        self, x: Array, y: Array, ground: Array, least: Array, *, progress: Progress = SILENT, jobs: int | None = None
+    ) -> None:  # fmt: skip
+        """Be ready for a picture, of which these are footprints spread evenly over all of it (see ``spread``).
+
+        Coarse levels that it looks up and that the file does not have are made. If its tiles are more than memory
+        holds, footprints are taken to be wider until they are not: else each would be read again and again.
+
+        Raises:
+            ReadError: the file cannot be read. StoreError: its coarse levels cannot be kept.
+        """
+        if self.tiles is None:
+            return
+        u, v, axes, floor, inside = self._footprints(x, y, ground, least)
+        room = ROOM * self.tiles.capacity
+        self.coarser = 0.0
+        keys, coarse = self.tiles.wanted(u, v, axes, floor, inside)
+        while len(keys) > room and self.coarser < len(self.texels.table) + self.texels.base:
+            self.coarser += 0.5
+            keys, coarse = self.tiles.wanted(u, v, axes, self._widened(axes, floor), inside)
+        if self.coarser:
+            progress.warn(
+                f"{self.path} is drawn {2**self.coarser:.1f} times coarser than it could be: more of its pixels are in "
+                f"view than the {self.tiles.capacity * BYTES / 2**20:.0f} MiB for it hold (--max-memory)."
+            )
+        kept = self.texels.kept
+        if kept is None:
+            return
+        windows = [self.tiles.window(key) for key in keys.tolist() if key >> 56 >= FINEST]
+        blocks = kept.blocks if coarse else sorted({b for window in windows for b in kept.under(*window)})
+        if kept.missing(blocks):
+            progress.warn(self.texels.hint)
+            kept.make(blocks, progress, jobs)
+        if coarse:
+            self.texels.hold(progress)
 
     @property
     def path(self) -> str:
@@ -152,7 +192,9 @@ class Drape:
             return out
         axes = np.zeros((len(u), 4))
         axes[:, 0] = axes[:, 3] = width
-        self.tiles.look_along(u, v, axes, np.zeros(len(u)), np.array([-np.inf, np.inf, -np.inf, np.inf]), out)
+        self.tiles.look_along(
+            u, v, axes, self._widened(axes, np.zeros(len(u))), np.array([-np.inf, np.inf, -np.inf, np.inf]), out
+        )
         return out
 
     def spread(self, x: Array, y: Array, ground: Array, least: Array) -> Colours:
@@ -167,6 +209,20 @@ class Drape:
         Returns:
             (n, 4) float32 as for ``sample``.
         """
+        u, v, axes, floor, inside = self._footprints(x, y, ground, least)
+        out = np.empty((len(u), 4), np.float32)
+        if self.tiles is None:
+            mipmap.look_along(
+                self.texels.pool, self.texels.table, mipmap.curves()[0], u, v, axes, floor, inside, out
+            )  # fmt: skip
+        else:
+            self.tiles.look_along(u, v, axes, self._widened(axes, floor), inside, out)
+        return out
+
+    def _footprints(
+        self, x: Array, y: Array, ground: Array, least: Array
+    ) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
+        """What ``mipmap.look_along`` asks for: u, v, axes, floor, inside."""
         x, y = np.ascontiguousarray(x, np.float64), np.ascontiguousarray(y, np.float64)
         u, v, _ = self.positions(x, y)
         axes, floor = np.empty((len(x), 4)), np.empty(len(x))
@@ -174,16 +230,18 @@ class Drape:
             self._lattice.u, self._lattice.v, np.array(self._lattice.index[:6]), x, y, ground, least,
             1.0 / self.step, axes, floor,
         )  # fmt: skip
-        inside = np.array(self.texels.bounds()) / self.step
-        out = np.empty((len(u), 4), np.float32)
-        u, v = self._in_window(u, v)
-        if self.tiles is None:
-            mipmap.look_along(
-                self.texels.pool, self.texels.table, mipmap.curves()[0], u, v, axes, floor, inside, out
-            )  # fmt: skip
-        else:
-            self.tiles.look_along(u, v, axes, floor, inside, out)
-        return out
+        return *self._in_window(u, v), axes, floor, np.array(self.texels.bounds()) / self.step
+
+    def _widened(self, axes: Array, floor: Array) -> Array:
+        """The least minor axis (n,) of footprints that are ``coarser``."""
+        if not self.coarser:
+            return floor
+        p, r = axes[:, 0] ** 2 + axes[:, 2] ** 2, axes[:, 1] ** 2 + axes[:, 3] ** 2
+        q = axes[:, 0] * axes[:, 1] + axes[:, 2] * axes[:, 3]
+        major = np.sqrt(0.5 * (p + r + np.sqrt((p - r) ** 2 + 4 * q * q)))
+        area = np.abs(axes[:, 0] * axes[:, 3] - axes[:, 1] * axes[:, 2])
+        minor = np.maximum(np.maximum(area / np.maximum(major, 1e-30), floor), major / mipmap.TAPS)
+        return np.asarray(np.maximum(minor, 1.0) * 2.0**self.coarser)
 
     def _in_window(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Positions in texels of the finest level there is, from the window's corner."""

@@ -31,6 +31,9 @@ LEAST = 2 * mipmap.TAPS
 MOST = 1 << 12
 """Tiles that are looked up at once, at most."""
 
+FULL = 1 << 16
+"""Tiles that are counted, at most."""
+
 BYTES = 4 * EDGE * EDGE
 """Of a tile."""
 
@@ -87,6 +90,27 @@ class ImageTiles:
                         u, v, axes, floor, inside, first, last, out,
                     )  # fmt: skip
                 first = last
+
+    def wanted(
+        self, u: Floats, v: Floats, axes: Floats, floor: Floats, inside: Floats
+    ) -> tuple[Places, bool]:  # fmt: skip
+        """The tiles that footprints look up: their keys, ``FULL`` at most; whether they want levels that are held."""
+        keys = np.full(4 * FULL, tile_kernels.EMPTY, np.int64)
+        found = np.empty(FULL + LEAST, np.int64)
+        count, _, coarse = tile_kernels.collect(
+            self._levels, self.texels.base, u, v, axes, floor, inside, 0, keys, found
+        )  # fmt: skip
+        return found[: min(count, FULL)], coarse
+
+    def window(self, key: int) -> tuple[int, int, int, int, int]:
+        """Of a tile: its level, and its texels [r0, r1) × [c0, c1) counted from the file's corner, border included."""
+        texels, k = self.texels, key >> 56
+        row, col = ((key >> 28) & ((1 << 28) - 1)) * SIDE - 1, (key & ((1 << 28) - 1)) * SIDE - 1
+        rows, cols = texels.shape(k)
+        top, left = texels.window.row0 >> k, texels.window.col0 >> k
+        return (
+            k, top + max(row, 0), top + min(row + EDGE, rows), left + max(col, 0), left + min(col + EDGE, cols),
+        )  # fmt: skip
 
     @contextmanager
     def _held(self, keys: Places) -> Iterator[Places]:
@@ -146,13 +170,12 @@ class ImageTiles:
 
     def _read(self, key: int, slot: int) -> None:
         """Bring a tile to its slot, its border from the tiles beside it, or going on where there are none."""
-        texels, k = self.texels, key >> 56
-        row, col = ((key >> 28) & ((1 << 28) - 1)) * SIDE - 1, (key & ((1 << 28) - 1)) * SIDE - 1
-        rows, cols = texels.shape(k)
-        r0, r1, c0, c1 = max(row, 0), min(row + EDGE, rows), max(col, 0), min(col + EDGE, cols)
-        top, left = texels.window.row0 >> k, texels.window.col0 >> k
-        block = texels.read(k, top + r0, top + r1, left + c0, left + c1)
-        around = ((r0 - row, row + EDGE - r0 - len(block)), (c0 - col, col + EDGE - c0 - block.shape[1]), (0, 0))
+        texels, (k, r0, r1, c0, c1) = self.texels, self.window(key)
+        block = texels.read(k, r0, r1, c0, c1)
+        # From the tile's first texel, border included, to the first that there is.
+        top = r0 - (texels.window.row0 >> k) - ((key >> 28) & ((1 << 28) - 1)) * SIDE + 1
+        left = c0 - (texels.window.col0 >> k) - (key & ((1 << 28) - 1)) * SIDE + 1
+        around = ((top, EDGE - top - block.shape[0]), (left, EDGE - left - block.shape[1]), (0, 0))
         place = slice(slot * EDGE * EDGE, (slot + 1) * EDGE * EDGE)
         self._pool[place] = np.pad(block, around, "edge").reshape(-1, 4)
         with self._changed:

@@ -10,6 +10,7 @@ from overviews if the file has them. Units: pixels.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -31,6 +32,12 @@ CUT = (2.0, 98.0)
 
 PROBE = 512
 """Side of the reduced window from which the percentiles are taken."""
+
+MANY = 1 << 26
+"""Pixels without overviews from which on values are taken from some spots instead: a reduced window reads all."""
+
+SPOTS, SPOT = 16, 64
+"""How many along rows and columns, and pixels of a spot's side."""
 
 PIECE = 1 << 22
 """Pixels read at once."""
@@ -132,12 +139,28 @@ def read_into(out: Bytes, location: str, window: Window, bands: Bands) -> None:
     Raises:
         ReadError: the file cannot be read there.
     """
+    for first, last, piece, step in pieces(location, window, bands):
+        if step == 1:
+            out[first:last] = piece
+        else:
+            shrink(piece, step, *curves(), out[first:last])
+
+
+def pieces(location: str, window: Window, bands: Bands) -> Iterator[tuple[int, int, Bytes, int]]:
+    """A window's pixels, or those of the file's own means that take part of the way, in pieces of bounded size.
+
+    Yields:
+        rows of texels [first, last); their pixels (rows, cols, 4), RGBA; how many of those a texel is wide.
+
+    Raises:
+        ReadError: the file cannot be read there.
+    """
     from rasterio.errors import RasterioError
 
     step, pixels = window.step, window.col1 - window.col0
+    rows = window.shape[0]
     try:
         with HANDLES.borrow(location) as file:
-            # The file's own means take part of the way.
             picks = 1 if bands.palette is None else PICKS
             wraps = window.col0 < 0 or window.col1 > file.width
             factor = max(
@@ -151,15 +174,11 @@ def read_into(out: Bytes, location: str, window: Window, bands: Bands) -> None:
                 default=1,
             )
             height = max(1, PIECE * factor // (pixels * step))
-            for first in range(0, len(out), height):
-                last = min(first + height, len(out))
-                rows = window.row0 + first * step, min(window.row0 + last * step, window.row1)
-                parts = [_pixels(file, bands, (rows, cols), factor) for cols in _around(window, file.width)]
-                piece = parts[0] if len(parts) == 1 else np.concatenate(parts, 1)
-                if step == factor:
-                    out[first:last] = piece
-                else:
-                    shrink(piece, step // factor, *curves(), out[first:last])
+            for first in range(0, rows, height):
+                last = min(first + height, rows)
+                span = window.row0 + first * step, min(window.row0 + last * step, window.row1)
+                parts = [_pixels(file, bands, (span, cols), factor) for cols in _around(window, file.width)]
+                yield first, last, parts[0] if len(parts) == 1 else np.concatenate(parts, 1), step // factor
     except (RasterioError, OSError) as error:
         raise unreadable(location, error) from None
 
@@ -214,7 +233,8 @@ def _pixels(file: Any, bands: Bands, area: Area, factor: int) -> Bytes:
         if bands.table is not None:
             out[..., :3] = bands.table[values[0]]
             return out
-    out[..., :3] = np.moveaxis(np.broadcast_to(values, (3, *shape)), 0, -1)
+    for k in range(3):
+        out[..., k] = values[min(k, len(values) - 1)]
     return out
 
 
@@ -224,18 +244,41 @@ def _mask(file: Any, bands: Bands, values: NDArray[Any], area: Area, shape: tupl
         nothing = np.isnan(values).all(0) if np.isnan(bands.nodata) else (values == bands.nodata).all(0)
         opacity: Bytes = np.where(nothing, 0, 255).astype(np.uint8)
         return opacity
+    if all("all_valid" in (flag.name for flag in flags) for flags in file.mask_flag_enums):
+        return np.full(shape, 255, np.uint8)
     if bands.table is not None:  # one band of several: its own mask, not all of theirs
         return np.asarray(file.read_masks(bands.colours[0], **_options(area, shape)))
     return np.asarray(file.dataset_mask(**_options(area, shape)))
+
+
+def _probed(file: Any, bands: Bands, area: Area, shape: tuple[int, ...]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Values (bands, rows, cols) of an area, picked to this shape, and which are valid in all bands."""
+    values = file.read(list(bands.colours), **_options(area, (len(bands.colours), *shape)))
+    return values, (_mask(file, bands, values, area, shape) > 127) & np.isfinite(values).all(0)
+
+
+def _spots(file: Any, area: Area) -> Iterator[Area]:
+    """Small areas spread over a large one, each within one of the file's blocks where these are as large."""
+    high, wide = file.block_shapes[0]
+    starts = []
+    for (first, last), block in zip(area, (high, wide), strict=True):
+        at = (np.linspace(first, last - SPOT, SPOTS) // block * block).astype(int)
+        starts.append([min(max(int(k), first), last - SPOT) for k in at])
+    for row in starts[0]:
+        for col in starts[1]:
+            yield (row, row + SPOT), (col, col + SPOT)
 
 
 def _span(file: Any, bands: Bands, window: Window) -> tuple[float, float]:
     """The values that become black and white: percentiles over the window."""
     cols = (max(window.col0, 0), min(window.col1, file.width))
     area = ((window.row0, window.row1), cols if cols[0] < cols[1] else (0, file.width))
-    shape = tuple(min(PROBE, b - a) for a, b in area)
-    values = file.read(list(bands.colours), **_options(area, (len(bands.colours), *shape)))
-    valid = (_mask(file, bands, values, area, shape) > 127) & np.isfinite(values).all(0)
+    whole = math.prod(b - a for a, b in area)
+    if whole > MANY * max(bands.factors(file), default=1) ** 2:
+        found = [_probed(file, bands, spot, (SPOT, SPOT)) for spot in _spots(file, area)]
+        values, valid = (np.concatenate(part, -1) for part in zip(*found, strict=True))
+    else:
+        values, valid = _probed(file, bands, area, tuple(min(PROBE, b - a) for a, b in area))
     values = values.astype(np.float64)
     if not valid.any():
         return 0.0, 0.0

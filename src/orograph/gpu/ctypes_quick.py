@@ -132,7 +132,7 @@ def quicken_wgpu() -> bool:
     """Load wgpu's library quickly and have its types read quickly; whether it is there."""
     try:
         if "wgpu.backends.wgpu_native" not in sys.modules:
-            from orograph.picture.prepare import cache_folder
+            from orograph.folders import cache_folder
 
             with remembered(cache_folder()):
                 importlib.import_module("wgpu.backends.wgpu_native")

@@ -46,6 +46,7 @@ class FrameStats:
         failed: a tile that could not be read, or a mesh that could not be made, and why, or "".
         current: whether the mesh of another engine is that of this camera and tolerance; patches always are.
         notes: what a user should know of layers that were opened, full sentences; each is told once.
+        making: what is made aside of layers, and how far it is, a full sentence, or "": a later frame shows more.
     """
 
     patches: int
@@ -62,3 +63,4 @@ class FrameStats:
     notes: tuple[str, ...] = ()
     current: bool = True
     submit_ms: float = 0.0
+    making: str = ""

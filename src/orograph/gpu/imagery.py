@@ -29,6 +29,7 @@ from orograph.gpu.sheets import SIDE, Sheet
 from orograph.gpu.slots import Slots
 from orograph.gpu.streamer import Streamer
 from orograph.picture.kernels import LEAST
+from orograph.progress import SILENT
 from orograph.store.terrain import Terrain
 from orograph.view import View
 
@@ -41,6 +42,9 @@ FEW = 4
 
 UPLOAD = 16
 """Tiles brought to the GPU in a frame, at most."""
+
+MORE = 2.0
+"""Seconds after which a tile of which there is more now is read again."""
 
 OPENING = -1
 """The place of a layer's tile that stands for opening it."""
@@ -91,12 +95,14 @@ class Imagery:
     Attributes:
         missing: tiles and layers that would make the last frame better. loaded: tiles that came for it.
         warnings: what a user should know of the layers that are open; each is told once (``told``).
+        progress: hears of what is made while a frame waits.
     """
 
     def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, jobs: int | None = None) -> None:
         self.device, self.terrain, self.gpu_memory, self.jobs = device, terrain, gpu_memory, jobs
         self.missing = self.loaded = 0
         self.warnings: list[str] = []
+        self.progress = SILENT
         self._held: dict[Layer, Held] = {}
         self._atlas: Slots | None = None
         self._streamer: Streamer[Layer, int] | None = None
@@ -134,14 +140,14 @@ class Imagery:
         if wait:  # what failed before is tried again
             self._streamer.failed.clear()
         self._upload(1 << 16 if wait else UPLOAD)
-        wanted = self._want(seen, view, exaggeration)
+        wanted = self._want(seen, view, exaggeration, wait=wait)
         self._refused = False
         while wait and (wanted or self._streamer.waiting) and not self._refused:
             self._streamer.wait(1.0)
             self._upload(1 << 16)
             for layer, place in self._asked & set(self._streamer.failed):
                 raise self._error(layer, place)
-            wanted = self._want(seen, view, exaggeration)
+            wanted = self._want(seen, view, exaggeration, wait=True)
         self.missing = wanted
         ready = [layer for layer in seen if layer.content in self._held]
         if ready:
@@ -183,12 +189,21 @@ class Imagery:
         for (layer, place), (_, why) in list(self._streamer.failed.items()):
             if (layer, place) in self._asked:
                 return why if place == OPENING else f"{layer.label}: {why}"
-        return ""
+        return next((held.sheet.failure for held in list(self._held.values()) if held.sheet.failure), "")
 
     def told(self) -> list[str]:
         """Warnings that have not been told yet."""
         new, self.warnings = self.warnings, []
         return new
+
+    @property
+    def making(self) -> str:
+        """What is being made aside, and how far it is; "" if there is nothing."""
+        for layer, held in list(self._held.items()):
+            done = held.sheet.making
+            if done is not None:
+                return f"Coarse levels of {layer.label} are being made: {done:.0%}."
+        return ""
 
     def covered(self, layers: Sequence[Layer], x: Array, y: Array) -> Array:
         """How much (n,) of the ground's own colours layers hide at places in the terrain's CRS, about."""
@@ -203,6 +218,8 @@ class Imagery:
         """Stop reading."""
         if self._streamer is not None:
             self._streamer.close()
+        for held in self._held.values():
+            held.sheet.close()
 
     # ---- tiles ---------------------------------------------------------------------------------------------------
 
@@ -220,7 +237,7 @@ class Imagery:
             return ReadError(failure)
         return ReadError(f"A tile cannot be read: {failure}", path=layer.path)
 
-    def _want(self, layers: Sequence[Layer], view: View, exaggeration: float) -> int:
+    def _want(self, layers: Sequence[Layer], view: View, exaggeration: float, *, wait: bool = False) -> int:
         """Ask for what a view lacks; how much that is, but for what cannot be read."""
         assert self._streamer is not None
         self._frame += 1  # what was wanted before may leave, if it is not wanted any more
@@ -231,6 +248,8 @@ class Imagery:
             if held is None:
                 wanted.append((math.inf, content, OPENING))
                 continue
+            if wait:
+                held.sheet.complete(self.progress, self.jobs)
             self._refresh(held)
             which, priority = held.sheet.tree.of(view, exaggeration, pixels=LEAST)
             # What is known to show nothing, itself or below such a tile, is not asked for.
@@ -239,6 +258,11 @@ class Imagery:
             which, priority = which[some], priority[some]
             priority[which < held.sheet.pinned] = math.inf
             slots = (held.own[which] & SLOT).astype(np.int32) - np.int32(1)
+            more = held.sheet.outdated(MORE)
+            if more:  # of these there is more now
+                lacking = np.isin(which, more)
+                self._atlas.touch(slots[lacking], self._frame) if self._atlas is not None else None
+                slots[lacking] = -1
             tiles.append((content, held, which, priority, slots))
         least = self._least([t[3] for t in tiles])
         for content, _, which, priority, slots in tiles:
@@ -279,6 +303,7 @@ class Imagery:
         page = THERE | np.uint32(held.sheet.level_of(place) << 24)
         if data.size:
             if self._atlas.slot((layer, place)) >= 0:
+                self._atlas.replace((layer, place), data)  # there is more of it now
                 return
             slot, before = self._atlas.put((layer, place), data, self._frame, pin=place < held.sheet.pinned)
             if slot < 0:
@@ -288,6 +313,8 @@ class Imagery:
                 other = self._held[before[0]]
                 other.own[before[1]], other.stale = 0, True
             page |= np.uint32(slot + 1)
+        elif self._atlas.slot((layer, place)) >= 0:  # what there was of it before showed nothing either
+            self._atlas.free((layer, place))
         held.own[place], held.stale = page, True
 
     def _open(self, layer: Layer) -> None:
@@ -307,6 +334,7 @@ class Imagery:
         """Forget the layers that the scene has no more."""
         for layer in [known for known in self._held if known not in self._known]:
             held = self._held.pop(layer)
+            held.sheet.close()
             assert self._atlas is not None
             for place in np.flatnonzero(held.own & SLOT).tolist():
                 self._atlas.free((layer, place))

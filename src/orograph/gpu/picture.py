@@ -66,6 +66,7 @@ def draw(
         overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh
     own = renderer is None
     renderer = renderer or Renderer(device, scene.terrain, jobs=scene.jobs)
+    renderer.imagery.progress = progress
     try:
         by_rays = scene.light == "raytraced"
         with progress.task(f"Drawing on {device.adapter.name}", total=1.0 if by_rays else None) as task:

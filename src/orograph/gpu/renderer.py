@@ -231,7 +231,7 @@ class Renderer:
             self.tiles.count + self.imagery.count, self._missing,
             self._gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
             current=scene.engine is None or self._meshes.current, notes=tuple(self.imagery.told()),
-            submit_ms=to_submit * 1e3,
+            submit_ms=to_submit * 1e3, making=self.imagery.making,
         )  # fmt: skip
 
     def prepare(self, format: str, scene: Scene, *, overlay: Overlay = PLAIN) -> None:

@@ -4,25 +4,33 @@ Level k has texels of 2^k × 2^k pixels of the file, in register with its upper 
 (i, j) is the mean of the pixels [i·2^k, (i+1)·2^k) × [j·2^k, (j+1)·2^k) that exist, of linear light weighted by
 opacity (``geovis.texels``). A tile is 256 × 256 of them with a border of one all around, so that blending never leaves
 it. Levels so coarse that the whole area is at most ``BASE`` texels are held in memory, read once when the layer is
-opened; finer tiles are read when they are wanted. Units: pixels of the file, metres on the ground.
+opened; finer tiles are read when they are wanted. Of a large file without overviews nothing is read when it is opened:
+its coarse levels are made by a thread of the sheet's own as soon as one is wanted (``geovis.coarse``), tiles show what
+there is of them, and are read again when there is more. Units: pixels of the file, metres on the ground.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
+import threading
+import time
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
+from orograph.errors import OrographError
 from orograph.geovis import mipmap
+from orograph.geovis.coarse import FINEST, CoarseLevels, Stopped
 from orograph.geovis.imagery import Window
 from orograph.geovis.layers import Layer
 from orograph.geovis.laying import Laid
 from orograph.geovis.placement import Placement
-from orograph.geovis.texels import Texels, shape_at, slow
+from orograph.geovis.texels import Texels, shape_at
 from orograph.gpu.wanted import Tree
+from orograph.progress import Progress
 from orograph.store.terrain import TILE, Terrain
 
 Array = NDArray[np.float64]
@@ -37,6 +45,9 @@ BASE = 1 << 21
 
 MOST_TILES = 1 << 20
 """Tiles of a layer, at most: what is finer is left out."""
+
+NEAR = 4
+"""Coarse levels up to this one are made, where they are lacking, by who wants a tile: it takes a block or two."""
 
 NOTHING: Bytes = np.empty((0, 0, 4), np.uint8)
 """A tile on which nothing is to be seen."""
@@ -63,6 +74,7 @@ class Sheet:
     Attributes:
         laid: where it lies. finest, coarsest: levels. levels: by level − finest.
         tree: says which tiles a view wants. warnings: what a user should know.
+        kept: coarse levels that the file lacks, or None. failure: why they could not be made; "" if they could.
         pinned: how many tiles, from the first, are never to leave.
     """
 
@@ -103,12 +115,15 @@ class Sheet:
         while math.prod(shape_at(window, self.base)) > BASE and self.base < self.coarsest:
             self.base += 1
         self.texels = texels = Texels(laid, self.base)
-        if slow(laid, self.base):
-            self.warnings.append(
-                f"{layer.path} has no overviews: {math.prod(texels.shape(0)) / 1e6:,.0f} million pixels are read "
-                "before it is seen (gdaladdo makes overviews)."
-            )
-        texels.hold()
+        self.kept = texels.kept
+        self.failure = ""
+        self._partial: dict[int, tuple[float, int]] = {}
+        self._stop = threading.Event()
+        self._maker: threading.Thread | None = None
+        if self.kept is None or self.kept.complete:
+            texels.hold()
+        else:
+            self.warnings.append(texels.hint)
         self.tree = self._tree(terrain)
 
     # ---- texels --------------------------------------------------------------------------------------------------
@@ -131,14 +146,84 @@ class Sheet:
         rows, cols = -(-image.rows >> k), -(-image.cols >> k)
         r0, r1 = max(row, 0), min(row + SIDE, rows)
         c0, c1 = (col, col + SIDE) if self.laid.cyclic else (max(col, 0), min(col + SIDE, cols))
-        block = self.texels.read(k, r0, r1, c0, c1)
-        if not block[..., 3].any():
+        whole = True
+        if self.kept is not None and k >= FINEST:
+            block, whole = self._there(self.kept, place, k, (r0, r1, c0, c1))
+        else:
+            block = self.texels.read(k, r0, r1, c0, c1)
+        if whole and not block[..., 3].any():
             return NOTHING
         around = ((r0 - row, row + SIDE - r0 - block.shape[0]), (c0 - col, col + SIDE - c0 - block.shape[1]), (0, 0))
         return np.ascontiguousarray(np.pad(multiplied(block), around, "edge"))
 
+    @property
+    def making(self) -> float | None:
+        """How much of the coarse levels is there, 0 to 1; None if none are being made."""
+        if self.kept is None or self._maker is None or not self._maker.is_alive():
+            return None
+        return self.kept.made / len(self.kept.blocks)
+
+    def complete(self, progress: Progress, jobs: int | None = None) -> None:
+        """Have all coarse levels that the file lacks.
+
+        Raises:
+            ReadError: the file cannot be read. StoreError: they cannot be kept.
+        """
+        if self.kept is not None:
+            self.kept.make(self.kept.blocks, progress, jobs)
+            self.texels.hold()
+
+    def outdated(self, patience: float) -> list[int]:
+        """Tiles that were read before all there is of them was there, and now there is more; ``patience``: seconds
+        since, at least, unless all is there."""
+        kept, now = self.kept, time.monotonic()
+        if kept is None or not self._partial:
+            return []
+        made, enough = kept.made, kept.complete
+        every = list(self._partial.items())
+        return [place for place, (when, had) in every if made > had and (enough or now - when > patience)]
+
+    def close(self) -> None:
+        """Let the making of coarse levels end: what is there is kept."""
+        self._stop.set()
+
+    def _there(self, kept: CoarseLevels, place: int, k: int, area: tuple[int, int, int, int]) -> tuple[Bytes, bool]:
+        """What there is of a tile of a coarse level, and whether that is all; what takes little time is made."""
+        r0, r1, c0, c1 = area
+        had = kept.made
+        if k <= NEAR:
+            middle = kept.under(k, r0 + 1, r1 - 1, c0 + 1, c1 - 1)
+            with contextlib.suppress(Stopped):
+                kept.make(middle, jobs=1, stop=self._stop)
+        block, whole = kept.read(k, r0, r1, c0, c1)
+        if whole:
+            self._partial.pop(place, None)
+        else:
+            self._partial[place] = time.monotonic(), had
+            self._begin(kept)
+        return block, whole
+
+    def _begin(self, kept: CoarseLevels) -> None:
+        """Have all blocks made, aside."""
+
+        def make() -> None:
+            try:
+                kept.make(kept.blocks, jobs=1, stop=self._stop)
+                self.texels.hold()
+                self.failure = ""
+            except Stopped:
+                pass
+            except (OrographError, OSError) as error:
+                self.failure = str(error)
+
+        if not self._stop.is_set() and (self._maker is None or not self._maker.is_alive()):
+            self._maker = threading.Thread(target=make, name="coarse", daemon=True)
+            self._maker.start()
+
     def opacity_at(self, x: Array, y: Array) -> Array:
         """The image's own opacity (n,) at places in the terrain's CRS, as its coarse levels tell."""
+        if not self.texels.held:  # coarse levels are being made
+            return np.zeros(len(x))
         placement, scale = self.laid.placement, float(1 << self.base)
         u, v = placement.pixels(x, y)
         if not placement.stretched:

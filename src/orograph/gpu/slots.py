@@ -100,6 +100,16 @@ class Slots:
                 return -1, None
             before = self._keys[slot]
             del self._slots[before]
+        self._write(slot, data)
+        self._slots[key], self._keys[slot] = slot, key
+        self._used[slot], self._pinned[slot] = frame, pin
+        return slot, before
+
+    def replace(self, key: Any, data: NDArray[Any]) -> None:
+        """Upload a tile in the place of the one of that key."""
+        self._write(self._slots[key], data)
+
+    def _write(self, slot: int, data: NDArray[Any]) -> None:
         layer, place = divmod(slot, PER_SIDE**2)
         y, x = divmod(place, PER_SIDE)
         with self._clearing:
@@ -109,9 +119,6 @@ class Slots:
                 {"bytes_per_row": self._row, "rows_per_image": self.side},
                 (self.side, self.side, 1),
             )
-        self._slots[key], self._keys[slot] = slot, key
-        self._used[slot], self._pinned[slot] = frame, pin
-        return slot, before
 
     def free(self, key: Any) -> None:
         """Let a tile go."""

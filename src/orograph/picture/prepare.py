@@ -7,30 +7,17 @@ the reading options: the next picture of it opens that store at once.
 
 from __future__ import annotations
 
-import os
 import shutil
-import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orograph.errors import OrographError, StoreError, UsageError
+from orograph.folders import cache_folder
 from orograph.picture.scene import EXACT_SAMPLES
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
 
 if TYPE_CHECKING:
     from orograph.dem.mosaic import Mosaic
-
-
-def cache_folder() -> Path:
-    """Where the stores of large DEMs are kept: ``$OROGRAPH_CACHE``, else the platform's cache folder."""
-    if chosen := os.environ.get("OROGRAPH_CACHE"):
-        return Path(chosen)
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "orograph"
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local")) / "orograph" / "cache"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "orograph"
 
 
 def cache_bytes(max_memory: int | None) -> int:

@@ -76,8 +76,11 @@ def hatching(px: Array, py: Array) -> Colours:
     return MISSING[((px + py) % HATCH < LINE).astype(np.intp)]
 
 
-def drapes_of(scene: Scene, survey: Survey, kept: Kept, progress: Progress) -> list[tuple[Layer, Drape]]:
-    """The layers that can be seen and what is held of them, bottom to top; warnings are told once."""
+def drapes_of(
+    scene: Scene, ground: Ground, survey: Survey, kept: Kept, progress: Progress
+) -> list[tuple[Layer, Drape]]:  # fmt: skip
+    """The layers that can be seen and what is held of them, bottom to top, ready for what the picture looks up;
+    warnings are told once."""
     layers = drawn(scene.layers)
     if not layers:
         return []
@@ -99,14 +102,20 @@ def drapes_of(scene: Scene, survey: Survey, kept: Kept, progress: Progress) -> l
         plan = Drape.plan(laid, memory, metres)
 
         def opened() -> Drape:
-            drape = Drape.of(laid, *plan)
+            drape = Drape.of(laid, *plan, progress)
             for warning in drape.warnings:
                 progress.warn(warning)
             return drape
 
         return kept("drape", (content, plan), opened, laid, MOST)
 
-    return [(layer, held(layer)) for layer in layers]
+    drapes = [(layer, held(layer)) for layer in layers]
+    if any(drape.tiles is not None for _, drape in drapes):
+        x, y = grid.xy(survey.hits.points[:, 0], survey.hits.points[:, 1])
+        footprints = ground.footprints(survey.hits, survey.px, survey.py)
+        for _, drape in drapes:
+            drape.prepare(x, y, *footprints, progress=progress, jobs=scene.jobs)
+    return drapes
 
 
 class Shader:
@@ -138,7 +147,7 @@ class Shader:
 
             self.lines = Lines(scene, ground, self.maps, kept)
             self.facts["contours"] = self.lines.facts
-        self.drapes = drapes_of(scene, survey, kept, progress)
+        self.drapes = drapes_of(scene, ground, survey, kept, progress)
         self.strength = self.maps.strength
         self.lighting: Lighting | None = None
         if scene.light != "relief":

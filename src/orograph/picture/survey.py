@@ -22,12 +22,12 @@ class Survey:
     """What some rays of the whole picture met.
 
     Attributes:
-        hits: of the rays that met ground, at least one.
+        hits: of the rays that met ground, at least one. px, py: their pixel positions.
         range: metres of depth from the nearest to the farthest.
     """
 
-    def __init__(self, hits: Hits) -> None:
-        self.hits = hits
+    def __init__(self, hits: Hits, px: Array, py: Array) -> None:
+        self.hits, self.px, self.py = hits, px, py
         self.range = float(hits.t.min()), float(hits.t.max())
 
     @classmethod
@@ -54,7 +54,7 @@ class Survey:
         if not met.any():
             return None
         t, px, py = t[met], px[met], py[met]
-        return cls(rays.meet(px, py, t, window[met], np.full(len(t), np.nan)))
+        return cls(rays.meet(px, py, t, window[met], np.full(len(t), np.nan)), px, py)
 
 
 def stride(height: int, width: int) -> int:
