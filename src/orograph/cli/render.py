@@ -81,8 +81,9 @@ def command(
         from orograph.errors import DamagedChunkError, NothingInViewError
         from orograph.folders import cache_folder
         from orograph.output import Beside, check_folder
-        from orograph.picture.backends import draw
-        from orograph.picture.large import draw_large, is_large
+        from orograph.picture.backends import draw, session
+        from orograph.picture.doubts import LEAVE_CAMERA
+        from orograph.picture.large import ACROSS, draw_large, is_large
         from orograph.picture.memory import check_memory
         from orograph.picture.prepare import prepare
         from orograph.picture.result import picture_format
@@ -93,9 +94,11 @@ def command(
         check_folder(Path(file))
     said = ctx.get_parameter_source("max_memory") is not ParameterSource.DEFAULT
 
+    gpu = options["backend"] == "gpu"
+
     def by_bands(size: tuple[int, int]) -> bool:
         """Whether a picture is drawn by bands; UsageError where it is not, and does not fit into memory."""
-        if options["backend"] == "cpu" and not options["wireframe"] and is_large(size, max_memory):
+        if (gpu or not options["wireframe"]) and is_large(size, max_memory, gpu=gpu):
             return True
         check_memory(size, max_memory if said else None)
         return False
@@ -108,7 +111,10 @@ def command(
     scene = scene_of(terrain, view, options, max_memory, jobs)
     try:
         if large:
-            facts = draw_large(scene, output, depth=depth, progress=progress)
+            draws = session(progress, backend=options["backend"])
+            facts = draw_large(
+                scene, output, depth=depth, draw=draws, across=ACROSS if gpu else None, progress=progress
+            )
         else:
             picture = draw(scene, progress, backend=options["backend"])
             facts = picture.facts
@@ -117,7 +123,7 @@ def command(
             error.remedy = "It is a copy that was kept: delete it, and the next picture builds it again."
         raise
     except NothingInViewError as error:
-        if not any(options[name] is not None for name in PLACES):
+        if error.remedy == LEAVE_CAMERA and not any(options[name] is not None for name in PLACES):
             error.remedy = "See what the file holds with orograph info."
         raise
     if not large:

@@ -29,7 +29,7 @@ SHADE = np.dtype(
         ("side", "<f4", 2), ("sky_at", "<u4"), ("sky_rows", "<u4"), ("sky_cols", "<u4"),
         ("ring_at", "<u4"), ("land_at", "<u4"), ("land_count", "<u4"), ("sea_at", "<u4"), ("sea_count", "<u4"),
         ("levels", "<u4"), ("flags", "<u4"), ("light", "<i4", 4), ("light_first", "<i4", 2), ("windows", "<u4"),
-        ("hatch", "<u4"), ("fields", "<u4"), ("suns", "<u4"), ("lamps", "<u4"), ("pad", "<u4"),
+        ("hatch", "<u4"), ("fields", "<u4"), ("suns", "<u4"), ("lamps", "<u4"), ("corner", "<u4"),
     ]
 )  # fmt: skip
 """The uniform ``Shade`` of ``shaders/shade.wgsl``."""

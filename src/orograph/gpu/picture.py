@@ -1,8 +1,8 @@
 """The GPU backend of pictures: a scene drawn off screen, every tile there, read back.
 
 The same scene as the CPU caster's (``picture.cpu``), the same light and colours (the shader follows it line by line):
-depth differs by no more than the tolerance promises, colours by what docs/gpu.md states. What only the caster can do
-(more pixels than the device's largest texture) is refused with the reason.
+depth differs by no more than the tolerance promises, colours by what docs/gpu.md states. More pixels than a device
+draws at once are drawn by tiles (``picture.large``), which have what the whole picture has there (``overview``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.layers import drawn as visible
 from orograph.gpu.device import Device, open_device
 from orograph.gpu.frame import PLAIN, Overlay
+from orograph.gpu.overview import rimmed
 from orograph.gpu.renderer import Renderer
+from orograph.picture.doubts import doubts, what_to_do, why_empty
 from orograph.picture.furniture import furnish
 from orograph.picture.legend import Drawn, furniture_of, sampled
 from orograph.picture.result import Picture, plan_grid
@@ -53,44 +55,50 @@ def draw(
     """
     begun = time.perf_counter()
     device = device or open_device()
-    view = scene.view
-    most = int(device.handle.limits["max-texture-dimension-2d"])
-    if max(view.width, view.height) > most:
+    view, whole = scene.view, scene.view.part is None
+    if not whole and scene.furniture:
+        raise UsageError("A tile has no furniture: that belongs to the whole picture.")
+    around, own_pixels = rimmed(scene)
+    scene = replace(scene, view=around)
+    most = largest(device)
+    if max(around.width, around.height) > most:
         raise UsageError(
-            f"{device.adapter.name} draws at most {most} × {most} pixels, not {view.width} × {view.height}.",
-            remedy="Use --backend cpu.",
+            f"{device.adapter.name} draws at most {most} × {most} pixels at once, not {view.width} × {view.height}.",
+            remedy="Draw it by tiles: orograph render, or picture.large.draw_large.",
         )
     if scene.tolerance is None and scene.triangles is None:
         scene = replace(scene, tolerance=TOLERANCE)
     if scene.engine is not None and not scene.wireframe:
         overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh
+    warnings = doubts(scene) if around.frame[:2] == (0, 0) else []  # of tiles, the first
+    for warning in warnings:
+        progress.warn(warning)
     own = renderer is None
     renderer = renderer or Renderer(device, scene.terrain, jobs=scene.jobs)
     renderer.imagery.progress = progress
     try:
         by_rays = scene.light == "raytraced"
         with progress.task(f"Drawing on {device.adapter.name}", total=1.0 if by_rays else None) as task:
-            texture = device.texture((view.width, view.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
+            texture = device.texture((around.width, around.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
             target = texture.create_view()
             # What is seen is asked without its light if that takes its time.
             first = replace(scene, light="none", lamps=(), discs=()) if by_rays else scene
             stats = renderer.draw(target, "rgba8unorm", first, overlay=overlay, wait=True, samples=1)
-            warnings = list(stats.notes)
+            notes = list(stats.notes)
             if renderer.imagery.full:
-                warnings.append("Layers are coarser than they could be: more would not fit into the GPU's memory.")
-            for warning in warnings:
+                notes.append("Layers are coarser than they could be: more would not fit into the GPU's memory.")
+            for warning in notes:
                 progress.warn(warning)
+            warnings += notes
             depth, veiled = renderer.depth(), renderer.veiled()
-            if not np.isfinite(depth).any():
-                raise NothingInViewError(
-                    "Nothing of the terrain is in view.", path=scene.terrain.name,
-                    remedy="Leave the camera options away to see all of it.",
-                )  # fmt: skip
+            if not np.isfinite(depth).any() and (whole or renderer.overview(scene)[1] is None):
+                raise NothingInViewError(why_empty(scene), path=scene.terrain.name, remedy=what_to_do(scene))
             if scene.samples > 1 or by_rays:
                 stats = renderer.draw(
                     target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=scene.samples, advance=task.advance
                 )
-            pixels = device.read_texture(texture, np.uint8, 4)[..., :3].copy()
+            pixels = device.read_texture(texture, np.uint8, 4)[..., :3][own_pixels].copy()
+            depth, veiled, scene = depth[own_pixels], veiled[own_pixels], replace(scene, view=view)
             shown = renderer.shown(scene, depth, veiled)
             if scene.furniture:
                 drawn = Drawn(
@@ -110,7 +118,12 @@ def draw(
     if renderer.mesh is not None:
         facts["mesh"] = renderer.mesh.stats
     place = plan_grid(view, scene.terrain.grid.crs)
-    return Picture(pixels, depth, view, facts, place, veiled if veiled.any() else None)
+    return Picture(pixels, depth, view, facts, place, veiled if veiled.any() else None, tint=renderer.tint)
+
+
+def largest(device: Device) -> int:
+    """Pixels a side that a device can draw at once."""
+    return int(device.handle.limits["max-texture-dimension-2d"])
 
 
 def session() -> Callable[[Scene], Picture]:

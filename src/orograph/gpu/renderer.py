@@ -14,6 +14,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from orograph.gpu.lettering import Letters
 from orograph.gpu.look import DRAPE, FIELD, GIVEN, LABELS, SILHOUETTES, SMOOTH, VEILED, WIREFRAME, Look
 from orograph.gpu.meshes import Meshes, MeshPass
 from orograph.gpu.outlines import BreakPass
+from orograph.gpu.overview import Seen, overview, seen_by
 from orograph.gpu.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass, Targets
 from orograph.gpu.patches import PatchPass, Slopes
 from orograph.gpu.readback import depth_of, veiled_of
@@ -48,8 +50,6 @@ from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.picture.smooth import SMALL
 from orograph.view import View
-
-Array = NDArray[np.float64]
 
 SLOPES: dict[Normals, Slopes] = {"computed": "", "stored": "stored", "derivatives": "flat", "faces": "flat"}
 """Which slopes the geometry leaves for a choice of normals."""
@@ -110,6 +110,7 @@ class Renderer:
         self._steady, self._shift = Steady(device, self._camera), (0.0, 0.0)
         self._around = Around(terrain, device.largest)
         self._missing = 0
+        self._lit: Scene | None = None
 
     # ---- drawing ---------------------------------------------------------------------------------------------------
 
@@ -134,6 +135,8 @@ class Renderer:
         """
         begun = time.perf_counter()
         view = scene.view
+        if wait and view.part is not None:
+            self.overview(scene)  # before the tile's own ground is chosen, whose place it may take
         tolerance = scene.tolerance or 1.0
         if scene.contours is not None:
             tolerance *= scene.contours.finer(self.terrain, view, self.kept)
@@ -171,6 +174,9 @@ class Renderer:
         look = self._look(scene, overlay, exact=wait)
         self.tint = look.tint
         u = look.uniform
+        if view.part is not None:
+            u = u.copy()
+            u["corner"] = view.part[0] | view.part[1] << 16
         self._resources.shade_with(u)
         breaks: tuple[Any, Any] = None, None
         if int(u["flags"]) & SILHOUETTES:
@@ -232,6 +238,13 @@ class Renderer:
             self._gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
             current=scene.engine is None or self._meshes.current, notes=tuple(self.imagery.told()),
             submit_ms=to_submit * 1e3, making=self.imagery.making,
+        )  # fmt: skip
+
+    def overview(self, scene: Scene) -> Seen:
+        """What a scene's whole view shows: all tiles of it have their light and their haze by that."""
+        return self.kept(
+            "overview", (scene.view.whole, scene.exaggeration),
+            lambda: overview(self.device, self.tiles, self._patches, self._camera, scene), self.terrain,
         )  # fmt: skip
 
     def prepare(self, format: str, scene: Scene, *, overlay: Overlay = PLAIN) -> None:
@@ -426,6 +439,13 @@ class Renderer:
         self, scene: Scene, targets: Targets, instances: NDArray[Any], *, wait: bool
     ) -> None:  # fmt: skip
         """Have maps of light for the scene: at once if ``wait``, else aside while old ones serve."""
+        if wait and scene.view.part is not None:
+            whole = replace(scene, view=scene.view.whole, samples=1)
+            if self._lit != whole:
+                self._light.at_once(whole, lambda: self.overview(scene))
+                self._lit = whole
+            return
+        self._lit = None
         if not wait:
             self._light.aside(scene, instances)
             return
@@ -435,11 +455,9 @@ class Renderer:
         self.device.queue.submit([encoder.finish()])
         self._light.at_once(scene, lambda: self._seen(scene))
 
-    def _seen(self, scene: Scene) -> tuple[Array, tuple[float, float] | None]:
-        """Sample coordinates (n, 2) of some of the ground in view, by the last frame's depth, and the depths' range."""
-        depth = self.depth()
-        points, _ = points_of(self.terrain, scene.view, scene.exaggeration, depth)
-        return points, (float(np.nanmin(depth)), float(np.nanmax(depth))) if len(points) else None
+    def _seen(self, scene: Scene) -> Seen:
+        """Some of the ground in view, by the last frame's depth."""
+        return seen_by(self.terrain, scene.view, scene.exaggeration, self.depth())
 
     @property
     def _camera_drawn(self) -> NDArray[Any]:

@@ -27,7 +27,7 @@ struct Shade {
   light_first: vec2<i32>,   // its first block (row, col)
   windows: u32, hatch: u32,
   fields: u32, suns: u32,   // windows of shares of the sky or caps; discs of light
-  lamps: u32, pad: u32,     // points of light
+  lamps: u32, corner: u32,  // points of light; column and row (high half) of the target's first pixel in the whole picture
 };
 
 struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: i32, channels: i32, pad: i32 };
@@ -259,13 +259,18 @@ fn vertex(@builtin(vertex_index) k: u32) -> @builtin(position) vec4<f32> {
   return vec4<f32>(f32(k & 1u) * 4.0 - 1.0, f32(k >> 1u) * 4.0 - 1.0, 0.0, 1.0);
 }
 
+// A pixel's place in the whole picture, of which the target may be a tile.
+fn in_picture(at: vec2<f32>) -> vec2<u32> {
+  return vec2<u32>(at) + vec2<u32>(shade.corner & 0xffffu, shade.corner >> 16u);
+}
+
 // What is seen where the depth buffer is empty (the depth test says so).
 @fragment
 fn background(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let d = normalize(ray_of(at.xy).direction);
   var colour = shade.paper.rgb;
   if ((FLAGS & 256u) != 0u) {
-    colour = dithered(sky(d), vec2<u32>(at.xy));
+    colour = dithered(sky(d), in_picture(at.xy));
   }
   if ((FLAGS & 8192u) != 0u) {
     colour = outlined(colour, vec2<i32>(at.xy), d);
@@ -284,7 +289,8 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let depth = hit.depth;
   let position = hit.position;
   if ((FLAGS & 1024u) != 0u && (mark & 2u) != 0u) {   // a patch over missing data
-    let across = at.x + at.y;
+    let place = in_picture(at.xy);
+    let across = f32(place.x + place.y) + 1.0;
     let line = across - 7.0 * floor(across / 7.0) < 2.0;
     var veil = select(rgb(shade.hatch), rgb(shade.hatch + 3u), line);
     if ((FLAGS & 256u) != 0u) {
