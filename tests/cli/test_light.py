@@ -115,6 +115,14 @@ def test_the_sun_may_be_a_time(run, hilly, tmp_path):
     assert 150 < azimuth < 210 and 75 < altitude < 79  # near noon at 36° north, 117° west, in June
 
 
+def test_a_sun_that_has_set_is_told(run, hilly, tmp_path):
+    night = ("--sun", "2026-06-21T00:00-07:00", "-o", tmp_path / "out.tif")
+    for name, told in (("shadow", True), ("hillshade", True), ("hillshade", False)):
+        given = night if told else (*night[2:], "--sun", "315,5")
+        code, _, err = run("light", hilly, "--product", name, *given)
+        assert code == 0 and ("below the horizon" in err) == told, err
+
+
 def test_many_lights(run, hilly, tmp_path):
     out = tmp_path / "three.tif"
     lights = ("--light", "315,45,2", "--light", "225,30")
@@ -160,12 +168,26 @@ def test_memory_jobs_and_a_store_change_no_bit(run, hilly, tmp_path):
         (("--product", "openness", "--sun", "315,45"), "hillshade, shadow"),
         (("--product", "visible-sky", "--date", "2026"), "insolation"),
         (("--product", "insolation", "--date", "2026", "--rho", "linear"), "ambient-occlusion"),
+        (("--product", "insolation"), "--date"),
+        (("--product", "insolation", "--date", "2026-02-30"), "period"),
+        (("--product", "insolation", "--date", "2026", "--turbidity", "nan"), "turbidity"),
+        (("--product", "insolation", "--date", "2026", "--step", "0"), "step"),
+        (("--product", "ambient-occlusion", "--rho", "linear"), "radius"),
+        (("--product", "ambient-occlusion", "--method", "rays", "--curvature"), "curvature"),
+        (("--product", "aperture", "--method", "cone-tracing"), "method"),
+        (("--product", "hillshade", "--light", "315,45,-1"), "weights"),
+        (("--product", "hillshade", "--light", "315,45,0"), "weights"),
         (("--product", "slope", "--azimuths", "2"), "azimuths"),
     ],
 )
 def test_nonsense_is_refused_before_work(run, hilly, tmp_path, args, says, monkeypatch):
     monkeypatch.chdir(tmp_path)
     args = args if "-o" in args else (*args, "-o", "out.tif")
+
+    def work(*_, **__):
+        raise AssertionError("the terrain was read")
+
+    monkeypatch.setattr("orograph.picture.prepare.prepare", work)
     code, _, err = run("light", hilly, *args)
     assert code == 2 and says in err and not list(tmp_path.iterdir())
 

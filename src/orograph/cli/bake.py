@@ -19,7 +19,6 @@ from orograph.cli.products import (
     once,
     ray_options,
 )
-from orograph.errors import UsageError
 
 if TYPE_CHECKING:
     from orograph.light.products import Options
@@ -46,7 +45,9 @@ if TYPE_CHECKING:
 )
 @insolation_options
 @click.option(
-    "--bits", type=click.Choice(["8", "16"]), help="Of a value in the store.  [default: 16 of apertures, else 8]"
+    "--bits",
+    type=click.Choice(["8", "16"]),
+    help="Of a value in the store.  [default: 16 of apertures and insolation, else 8]",
 )
 @click.option("--overwrite", is_flag=True, help="Bake also what is there already; begin an interrupted bake anew.")
 @click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
@@ -78,8 +79,6 @@ def command(
     began = time.perf_counter()
     wanted = once(products)
     check_used(ctx, wanted)
-    if "insolation" in wanted and options["date"] is None:
-        raise UsageError("Insolation is over a period.", remedy="Give a year, a month or a day (--date 2026-06-21).")
     chosen = Options(more=more_of(options), **options)
     terrain = run(
         store, wanted, progress_of(ctx), chosen, bits=None if bits is None else int(bits), overwrite=overwrite,

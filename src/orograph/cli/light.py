@@ -64,7 +64,8 @@ AT_ONCE = ("normal", "slope", "aspect", "hillshade")
     "lights",
     type=Numbers("AZ", "ALT", "WEIGHT", optional=1),
     multiple=True,
-    help="A light of a hillshade with several; give it again for each.",
+    help="A light of a hillshade with several, in place of --sun: degrees, and its share in the mean (1 if left out); "
+    "give it again for each.",
 )
 @click.option("--exaggeration", type=float, default=1.0, show_default=True, help="Stretch heights, for hillshade only.")
 @ray_options(
@@ -117,6 +118,8 @@ def command(
       orograph light dem.tif --product slope,aspect -o ground.tif
       orograph light dem.tif --product hillshade --light 315,45,2 --light 225,30 -o shade.tif --byte
       orograph light area.oro --product openness --azimuths 8 --radius 500 -o openness.tif
+      orograph light dem.tif --product shadow --sun 2026-12-21T08:00-08:00 -o shadow.tif
+      orograph light dem.tif --product insolation --date 2026 --azimuths 64 -o year.tif
     """
     began = time.perf_counter()
     progress = progress_of(ctx)
@@ -129,6 +132,7 @@ def command(
         from orograph.light.products import Context, Options, product
         from orograph.light.raster import write
         from orograph.light.raster_resume import Kept, identity
+        from orograph.light.sun import Sun
         from orograph.output import check_folder
         from orograph.picture.prepare import prepare
 
@@ -140,9 +144,15 @@ def command(
     lights = tuple((*light, 1.0) if len(light) == 2 else light for light in options["lights"])
     common = {k: options[k] for k in ("azimuths", "radius", "curvature", "refraction", "exaggeration", "rays")}
     more = more_of(options)
-    Options(**common, lights=lights, more=more)
+    asked = Options(**common, lights=lights, more=more)
+    for each in products:
+        each.check(asked)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
-    place = options["sun"].over(terrain.grid)
+    place = options["sun"].over(terrain.grid) if {"hillshade", "shadow"} & set(wanted) else Sun()
+    if place.altitude < -place.diameter / 2:
+        progress.warn(
+            f"the sun is {round(-place.altitude, 1):g}° below the horizon: no light of it falls on the ground."
+        )
     chosen = Options(**common, sun=(place.azimuth, place.altitude), lights=lights, more=more)
     kept = None
     if resume and set(wanted) <= set(AT_ONCE):

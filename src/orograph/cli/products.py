@@ -125,7 +125,12 @@ def ray_options(methods: Sequence[str], method: str, rays: str) -> Callable[[F],
         return _with(
             function,
             click.option("--rays", type=click.IntRange(min=1), default=256, show_default=True, help=rays),
-            click.option("--rho", type=click.Choice(["step", "linear"]), help="Of ambient occlusion.  [default: step]"),
+            click.option(
+                "--rho",
+                type=click.Choice(["step", "linear"]),
+                help="Of ambient occlusion: what ground at a distance below --radius lets through: nothing (light of "
+                "the sky), or distance / radius (light that fills the air).  [default: step]",
+            ),
             click.option("--method", type=click.Choice(methods), help=method),
         )
 
@@ -137,10 +142,18 @@ def insolation_options(function: F) -> F:
     return _with(
         function,
         click.option(
-            "--date", metavar="DATE", help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026)."
+            "--date",
+            metavar="DATE",
+            help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026), in mean solar time.",
         ),
-        click.option("--step", type=float, metavar="MINUTES", help="Of insolation: between two suns.  [default: 10]"),
-        click.option("--turbidity", type=float, help="Of insolation: Linke's, of the air.  [default: 3]"),
+        click.option(
+            "--step", type=float, metavar="MINUTES", help="Of insolation: time between two suns.  [default: 10]"
+        ),
+        click.option(
+            "--turbidity",
+            type=float,
+            help="Of insolation: Linke's, of the air: 2 clean and cold, 5 hazy, 0 none.  [default: 3]",
+        ),
     )
 
 

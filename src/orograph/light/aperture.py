@@ -110,14 +110,21 @@ def _caps(moments: Values, missing: NDArray[np.bool_]) -> Values:
 def make(context: Context) -> Blocks | Sweep:
     """The product: ``method`` ("horizon" or "rays") and ``seed`` among the other options."""
     options = context.options
+    check(options)
+    if options.more.get("method", "horizon") == "rays":
+        return _rays(context, options.rays, int(options.more.get("seed", 0)))
+    return _horizons(context)
+
+
+def check(options: Options) -> None:
+    """Raise UsageError where the method, rays and curvature of the options do not go together."""
     method: Method = options.more.get("method", "horizon")
+    if method not in ("horizon", "rays"):
+        raise UsageError(f"There is no method {method!r} of apertures; there are horizon and rays.")
     if method == "rays":
+        flat_only(options)
         if options.rays < 1:
             raise UsageError(f"At least one ray is needed, not {options.rays}.")
-        return _rays(context, options.rays, int(options.more.get("seed", 0)))
-    if method != "horizon":
-        raise UsageError(f"There is no method {method!r}; there are horizon and rays.")
-    return _horizons(context)
 
 
 def _horizons(context: Context) -> Sweep:
@@ -139,7 +146,6 @@ def _horizons(context: Context) -> Sweep:
 def _rays(context: Context, rays: int, seed: int) -> Blocks:
     from orograph.light.occlusion_kernels import ray_cone
 
-    flat_only(context)
     radius = context.options.radius or math.inf
 
     def work(near: Neighbourhood) -> Values:
@@ -275,5 +281,6 @@ PRODUCTS = [
         make,
         (-1.0, 1.0),
         lambda band, options: {"unit": "degrees", "byte": (0.0, 90.0)} if band == "radius" else {},
+        check,
     )
 ]

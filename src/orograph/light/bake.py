@@ -119,6 +119,8 @@ def bake(
     """
     chosen, wanted = options or Options(), list(dict.fromkeys(names))
     products = [_bakeable(name) for name in wanted]
+    for each in products:
+        each.check(chosen)
     if bits is not None and bits not in get_args(Bits):
         raise UsageError(f"Layers have 8 or 16 bits, not {bits}.")
     storage = storage_at(store, storage_options)

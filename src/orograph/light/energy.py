@@ -75,6 +75,25 @@ def period(text: str) -> tuple[datetime.datetime, datetime.datetime]:
         ) from None
 
 
+def _checked(date: str, step: float, turbidity: float) -> tuple[datetime.datetime, datetime.datetime]:
+    begin, end = period(date)
+    if not 0 < step <= 60:
+        raise UsageError(f"A time step is more than 0 and at most 60 minutes, not {step:g}.")
+    if not 0 <= turbidity <= 20:
+        raise UsageError(f"Linke's turbidity lies between 0 (no air) and 20, not {turbidity:g}.")
+    return begin, end
+
+
+def _asked(options: Options) -> tuple[str, float, float]:
+    """Period, step and turbidity of the options."""
+    more = options.more
+    if "date" not in more:
+        raise UsageError("Insolation is over a period.", remedy="Give a year, a month or a day (--date 2026-06-21).")
+    asked = str(more["date"]), float(more.get("step", STEP)), float(more.get("turbidity", TURBIDITY))
+    _checked(*asked)
+    return asked
+
+
 @dataclass(frozen=True, slots=True)
 class Suns:
     """The suns of a period, those with some of the disc above the horizon.
@@ -100,11 +119,7 @@ class Suns:
         Raises:
             UsageError: the period, step or turbidity is none, or it is not known where on Earth the terrain lies.
         """
-        begin, end = period(date)
-        if not 0 < step <= 60:
-            raise UsageError(f"A time step is more than 0 and at most 60 minutes, not {step:g}.")
-        if not 0 <= turbidity <= 20:
-            raise UsageError(f"Linke's turbidity lies between 0 (no air) and 20, not {turbidity:g}.")
+        begin, end = _checked(date, step, turbidity)
         longitude, latitude = place(grid)
         zone = datetime.timezone(datetime.timedelta(minutes=round(4 * longitude)))
         minutes = (end - begin).total_seconds() / 60
@@ -211,11 +226,8 @@ def _add(
 def make(context: Context) -> Sweep:
     """The product: ``date`` (needed), ``step`` (minutes, 10) and ``turbidity`` (Linke's, 3) among the other options."""
     options = context.options
-    more = options.more
-    if "date" not in more:
-        raise UsageError("Insolation is over a period.", remedy="Give a year, a month or a day (--date 2026-06-21).")
     grid = context.terrain.grid
-    suns = Suns.over(grid, str(more["date"]), float(more.get("step", STEP)), float(more.get("turbidity", TURBIDITY)))
+    suns = Suns.over(grid, *_asked(options))
     low, high = context.terrain.height_range
     if not math.isfinite(low):
         low = high = 0.0
@@ -270,6 +282,10 @@ def insolation(
     return compute(context, "insolation")
 
 
+def _check(options: Options) -> None:
+    _asked(options)
+
+
 def _range(band: str, options: Options) -> dict[str, Any]:
     """8-bit files: up to what the sun gives outside the air, high in the sky on half of each day."""
     begin, end = period(str(options.more.get("date", "2026-06-21")))
@@ -284,5 +300,6 @@ PRODUCTS = [
         "Energy of sun and sky on the ground over a day, a month or a year, under a cloudless sky.",
         make,
         about=_range,
+        check=_check,
     )
 ]

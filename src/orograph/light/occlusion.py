@@ -166,9 +166,10 @@ def lift(context: Context) -> float:
     return LIFT * float(np.sqrt(abs(np.linalg.det(context.linear))))
 
 
-def flat_only(context: Context) -> None:
+def flat_only(of: Context | Options) -> None:
     """Raise UsageError where the Earth is to be round: rays and walks are straight over a plane."""
-    if context.options.curvature:
+    options = of.options if isinstance(of, Context) else of
+    if options.curvature:
         raise UsageError(
             "Rays and walks go over flat ground; only swept horizons know the curvature of the Earth.",
             remedy="Leave out --curvature, or sweep horizons: --method horizon, without a radius.",
@@ -287,21 +288,26 @@ def make(context: Context) -> Blocks | Sweep:
         UsageError: there is no such method; and what the method raises.
     """
     options = context.options
+    check(options)
     method: Method = options.more.get("method", "horizon")
     if method in ELSEWHERE:
         return cast(Blocks, importlib.import_module(ELSEWHERE[method]).run(context))
     ways = transmission(options.more.get("rho", "step"), options.radius)
     if method == "rays":
-        flat_only(context)
-        if options.rays < 1:
-            raise UsageError(f"At least one ray is needed, not {options.rays}.")
         return _rays(context, ways, options.rays, int(options.more.get("seed", 0)))
-    if method != "horizon":
+    return _walks(context, ways, options.azimuths) if math.isfinite(ways.radius) else _sweeps(context)
+
+
+def check(options: Options) -> None:
+    """Raise UsageError where the method, ρ, radius and rays of the options do not go together."""
+    method: Method = options.more.get("method", "horizon")
+    if method != "horizon" and method != "rays" and method not in ELSEWHERE:
         raise UsageError(f"There is no method {method!r}; there are horizon, rays, {' and '.join(ELSEWHERE)}.")
-    if math.isfinite(ways.radius):
-        flat_only(context)
-        return _walks(context, ways, options.azimuths)
-    return _sweeps(context)
+    ways = transmission(options.more.get("rho", "step"), options.radius)
+    if method == "rays" and options.rays < 1:
+        raise UsageError(f"At least one ray is needed, not {options.rays}.")
+    if method != "horizon" or math.isfinite(ways.radius):
+        flat_only(options)
 
 
 def ambient_occlusion(
@@ -347,5 +353,6 @@ PRODUCTS = [
         "1",
         "The share of ambient light that reaches the ground: all around its normal, as far as the radius.",
         make,
+        check=check,
     )
 ]

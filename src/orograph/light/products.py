@@ -109,9 +109,13 @@ class Options:
             )
         if any(len(light) != 3 or not all(map(_number, light)) for light in self.lights):
             raise UsageError("A light of several is (azimuth, altitude, weight), all of them numbers.")
-        for _, altitude, _ in self.lights:
+        for _, altitude, weight in self.lights:
             if abs(altitude) > 90:
                 raise UsageError(f"A light's altitude lies between -90 and 90 degrees, not {altitude:g}.")
+            if weight < 0:
+                raise UsageError(f"Lights need weights that are positive, not {weight:g}.")
+        if self.lights and not any(weight for *_, weight in self.lights):
+            raise UsageError("Lights need weights that are not all 0.")
 
     def directions(self) -> NDArray[np.float64]:
         """The azimuths (n,), degrees."""
@@ -260,6 +264,7 @@ class Product:
             ``gather.Sweep``, for sums over horizons.
         byte: the values that 8-bit files show as 1 and as 255 (0 is missing).
         about: (band, options) → what is different about a band: ``unit``, ``byte`` or ``codes`` of its ``Band``.
+        check: raises UsageError where options make no sense, before there is a terrain; ``make`` does so as well.
     """
 
     name: str
@@ -269,6 +274,7 @@ class Product:
     make: Callable[[Context], Blocks | Sweep]
     byte: tuple[float, float] = (0.0, 1.0)
     about: Callable[[str, Options], dict[str, Any]] = lambda band, options: {}
+    check: Callable[[Options], None] = lambda options: None
 
     def described(self, options: Options) -> tuple[Band, ...]:
         """What is said of each band in a file."""
