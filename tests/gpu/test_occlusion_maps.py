@@ -167,3 +167,11 @@ def test_what_cannot_be():
         maps(np.zeros((4, 4), np.float32), rays=0)
     with pytest.raises(UsageError, match="radius"):
         maps(np.zeros((4, 4), np.float32), rho="linear")
+
+
+def test_ground_that_no_direction_looks_at_is_open():
+    """One direction, from the north-west or so, and a slope that turns away from it."""
+    omega = directions(1)[0]
+    y, x = np.mgrid[:9, :9]
+    away = 40.0 * (omega[0] * x - omega[1] * y)  # rises towards the light, four times as steep as cells are wide
+    np.testing.assert_array_equal(maps(away.astype(np.float32), rays=1), 1.0)

@@ -196,3 +196,44 @@ def test_the_round_earth_is_not_for_them(device: Device) -> None:
     context = context_of(np.zeros((4, 4), np.float32), CELL, Options(curvature=True, more={"method": "shadow-maps"}))
     with pytest.raises(UsageError, match="curvature"):
         occlusion_maps.run(context)
+
+
+@pytest.mark.parametrize("radius", [None, 1200.0])
+def test_blocks_that_no_ray_meets_are_passed_over(
+    device: Device, mountains: np.ndarray, monkeypatch: pytest.MonkeyPatch, radius: float | None
+) -> None:
+    """Drawn or not they change nothing, and most are not drawn."""
+    context, ways = context_of(mountains, CELL, Options()), transmission("step", radius)
+    found: list[np.ndarray] = []
+    drawn: list[int] = []
+    met = occlusion_frames._Blocks.met
+    for every in (False, True):
+
+        def all_of_them(blocks: occlusion_frames._Blocks, *args: object, every: bool = every) -> object:
+            some, holes = met(blocks, *args)
+            some = np.arange(len(blocks.instances)) if every else some
+            drawn.append(len(some))
+            return some, holes
+
+        monkeypatch.setattr(occlusion_frames._Blocks, "met", all_of_them)
+        maps = Maps(device, context, ways, 24, 0, Settings(tile=32, reach=64))
+        found.append(maps.tile(96, 128, 352, 384))
+    np.testing.assert_array_equal(found[0], found[1])
+    assert sum(drawn[: len(drawn) // 2]) < 0.25 * sum(drawn)
+
+
+def test_a_hole_far_from_the_light_costs_nothing(device: Device, mountains: np.ndarray) -> None:
+    """Faces towards the light are drawn only where rays may pass through a hole."""
+    h = mountains.copy()
+    h[:20, :20] = np.nan
+    context = context_of(h, CELL, Options())
+    maps = Maps(device, context, transmission("step", 900.0), 24, 0, Settings(tile=32))
+    flags = []
+    for window in ((300, 332, 400, 432), (48, 80, 48, 80)):
+        around = rings(context.terrain, window, CELL, 900.0, 512)
+        held = maps.store.load(tuple(r.where for r in around))
+        slopes = context.gradient(*window)
+        frames = occlusion_frames.Frames(maps, window, (window[0], window[2]), around, held, context.heights(*window),
+                                         (slopes[0].astype(float), slopes[1].astype(float)), 1.0)  # fmt: skip
+        flags.append(frames.holes)
+    assert not flags[0].any() and flags[1].any() and not flags[1].all()

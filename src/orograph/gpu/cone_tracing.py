@@ -116,8 +116,8 @@ class Tracer:
         self.device, self.context, self.ways = device, context, ways
         self.cell = float(np.sqrt(abs(np.linalg.det(context.linear))))
         self.inverse = np.linalg.inv(context.linear)
-        table, self.tangent = cones(about)
-        self.count = len(table)
+        around, self.tangent = cones(about)
+        self.count = len(around)
         rows, cols = context.shape
         far = float(np.linalg.norm(context.linear @ [cols, rows])) + float(
             np.linalg.norm(context.linear @ [cols, -rows])
@@ -126,12 +126,14 @@ class Tracer:
         stretch = max(float(np.linalg.norm(v)) for v in self.inverse) * self.cell
         self.border = math.ceil(FIRST / (2 * self.tangent) * stretch) + 1
         self.levels = min(max(math.ceil(math.log2(self.radius * 2 * self.tangent * FIT / self.cell)), 0) + 1, LEVELS)
+        table = context.terrain.tiles(context.terrain.levels - 1)
+        self.extremes = float(np.nanmin(table.minimum)), float(np.nanmax(table.maximum))
         self._voxelise = layout(device, "uniform", "read", "out:rgba8unorm/3d")
         self._trace = layout(device, "uniform", "read", "read", "read", "read", "write", "sampler", "texture3d")
         self.fill = compute(device, self._voxelise, "voxels")
         self.trace = compute(device, self._trace, "cones")
         self.store = Store(device, context.terrain)
-        self.cones = device.buffer(table, "STORAGE")
+        self.cones = device.buffer(around, "STORAGE")
         self.table = device.buffer(np.append(ways.table, ways.free).astype(np.float32), "STORAGE")
         self.sampler = device.handle.create_sampler(
             mag_filter="linear", min_filter="linear", address_mode_u="clamp-to-edge", address_mode_v="clamp-to-edge",
@@ -155,7 +157,7 @@ class Tracer:
         low, high = float(np.nanmin(inner)), float(np.nanmax(inner))
         thickest = self.cell * (1 << (self.levels - 1))
         base = math.floor(low / thickest) * thickest  # where layers of all levels begin, whatever the tile
-        sizes = [self._size(k, row0, row1, col0, col1, low - base, high - base) for k in range(self.levels)]
+        sizes = [self._size(k, row0, row1, col0, col1, low - base, high - base, base) for k in range(self.levels)]
         places, whole = _packed([size for _, size in sizes])
         if max(whole) > self.device.limit("max-texture-dimension-3d"):
             return self._parts(row0, row1, col0, col1)
@@ -198,11 +200,11 @@ class Tracer:
         return np.asarray(np.clip(out, 0.0, 1.0))
 
     def _size(
-        self, level: int, row0: int, row1: int, col0: int, col1: int, low: float, high: float
+        self, level: int, row0: int, row1: int, col0: int, col1: int, low: float, high: float, base: float
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Origin and size of a level's voxels around a tile, in its own units: columns, rows, layers.
 
-        low, high: of the tile's heights, from what layers count from.
+        low, high: of the tile's heights, from what layers count from: base.
         """
         wide, reach = 1 << level, self.reach(level)
         # In samples, a distance in cells is stretched where cells are not square.
@@ -210,8 +212,12 @@ class Tracer:
         thick, up = self.cell * wide, reach * self.cell
         first = [(col0 - over) / wide, (row0 - down) / wide, (low - up) / thick]
         last = [(col1 + over) / wide, (row1 + down) / wide, (high + up) / thick]
-        origin = np.floor(first).astype(np.int64) - 1
-        return origin, np.ceil(last).astype(np.int64) + 1 - origin
+        # Beyond the terrain all is as the outermost voxels are: empty beside and above it, below it as over them.
+        (rows, cols), (lowest, highest) = self.context.shape, self.extremes
+        ends = np.array([[0, cols], [0, rows], [(lowest - base) / self.cell, (highest - base) / self.cell]]) / wide
+        least, most = np.floor(ends[:, 0]) - 2, np.ceil(ends[:, 1]) + 2
+        begin = np.clip(np.floor(first) - 1, least, most - 1).astype(np.int64)
+        return begin, np.clip(np.ceil(last) + 1, begin + 1, most).astype(np.int64) - begin
 
     def _bordered(self, window: tuple[int, int, int, int], base: float) -> Values:
         """Heights of a tile and ``border`` samples around it above ``base``, ``MISSING`` where there are none."""

@@ -16,10 +16,11 @@ that meet in the sample itself, on which a texel's width would matter most, are 
 of half a texel in where occluders stand: samples come out a little too light, by 0.001 on average with 4 texels.
 
 *Tiles* of ``tile``² samples have their own maps; terrain within R of them, on the light's side and no farther than its
-relief can shade, is drawn into them: at full resolution within 512 samples, beyond that out of coarser levels
-(``rings`` has the bound), so that a tile takes some tens of MB whatever the raster and R. The result does not depend on
-the tiles within 512 samples beyond float32 rounding (1e-4 at single samples). Heights and lengths in metres. Missing
-samples do not occlude; ground behind a hole counts as a wall.
+relief can shade, is drawn into them, those blocks of cells that rays from the tile may meet: at full resolution within
+512 samples, beyond that out of coarser levels (``rings`` has the bound), so that a tile takes some tens of MB whatever
+the raster and R. The result does not depend on the tiles within 512 samples beyond float32 rounding (1e-4 at single
+samples). Heights and lengths in metres. Missing samples do not occlude; ground behind a hole counts as a wall. Faces
+towards the light are drawn only for directions that may meet a hole: twice the faces, and more layers.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
-from orograph.gpu.occlusion_frames import Frames
-from orograph.gpu.rings import REACH, Held, Ring, Store, rings
+from orograph.gpu.occlusion_frames import Frames, corners
+from orograph.gpu.rings import BLOCK, REACH, Held, Ring, Store, rings
 from orograph.light.occlusion import flat_only
 from orograph.light.products import Blocks, Context, Values
 from orograph.light.raster import rectangles
@@ -45,6 +46,10 @@ from orograph.light.rho import Transmission, transmission
 Array = NDArray[np.float64]
 
 GOLDEN = 0.6180339887498949
+_INSTANCE = {
+    "array_stride": 16, "step_mode": "instance",
+    "attributes": [{"format": "sint32x4", "offset": 0, "shader_location": 0}],
+}  # fmt: skip
 _RECORD = 256  # bytes between records of a buffer with dynamic offsets
 _SMALL = 16  # samples along the side of a tile that is not divided further
 _LARGEST = 1 << 27  # bytes of a map, and texels along its side: what any device allows, so that tiles are divided alike
@@ -106,7 +111,9 @@ class Maps:
         table = np.append(ways.table, ways.free).astype(np.float32)
         self.table = device.buffer(table, "STORAGE")
         self.store = Store(device, context.terrain)
+        self.corners = device.buffer(corners(), "INDEX")
         self._size, self._target = (0, 0), None
+        self._layers, self._done = self.how.layers, 0
         self._texels: Any = None  # of the largest map so far
 
     def _pipeline(self, front: bool) -> Any:
@@ -117,7 +124,7 @@ class Maps:
         return self.device.handle.create_render_pipeline(
             label="occlusion_map",
             layout=self.layout.pipeline,
-            vertex={"module": module, "entry_point": "vertex", "buffers": []},
+            vertex={"module": module, "entry_point": "vertex", "buffers": [_INSTANCE]},
             primitive={
                 "topology": "triangle-list",
                 "front_face": winding,
@@ -150,7 +157,7 @@ class Maps:
         gx, gy = (np.asarray(g, np.float64) for g in self.context.gradient(*window))
         held = self.store.load(tuple(r.where for r in around))
         frames = Frames(self, window, origin, around, held, inner, (gx, gy), tall)
-        layers = self.how.layers
+        layers = self._layers
         while True:
             if (
                 frames.texels * layers * 4 > min(self.device.largest, _LARGEST)
@@ -161,8 +168,11 @@ class Maps:
             if not lost:
                 break
             layers *= 2
-        with np.errstate(invalid="ignore", divide="ignore"):
-            out = sums[..., 0] / sums[..., 1]
+        # Neighbours need as many, as a rule; with fewer what is lost is seen, so that it matters to the time alone.
+        self._done += 1
+        self._layers = layers if self._done % 16 else max(layers // 2, self.how.layers)
+        # Where no direction looks at the ground (there are a few in all) nothing is known to hide the sky.
+        out = np.divide(sums[..., 0], sums[..., 1], out=np.ones_like(inner), where=sums[..., 1] > 0.0)
         out[missing] = np.nan
         return np.asarray(np.clip(out, 0.0, 1.0))
 
@@ -186,12 +196,14 @@ class Maps:
         device, handle = self.device, self.device.handle
         rows, cols = gx.shape
         records = frames.records(layers)
+        if not len(records):
+            return np.zeros((rows, cols, 2), np.float32), 0
         width, height = frames.size
         if self._size[0] < width or self._size[1] < height:
             self._size = max(self._size[0], width), max(self._size[1], height)
             self._target = device.texture(self._size, "r8unorm", "RENDER_ATTACHMENT").create_view()
-        apart = np.zeros((max(len(records), 1), _RECORD), np.uint8)
-        apart[: len(records), : records.dtype.itemsize] = records.view(np.uint8).reshape(len(records), -1)
+        apart = np.zeros((len(records), _RECORD), np.uint8)
+        apart[:, : records.dtype.itemsize] = records.view(np.uint8).reshape(len(records), -1)
         slopes = np.nan_to_num(np.stack([gx, gy], axis=-1)).astype(np.float32)
         if self._texels is None or self._texels.size < frames.texels * layers * 4:
             if self._texels is not None:
@@ -206,7 +218,7 @@ class Maps:
                  device.buffer(ring.view(np.uint8), "UNIFORM"), sizes={0: _RECORD})
             for h, ring in zip(held, frames.rings)
         ]  # fmt: skip
-        draw = self.draw[frames.holes]
+        blocks = device.buffer(frames.blocks, "VERTEX")
         target = {"view": self._target, "load_op": "clear", "store_op": "discard", "clear_value": (0, 0, 0, 0)}
         for some in frames.batches():
             encoder = handle.create_command_encoder()
@@ -216,10 +228,12 @@ class Maps:
                 drawing = encoder.begin_render_pass(color_attachments=[target])
                 drawing.set_viewport(0, 0, w, h, 0.0, 1.0)
                 drawing.set_scissor_rect(0, 0, w, h)
-                drawing.set_pipeline(draw)
-                for number, row0, row1, col0, col1 in frames.cells[k]:
+                drawing.set_pipeline(self.draw[bool(frames.holes[k])])
+                drawing.set_index_buffer(self.corners, "uint16")
+                drawing.set_vertex_buffer(0, blocks)
+                for number, first, end in frames.drawn[k]:
                     drawing.set_bind_group(0, groups[number], [k * _RECORD])
-                    drawing.draw(6 * (col1 - col0), row1 - row0, 6 * col0, row0)
+                    drawing.draw_indexed(6 * BLOCK * BLOCK, end - first, 0, 0, first)
                 drawing.end()
                 gathering = encoder.begin_compute_pass()
                 gathering.set_pipeline(self.gather)
@@ -229,7 +243,12 @@ class Maps:
             device.queue.submit([encoder.finish()])
         found = device.read_buffer(sums, np.float32).reshape(rows, cols, 2).copy()
         missed = int(device.read_buffer(lost, np.uint32)[0])
-        for buffer in (sums, lost, *shared):  # not when Python comes to it: on software it is the process' memory
+        for buffer in (
+            sums,
+            lost,
+            blocks,
+            *shared,
+        ):  # not when Python comes to it: on software it is the process' memory
             buffer.destroy()
         return found, missed
 

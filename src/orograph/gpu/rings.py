@@ -25,6 +25,8 @@ from orograph.store.terrain import Terrain
 REACH = 512
 """Samples of its own that a ring reaches beyond its tile."""
 MISSING = np.float32(-1e30)
+BLOCK = 16
+"""Cells along the side of a block: extremes are known by blocks."""
 _SNAP = 64  # rings but the finest begin and end at multiples of this: neighbouring tiles share them
 
 
@@ -111,13 +113,14 @@ class Held:
 
     Attributes:
         buffer: (rows, cols) float32, ``MISSING`` where there is none. low, high: of those there are, metres; inf and
-            −inf if there are none. holes: whether any are missing.
+            −inf if there are none. blocks: of the samples that each block of ``BLOCK``² cells touches the lowest, the
+            highest and whether any is missing (0 or 1), (3, block rows, block cols).
     """
 
     buffer: Any
     low: float
     high: float
-    holes: bool
+    blocks: NDArray[np.float32]
 
 
 class Store:
@@ -151,4 +154,18 @@ class Store:
         low, high = (math.inf, -math.inf) if holes and gone.all() else (
             float(np.nanmin(heights)), float(np.nanmax(heights)))  # fmt: skip
         data = np.where(gone, MISSING, heights) if holes else np.ascontiguousarray(heights, np.float32)
-        return Held(self.device.buffer(data, "STORAGE", "the ground around a tile"), low, high, holes)
+        missing = _reduced(gone, np.logical_or) if holes else np.zeros(1, bool)
+        lowest, highest = _reduced(heights, np.fmin), _reduced(heights, np.fmax)
+        blocks = np.stack(np.broadcast_arrays(
+            np.where(np.isnan(lowest), np.inf, lowest), np.where(np.isnan(highest), -np.inf, highest), missing
+        )).astype(np.float32)  # fmt: skip
+        return Held(self.device.buffer(data, "STORAGE", "the ground around a tile"), low, high, blocks)
+
+
+def _reduced(values: NDArray[Any], of: np.ufunc) -> NDArray[Any]:
+    """The samples of every block of cells reduced to one, say to the least."""
+    for axis in (0, 1):
+        starts = np.arange(0, max(values.shape[axis] - 1, 1), BLOCK)
+        inner = of.reduceat(values, starts, axis=axis)
+        values = of(inner, values.take(np.minimum(starts + BLOCK, values.shape[axis] - 1), axis=axis))
+    return values

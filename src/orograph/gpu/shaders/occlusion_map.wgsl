@@ -64,35 +64,23 @@ fn unordered(key: u32) -> f32 {
 struct Corner {
     @builtin(position) position: vec4f,
     @location(0) s: f32,
+    @location(1) there: f32,  // 1 if the sample is, 0 if it is missing
 };
 
-// Six vertices per cell, one instance per row of cells; cells are cut along the diagonal of even (row + column).
+// An instance is a block of 16 × 16 cells of the ring, of which those between its clips are drawn: what lies beyond
+// collapses. block: its first column and row; the clips, 8 bits each: first column and end, first row and end.
 @vertex
-fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> Corner {
-    let col = i32(index / 6u);
-    let row = i32(instance);
-    let even = ((col + row) & 1) == 0;
-    let corner = index % 6u;
-    let second = corner >= 3u;
-    let a = select(vec2i(0, 0), vec2i(1, 0), second && !even);
-    let b = select(vec2i(0, 1), vec2i(1, 1), !second && even);
-    let c = select(vec2i(1, 0), vec2i(1, 1), second);
-    // All four are counter-clockwise from above where columns run east and rows south.
-    let k = corner % 3u;
-    let at = select(select(c, b, k == 1u), a, k == 0u);
-    let ha = height(col + a.x, row + a.y);
-    let hb = height(col + b.x, row + b.y);
-    let hc = height(col + c.x, row + c.y);
-    var out: Corner;
-    if (min(ha, min(hb, hc)) < 0.5 * MISSING) {  // a hole: all three corners in one place outside
-        out.position = vec4f(4.0, 4.0, 0.5, 1.0);
-        return out;
-    }
-    let z = select(select(hc, hb, k == 1u), ha, k == 0u);
-    let p = point(vec2i(col, row) + at, z);
+fn vertex(@builtin(vertex_index) index: u32, @location(0) block: vec4i) -> Corner {
+    let clip = (vec4u(u32(block.z)) >> vec4u(0u, 8u, 16u, 24u)) & vec4u(255u);
+    let at = block.xy + vec2i(clamp(vec2u(index % 17u, index / 17u), clip.xz, clip.yw));
+    let h = height(at.x, at.y);
+    let there = h > 0.5 * MISSING;
+    let p = point(at, select(0.0, h, there));
     let texel = vec2f(dot(d.u, p), dot(d.v, p));
+    var out: Corner;
     out.position = vec4f(texel.x * 2.0 / f32(d.map.x) - 1.0, 1.0 - texel.y * 2.0 / f32(d.map.y), 0.5, 1.0);
     out.s = dot(d.s, p);
+    out.there = select(0.0, 1.0, there);
     return out;
 }
 
@@ -101,6 +89,9 @@ fn vertex(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: 
 // whether the face looks towards the light.
 @fragment
 fn fragment(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
+    if (in.there < 0.9999) {  // a corner is missing: a hole
+        return vec4f(0.0);
+    }
     let texel = vec2u(in.position.xy);
     let first = (texel.y * d.map.x + texel.x) * d.map.z;
     var value = (ordered(in.s) & 0xfffffffeu) | select(0u, 1u, front && d.map.w == 1u);

@@ -42,8 +42,14 @@ fn between(at: vec2i, side: vec2i) -> f32 {
     return mix(mix(a, b, f.x), mix(c, d, f.x), f.y) - level.height.y;
 }
 
+// How much of four layers above each other lies under a height, in layers above the bottom of the first.
+fn under(h: f32) -> vec4f {
+    return clamp(vec4f(h) - vec4f(0.0, 1.0, 2.0, 3.0), vec4f(0.0), vec4f(1.0));
+}
+
 // One invocation per column of voxels: each of the samples under it is four quarters, whose heights fill layers. Seen along
-// columns (or rows) what hides is the highest of the quarters that lie one behind the other: the mean of those.
+// columns (or rows) what hides is the highest of the quarters that lie one behind the other: the mean of those. Layers below
+// all of the samples are full and those above them empty; quarters are looked at for the few in between.
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     if (id.x >= level.size.x || id.y >= level.size.y) {
@@ -52,17 +58,34 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let wide = 1 << (u32(level.origin.w) - level.size.w);
     let first = (vec2i(id.xy) + level.origin.xy) * wide;
     let thick = level.height.x * exp2(f32(level.origin.w));
-    let bottom = f32(level.origin.z) * thick;
-    let part = 1.0 / f32(2 * wide);
-    for (var k0 = 0u; k0 < level.size.z; k0 += 16u) {
-        var along: array<f32, 16>;
-        var across: array<f32, 16>;
-        var filled: array<f32, 16>;
-        for (var k = 0; k < 16; k++) {
-            along[k] = 0.0;
-            across[k] = 0.0;
-            filled[k] = 0.0;
+    let layers = f32(level.size.z);
+    // In layers above the first: what lies between two samples does so in height, too.
+    let bottom = f32(level.origin.z) + level.height.y / thick;
+    var lowest = 1e30;
+    var highest = MISSING;
+    for (var row = -1; row <= wide; row++) {
+        for (var col = -1; col <= wide; col++) {
+            let h = height(first + vec2i(col, row));
+            lowest = min(lowest, h);
+            highest = max(highest, h);
         }
+    }
+    if (any(vec2f(first + wide) * exp2(f32(level.size.w)) > vec2f(level.last.xy) + 0.5)) {
+        lowest = MISSING;  // some of it lies beyond the terrain's border
+    }
+    let full = u32(clamp(floor(lowest / thick - bottom) - 0.01, 0.0, layers));
+    let end = u32(clamp(ceil(highest / thick - bottom) + 0.01, 0.0, layers));
+    let place = level.place.xyz + vec3i(vec2i(id.xy), 0);
+    for (var k = 0u; k < full; k++) {
+        textureStore(voxels, place + vec3i(0, 0, i32(k)), vec4f(1.0, 1.0, 1.0, 0.0));
+    }
+    let part = 1.0 / f32(2 * wide);
+    var k0 = full;
+    for (; k0 < end; k0 += 4u) {
+        let base = f32(level.origin.z) + f32(k0);
+        var along = vec4f(0.0);
+        var across = vec4f(0.0);
+        var filled = vec4f(0.0);
         for (var line = 0; line < 2 * wide; line++) {
             var row = MISSING;
             var col = MISSING;
@@ -71,20 +94,17 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
                 let other = select(-1, 1, (i & 1) == 1);
                 let h = between(first + vec2i(i >> 1u, line >> 1u), vec2i(other, side));
                 row = max(row, h);
-                for (var k = 0; k < 16; k++) {
-                    filled[k] += clamp((h - bottom) / thick - f32(k0) - f32(k), 0.0, 1.0) * part * part;
-                }
+                filled += under(h / thick - base);
                 col = max(col, between(first + vec2i(line >> 1u, i >> 1u), vec2i(side, other)));
             }
-            for (var k = 0; k < 16; k++) {
-                along[k] += clamp((row - bottom) / thick - f32(k0) - f32(k), 0.0, 1.0) * part;
-                across[k] += clamp((col - bottom) / thick - f32(k0) - f32(k), 0.0, 1.0) * part;
-            }
+            along += under(row / thick - base);
+            across += under(col / thick - base);
         }
-        for (var k = 0; k < 16; k++) {
-            if (k0 + u32(k) < level.size.z) {
-                textureStore(voxels, level.place.xyz + vec3i(vec2i(id.xy), i32(k0) + k), vec4f(along[k], across[k], filled[k], 0.0));
-            }
+        for (var k = 0u; k < min(4u, level.size.z - k0); k++) {
+            textureStore(voxels, place + vec3i(0, 0, i32(k0 + k)), vec4f(along[k] * part, across[k] * part, filled[k] * part * part, 0.0));
         }
+    }
+    for (var k = k0; k < level.size.z; k++) {
+        textureStore(voxels, place + vec3i(0, 0, i32(k)), vec4f(0.0));
     }
 }
