@@ -44,10 +44,24 @@ def test_silhouettes(run, dem, tmp_path):
     _, bare = rendered(run, dem, tmp_path, *low)
     _, lines = rendered(run, dem, tmp_path, *low, "--silhouettes", "--silhouette-width", "3")
     assert 0.001 < (bare - lines > 20).any(-1).mean() < 0.2
+    drawn = [
+        rendered(run, dem, tmp_path, *low, "--silhouettes", "--silhouette-width", "3", "--creases", heavy)[1]
+        for heavy in ("0.6", "0", "1")
+    ]
+    assert np.array_equal(drawn[0], lines)  # the default
+    inked = [(bare - picture).clip(0).sum() for picture in drawn]
+    assert inked[1] < inked[0] < inked[2]
 
 
 @pytest.mark.parametrize(
-    "options", [("--contours", "0"), ("--contours", "some"), ("--contour-index", "-1"), ("--silhouette-width", "99")]
+    "options",
+    [
+        ("--contours", "0"),
+        ("--contours", "some"),
+        ("--contour-index", "-1"),
+        ("--silhouette-width", "99"),
+        ("--creases", "2"),
+    ],
 )
 def test_what_makes_no_sense_is_refused(run, dem, tmp_path, options):
     code, _, err = run("render", dem, "-o", tmp_path / "p.png", *options)

@@ -10,11 +10,14 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import rasterio
+from affine import Affine
 from scenes import NORTH_UP, ROTATED, hills, terrain
 
 import orograph
 from orograph.errors import NothingInViewError, UsageError
 from orograph.light.sun import Sun, sun_of
+from orograph.picture import cpu
+from orograph.picture.camera import whole
 from orograph.picture.doubts import doubts
 from orograph.picture.memory import BYTES_PER_PIXEL, amount, available, check_memory
 from orograph.picture.scene import Scene
@@ -199,3 +202,16 @@ def test_the_sun_may_be_a_moment(ground):
     for other in pictures[1:]:
         np.testing.assert_array_equal(pictures[0].pixels, other.pixels)
     assert (pictures[0].pixels != orograph.render(ground, size=SIZE, **PLAIN).pixels).any()
+
+
+def test_ground_as_tall_as_planets_are_large_is_drawn_and_needles_are_explained():
+    """Rays go as far as the eye is away; what is thinner than a pixel is not drawn, and says so."""
+    y, x = np.mgrid[:200, :240]
+    tall = (5e8 * np.sin(x / 20) * np.cos(y / 17)).astype(np.float32)
+    broad = terrain(tall, Affine(3e6, 0, 500_000, 0, -3e6, 5_000_000))
+    picture = cpu.draw(Scene(broad, whole(broad, (80, 50)), samples=1))
+    assert np.isfinite(picture.depth).mean() > 0.2 and np.nanmax(picture.depth) > 1e9
+    needle = terrain(tall, Affine(30, 0, 500_000, 0, -30, 5_000_000))
+    with pytest.raises(NothingInViewError, match=r"thinner than a pixel") as said:
+        cpu.draw(Scene(needle, whole(needle, (80, 50)), samples=1))
+    assert said.value.remedy is not None and "--vertical-unit" in said.value.remedy

@@ -31,7 +31,7 @@ class Interval(ParamType):
         return metres
 
 
-LINES = ("contours", "contour_index", "contour_labels", "contour_opacity", "silhouettes", "silhouette_width")
+LINES = ("contours", "contour_index", "contour_labels", "contour_opacity", "silhouettes", "silhouette_width", "creases")
 """Options of lines on the ground."""
 
 LINE_OPTIONS: tuple[Callable[[Any], Any], ...] = (
@@ -67,6 +67,13 @@ LINE_OPTIONS: tuple[Callable[[Any], Any], ...] = (
         metavar="PX",
         help="Of the nearest ones; farther ones are thinner.",
     ),
+    click.option(
+        "--creases",
+        type=click.FloatRange(0, 1),
+        default=0.6,
+        show_default=True,
+        help="How heavy silhouettes are where ground turns away and back but hides nothing; 0: none there.",
+    ),
 )
 """The options themselves."""
 
@@ -89,4 +96,4 @@ def silhouettes_of(options: Mapping[str, Any]) -> Silhouettes | None:
         return None
     from orograph.picture.silhouettes import Silhouettes
 
-    return Silhouettes(options["silhouette_width"])
+    return Silhouettes(options["silhouette_width"], creases=options["creases"])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.colour import linear_to_srgb
 from orograph.parallel import map_ordered
-from orograph.picture.doubts import doubts, looks_like_degrees
+from orograph.picture.doubts import doubts, what_to_do, why_empty
 from orograph.picture.ground import LEAST_MEMORY, Area, Ground, fixed_memory
 from orograph.picture.kept import Kept
 from orograph.picture.memory import check_memory
@@ -121,7 +121,7 @@ def draw(
     with progress.task("Casting rays"):
         survey = Survey.of(ground.rays)
         if survey is None:
-            raise NothingInViewError(_why_empty(scene), path=scene.terrain.name, remedy=_remedy(scene))
+            raise NothingInViewError(why_empty(scene), path=scene.terrain.name, remedy=what_to_do(scene))
         t, window, veil = ground.rays.first(area)
     lap("rays")
     facts["windows"] = [{"level": r.level, "rows": r.row1 - r.row0, "cols": r.col1 - r.col0} for r in ground.windows]
@@ -268,20 +268,3 @@ def pattern(n: int) -> Array:
     g = 1.32471795724474602596
     k = (np.arange(n) - (n - 1) / 2)[:, None]
     return np.asarray((0.5 + k * np.array([1 / g, 1 / g**2])) % 1.0)
-
-
-def _why_empty(scene: Scene) -> str:
-    view, terrain = scene.view, scene.terrain
-    col, row = (float(v) for v in terrain.grid.index(view.eye[0], view.eye[1]))
-    inside = 0 <= col <= terrain.grid.cols - 1 and 0 <= row <= terrain.grid.rows - 1
-    place = "above or under its area" if inside else "outside its area"
-    return (
-        f"Nothing of the terrain is in view: the eye at ({view.eye[0]:.0f}, {view.eye[1]:.0f}, {view.eye[2]:.0f}) is "
-        f"{place} and looks towards ({view.target[0]:.0f}, {view.target[1]:.0f}, {view.target[2]:.0f})."
-    )
-
-
-def _remedy(scene: Scene) -> str:
-    if looks_like_degrees(scene):
-        return 'Do these numbers stand for longitude and latitude? Then add "crs": "EPSG:4326" to the view.'
-    return "Leave the camera options away to see all of it."

@@ -34,6 +34,9 @@ COARSEST = 1000.0
 """Pixels of tolerance beyond which nothing is left to be gained."""
 
 
+FARTHEST = 1e13
+"""Metres that rays go at most."""
+
 FIXED_MEMORY = 300 << 20
 """Bytes a picture takes whatever the terrain: the interpreter and its libraries, maps of light, blocks of samples."""
 
@@ -88,7 +91,7 @@ class Rays:
         self.linear = np.array([[inverse.a, inverse.b, 0.0], [inverse.d, inverse.e, 0.0], [0.0, 0.0, 1.0]])
         self.offset = np.array([inverse.c, inverse.f, 0.0])
         self.spacing = math.sqrt(abs(grid.transform.determinant))
-        self.far = min(view.far, 1e9)
+        self.far = min(view.far, FARTHEST)
 
     def first(self, area: Area) -> tuple[Array, NDArray[np.int8], Array]:
         """Depth, window and veil (see ``Hits``), each (rows, cols), of the rays through the pixel centres of an area of
