@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -202,9 +204,9 @@ def test_a_folder_that_is_not_there(run, hilly, tmp_path):
     assert code == 4 and "folder" in err
 
 
-def test_ctrl_c_leaves_what_was_there(tmp_path):
-    import signal
-
+@pytest.mark.skipif(os.name == "nt", reason="signals")
+@pytest.mark.parametrize(("how", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_ctrl_c_leaves_what_was_there(tmp_path, how, code):
     dem, out = tmp_path / "big.tif", tmp_path / "out.tif"
     z = np.random.default_rng(0).normal(size=(1500, 1500)).cumsum(0).astype(np.float32)
     profile = {"driver": "GTiff", "height": 1500, "width": 1500, "count": 1, "dtype": "float32", "crs": "EPSG:32611"}
@@ -217,9 +219,9 @@ def test_ctrl_c_leaves_what_was_there(tmp_path):
         while not list(tmp_path.glob(".out.tif*")) and time.monotonic() < end and process.poll() is None:
             time.sleep(0.02)
         time.sleep(0.3)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(how)
         _, err = process.communicate(timeout=60)
-    assert process.returncode == 130 and b"interrupted" in err
+    assert process.returncode == code and b"interrupted" in err
     assert out.read_bytes() == b"before" and sorted(p.name for p in tmp_path.iterdir()) == ["big.tif", "out.tif"]
 
 

@@ -6,6 +6,7 @@ import difflib
 import importlib
 import importlib.abc
 import os
+import signal
 import sys
 import traceback
 from pathlib import Path
@@ -96,6 +97,8 @@ def main(argv: list[str] | None = None) -> None:
     general = [a for a in args if a in ("--debug", "--quiet", "-q")]  # allowed anywhere on the line
     args = [*general, *(a for a in args if a not in general)]
     _spare_imports(args)
+    if argv is None and "view" not in args:
+        signal.signal(signal.SIGTERM, _stop)
     try:
         code = cli.main(args=args, prog_name="orograph", standalone_mode=False)
         code = code if isinstance(code, int) else 0
@@ -104,9 +107,9 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(code)
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
-    except (click.exceptions.Abort, KeyboardInterrupt):
+    except (click.exceptions.Abort, KeyboardInterrupt) as error:
         click.echo("\norograph: interrupted", err=True)
-        _leave(130)
+        _leave(143 if isinstance(error.__cause__ or error, Stopped) else 130)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
@@ -129,6 +132,15 @@ def main(argv: list[str] | None = None) -> None:
                 err=True,
             )
         _leave(1)
+
+
+class Stopped(KeyboardInterrupt):
+    """The process was asked to end by the system: a scheduler, a shutdown, ``kill``."""
+
+
+def _stop(signum: int, frame: object) -> None:
+    """End as after Ctrl-C, so that nothing half written is left. (The window's loop ends by itself.)"""
+    raise Stopped
 
 
 def _spare_imports(args: list[str]) -> None:
