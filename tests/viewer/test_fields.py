@@ -59,8 +59,32 @@ def test_ctrl_and_a_quick_click_type_into_a_slider(window, hand, monkeypatch):
     assert window.session.settings.light.azimuth == 123.0
 
 
-@pytest.mark.parametrize("typed", [0.0, -1e30, 1e30, math.inf, -math.inf])
-def test_whatever_is_typed_the_window_goes_on(window, hand, monkeypatch, typed):
+def test_what_is_typed_at_once_into_a_field_is_no_command(window, hand):
+    """Keys come before a frame was drawn that could tell that the field has the keyboard."""
+    hand.rest()
+    imgui.set_window_focus("Layers")
+    hand.frames(4)
+    layers = imgui.internal.find_window_by_name("Layers")
+    wireframe, view = window.session.settings.wireframe, window.session.view
+    hand.press(layers.pos.x + 40, layers.pos.y + 100)  # "any cmap name"
+    hand.release(layers.pos.x + 40, layers.pos.y + 100)
+    for letter in "x1.t":
+        hand.event("key_down", key=letter)
+        hand.event("char", data=letter)
+        hand.event("key_up", key=letter)
+    hand.frames(12)
+    assert window.gui.typing
+    assert window.texts["colormap"] == "x1.t"
+    assert window.session.settings.wireframe == wireframe
+    assert window.session.view == view and not window.session.messages.shown
+    hand.key("Escape")
+    hand.frames(4)
+    hand.key("x")  # over the ground again
+    assert window.session.settings.wireframe != wireframe
+
+
+@pytest.mark.parametrize("typed", [0.0, -1e30, math.inf])
+def test_whatever_is_typed_the_window_goes_on(window, hand, monkeypatch, caplog, typed):
     """Every field of every panel is told a number that no slider has; those that clamp, clamp."""
     settings, touring = window.session.settings, window.touring
     settings.contours, settings.relief, settings.water = Contours(50.0), 1.0, 500.0
@@ -87,11 +111,14 @@ def test_whatever_is_typed_the_window_goes_on(window, hand, monkeypatch, typed):
     monkeypatch.setattr(imgui, "slider_int", clamped(True, 5))
     monkeypatch.setattr(imgui, "drag_float", clamped(False, 6))
     monkeypatch.setattr(imgui, "input_int", lambda *a: (True, int(min(max(typed, -(2**31)), 2**31 - 1))))
-    for name in ("Camera", "Light", "Layers", "Detail", "Tour", "Statistics"):
-        imgui.set_window_focus(name)
-        hand.frames(2)
+    for mode in ("moment", "placed"):
+        settings.light.mode = mode
+        for name in ("Camera", "Light", "Layers", "Detail", "Tour", "Statistics"):
+            imgui.set_window_focus(name)
+            hand.frames(2)
     monkeypatch.undo()
     hand.frames(3)
+    assert not [r.getMessage() for r in caplog.records if r.levelname == "ERROR"]  # rendercanvas logs what frames raise
     assert math.isfinite(settings.light.azimuth) and -90 <= settings.light.altitude <= 90
     assert 0 < settings.exaggeration <= 100
     assert np.isfinite(window.session.view.eye).all()

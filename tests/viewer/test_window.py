@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import numpy as np
@@ -172,6 +173,75 @@ def test_a_device_that_is_really_lost_is_opened_anew(dem, monkeypatch, when):
         after = hand.frames(3)
         assert np.abs(after.astype(int) - before).mean() < 3  # panels, their letters, the plan and the ground
         assert not [m.text for m in session.messages.shown if m.error]
+    window.canvas.close()
+    window.gui.close()
+
+
+def test_panels_go_on_while_the_renderer_is_made_on_a_new_device(dem, monkeypatch):
+    from orograph.gpu import device as devices
+
+    monkeypatch.setattr(devices, "_OPEN", {})
+    held, made = threading.Event(), []
+    plain = renderer_of(64 << 20)
+
+    def make(device, terrain):
+        if made:
+            assert held.wait(120)
+        made.append(device)
+        return plain(device, terrain)
+
+    session = Session(prepare([str(dem)]), size=(640, 480), tolerance=4.0)
+    window = Window(session, RenderCanvas(size=(900, 600)), make)
+    hand = Hand(window)
+    hand.rest()
+    first = window.device
+    first.handle.destroy()
+    hand.key("n")
+    hand.until(lambda: window.device is not first)
+    told = [m.text for m in session.messages.shown]
+    shown = hand.frames(3)
+    assert len(made) == 1 and window.drawing.coming and not window.drawing.done
+    assert any("made ready for a new device" in text for text in told)
+    panels = shown[:, int(window.area[0] + window.area[2]) + 2 :]
+    assert panels.std() > 10 and np.median(shown[100:400, 50:300]) < 40  # panels are drawn, the ground is not yet
+    held.set()
+    hand.rest()
+    assert len(made) == 2 and not window.drawing.coming
+    ground = hand.frames(2)
+    assert ground[:, : int(window.area[2])].std() > 15 and np.median(ground[100:400, 50:300]) > 60
+    assert not any("made ready" in m.text for m in session.messages.shown)
+    window.canvas.close()
+    window.gui.close()
+
+
+def test_no_new_device_is_told_and_tried_again(dem, monkeypatch):
+    from orograph.gpu import device as devices
+    from orograph.viewer import drawing, reopening
+
+    monkeypatch.setattr(devices, "_OPEN", {})
+    monkeypatch.setattr(drawing, "RETRY", 0.05)
+    session = Session(prepare([str(dem)]), size=(640, 480), tolerance=4.0)
+    window = Window(session, RenderCanvas(size=(900, 600)), renderer_of(64 << 20))
+    hand = Hand(window)
+    hand.rest()
+    opened, tried = reopening.open_device, []
+
+    def none_at_first(adapter):
+        tried.append(adapter)
+        if len(tried) < 3:
+            raise RuntimeError("There is no GPU.")
+        return opened(adapter)
+
+    monkeypatch.setattr(reopening, "open_device", none_at_first)
+    first = window.device
+    first.handle.destroy()
+    hand.key("n")
+    hand.until(lambda: len(tried) > 1)
+    assert any("not to be had again: There is no GPU." in m.text for m in session.messages.shown)
+    hand.until(lambda: window.device is not first)
+    hand.rest()
+    assert hand.frames(2)[:, : int(window.area[2])].std() > 15
+    assert not [m.text for m in session.messages.shown if m.error]
     window.canvas.close()
     window.gui.close()
 

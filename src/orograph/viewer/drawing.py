@@ -7,15 +7,17 @@ stays, and drawing is tried again when something changes or after ``RETRY`` seco
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
 from orograph.errors import OrographError
-from orograph.gpu.device import Device, open_device
+from orograph.gpu.device import Device
 from orograph.picture.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.view import View
+from orograph.viewer.reopening import Coming
 from orograph.viewer.screen import TOO_SLOW, Draft, Screen
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ PATIENCE = 0.4
 """Seconds of rest after which a slow device makes a picture smoother."""
 
 UNREAD = "A part of the picture cannot be read:"
+RENEWING = "The GPU was lost; the terrain is being made ready for a new device."
 
 
 class Drawer(Protocol):
@@ -78,11 +81,12 @@ class Drawing:
         self._drawn_at = 0.0
         self._trouble = self._making = ""
         self._empty = False
+        self._coming: Coming | None = None
 
     @property
     def eager(self) -> bool:
         """Whether the next frame should come at once: there is more to be seen, and the device is quick."""
-        return not (self._resting or self._patient)
+        return not (self._resting or self._patient or self.coming)
 
     @property
     def done(self) -> bool:
@@ -109,6 +113,8 @@ class Drawing:
 
     def draw(self, scale: float, now: float) -> None:
         """Draw the terrain if its picture would be another one; ``scale``: of the picture's size."""
+        if self.coming:
+            return
         session, settings = self.window.session, self.window.session.settings
         state: tuple[Any, ...] = ()
         try:
@@ -163,6 +169,9 @@ class Drawing:
         Raises:
             OrographError: a tile cannot be had.
         """
+        if self._coming is not None:  # what is saved may take its time
+            self._coming.join()
+            self.ready()
         scene, settings = self.window.session.scene(), self.window.session.settings
         self.screen.prepare(scene.view.width, scene.view.height)
         self.renderer.draw(
@@ -193,23 +202,58 @@ class Drawing:
         """Whether an error says that the device was lost."""
         return self.window.device.lost is not None or "lost" in str(error).lower()
 
+    @property
+    def coming(self) -> bool:
+        """Whether the device was lost, and a thread makes the renderer on a new one."""
+        return self._coming is not None
+
     def reopen(self) -> None:
-        """Begin again on a new device."""
-        window = self.window
+        """Begin again on a new device, which a thread opens."""
+        window, new = self.window, self._coming
+        if new is not None and new.device is not window.device:
+            return  # the same loss, heard of again
         with contextlib.suppress(Exception):  # it is lost anyway
             self.renderer.close()
+            window.context.unconfigure()  # lets go of textures of the lost device: nothing is to be shown of them
+        window.device.lost = window.device.lost or "lost while drawing"
+        self._scene, self._resting = None, False
+        scene, overlay, format = None, None, self.screen.format
+        with contextlib.suppress(Exception):  # the first frame says what is wrong with it
+            scene, overlay = window.session.scene(), window.session.settings.overlay()
+
+        def prepare(renderer: Any) -> None:
+            if scene is not None and hasattr(renderer, "prepare"):
+                renderer.prepare(format, scene, overlay=overlay)
+
+        self._coming = Coming(window.adapter, window.session.terrain, self.make, prepare, window.refresh)
+        self.renderer = self._coming
+
+    def ready(self) -> bool:
+        """Whether there is a device to draw panels with: takes what was made of a new one since the last frame."""
+        window, new = self.window, self._coming
+        if new is None:
+            return True
         try:
-            window.device.lost = window.device.lost or "lost while drawing"
-            window.device = open_device(window.adapter)
-            window.context.unconfigure()  # lets go of textures of the lost one
-            window.context.configure(device=window.device.handle, format=self.screen.format)
-            self.renderer = self.make(window.device, window.session.terrain)
-            self.screen = Screen(window.device, self.screen.format)
-            window.gui.rebuild(window.device, self.screen.format)
-            window.plan.forget_texture()
+            if new.device is not None and new.device is not window.device:
+                window.device = new.device
+                window.context.configure(device=window.device.handle, format=self.screen.format)
+                self.screen = Screen(window.device, self.screen.format)
+                window.gui.rebuild(window.device, self.screen.format)
+                window.plan.forget_texture()
+                window.session.messages.say(RENEWING)
+            if new.error is not None:
+                raise new.error
         except Exception as error:
-            self.failed = time.perf_counter()
+            self._coming, self.failed = None, time.perf_counter()
+            window.device.lost = window.device.lost or "not to be drawn with"
             window.session.messages.say(f"The GPU was lost and is not to be had again: {error}", error=True)
-        else:
-            self._scene = None
+            again = threading.Timer(RETRY, window.refresh)
+            again.daemon = True
+            again.start()
+            return False
+        if new.renderer is not None:
+            self.renderer, self._coming = new.renderer, None
+            window.session.messages.drop(RENEWING)
             window.session.messages.say("The GPU was lost; drawing goes on with a new device.")
+            window.touch()
+        return new.device is not None

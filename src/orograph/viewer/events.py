@@ -21,6 +21,7 @@ class Events:
     def __init__(self, window: Window) -> None:
         self.window = window
         self._keys = {(b.key, b.control): b for b in bindings()}
+        self._later: list[dict[str, Any]] = []
         for handler, *kinds in (
             (self._on_pointer, "pointer_move", "pointer_down", "pointer_up", "double_click", "wheel"),
             (self._on_leave, "pointer_leave"),
@@ -49,7 +50,9 @@ class Events:
         over = self.window.gui.over(x, y)
         if kind == "pointer_down":
             self.window.gui.button(event["button"], True)
-            if not over:
+            if over:
+                self.window.gui.pressed()
+            else:
                 nav.press(event["button"], px, py, event["modifiers"])
         elif kind == "wheel":
             self.window.gui.wheel(event["dx"] / 100.0, -event["dy"] / 100.0)
@@ -67,11 +70,31 @@ class Events:
         self.window.touch()
 
     def _on_key(self, event: dict[str, Any]) -> None:
-        down, key, modifiers = event["event_type"] == "key_down", event["key"], event["modifiers"]
-        nav = self.window.session.nav
         self.window.touch()
-        self.window.gui.key(key, down)
-        if not down:
+        self.window.gui.key(event["key"], event["event_type"] == "key_down")
+        self._later.append(event)
+        self.decide()
+
+    def _on_text(self, event: dict[str, Any]) -> None:
+        self.window.touch()
+        self.window.gui.text(_text(event))
+        self._later.append(event)
+        self.decide()
+
+    def decide(self) -> None:
+        """Do what keys ask for that are not a text field's; called at every frame, as those wait that follow a press on
+        a panel before it is drawn."""
+        while self._later and not self.window.gui.undecided:
+            event = self._later.pop(0)
+            if event["event_type"] != "char":
+                self._key(event)
+            elif _text(event) == "?" and not self.window.gui.typing:
+                commands.toggle_help(self.window)
+
+    def _key(self, event: dict[str, Any]) -> None:
+        key, modifiers = event["key"], event["modifiers"]
+        nav = self.window.session.nav
+        if event["event_type"] != "key_down":
             nav.key_up(key, modifiers)
             return
         if self.window.gui.typing and key != "Escape":
@@ -84,13 +107,11 @@ class Events:
         else:
             nav.key_down(key, modifiers)
 
-    def _on_text(self, event: dict[str, Any]) -> None:
-        text = event.get("data") or event.get("char_str") or ""
-        self.window.gui.text(text)
-        if text == "?" and not self.window.gui.typing:
-            commands.toggle_help(self.window)
-        self.window.touch()
-
     def _on_close(self, event: dict[str, Any]) -> None:
         self.window.session.close()
         self.window.drawing.renderer.close()
+
+
+def _text(event: dict[str, Any]) -> str:
+    """What was typed."""
+    return event.get("data") or event.get("char_str") or ""

@@ -20,6 +20,9 @@ from orograph.gpu.device import Device
 FONT = 15.0
 """Logical pixels."""
 
+FRAMES = 3
+"""Frames after which a pressed text field has the keyboard."""
+
 INK = (0.93, 0.94, 0.95, 1.0)
 PAPER = (0.105, 0.115, 0.13, 0.94)
 ACCENT = (0.35, 0.62, 0.86, 1.0)
@@ -56,6 +59,7 @@ class Gui:
         self._later: list[tuple[Callable[[], None], bool | None]] = []
         """What is told, and whether of a button; None: of neither button nor pointer."""
         self._fresh_pointer = False
+        self._expecting = 0
         self.raised: list[str] = []
         """Panels to be brought to the top of their stacks, one a frame."""
         if clipboard is not None:
@@ -131,6 +135,15 @@ class Gui:
         """Whether something waits for a frame to be told."""
         return bool(self._later)
 
+    @property
+    def undecided(self) -> bool:
+        """Whether a press on a panel was not yet drawn: it may have been on a text field, whose keys come."""
+        return self._expecting > 0
+
+    def pressed(self) -> None:
+        """A button went down over a panel."""
+        self._expecting = FRAMES
+
     def wheel(self, dx: float, dy: float) -> None:
         """The wheel turns, in notches."""
         self._then(partial(self._io().add_mouse_wheel_event, dx, dy))
@@ -189,6 +202,7 @@ class Gui:
         io.delta_time = max(seconds, 1e-4)
         imgui.new_frame()
         self._fresh_pointer = False
+        self._expecting -= bool(self._expecting and not self._later)
 
     def end(self) -> Any:
         """End the frame; what is to be drawn."""

@@ -71,10 +71,6 @@ class Messages:
         """Drop those that begin so."""
         self.shown = [m for m in self.shown if not beginning or not m.text.startswith(beginning)]
 
-    def drop(self, beginning: str) -> None:
-        """Drop those that begin so."""
-        self.shown = [m for m in self.shown if not beginning or not m.text.startswith(beginning)]
-
     def dismiss(self, message: Message) -> None:
         """Drop one."""
         self.shown = [m for m in self.shown if m is not message]

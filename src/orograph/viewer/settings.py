@@ -15,6 +15,7 @@ from typing import Any, Literal
 from orograph.errors import OrographError, UsageError
 from orograph.geovis.layers import Layer
 from orograph.gpu.frame import Normals
+from orograph.light.aperture import Lamp
 from orograph.light.sun import Moment, Placed, Sun, SunSource, place
 from orograph.picture.contours import Contours
 from orograph.picture.scene import Light as Way
@@ -127,7 +128,8 @@ class Settings:
         exaggeration, shadows, colormap, layers, water, sky, relief, tolerance: as in ``Scene``.
         painted: a layer above all others for as long as a tool shows its result, or None.
         wireframe, levels: as in ``gpu.frame.Overlay``. contours, silhouettes: as in ``Scene``; a window's labels fade.
-        way: how light falls, as in ``Scene.light`` but for rays. occlusion: strength of what screen space darkens.
+        way: how light falls, as ``Scene.light``. rays, lamps, discs: as in ``Scene``; the last two shine where ``way``
+            knows them. occlusion: strength of what screen space darkens.
         budget: triangles to keep near instead of a tolerance, or None.
         engine: as in ``Scene``: which method makes the mesh; None: batched patches, the window's own.
         normals: as in ``gpu.frame.Overlay``.
@@ -151,6 +153,9 @@ class Settings:
     contours: Contours | None = None
     silhouettes: Silhouettes | None = None
     way: Way = "relief"
+    rays: int = 64
+    lamps: tuple[Lamp, ...] = ()
+    discs: tuple[tuple[Sun, tuple[float, float, float]], ...] = ()
     occlusion: float = 0.0
     engine: str | None = None
     normals: Normals = "computed"
@@ -166,12 +171,14 @@ class Settings:
         """
         west, south, east, north = terrain.grid.bounds()
         low, high = terrain.height_range
+        shining = self.way in ("aperture", "raytraced")
         near = max(view.eye[2] - (low + high) / 2, 0.0) * self.exaggeration if math.isfinite(low) else 0.0
         return Scene(
             terrain, view, self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
             colormap=self.colormap, layers=self.stack, sky=self.sky, water=self.water,
             contours=self.contours and replace(self.contours, fading=True), silhouettes=self.silhouettes,
             relief=self.relief, tolerance=self.tolerance, light=self.way, engine=self.engine,
+            rays=self.rays, lamps=self.lamps if shining else (), discs=self.discs if shining else (),
             depths=(near, near + HAZE * math.hypot(east - west, north - south)),
         )  # fmt: skip
 

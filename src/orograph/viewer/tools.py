@@ -27,7 +27,7 @@ from orograph.geovis import measure
 from orograph.geovis.layers import Layer
 from orograph.progress import Progress, Task
 from orograph.view import Point
-from orograph.viewer.panels.tips import beside
+from orograph.viewer.panels.tips import CLAMPED, beside
 from orograph.viewer.results import KINDS, Kind, paint, rows, save, save_rgba
 from orograph.viewer.traces import trace
 
@@ -278,13 +278,13 @@ class Tools:
         for name in ("eye", "target"):
             if name == "target":
                 beside(FIELD + imgui.calc_text_size(name).x)
-            moved, value = imgui.drag_float(name, getattr(self, name), 0.1, 0.0, 10_000.0, "%.1f m")
+            moved, value = imgui.drag_float(name, getattr(self, name), 0.1, 0.0, 10_000.0, "%.1f m", CLAMPED)
             if moved:
                 setattr(self, name, value)
             changed |= imgui.is_item_deactivated_after_edit()
         if self.kind == "viewshed":
             beside(FIELD + imgui.calc_text_size("radius").x)
-            flags = imgui.SliderFlags_.logarithmic
+            flags = CLAMPED | imgui.SliderFlags_.logarithmic
             moved, value = imgui.drag_float("radius", self.radius, 100.0, 100.0, 500_000.0, "%.0f m", flags)
             if moved:
                 self.radius = value

@@ -336,6 +336,8 @@ class Touring:
             words.append("--no-shadows")
         if settings.way != "relief":
             words += ["--light", settings.way]
+        if settings.way == "raytraced":
+            words += ["--rays", str(settings.rays)]
         if settings.water is None:
             words += ["--water", "none"]
         return shlex.join(words)

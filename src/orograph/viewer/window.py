@@ -147,7 +147,9 @@ class Window:
     # ---- frames --------------------------------------------------------------------------------------------------
 
     def _frame(self) -> None:
-        """A frame; where the device is lost in the middle of one, the next is drawn on another."""
+        """A frame; where the device is lost in the middle of one, a later one is drawn on another."""
+        if not self.drawing.ready():
+            return
         try:
             self.drawing.check()
             self._draw()
@@ -174,15 +176,15 @@ class Window:
             self._was_moving = False
         self._pending = max(self._pending - 1, 0)
         size = self.canvas.get_physical_size()
+        self.events.decide()
         self.gui.begin(self.canvas.get_logical_size(), self.ratio, min(max(passed, 1 / 240), 0.1))
         try:
             self._panels()
         finally:
             panels_drawn = self.gui.end()
         settled = now - self._moved > SETTLED
-        device = self.device
         self.drawing.draw(1.0 if settled else self.drawing.draft.scale, now)
-        if self.device is not device:  # what panels were drawn with is lost, too
+        if self.device.lost is not None:  # what panels were drawn with is lost, too
             self.touch()
             return
         self.compose(self.context.get_current_texture().create_view(), size, panels_drawn)

@@ -17,7 +17,7 @@ from orograph.geovis.laying import Laid
 from orograph.picture.contours import Contours
 from orograph.picture.kept import Kept
 from orograph.picture.silhouettes import Silhouettes
-from orograph.viewer.panels.tips import path_of
+from orograph.viewer.panels.tips import CLAMPED, path_of
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -29,9 +29,6 @@ COLOURS = (
 WATERS = ("auto", "none", "level")
 FLATTEST, STEEPEST = 0.01, 100.0
 """Exaggerations beyond which nothing is to be seen."""
-
-CLAMPED = imgui.SliderFlags_.always_clamp
-"""What is typed into a slider (Ctrl + click) keeps within it."""
 
 
 def draw(window: Window) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from imgui_bundle import imgui
 
 from orograph.picture.scene import Light
+from orograph.viewer.panels.tips import CLAMPED
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -21,9 +22,6 @@ WAYS: tuple[tuple[str, Light], ...] = (
     ("none", "none"),
 )
 """How light falls (``Scene.light``): baked layers of the store are used where there are some; rays gather at rest."""
-
-CLAMPED = imgui.SliderFlags_.always_clamp
-"""What is typed into a slider (Ctrl + click) keeps within it."""
 
 
 def draw(window: Window) -> None:

@@ -6,6 +6,9 @@ from pathlib import Path
 
 from imgui_bundle import imgui
 
+CLAMPED = imgui.SliderFlags_.always_clamp
+"""What is typed into a slider (Ctrl + click) keeps within it."""
+
 
 def tip(text: str) -> None:
     """A tool tip on the last item, also where it is disabled."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from imgui_bundle import imgui
 
 from orograph.light.sun import Placed
-from orograph.viewer.panels.tips import path_of, tip
+from orograph.viewer.panels.tips import CLAMPED, path_of, tip
 from orograph.viewer.touring import SHORTEST
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def _scrub(touring: Touring) -> None:
     duration = touring.duration
     imgui.set_next_item_width(-1)
     moved, time = imgui.slider_float(
-        "##time", min(touring.time, duration), 0.0, max(duration, 1e-3), f"%.1f of {duration:.1f} s"
+        "##time", min(touring.time, duration), 0.0, max(duration, 1e-3), f"%.1f of {duration:.1f} s", CLAMPED
     )
     if moved:
         touring.playing = False
@@ -72,7 +72,7 @@ def _stops(touring: Touring) -> None:
             imgui.push_id(k)
             imgui.table_next_column()
             imgui.set_next_item_width(-1)
-            moved, value = imgui.drag_float("##at", time, 0.05, 0.0, 36_000.0, "%.1f s")
+            moved, value = imgui.drag_float("##at", time, 0.05, 0.0, 36_000.0, "%.1f s", CLAMPED)
             if moved:
                 change = touring.retime, (k, value)
             tip("When the camera is here; later stops follow. Drag, or double-click to type.")
@@ -126,10 +126,10 @@ def _chosen(touring: Touring, k: int) -> None:
     key = stop.key
     last = k == len(touring.stops) - 1 and not touring.loop
     if not last:
-        moved, leg = imgui.drag_float("to the next", stop.leg, 0.05, SHORTEST, 3600.0, "%.1f s")
+        moved, leg = imgui.drag_float("to the next", stop.leg, 0.05, SHORTEST, 3600.0, "%.1f s", CLAMPED)
         if moved:
             stop.leg = max(leg, SHORTEST)
-    moved, hold = imgui.drag_float("stay here", key.hold, 0.05, 0.0, 3600.0, "%.1f s")
+    moved, hold = imgui.drag_float("stay here", key.hold, 0.05, 0.0, 3600.0, "%.1f s", CLAMPED)
     if moved:
         touring.change(k, hold=max(hold, 0.0))
     if not last:
@@ -160,7 +160,7 @@ def _whole(touring: Touring) -> None:
     if moved:
         touring.above_ground = 50.0 if above else None
     if touring.above_ground is not None:
-        moved, metres = imgui.drag_float("metres above", touring.above_ground, 1.0, 0.0, 10_000.0, "%.0f m")
+        moved, metres = imgui.drag_float("metres above", touring.above_ground, 1.0, 0.0, 10_000.0, "%.0f m", CLAMPED)
         if moved:
             touring.above_ground = max(metres, 0.0)
 
