@@ -36,9 +36,18 @@ def test_a_screen_that_does_not_answer():
     assert "Traceback" not in done.stderr
 
 
-def test_contradictions_are_found_first():
-    done = run("no-such-file.tif", "--from", "20", "--lonlat", "1,2,3")
-    assert done.returncode == 2
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--from", "20", "--lonlat", "1,2,3"),
+        ("--disc", "120,30,20"),
+        ("--light", "ao", "--light-at", "-72,44,900,400"),
+        ("--light", "aperture", "--disc", "120,30,20,1"),
+        ("--light", "raytraced", "--rays", "0"),
+    ],
+)
+def test_contradictions_are_found_first(words: tuple[str, ...]):
+    assert run("no-such-file.tif", *words).returncode == 2
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems always have a screen")
@@ -50,5 +59,6 @@ def test_no_display_comes_before_the_file():
 def test_help():
     done = run("--help")
     assert done.returncode == 0
-    for option in ("--screenshot", "--gpu-memory", "--memory", "--adapter", "--view", "--sun", "--tolerance"):
+    for option in ("--screenshot", "--gpu-memory", "--memory", "--adapter", "--view", "--sun", "--tolerance", "--rays",
+                   "--light-at", "--disc"):  # fmt: skip
         assert option in done.stdout

@@ -8,11 +8,12 @@ names of ``light.products.Options``, or of what its ``more`` holds (``MORE``).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
-F = TypeVar("F", bound=Callable[..., Any])
+from orograph.cli.lights import rays_option
+from orograph.cli.options import F
 
 MORE = ("rho", "method", "cones", "date", "step", "turbidity")
 """Options of single products, of which only those given are passed on."""
@@ -124,7 +125,7 @@ def ray_options(methods: Sequence[str], method: str, rays: str) -> Callable[[F],
     def give(function: F) -> F:
         return _with(
             function,
-            click.option("--rays", type=click.IntRange(min=1), default=256, show_default=True, help=rays),
+            rays_option(256, rays),
             click.option(
                 "--rho",
                 type=click.Choice(["step", "linear"]),

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.camera import Numbers
 from orograph.cli.engines import engine_option
 from orograph.cli.layers import layers_of_options, layers_option
+from orograph.cli.lights import check_lights, light_options, lights_of
 from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
 from orograph.cli.options import FILE, F, ParamType, grid_options
 from orograph.cli.suns import sun_option
@@ -40,8 +40,6 @@ class Water(ParamType):
             self.fail(f"{value!r} is neither auto, none nor a level in metres.", param, ctx)
 
 
-LIGHTS = ("relief", "ao", "aperture", "raytraced", "none")  # orograph.picture.scene.Light, without importing it
-
 SCENE = ("shadows", "light", "rays", "exaggeration", "colormap", "sky", "relief", "samples", "tolerance",
          "engine", "triangles", "metric", "wireframe", "furniture", "title")  # fmt: skip
 """Options that are a scene's attributes of the same name."""
@@ -55,40 +53,7 @@ def scene_options(function: F) -> F:
     for option in reversed(
         [
             sun_option(),
-            click.option(
-                "--shadows/--no-shadows", default=True, show_default=True, help="Whether the ground casts shadows."
-            ),
-            click.option(
-                "--light",
-                type=click.Choice(LIGHTS),
-                default="relief",
-                show_default=True,
-                help="How light falls: relief: shadows by the skyline, a sky-view factor for the sky; ao: ambient "
-                "occlusion; aperture: ambient apertures; raytraced: rays to the sun's disc and to the sky; none: bare "
-                "colours. What orograph bake has put into a store is used.",
-            ),
-            click.option(
-                "--rays",
-                type=click.IntRange(min=1),
-                default=64,
-                show_default=True,
-                help="With --light raytraced: to each disc of light, and to the sky.",
-            ),
-            click.option(
-                "--light-at",
-                "lamps",
-                type=Numbers("LON", "LAT", "HEIGHT", "REACH", "RED", "GREEN", "BLUE", optional=3),
-                multiple=True,
-                help="A lamp, HEIGHT metres above the heights' own zero, as bright as a sun REACH metres away; its "
-                "colour from 0 to 1. Needs --light aperture or raytraced; give it again for each.",
-            ),
-            click.option(
-                "--disc",
-                "discs",
-                type=Numbers("AZ", "ALT", "DIAMETER", "RED", "GREEN", "BLUE", optional=3),
-                multiple=True,
-                help="Another distant disc of light, so many degrees across. Needs --light aperture or raytraced.",
-            ),
+            light_options,
             click.option(
                 "--exaggeration",
                 type=float,
@@ -184,10 +149,7 @@ def check_scene(options: Mapping[str, Any], progress: Progress) -> None:
         raise UsageError("--mesh-view is what an engine refines for.", remedy="Choose one, such as --engine soar.")
     colour_table(options["colormap"])
     layers_of_options(options)
-    for name, colours in (("--light-at", [lamp[4:] for lamp in options["lamps"]]),
-                          ("--disc", [disc[3:] for disc in options["discs"]])):  # fmt: skip
-        if any(len(colour) not in (0, 3) for colour in colours):
-            raise UsageError(f"{name} has no colour, or one of three numbers.")
+    check_lights(options)
     if options["title"] is not None and not options["furniture"]:
         progress.warn("--title is drawn with --furniture only.")
 
@@ -198,7 +160,7 @@ def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memor
     from orograph.view import View
 
     mesh_view = options["mesh_view"]
-    lamps, discs = _lights(terrain, options)
+    lamps, discs = lights_of(terrain, options)
     return Scene(
         terrain, view, options["sun"].over(terrain.grid),
         mesh_view=None if mesh_view is None else View.load(mesh_view, crs=terrain.grid.crs),
@@ -207,20 +169,3 @@ def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memor
         lamps=lamps, discs=discs,
         **{k: options[k] for k in SCENE},
     )  # fmt: skip
-
-
-def _lights(terrain: Terrain, options: Mapping[str, Any]) -> tuple[Any, Any]:
-    """The lamps and the further discs of light of a scene."""
-    if not (options["lamps"] or options["discs"]):
-        return (), ()
-    from orograph.light.aperture import Lamp
-    from orograph.light.sun import Sun
-    from orograph.picture.camera import place
-
-    white = (1.0, 1.0, 1.0)
-    lamps = [
-        Lamp.at(terrain.grid, *place(terrain, lon, lat), height, reach, tuple(colour) or white)
-        for lon, lat, height, reach, *colour in options["lamps"]
-    ]
-    discs = [(Sun(*disc[:3]), disc[3:] or white) for disc in options["discs"]]
-    return tuple(lamps), tuple(discs)

@@ -10,9 +10,10 @@ import click
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
 from orograph.cli.engines import engine_option
 from orograph.cli.layers import layers_of_options, layers_option
+from orograph.cli.lights import check_lights, light_options, lights_of
 from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
 from orograph.cli.options import Bytes, F, grid_options, jobs_option, progress_of, source_options, vertical_options
-from orograph.cli.scenes import LIGHTS, Water
+from orograph.cli.scenes import Water
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 WINDOW = (1280, 800)
 OWN = {*CAMERA, *LINES, "sun", "exaggeration", "tolerance", "colormap", "layers", "adapter", "light", "shadows",
-       "water", "engine"}  # fmt: skip
+       "rays", "lamps", "discs", "water", "engine"}  # fmt: skip
 """What is said about the window; all other options are about reading."""
 
 
@@ -46,10 +47,7 @@ def _line_options(function: F) -> F:
 )
 @click.option("--colormap", metavar="NAME", help="Colours of heights.  [default: alpine]")
 @layers_option
-@click.option(
-    "--light", type=click.Choice(LIGHTS), default="relief", show_default=True, help="How light falls: see render."
-)
-@click.option("--shadows/--no-shadows", default=True, show_default=True, help="Whether the ground casts shadows.")
+@light_options
 @click.option(
     "--water", type=Water(), metavar="auto|none|METRES", default="auto", show_default=True, help="See render."
 )
@@ -97,6 +95,7 @@ def command(
     hurry()
     progress = progress_of(ctx)
     check_camera(options)
+    check_lights(options)
     if options["projection"] == "plan" and options["view_path"] is None:
         options["projection"] = "perspective"  # the window turns it straight down
         options["pitch"] = 90.0
@@ -119,7 +118,7 @@ def command(
     more = {
         "way": options["light"], "shadows": options["shadows"], "contours": contours_of(options),
         "silhouettes": silhouettes_of(options), "water": None if options["water"] == "none" else options["water"],
-        "engine": None if options["engine"] == "batched" else options["engine"],
+        "engine": None if options["engine"] == "batched" else options["engine"], "rays": options["rays"],
     }  # fmt: skip
     if screenshot is not None:
         if Path(screenshot).suffix.lower() != ".png":
@@ -132,6 +131,7 @@ def command(
     if len(paths) > 1 or not is_store(paths[0]):
         settle()  # what is built may take long, and is held to a budget of memory
     terrain = prepare(list(paths), max_memory=memory, jobs=jobs, progress=progress, **source)
+    more["lamps"], more["discs"] = lights_of(terrain, options)
     with progress.task("Looking at the terrain"):
         session = Session(
             terrain, _view(terrain, options, size), size=size, sun=options["sun"],
