@@ -63,13 +63,19 @@ def test_both_backends_draw_the_same_lines_and_labels(device: Device, terrain: T
     assert marked.mean() > 0.03 and apart[marked].mean() < 3.0, apart[marked].mean()
 
 
-def test_both_backends_draw_the_same_silhouettes(device: Device, terrain: Terrain) -> None:
+@pytest.mark.parametrize("engine", [None, "soar"])
+def test_both_backends_draw_the_same_silhouettes(device: Device, terrain: Terrain, engine: str | None) -> None:
+    """On a mesh, too, whose creases are those of the terrain."""
     scene = scenes(terrain)["slanted"]
     low = replace(scene.view, eye=(scene.view.eye[0], scene.view.eye[1], 1500.0))
-    scene = replace(scene, view=low, contours=None, silhouettes=Silhouettes(2.5))
+    scene = replace(scene, view=low, contours=None, silhouettes=Silhouettes(2.5, creases=1.0), engine=engine)
+    if engine is not None:
+        scene = replace(scene, tolerance=6.0, light="none")
     cpu, gpu, bare = draw_cpu(scene), draw_gpu(scene, device=device), draw_cpu(replace(scene, silhouettes=None))
     apart = np.linalg.norm(lab(cpu.pixels) - lab(gpu.pixels), axis=-1)
     assert apart.mean() < 1.0 and np.quantile(apart, 0.95) < 3.0, (apart.mean(), np.quantile(apart, 0.95))
+    if engine is not None:
+        assert (apart > 8).mean() < 5e-4, (apart > 8).mean()
     lines = np.linalg.norm(lab(bare.pixels) - lab(cpu.pixels), axis=-1) > 8
     assert lines.mean() > 0.002 and apart[lines].mean() < 5.0, (lines.mean(), apart[lines].mean())
 

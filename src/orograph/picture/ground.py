@@ -161,7 +161,8 @@ class Ground:
     """The caster and relief a scene needs, loaded within its budget of memory.
 
     Attributes:
-        relief: of the surface that light falls on. drawn: of the surface that rays meet.
+        relief: of the surface that light falls on. drawn: of the surface that rays meet. own: of a mesh with silhouettes,
+            of the terrain itself, whose creases it has; else as relief.
         bare: the scene; of a mesh, that of the terrain itself, whose tint, water and strength of relief it has, too.
         under: of a mesh with contour lines, the ground of the terrain itself, which those are of; else None.
     """
@@ -178,7 +179,7 @@ class Ground:
         )
         means = rectangles(terrain, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
         self.relief = kept("relief", tuple(means), lambda: Relief.load(terrain, means, jobs), terrain)
-        self.drawn = self.relief
+        self.drawn = self.own = self.relief
         over = None
         if terrain.valid_fraction < 1:
             found = kept("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
@@ -209,6 +210,11 @@ class Ground:
             half = (scene.max_memory + fixed_memory(scene)) // 2 if both and scene.max_memory else scene.max_memory
             ground = cls.load(replace(scene, contours=None, max_memory=half), surface, kept)
             ground.bare = bare
+            if scene.silhouettes is not None and scene.terrain is not bare.terrain:
+                means = rectangles(bare.terrain, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
+                ground.own = kept(
+                    "own relief", tuple(means), lambda: Relief.load(bare.terrain, means, scene.jobs), bare.terrain
+                )
             if not both:
                 return ground
             ground.under = cls.load(replace(bare, max_memory=half), None, kept)
