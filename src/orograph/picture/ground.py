@@ -161,8 +161,8 @@ class Ground:
     """The caster and relief a scene needs, loaded within its budget of memory.
 
     Attributes:
-        relief: of the surface that light falls on. drawn: of the surface that rays meet. own: of a mesh with silhouettes,
-            of the terrain itself, whose creases it has; else as relief.
+        relief: of the surface that light falls on. drawn: of the surface that rays meet. own: of a mesh with
+            silhouettes, of the terrain itself, whose creases it has; else as relief.
         bare: the scene; of a mesh, that of the terrain itself, whose tint, water and strength of relief it has, too.
         under: of a mesh with contour lines, the ground of the terrain itself, which those are of; else None.
     """
