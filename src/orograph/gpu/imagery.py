@@ -113,6 +113,7 @@ class Imagery:
         self._known: set[Layer] = set()
         self._asked: set[tuple[Layer, int]] = set()
         self._none: tuple[Any, Any] | None = None
+        self._came: list[Array] = []
 
     def prepare(
         self, layers: Sequence[Layer], view: View, exaggeration: float, *, wait: bool = False
@@ -130,6 +131,7 @@ class Imagery:
             ReadError: with ``wait``, a layer or one of its tiles cannot be read.
         """
         self.missing = self.loaded = 0
+        self._came.clear()
         seen = drawn(layers)
         if not seen and not self._held:
             return 0
@@ -195,6 +197,11 @@ class Imagery:
         """Warnings that have not been told yet."""
         new, self.warnings = self.warnings, []
         return new
+
+    @property
+    def areas(self) -> Array:
+        """West, north, east, south (n, 4) of the ground under the tiles that came, sample coordinates."""
+        return np.array(self._came).reshape(-1, 4)
 
     @property
     def making(self) -> str:
@@ -296,6 +303,7 @@ class Imagery:
             if held is None:  # gone meanwhile
                 continue
             self.loaded += 1
+            self._came.append(held.sheet.area(place))
             self._insert(layer, held, place, data)
 
     def _insert(self, layer: Layer, held: Held, place: int, data: NDArray[Any]) -> None:

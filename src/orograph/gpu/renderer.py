@@ -38,7 +38,7 @@ from orograph.gpu.residency import Residency
 from orograph.gpu.resources import Resources
 from orograph.gpu.seen import points_of, wet_at
 from orograph.gpu.sheets import SIDE
-from orograph.gpu.steady import Steady
+from orograph.gpu.steady import NONE, Steady
 from orograph.gpu.tiles import missing
 from orograph.gpu.tracing import RAYS, Around, Share, parts_of
 from orograph.gpu.veil import VeilPass
@@ -219,8 +219,10 @@ class Renderer:
             self._steady.forget()
         else:
             settings = overlay, freeze is None, layers, flags
-            made = loaded, maps, mesh
-            light = self._steady.encode(encoder, targets, scene, settings, self._shift, self._gathered, made)
+            came = np.concatenate([self.tiles.areas, self.imagery.areas]) if loaded else NONE
+            light = self._steady.encode(
+                encoder, targets, scene, settings, self._shift, self._gathered, came, (maps, mesh)
+            )  # fmt: skip
         resolve.draw(encoder, targets, target, occlusion=dark, strength=overlay.occlusion, light=light)
         commands = encoder.finish()
         took_python = to_submit = time.perf_counter() - begun

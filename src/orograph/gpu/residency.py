@@ -23,7 +23,7 @@ from orograph.gpu.streamer import Streamer
 from orograph.gpu.tiles import Atlas, Key, Kind, height_tile, make_tile, slope_tile
 from orograph.gpu.wanted import SlopeTiles
 from orograph.lod.batched import Batched, Patches
-from orograph.store.terrain import Terrain
+from orograph.store.terrain import TILE, Terrain
 from orograph.view import View
 
 Array = NDArray[np.float64]
@@ -70,6 +70,7 @@ class Residency:
     Attributes:
         heights, slopes: the atlases. engine: selects patches.
         look_ahead: whether tiles are read for where the camera will be.
+        came: levels, rows and columns of the tiles that came for the last frame.
     """
 
     def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, memory: int, jobs: int | None) -> None:
@@ -88,6 +89,7 @@ class Residency:
         self._asked: dict[tuple[Kind, Key], float] = {}
         self._frame = 0
         self._full = False
+        self.came: list[Key] = []
         top = terrain.levels - 1
         for make, atlas in ((height_tile, self.heights), (slope_tile, self.slopes)):
             rows, cols = atlas.tables.shapes[top]
@@ -108,6 +110,7 @@ class Residency:
         # (A picture that is waited for may take the place of the one before, a frame of many shares it with the last.)
         self._frame += 2 if wait else 1
         self._full = False
+        self.came.clear()
         loaded, size = self._upload(wait)
         if wait:
             self._ahead.clear()
@@ -122,6 +125,14 @@ class Residency:
                 why = self.streamer.failed[kind, key][1]
                 raise StoreError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
         return Chosen(patches, seconds, missing + int(patches.stats["absent"]), loaded, size)
+
+    @property
+    def areas(self) -> Array:
+        """West, north, east, south (n, 4) of what is drawn from the tiles that came, sample coordinates."""
+        keys = np.array(sorted(set(self.came)), np.int64).reshape(-1, 3)
+        scale = 2.0 ** keys[:, :1]
+        corner = keys[:, [2, 1]] * TILE
+        return np.concatenate([(corner - 1) * scale, (corner + TILE + 1) * scale], 1)
 
     @property
     def waiting(self) -> int:
@@ -227,6 +238,7 @@ class Residency:
             kind, key, data = taken[0]
             # What this frame or the last one wants is not to make room.
             self._full |= not self._atlases[kind].insert(key, data, self._frame - 1)
+            self.came.append(key)
             count, size = count + 1, size + data.nbytes
         for atlas in self._atlases.values():
             atlas.flush()

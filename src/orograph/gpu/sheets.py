@@ -156,6 +156,10 @@ class Sheet:
         around = ((r0 - row, row + SIDE - r0 - block.shape[0]), (c0 - col, col + SIDE - c0 - block.shape[1]), (0, 0))
         return np.ascontiguousarray(np.pad(multiplied(block), around, "edge"))
 
+    def area(self, place: int) -> Array:
+        """West, north, east, south (4,) of the ground under a tile, sample coordinates."""
+        return self.tree.boxes[place, [0, 2, 1, 3]]
+
     @property
     def making(self) -> float | None:
         """How much of the coarse levels is there, 0 to 1; None if none are being made."""

@@ -4,10 +4,11 @@ Every frame puts the samples of its pixels elsewhere (a Halton sequence). Where 
 last frame follows from its depth and the two cameras; the mean gathered there goes on, the new frame being one of many
 in it, with ``SHARE`` at least (temporal supersampling: Yang et al. 2009, *Amortized supersampling*; Karis 2014 for the
 cubic). It has more of what moves fast or changes its scale, since every look-up blurs. What the mean is of is known by
-depth: ground at a depth that no pixel around had in the last frame was hidden there. Only then, and where tiles or
-light have come since, is the mean clamped to the range of the 3 × 3 pixels around, so that it leaves no ghost; clamped
-always, the mean of a horizon with more detail than pixels would follow every sample. At rest the mean of a pixel's own
-samples takes over by degrees. Linear light; depths in metres.
+depth: ground at a depth that no pixel around had in the last frame was hidden there. Only then, on ground of which
+tiles have come since, and where light has, is the mean clamped to the range of the 3 × 3 pixels around, so that it
+leaves no ghost; clamped always, the mean of a horizon with more detail than pixels would follow every sample. Where
+tiles came it begins anew. At rest the mean of a pixel's own samples takes over by degrees. Linear light; depths in
+metres; areas of the ground in sample coordinates.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from dataclasses import fields
 from operator import attrgetter
 from struct import Struct
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from orograph.gpu.camera import axes_of
 from orograph.gpu.device import Device
@@ -32,7 +36,13 @@ FAR = "r32float"
 FULL = 16
 """Samples of a pixel at rest that need no others."""
 
-_UNIFORM = Struct("<20f")
+AREAS = 64
+"""Areas of the ground that new tiles may be told of; were it more, all of the picture would be taken to be new."""
+
+Areas = NDArray[np.floating]
+NONE: Areas = np.empty((0, 4))
+_ZEROS = (0.0,) * (4 * AREAS)
+_UNIFORM = Struct(f"<20f4I{4 * AREAS}f")
 OWN = "view", "depths", "terrain", "furniture", "title"
 """What of a scene may change from frame to frame of one picture."""
 _settings = attrgetter(*(f.name for f in fields(Scene) if f.name not in OWN))
@@ -102,7 +112,7 @@ class Steady:
 
     def encode(
         self, encoder: Any, targets: Targets, scene: Scene, settings: Any, shift: tuple[float, float], gathered: int,
-        made: tuple[Any, ...] = (0,),
+        came: Areas = NONE, made: tuple[Any, ...] = (),
     ) -> Any:  # fmt: skip
         """Add the pass that takes a frame into the mean; the view of a texture of it.
 
@@ -111,14 +121,15 @@ class Steady:
             settings: what makes it another picture besides the scene.
             shift: where in its pixels the samples lay that the depths are of.
             gathered: samples of the same place that the light is the mean of.
-            made: what of the ground and its light was made aside: how many tiles came, and things known by their id.
+            came: (n, 4) west, north, east, south of the ground whose tiles came for this frame, sample coordinates.
+            made: what of the ground and its light was made aside, known by its id.
         """
         if targets is not self._targets:
             self._fit(targets)
         same = self._last is not None and settings == self._last[2] and _alike(scene, self._last[1])
-        fresh = bool(made[0]) or [id(thing) for thing in made[1:]] != [id(thing) for thing in self._made]
-        self._made = made[1:]  # (held, so that no other thing gets their ids)
-        self._write(scene, shift, gathered, same, fresh)
+        fresh = len(came) > AREAS or [id(thing) for thing in made] != [id(thing) for thing in self._made]
+        self._made = made  # (held, so that no other thing gets their ids)
+        self._write(scene, shift, gathered, same, fresh, came)
         self._turn = 1 - self._turn
         self._tick += 1
         pass_ = self._onto[self._turn].begin(encoder)
@@ -131,15 +142,19 @@ class Steady:
         self._last = (*right, *up, *forward, *centre), scene, settings
         return self._views[self._turn]
 
-    def _write(self, scene: Scene, shift: tuple[float, float], gathered: int, same: bool, fresh: bool) -> None:
+    def _write(
+        self, scene: Scene, shift: tuple[float, float], gathered: int, same: bool, fresh: bool, came: Areas
+    ) -> None:  # fmt: skip
         packed = bytes(_UNIFORM.size)
         if same and self._last is not None:
             camera, before, _ = self._last
             (a, b, c), (p, q, r) = _eye(scene), _eye(before)
             share = SHARE if gathered <= 1 else min(1.0, gathered / FULL)
             known = 2.0 if fresh else 1.0
+            areas = [] if fresh or not len(came) else _from_eye(came, scene).tolist()
             packed = _UNIFORM.pack(
                 *camera[:11], known, a - p, b - q, (c - r) * scene.exaggeration, share, *camera[11:], *shift,
+                len(areas) // 4, 0, 0, 0, *areas, *_ZEROS[len(areas) :],
             )  # fmt: skip
         write(self.device, self._uniform, packed)
 
@@ -175,6 +190,13 @@ class Steady:
 def _eye(scene: Scene) -> tuple[float, float, float]:
     view = scene.view
     return (*view.target[:2], view.eye[2]) if view.projection == "plan" else view.eye
+
+
+def _from_eye(areas: Areas, scene: Scene) -> Areas:
+    """Areas in one row (4 n,), columns and rows counted from the eye's."""
+    x, y, _ = _eye(scene)
+    col, row = (float(v) for v in scene.terrain.grid.index(x, y))
+    return np.asarray(areas - np.array([col, row, col, row]), np.float32).ravel()
 
 
 def _alike(one: Scene, other: Scene) -> bool:

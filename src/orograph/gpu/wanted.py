@@ -77,7 +77,7 @@ class Tree:
     """
 
     def __init__(self, terrain: Terrain, boxes: Array, parents: NDArray[np.int64], sizes: Array) -> None:
-        self.terrain, self._boxes, self.parents, self._sizes = terrain, boxes, parents, sizes
+        self.terrain, self.boxes, self.parents, self._sizes = terrain, boxes, parents, sizes
         a, b, _, d, e, _ = terrain.grid.samples[:6]
         scale = np.linalg.svd(np.array([[a, b], [d, e]]), compute_uv=False)
         square = abs(a * b + d * e) < 1e-9 * scale[0] ** 2
@@ -102,7 +102,7 @@ class Tree:
         col, row = self.terrain.grid.index(view.eye[0], view.eye[1])
         plan = view.projection == "plan"
         count = _wanted(
-            self._boxes, self.parents, self._sizes, table, np.array([float(col), float(row), view.eye[2]]),
+            self.boxes, self.parents, self._sizes, table, np.array([float(col), float(row), view.eye[2]]),
             self._scale, exaggeration, 1.0 / (view.pixel_metres if plan else view.pixel_slope), plan, pixels,
             self._grow, self._priority, self._out,
         )  # fmt: skip

@@ -9,6 +9,8 @@ struct Steady {
   moved: vec4<f32>,      // how far the eye has moved since, stretched metres; w: the least part of this frame in the mean
   centre: vec2<f32>,     // clip offset of the last frame's optical axis, samples in the middle of pixels
   shift: vec2<f32>,      // where in its pixel this frame's sample lies, pixels from the middle
+  fresh: vec4<u32>,      // x: how many areas of the ground look otherwise than in the last frame
+  areas: array<vec4<f32>, 64>,   // columns and rows from the eye: west, north, east, south
 };
 
 @group(1) @binding(0) var<uniform> steady: Steady;
@@ -22,6 +24,8 @@ const SKY: f32 = 1e30;
 const FULL: f32 = 65504.0;  // the largest number of a half float
 const SAME: f32 = 0.02;   // depths that differ by less, as parts of them, may be those of one surface
 const SCALE: f32 = 2.0;   // how much of a mean is given up for a change of scale, times that change
+
+const ANEW: f32 = 3.0;    // frames that a mean counts as, at most, where new tiles came: it is to forget what was there
 
 const FAST: f32 = 0.0625; // a frame's least part in the mean of what moves by a pixel or more: each look-up blurs it
 
@@ -69,6 +73,18 @@ fn seen_before(nearest: vec2<i32>, last: vec2<i32>, z: f32) -> bool {
   return z >= near * (1.0 - SAME) && z <= far * (1.0 + SAME);
 }
 
+// Whether ground, metres east and north of the eye, looks otherwise than in the last frame.
+fn changed(p: vec2<f32>) -> bool {
+  let at = vec2<f32>(dot(camera.inverse.xy, p), dot(camera.inverse.zw, p));
+  for (var k = 0u; k < steady.fresh.x; k++) {
+    let area = steady.areas[k];
+    if (all(at >= area.xy) && all(at <= area.zw)) {
+      return true;
+    }
+  }
+  return false;
+}
+
 @fragment
 fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
   let pixel = vec2<i32>(position.xy);
@@ -107,9 +123,12 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
   let last = vec2<i32>(camera.size) - 1;
   let nearest = clamp(vec2<i32>(floor(at)), vec2<i32>(0), last);
   var mean = gathered(at);
+  // (Of what is sky now, the ground that was there.)
+  let then = select(textureLoad(far_before, nearest, 0).r, depth_now, ground);
+  let anew = then < SKY && steady.fresh.x > 0u && changed((ray.origin + ray.direction * then).xy);
   // It was hidden, or is drawn or lit otherwise now: what is nothing like what lies around the pixel is left. (Software
   // renderers work through a condition's body whether it is taken or not, but not through a loop that no pixel enters.)
-  let strange = steady.forward.w > 1.0 || !seen_before(nearest, last, select(SKY, z, ground));
+  let strange = anew || steady.forward.w > 1.0 || !seen_before(nearest, last, select(SKY, z, ground));
   var low = select(vec3<f32>(0.0), now, strange);
   var high = select(vec3<f32>(FULL), now, strange);
   for (var k = select(9, 0, strange); k < 9; k++) {
@@ -118,7 +137,7 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
     high = max(high, beside);
   }
   mean = clamp(mean, low, high);
-  let count = min(textureLoad(before, nearest, 0).a + 1.0, 1024.0);
+  let count = min(textureLoad(before, nearest, 0).a, select(1023.0, ANEW, anew)) + 1.0;
   let fast = min(length(at - position.xy), 1.0) * FAST;
   let share = max(max(steady.moved.w, 1.0 / count), max(min(SCALE * scaled, 1.0), fast));
   return Mean(vec4<f32>(mix(max(mean, vec3<f32>(0.0)), now, share), count), depth_now);
