@@ -1,7 +1,8 @@
 """Drawing the terrain for a window: only when its picture would be another one, and on, whatever fails.
 
 What fails while a frame is drawn (a file that vanished, a device that was lost) becomes a message; the last picture
-stays, and drawing is tried again when something changes or after ``RETRY`` seconds. A lost device is opened anew.
+stays, and drawing is tried again when something changes or after ``RETRY`` seconds. In place of a lost device a thread
+opens another one, while panels go on (``reopening``).
 """
 
 from __future__ import annotations
@@ -214,6 +215,7 @@ class Drawing:
             return  # the same loss, heard of again
         with contextlib.suppress(Exception):  # it is lost anyway
             self.renderer.close()
+        with contextlib.suppress(Exception):
             window.context.unconfigure()  # lets go of textures of the lost device: nothing is to be shown of them
         window.device.lost = window.device.lost or "lost while drawing"
         self._scene, self._resting = None, False
