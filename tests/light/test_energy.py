@@ -146,3 +146,20 @@ def test_what_cannot_be():
             insolation(flat, grid_at(46.0, 3, 3), **how)
     with pytest.raises(UsageError, match="where on Earth"):
         insolation(flat, Grid((3, 3), Affine(1, 0, 0, 0, -1, 0)), "2026")
+
+
+@pytest.mark.parametrize("latitude", [-89.0, -45.0, 0.0, 30.0, 60.0])
+def test_no_ground_gets_more_than_codes_can_say(latitude):
+    """8-bit files and stores would clip it: without air, in the best month, on planes of all kinds."""
+    from orograph.light.products import Options, product
+
+    grid = Grid((9, 9), Affine(CELL, 0, -4 * CELL, 0, -CELL, 4 * CELL), CRS.from_proj4(f"+proj=laea +lat_0={latitude}"))
+    row, col = np.mgrid[:9, :9] * CELL
+    for date in ("2026-12-21", "2026-06-21", "2026-12", "2026"):
+        _, most = product("insolation").described(Options(more={"date": date}))[2].byte
+        for east, north in ((0, 0), (0, 0.3), (0, -1), (0, 1), (0.5, 0.5), (0, math.tan(math.radians(latitude)))):
+            z = np.clip(east * col - north * row, -5e4, 5e4).astype(np.float32)
+            got = insolation(z, grid, date, step=30.0, turbidity=0.0, azimuths=8)[2, 4, 4]
+            assert got < most, (date, east, north)
+            if (east, north, latitude, date) == (0, 0, -89.0, "2026-12-21"):
+                assert got > 0.95 * 13_500
