@@ -23,7 +23,7 @@ def load_object(path: str | Path, what: str, holds: str) -> dict[str, Any]:
         ReadError: the file cannot be read, is not JSON, or no JSON object.
     """
     try:
-        values = json.loads(Path(path).read_text(encoding="utf-8"))
+        values = json.loads(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ReadError(f"The {what} cannot be read: {error.strerror}.", path=path) from error
     except ValueError as error:

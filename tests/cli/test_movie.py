@@ -166,6 +166,17 @@ def test_tours_are_made_and_told(run, hilly, tmp_path):
     assert code == 2 and "What kind" in err
 
 
+def test_a_tour_in_degrees_is_told_in_the_terrains_crs(run, tmp_path):
+    path = tmp_path / "t.json"
+    path.write_text(json.dumps({"crs": "EPSG:4326", "keys": [
+        {"time": 0, "eye": [-117, 36, 900], "target": [-117, 36.1, 900]},
+        {"time": 2, "target": [-117, 36.1, 900], "azimuth": 200, "pitch": 20, "distance": 5000}]}))  # fmt: skip
+    code, _, err = run("tour", "info", path)
+    assert code == 2 and "--crs" in err and "EPSG:4326" in err and "--assume-crs" not in err
+    code, said, err = run("tour", "info", path, "--crs", "EPSG:32611")
+    assert code == 0 and "2.00 s" in said and "eye (500000, 3983948" in said, err
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("name", ["a.mp4", "f/%03d.png"])
 def test_ctrl_c(hilly, tmp_path, name):

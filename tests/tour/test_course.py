@@ -111,6 +111,8 @@ def test_along_a_line():
         assert along > 0  # it looks ahead
     with pytest.raises(UsageError, match="beside the terrain"):
         make.flyover(LAND, SIZE, line + 1e6)
+    with pytest.raises(UsageError, match="far beyond the terrain"):  # a slip: half the Earth would be flown over
+        make.flyover(LAND, SIZE, np.concatenate([line, line[-1:] + 1e7]))
     with pytest.raises(UsageError, match="two places"):
         make.flyover(LAND, SIZE, line[:1])
 

@@ -71,8 +71,18 @@ def new(
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 def info(path: str, crs: str | None, as_json: bool) -> None:
     """Tell when a tour is where."""
+    from orograph.documents import load_object
     from orograph.tour import Tour
 
+    if crs is None:
+        said = load_object(path, "tour", "keys")
+        keys = said.get("keys")
+        for part in (said, *(keys if isinstance(keys, list) else ())):
+            if isinstance(part, dict) and part.get("crs") is not None:
+                raise UsageError(
+                    f"The tour's places are in {part['crs']}, and how it goes depends on the terrain's CRS.", path=path,
+                    remedy="Say which that is: --crs EPSG:32612 (orograph info tells a terrain's).",
+                )  # fmt: skip
     tour = Tour.load(path, crs=crs)
     if as_json:
         click.echo(json.dumps({**tour.to_dict(), "duration": tour.duration, "frames": len(tour),

@@ -105,7 +105,7 @@ def flyover(
         speed: metres per second; None: one that suits the height. seconds: how long it takes, instead of a speed.
 
     Raises:
-        UsageError: the line has no length or lies beside the terrain, or a number is out of its range.
+        UsageError: the line has no length, lies beside the terrain or goes far beyond it; a number is out of range.
     """
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     line = line[np.concatenate([[True], steps > 0])]
@@ -117,6 +117,12 @@ def flyover(
             "The line lies beside the terrain.", path=terrain.name,
             remedy="Its places are longitude and latitude (or in the terrain's CRS, with --line-crs).",
         )  # fmt: skip
+    for x, y in line:
+        if camera.far_outside(terrain.grid, x, y):
+            raise UsageError(
+                f"The line goes far beyond the terrain, to {x:.10g}, {y:.10g} in its CRS.", path=terrain.name,
+                remedy="Longitude comes first, then latitude; --line-crs says if they are in another CRS.",
+            )  # fmt: skip
     if height is None:
         height = min(max(far[-1] / 15, 50.0), 3000.0)
     if not 0 < height < math.inf:
