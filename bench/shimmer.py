@@ -13,19 +13,21 @@ C above 1 flickers; S of a picture that changed as r does is 0, of one that did 
 over the ground in front. ``--samples n`` draws n samples per pixel instead of what the window does while it moves (0:
 after a lead-in of 32 frames, as it gathers samples from frame to frame); 1, 4 and 8 tell what nothing and supersampling
 would give. Terrains: bigtujunga (30 m), *noise* (every sample 3 m up or down: detail of one sample's size), *contours*
-(bigtujunga with contour lines), *imagery* (Fort Bragg with its orthophoto).
+(bigtujunga with contour lines), *imagery* (Fort Bragg with its orthophoto), *raster* (bigtujunga under a coloured
+raster in degrees, of cells of one sample's size with holes of no data).
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
-from pyproj import CRS
+from pyproj import CRS, Transformer
 
 from orograph.dem.mosaic import Mosaic
 from orograph.dem.raster import Dem
@@ -42,7 +44,7 @@ from orograph.view import View
 Floats = NDArray[np.float64]
 Size = tuple[int, int]
 
-TERRAINS = ("bigtujunga", "noise", "contours", "imagery")
+TERRAINS = ("bigtujunga", "noise", "contours", "imagery", "raster")
 BAND = 12
 """Pixels below the horizon that count as being at it."""
 REFERENCE, LEAD = 16, 32
@@ -55,6 +57,27 @@ def noise(side: int = 1500, metres: float = 30.0) -> Terrain:
     z = 200 * np.sin(x / 60) * np.cos(y / 75) + 3.0 * rng.choice([-1.0, 1.0], (side, side))
     grid = Grid(z.shape, Affine(metres, 0, 500_000, 0, -metres, 5_300_000), CRS.from_epsg(32632))
     return in_memory(Dem(z.astype(np.float32), grid))
+
+
+def raster(terrain: Terrain) -> Path:
+    """Random values in degrees over a terrain, a quarter of them missing in squares of 1 to 8 pixels."""
+    import rasterio
+
+    west, south, east, north = terrain.grid.bounds()
+    lon, lat = Transformer.from_crs(terrain.grid.crs, 4326, always_xy=True).transform([west, east], [south, north])
+    rng = np.random.default_rng(7)
+    rows, cols = terrain.grid.shape
+    values = rng.normal(0, 1, (rows, cols)).astype(np.float32)
+    for side in (1, 8):
+        holes = rng.random((-(-rows // side), -(-cols // side))) < 0.125
+        values[np.repeat(np.repeat(holes, side, 0), side, 1)[:rows, :cols]] = -9999
+    path = Path(tempfile.mkdtemp()) / "raster.tif"
+    with rasterio.open(
+        path, "w", driver="GTiff", count=1, height=rows, width=cols, dtype="float32", crs="EPSG:4326", nodata=-9999,
+        transform=Affine((lon[1] - lon[0]) / cols, 0, lon[0], 0, -(lat[1] - lat[0]) / rows, lat[1]), tiled=True,
+    ) as file:  # fmt: skip
+        file.write(values, 1)
+    return path
 
 
 def scene_of(name: str, data: Path) -> Scene | None:
@@ -72,6 +95,8 @@ def scene_of(name: str, data: Path) -> Scene | None:
     scene = Scene(terrain, view, sky=True, tolerance=1.0, shadows=name != "noise")
     if name == "contours":
         return replace(scene, contours=Contours(interval=40.0))
+    if name == "raster":
+        return replace(scene, layers=(Layer(str(raster(terrain)), colormap="viridis"),))
     if name == "imagery":
         image = next(p for p in (data / files[0]).glob("*.tif") if "naip_2014" in p.name)
         return replace(scene, layers=(Layer(str(image)),))
