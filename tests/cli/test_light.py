@@ -62,6 +62,44 @@ def test_several_products_are_bands_of_one_file(run, hilly, tmp_path):
     np.testing.assert_allclose(np.degrees(np.arctan2(east, north))[ok] % 360, aspect[ok] % 360, atol=0.05)
 
 
+def test_a_file_says_what_its_products_depend_on_and_nothing_else(run, hilly, tmp_path):
+    """Of a map of a year's energy one must be able to tell which year; a slope has no sun."""
+    common = {"software", "product", "terrain", "AREA_OR_POINT"}
+    swept = {"azimuths": "5", "radius": "200 m", "curvature": "flat"}
+    for given, expected in (
+        (("slope,normal",), {}),
+        (("visible-sky", "--azimuths", 5, "--radius", 200), swept),
+        (("hillshade", "--sun", "100,20"), {"sun": "azimuth 100, altitude 20 degrees", "exaggeration": "1"}),
+        (
+            ("hillshade", "--light", "100,20", "--light", "9,8,7"),
+            {"lights": "azimuth 100, altitude 20 degrees, weight 1; azimuth 9, altitude 8 degrees, weight 7",
+             "exaggeration": "1"},
+        ),
+        (
+            ("insolation", "--azimuths", 5, "--radius", 200, "--date", "2026-06", "--turbidity", 4, "--step", 60),
+            {**swept, "date": "2026-06", "step": "60 minutes", "turbidity": "4"},
+        ),
+        (
+            ("ambient-occlusion", "--azimuths", 5, "--radius", 200, "--rho", "linear", "--method", "rays", "--rays", 9),
+            {**swept, "method": "rays", "rays": "9", "rho": "linear"},
+        ),
+    ):  # fmt: skip
+        code, _, err = run("light", hilly, "--quiet", "--product", *given, "-o", tmp_path / "out.tif")
+        assert code == 0, err
+        with rasterio.open(tmp_path / "out.tif") as file:
+            tags = file.tags()
+        assert {k: v for k, v in tags.items() if k not in common} == expected and set(tags) >= common - {
+            "AREA_OR_POINT"
+        }
+    several = ("--product", "aperture,shadow,slope,normal", "--azimuths", 5, "-o", tmp_path / "out.tif", "--quiet")
+    assert run("light", hilly, *several)[0] == 0
+    with rasterio.open(tmp_path / "out.tif") as file:
+        assert file.descriptions == (
+            "aperture east", "aperture north", "aperture up", "aperture radius", "shadow fraction", "shadow code",
+            "slope", "normal east", "normal north", "normal up",
+        )  # fmt: skip
+
+
 def test_the_horizon_has_a_band_per_azimuth(run, hilly, tmp_path):
     out = tmp_path / "horizon.tif"
     code, _, err = run("light", hilly, "--product", "horizon", "--azimuths", 4, "-o", out, "--quiet")

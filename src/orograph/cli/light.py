@@ -22,6 +22,7 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.cli.products import (
+    USERS,
     Names,
     check_used,
     horizon_options,
@@ -33,7 +34,8 @@ from orograph.cli.products import (
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
-    from orograph.light.products import Context, Product, Values
+    from orograph.light.products import Context, Options, Product, Values
+    from orograph.light.raster import Band
 
 OWN = (
     "products", "azimuths", "radius", "sun", "lights", "curvature", "refraction", "exaggeration", "rays", "rho",
@@ -161,7 +163,7 @@ def command(
         plan = {"products": wanted, "terrain": identity(terrain), "options": repr(chosen)}
         kept = Kept(Path(f"{output}.partial"), plan)
     context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
-    bands = [band for p in products for band in p.described(chosen)]
+    bands = _bands(products, chosen)
     try:
         write(
             output, terrain.grid, bands, _blocks(context, products), byte=options["byte"], jobs=jobs, progress=progress,
@@ -198,12 +200,40 @@ def _blocks(context: Context, products: list[Product]) -> Iterator[tuple[int, in
         yield sum(counts[:k]), row, col, values
 
 
+def _bands(products: list[Product], options: Options) -> list[Band]:
+    """The bands of a file; of several products each says whose it is."""
+    from dataclasses import replace
+
+    found: list[Band] = []
+    for each in products:
+        for band in each.described(options):
+            own = len(products) == 1 or band.name.startswith(each.name)
+            found.append(band if own else replace(band, name=f"{each.name} {band.name}"))
+    return found
+
+
 def _tags(context: Context, wanted: list[str]) -> dict[str, str]:
-    """What a file says about how it was made."""
-    options = context.options
-    tags = {"software": "orograph", "product": ", ".join(wanted), "azimuths": str(options.azimuths)}
-    tags["radius"] = "unlimited" if options.radius is None else f"{options.radius:g} m"
-    tags["sun"] = f"azimuth {options.sun[0]:.6g}, altitude {options.sun[1]:.6g} degrees"
-    tags["curvature"] = f"round, refraction {options.refraction:g}" if options.curvature else "flat"
-    tags["terrain"] = context.terrain.name
-    return tags
+    """What a file says about how it was made: the options that change its products."""
+    options, more = context.options, context.options.more
+    lights = options.lights or ((*options.sun, 1.0),)
+    method, rays = more.get("method", "horizon"), ("rays", "shadow-maps")
+    said = {
+        "azimuths": str(options.azimuths),
+        "radius": "unlimited" if options.radius is None else f"{options.radius:g} m",
+        "curvature": f"round, refraction {options.refraction:g}" if options.curvature else "flat",
+        "sun": f"azimuth {options.sun[0]:.6g}, altitude {options.sun[1]:.6g} degrees",
+        "lights": "; ".join(f"azimuth {a:g}, altitude {h:g} degrees, weight {w:g}" for a, h, w in lights),
+        "exaggeration": f"{options.exaggeration:g}",
+        "method": method,
+        "rays": str(options.rays) if method in rays else "",
+        "rho": str(more.get("rho", "step")),
+        "date": str(more.get("date", "")),
+        "step": f"{more.get('step', 10.0):g} minutes",
+        "turbidity": f"{more.get('turbidity', 3.0):g}",
+    }
+    if not options.lights:
+        del said["lights"]
+    elif "shadow" not in wanted:
+        del said["sun"]
+    used = {key: text for key, text in said.items() if text and set(USERS[key]) & set(wanted)}
+    return {"software": "orograph", "product": ", ".join(wanted), "terrain": context.terrain.name, **used}
