@@ -10,11 +10,10 @@ frames are drawn with samples elsewhere in the pixels and averaged: a picture at
 from __future__ import annotations
 
 import contextlib
-import math
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,42 +22,58 @@ from numpy.typing import NDArray
 from orograph.gpu.camera import CAMERA, camera_of
 from orograph.gpu.device import Device
 from orograph.gpu.following import Following, maps_key
-from orograph.gpu.frame import PLAIN, FrameStats, Normals, Overlay
+from orograph.gpu.frame import PLAIN, FrameStats, Overlay
 from orograph.gpu.imagery import Imagery
 from orograph.gpu.lettering import Letters
-from orograph.gpu.look import DRAPE, FIELD, GIVEN, LABELS, SILHOUETTES, SMOOTH, VEILED, WIREFRAME, Look
+from orograph.gpu.look import DRAPE, FIELD, LABELS, SILHOUETTES, SMOOTH, WIREFRAME
+from orograph.gpu.looks import SLOPES, Looks
 from orograph.gpu.meshes import Meshes, MeshPass
 from orograph.gpu.outlines import BreakPass
-from orograph.gpu.overview import Seen, overview, seen_by
+from orograph.gpu.overview import Seen, overview
 from orograph.gpu.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass, Targets
 from orograph.gpu.patches import PatchPass, Slopes
-from orograph.gpu.readback import depth_of, veiled_of
+from orograph.gpu.reading import Reading
 from orograph.gpu.recording import write
 from orograph.gpu.residency import Residency
 from orograph.gpu.resources import Resources
-from orograph.gpu.seen import points_of, wet_at
+from orograph.gpu.samples import SAMPLES, Samples
 from orograph.gpu.sheets import SIDE
 from orograph.gpu.steady import NONE, Steady
 from orograph.gpu.tiles import missing
 from orograph.gpu.tracing import RAYS, Around, Share, parts_of
 from orograph.gpu.veil import VeilPass
+from orograph.lod.batched import Patches
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
-from orograph.picture.contours import Contours
 from orograph.picture.kept import Kept
 from orograph.picture.scene import Scene
 from orograph.store.terrain import Terrain
-from orograph.tessellation import Tessellation
-from orograph.picture.smooth import SMALL
 from orograph.view import View
 
-SLOPES: dict[Normals, Slopes] = {"computed": "", "stored": "stored", "derivatives": "flat", "faces": "flat"}
-"""Which slopes the geometry leaves for a choice of normals."""
-
-SAMPLES = 16
-"""Samples of a pixel that a picture at rest gathers."""
+LATE, PASSED = 0.008, 3
+"""A frame that took so many seconds until it was handed over looks not ahead, nor do the next ones, so many at most."""
 
 
-class Renderer:
+@dataclass(frozen=True, slots=True)
+class _Choice:
+    """What a frame draws.
+
+    Attributes:
+        patches: of the ground. tolerance: that they were chosen by, pixels. layers: on the ground.
+        lettered: whether contours are labelled. loaded: tiles that came for it, of so many ``bytes``.
+        seconds: that selecting patches took. state: two frames of one camera are one picture while it is the same.
+    """
+
+    patches: Patches
+    tolerance: float
+    layers: Any
+    lettered: bool
+    loaded: int
+    bytes: int
+    seconds: float
+    state: tuple[Any, ...]
+
+
+class Renderer(Reading):
     """Draws one terrain on one device.
 
     Args:
@@ -104,12 +119,12 @@ class Renderer:
         self._light = Following(
             terrain, self.kept, self._veil, legs, upload=lambda pool: self._resources.upload("maps", pool)
         )
-        self._at_rest: Any = None
+        self._looks = Looks(terrain, self.kept, self._light, self._veil)
         self._flags = 0
-        self._gathered, self._enough = 0, SAMPLES
-        self._steady, self._shift = Steady(device, self._camera), (0.0, 0.0)
+        self._samples = Samples()
+        self._steady = Steady(device, self._camera)
         self._around = Around(terrain, device.largest)
-        self._missing = 0
+        self._missing = self._late = 0
         self._lit: Scene | None = None
 
     # ---- drawing ---------------------------------------------------------------------------------------------------
@@ -134,75 +149,19 @@ class Renderer:
             OrographError: with ``wait``, a tile, a map or a mesh could not be made.
         """
         begun = time.perf_counter()
-        view = scene.view
-        if wait and view.part is not None:
-            self.overview(scene)  # before the tile's own ground is chosen, whose place it may take
-        tolerance = scene.tolerance or 1.0
-        if scene.contours is not None:
-            tolerance *= scene.contours.finer(self.terrain, view, self.kept)
-        chosen = self.tiles.choose(freeze or view, tolerance, scene.exaggeration, wait=wait)
-        patches = chosen.patches
-        layers = self.imagery.prepare(scene.layers, view, scene.exaggeration, wait=wait)
-        self._missing = chosen.missing + self.imagery.missing
-        loaded = chosen.loaded + self.imagery.loaded
+        view, chosen = scene.view, self._choose(scene, freeze, wait=wait)
+        instances = chosen.patches.instances
         targets = self._fit(view.width, view.height)
-        self._mesh_for(scene, freeze, wait=wait)
-        mesh = self._meshes.mesh
-        lettered = self._letters.prepare(scene, self._contours(scene), wait=wait, mesh=mesh)
-        drawn = mesh, self._letters.state
-        state = (scene, overlay, freeze, loaded, layers, len(patches.instances), drawn, maps_key(scene))
-        if samples is None and state == self._at_rest and not self.busy:
-            if self._gathered >= self._enough:
-                begin, count = self._gathered, 0
-            else:
-                begin, count = self._gathered, 1
-        else:
-            begin, count = 0, samples or 1
-        self._at_rest = state
-        instances = patches.instances
-        self._slopes = slopes = SLOPES[overlay.normals]
-        given = bool(slopes)
-        self._field = field = mesh is not None and scene.contours is not None  # lines are the terrain's
+        begin, count = self._samples.next((scene, overlay, freeze, *chosen.state, maps_key(scene)), samples, self.busy)
         self._light_for(scene, targets, instances, wait=wait)
-        maps = self._light.maps
-        assert maps is not None
-        if wait:
-            self._around.at_once(scene, mesh if overlay.normals == "faces" else None)
-        else:
-            self._around.aside(scene)
-        self._shading.rays.load(self._around.field)
-        look = self._look(scene, overlay, exact=wait)
-        self.tint = look.tint
-        u = look.uniform
-        if view.part is not None:
-            u = u.copy()
-            u["corner"] = view.part[0] | view.part[1] << 16
-        self._resources.shade_with(u)
-        breaks: tuple[Any, Any] = None, None
-        if int(u["flags"]) & SILHOUETTES:
-            near, far, *_ = u["edge_range"]
-            self._breaks.aim((float(near), float(far)), scene.silhouettes.creases if scene.silhouettes else 0.0)
-            breaks = self._breaks.views(targets)
-        views = self._letters.view, *breaks
-        bound = self._resources.bound(look, maps, scene, targets, given=given or field, field=field, marks=views)
-        group = self._shading.group(targets, bound)
-        flags = self._features(look, given) | (LABELS if lettered else 0) | (DRAPE if layers else 0)
-        flags |= (FIELD if field else 0) | (SMOOTH if self._beyond_samples(scene) else 0)
-        edges = bool(flags & WIREFRAME)
-        flags = self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, slopes), wait=wait)
+        group, flags = self._shaded(scene, overlay, targets, chosen, wait=wait)
         if begin and flags != self._flags:  # it was compiled meanwhile: what was gathered looks otherwise
             begin, count = 0, 1
-        self._flags = flags
+        self._flags, self._samples.gathered = flags, begin + count
         resolve = self._resolve(format)
-        self._gathered = begin + count
         encoder = self.device.handle.create_command_encoder()
         for k in range(begin, begin + count):
-            shift = (0.0, 0.0)
-            if k == 0 and samples is None:
-                shift = shift if wait else self._steady.shift
-            elif (samples or SAMPLES) > 1:
-                shift = _sample(k, samples or SAMPLES)
-            self._shift = shift
+            shift = self._samples.place(k, samples, (0.0, 0.0) if wait else self._steady.shift)
             encoder = self._pass(encoder, targets, scene, instances, group, flags, shift, k, samples, advance)
             if k + 1 < begin + count:  # the camera is written before the next pass
                 self.device.queue.submit([encoder.finish()])
@@ -218,29 +177,18 @@ class Renderer:
         if wait or samples is not None or flags & RAYS:
             self._steady.forget()
         else:
-            settings = overlay, freeze is None, layers, flags
-            came = np.concatenate([self.tiles.areas, self.imagery.areas]) if loaded else NONE
+            settings = overlay, freeze is None, chosen.layers, flags
+            came = np.concatenate([self.tiles.areas, self.imagery.areas]) if chosen.loaded else NONE
+            made, there = (self._light.maps, self._meshes.mesh), self._samples
             light = self._steady.encode(
-                encoder, targets, scene, settings, self._shift, self._gathered, came, (maps, mesh)
+                encoder, targets, scene, settings, there.shift, there.gathered, came, made
             )  # fmt: skip
         resolve.draw(encoder, targets, target, occlusion=dark, strength=overlay.occlusion, light=light)
         commands = encoder.finish()
-        took_python = to_submit = time.perf_counter() - begun
+        to_submit = time.perf_counter() - begun
         self.device.queue.submit([commands])
-        if not wait:
-            handed = time.perf_counter()
-            self.tiles.prepare(freeze or view, tolerance, scene.exaggeration)
-            took_python += time.perf_counter() - handed
-        return FrameStats(
-            len(instances) if mesh is None else 0,
-            patches.stats["triangles"] if mesh is None else len(mesh.triangles),
-            patches.stats["pixels"] if mesh is None else scene.tolerance or 1.0, chosen.seconds * 1e3,
-            took_python * 1e3, loaded, chosen.bytes + 4 * SIDE**2 * self.imagery.loaded,
-            self.tiles.count + self.imagery.count, self._missing,
-            self._gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
-            current=scene.engine is None or self._meshes.current, notes=tuple(self.imagery.told()),
-            submit_ms=to_submit * 1e3, making=self.imagery.making,
-        )  # fmt: skip
+        after = 0.0 if wait else self._look_ahead(freeze or view, chosen.tolerance, scene.exaggeration, to_submit)
+        return self._told(scene, chosen, to_submit, after)
 
     def overview(self, scene: Scene) -> Seen:
         """What a scene's whole view shows: all tiles of it have their light and their haze by that."""
@@ -256,8 +204,8 @@ class Renderer:
         are those of ``draw``.
         """
         self._light.begin()
-        look, slopes = self._look(scene, overlay, exact=False), SLOPES[overlay.normals]
-        flags = self._features(look, bool(slopes))
+        look, slopes = self._looks.of(scene, overlay, exact=False), SLOPES[overlay.normals]
+        flags = self._looks.features(look, bool(slopes))
 
         def compile() -> None:
             with contextlib.suppress(Exception):  # the frame says what is wrong
@@ -281,53 +229,7 @@ class Renderer:
     @property
     def resting(self) -> bool:
         """Whether the picture is as good as it gets."""
-        return not self.busy and self._gathered >= self._enough
-
-    def depth_at(self, x: float, y: float) -> float | None:
-        """View-space depth of the last frame at a pixel position, metres; None where there is no ground."""
-        t = self._targets
-        if t is None or not (0 <= x < t.width and 0 <= y < t.height):
-            return None
-        value = float(depth_of(self.device, t, self._camera_drawn, (int(x), int(y), 1, 1))[0, 0])
-        return value if math.isfinite(value) else None
-
-    def depth(self) -> NDArray[np.float32]:
-        """View-space depth (height, width) of the last frame, metres, NaN where there is no ground."""
-        assert self._targets is not None
-        return np.where(self.veiled(), np.float32(np.nan), depth_of(self.device, self._targets, self._camera_drawn))
-
-    def veiled(self) -> NDArray[np.bool_]:
-        """Pixels (height, width) of the last frame that show missing ground."""
-        t = self._targets
-        assert t is not None
-        return veiled_of(self.device, t) if self._veil.count else np.zeros((t.height, t.width), bool)
-
-    def shown(self, scene: Scene, depth: NDArray[np.float32], veiled: NDArray[np.bool_]) -> dict[str, int]:
-        """How many pixels show ground, of it water and imagery, and missing ground; the middle two by a sample."""
-        ground = int(np.isfinite(depth).sum())
-        points, share = points_of(self.terrain, scene.view, scene.exaggeration, depth)
-        wet, covered = wet_at(self._light.maps, points), 0
-        if scene.layers and len(points):
-            x, y = self.terrain.grid.xy(points[:, 0], points[:, 1])
-            hidden = self.imagery.covered(scene.layers, x, y) > 0.5
-            wet, covered = wet & ~hidden, int(hidden.sum())
-        return {
-            "ground": ground, "water": round(int(wet.sum()) * share), "draped": round(covered * share),
-            "missing": int(veiled.sum()),
-        }  # fmt: skip
-
-    @property
-    def mesh(self) -> Tessellation | None:
-        """The mesh of the scene's engine that the last frame drew; None: patches."""
-        return self._meshes.mesh
-
-    @property
-    def light(self) -> str:
-        """Where the light of the last frame came from, if it was looked up in a layer or by rays."""
-        scene = self._at_rest and self._at_rest[0]
-        if scene and scene.light == "raytraced":
-            return f"{scene.rays} rays"
-        return self._light.maps.told if self._light.maps is not None else ""
+        return not self.busy and self._samples.complete
 
     def close(self) -> None:
         """Stop reading."""
@@ -340,6 +242,86 @@ class Renderer:
 
     # ---- parts of a frame ------------------------------------------------------------------------------------------
 
+    def _choose(self, scene: Scene, freeze: View | None, *, wait: bool) -> _Choice:
+        """What a frame draws: patches or a mesh, layers, letters."""
+        view = scene.view
+        if wait and view.part is not None:
+            self.overview(scene)  # before the tile's own ground is chosen, whose place it may take
+        tolerance = scene.tolerance or 1.0
+        if scene.contours is not None:
+            tolerance *= scene.contours.finer(self.terrain, view, self.kept)
+        chosen = self.tiles.choose(freeze or view, tolerance, scene.exaggeration, wait=wait)
+        layers = self.imagery.prepare(scene.layers, view, scene.exaggeration, wait=wait)
+        self._missing = chosen.missing + self.imagery.missing
+        loaded = chosen.loaded + self.imagery.loaded
+        self._mesh_for(scene, freeze, wait=wait)
+        mesh = self._meshes.mesh
+        self._field = mesh is not None and scene.contours is not None  # lines are the terrain's
+        lettered = self._letters.prepare(scene, self._looks.contours(scene), wait=wait, mesh=mesh)
+        state = loaded, layers, len(chosen.patches.instances), mesh, self._letters.state
+        return _Choice(
+            chosen.patches, tolerance, layers, bool(lettered), loaded, chosen.bytes + 4 * SIDE**2 * self.imagery.loaded,
+            chosen.seconds, state,
+        )  # fmt: skip
+
+    def _shaded(
+        self, scene: Scene, overlay: Overlay, targets: Targets, chosen: _Choice, *, wait: bool
+    ) -> tuple[Any, int]:  # fmt: skip
+        """Bring what the shading looks up to the GPU: its bind group, and the flags of the shader to draw with."""
+        view, maps, mesh = scene.view, self._light.maps, self._meshes.mesh
+        assert maps is not None
+        self._slopes = slopes = SLOPES[overlay.normals]
+        given, field = bool(slopes), self._field
+        if wait:
+            self._around.at_once(scene, mesh if overlay.normals == "faces" else None)
+        else:
+            self._around.aside(scene)
+        self._shading.rays.load(self._around.field)
+        look = self._looks.of(scene, overlay, exact=wait)
+        self.tint = look.tint
+        u = look.uniform
+        if view.part is not None:
+            u = u.copy()
+            u["corner"] = view.part[0] | view.part[1] << 16
+        self._resources.shade_with(u)
+        breaks: tuple[Any, Any] = None, None
+        if int(u["flags"]) & SILHOUETTES:
+            near, far, *_ = u["edge_range"]
+            self._breaks.aim((float(near), float(far)), scene.silhouettes.creases if scene.silhouettes else 0.0)
+            breaks = self._breaks.views(targets)
+        views = self._letters.view, *breaks
+        bound = self._resources.bound(look, maps, scene, targets, given=given or field, field=field, marks=views)
+        group = self._shading.group(targets, bound)
+        flags = self._looks.features(look, given)
+        flags |= (LABELS if chosen.lettered else 0) | (DRAPE if chosen.layers else 0)
+        flags |= (FIELD if field else 0) | (SMOOTH if self._looks.beyond_samples(scene) else 0)
+        edges = bool(flags & WIREFRAME)
+        return group, self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, slopes), wait=wait)
+
+    def _look_ahead(self, view: View, tolerance: float, exaggeration: float, taken: float) -> float:
+        """Ask for the tiles of a moment later, unless the frame has taken long already; the seconds that took."""
+        if taken > LATE and self._late < PASSED:
+            self._late += 1
+            return 0.0
+        self._late = 0
+        begun = time.perf_counter()
+        self.tiles.prepare(view, tolerance, exaggeration)
+        return time.perf_counter() - begun
+
+    def _told(self, scene: Scene, chosen: _Choice, to_submit: float, after: float) -> FrameStats:
+        """What a frame took: seconds of Python until it was handed over, and after that."""
+        patches, mesh = chosen.patches, self._meshes.mesh
+        return FrameStats(
+            len(patches.instances) if mesh is None else 0,
+            patches.stats["triangles"] if mesh is None else len(mesh.triangles),
+            patches.stats["pixels"] if mesh is None else scene.tolerance or 1.0, chosen.seconds * 1e3,
+            (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,
+            self.tiles.count + self.imagery.count, self._missing,
+            self._samples.gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
+            current=scene.engine is None or self._meshes.current, notes=tuple(self.imagery.told()),
+            submit_ms=to_submit * 1e3, making=self.imagery.making,
+        )  # fmt: skip
+
     def _pass(
         self, encoder: Any, targets: Targets, scene: Scene, instances: NDArray[Any], group: Any, flags: int,
         shift: tuple[float, float], k: int, samples: int | None, advance: Callable[[float], None],
@@ -351,12 +333,12 @@ class Renderer:
         self._veil.draw(encoder, targets)
         if flags & SILHOUETTES:
             self._breaks.draw(encoder, targets)
-        self._enough = SAMPLES
+        self._samples.enough = SAMPLES
         if not flags & RAYS:
             self._shading.draw(encoder, targets, group, flags, frame=k)
             return encoder
         share = Share.of(self.device, scene, k, SAMPLES, samples=samples, shift=shift)
-        self._enough = share.frames
+        self._samples.enough = share.frames
         self._shading.rays.run(share)
         parts = parts_of(self.device, (targets.width, targets.height), share.rays * share.lights)
         for n, part in enumerate(parts):
@@ -386,46 +368,6 @@ class Renderer:
             return
         (self._meshes.at_once if wait else self._meshes.aside)(scene, freeze or scene.mesh_view or scene.view)
 
-    def _contours(self, scene: Scene) -> Contours | None:
-        return scene.contours and scene.contours.fitted(self.terrain, scene.view, self.kept)
-
-    def _look(self, scene: Scene, overlay: Overlay, *, exact: bool) -> Look:
-        """The scene's colours and light: made again only if something of it changed.
-
-        Unless it is to be ``exact`` the range of depths that haze spans is rounded, so that it does not change always.
-        """
-        maps = self._light.maps
-        assert maps is not None
-        contours = self._contours(scene)
-        outlined = scene.silhouettes is not None and scene.view.projection != "plan"
-        silhouettes = scene.silhouettes.fitted(scene.view) if scene.silhouettes and outlined else None
-    def _beyond_samples(self, scene: Scene) -> bool:
-        """Whether there are contour lines, and pixels somewhere so small that they follow the smooth surface."""
-        view = scene.view
-        pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * self._light.range[0]
-        return scene.contours is not None and pixel < SMALL[1] * min(self.terrain.grid.spacing)
-
-        near, far = scene.depths or self._light.range
-        if not exact:
-            near, far = (math.exp(round(10 * math.log(max(v, 1e-3))) / 10) for v in (near, far))
-        key = (
-            scene.sun, scene.light, scene.lamps, scene.discs, scene.shadows, scene.sky, scene.colormap, scene.water,
-            scene.relief, scene.exaggeration, near, far, overlay.wireframe, scene.wireframe,
-            overlay.levels, contours, silhouettes,
-        )  # fmt: skip
-
-        def make() -> Look:
-            return Look(
-                scene, maps, (near, far), self.kept, wireframe=overlay.wireframe or scene.wireframe,
-                levels=overlay.levels, contours=contours, silhouettes=silhouettes,
-            )  # fmt: skip
-
-        return self.kept("look", key, make, maps)
-
-    def _features(self, look: Look, given: bool) -> int:
-        """What the shading shader is compiled for; ``given``: slopes are those that the targets hold."""
-        return int(look.uniform["flags"]) | (VEILED if self._veil.count else 0) | (GIVEN if given else 0)
-
     def _resolve(self, format: str) -> ResolvePass:
         if format not in self._resolves:
             self._resolves[format] = ResolvePass(self.device, format)
@@ -434,7 +376,7 @@ class Renderer:
     def _fit(self, width: int, height: int) -> Targets:
         if self._targets is None or (self._targets.width, self._targets.height) != (width, height):
             self._targets = Targets(self.device, width, height)
-            self._at_rest = None
+            self._samples.state = None
         return self._targets
 
     def _light_for(
@@ -456,21 +398,3 @@ class Renderer:
         self._ground(encoder, targets, instances)
         self.device.queue.submit([encoder.finish()])
         self._light.at_once(scene, lambda: self._seen(scene))
-
-    def _seen(self, scene: Scene) -> Seen:
-        """Some of the ground in view, by the last frame's depth."""
-        return seen_by(self.terrain, scene.view, scene.exaggeration, self.depth())
-
-    @property
-    def _camera_drawn(self) -> NDArray[Any]:
-        """The camera of the last frame."""
-        scene = self._at_rest[0]
-        return camera_of(scene.view, self.terrain, scene.exaggeration)
-
-
-def _sample(k: int, n: int) -> tuple[float, float]:
-    """Where the k-th of n samples lies, pixels from the middle: as the CPU's pictures have it (``cpu.pattern``)."""
-    from orograph.picture.cpu import pattern
-
-    x, y = pattern(n)[k % n]
-    return float(x) - 0.5, float(y) - 0.5
