@@ -25,6 +25,7 @@ from orograph.picture.kernels import LEAST, compose, paint
 from orograph.picture.lighting import Lighting, Shine, field_ahead, lighting_of
 from orograph.picture.mapgrid import MapGrid
 from orograph.picture.scene import Scene
+from orograph.picture.sky import Atmosphere, dithered
 from orograph.picture.survey import Survey
 from orograph.progress import SILENT, Progress
 
@@ -53,6 +54,9 @@ BOUNCE = 0.10
 """The part of all light that ground which does not see the sky gets from lit ground instead."""
 
 NOTHING = np.empty((0, 7), np.float32)
+
+SMOOTH = 0.5
+"""Samples that a pixel covers below which colours change so slowly that bytes would show bands."""
 
 
 def illumination(sun: Sun) -> tuple[Array, Colours, Colours]:
@@ -138,8 +142,6 @@ class Shader:
         self.tint = kept("tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain)
         self.air = None
         if scene.sky:
-            from orograph.picture.sky import Atmosphere
-
             self.air = Atmosphere(scene, scene.depths or survey.range, kept)
         self.lines = None
         if scene.contours is not None:
@@ -215,6 +217,9 @@ class Shader:
             self.lines.draw(hits, px, py, out)
         if self.air is not None:
             out[met] = self.air.haze(out[met], hits.rays[met], hits.t[met])
+        large = np.flatnonzero(hits.width < SMOOTH)  # false for NaN
+        if len(large):
+            out[large] = dithered(out[large], px[large], py[large])
 
     def _relief(self, hits: Hits, drape: Colours, out: Colours) -> None:
         """Light by the skyline and the sky-view factor of the working grid."""
@@ -262,7 +267,5 @@ class Shader:
     def background(self, directions: Array, px: Array, py: Array) -> Colours:
         """What is seen where no ground is, in directions (n, 3) and at pixel positions (n,)."""
         if self.air is not None:
-            from orograph.picture.sky import dithered
-
             return dithered(self.air.sky(directions), px, py)
         return np.broadcast_to(PAPER, (len(directions), 3)).astype(np.float32)

@@ -159,7 +159,8 @@ class Atmosphere:
 
 def dithered(colours: Colours, px: Array, py: Array) -> Colours:
     """Linear colours (n, 3) at pixel positions (n,), moved by up to half a step of what a byte of sRGB can tell: a sky
-    whose colour changes by less than a step over many pixels has no bands then (ordered dither, Bayer 1973, 8 × 8)."""
+    and ground whose colour changes by less than a step over many pixels have no bands then (ordered dither, Bayer 1973,
+    8 × 8)."""
     x, y = np.floor(px).astype(np.int64), np.floor(py).astype(np.int64)
     rank = np.zeros(len(x), np.int64)
     for k in range(3):

@@ -333,6 +333,9 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   if ((FLAGS & 256u) != 0u) {
     colour = haze(colour, d, depth);
   }
+  if (hit.footprint < 0.5) {   // where samples are large colours change by less than a byte tells over many pixels
+    colour = dithered(colour, in_picture(at.xy));
+  }
   if ((FLAGS & 8192u) != 0u) {
     colour = outlined(colour, pixel, d);
   }
