@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from affine import Affine
-from pyproj import CRS
+from pyproj import CRS, Transformer
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
@@ -163,3 +163,27 @@ def test_no_ground_gets_more_than_codes_can_say(latitude):
             assert got < most, (date, east, north)
             if (east, north, latitude, date) == (0, 0, -89.0, "2026-12-21"):
                 assert got > 0.95 * 13_500
+
+
+@pytest.mark.parametrize("lon_0", [9.0, -40.0, 100.0])
+def test_suns_count_from_the_grids_own_north(lon_0):
+    """The same slope in a polar projection, where the pole is what true north is towards: the energy is the slope's."""
+    fall, tilt = math.radians(110.0), math.tan(math.radians(30.0))  # towards the winter's morning sun
+    got = []
+    for crs in ("+proj=tmerc +lat_0=47 +lon_0=9", f"+proj=stere +lat_0=90 +lat_ts=47 +lon_0={lon_0}"):
+        x, y = Transformer.from_crs(4326, crs, always_xy=True).transform(9.0, 47.0)
+        north = 0.0 if "tmerc" in crs else math.atan2(-x, -y)
+        grid = Grid((9, 9), Affine(CELL, 0, x - 4.5 * CELL, 0, -CELL, y + 4.5 * CELL), CRS.from_user_input(crs))
+        row, col = np.mgrid[:9, :9] * CELL
+        plane = -tilt * (math.sin(fall + north) * col - math.cos(fall + north) * row)
+        got.append(insolation(plane.astype(np.float32), grid, "2026-12-21", turbidity=0.0, azimuths=64)[0, 4, 4])
+    assert got[1] == pytest.approx(got[0], rel=0.004) and got[0] > 3000
+    west = insolation(-plane.astype(np.float32), grid, "2026-12-21", turbidity=0.0)[0, 4, 4]
+    assert west < 0.5 * got[0]  # the direction matters
+
+
+def test_insolation_says_what_it_lacks_on_the_moon():
+    moon = Grid((4, 4), Affine(CELL, 0, 0, 0, -CELL, 0), CRS.from_user_input("+proj=eqc +R=1737400"))
+    with pytest.raises(UsageError, match="not on the Earth") as told:
+        insolation(np.zeros((4, 4), np.float32), moon, "2026")
+    assert "azimuth,altitude" not in str(told.value)

@@ -120,7 +120,12 @@ class Suns:
             UsageError: the period, step or turbidity is none, or it is not known where on Earth the terrain lies.
         """
         begin, end = _checked(date, step, turbidity)
-        longitude, latitude = place(grid)
+        try:
+            longitude, latitude = place(grid)
+        except UsageError as error:
+            raise UsageError(
+                error.what, remedy="Insolation is of a place on Earth: give data with a CRS there (--assume-crs)."
+            ) from None
         zone = datetime.timezone(datetime.timedelta(minutes=round(4 * longitude)))
         minutes = (end - begin).total_seconds() / 60
         count = math.ceil(minutes / step)
