@@ -40,6 +40,8 @@ def test_promise_and_no_defect(seed):
         for _ in range(2):
             near, far = float(rng.choice([0, 0, 50])), float(rng.choice([np.inf, np.inf, 3000]))
             view = plain.random_view(rng, t, near=near, far=far)
+            if rng.random() < 0.3:  # a tile of the picture: its frustum lies to one side
+                view = view.tile(int(rng.integers(0, 200)), int(rng.integers(0, 120)), 100, 70)
             tolerance = float(10 ** rng.uniform(-1.5, 1.2))
             for engine in engines:
                 mesh = engine.refine(view, tolerance=tolerance)

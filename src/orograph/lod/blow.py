@@ -113,7 +113,7 @@ class Blow(Engine):
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._state: _State | None = None
-        self._spheres: tuple[float, ...] = ()
+        self._spheres: tuple[Any, ...] = ()
         self._capacity = 1 << 12
 
     def reset(self) -> None:
@@ -142,9 +142,9 @@ class Blow(Engine):
         colored = math.inf if view.projection == "plan" else (1.0 + 1.0 / lens[TEXEL]) / cosine
         isotropic = self.spheres != ANISOTROPIC
         plan = view.projection == "plan"
-        spheres: tuple[float, ...] = (self._lambda(view, tolerance), colored)
+        spheres: tuple[Any, ...] = (self._lambda(view, tolerance), colored, view.part)
         if not isotropic:
-            spheres = (tolerance, view.pixel_slope, view.near, view.far, *view.frame[2:], plan)
+            spheres = (tolerance, view.pixel_slope, view.near, view.far, *view.frame[2:], plan, view.part)
         if self._state is None or spheres != self._spheres or (plan and not isotropic):
             self._state, self._spheres = _State(self.field), spheres
         state = self._state

@@ -52,6 +52,11 @@ class Camera:
             matrix[i, 3] = (c - origin[0]) * x + (f - origin[1]) * y - origin[2] * z * exaggeration
         scale = view.pixel_metres if plan else view.pixel_slope
         half_x, half_y = scale * view.width / 2, scale * view.height / 2
+        if view.part is not None:  # a tile of a picture: seen as if its own middle was straight ahead
+            left, top, width, height = view.part
+            aside = scale * (left + view.width / 2 - width / 2), scale * (height / 2 - top - view.height / 2)
+            for i in (0, 1):
+                matrix[i] -= np.array([0.0, 0.0, 0.0, aside[i]]) if plan else aside[i] * matrix[2]
         if plan:
             lens = [scale, 0.0, half_x, 0.0, half_y, 0.0, view.near, view.far]
         else:

@@ -215,7 +215,7 @@ class Roam(Engine):
         axes = np.stack(view.axes(self.exaggeration))
         eye = np.array(view.eye) * [1.0, 1.0, self.exaggeration]
         mode = "triangles" if triangles is not None else "tolerance"
-        seen = (mode, goal, lens[FOCAL], lens[NEAR], view.far, view.width, view.height, view.projection)
+        seen = (mode, goal, lens[FOCAL], lens[NEAR], view.far, view.width, view.height, view.part, view.projection)
         renew = seen != self._seen or self._pose is None or view.projection == "plan"
         moved = turned = 0.0
         if self._pose is not None and not renew:
