@@ -75,9 +75,9 @@ def info(path: str, crs: str | None, as_json: bool) -> None:
     from orograph.tour import Tour
 
     if crs is None:
-        said = load_object(path, "tour", "keys")
-        keys = said.get("keys")
-        for part in (said, *(keys if isinstance(keys, list) else ())):
+        values = load_object(path, "tour", "keys")
+        keys = values.get("keys")
+        for part in (values, *(keys if isinstance(keys, list) else ())):
             if isinstance(part, dict) and part.get("crs") is not None:
                 raise UsageError(
                     f"The tour's places are in {part['crs']}, and how it goes depends on the terrain's CRS.", path=path,
