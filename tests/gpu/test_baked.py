@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from affine import Affine
+from cielab import lab
 from pyproj import CRS
 
 import orograph
@@ -73,3 +74,35 @@ def test_a_layer_that_lacks_chunks_is_told(device: Device, store: Path, tmp_path
         shutil.rmtree(level / "up" / "c")
     with pytest.raises(DamagedChunkError, match=r"layers/aperture/\d/up.*not there.*orograph bake"):
         told(torn, backend, light="aperture")
+
+
+@pytest.fixture(scope="module")
+def rough(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ground with relief at all scales, as real one has, with baked caps and shares of the sky."""
+    side, rng = 400, np.random.default_rng(3)
+    f = np.hypot(np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None])
+    f[0, 0] = 1
+    z = np.fft.irfft2((rng.normal(size=f.shape) + 1j * rng.normal(size=f.shape)) / f**1.8, (side, side))
+    z = ((z - z.min()) / np.ptp(z) * 1500).astype(np.float32)
+    path = tmp_path_factory.mktemp("rough") / "rough.oro"
+    grid = Grid(z.shape, Affine(30, 0, 7e5, 0, -30, 5.3e6), CRS.from_epsg(32632))
+    orograph.build(ArraySource(z, grid, "rough"), path).close()
+    bake(path, ["aperture", "ambient-occlusion"]).close()
+    return path
+
+
+@pytest.mark.parametrize("light", ["aperture", "ao"])
+@pytest.mark.parametrize("size", [(120, 80), (480, 320)])
+def test_both_backends_show_the_same_light(device: Device, rough: Path, light: str, size: tuple[int, int]) -> None:
+    """At whatever scale: slopes and caps of the same levels. With a fine mesh, for both to see the same ground; without
+    the sun's shadows for ``ao``, whose edges are another matter."""
+    made = []
+    for backend in ("cpu", "gpu"):
+        with orograph.open(rough) as terrain:
+            drawn = orograph.render(
+                terrain, size=size, sun=(300, 30), light=light, samples=1, tolerance=0.05, backend=backend,
+                shadows=light == "aperture",
+            )  # fmt: skip
+        made.append(lab(np.asarray(drawn.pixels)[..., :3]))
+    off = np.linalg.norm(made[0] - made[1], axis=-1)
+    assert off.mean() < 0.1 and np.quantile(off, 0.99) < 1.0, (off.mean(), np.quantile(off, 0.99))

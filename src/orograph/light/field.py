@@ -113,7 +113,8 @@ class Field:
 
 @inlined
 def _place(ints, floats, x, y, footprint):
-    """Where in the pool a point lies: the four samples around it, and how far between them."""
+    """Where in the pool a point lies: the four samples around it (indices without a sign, which need no care for those
+    below 0), and how far between them."""
     w = finest(ints, floats, x, y, SQRT_HALF * footprint)
     blocks = 1.0 / floats[w, 0]
     rows, cols = ints[w, 1], ints[w, 2]
@@ -121,10 +122,30 @@ def _place(ints, floats, x, y, footprint):
     j = min(max(np.int64(u), 0), max(cols - 2, 0))
     i = min(max(np.int64(v), 0), max(rows - 2, 0))
     f, g = min(max(u - j, 0.0), 1.0), min(max(v - i, 0.0), 1.0)
-    base = ints[w, 0]
-    a = base + i * cols + j
+    a = ints[w, 0] + i * cols + j
     right, down = (1 if cols > 1 else 0), (cols if rows > 1 else 0)
-    return a, a + right, a + down, a + down + right, f, g
+    return np.uint64(a), np.uint64(a + right), np.uint64(a + down), np.uint64(a + down + right), f, g
+
+
+@inlined
+def _slope(pool, ints, floats, x, y, footprint):
+    """The slope over a footprint, as ``relief.Relief.gradient`` has it, metres per sample along columns and rows; the
+    logarithm that says how far between two levels it lies is a parabola, within 0.008."""
+    size = 1.0
+    while 2.0 * size <= footprint:
+        size *= 2.0
+    w = finest(ints, floats, x, y, 0.75 * size)
+    across, down = slope_at(pool, ints, floats, w, x, y)
+    per = 1.0 / floats[w, 0]
+    across, down = across * per, down * per
+    if footprint > size:
+        t = footprint / size - 1.0
+        part = t * (1.34 - 0.34 * t)
+        w = finest(ints, floats, x, y, 1.5 * size)
+        u, v = slope_at(pool, ints, floats, w, x, y)
+        per = part / floats[w, 0]
+        across, down = across * (1.0 - part) + u * per, down * (1.0 - part) + v * per
+    return across, down
 
 
 @kernel
@@ -148,8 +169,8 @@ def light_caps(
 ):  # fmt: skip
     """Light through the caps of a field on hits (n,) of a picture.
 
-    The slope is that of the level of means nearest to the pixel's footprint: caps change as slowly as their own level
-    does, so blending two levels of slopes would be twice the work for nothing to be seen.
+    The slope is that over the pixel's footprint, between two levels: the nearer of them alone would show where it
+    changes. Caps are those of the level nearest to the footprint, for they differ less from one to the next.
 
     Args:
         pool, ints, floats: the field. means, mean_ints, mean_floats: the relief (``relief.Relief``).
@@ -176,11 +197,9 @@ def light_caps(
         else:
             length = 1.0 / np.sqrt(square)
             ce, cn, cu = ce * length, cn * length, cu * length
-        w = finest(mean_ints, mean_floats, x, y, SQRT_HALF * width[k])
-        across, down = slope_at(means, mean_ints, mean_floats, w, x, y)
-        rise = stretch / mean_floats[w, 0]
-        p = (to_world[0, 0] * across + to_world[0, 1] * down) * rise
-        q = (to_world[1, 0] * across + to_world[1, 1] * down) * rise
+        across, down = _slope(means, mean_ints, mean_floats, x, y, width[k])
+        p = (to_world[0, 0] * across + to_world[0, 1] * down) * stretch
+        q = (to_world[1, 0] * across + to_world[1, 1] * down) * stretch
         up = 1.0 / np.sqrt(1.0 + p * p + q * q)
         px, py = linear[0, 0] * x + linear[0, 1] * y, linear[1, 0] * x + linear[1, 1] * y
         illuminate(

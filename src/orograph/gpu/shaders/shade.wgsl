@@ -102,9 +102,9 @@ fn sunlit(at: Place) -> f32 {
   return 1.0;
 }
 
-// The window of the field to look up: the finest that is not finer than a pixel and holds the place.
+// The window of the field to look up, as light/field.py: of those that hold the place the one nearest in size to a pixel.
 fn field_window(at: Place, footprint: f32) -> u32 {
-  let wanted = i32(floor(log2(max(footprint, 1.0))));
+  let wanted = i32(floor(log2(max(footprint, 1.0)) + 0.5));
   for (var w = i32(shade.fields) - 1; w > 0; w--) {
     let window = windows[shade.windows + u32(w)];
     let q = in_blocks(at, u32(window.level)).whole - vec2<i32>(window.col0, window.row0);
