@@ -209,6 +209,7 @@ def test_memory_jobs_and_a_store_change_no_bit(run, hilly, tmp_path):
         (("--product", "visible-sky", "--date", "2026"), "insolation"),
         (("--product", "insolation", "--date", "2026", "--rho", "linear"), "ambient-occlusion"),
         (("--product", "insolation"), "--date"),
+        (("--product", "horizon", "--refraction", "0.2"), "--curvature"),
         (("--product", "insolation", "--date", "2026-02-30"), "period"),
         (("--product", "insolation", "--date", "2026", "--turbidity", "nan"), "turbidity"),
         (("--product", "insolation", "--date", "2026", "--step", "0"), "step"),

@@ -6,10 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from affine import Affine
+from pyproj import CRS
 
+from orograph.geo.grid import Grid
 from orograph.light.arrays import context_of
-from orograph.light.products import Options, compute
+from orograph.light.products import Context, Options, compute
 from orograph.light.sky import arctangent
+from orograph.store.memory import MemoryTerrain
 
 SQUARE = np.array([[1.0, 0.0], [0.0, -1.0]])
 
@@ -74,6 +78,20 @@ def test_the_horizon_in_degrees_and_on_a_round_body():
     bent = compute(context_of(h, linear, Options(azimuths=4, curvature=True)), "horizon")[1]
     dropped = 1000 - 0.87 * 39_900**2 / (2 * 6_371_008.8)
     assert bent[2, 0] == pytest.approx(math.degrees(math.atan(dropped / 39_900)), abs=1e-3)
+
+
+@pytest.mark.parametrize(("ball", "k"), [(6_371_000, 0.13), (1_737_400, 0.0), (3_389_500, 0.0)])
+def test_there_is_no_air_on_the_moon(ball, k):
+    h = np.zeros((3, 400), np.float32)
+    h[1, 399] = 1000.0
+    terrain = MemoryTerrain(
+        h, Grid(h.shape, Affine(30, 0, 0, 0, -30, 0), CRS.from_proj4(f"+proj=eqc +R={ball}")), "ball"
+    )
+    for given, expected in ((None, k), (0.2, 0.2)):
+        context = Context(terrain, Options(azimuths=4, curvature=True, refraction=given))
+        dropped = 1000 - (1 - expected) * 11_970**2 / (2 * ball)
+        found = compute(context, "horizon")[1, 1, 0]
+        assert found == pytest.approx(math.degrees(math.atan(dropped / 11_970)), abs=2e-4)
 
 
 def test_a_radius_sees_more_sky():

@@ -220,7 +220,9 @@ def _tags(context: Context, wanted: list[str]) -> dict[str, str]:
     said = {
         "azimuths": str(options.azimuths),
         "radius": "unlimited" if options.radius is None else f"{options.radius:g} m",
-        "curvature": f"round, refraction {options.refraction:g}" if options.curvature else "flat",
+        "curvature": f"round, refraction {options.bending(context.terrain.grid.crs):g}"
+        if options.curvature
+        else "flat",
         "sun": f"azimuth {options.sun[0]:.6g}, altitude {options.sun[1]:.6g} degrees",
         "lights": "; ".join(f"azimuth {a:g}, altitude {h:g} degrees, weight {w:g}" for a, h, w in lights),
         "exaggeration": f"{options.exaggeration:g}",

@@ -48,6 +48,8 @@ def check_used(ctx: click.Context, wanted: Sequence[str]) -> None:
     """
     from orograph.errors import UsageError
 
+    if ctx.params.get("refraction") is not None and not ctx.params.get("curvature"):
+        raise UsageError("--refraction is for --curvature: on a flat Earth rays are straight.")
     for option in ctx.command.params:
         users = USERS.get(str(option.name))
         given = ctx.get_parameter_source(str(option.name)) is click.core.ParameterSource.COMMANDLINE
@@ -108,9 +110,7 @@ def horizon_options(function: F) -> F:
         click.option(
             "--refraction",
             type=float,
-            default=0.13,
-            show_default=True,
-            help="With --curvature: how much rays bend, relative to the ground.",
+            help="With --curvature: how much rays bend, relative to the ground.  [default: 0.13; 0 beyond the Earth]",
         ),
     )
 

@@ -125,7 +125,7 @@ def bake(
         raise UsageError(f"Layers have 8 or 16 bits, not {bits}.")
     storage = storage_at(store, storage_options)
     before = read_record(storage)
-    made = [_record(p, chosen, bits, before.source) for p in products]
+    made = [_record(p, chosen, bits, before) for p in products]
     if not overwrite:
         there = [layer for layer in made if before.layers.get(layer.name) == layer]
         for layer in there:
@@ -178,12 +178,12 @@ def _bakeable(name: str) -> Product:
     return found
 
 
-def _record(of: Product, options: Options, bits: Bits | None, source: str) -> LayerRecord:
+def _record(of: Product, options: Options, bits: Bits | None, store: Record) -> LayerRecord:
     """What the store will say of a layer."""
     how = BAKED[of.name]
     made_with: dict[str, Any] = {
         "azimuths": options.azimuths, "radius": options.radius, "curvature": options.curvature,
-        "refraction": options.refraction if options.curvature else None,
+        "refraction": options.bending(store.grid.crs) if options.curvature else None,
         **{key: options.more.get(key, default) for key, default in how.more},
     }  # fmt: skip
     if made_with.get("method") == "rays":
@@ -194,7 +194,7 @@ def _record(of: Product, options: Options, bits: Bits | None, source: str) -> La
         LayerBand(band.name.replace(" ", "-"), band.unit, float(band.byte[0]), float(band.byte[1]), bits or how.bits)
         for band in of.described(options)
     )
-    return LayerRecord(of.name, of.doc, bands, _SAID[how.averaging], made_with, source)
+    return LayerRecord(of.name, of.doc, bands, _SAID[how.averaging], made_with, store.source)
 
 
 def _kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overwrite: bool) -> Kept:

@@ -28,6 +28,8 @@ from orograph.store.memory import MemoryTerrain
 from orograph.store.terrain import Heights, Terrain
 
 if TYPE_CHECKING:
+    from pyproj import CRS
+
     from orograph.light.gather import Sweep
     from orograph.light.raster import Band, Canvas
     from orograph.light.raster_resume import Kept
@@ -57,6 +59,11 @@ _HOMES = {
 MORE = ("rho", "method", "seed", "cones", "strips", "diameter", "date", "step", "turbidity")
 """Options of single products."""
 
+REFRACTION = 0.13
+"""Of rays over the Earth's ground, in survey practice (Gauss)."""
+
+_EARTH = 6378137.0
+
 MEMORY = 1 << 30
 BASE = 320 << 20
 """What the interpreter, its libraries, compiled kernels and a store's cache take."""
@@ -79,7 +86,8 @@ class Options:
         lights: several of them as (azimuth, altitude, weight), for hillshade; () for ``sun`` alone.
         radius: metres beyond which nothing occludes; None: unlimited.
         curvature: whether the Earth (or the CRS's body) is round, and the air refracts, for horizons.
-        refraction: coefficient k of terrestrial refraction: rays bend by k times the body's curvature.
+        refraction: coefficient k of terrestrial refraction: rays bend by k times the body's curvature. None: 0.13 on
+            the Earth, 0 on bodies whose air is thin or none.
         exaggeration: heights are multiplied by this for hillshade only.
         rays: per sample, for Monte Carlo products.
         more: what single products need, by name (``MORE``): ``rho``, ``method``, ``seed``, ``cones`` (ambient
@@ -91,7 +99,7 @@ class Options:
     lights: tuple[tuple[float, float, float], ...] = ()
     radius: float | None = None
     curvature: bool = False
-    refraction: float = 0.13
+    refraction: float | None = None
     exaggeration: float = 1.0
     rays: int = 256
     more: dict[str, Any] = field(default_factory=dict)
@@ -103,7 +111,7 @@ class Options:
             raise UsageError(f"The radius must be a positive number of metres, not {self.radius!r}.")
         if not _number(self.exaggeration, above=0.0):
             raise UsageError(f"Heights are stretched by a positive number, not {self.exaggeration!r}.")
-        if not _number(self.refraction) or not -1.0 <= self.refraction <= 1.0:
+        if self.refraction is not None and (not _number(self.refraction) or abs(self.refraction) > 1.0):
             raise UsageError(
                 f"The coefficient of refraction lies between -1 and 1 (0.13 as a rule), not {self.refraction}."
             )
@@ -116,6 +124,13 @@ class Options:
                 raise UsageError(f"Lights need weights that are positive, not {weight:g}.")
         if self.lights and not any(weight for *_, weight in self.lights):
             raise UsageError("Lights need weights that are not all 0.")
+
+    def bending(self, crs: CRS | None) -> float:
+        """The coefficient of refraction over a terrain of that CRS (None: on the Earth)."""
+        if self.refraction is not None:
+            return self.refraction
+        body = None if crs is None else crs.ellipsoid
+        return REFRACTION if body is None or abs(body.semi_major_metre / _EARTH - 1.0) < 0.01 else 0.0
 
     def directions(self) -> NDArray[np.float64]:
         """The azimuths (n,), degrees."""
@@ -216,7 +231,8 @@ class Context:
         from orograph.light.sweep import curvature_of, horizons
 
         options = self.options
-        bend = curvature_of(self.terrain.grid.crs, options.refraction) if options.curvature else 0.0
+        crs = self.terrain.grid.crs
+        bend = curvature_of(crs, options.bending(crs)) if options.curvature else 0.0
         return horizons(
             self.heights,
             self.shape,
