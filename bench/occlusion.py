@@ -4,7 +4,8 @@ Run: ``python bench/occlusion.py [DEM] [--size 128] [--radius 600] [--only WORDS
 the terrain is a fractal at 30 m. Errors are over samples more than a few cells from the border of the cut-out. Times
 are processor seconds per million samples on one thread; of the GPU's methods seconds of a clock, or of a software
 adapter processor seconds of all its threads. Of 4,096 rays a second set (another seed) says how far the reference can
-be trusted. Screen-space occlusion is judged where a picture sees the ground, against 4,096 rays from the same points.
+be trusted. Screen-space occlusion is judged where a picture sees the ground (from straight above, a map, and from the
+south), against 4,096 rays from the same points.
 """
 
 from __future__ import annotations
@@ -13,11 +14,15 @@ import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from orograph.gpu.cone_tracing import cones
 from orograph.light.occlusion import ambient_occlusion
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 LINEAR = np.array([[30.0, 0.0], [0.0, -30.0]])
 
@@ -72,21 +77,26 @@ def methods(rho: str, radius: float | None, gpu: bool) -> list[tuple[str, dict[s
     return rows
 
 
-def seen(h: np.ndarray, linear: np.ndarray, size: tuple[int, int] = (640, 400)) -> tuple[np.ndarray, ...]:
-    """A picture of the ground from obliquely above: depth (height, width), points (n, 3), normals, slope of a pixel."""
+def seen(
+    h: np.ndarray, linear: np.ndarray, size: tuple[int, int] = (640, 400), above: bool = False
+) -> tuple[np.ndarray, ...]:
+    """A picture of the ground from the south, or from straight above with a pixel on every sample: depth (height,
+    width), points (n, 3), normals, slope of a pixel."""
     from orograph.light.normal import normals
     from orograph.raycast.caster import Caster
     from orograph.view import View
 
     rows, cols = h.shape
-    width, height = size
-    middle = linear @ [cols / 2, rows / 2]
+    width, height = (cols, rows) if above else size
+    middle = linear @ [(cols - 1) / 2, (rows - 1) / 2]
     across = float(np.linalg.norm(linear @ [cols, 0]))
     low = float(np.nanmean(h))
-    view = View(
-        (middle[0], middle[1] - 0.75 * across, low + 0.55 * across), (middle[0], middle[1] - 0.02 * across, low),
-        fov_y=38.0, width=width, height=height,
-    )  # fmt: skip
+    eye, target = (middle[0], middle[1] - 0.75 * across, low + 0.55 * across), (*(middle - [0, 0.02 * across]), low)
+    fov, up = 38.0, (0.0, 0.0, 1.0)
+    if above:  # from so far away that it is a map
+        eye, target, up = (*middle, low + 40 * across), (*middle, low), (0.0, 1.0, 0.0)
+        fov = 2 * np.degrees(np.arctan(np.linalg.norm(linear @ [0, rows]) / 2 / (40 * across)))
+    view = View(eye, target, up, fov_y=float(fov), width=width, height=height)
     right, up, forward = view.axes()
     _, _, _, d0, du, dv = view.ray_basis()
     inverse = np.linalg.inv(linear)
@@ -114,18 +124,22 @@ def between(values: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def screen(h: np.ndarray, linear: np.ndarray, truth: np.ndarray, radius: float, clock: Callable[[], float]) -> None:
-    """Screen-space occlusion of a picture against the ground's own."""
+    """Screen-space occlusion of pictures against the ground's own."""
     from orograph.gpu.ssao import Quality, screen_occlusion
 
-    depth, points, facing, slope = seen(h, linear)
-    known = between(truth, points)
-    print(f"\nScreen space, {depth.shape[1]} × {depth.shape[0]}, R {radius:g} m\n")
-    print("| slices × steps a side | s per Mpx | mean error | mean abs. error | largest |\n|---|---|---|---|---|")
-    for quality in (Quality(2, 6), Quality(), Quality(16, 64, falloff=0.02, most=4096)):
-        made, spent = timed(lambda q=quality: screen_occlusion(depth, facing, float(slope), radius, quality=q), clock)
-        d = (made - known)[np.isfinite(known)]
-        how = f"| {quality.slices} × {quality.steps} | {spent / depth.size * 1e6:.1f}"
-        print(f"{how} | {d.mean():+.4f} | {np.abs(d).mean():.4f} | {np.abs(d).max():.2f} |", flush=True)
+    for where, above in (("from straight above", True), ("from the south", False)):
+        depth, points, facing, slope = seen(h, linear, above=above)
+        known = between(truth, points)
+        print(f"\nScreen space {where}, {depth.shape[1]} × {depth.shape[0]}, R {radius:g} m\n")
+        print("| slices × steps a side | s per Mpx | mean error | mean abs. error | largest |\n|---|---|---|---|---|")
+        for quality in (Quality(2, 6), Quality(), Quality(16, 64, falloff=0.02, most=4096)):
+            made, spent = timed(
+                lambda q=quality, d=depth, n=facing, s=slope: screen_occlusion(d, n, float(s), radius, quality=q), clock
+            )
+            d = (made - known)[3:-3, 3:-3]
+            d = d[np.isfinite(d)]
+            how = f"| {quality.slices} × {quality.steps} | {spent / depth.size * 1e6:.1f}"
+            print(f"{how} | {d.mean():+.4f} | {np.abs(d).mean():.4f} | {np.abs(d).max():.2f} |", flush=True)
 
 
 def grey(values: np.ndarray, low: float = 0.45) -> np.ndarray:
@@ -141,31 +155,60 @@ def redblue(values: np.ndarray, most: float = 0.2) -> np.ndarray:
     return np.uint8(255 * rgb)
 
 
-def figures(h: np.ndarray, linear: np.ndarray, radius: float, folder: Path) -> None:
-    """The pictures of the manual: the methods as maps with their errors, and screen space beside object space."""
-    from PIL import Image
+def sheet(columns: list[list[tuple[str, np.ndarray]]], gap: int = 8, head: int = 24) -> Image.Image:
+    """Named pictures in columns, each under its name."""
+    from PIL import Image, ImageDraw, ImageFont
 
+    tall = max(sum(len(p) + head + gap for _, p in column) for column in columns) - gap
+    out = Image.new("RGB", (sum(c[0][1].shape[1] + gap for c in columns) - gap, tall), "white")
+    draw, font, x = ImageDraw.Draw(out), ImageFont.load_default(14), 0
+    for column in columns:
+        y = 0
+        for name, pixels in column:
+            draw.text((x + 2, y + 3), name, (40, 40, 40), font)
+            out.paste(Image.fromarray(pixels), (x, y + head))
+            y += len(pixels) + head + gap
+        x += column[0][1].shape[1] + gap
+    return out
+
+
+def figures(dem: str | None, size: int, radius: float, folder: Path) -> None:
+    """The pictures of the manual: ways and laws, the methods as maps with their errors, screen space from the south."""
     from orograph.gpu.ssao import screen_occlusion
     from orograph.light.normal import gradient
     from orograph.light.surface import hillshade_of
 
-    truth = ambient_occlusion(h, linear, radius=radius, azimuths=64)
-    ways = ({"method": "shadow-maps", "rays": 256}, {"method": "cone-tracing"}, {"method": "rays", "rays": 64})
-    made = [ambient_occlusion(h, linear, radius=radius, **how) for how in ways]  # type: ignore[arg-type]
+    h, linear = ground(dem, size * 5 // 3)
+
+    def made(**how: object) -> np.ndarray:
+        return ambient_occlusion(h, linear, **how)  # type: ignore[arg-type]
+
+    laws = {
+        f"16 rays, R = {radius:g} m": made(method="rays", rays=16, radius=radius),
+        f"32 walks, step, R = {radius:g} m": made(radius=radius),
+        f"32 walks, linear, R = {radius:g} m": made(radius=radius, rho="linear"),
+        "32 sweeps, any distance": made(),
+    }
+    sheet([[(name, grey(values))] for name, values in laws.items()]).save(folder / "occlusion.jpg", quality=88)
+    h, linear = ground(dem, size)
+    truth = made(radius=radius, azimuths=64)
+    depth, _, facing, slope = seen(h, linear, above=True)
+    ways = {
+        "256 shadow maps": made(radius=radius, method="shadow-maps", rays=256),
+        "64 cones": made(radius=radius, method="cone-tracing"),
+        "64 rays": made(radius=radius, method="rays", rays=64),
+        "screen space": screen_occlusion(depth, facing, float(slope), radius),
+    }
     relief = grey(hillshade_of(*gradient(h, linear), [(315.0, 45.0, 1.0)])[0], 0.0)
-    columns = [(grey(truth), relief), *((grey(m), redblue(m - truth, 0.1)) for m in made)]
-    rows = [
-        np.concatenate([np.pad(c[k], [(0, 6), (0, 6), (0, 0)], constant_values=255) for c in columns], 1)
-        for k in (0, 1)
-    ]
-    Image.fromarray(np.concatenate(rows)[:-6, :-6]).save(folder / "occlusion-gpu.jpg", quality=88)
+    columns = [[("64 walks (the reference)", grey(truth)), ("relief", relief)]]
+    columns += [[(name, grey(v)), ("error, full at 0.1", redblue(v - truth, 0.1))] for name, v in ways.items()]
+    sheet(columns).save(folder / "occlusion-gpu.jpg", quality=88)
     depth, points, facing, slope = seen(h, linear)
     known = between(truth, points)
-    gap = np.full((len(depth), 6, 3), 255, np.uint8)
     there = np.isfinite(depth) & np.isfinite(known)
     got = np.where(there, screen_occlusion(depth, facing, float(slope), radius), np.nan)
-    sheet = np.concatenate([grey(known), gap, grey(got), gap, redblue(got - known)], axis=1)
-    Image.fromarray(sheet).save(folder / "occlusion-screen.jpg", quality=88)
+    south = {"64 walks": grey(known), "screen space": grey(got), "difference, full at 0.2": redblue(got - known)}
+    sheet([[one] for one in south.items()]).save(folder / "occlusion-screen.jpg", quality=88)
 
 
 def main() -> None:
@@ -178,10 +221,10 @@ def main() -> None:
     )
     parser.add_argument("--figures", type=Path, help="a folder: write the manual's pictures instead")
     args = parser.parse_args()
-    h, linear = ground(args.dem, args.size)
     if args.figures:
-        figures(h, linear, args.radius, args.figures)
+        figures(args.dem, args.size, args.radius, args.figures)
         return
+    h, linear = ground(args.dem, args.size)
     clock = gpu_clock()
     inner = np.s_[3:-3, 3:-3]
     words = [w.strip() for w in args.only.split(",")]
