@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -145,7 +146,8 @@ def test_messages_lie_before_the_tool_and_within_the_window(window, hand):
         window.canvas.set_logical_size(*size)
         window.session.messages.say("Saved a profile in a folder with a name that is rather long, as they are.")
         hand.frames(6)
-        tool, said = (imgui.internal.find_window_by_name(name) for name in ("Measure", "##message0"))
+        newest = f"##message{len(window.session.messages.shown) - 1}"
+        tool, said = (imgui.internal.find_window_by_name(name) for name in ("Measure", newest))
         order = imgui.internal.find_window_display_index
         assert order(said) > order(tool)
         assert said.pos.y > tool.pos.y + tool.size.y  # nor does it hide what the tool tells
@@ -192,3 +194,60 @@ def test_an_area_is_saved_as_what_measure_takes(window, hand, dem, tmp_path, mon
     done = CliRunner().invoke(command, [str(dem), "area", "--geojson", str(path), "--json"], obj={"quiet": True})
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["surface_m2"] == pytest.approx(tools.result.surface, rel=1e-9)
+
+
+def test_the_tool_follows_the_terrain_until_it_is_moved(window, hand):
+    hand.key("m")
+    hand.frames(3)
+    place = lambda: (found := imgui.internal.find_window_by_name("Measure").pos) and (found.x, found.y)  # noqa: E731
+    first = place()
+    hand.key("p")  # the plan takes half of the window
+    hand.frames(4)
+    assert place()[0] > first[0] + 50
+    hand.key("p")
+    hand.frames(4)
+    x, y = place()
+    hand.press(x + 100, y + 8)  # by its title
+    hand.frames(3)
+    hand.move(x + 140, y + 420)
+    hand.frames(3)
+    hand.release(x + 140, y + 420)
+    hand.frames(3)
+    assert place() == pytest.approx((x + 40, y + 412), abs=2)  # beside the places to dock at
+    window.canvas.set_logical_size(500, 300)
+    hand.frames(5)
+    tool = imgui.internal.find_window_by_name("Measure")
+    assert tool.pos.x + tool.size.x <= 500 and tool.pos.y + tool.size.y <= 300
+
+
+def test_what_is_under_a_resting_pointer_is_told_when_the_camera_moves(window, hand):
+    hand.rest()
+    hand.move(300, 430)
+    hand.until(lambda: window.session.probe.hit is not None)
+    before = window.session.probe.hit
+    hand.key("o")
+    hand.key("+")
+    hand.key("]")
+    hand.still()
+    view, (x, y) = window.session.view, window.pointer
+
+    def told() -> bool:
+        hit = window.session.probe.hit
+        return (
+            hit is not None
+            and abs(view.project(np.array([hit.easting, hit.northing, hit.height]))[0] - (x, y)).max() < 0.5
+        )
+
+    hand.until(told)
+    assert window.session.probe.hit != before
+
+
+def test_the_scale_is_known_near_the_ground(window, hand, monkeypatch):
+    """Where the coarse ground lies above the eye."""
+    probe = window.session.probe
+    monkeypatch.setattr(probe, "pick_coarse", lambda *a: None)
+    eye, target = (EAST + 3000.0, NORTH - 5000.0, PLAIN + 2.0), (EAST + 3000.0, NORTH - 4990.0, PLAIN)
+    view = replace(window.session.view, eye=eye, target=target)
+    found = probe.pick_about(view, view.width / 2, view.height / 2)
+    assert found is not None and found[2] == pytest.approx(PLAIN, abs=1.0)
+    assert view.project(np.array(found))[0] == pytest.approx((view.width / 2, view.height / 2), abs=0.1)

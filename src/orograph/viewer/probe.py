@@ -151,6 +151,18 @@ class Probe:
         t = float(self._caster.cast(o[None], v[None], view.near, min(view.far, 1e12))[0][0])
         return None if math.isnan(t) else _point(origin + t * direction)
 
+    def pick_about(self, view: View, x: float, y: float, exaggeration: float = 1.0) -> Point | None:
+        """As ``pick_coarse``; an eye that stands below the coarse level's ground sees the level of the true ground
+        below it."""
+        found = self.pick_coarse(view, x, y, exaggeration)
+        if found is not None:
+            return found
+        origin, direction = _ray(view, x, y, exaggeration)
+        fall = self.ground(float(origin[0]), float(origin[1])) - float(origin[2])
+        if not (fall < 0 and direction[2] < 0):
+            return None
+        return _point(origin + fall / direction[2] * direction)
+
     # ---- all about the place under the cursor --------------------------------------------------------------------
 
     def hover(self, view: View, x: float, y: float, exaggeration: float = 1.0) -> None:

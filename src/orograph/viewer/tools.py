@@ -71,6 +71,7 @@ class Tools:
         self._running = 0
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.marked: Point | None = None
+        self._put: tuple[int, int] | None = None
         self._border: tuple[Any, measure.Profile] | None = None
         self._ground: tuple[Any, Array] | None = None
 
@@ -232,7 +233,7 @@ class Tools:
         trace(self.window, self.kind, self.points, self._line(), self.result, self.marked)
         x, y, w, _ = self.window.area
         beside = self.window.plan.inset_width
-        imgui.set_next_window_pos((x + beside + 28, y + 14), imgui.Cond_.first_use_ever)
+        self._follow((math.floor(x + beside + 28), math.floor(y + 14)))
         imgui.set_next_window_size((min(460.0, max(w - beside - 100.0, 260.0)), 0), imgui.Cond_.always)
         shown, opened = imgui.begin("Measure", True, imgui.WindowFlags_.no_focus_on_appearing)
         if shown:
@@ -240,6 +241,26 @@ class Tools:
         imgui.end()
         if not opened:
             self.leave()
+
+    def _follow(self, place: tuple[int, int]) -> None:
+        """The panel stands at the corner of the terrain's area, also when that changes, until it is moved by hand; then
+        it stays where it is, as far as it is in the window."""
+        panel: Any = imgui.internal.find_window_by_name("Measure")
+        if panel is None or self._put is None:
+            imgui.set_next_window_pos(place, imgui.Cond_.first_use_ever)
+            self._put = place
+            return
+        if panel.dock_id:
+            return
+        x, y, w, h = panel.pos.x, panel.pos.y, panel.size.x, panel.size.y
+        if (x, y) == self._put:
+            imgui.set_next_window_pos(place)
+            self._put = place
+            return
+        wide, tall = imgui.get_io().display_size
+        inside = max(min(x, wide - w), 0.0), max(min(y, tall - h), 0.0)
+        if inside != (x, y) and not imgui.is_mouse_down(0):
+            imgui.set_next_window_pos(inside)
 
     def _panel(self) -> None:
         for k, kind in enumerate(KINDS):

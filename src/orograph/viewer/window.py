@@ -31,10 +31,15 @@ from orograph.viewer.touring import Touring
 
 PROGRESS = 0.2
 """Seconds between frames that show how far a measurement is."""
+ASKED = 0.1
+"""Seconds after which it is asked again what is under the pointer, while the camera moves."""
 SETTLED = 0.12
 """Seconds without motion after which the picture is drawn at full size."""
 AFTER = 6
 """Frames drawn after an event: ImGui takes some events one by one, and shows a tab a frame after it was chosen."""
+
+LITTLE = 150.0
+"""Logical pixels of width below which the terrain is hardly to be seen."""
 
 Area = tuple[float, float, float, float]
 
@@ -90,9 +95,11 @@ class Window:
         self._last = time.perf_counter()
         self._was_moving = False
         self._viewed: View | None = None
+        self._asked: tuple[View, float] | None = None
         self._moved = 0.0
         self._pending = AFTER
         self._alarm: threading.Timer | None = None
+        self._told = False
         self._cache: dict[Any, tuple[Any, Any]] = {}
         session.changed = self.refresh
         self.events = Events(self)
@@ -130,7 +137,7 @@ class Window:
         view = self.session.view
         found: Point | None = self.cached(
             ("middle", view, self.session.settings.exaggeration),
-            lambda: self.session.probe.pick_coarse(
+            lambda: self.session.probe.pick_about(
                 view, view.width / 2, view.height / 2, self.session.settings.exaggeration
             ),
         )
@@ -175,6 +182,7 @@ class Window:
         else:
             self._was_moving = False
         self._pending = max(self._pending - 1, 0)
+        self._ask(now, moving)
         size = self.canvas.get_physical_size()
         self.events.decide()
         self.gui.begin(self.canvas.get_logical_size(), self.ratio, min(max(passed, 1 / 240), 0.1))
@@ -193,6 +201,16 @@ class Window:
         if self.pictures.asked is not None and self._pending == 0:
             self.pictures.save()
         self._go_on(moving or not settled)
+
+    def _ask(self, now: float, moving: bool) -> None:
+        """Ask what is under a pointer that rests while the camera moves."""
+        view = self.session.view
+        if self._asked is None:
+            self._asked = view, now
+        elif self._asked[0] != view and (not moving or now - self._asked[1] > ASKED):
+            self._asked = view, now
+            if self.pointer is not None:
+                self.tools.hover()
 
     def _go_on(self, moving: bool) -> None:
         """Ask for the next frame: at once, later, or not before something happens."""
@@ -222,6 +240,9 @@ class Window:
     def _panels(self) -> None:
         """Panels and furniture; finds the area that they leave to the terrain."""
         self.area = panels.dock(self)
+        if self.session.settings.panels and self.area[2] < LITTLE and not self._told:
+            self._told = True
+            self.session.messages.say("The panels leave little of the terrain: Tab hides them.")
         self.area = self.plan.place(self.area)
         width, height = (max(1, round(v * self.ratio)) for v in self.area[2:])
         if (width, height) != (self.session.view.width, self.session.view.height):

@@ -63,7 +63,7 @@ def draw(window: Window) -> None:
 
 def _moment(window: Window) -> None:
     light = window.session.settings.light
-    imgui.text(f"{light.when:%d %B %Y  %H:%M}  UTC{light.zone:+g}")
+    imgui.text(f"{light.when:%d %B %Y  %H:%M}  UTC{light.zone:+g}".replace("-", "−"))
     moved, hour = imgui.slider_float("time", light.hour, 0.0, 24.0, "%.2f h", CLAMPED)
     if moved:
         light.hour = hour
