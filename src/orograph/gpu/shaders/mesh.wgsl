@@ -1,6 +1,7 @@
 // A mesh that an engine made: vertices are samples of the raster, as those of the patches are, and so equal to the bit
 // where meshes and patches share them. Corners are pulled by number, so that each triangle knows all three of its own.
 // include: camera.wgsl
+// include: drawn.wgsl
 
 struct Sample { row: i32, col: i32, height: f32, pad: u32 };
 
@@ -71,14 +72,10 @@ fn fragment(in: Vertex) -> @location(0) u32 {
   return marked(in);
 }
 
-struct WithSlope { @location(0) marks: u32, @location(1) slope: vec2<f32> };
-
 @fragment
 fn with_slope(in: Vertex) -> WithSlope {
   return WithSlope(marked(in), in.slope);
 }
-
-struct WithField { @location(0) marks: u32, @location(1) slope: vec2<f32>, @location(2) field: f32 };
 
 // The same, and the terrain's own height there, which contour lines are of: that of the triangle is as coarse as it is.
 @fragment

@@ -1,6 +1,7 @@
 // Patches of regularly bisected right triangles: vertices are cells of the raster, heights are pulled from the atlas.
 // One instance a patch; all patches share one index buffer.
 // include: camera.wgsl
+// include: drawn.wgsl
 
 @group(1) @binding(0) var heights: texture_2d_array<f32>;
 @group(1) @binding(1) var slopes: texture_2d_array<f32>;
@@ -105,8 +106,6 @@ fn marked(in: Vertex) -> u32 {
 fn fragment(in: Vertex) -> @location(0) u32 {
   return marked(in);
 }
-
-struct WithSlope { @location(0) marks: u32, @location(1) slope: vec2<f32> };
 
 // The same, and a slope: that of the vertices, blended between them, which knows nothing of the ground between; or by
 // the derivatives of the position on the screen, which is that of the flat triangle.
