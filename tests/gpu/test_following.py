@@ -52,6 +52,7 @@ def settle(follow, scene, what, seconds=60.0):
     while not what():
         assert time.monotonic() < end
         follow.aside(scene, NONE)
+        follow.go_on()
         time.sleep(0.005)
 
 
@@ -61,6 +62,7 @@ def test_quick_shadows_come_first_and_then_all_of_the_light(terrain):
     scene = scene_of(terrain)
     seen = []
     follow.aside(scene, NONE)
+    follow.go_on()
     assert len(follow.maps.windows) == 0  # there is something to draw with at once
     settle(follow, scene, lambda: seen.append(follow.maps) or not follow.busy)
     kinds = list(dict.fromkeys(id(m) for m in seen))
@@ -99,6 +101,7 @@ def test_a_camera_that_never_rests_is_followed(terrain, monkeypatch):
         d = 40.0 * step
         moved = replace(scene, view=replace(scene.view, eye=(x + d, y, z), target=(e + d, n, h)))
         follow.aside(moved, NONE)
+        follow.go_on()
         assert follow._moved >= time.monotonic() - following.SETTLED  # it is never at rest
         met[id(follow.maps)] = follow.maps
         time.sleep(0.002)
@@ -113,8 +116,10 @@ def test_a_flight_gets_new_maps_only_so_often(terrain, monkeypatch):
     for step in range(1, 60):
         x, y, z = scene.view.eye
         follow.aside(replace(scene, view=replace(scene.view, eye=(x + 100.0 * step, y, z))), NONE)
+        follow.go_on()
         time.sleep(0.002)
     assert follow.maps is first
     turned = scene_of(terrain, azimuth=90.0)  # a new sun is not waited with
     follow.aside(turned, NONE)
+    follow.go_on()
     assert follow._aside.busy

@@ -72,6 +72,7 @@ class Following:
         """What the thread keeps for the next maps; ``kept`` would have frames wait while it makes something."""
         self._begun = self._taken = self._took = 0.0
         self._wish: Any = None
+        self._due_now: tuple[Any, Callable[[], Any]] | None = None
         self._last_view: View | None = None
         self._moved = 0.0
 
@@ -95,8 +96,8 @@ class Following:
         return self.maps
 
     def aside(self, scene: Scene, instances: NDArray[Any]) -> None:
-        """Take the maps that were made meanwhile, and have new ones made if the scene wants others."""
-        now = time.monotonic()
+        """Take the maps that were made meanwhile; if the scene wants others, ``go_on`` has them made."""
+        now, self._due_now = time.monotonic(), None
         done = self._aside.take()
         if done is not None:
             self.maps, self.range, veil = done
@@ -112,7 +113,7 @@ class Following:
         if not self._due(key, now) or not self._aside.wants(key):
             return
         instances = instances.copy()  # the next frame's take their place
-        self._begun, quick = now, self._aside.done is None
+        quick = self._aside.done is None
 
         def make() -> tuple[LightMaps, tuple[float, float], Any]:
             points, visible = self._about(scene, instances)
@@ -121,7 +122,14 @@ class Following:
             maps = self._uploaded(light_maps(scene, points, self._own, detail=DETAIL))
             return maps, visible, self._veils(scene, self._own)
 
-        self._aside.start((*key[:KINDS], QUICK) if quick else key, make)
+        self._due_now = (*key[:KINDS], QUICK) if quick else key, make
+
+    def go_on(self) -> None:
+        """Begin what ``aside`` found to be due: when a frame was handed over, whose Python would be slowed down."""
+        if self._due_now is not None:
+            begin, self._due_now = self._due_now, None
+            self._begun = time.monotonic()
+            self._aside.start(*begin)
 
     def _due(self, key: tuple[Any, ...], now: float) -> bool:
         """Whether it is time to make maps: a new sun, the first maps and those after quick ones are not waited with."""

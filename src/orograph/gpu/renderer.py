@@ -187,7 +187,7 @@ class Renderer(Reading):
         commands = encoder.finish()
         to_submit = time.perf_counter() - begun
         self.device.queue.submit([commands])
-        after = 0.0 if wait else self._look_ahead(freeze or view, chosen.tolerance, scene.exaggeration, to_submit)
+        after = 0.0 if wait else self._go_on(freeze or view, chosen.tolerance, scene.exaggeration, to_submit)
         return self._told(scene, chosen, to_submit, after)
 
     def overview(self, scene: Scene) -> Seen:
@@ -250,7 +250,7 @@ class Renderer(Reading):
         tolerance = scene.tolerance or 1.0
         if scene.contours is not None:
             tolerance *= scene.contours.finer(self.terrain, view, self.kept)
-        chosen = self.tiles.choose(freeze or view, tolerance, scene.exaggeration, wait=wait)
+        chosen = self.tiles.choose(freeze or view, tolerance, scene.exaggeration, wait=wait, later=True)
         layers = self.imagery.prepare(scene.layers, view, scene.exaggeration, wait=wait)
         self._missing = chosen.missing + self.imagery.missing
         loaded = chosen.loaded + self.imagery.loaded
@@ -298,14 +298,13 @@ class Renderer(Reading):
         edges = bool(flags & WIREFRAME)
         return group, self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, slopes), wait=wait)
 
-    def _look_ahead(self, view: View, tolerance: float, exaggeration: float, taken: float) -> float:
-        """Ask for the tiles of a moment later, unless the frame has taken long already; the seconds that took."""
-        if taken > LATE and self._late < PASSED:
-            self._late += 1
-            return 0.0
-        self._late = 0
+    def _go_on(self, view: View, tolerance: float, exaggeration: float, taken: float) -> float:
+        """Have threads read, also for a moment later if there is time, and make maps; the seconds that took."""
         begun = time.perf_counter()
-        self.tiles.prepare(view, tolerance, exaggeration)
+        late = taken > LATE and self._late < PASSED
+        self._late = self._late + 1 if late else 0
+        self.tiles.prepare(view, tolerance, exaggeration, ahead=not late)
+        self._light.go_on()
         return time.perf_counter() - begun
 
     def _told(self, scene: Scene, chosen: _Choice, to_submit: float, after: float) -> FrameStats:

@@ -98,11 +98,14 @@ class Residency:
                     atlas.insert((top, row, col), make(terrain, (top, row, col)), 0, pin=True)
             atlas.flush()
 
-    def choose(self, view: View, tolerance: float, exaggeration: float, *, wait: bool) -> Chosen:
+    def choose(
+        self, view: View, tolerance: float, exaggeration: float, *, wait: bool, later: bool = False
+    ) -> Chosen:  # fmt: skip
         """The patches of a view.
 
         Args:
             wait: until all tiles that the view wants are there, or the atlases hold no more.
+            later: what is lacking is not asked for before ``prepare``.
 
         Raises:
             StoreError: with ``wait``, a tile cannot be read.
@@ -115,11 +118,14 @@ class Residency:
         if wait:
             self._ahead.clear()
         patches, missing, seconds = self._select(view, tolerance, exaggeration, wait)
+        if wait or not later:
+            self._ask()
         while wait and (missing or self.streamer.waiting) and not self._full:
             self.streamer.wait(1.0)
             more, bytes_ = self._upload(wait)
             loaded, size = loaded + more, size + bytes_
             patches, missing, took = self._select(view, tolerance, exaggeration, wait)
+            self._ask()
             seconds += took
             for kind, key in self.streamer.failed.keys() & self._asked.keys():
                 why = self.streamer.failed[kind, key][1]
@@ -169,7 +175,6 @@ class Residency:
         seconds = time.perf_counter() - begun
         wanted, missing = self._lacking(view, patches, exaggeration, self._frame)
         self._asked = {(kind, key): p for p, kind, key in wanted}
-        self._ask()
         return patches, missing - len(self._asked.keys() & self.streamer.failed.keys()), seconds
 
     def _ask(self) -> None:
@@ -181,8 +186,18 @@ class Residency:
                     every[kind, key] = every.get((kind, key), 0.0) + AHEAD * p / len(self._ahead)
         self.streamer.want([(p, kind, key) for (kind, key), p in every.items()])
 
-    def prepare(self, view: View, tolerance: float, exaggeration: float) -> None:
-        """Ask for the tiles that will be lacking in a moment: when a frame was handed over, for it need not wait."""
+    def prepare(self, view: View, tolerance: float, exaggeration: float, *, ahead: bool = True) -> None:
+        """Have what is lacking read: when a frame was handed over, for its Python need not share the interpreter then.
+
+        Args:
+            ahead: look for what will be lacking in a moment, too.
+        """
+        if ahead:
+            self._foresee(view, tolerance, exaggeration)
+        self._ask()
+
+    def _foresee(self, view: View, tolerance: float, exaggeration: float) -> None:
+        """Find the tiles that will be lacking in a moment."""
         now = time.monotonic()
         self._prediction.see(view, now)
         if not self.look_ahead or not self._prediction.moving:
@@ -197,7 +212,6 @@ class Residency:
         )
         # What is there already stays, if this frame and the last leave it room.
         self._ahead[self._prediction.turn], _ = self._lacking(ahead, patches, exaggeration, self._frame - 2)
-        self._ask()
 
     def _lacking(
         self, view: View, patches: Patches, exaggeration: float, frame: int
