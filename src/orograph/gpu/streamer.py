@@ -24,6 +24,13 @@ T = TypeVar("T")
 AHEAD = 64
 """Tiles that may have been read and not yet been taken, before threads wait."""
 
+GIVEN_UP = 8
+"""Failures one after the other after which nothing else is tried for the time being: a store that is out of order fails
+for every tile, and to find out for hundreds of them would take frames the interpreter."""
+
+FIRST = 0.1
+"""Of the time until failed tiles are asked for again, the part by which those come sooner that were not tried."""
+
 
 class Streamer(Generic[K, T]):
     """Threads that read tiles in the order of their priority.
@@ -46,6 +53,7 @@ class Streamer(Generic[K, T]):
         self._ready: list[tuple[K, T, NDArray[Any]]] = []
         self._condition = threading.Condition()
         self._closed = False
+        self._failures = 0
         self._threads = [threading.Thread(target=self._work, name=f"tiles-{k}", daemon=True) for k in range(jobs)]
         for thread in self._threads:
             thread.start()
@@ -124,6 +132,14 @@ class Streamer(Generic[K, T]):
                 if data is not None:
                     self._ready.append((kind, key, data))
                     self.failed.pop((kind, key), None)
+                    self._failures = 0
                 else:
-                    self.failed[(kind, key)] = (time.monotonic(), error)
+                    now = time.monotonic()
+                    self.failed[(kind, key)] = (now, error)
+                    self._failures += 1
+                    if self._failures >= GIVEN_UP:
+                        untried = {(k, t): (now - FIRST * self.RETRY, error) for _, _, k, t in self._heap}
+                        self.failed.update(untried)
+                        self._heap.clear()
+                        self._failures = 0
                 self._condition.notify_all()
