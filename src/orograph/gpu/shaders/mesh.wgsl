@@ -52,8 +52,10 @@ fn vertex(@builtin(vertex_index) k: u32) -> Vertex {
 
 // How much of a pixel the triangle's edges cover (0–255), a pixel wide with those of its neighbours.
 fn edges(part: vec3<f32>) -> u32 {
-  let away = part / max(fwidth(part), vec3<f32>(1e-6));
-  return u32(255.0 * clamp(1.0 - min(min(away.x, away.y), away.z), 0.0, 1.0));
+  let width = max(fwidth(part), vec3<f32>(1e-6));
+  let away = part / width;
+  let room = 1.0 / max(max(width.x, width.y), width.z);   // pixels from a corner to the side across
+  return u32(255.0 * edge_strength(room) * clamp(1.0 - min(min(away.x, away.y), away.z), 0.0, 1.0));
 }
 
 fn marked(in: Vertex) -> u32 {

@@ -128,5 +128,6 @@ fn edges(at: vec2<f32>) -> u32 {
   let difference = (at.x - at.y) * 0.5;
   let slant = abs(fract(vec2<f32>(sum, difference) - 0.5) - 0.5) / max(fwidth(vec2<f32>(sum, difference)), vec2<f32>(1e-6));
   let nearest = min(min(straight.x, straight.y), min(slant.x, slant.y));
-  return u32(255.0 * clamp(1.0 - nearest, 0.0, 1.0));
+  let room = 0.7 / max(width.x, width.y);   // pixels over a triangle's longest side
+  return u32(255.0 * edge_strength(room) * clamp(1.0 - nearest, 0.0, 1.0));
 }
