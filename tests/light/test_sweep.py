@@ -13,7 +13,7 @@ from pyproj import CRS
 from orograph.errors import UsageError
 from orograph.light import sweep_lines
 from orograph.light.horizon import horizon
-from orograph.light.sweep import curvature_of, horizons
+from orograph.light.sweep import curvature_of, fold, horizons
 from orograph.light.sweep import swept as done
 
 SQUARE = np.array([[1.0, 0.0], [0.0, -1.0]])
@@ -199,3 +199,34 @@ def test_upside_down():
 def test_a_radius_too_large_for_the_memory_is_refused():
     with pytest.raises(UsageError, match="radius"):
         swept(rough(400, 4000), SQUARE, np.array([90.0]), radius=2000.0, memory=1 << 20)
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 5])
+@pytest.mark.parametrize(("radius", "memory"), [(None, 1 << 30), (None, 100_000), (9.0, 1 << 30), (9.0, 120_000)])
+def test_blocks_used_while_the_next_are_swept_are_those_that_were_made(jobs, radius, memory):
+    """Bands of a few steps, so that threads meet at every block; the second memory is too little to read ahead."""
+    h, azimuths = rough(90, 120, 11, 0.05), np.arange(7) * 52.0
+    want, _ = swept(h, SQUARE, azimuths, radius=radius, jobs=1, band=90)
+    got, came = np.full(want.shape, np.inf, np.float32), np.zeros(want.shape, int)
+    order: list[tuple[int, int]] = []
+
+    def add(block, first, last):
+        at = np.ix_(block.azimuths, range(block.row0 + first, block.row0 + last), range(block.col0, block.col1))
+        got[at] = block.slopes[:, first:last]
+        came[at] += 1
+
+    def after(block):
+        at = np.ix_(block.azimuths, range(block.row0, block.row1), range(block.col0, block.col1))
+        assert (came[at] == 1).all()  # all of it has been used
+        order.append((block.row0, block.col0))
+
+    for band in (7, None):
+        got[:], came[:] = np.inf, 0
+        order.clear()
+        blocks = horizons(
+            lambda r0, r1, c0, c1: h[r0:r1, c0:c1].copy(), h.shape, SQUARE, azimuths, radius=radius, jobs=jobs,
+            memory=memory, band=band,
+        )  # fmt: skip
+        fold(blocks, add, jobs, after)
+        assert (came == 1).all() and len(order) >= 4
+        assert np.array_equal(got, want, equal_nan=True)
