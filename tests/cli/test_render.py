@@ -539,3 +539,10 @@ def test_the_shared_california_tiles(run, shared_data, tmp_path, monkeypatch):
     code, said, _ = run("render", *tiles, "-o", tmp_path / "a.png", "--json", *SMALL)
     assert code == 0 and json.loads(said)["hit_fraction"] > 0.2
     shutil.rmtree(tmp_path / "cache", ignore_errors=True)
+
+
+def test_a_wrong_view_is_said_before_anything_is_read(run, tmp_path):
+    path = tmp_path / "v.json"
+    path.write_text('{"eye": [1, 2, 3], "target": [1, 2, 3]}')
+    code, _, err = run("render", tmp_path / "not_there.tif", "-o", tmp_path / "a.png", "--view", path)
+    assert code == 2 and "v.json" in err and "same point" in err

@@ -123,7 +123,8 @@ def camera_options(function: F) -> F:
 
 
 def check_camera(options: Mapping[str, Any]) -> None:
-    """Raise UsageError where the camera options contradict each other."""
+    """Raise UsageError where the camera options contradict each other, or --view's file holds no camera (ReadError: it
+    cannot be read): before a terrain is read, which may take long."""
     from orograph.errors import UsageError
 
     oblique = [f"--{k}" for k in ("from", "pitch", "distance") if options["azimuth" if k == "from" else k] is not None]
@@ -138,6 +139,13 @@ def check_camera(options: Mapping[str, Any]) -> None:
                 f"{wrong[0]} and --projection plan contradict each other: a plan is the whole terrain, straight down.",
                 remedy="Turn it with --from, or choose another extent with --view.",
             )
+    if options["view_path"] is not None:
+        from orograph.documents import load_object, naming
+        from orograph.view import View
+
+        values = load_object(options["view_path"], "view", "eye, target, fov_y, width and height")
+        with naming(options["view_path"]):
+            View.from_dict({**values, "crs": None})  # (whether the CRS is one is known when the terrain's is)
 
 
 def camera_view(terrain: Terrain, options: Mapping[str, Any]) -> View:
