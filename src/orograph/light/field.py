@@ -113,8 +113,7 @@ class Field:
 
 @inlined
 def _place(ints, floats, x, y, footprint):
-    """Where in the pool a point lies: the four samples around it (indices without a sign, which need no care for those
-    below 0), and how far between them."""
+    """Where in the pool a point lies: the four samples around it, and how far between them."""
     w = finest(ints, floats, x, y, SQRT_HALF * footprint)
     blocks = 1.0 / floats[w, 0]
     rows, cols = ints[w, 1], ints[w, 2]
@@ -124,28 +123,46 @@ def _place(ints, floats, x, y, footprint):
     f, g = min(max(u - j, 0.0), 1.0), min(max(v - i, 0.0), 1.0)
     a = ints[w, 0] + i * cols + j
     right, down = (1 if cols > 1 else 0), (cols if rows > 1 else 0)
-    return np.uint64(a), np.uint64(a + right), np.uint64(a + down), np.uint64(a + down + right), f, g
+    return a, a + right, a + down, a + down + right, f, g
 
 
 @inlined
-def _slope(pool, ints, floats, x, y, footprint):
-    """The slope over a footprint, as ``relief.Relief.gradient`` has it, metres per sample along columns and rows; the
-    logarithm that says how far between two levels it lies is a parabola, within 0.008."""
-    size = 1.0
-    while 2.0 * size <= footprint:
-        size *= 2.0
-    w = finest(ints, floats, x, y, 0.75 * size)
-    across, down = slope_at(pool, ints, floats, w, x, y)
-    per = 1.0 / floats[w, 0]
-    across, down = across * per, down * per
-    if footprint > size:
-        t = footprint / size - 1.0
-        part = t * (1.34 - 0.34 * t)
-        w = finest(ints, floats, x, y, 1.5 * size)
-        u, v = slope_at(pool, ints, floats, w, x, y)
-        per = part / floats[w, 0]
-        across, down = across * (1.0 - part) + u * per, down * (1.0 - part) + v * per
-    return across, down
+def _window(ints, floats, x, y, least):
+    """``finest``'s window at a point, and the box of points (west, east, north, south) for which it stays the same
+    while ``least`` does; an empty box where a finer window would do but ends elsewhere."""
+    w = finest(ints, floats, x, y, least)
+    finer = False
+    for other in range(w + 1, ints.shape[0]):
+        finer = finer or floats[other, 0] > least
+    if finer:
+        return w, np.inf, -np.inf, np.inf, -np.inf
+    if w == 0:
+        return w, -np.inf, np.inf, -np.inf, np.inf
+    return w, floats[w, 1], floats[w, 2], floats[w, 3], floats[w, 4]
+
+
+@inlined
+def _axes(ints, floats, w):
+    """Of a window: blocks per sample, where its first lies, and its base and columns as indices without a sign, which
+    need no care for those below 0."""
+    return 1.0 / floats[w, 0], 0.5 + floats[w, 5], 0.5 + floats[w, 6], np.uint64(ints[w, 0]), np.uint64(ints[w, 2])
+
+
+@inlined
+def _slope(pool, base, cols, u, v):
+    """``relief.slope_at`` away from borders, at (u, v) in a window's columns and rows; NaN beside missing samples."""
+    j, i = np.int64(u), np.int64(v)
+    f, g = u - j, v - i
+    one, two = np.uint64(1), np.uint64(2)
+    b = base + np.uint64(i) * cols + np.uint64(j)
+    a, c = b - cols, b + cols
+    d = c + cols
+    b0, b1, c0, c1 = pool[b], pool[b + one], pool[c], pool[c + one]
+    west = (1.0 - g) * (b1 - pool[b - one]) + g * (c1 - pool[c - one])
+    east = (1.0 - g) * (pool[b + two] - b0) + g * (pool[c + two] - c0)
+    north = (1.0 - f) * (c0 - pool[a]) + f * (c1 - pool[a + one])
+    south = (1.0 - f) * (pool[d] - b0) + f * (pool[d + one] - b1)
+    return 0.5 * ((1.0 - f) * west + f * east), 0.5 * ((1.0 - g) * north + g * south)
 
 
 @kernel
@@ -181,11 +198,45 @@ def light_caps(
         bounce: (3,) what ground gives in place of hidden sky.
         out: (n, 3) float32, irradiance.
     """
+    # Neighbours mostly look at the same windows: to find them for each hit would take longer than to interpolate.
+    least, most = np.inf, -np.inf  # footprints
+    west, east, north, south = np.inf, -np.inf, np.inf, -np.inf  # and places that those found are for
+    fine, coarse, size = 0, 0, 1.0
+    per, u0, v0, last_u, last_v = 1.0, 0.0, 0.0, 0.0, 0.0  # caps
+    base, cols, right, below = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0)
+    per1, u1, v1, base1, cols1 = 1.0, 0.0, 0.0, np.uint64(0), np.uint64(0)  # the finer slopes
+    per2, u2, v2, base2, cols2 = 1.0, 0.0, 0.0, np.uint64(0), np.uint64(0)  # the coarser
+    end_u1 = end_v1 = end_u2 = end_v2 = 0.0
     for k in range(len(points)):
-        x, y = points[k, 0], points[k, 1]
+        x, y, footprint = points[k, 0], points[k, 1], width[k]
         if x != x:
             continue
-        a, b, c, d, f, g = _place(ints, floats, x, y, width[k])
+        if not (least <= footprint < most and west <= x <= east and north <= y <= south):
+            size = 1.0
+            while 2.0 * size <= footprint:
+                size *= 2.0
+            if footprint < PIXELS * size:
+                least, most, nearest = (size if size > 1.0 else 0.0), PIXELS * size, 0.75 * size
+            else:
+                least, most, nearest = PIXELS * size, 2.0 * size, 1.5 * size
+            w, west, east, north, south = _window(ints, floats, x, y, nearest)
+            per, u0, v0, base, cols = _axes(ints, floats, w)
+            last_u, last_v = max(ints[w, 2] - 2.0, 0.0), max(ints[w, 1] - 2.0, 0.0)
+            right = np.uint64(1 if ints[w, 2] > 1 else 0)
+            below = cols if ints[w, 1] > 1 else np.uint64(0)
+            fine, x0, x1, y0, y1 = _window(mean_ints, mean_floats, x, y, 0.75 * size)
+            west, east, north, south = max(west, x0), min(east, x1), max(north, y0), min(south, y1)
+            per1, u1, v1, base1, cols1 = _axes(mean_ints, mean_floats, fine)
+            end_u1, end_v1 = mean_ints[fine, 2] - 3.0, mean_ints[fine, 1] - 3.0
+            coarse, x0, x1, y0, y1 = _window(mean_ints, mean_floats, x, y, 1.5 * size)
+            west, east, north, south = max(west, x0), min(east, x1), max(north, y0), min(south, y1)
+            per2, u2, v2, base2, cols2 = _axes(mean_ints, mean_floats, coarse)
+            end_u2, end_v2 = mean_ints[coarse, 2] - 3.0, mean_ints[coarse, 1] - 3.0
+        u, v = max((x + 0.5) * per - u0, 0.0), max((y + 0.5) * per - v0, 0.0)
+        j, i = np.int64(min(u, last_u)), np.int64(min(v, last_v))
+        f, g = min(u - j, 1.0), min(v - i, 1.0)
+        a = base + np.uint64(i) * cols + np.uint64(j)
+        b, c, d = a + right, a + below, a + below + right
         wa, wb, wc, wd = (1.0 - f) * (1.0 - g), f * (1.0 - g), (1.0 - f) * g, f * g
         ce = wa * pool[a, 0] + wb * pool[b, 0] + wc * pool[c, 0] + wd * pool[d, 0]
         cn = wa * pool[a, 1] + wb * pool[b, 1] + wc * pool[c, 1] + wd * pool[d, 1]
@@ -197,7 +248,26 @@ def light_caps(
         else:
             length = 1.0 / np.sqrt(square)
             ce, cn, cu = ce * length, cn * length, cu * length
-        across, down = _slope(means, mean_ints, mean_floats, x, y, width[k])
+        # The slope between two levels, as ``Relief.gradient`` has it; the logarithm that says how far is a parabola,
+        # within 0.008.
+        u, v = (x + 0.5) * per1 - u1, (y + 0.5) * per1 - v1
+        across = down = np.nan
+        if 1.0 <= u < end_u1 and 1.0 <= v < end_v1:
+            across, down = _slope(means, base1, cols1, u, v)
+        if across + down != across + down:
+            across, down = slope_at(means, mean_ints, mean_floats, fine, x, y)
+        across, down = across * per1, down * per1
+        if footprint > size:
+            t = footprint / size - 1.0
+            part = t * (1.34 - 0.34 * t)
+            u, v = (x + 0.5) * per2 - u2, (y + 0.5) * per2 - v2
+            further = steeper = np.nan
+            if 1.0 <= u < end_u2 and 1.0 <= v < end_v2:
+                further, steeper = _slope(means, base2, cols2, u, v)
+            if further + steeper != further + steeper:
+                further, steeper = slope_at(means, mean_ints, mean_floats, coarse, x, y)
+            across = across * (1.0 - part) + further * per2 * part
+            down = down * (1.0 - part) + steeper * per2 * part
         p = (to_world[0, 0] * across + to_world[0, 1] * down) * stretch
         q = (to_world[1, 0] * across + to_world[1, 1] * down) * stretch
         up = 1.0 / np.sqrt(1.0 + p * p + q * q)
