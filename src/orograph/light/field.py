@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel, leaf
 from orograph.light.aperture_kernels import illuminate
-from orograph.light.relief import Tables, finest, slope_at
+from orograph.light.relief import Tables, finest, slope_at, slope_inside
 from orograph.parallel import map_ordered
 from orograph.raycast.select import Rectangle
 from orograph.store.layers import Layer, LayerBand
@@ -148,23 +148,6 @@ def _axes(ints, floats, w):
     return 1.0 / floats[w, 0], 0.5 + floats[w, 5], 0.5 + floats[w, 6], np.uint64(ints[w, 0]), np.uint64(ints[w, 2])
 
 
-@inlined
-def _slope(pool, base, cols, u, v):
-    """``relief.slope_at`` away from borders, at (u, v) in a window's columns and rows; NaN beside missing samples."""
-    j, i = np.int64(u), np.int64(v)
-    f, g = u - j, v - i
-    one, two = np.uint64(1), np.uint64(2)
-    b = base + np.uint64(i) * cols + np.uint64(j)
-    a, c = b - cols, b + cols
-    d = c + cols
-    b0, b1, c0, c1 = pool[b], pool[b + one], pool[c], pool[c + one]
-    west = (1.0 - g) * (b1 - pool[b - one]) + g * (c1 - pool[c - one])
-    east = (1.0 - g) * (pool[b + two] - b0) + g * (pool[c + two] - c0)
-    north = (1.0 - f) * (c0 - pool[a]) + f * (c1 - pool[a + one])
-    south = (1.0 - f) * (pool[d] - b0) + f * (pool[d + one] - b1)
-    return 0.5 * ((1.0 - f) * west + f * east), 0.5 * ((1.0 - g) * north + g * south)
-
-
 @kernel
 def _look_up(pool, ints, floats, points, footprint, out):
     for k in range(len(points)):
@@ -253,7 +236,7 @@ def light_caps(
         u, v = (x + 0.5) * per1 - u1, (y + 0.5) * per1 - v1
         across = down = np.nan
         if 1.0 <= u < end_u1 and 1.0 <= v < end_v1:
-            across, down = _slope(means, base1, cols1, u, v)
+            across, down = slope_inside(means, base1, cols1, u, v)
         if across + down != across + down:
             across, down = slope_at(means, mean_ints, mean_floats, fine, x, y)
         across, down = across * per1, down * per1
@@ -263,7 +246,7 @@ def light_caps(
             u, v = (x + 0.5) * per2 - u2, (y + 0.5) * per2 - v2
             further = steeper = np.nan
             if 1.0 <= u < end_u2 and 1.0 <= v < end_v2:
-                further, steeper = _slope(means, base2, cols2, u, v)
+                further, steeper = slope_inside(means, base2, cols2, u, v)
             if further + steeper != further + steeper:
                 further, steeper = slope_at(means, mean_ints, mean_floats, coarse, x, y)
             across = across * (1.0 - part) + further * per2 * part

@@ -68,24 +68,34 @@ def _beside_gaps(pool, base, rows, cols, u, v, short_u, short_v):
 
 
 @inlined
+def slope_inside(pool, base, cols, u, v):
+    """``slope_at`` away from borders, at (u, v) in a window's columns and rows: NaN if one of twelve samples is missing.
+
+    ``base`` and ``cols`` are uint64: indices without a sign need no care for those below 0.
+    """
+    j, i = np.int64(u), np.int64(v)
+    f, g = u - j, v - i
+    one, two = np.uint64(1), np.uint64(2)
+    b = base + np.uint64(i) * cols + np.uint64(j)
+    a, c = b - cols, b + cols
+    d = c + cols
+    b0, b1, c0, c1 = pool[b], pool[b + one], pool[c], pool[c + one]
+    west = (1.0 - g) * (b1 - pool[b - one]) + g * (c1 - pool[c - one])
+    east = (1.0 - g) * (pool[b + two] - b0) + g * (pool[c + two] - c0)
+    north = (1.0 - f) * (c0 - pool[a]) + f * (c1 - pool[a + one])
+    south = (1.0 - f) * (pool[d] - b0) + f * (pool[d + one] - b1)
+    return 0.5 * ((1.0 - f) * west + f * east), 0.5 * ((1.0 - g) * north + g * south)
+
+
+@inlined
 def slope_at(pool, ints, floats, w, x, y):
     """The slope of window ``w`` along columns and rows at (x, y) in sample coordinates: metres per block of it."""
     base, rows, cols = ints[w, 0], ints[w, 1], ints[w, 2]
     blocks = 1.0 / floats[w, 0]
     u, v = (x + 0.5) * blocks - 0.5 - floats[w, 5], (y + 0.5) * blocks - 0.5 - floats[w, 6]
     across = down = np.nan
-    # Away from borders all comes from twelve samples; a sum of them tells whether one is missing.
     if 1.0 <= u < cols - 3.0 and 1.0 <= v < rows - 3.0:
-        j, i = np.int64(u), np.int64(v)
-        f, g = u - j, v - i
-        b = base + i * cols + j
-        a, c, d = b - cols, b + cols, b + 2 * cols
-        b0, b1, c0, c1 = pool[b], pool[b + 1], pool[c], pool[c + 1]
-        west = (1.0 - g) * (b1 - pool[b - 1]) + g * (c1 - pool[c - 1])
-        east = (1.0 - g) * (pool[b + 2] - b0) + g * (pool[c + 2] - c0)
-        north = (1.0 - f) * (c0 - pool[a]) + f * (c1 - pool[a + 1])
-        south = (1.0 - f) * (pool[d] - b0) + f * (pool[d + 1] - b1)
-        across, down = 0.5 * ((1.0 - f) * west + f * east), 0.5 * ((1.0 - g) * north + g * south)
+        across, down = slope_inside(pool, np.uint64(base), np.uint64(cols), u, v)
     if across + down != across + down:
         across, down = _beside_gaps(pool, base, rows, cols, u, v, floats[w, 7], floats[w, 8])
     return across, down
