@@ -69,7 +69,7 @@ def _beside_gaps(pool, base, rows, cols, u, v, short_u, short_v):
 
 @inlined
 def slope_inside(pool, base, cols, u, v):
-    """``slope_at`` away from borders, at (u, v) in a window's columns and rows: NaN if one of twelve samples is missing.
+    """``slope_at`` away from borders, at (u, v) in a window's columns and rows; NaN if one of 12 samples is missing.
 
     ``base`` and ``cols`` are uint64: indices without a sign need no care for those below 0.
     """
