@@ -47,6 +47,21 @@ def test_a_server_that_never_answers_is_an_error_after_a_while(web):
     np.testing.assert_array_equal(terrain.read(0, 0, 100, 0, 100), HEIGHTS[:100, :100])
 
 
+def test_a_server_that_ignores_ranges_is_named_and_not_the_store_called_damaged(web):
+    terrain = store.open(f"{web.url}/area.oro", **NEVER)
+    web.mood = "whole"
+    for read in (  # the end of an object, with its index; a part of one whose index is known
+        lambda: store.open(f"{web.url}/area.oro", **NEVER).read(0, 0, 100, 0, 100),
+        lambda: terrain.read(0, 0, 100, 0, 100),
+    ):
+        with pytest.raises(StoreError, match="whole files where parts") as told:
+            read()
+        assert not isinstance(told.value, DamagedChunkError)
+        assert "ranges" in told.value.remedy
+    web.mood = "well"
+    np.testing.assert_array_equal(terrain.read(0, 0, 100, 0, 100), HEIGHTS[:100, :100])
+
+
 def test_a_slow_server_is_waited_for(web):
     web.mood, web.seconds = "slow", 0.2  # less than the silence allowed
     terrain = store.open(f"{web.url}/area.oro", **NEVER)

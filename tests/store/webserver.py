@@ -16,7 +16,8 @@ class Web(ThreadingHTTPServer):
 
     Attributes:
         mood: "well"; "slow": every answer takes ``seconds``; "mute": requests are read and never answered; "busy": 503;
-            "short": bodies end after half of the bytes they announce; "cut": files are shorter than they were.
+            "short": bodies end after half of the bytes they announce; "cut": files are shorter than they were;
+            "whole": ranges are ignored, as by ``python -m http.server``.
         busy: how many more requests get a 503, whatever the mood. asked: requests so far.
     """
 
@@ -60,7 +61,7 @@ class Handler(BaseHTTPRequestHandler):
         data = path.read_bytes()
         size = len(data)
         found = re.fullmatch(r"bytes=(\d*)-(\d*)", self.headers.get("Range", ""))
-        if found:
+        if found and mood != "whole":
             first, last = found.groups()
             start, stop = (max(0, size - int(last)), size) if not first else (int(first), int(last or size - 1) + 1)
             stop = min(stop, size)

@@ -273,9 +273,10 @@ class RemoteStorage(Storage):
 
     def tail(self, key: str, length: int) -> bytes | None:
         try:
-            return self._read(key, lambda: bytes(self.fs.cat_file(self._at(key), start=-length)))
+            found = self._read(key, lambda: bytes(self.fs.cat_file(self._at(key), start=-length)))
         except FileNotFoundError:
             return None
+        return self._part(key, found, length)
 
     def ranges(self, wanted: Sequence[Range]) -> list[bytes]:
         if not wanted:
@@ -291,9 +292,21 @@ class RemoteStorage(Storage):
             return list(found)
 
         pieces: dict[str, list[tuple[int, bytes]]] = {}
-        for (key, start, _), part in zip(together, self._read(keys[0], fetch), strict=True):
-            pieces.setdefault(key, []).append((start, b"" if isinstance(part, Exception) else bytes(part)))
+        for (key, start, stop), part in zip(together, self._read(keys[0], fetch), strict=True):
+            data = b"" if isinstance(part, Exception) else self._part(key, bytes(part), stop - start)
+            pieces.setdefault(key, []).append((start, data))
         return [_cut(pieces[key], start, stop) for key, start, stop in wanted]
+
+    def _part(self, key: str, data: bytes, length: int) -> bytes:
+        """What was asked for as a part of an object; a server that ignores ranges sends all of it, for each part."""
+        if len(data) > length:
+            raise StoreError(
+                f"{key} could not be read: the server sends whole files where parts of them are asked for.",
+                path=self.url,
+                remedy="Serve the store by one that understands ranges (nginx, Apache, Caddy, any object storage; "
+                "python -m http.server does not), or copy it to a disk.",
+            )
+        return data
 
     def put(self, key: str, parts: Sequence[bytes]) -> None:
         with self._reporting("written", key):
