@@ -151,3 +151,21 @@ def test_s3_by_environment(bucket, monkeypatch):
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "k")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "s")
     check(store.build(source(HEIGHTS), "s3://terrain/by-environment", **SIZES))
+
+
+def test_a_folder_that_is_gone_is_no_damage(tmp_path):
+    """A store that is renamed while it is read says so, and is read again when it is back."""
+    path, away = tmp_path / "here.oro", tmp_path / "there.oro"
+    store.build(source(HEIGHTS), path, **SIZES).close()
+    with store.open(path) as terrain:
+        path.rename(away)
+        with pytest.raises(StoreError, match=r"not there any more.*where it is now") as told:
+            check(terrain)
+        assert not isinstance(told.value, DamagedChunkError)
+        away.rename(path)
+        check(terrain)
+    for shard in (path / "heights" / "0").rglob("*"):
+        if shard.is_file() and shard.name != "zarr.json":
+            shard.unlink()
+    with store.open(path) as terrain, pytest.raises(DamagedChunkError):
+        check(terrain)

@@ -124,6 +124,7 @@ class FolderStorage(Storage):
             size = os.fstat(file.fd).st_size
             return _pread(file.fd, min(length, size), max(0, size - length))
         except (FileNotFoundError, NotADirectoryError):
+            self._must_stand()
             return None
         except OSError as error:
             raise self._failed("read", key, error) from error
@@ -135,6 +136,7 @@ class FolderStorage(Storage):
                 file = self._file(key)  # held by name: another thread may drop it from the cache meanwhile
                 found.append(_pread(file.fd, stop - start, start))
             except FileNotFoundError:
+                self._must_stand()
                 found.append(b"")
             except OSError as error:
                 raise self._failed("read", key, error) from error
@@ -185,6 +187,14 @@ class FolderStorage(Storage):
     def close(self) -> None:
         with self._lock:
             self._open.clear()
+
+    def _must_stand(self) -> None:
+        """A file that is gone is damage, a folder that is gone has been moved or removed."""
+        if not self.path.exists():
+            raise StoreError(
+                "The folder is not there any more.", path=self.path,
+                remedy="Put it back, or open the store where it is now.",
+            )  # fmt: skip
 
     def _failed(self, what: str, key: str, error: OSError) -> StoreError:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
