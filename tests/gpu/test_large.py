@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "picture"))
 
-from scenes import hills, holes, terrain
+from scenes import hills, holes, read, terrain
 
 from orograph.errors import NothingInViewError, UsageError
 from orograph.gpu.lightmaps import sun_windows
@@ -28,15 +27,10 @@ SIZE = (417, 250)
 
 
 @pytest.fixture(scope="module")
-def session():
-    pytest.importorskip("wgpu")
-    from orograph.errors import OrographError
+def session(device):
     from orograph.gpu.picture import session
 
-    try:
-        return session()
-    except OrographError as error:
-        pytest.skip(f"no GPU: {error}")
+    return session()
 
 
 @pytest.fixture(scope="module")
@@ -44,11 +38,6 @@ def land():
     heights = holes(hills(300, 420))
     heights[190:225, 60:110] = 640.0  # a lake
     return terrain(heights)
-
-
-def read(path):
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB"))
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,12 @@ heights on them by plain interpolation, first hits by Embree."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
+from PIL import Image
 from pyproj import CRS
 
 from orograph.geo.grid import Grid
@@ -116,3 +119,9 @@ def surface(of: Terrain, col: Array, row: Array) -> Array:
     odd = np.where(u + v <= 1, nw + u * (ne - nw) + v * (sw - nw), se + (1 - u) * (sw - se) + (1 - v) * (ne - se))
     inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1)
     return np.where(inside, np.where((r + c) % 2 == 0, even, odd), np.nan)
+
+
+def read(path: Path) -> NDArray[np.uint8]:
+    """The pixels (rows, cols, 3) of a picture's file."""
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from PIL import Image
-from scenes import hills, holes, terrain
+from scenes import hills, holes, read, terrain
 
 from orograph.errors import OutputError, UsageError
 from orograph.light.sun import Sun
@@ -29,11 +28,6 @@ def ground():
     heights = holes(hills(140, 180))
     heights[90:125, 60:110] = 640.0  # a lake
     return terrain(heights)
-
-
-def read(path):
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB"))
 
 
 @pytest.mark.parametrize(

@@ -148,6 +148,19 @@ def _axes(ints, floats, w):
     return 1.0 / floats[w, 0], 0.5 + floats[w, 5], 0.5 + floats[w, 6], np.uint64(ints[w, 0]), np.uint64(ints[w, 2])
 
 
+@inlined
+def _slope(pool, ints, floats, w, x, y, inside):
+    """``relief.slope_at``; ``inside``: what ``_axes`` says of the window, and its last column and row but two."""
+    per, u0, v0, base, cols, end_u, end_v = inside
+    u, v = (x + 0.5) * per - u0, (y + 0.5) * per - v0
+    across = down = np.nan
+    if 1.0 <= u < end_u and 1.0 <= v < end_v:
+        across, down = slope_inside(pool, base, cols, u, v)
+    if across + down != across + down:
+        across, down = slope_at(pool, ints, floats, w, x, y)
+    return across, down
+
+
 @kernel
 def _look_up(pool, ints, floats, points, footprint, out):
     for k in range(len(points)):
@@ -233,22 +246,14 @@ def light_caps(
             ce, cn, cu = ce * length, cn * length, cu * length
         # The slope between two levels, as ``Relief.gradient`` has it; the logarithm that says how far is a parabola,
         # within 0.008.
-        u, v = (x + 0.5) * per1 - u1, (y + 0.5) * per1 - v1
-        across = down = np.nan
-        if 1.0 <= u < end_u1 and 1.0 <= v < end_v1:
-            across, down = slope_inside(means, base1, cols1, u, v)
-        if across + down != across + down:
-            across, down = slope_at(means, mean_ints, mean_floats, fine, x, y)
+        inside = per1, u1, v1, base1, cols1, end_u1, end_v1
+        across, down = _slope(means, mean_ints, mean_floats, fine, x, y, inside)
         across, down = across * per1, down * per1
         if footprint > size:
             t = footprint / size - 1.0
             part = t * (1.34 - 0.34 * t)
-            u, v = (x + 0.5) * per2 - u2, (y + 0.5) * per2 - v2
-            further = steeper = np.nan
-            if 1.0 <= u < end_u2 and 1.0 <= v < end_v2:
-                further, steeper = slope_inside(means, base2, cols2, u, v)
-            if further + steeper != further + steeper:
-                further, steeper = slope_at(means, mean_ints, mean_floats, coarse, x, y)
+            inside = per2, u2, v2, base2, cols2, end_u2, end_v2
+            further, steeper = _slope(means, mean_ints, mean_floats, coarse, x, y, inside)
             across = across * (1.0 - part) + further * per2 * part
             down = down * (1.0 - part) + steeper * per2 * part
         p = (to_world[0, 0] * across + to_world[0, 1] * down) * stretch
