@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from occlusion import ground
-from orograph.light.aperture import CapField, Lights, aperture, light, shade
-from orograph.light.shadow import shadow_rays
-from orograph.light.sun import Sun
+from orograph.lighting.aperture import CapField, Lights, aperture, light, shade
+from orograph.lighting.shadow import shadow_rays
+from orograph.lighting.sun import Sun
 
 WHITE = (1.0, 1.0, 1.0)
 
@@ -64,7 +64,7 @@ def save(path: Path, truth: np.ndarray, made: np.ndarray) -> None:
 
 def cost(h: np.ndarray, linear: np.ndarray) -> None:
     """What light through caps adds to a picture of 1280 × 720, on one thread."""
-    from orograph.light.normal import gradient
+    from orograph.lighting.normal import gradient
     from orograph.raycast.caster import Caster
 
     rows, cols = h.shape
@@ -114,7 +114,7 @@ def pictures(h: np.ndarray, linear: np.ndarray, rounds: int = 7) -> None:
 
     import orograph
     from orograph.geo.grid import Grid
-    from orograph.light.bake import bake
+    from orograph.lighting.bake import bake
     from orograph.store.source import ArraySource
 
     (a, b), (d, e) = linear
@@ -156,11 +156,11 @@ def frames(h: np.ndarray, linear: np.ndarray, rounds: int = 16) -> None:
     import orograph
     from orograph.geo.grid import Grid
     from orograph.gpu.device import open_device
-    from orograph.gpu.frame import Overlay
-    from orograph.gpu.renderer import Renderer
-    from orograph.light.bake import bake
-    from orograph.picture.camera import whole
-    from orograph.picture.scene import Scene
+    from orograph.lighting.bake import bake
+    from orograph.rendering.gpu.frame import Overlay
+    from orograph.rendering.gpu.renderer import Renderer
+    from orograph.scene.camera import whole
+    from orograph.scene.scene import Scene
     from orograph.store.source import ArraySource
 
     device = open_device()

@@ -30,11 +30,11 @@ import numpy as np
 import promise
 from orograph import store, verify
 from orograph.lod import engine_of
-from orograph.lod.batched import Batched
 from orograph.lod.patches.expand import expand
+from orograph.lod.triangle_patches import Batched
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
-from orograph.view import View
+from orograph.viewpoint import View
 
 PARTS = ("select", "triangles", "promise", "flight")
 

@@ -17,9 +17,9 @@ from affine import Affine
 
 from orograph.dem.synth import Synth
 from orograph.geo.grid import Grid
-from orograph.lod.blow import Blow
+from orograph.lod.threshold_spheres import Blow
 from orograph.store.memory import MemoryTerrain
-from orograph.view import View
+from orograph.viewpoint import View
 from roam import RATE, flight, load
 
 

@@ -29,7 +29,7 @@ import numpy as np
 
 from machine import before_all
 from orograph._numba import kernel
-from orograph.light.horizon import horizon, sky_view
+from orograph.lighting.horizon import horizon, sky_view
 from orograph.parallel import map_ordered
 
 LINEAR = np.array([[30.0, 0.0], [0.0, -30.0]])

@@ -63,7 +63,7 @@ def bytes_read() -> int:
 
 def flight(terrain: Any, size: tuple[int, int], frames: int) -> list[Any]:
     """Cameras low along the terrain's diagonal."""
-    from orograph.view import View
+    from orograph.viewpoint import View
 
     west, south, east, north = terrain.grid.bounds()
     low, high = terrain.height_range
@@ -114,9 +114,9 @@ def main() -> None:
     given = parser.parse_args()
     from orograph.geovis.layers import Layer
     from orograph.gpu.device import open_device
-    from orograph.gpu.renderer import Renderer
-    from orograph.picture.prepare import prepare
-    from orograph.picture.scene import Scene
+    from orograph.rendering.gpu.renderer import Renderer
+    from orograph.scene.prepare import prepare
+    from orograph.scene.scene import Scene
 
     terrain = prepare(given.terrain)
     image = given.image

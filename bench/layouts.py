@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.lod.soar import Soar
-from orograph.view import View
+from orograph.viewpoint import View
 from synthetic import synthetic
 
 Index = NDArray[np.int64]

@@ -1,6 +1,6 @@
 """Measuring: picks, profiles, areas and viewsheds on a terrain in memory and on a store, and what memory they take.
 
-Run: ``python bench/measure.py [DEM or STORE] [--size 4097] [--jobs 2]``. Without one the terrain is a fractal, 30 m
+Run: ``python bench/measuring.py [DEM or STORE] [--size 4097] [--jobs 2]``. Without one the terrain is a fractal, 30 m
 apart. Viewsheds are told in samples per second (each has its own line of sight), beside the plain loop: the same lines
 walked cell by cell without a pyramid. ``--large`` looks at all of the terrain from a scratch file in a process of its
 own (``--max-memory 256MiB``) and tells its largest memory.
@@ -21,11 +21,10 @@ from typing import Any
 import numpy as np
 
 from horizon import fractal
-from orograph import store
-from orograph.geovis import measure
-from orograph.geovis.measure import viewshed_kernels
-from orograph.picture import camera
-from orograph.picture.prepare import prepare
+from orograph import measuring, store
+from orograph.measuring import viewshed_kernels
+from orograph.scene import camera
+from orograph.scene.prepare import prepare
 from orograph.store import Terrain
 
 
@@ -47,19 +46,19 @@ def places(terrain: Terrain) -> None:
     found: list[Any] = []
 
     def picks() -> None:
-        found[:] = [measure.pick(terrain, view, tuple(p)) for p in pixels]
+        found[:] = [measuring.pick(terrain, view, tuple(p)) for p in pixels]
 
     seconds = timed(picks)
     print(f"  pick      {10 * seconds:8.2f} ms each ({sum(h is not None for h in found)} of 100 rays hit)")
     rows, cols = terrain.grid.shape
     line = np.stack(terrain.grid.xy([0.03 * cols, 0.97 * cols], [0.1 * rows, 0.9 * rows]), axis=-1)
-    made = measure.profile(terrain, line)
-    seconds = timed(lambda: measure.profile(terrain, line))
+    made = measuring.profile(terrain, line)
+    seconds = timed(lambda: measuring.profile(terrain, line))
     print(f"  profile   {1e3 * seconds:8.1f} ms, {len(made.heights):,} places, {made.length / 1000:.1f} km")
     a = np.linspace(0, 2 * np.pi, 200, endpoint=False)
     ring = np.stack(terrain.grid.xy(cols / 2 + 0.45 * cols * np.cos(a), rows / 2 + 0.45 * rows * np.sin(a)), axis=-1)
     for jobs in (1, 2):
-        seconds = timed(lambda: measure.area(terrain, ring, jobs=jobs), 2)  # noqa: B023
+        seconds = timed(lambda: measuring.area(terrain, ring, jobs=jobs), 2)  # noqa: B023
         samples = 0.45**2 * np.pi * rows * cols
         print(f"  area      {seconds:8.2f} s, {samples / seconds / 1e6:.0f} M samples/s, {jobs} thread(s)")
 
@@ -70,7 +69,7 @@ def sheds(terrain: Terrain, radius: float | None) -> None:
         point = terrain.grid.xy(0.5 * cols + 0.3, 0.5 * rows + 0.7)
         for heights in (False, True):
             for jobs in (1, 2):
-                shed = measure.viewshed(terrain, point, eye, radius=radius, heights=heights, jobs=jobs)
+                shed = measuring.viewshed(terrain, point, eye, radius=radius, heights=heights, jobs=jobs)
                 shed.values()
                 began = time.perf_counter()
                 values = shed.values()
@@ -88,7 +87,7 @@ def sheds(terrain: Terrain, radius: float | None) -> None:
 
 def plain(terrain: Terrain, point: Any, eye: float, radius: float | None) -> None:
     """The same lines without the pyramid, on every 16th row."""
-    shed = measure.viewshed(terrain, point, eye, radius=radius, jobs=1)
+    shed = measuring.viewshed(terrain, point, eye, radius=radius, jobs=1)
     s = shed._scene
     rows, cols = shed.grid.shape
     # A pyramid of one level, all of it above everything, is never passed.
@@ -115,7 +114,7 @@ from orograph.geovis import measure
 terrain = store.open(sys.argv[1], cache_bytes=16 << 20)
 rows, cols = terrain.grid.shape
 began = time.perf_counter()
-shed = measure.viewshed(terrain, terrain.grid.xy(cols / 2, rows / 2), 100.0, max_memory=256 << 20)
+shed = measuring.viewshed(terrain, terrain.grid.xy(cols / 2, rows / 2), 100.0, max_memory=256 << 20)
 told = shed.save(sys.argv[2])
 print(json.dumps([time.perf_counter() - began, shed.on_disk, told, peak_memory()]))
 """

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from orograph.light.sun import Sun
-from orograph.picture.cpu import draw, session
-from orograph.picture.prepare import prepare
-from orograph.picture.scene import Scene
-from orograph.tour import Tour, make
-from orograph.tour.film import Film
+from orograph.lighting.sun import Sun
+from orograph.rendering.cpu.draw import draw, session
+from orograph.scene.prepare import prepare
+from orograph.scene.scene import Scene
+from orograph.touring import Tour, make
+from orograph.touring.film import Film
 
 STAGES = ("heights", "rays", "light", "colour", "antialiasing")
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orograph.gpu.cone_tracing import cones
-from orograph.light.occlusion import ambient_occlusion
+from orograph.lighting.gpu.cone_tracing import cones
+from orograph.lighting.occlusion import ambient_occlusion
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -82,9 +82,9 @@ def seen(
 ) -> tuple[np.ndarray, ...]:
     """A picture of the ground from the south, or from straight above with a pixel on every sample: depth (height,
     width), points (n, 3), normals, slope of a pixel."""
-    from orograph.light.normal import normals
+    from orograph.lighting.normal import normals
     from orograph.raycast.caster import Caster
-    from orograph.view import View
+    from orograph.viewpoint import View
 
     rows, cols = h.shape
     width, height = (cols, rows) if above else size
@@ -125,7 +125,7 @@ def between(values: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def screen(h: np.ndarray, linear: np.ndarray, truth: np.ndarray, radius: float, clock: Callable[[], float]) -> None:
     """Screen-space occlusion of pictures against the ground's own."""
-    from orograph.gpu.ssao import Quality, screen_occlusion
+    from orograph.rendering.gpu.shade.ssao import Quality, screen_occlusion
 
     for where, above in (("from straight above", True), ("from the south", False)):
         depth, points, facing, slope = seen(h, linear, above=above)
@@ -174,9 +174,9 @@ def sheet(columns: list[list[tuple[str, np.ndarray]]], gap: int = 8, head: int =
 
 def figures(dem: str | None, size: int, radius: float, folder: Path) -> None:
     """The pictures of the manual: ways and laws, the methods as maps with their errors, screen space from the south."""
-    from orograph.gpu.ssao import screen_occlusion
-    from orograph.light.normal import gradient
-    from orograph.light.surface import hillshade_of
+    from orograph.lighting.normal import gradient
+    from orograph.lighting.surface import hillshade_of
+    from orograph.rendering.gpu.shade.ssao import screen_occlusion
 
     h, linear = ground(dem, size * 5 // 3)
 

@@ -37,7 +37,7 @@ from orograph.parallel import cpu_count
 from orograph.store import Terrain
 from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
-from orograph.view import View
+from orograph.viewpoint import View
 
 TERRAINS = {
     "bigtujunga": "bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif",

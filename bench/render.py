@@ -56,9 +56,9 @@ def sides(store: str) -> None:
     import numpy as np
 
     import orograph
-    from orograph.picture import camera
-    from orograph.picture.ground import Ground
-    from orograph.picture.scene import Scene
+    from orograph.rendering.cpu.ground import Ground
+    from orograph.scene import camera
+    from orograph.scene.scene import Scene
 
     print("| seen from | ns per ray | ns per hit |\n|---|---|---|")
     with orograph.open(store) as terrain:

@@ -23,7 +23,7 @@ from orograph.geo.grid import Grid
 from orograph.lod.queues import heap_pop, heap_push
 from orograph.lod.roam import Roam, mesh, queues
 from orograph.store.memory import MemoryTerrain
-from orograph.view import View
+from orograph.viewpoint import View
 
 RATE = 60.0
 TURN = 2.0

@@ -34,12 +34,12 @@ from orograph.dem.raster import Dem
 from orograph.geo.grid import Grid
 from orograph.geovis.layers import Layer
 from orograph.gpu.device import Device, open_device
-from orograph.gpu.renderer import Renderer
-from orograph.picture.contours import Contours
-from orograph.picture.scene import Scene
+from orograph.rendering.gpu.renderer import Renderer
+from orograph.scene.contours import Contours
+from orograph.scene.scene import Scene
 from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain
-from orograph.view import View
+from orograph.viewpoint import View
 
 Floats = NDArray[np.float64]
 Size = tuple[int, int]

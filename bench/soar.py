@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from machine import before_all
 from orograph._numba import kernel
 from orograph.lod.soar import Soar
-from orograph.picture import camera
+from orograph.scene import camera
 from orograph.store.memory import MemoryTerrain
 from synthetic import synthetic
 

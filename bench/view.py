@@ -34,16 +34,16 @@ import numpy as np
 from orograph import verify
 from orograph.gpu.clock import Clock
 from orograph.gpu.device import Device, open_device
-from orograph.gpu.frame import FrameStats
-from orograph.gpu.renderer import Renderer
 from orograph.lod.patches.expand import expand
-from orograph.picture.camera import around
-from orograph.picture.prepare import prepare
-from orograph.picture.scene import Scene
+from orograph.rendering.gpu.frame import FrameStats
+from orograph.rendering.gpu.renderer import Renderer
+from orograph.scene.camera import around
+from orograph.scene.prepare import prepare
+from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
-from orograph.view import View
 from orograph.viewer.app import SWITCH
+from orograph.viewpoint import View
 from synthetic import synthetic_store
 
 RATE = 60.0

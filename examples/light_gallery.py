@@ -15,7 +15,7 @@ from cmap import Colormap
 from PIL import Image, ImageDraw, ImageFont
 
 import orograph
-from orograph import light
+from orograph import lighting
 
 GAP, HEAD = 12, 44
 PAPER, INK, GREY = (247, 245, 239), (40, 40, 44), (110, 110, 116)
@@ -90,7 +90,7 @@ def panels(terrain: orograph.Terrain, args: argparse.Namespace) -> Iterator[Pane
     def made(name: str, **options: object) -> np.ndarray:
         if name not in ("normal", "slope", "aspect", "hillshade", "shadow"):
             options["azimuths"] = args.azimuths
-        values: np.ndarray = light.make(terrain, name, **options).values
+        values: np.ndarray = lighting.make(terrain, name, **options).values
         return values
 
     def ramp(
@@ -183,7 +183,7 @@ def main() -> None:
     parser.add_argument("--wide", type=int, default=4, help="panels in a row")
     parser.add_argument("--panel", type=int, default=340, help="pixels along its side")
     args = parser.parse_args()
-    from orograph.picture.prepare import prepare
+    from orograph.scene.prepare import prepare
     from orograph.store import MemoryTerrain
 
     terrain = prepare([args.dem])

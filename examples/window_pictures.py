@@ -20,14 +20,14 @@ import numpy as np
 from PIL import Image
 from rendercanvas.offscreen import RenderCanvas
 
-from orograph.picture.contours import Contours
-from orograph.picture.prepare import prepare
-from orograph.view import View
+from orograph.scene.contours import Contours
+from orograph.scene.prepare import prepare
 from orograph.viewer import commands
 from orograph.viewer.app import renderer_of
 from orograph.viewer.results import Kind
 from orograph.viewer.session import Session
 from orograph.viewer.window import Window
+from orograph.viewpoint import View
 
 SIZE = (1280, 800)
 EVENING = datetime.datetime(2026, 9, 27, 17, 15, tzinfo=datetime.timezone(datetime.timedelta(hours=-4)))

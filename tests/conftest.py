@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -43,3 +44,25 @@ def device() -> Device:
         if os.environ.get("CI"):
             pytest.fail(f"CI tests the GPU: {error}")
         pytest.skip(str(error))
+
+
+def _tujunga(folder: Path, rows: slice, cols: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Heights of a part of the San Gabriel Mountains, 30 m apart, and the linear part of their geotransform."""
+    import rasterio
+
+    with rasterio.open(next((folder / "bigtujunga-srtm30m-utm").glob("*.tif"))) as file:
+        heights = file.read(1, window=((rows.start, rows.stop), (cols.start, cols.stop))).astype(np.float32)
+        t = file.transform
+    return heights, np.array([[t.a, t.b], [t.d, t.e]])
+
+
+@pytest.fixture(scope="session")
+def real_ground(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
+    """48 × 48 samples of real mountains, see ``_tujunga``."""
+    return _tujunga(shared_data, slice(200, 248), slice(300, 348))
+
+
+@pytest.fixture(scope="session")
+def small_real_ground(shared_data: Path) -> tuple[np.ndarray, np.ndarray]:
+    """32 × 32 samples of real mountains, see ``_tujunga``."""
+    return _tujunga(shared_data, slice(208, 240), slice(308, 340))

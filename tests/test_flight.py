@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from orograph.errors import ReadError, UsageError
 from orograph.flight import Flight
 from orograph.splines import Monotone
-from orograph.view import View
+from orograph.viewpoint import View
 
 
 def look(eye, forward, distance=1000.0, **options):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orograph.errors import ReadError, UsageError
-from orograph.view import View
+from orograph.viewpoint import View
 
 number = st.floats(-5000, 5000)
 point = st.tuples(number, number, number)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orograph.errors import OrographError
-from orograph.view import View
+from orograph.viewpoint import View
 
 coordinate = st.floats(-5e5, 5e5)
 far_off = st.tuples(coordinate, coordinate, st.floats(-500, 9000))

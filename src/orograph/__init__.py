@@ -21,10 +21,17 @@ if TYPE_CHECKING:
     from orograph.dem import Dem, read
     from orograph.geo import Grid
     from orograph.geovis.layers import Layer
-    from orograph.light.bake import bake
-    from orograph.picture import Contours, Picture, Silhouettes, Sun, camera, render
+    from orograph.lighting import make as light
+    from orograph.lighting.bake import bake
+    from orograph.lighting.sun import Sun
+    from orograph.rendering.api import render
+    from orograph.rendering.picture import Picture
+    from orograph.scene import camera
+    from orograph.scene.contours import Contours
+    from orograph.scene.silhouettes import Silhouettes
     from orograph.store import Terrain, build, open, terrain
-    from orograph.view import View
+    from orograph.viewer.notebook import view
+    from orograph.viewpoint import View
 
 __all__ = [
     "Contours",
@@ -39,36 +46,42 @@ __all__ = [
     "bake",
     "build",
     "camera",
+    "light",
     "open",
     "read",
     "render",
     "terrain",
+    "view",
 ]
 
 _HOMES = {
-    "Contours": "orograph.picture",
+    "Contours": "orograph.scene.contours",
     "Dem": "orograph.dem",
     "Grid": "orograph.geo",
     "Layer": "orograph.geovis.layers",
-    "Picture": "orograph.picture",
-    "Silhouettes": "orograph.picture",
-    "Sun": "orograph.picture",
+    "Picture": "orograph.rendering.picture",
+    "Silhouettes": "orograph.scene.silhouettes",
+    "Sun": "orograph.lighting.sun",
     "Terrain": "orograph.store",
-    "View": "orograph.view",
-    "bake": "orograph.light.bake",
+    "View": "orograph.viewpoint",
+    "bake": "orograph.lighting.bake",
     "build": "orograph.store",
-    "camera": "orograph.picture",
+    "camera": "orograph.scene",
+    "light": "orograph.lighting:make",
     "open": "orograph.store",
     "read": "orograph.dem",
-    "render": "orograph.picture",
+    "render": "orograph.rendering.api",
     "terrain": "orograph.store",
+    "view": "orograph.viewer.notebook",
 }
+"""Where each name is, as MODULE, or MODULE:NAME where it has another name there."""
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'orograph' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    module, _, called = _HOMES[name].partition(":")
+    return getattr(importlib.import_module(module), called or name)
 
 
 def __dir__() -> list[str]:
@@ -76,4 +89,4 @@ def __dir__() -> list[str]:
 
 
 if "xarray" in sys.modules:  # da.orograph, for those who use xarray; others need not pay for it
-    importlib.import_module("orograph.dem.accessor")
+    importlib.import_module("orograph.accessor")

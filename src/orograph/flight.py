@@ -28,7 +28,7 @@ import numpy as np
 from orograph.documents import load_object, naming, number
 from orograph.errors import UsageError
 from orograph.splines import Monotone, Track, angle_between, distance_between, lerp, slerp
-from orograph.view import View
+from orograph.viewpoint import View
 
 DEFAULT_FPS = 60.0
 

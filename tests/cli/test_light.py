@@ -17,7 +17,7 @@ from pyproj import CRS
 from orograph import store
 from orograph.dem.mosaic import Mosaic
 from orograph.geo.grid import Grid
-from orograph.light.products import Context, Options, compute, names, product
+from orograph.lighting.products import Context, Options, compute, names, product
 from orograph.store.memory import MemoryTerrain
 
 
@@ -228,7 +228,7 @@ def test_nonsense_is_refused_before_work(run, hilly, tmp_path, args, says, monke
     def work(*_, **__):
         raise AssertionError("the terrain was read")
 
-    monkeypatch.setattr("orograph.picture.prepare.prepare", work)
+    monkeypatch.setattr("orograph.scene.prepare.prepare", work)
     code, _, err = run("light", hilly, *args)
     assert code == 2 and says in err and not list(tmp_path.iterdir())
 
@@ -268,8 +268,8 @@ def test_ctrl_c_leaves_what_was_there(tmp_path, how, code):
     "name", ["sky-view-factor", "openness", "horizon", "ambient-occlusion", "aperture,visible-sky,sky-view-factor"]
 )
 def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_path, monkeypatch, name):
-    from orograph.light.raster_resume import Kept
-    from orograph.light.sweep_pass import Pass
+    from orograph.lighting.raster_resume import Kept
+    from orograph.lighting.sweep_pass import Pass
 
     whole, out = tmp_path / "whole.tif", tmp_path / "out.tif"
     given = ("--product", name, "--azimuths", 12, "--quiet", "--resume")
@@ -297,8 +297,8 @@ def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_pa
 
 
 def test_resume_keeps_windows_of_walks(run, hilly, tmp_path, monkeypatch):
-    from orograph.light import occlusion
-    from orograph.light.raster_resume import Kept
+    from orograph.lighting import occlusion
+    from orograph.lighting.raster_resume import Kept
 
     monkeypatch.setattr(occlusion, "_BLOCK", 16)
     monkeypatch.setattr(occlusion, "_WIDTH", 16)
@@ -330,7 +330,7 @@ def test_resume_keeps_windows_of_walks(run, hilly, tmp_path, monkeypatch):
 
 def test_several_products_share_a_sweep(run, hilly, tmp_path, monkeypatch):
     """One pass over the terrain for all that sweep alike, and the same values as each alone."""
-    from orograph.light.sweep_pass import Pass
+    from orograph.lighting.sweep_pass import Pass
 
     swept, begin = [], Pass.begin
     monkeypatch.setattr(Pass, "begin", lambda self, *how: swept.append(len(self.lines)) or begin(self, *how))
@@ -352,7 +352,7 @@ def test_several_products_share_a_sweep(run, hilly, tmp_path, monkeypatch):
 
 
 def test_resume_refuses_other_work_and_damage(run, hilly, tmp_path, monkeypatch):
-    from orograph.light.raster_resume import Kept
+    from orograph.lighting.raster_resume import Kept
 
     out = tmp_path / "out.tif"
     given = ("light", hilly, "--product", "visible-sky", "--resume", "--quiet", "-o", out)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from orograph.tour.encode import BT709, LIMITED
+from orograph.touring.encode import BT709, LIMITED
 
 av = pytest.importorskip("av")
 

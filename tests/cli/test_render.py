@@ -21,9 +21,9 @@ from pyproj import CRS, Transformer
 
 from orograph import store
 from orograph.geo.grid import Grid
-from orograph.light.sun import place as place_of
-from orograph.light.sun import position
-from orograph.picture.prepare import prepare
+from orograph.lighting.sun import place as place_of
+from orograph.lighting.sun import position
+from orograph.scene.prepare import prepare
 
 PLACE = Affine(30, 0, 500_000, 0, -30, 4_000_000)
 SMALL = ("--size", "160x90", "--quiet")
@@ -402,7 +402,7 @@ def test_nothing_in_view_advises_what_applies(run, tmp_path, monkeypatch, azimut
     def fail(scene, progress):
         raise NothingInViewError("Nothing.", path="x", remedy="Leave the camera options away to see all of it.")
 
-    monkeypatch.setattr("orograph.picture.cpu.draw", fail)
+    monkeypatch.setattr("orograph.rendering.cpu.draw.draw", fail)
     options = () if azimuth is None else ("--from", azimuth)
     code, _, err = run("render", write(tmp_path / "dem.tif"), "-o", tmp_path / "a.png", *options, *SMALL)
     assert code == 5 and ("camera options" in err) == (azimuth is not None)
@@ -466,7 +466,7 @@ def test_a_damaged_store_is_never_drawn(run, tmp_path):
 
 
 def test_large_dems_are_kept(run, tmp_path, monkeypatch):
-    for place in ("orograph.picture.prepare.EXACT_SAMPLES", "orograph.picture.scene.EXACT_SAMPLES"):
+    for place in ("orograph.scene.prepare.EXACT_SAMPLES", "orograph.scene.scene.EXACT_SAMPLES"):
         monkeypatch.setattr(place, 10_000)
     cache = tmp_path / "cache"
     monkeypatch.setenv("OROGRAPH_CACHE", str(cache))
@@ -496,7 +496,7 @@ def test_large_dems_are_kept(run, tmp_path, monkeypatch):
 
 
 def test_a_cache_that_cannot_be(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("orograph.picture.prepare.EXACT_SAMPLES", 10_000)
+    monkeypatch.setattr("orograph.scene.prepare.EXACT_SAMPLES", 10_000)
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path / "file" / "cache"))
     dem = write(tmp_path / "dem.tif", hills(300, 400))

@@ -14,7 +14,7 @@ from orograph.dem import read
 from orograph.errors import ReadError, UsageError
 
 xr = pytest.importorskip("xarray")
-accessor = importlib.import_module("orograph.dem.accessor")
+accessor = importlib.import_module("orograph.accessor")
 
 
 def made(values: np.ndarray, x: list[float], y: list[float], **attrs: object) -> xr.DataArray:
@@ -76,7 +76,7 @@ def test_what_cannot_be_elevation_is_refused() -> None:
 
 
 def test_importing_orograph_registers_it_where_xarray_is_in_use() -> None:
-    program = "import sys, {}\nprint('orograph.dem.accessor' in sys.modules, 'xarray' in sys.modules)"
+    program = "import sys, {}\nprint('orograph.accessor' in sys.modules, 'xarray' in sys.modules)"
     for imports, says in (("xarray, orograph", "True True"), ("orograph", "False False")):
         run = subprocess.run(
             [sys.executable, "-c", program.format(imports)], capture_output=True, text=True, check=True

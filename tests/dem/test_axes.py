@@ -21,7 +21,7 @@ from orograph.dem.axes import east_north
 from orograph.dem.mosaic import Mosaic
 from orograph.geo.grid import apply
 from orograph.geo.transform import transformer
-from orograph.view import View
+from orograph.viewpoint import View
 
 # A corner of the raster inside each CRS's area, in its own (x, y); and which way its coordinates grow.
 PLACES = {

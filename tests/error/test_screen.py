@@ -13,7 +13,7 @@ from orograph.error import screen
 from orograph.error.screen import ANISOTROPIC, ANISOTROPIC_PUBLISHED, ISOTROPIC, ISOTROPIC_PUBLISHED, lens, metric_of
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.view import View
+from orograph.viewpoint import View
 
 to_camera, sphere_bound, sphere_exceeds, triangle_bound = (
     f.py_func for f in (screen.to_camera, screen.sphere_bound, screen.sphere_exceeds, screen.triangle_bound)

@@ -11,7 +11,7 @@ import pytest
 
 from orograph.gpu import device as gpu
 from orograph.gpu.device import Adapter, Device, DeviceLimitError, NoAdapterError
-from orograph.light.occlusion import ambient_occlusion
+from orograph.lighting.occlusion import ambient_occlusion
 
 
 def test_there_is_one_device_for_the_process(device: Device) -> None:

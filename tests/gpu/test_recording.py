@@ -13,10 +13,10 @@ from orograph.geo.grid import Grid
 from orograph.gpu import recording
 from orograph.gpu.device import Device
 from orograph.gpu.recording import Attachments, write
-from orograph.gpu.renderer import Renderer
-from orograph.picture.scene import Scene
+from orograph.rendering.gpu.renderer import Renderer
+from orograph.scene.scene import Scene
 from orograph.store import terrain as in_memory
-from orograph.view import View
+from orograph.viewpoint import View
 
 wgpu = pytest.importorskip("wgpu")
 SIZE = 96, 64

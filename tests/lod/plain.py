@@ -15,7 +15,7 @@ from affine import Affine
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts, triangles
 from orograph.store.memory import MemoryTerrain
-from orograph.view import View
+from orograph.viewpoint import View
 
 
 def rough(rng: np.random.Generator, shape, amplitude=80.0, hurst=0.8, gaps=0.0) -> np.ndarray:

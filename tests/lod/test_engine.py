@@ -11,7 +11,7 @@ import pytest
 from orograph.errors import UsageError
 from orograph.lod import ENGINES, engine_of
 from orograph.lod.engine import Engine, Mesh, by_tolerance
-from orograph.view import View
+from orograph.viewpoint import View
 
 FLAT = plain.terrain(np.zeros((9, 9), np.float32))
 VIEW = View((5e5, 4e6, 900.0), (5e5 + 100, 4e6 - 100, 0.0))

@@ -7,8 +7,8 @@ import plain
 import pytest
 
 from orograph import verify
-from orograph.lod.blow import Blow
 from orograph.lod.stateless import Stateless
+from orograph.lod.threshold_spheres import Blow
 from orograph.lod.top_down import TopDown
 
 

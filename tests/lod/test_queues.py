@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from orograph._numba import kernel
 from orograph.hierarchy import diamonds
-from orograph.lod import waiting
+from orograph.lod import radix_heap as waiting
 from orograph.lod.queues import code_of, heap_pop, heap_push
-from orograph.lod.waiting import LISTS, WHERE, WORK, link, list_of
+from orograph.lod.radix_heap import LISTS, WHERE, WORK, link, list_of
 
 
 @kernel

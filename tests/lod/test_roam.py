@@ -13,10 +13,10 @@ import rasterio
 from orograph import verify
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts
-from orograph.lod import ahead
+from orograph.lod import look_ahead as ahead
 from orograph.lod.roam import Roam, bounds, engine, mesh, priorities, queues
 from orograph.store.memory import MemoryTerrain
-from orograph.view import View
+from orograph.viewpoint import View
 
 
 class Recursion:

@@ -10,7 +10,7 @@ from orograph.geo.grid import Grid
 from orograph.hierarchy import fronts
 from orograph.lod.roam import Roam, bounds, frame, mesh, queues
 from orograph.store.memory import MemoryTerrain
-from orograph.view import View
+from orograph.viewpoint import View
 
 
 def make(n: int, seed: int = 0) -> Roam:

@@ -12,7 +12,7 @@ import pytest
 from orograph import verify
 from orograph.errors import UsageError
 from orograph.lod.roam import Roam
-from orograph.view import View
+from orograph.viewpoint import View
 
 
 def surface(z: np.ndarray, col: np.ndarray, row: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from orograph.lod.soar import Soar
 from orograph.store.build import build
 from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
-from orograph.view import View
+from orograph.viewpoint import View
 
 
 def isotropic(p: plain.Plain, camera: plain.Camera):

@@ -12,7 +12,7 @@ from orograph.geo.grid import Grid
 from orograph.raycast.caster import Caster
 from orograph.raycast.select import load, rectangles
 from orograph.store.memory import MemoryTerrain
-from orograph.view import View
+from orograph.viewpoint import View
 
 ROWS, COLS, SPACING = 1100, 1500, 10.0
 

@@ -12,7 +12,7 @@ from broken_meshes import Corner, Triangle, area, share_area, units
 
 from orograph.store import MemoryTerrain
 from orograph.tessellation import Tessellation
-from orograph.view import View
+from orograph.viewpoint import View
 
 Point = tuple[Fraction, Fraction]
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from orograph.errors import UsageError
 from orograph.tessellation import Tessellation
 from orograph.verify import Report, judge, strips
-from orograph.view import View
+from orograph.viewpoint import View
 
 SHAPES = [(5, 5), (6, 7), (4, 9), (7, 4), (3, 5), (2, 3), (2, 2)]
 

@@ -13,7 +13,7 @@ from orograph.lod.soar import Soar
 from orograph.store import MemoryTerrain
 from orograph.tessellation import Tessellation
 from orograph.verify.measure import elsewhere, fingerprints, measure_flight, measure_views
-from orograph.view import View
+from orograph.viewpoint import View
 
 SIZE = 17
 VIEW = View((700, -900, 900), (240, -240, 0), fov_y=40, width=200, height=120)

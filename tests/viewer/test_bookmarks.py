@@ -9,8 +9,8 @@ from affine import Affine
 
 from orograph.errors import OutputError
 from orograph.geo import Grid
-from orograph.view import View
 from orograph.viewer.bookmarks import Bookmarks, config_folder
+from orograph.viewpoint import View
 
 GRID = Grid((100, 200), Affine(30, 0, 5e5, 0, -30, 5e6))
 VIEW = View((5e5, 5e6, 3000.0), (5e5 + 100, 5e6, 1000.0), fov_y=33.0)

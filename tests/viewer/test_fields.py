@@ -16,7 +16,7 @@ pytest.importorskip("rendercanvas")
 from imgui_bundle import imgui
 
 from orograph.cli.measure import command
-from orograph.picture.contours import Contours
+from orograph.scene.contours import Contours
 from orograph.viewer.navigation import heading_pitch
 
 PLAIN = 500.0

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orograph.view import View
 from orograph.viewer.glide import RHO, Glide, Path
 from orograph.viewer.navigation import Limits, heading_pitch
+from orograph.viewpoint import View
 
 SIZES = st.floats(1.0, 1e5)
 

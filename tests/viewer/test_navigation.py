@@ -10,8 +10,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from orograph.view import View
 from orograph.viewer.navigation import Grab, Limits, heading_pitch, kept_above, look, orbit, towards, zoom
+from orograph.viewpoint import View
 
 PIXEL = 1e-6
 """Pixels by which what is held may move: rounding of UTM coordinates."""

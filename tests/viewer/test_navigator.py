@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from orograph.view import View
 from orograph.viewer.flying import TICK, Flying
 from orograph.viewer.navigation import Limits, heading_pitch
 from orograph.viewer.navigator import LEFT, MIDDLE, RIGHT, Navigator
+from orograph.viewpoint import View
 
 HOME = View((500_000.0, 4_990_000.0, 6000.0), (500_000.0, 5_000_000.0, 0.0), width=1280, height=720)
 

@@ -13,7 +13,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from orograph.view import View
+from orograph.viewpoint import View
 
 PLAIN = 500.0
 """Metres: the height of the ground (conftest)."""

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import rasterio
 
-from orograph.geovis import measure
-from orograph.picture.prepare import prepare
-from orograph.view import View
+from orograph import measuring
+from orograph.scene.prepare import prepare
+from orograph.viewpoint import View
 
 pytest.importorskip("imgui_bundle")
 
@@ -54,13 +54,13 @@ def test_moving_sideways():
 def test_every_measurement_is_said(terrain):
     x, y = (float(v) for v in terrain.grid.xy(100.0, 150.0))
     a, b, c = (x, y), (x + 900.0, y), (x, y - 900.0)
-    said = dict(rows("line", measure.profile(terrain, [a, b])))
+    said = dict(rows("line", measuring.profile(terrain, [a, b])))
     assert said["climb, descent"] == "0 m, 0 m"
     assert said["on the map"].endswith("m")
-    assert dict(rows("place", measure.place(terrain, a)))["height"] == "500.00 m"
-    assert "surface" in dict(rows("area", measure.area(terrain, [a, b, c])))
-    assert dict(rows("sight", measure.line_of_sight(terrain, a, b)))["seen"] == "yes"
-    shed = measure.viewshed(terrain, a, radius=500.0)
+    assert dict(rows("place", measuring.place(terrain, a)))["height"] == "500.00 m"
+    assert "surface" in dict(rows("area", measuring.area(terrain, [a, b, c])))
+    assert dict(rows("sight", measuring.line_of_sight(terrain, a, b)))["seen"] == "yes"
+    shed = measuring.viewshed(terrain, a, radius=500.0)
     values = shed.values()
     assert dict(rows("viewshed", (shed, values, None)))["seen"].startswith("100.0%")
 

@@ -1,4 +1,4 @@
-"""The ground under eye and cursor against ``geovis.measure``, and what happens where reading is slow or fails."""
+"""The ground under eye and cursor against ``measuring``, and what happens where reading is slow or fails."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import time
 import numpy as np
 import pytest
 
+from orograph import measuring
 from orograph.errors import StoreError
-from orograph.geovis import measure
-from orograph.picture import camera
-from orograph.picture.prepare import prepare
+from orograph.scene import camera
+from orograph.scene.prepare import prepare
 from orograph.store import terrain as in_memory
 from orograph.viewer import probe as module
 from orograph.viewer.probe import Probe
@@ -31,7 +31,7 @@ def places(terrain, n=200):
 def test_the_ground_is_the_surface(terrain):
     probe = Probe(terrain)
     for x, y in places(terrain):
-        assert probe.ground(x, y) == pytest.approx(measure.place(terrain, (x, y)).height, abs=1e-3)
+        assert probe.ground(x, y) == pytest.approx(measuring.place(terrain, (x, y)).height, abs=1e-3)
     west, south, *_ = terrain.grid.bounds()
     assert np.isnan(probe.ground(west - 100, south))
     probe.close()
@@ -43,12 +43,12 @@ def test_coarse_ground_becomes_the_surface(large, monkeypatch):
     assert probe.level > 0
     at = places(large, 20)
     for x, y in at:
-        assert abs(probe.ground(x, y) - measure.place(large, (x, y)).height) < 5.0
+        assert abs(probe.ground(x, y) - measuring.place(large, (x, y)).height) < 5.0
     end = time.monotonic() + 20
     while probe._asked and time.monotonic() < end:
         time.sleep(0.01)
     for x, y in at:
-        assert probe.ground(x, y) == pytest.approx(measure.place(large, (x, y)).height, abs=1e-3)
+        assert probe.ground(x, y) == pytest.approx(measuring.place(large, (x, y)).height, abs=1e-3)
     probe.close()
 
 
@@ -56,7 +56,7 @@ def test_picks(terrain):
     probe = Probe(terrain)
     view = camera.whole(terrain, (200, 150))
     for x, y in ((100, 90), (60, 80), (150, 110), (100, 5)):
-        found, truth = probe.pick(view, x, y, patience=30.0), measure.pick(terrain, view, (x, y))
+        found, truth = probe.pick(view, x, y, patience=30.0), measuring.pick(terrain, view, (x, y))
         assert (found is None) == (truth is None)
         if truth is not None:
             assert found == pytest.approx((*truth.point, truth.height), abs=1e-6)

@@ -8,8 +8,8 @@ import pytest
 
 from orograph.errors import UsageError
 from orograph.geovis.layers import Layer
-from orograph.light.sun import Moment, Placed, position
-from orograph.picture.prepare import prepare
+from orograph.lighting.sun import Moment, Placed, position
+from orograph.scene.prepare import prepare
 from orograph.viewer.settings import Light, Settings
 
 
@@ -85,7 +85,7 @@ def test_a_budget_is_reached(terrain, power):
 
 
 def test_scenes(terrain):
-    from orograph.picture import camera
+    from orograph.scene import camera
 
     settings = Settings(Light.over(terrain), exaggeration=2.0, layers=[Layer("x.tif", visible=False)])
     scene = settings.scene(terrain, camera.whole(terrain, (100, 100)))

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import pytest
 
-from orograph.light.sun import Moment, Placed
-from orograph.picture.prepare import prepare
-from orograph.tour import Tour
+from orograph.lighting.sun import Moment, Placed
+from orograph.scene.prepare import prepare
+from orograph.touring import Tour
 from orograph.viewer.navigation import orbit
 from orograph.viewer.session import Session
 from orograph.viewer.touring import LEG, SHORTEST, Touring
@@ -175,7 +175,7 @@ def test_light_and_exaggeration_go_along(session, touring):
 
 
 def test_it_is_kept_above_the_ground_as_a_film_is(session, touring):
-    from orograph.tour.course import Course
+    from orograph.touring.course import Course
 
     low = replace(session.view, eye=(412_500.0, 4_983_000.0, 520.0), target=(413_500.0, 4_983_000.0, 510.0))
     for east in (0.0, 3000.0):
@@ -244,7 +244,7 @@ def test_movie_films_the_cameras_that_the_window_shows(session, touring, dem, tm
     from click.testing import CliRunner
 
     from orograph.cli import cli
-    from orograph.tour.film import Film
+    from orograph.touring.film import Film
 
     three(session, touring)
     touring.change(1, hold=0.5)
@@ -276,8 +276,8 @@ def test_movie_films_the_cameras_that_the_window_shows(session, touring, dem, tm
 
 def test_layers_fade_as_in_a_film(session, touring, dem, tmp_path, monkeypatch):
     from orograph.geovis.layers import Layer
-    from orograph.picture.scene import Scene
-    from orograph.tour.film import Film
+    from orograph.scene.scene import Scene
+    from orograph.touring.film import Film
 
     settings = session.settings
     monkeypatch.chdir(dem.parent)

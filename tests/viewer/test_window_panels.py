@@ -17,7 +17,7 @@ pytest.importorskip("rendercanvas")
 from hand import ground_pixel
 from imgui_bundle import imgui
 
-from orograph.picture.contours import Contours
+from orograph.scene.contours import Contours
 from orograph.viewer import panels
 from orograph.viewer.panels import layers, statistics
 from orograph.viewer.panels.detail import METHODS

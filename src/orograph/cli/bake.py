@@ -21,7 +21,7 @@ from orograph.cli.products import (
 )
 
 if TYPE_CHECKING:
-    from orograph.light.products import Options
+    from orograph.lighting.products import Options
     from orograph.progress import Progress
     from orograph.store.stored import StoredTerrain
 
@@ -74,7 +74,7 @@ def command(
       orograph bake area.oro --products sky-view-factor,aperture
       orograph bake area.oro --products ambient-occlusion --radius 600 --rho linear
     """
-    from orograph.light.products import Options
+    from orograph.lighting.products import Options
 
     began = time.perf_counter()
     wanted = once(products)
@@ -105,8 +105,8 @@ def command(
 def run(
     store: str, names: Sequence[str], progress: Progress, options: Options | None = None, **how: Any
 ) -> StoredTerrain:
-    """``light.bake.bake``, which says after Ctrl-C how it goes on."""
-    from orograph.light.bake import bake
+    """``lighting.bake.bake``, which says after Ctrl-C how it goes on."""
+    from orograph.lighting.bake import bake
 
     try:
         return bake(store, names, options, progress=progress, **how)

@@ -119,7 +119,7 @@ def command(
     if drape is not None and not color_errors:
         raise UsageError("--drape is looked at for --color-errors.", remedy="Give --color-errors, too.")
     if products:
-        from orograph.light.bake import check
+        from orograph.lighting.bake import check
 
         check(products)
     progress = progress_of(ctx)

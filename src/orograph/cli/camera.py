@@ -16,7 +16,7 @@ from orograph.cli.options import FILE, F, ParamType
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
-    from orograph.view import View
+    from orograph.viewpoint import View
 
 PLACES = ("azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov")
 """What moves the camera away from the view of the whole terrain."""
@@ -141,7 +141,7 @@ def check_camera(options: Mapping[str, Any]) -> None:
             )
     if options["view_path"] is not None:
         from orograph.documents import load_object, naming
-        from orograph.view import View
+        from orograph.viewpoint import View
 
         values = load_object(options["view_path"], "view", "eye, target, fov_y, width and height")
         with naming(options["view_path"]):
@@ -152,8 +152,8 @@ def camera_view(terrain: Terrain, options: Mapping[str, Any]) -> View:
     """The camera that the options describe (see ``check_camera``)."""
     from dataclasses import replace
 
-    from orograph.picture import camera
-    from orograph.view import View
+    from orograph.scene import camera
+    from orograph.viewpoint import View
 
     def given(name: str, default: float) -> float:
         return default if options[name] is None else float(options[name])
@@ -169,7 +169,7 @@ def camera_view(terrain: Terrain, options: Mapping[str, Any]) -> View:
     azimuth = given("azimuth", 180.0)
     insets = camera.NO_INSETS
     if options.get("furniture"):
-        from orograph.picture import furniture
+        from orograph.rendering.furniture import furnish as furniture
 
         insets = furniture.insets(size)
     if options["projection"] == "plan":

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from orograph.progress import Progress
     from orograph.store.terrain import Terrain
     from orograph.verify.measure import Measurement
-    from orograph.view import View
+    from orograph.viewpoint import View
 
 OWN = {*REFINE, "exaggeration"}
 """What is said about the meshes; all other options are about reading."""
@@ -146,9 +146,9 @@ def command(
     with progress.task("Loading Orograph"):
         from orograph.lod.field import check_surface
         from orograph.output import Beside, check_folder
-        from orograph.picture.prepare import prepare
-        from orograph.picture.result import picture_format
-        from orograph.picture.scene import check_exaggeration
+        from orograph.rendering.picture import picture_format
+        from orograph.scene.prepare import prepare
+        from orograph.scene.scene import check_exaggeration
 
         for name, metric in engines:
             engine_of(name).usable_metric(metric)
@@ -223,7 +223,7 @@ def _views(
     terrain: Terrain, views_path: str | None, flight_path: str | None, size: tuple[int, int] | None, exaggeration: float
 ) -> dict[str, View]:
     """The views by name; a flight's frames by number."""
-    from orograph.tour import moves
+    from orograph.touring import moves
 
     crs = terrain.grid.crs
     if flight_path is not None:
@@ -232,7 +232,7 @@ def _views(
     elif views_path is not None:
         views = load_views(views_path, crs)
     else:
-        from orograph.picture.comparison import usual_views
+        from orograph.rendering.comparison import usual_views
 
         return usual_views(terrain, size or (1280, 720), exaggeration)
     return views if size is None else {k: v.resized(*size) for k, v in views.items()}
@@ -244,7 +244,7 @@ def load_views(path: str, crs: Any = None) -> dict[str, View]:
     Raises:
         ReadError: the file cannot be read, or is no list of objects. UsageError: a view is wrong, or two have one name.
     """
-    from orograph.view import View
+    from orograph.viewpoint import View
 
     try:
         values = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -274,8 +274,8 @@ def _draw(
     import numpy as np
 
     from orograph import verify
-    from orograph.picture.comparison import Panel, caption, panel_view, sheet
-    from orograph.picture.result import Picture
+    from orograph.rendering.comparison import Panel, caption, panel_view, sheet
+    from orograph.rendering.picture import Picture
 
     view = panel_view(view, len(engines))
     panels = []

@@ -46,11 +46,11 @@ def command(ctx: click.Context, /, output: Path) -> None:
     dem = write_jacksboro(output)
     step(f"the sample, as a GeoTIFF in degrees: {dem}")
 
-    from orograph.light.sun import Sun
-    from orograph.picture.camera import whole
-    from orograph.picture.cpu import draw
-    from orograph.picture.prepare import prepare
-    from orograph.picture.scene import Scene
+    from orograph.lighting.sun import Sun
+    from orograph.rendering.cpu.draw import draw
+    from orograph.scene.camera import whole
+    from orograph.scene.prepare import prepare
+    from orograph.scene.scene import Scene
 
     terrain = prepare([str(dem)], progress=progress)
     rows, cols = terrain.grid.shape

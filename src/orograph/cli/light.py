@@ -34,8 +34,8 @@ from orograph.cli.products import (
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
-    from orograph.light.products import Context, Options, Product, Values
-    from orograph.light.raster import Band
+    from orograph.lighting.products import Context, Options, Product, Values
+    from orograph.lighting.raster import Band
 
 OWN = (
     "products", "azimuths", "radius", "sun", "lights", "curvature", "refraction", "exaggeration", "rays", "rho",
@@ -131,12 +131,12 @@ def command(
     if source["band"] == 1:
         source["band"] = None
     with progress.task("Loading Orograph"):
-        from orograph.light.products import Context, Options, product
-        from orograph.light.raster import write
-        from orograph.light.raster_resume import Kept, identity
-        from orograph.light.sun import Sun
+        from orograph.lighting.products import Context, Options, product
+        from orograph.lighting.raster import write
+        from orograph.lighting.raster_resume import Kept, identity
+        from orograph.lighting.sun import Sun
         from orograph.output import check_folder
-        from orograph.picture.prepare import prepare
+        from orograph.scene.prepare import prepare
 
     # What is wrong with the command line is said before any work is done.
     check_folder(Path(output))
@@ -193,7 +193,7 @@ def command(
 
 def _blocks(context: Context, products: list[Product]) -> Iterator[tuple[int, int, int, Values]]:
     """The blocks of all products with their first band; those that sweep alike share a sweep."""
-    from orograph.light.gather import produce
+    from orograph.lighting.gather import produce
 
     counts = [len(each.bands(context.options)) for each in products]
     for k, row, col, values in produce(context, products):

@@ -16,11 +16,11 @@ from orograph.cli.camera import Numbers
 from orograph.cli.options import F
 
 if TYPE_CHECKING:
-    from orograph.light.aperture import Lamp
-    from orograph.light.sun import Sun
+    from orograph.lighting.aperture import Lamp
+    from orograph.lighting.sun import Sun
     from orograph.store.terrain import Terrain
 
-LIGHTS = ("relief", "ao", "aperture", "raytraced", "none")  # orograph.picture.scene.Light, without importing it
+LIGHTS = ("relief", "ao", "aperture", "raytraced", "none")  # orograph.scene.scene.Light, without importing it
 SHINING = ("aperture", "raytraced")
 """Those with lamps and further discs."""
 
@@ -88,9 +88,9 @@ def lights_of(
     """The lamps and the further discs of light of a scene."""
     if not (options["lamps"] or options["discs"]):
         return (), ()
-    from orograph.light.aperture import Lamp
-    from orograph.light.sun import Sun
-    from orograph.picture.camera import place
+    from orograph.lighting.aperture import Lamp
+    from orograph.lighting.sun import Sun
+    from orograph.scene.camera import place
 
     white = (1.0, 1.0, 1.0)
     lamps = [

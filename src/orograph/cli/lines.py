@@ -10,8 +10,8 @@ import click
 from orograph.cli.options import ParamType
 
 if TYPE_CHECKING:
-    from orograph.picture.contours import Contours
-    from orograph.picture.silhouettes import Silhouettes
+    from orograph.scene.contours import Contours
+    from orograph.scene.silhouettes import Silhouettes
 
 
 class Interval(ParamType):
@@ -82,7 +82,7 @@ def contours_of(options: Mapping[str, Any]) -> Contours | None:
     """The contour lines of a scene, or None."""
     if options["contours"] is None:
         return None
-    from orograph.picture.contours import Contours
+    from orograph.scene.contours import Contours
 
     interval = None if options["contours"] == "auto" else options["contours"]
     return Contours(
@@ -94,6 +94,6 @@ def silhouettes_of(options: Mapping[str, Any]) -> Silhouettes | None:
     """The silhouettes of a scene, or None."""
     if not options["silhouettes"]:
         return None
-    from orograph.picture.silhouettes import Silhouettes
+    from orograph.scene.silhouettes import Silhouettes
 
     return Silhouettes(options["silhouette_width"], creases=options["creases"])

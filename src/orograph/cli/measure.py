@@ -109,17 +109,17 @@ def pick(
     camera = {**camera, "lonlat": None, "look_at": None}
     check_camera({k: camera[k] for k in CAMERA})
     terrain = opened(ctx)
-    from orograph.geovis import measure
+    from orograph import measuring
 
-    places = measure.Places(terrain)
-    hits = [measure.place(terrain, p) for p in on_terrain(places, points, degrees)] if points else []
+    places = measuring.Places(terrain)
+    hits = [measuring.place(terrain, p) for p in on_terrain(places, points, degrees)] if points else []
     if pixels:
-        from orograph.picture.scene import check_exaggeration
+        from orograph.scene.scene import check_exaggeration
 
         check_exaggeration(camera["exaggeration"])
         view = camera_view(terrain, camera)
         for x, y in pixels:
-            found = measure.pick(terrain, view, (x, y), camera["exaggeration"])
+            found = measuring.pick(terrain, view, (x, y), camera["exaggeration"])
             if found is None:
                 raise UsageError(f"There is no ground at pixel {x:g},{y:g}: sky, or no data.")
             hits.append(found)
@@ -155,22 +155,22 @@ def profile(
     if every is not None and not every > 0:
         raise UsageError(f"--every is a positive number of metres, not {every:g}.")
     terrain = opened(ctx, outputs)
-    from orograph.geovis import measure
+    from orograph import measuring
 
-    places = measure.Places(terrain)
+    places = measuring.Places(terrain)
     if geojson is None:
         line = on_terrain(places, points, degrees)
     else:
-        from orograph.geovis.measure.geojson import read_geojson
+        from orograph.measuring.geojson import read_geojson
 
         line = read_geojson(geojson, "LineString", places)[0]
     with progress_of(ctx).task("Measuring"):
-        found = measure.profile(terrain, line)
+        found = measuring.profile(terrain, line)
         for path in outputs:
             if Path(path).suffix.lower() == ".csv":
                 found.save_csv(path, every)
             else:
-                from orograph.geovis.measure.plot import save_profile
+                from orograph.measuring.plot import save_profile
 
                 save_profile(found, path)
     lines = [
@@ -201,16 +201,16 @@ def area(
     elif points:
         raise UsageError("Give the polygon as points or with --geojson, not both.")
     terrain = opened(ctx)
-    from orograph.geovis import measure
+    from orograph import measuring
 
-    places = measure.Places(terrain)
+    places = measuring.Places(terrain)
     rings = [on_terrain(places, points, degrees)] if geojson is None else None
     if geojson is not None:
-        from orograph.geovis.measure.geojson import read_geojson
+        from orograph.measuring.geojson import read_geojson
 
         rings = read_geojson(geojson, "Polygon", places)
     assert rings is not None
-    found = measure.area(terrain, rings, level=level, jobs=ctx.obj["jobs"], progress=progress_of(ctx))
+    found = measuring.area(terrain, rings, level=level, jobs=ctx.obj["jobs"], progress=progress_of(ctx))
 
     def square(value: float) -> str:
         return f"{value:,.1f} m²" + (f"  ({value / 1e6:,.4f} km²)" if value >= 1e5 else "")
@@ -241,16 +241,18 @@ def los(
     check_points(points, 2, "A line of sight", 2)
     kinds(outputs, True)
     terrain = opened(ctx, outputs)
-    from orograph.geovis import measure
+    from orograph import measuring
 
-    ends = on_terrain(measure.Places(terrain), points, degrees)
+    ends = on_terrain(measuring.Places(terrain), points, degrees)
     with progress_of(ctx).task("Looking"):
-        found = measure.line_of_sight(terrain, ends[0], ends[1], eye, target, curvature=not flat, refraction=refraction)
+        found = measuring.line_of_sight(
+            terrain, ends[0], ends[1], eye, target, curvature=not flat, refraction=refraction
+        )
         for path in outputs:
             if Path(path).suffix.lower() == ".csv":
                 found.profile.save_csv(path)
             else:
-                from orograph.geovis.measure.plot import save_sight
+                from orograph.measuring.plot import save_sight
 
                 save_sight(found, path)
     lines = [("visible", "yes" if found.visible else "no"),
@@ -295,17 +297,17 @@ def viewshed(
     if output is not None:
         check_ending("--output", output)
     if picture is not None:
-        from orograph.picture.result import picture_format
+        from orograph.rendering.picture import picture_format
 
         picture_format(Path(picture))
     outputs = () if output is None else (output,)
     terrain = opened(ctx, outputs, (picture,))
+    from orograph import measuring
     from orograph.cli.painting import painted
-    from orograph.geovis import measure
 
     progress = progress_of(ctx)
-    place = on_terrain(measure.Places(terrain), points, degrees)[0]
-    shed = measure.viewshed(
+    place = on_terrain(measuring.Places(terrain), points, degrees)[0]
+    shed = measuring.viewshed(
         terrain, place, eye, target, radius=radius, curvature=not flat, refraction=refraction, heights=heights,
         max_memory=ctx.obj["max_memory"], jobs=ctx.obj["jobs"], progress=progress,
     )  # fmt: skip

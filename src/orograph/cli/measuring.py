@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from orograph.geovis.measure import Places
+    from orograph.measuring import Places
     from orograph.store.terrain import Terrain
 
 POINTS = {"ignore_unknown_options": True, "help_option_names": ["-h", "--help"]}
@@ -77,7 +77,7 @@ def opened(ctx: click.Context, outputs: tuple[str, ...] = (), others: tuple[str 
     progress = progress_of(ctx)
     with progress.task("Loading Orograph"):
         from orograph.output import check_folder
-        from orograph.picture.prepare import prepare
+        from orograph.scene.prepare import prepare
     for path in (*outputs, *filter(None, others)):
         check_folder(Path(path))
     return prepare(
@@ -102,7 +102,7 @@ def on_terrain(places: Places, points: tuple[tuple[float, ...], ...], degrees: b
 
 def kinds(outputs: tuple[str, ...], plots: bool) -> None:
     """Raise UsageError for endings that are neither a table's nor a plot's; a missing matplotlib is told at once."""
-    from orograph.geovis.measure.plot import ENDINGS, check_plot
+    from orograph.measuring.plot import ENDINGS, check_plot
 
     for path in outputs:
         if Path(path).suffix.lower() == ".csv":

@@ -86,12 +86,12 @@ def command(
     if source["band"] == 1:
         source["band"] = None
     with progress.task("Loading Orograph"):
-        from orograph.picture.backends import session
-        from orograph.picture.memory import check_memory
-        from orograph.picture.prepare import prepare
-        from orograph.tour import Tour
-        from orograph.tour.encode import Pictures, Video, check_movie, is_numbered
-        from orograph.tour.film import Film, spoken
+        from orograph.rendering.backends import session
+        from orograph.rendering.memory import check_memory
+        from orograph.scene.prepare import prepare
+        from orograph.touring import Tour
+        from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
+        from orograph.touring.film import Film, spoken
 
     # What is wrong with the command line is said before any work is done.
     check_movie(output, options["size"], crf)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from orograph.geovis.measure import Viewshed
-    from orograph.picture import Picture
+    from orograph.measuring import Viewshed
     from orograph.progress import Progress
+    from orograph.rendering.picture import Picture
     from orograph.store.terrain import Terrain
 
 
@@ -26,9 +26,9 @@ def painted(
     from dataclasses import replace
 
     from orograph.cli.camera import camera_view
-    from orograph.geovis.measure.paint import save_paint
-    from orograph.geovis.measure.viewshed import Summary
-    from orograph.picture import render
+    from orograph.measuring.paint import save_paint
+    from orograph.measuring.viewshed import Summary
+    from orograph.rendering.api import render
 
     told = Summary(shed)
     view = camera_view(terrain, camera)

@@ -2,7 +2,7 @@
 
 ``@horizon_options`` gives a verb ``azimuths``, ``radius``, ``curvature`` and ``refraction``; ``@ray_options(…)``
 ``rays``, ``rho`` and ``method``; ``@insolation_options`` ``date``, ``step`` and ``turbidity``: keyword arguments by the
-names of ``light.products.Options``, or of what its ``more`` holds (``MORE``).
+names of ``lighting.products.Options``, or of what its ``more`` holds (``MORE``).
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Names(click.ParamType["tuple[str, ...]"]):
     ) -> tuple[str, ...]:
         if not isinstance(value, str):
             return value
-        from orograph.light.products import names
+        from orograph.lighting.products import names
 
         wanted = tuple(word.strip() for word in value.split(","))
         for word in wanted:

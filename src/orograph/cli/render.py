@@ -81,12 +81,12 @@ def command(
         from orograph.errors import DamagedChunkError, NothingInViewError
         from orograph.folders import cache_folder
         from orograph.output import Beside, check_folder
-        from orograph.picture.backends import draw, session
-        from orograph.picture.doubts import LEAVE_CAMERA
-        from orograph.picture.large import ACROSS, draw_large, is_large
-        from orograph.picture.memory import check_memory
-        from orograph.picture.prepare import prepare
-        from orograph.picture.result import picture_format
+        from orograph.rendering.backends import draw, session
+        from orograph.rendering.large import ACROSS, draw_large, is_large
+        from orograph.rendering.memory import check_memory
+        from orograph.rendering.picture import picture_format
+        from orograph.scene.diagnostics import LEAVE_CAMERA
+        from orograph.scene.prepare import prepare
 
     # What is wrong with the command line is said before any work is done.
     picture_format(Path(output))

@@ -1,8 +1,8 @@
 """What is drawn, on the command line: the options of all verbs that draw, each declared once.
 
-``@scene_options`` gives a verb ``sun`` (a ``light.sun.SunSource``), what ``SCENE`` lists, ``water``, ``mesh_view``, and
-``crs``, ``resolution`` and ``backend``; ``check_scene`` refuses what contradicts, before any work; ``scene_of`` makes
-the scene of a view.
+``@scene_options`` gives a verb ``sun`` (a ``lighting.sun.SunSource``), what ``SCENE`` lists, ``water``, ``mesh_view``,
+and ``crs``, ``resolution`` and ``backend``; ``check_scene`` refuses what contradicts, before any work; ``scene_of``
+makes the scene of a view.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from orograph.cli.options import FILE, F, ParamType, grid_options
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
-    from orograph.picture.scene import Scene
     from orograph.progress import Progress
+    from orograph.scene.scene import Scene
     from orograph.store.terrain import Terrain
-    from orograph.view import View
+    from orograph.viewpoint import View
 
 
 class Water(ParamType):
@@ -156,8 +156,8 @@ def check_scene(options: Mapping[str, Any], progress: Progress) -> None:
 
 def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memory: int, jobs: int | None) -> Scene:
     """The scene that the options describe, seen by a camera."""
-    from orograph.picture.scene import Scene
-    from orograph.view import View
+    from orograph.scene.scene import Scene
+    from orograph.viewpoint import View
 
     mesh_view = options["mesh_view"]
     lamps, discs = lights_of(terrain, options)

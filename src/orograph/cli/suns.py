@@ -1,6 +1,7 @@
 """``--sun`` on the command line: ``AZ,ALT`` in degrees, or a moment at the terrain's place.
 
-``@sun_option()`` gives a verb the keyword argument ``sun``: a ``light.sun.SunSource``, whose ``over(grid)`` is the sun.
+``@sun_option()`` gives a verb the keyword argument ``sun``: a ``lighting.sun.SunSource``, whose ``over(grid)`` is the
+sun.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from orograph.light.sun import Moment, Placed
+    from orograph.lighting.sun import Moment, Placed
 
     ParamType = click.ParamType[Any]
 else:
@@ -32,7 +33,7 @@ class SunType(ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Placed | Moment:
         from orograph.errors import UsageError
-        from orograph.light.sun import Moment, Placed, parse
+        from orograph.lighting.sun import Moment, Placed, parse
 
         if isinstance(value, Placed | Moment):
             return value

@@ -88,10 +88,10 @@ def command(
     if source["band"] == 1:
         source["band"] = None
     with progress.task("Loading Orograph"):
-        from orograph.mesh import mesh_format, write
+        from orograph.meshing import mesh_format, write
         from orograph.output import check_folder
-        from orograph.picture.prepare import prepare
-        from orograph.picture.scene import check_exaggeration
+        from orograph.scene.prepare import prepare
+        from orograph.scene.scene import check_exaggeration
 
     mesh_format(output)
     check_folder(Path(output))

@@ -55,7 +55,7 @@ def new(
         source["band"] = None
     with progress.task("Loading Orograph"):
         from orograph.output import Beside, check_folder
-        from orograph.picture.prepare import prepare
+        from orograph.scene.prepare import prepare
 
     check_folder(Path(output))
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
@@ -72,7 +72,7 @@ def new(
 def info(path: str, crs: str | None, as_json: bool) -> None:
     """Tell when a tour is where."""
     from orograph.documents import load_object
-    from orograph.tour import Tour
+    from orograph.touring import Tour
 
     if crs is None:
         values = load_object(path, "tour", "keys")

@@ -12,7 +12,7 @@ from orograph.cli.options import FILE, F
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
-    from orograph.tour.tour import Tour
+    from orograph.touring.tour import Tour
 
 KINDS = ("orbit", "turntable", "line", "points")
 WAY = (*KINDS, "azimuth", "pitch", "distance", "fov", "seconds", "height", "speed", "line_crs")
@@ -109,7 +109,7 @@ def tour_of(
     terrain: Terrain, size: tuple[int, int], options: Mapping[str, Any], sun: tuple[float, float], exaggeration: float
 ) -> Tour:
     """The tour that the options describe (see ``check_tour``); an orbit, if they describe none."""
-    from orograph.tour import make
+    from orograph.touring import make
 
     given = {new: options[old] for old, new in
              (("azimuth", "azimuth"), ("pitch", "pitch"), ("distance", "distance"), ("seconds", "seconds"),

@@ -18,7 +18,7 @@ from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
-    from orograph.view import View
+    from orograph.viewpoint import View
 
 WINDOW = (1280, 800)
 OWN = {*CAMERA, *LINES, "sun", "exaggeration", "tolerance", "colormap", "layers", "adapter", "light", "shadows",
@@ -105,8 +105,8 @@ def command(
         from orograph.errors import UsageError
         from orograph.geovis.colour import colour_table
         from orograph.output import check_folder
-        from orograph.picture.prepare import prepare
-        from orograph.picture.scene import check_exaggeration
+        from orograph.scene.prepare import prepare
+        from orograph.scene.scene import check_exaggeration
         from orograph.store.detect import is_store
         from orograph.viewer.session import Session
 

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from orograph._numba import inlined
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.view import View
+from orograph.viewpoint import View
 
 ANISOTROPIC, ISOTROPIC, WEDGIE, ISOTROPIC_PUBLISHED, ANISOTROPIC_PUBLISHED, LOCALISED = 0, 1, 2, 3, 4, 5
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from orograph.error.diamonds import Surface, diamonds
 from orograph.geovis.colour import tint_of
-from orograph.light.normal import gradient
+from orograph.lighting.normal import gradient
 from orograph.progress import SILENT, Progress
 from orograph.store.diamonds import NESTED, place, surface
 from orograph.store.terrain import Terrain, diamond_shape

@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 ENGINES = {
     "top-down": ("orograph.lod.top_down", "TopDown"),
     "roam": ("orograph.lod.roam", "Roam"),
-    "blow": ("orograph.lod.blow", "Blow"),
+    "blow": ("orograph.lod.threshold_spheres", "Blow"),
     "stateless": ("orograph.lod.stateless", "Stateless"),
     "soar": ("orograph.lod.soar", "Soar"),
-    "batched": ("orograph.lod.batched", "Batched"),
+    "batched": ("orograph.lod.triangle_patches", "Batched"),
 }
 """Name to (module, class)."""
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import ANISOTROPIC, LOCALISED, Metric, lens, metric_of
 from orograph.errors import UsageError
-from orograph.lod.ahead import NOTHING, Ahead
 from orograph.lod.field import ColorErrors, Field
+from orograph.lod.look_ahead import NOTHING, Ahead
 from orograph.parallel import cpu_count
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
-from orograph.view import View
+from orograph.viewpoint import View
 
 BOUNDS = ("exact", "wedgie")
 """Object-space errors that bound every sample's."""
@@ -139,7 +139,7 @@ class Engine(ABC):
         return ANISOTROPIC if self.metric.number == LOCALISED else self.metric.number
 
     def _pruned(self, lens: NDArray[np.float64]) -> NDArray[np.int64]:
-        """The table of diamonds that ``localised`` does not split (``lod.ahead``); pages may be read for it."""
+        """The table of diamonds that ``localised`` does not split (``lod.look_ahead``); pages may be read for it."""
         if self.metric.number != LOCALISED:
             return NOTHING
         if self._ahead is None:

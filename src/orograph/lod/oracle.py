@@ -34,7 +34,7 @@ from orograph.lod.localise import prism_outside
 from orograph.parallel import cpu_count, map_ordered
 from orograph.store.terrain import Heights, Terrain
 from orograph.tessellation import Tessellation
-from orograph.view import View
+from orograph.viewpoint import View
 
 CANDIDATE, ACTIVE = 1, 2
 """Marks of vertices: its diamond may be inaccurate; it is split."""

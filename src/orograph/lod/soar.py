@@ -12,8 +12,8 @@ holes are left out, and the strip is taken up again behind them. The metric hold
 (2002, sec. 5.3) are those of ``lod.geomorph``, which keep the tolerance. See docs/engines/soar.md.
 
 The pass begins with a *frontier* of subtrees of one level in view (``soar_pass.frontier``), which threads share
-(``lod.sharing``): one takes them from the front and writes the strip where it belongs, the others from the back, until
-they meet; what these made is put behind. What comes out does not depend on the number of threads.
+(``lod.work_sharing``): one takes them from the front and writes the strip where it belongs, the others from the back,
+until they meet; what these made is put behind. What comes out does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import FOCAL
 from orograph.errors import UsageError
-from orograph.lod import sharing
+from orograph.lod import work_sharing as sharing
 from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.lod.soar_join import lay_out, put
 from orograph.lod.soar_pass import frontier, refine_subtrees
 from orograph.parallel import Crew
-from orograph.view import View
+from orograph.viewpoint import View
 
 Strip = tuple[NDArray[np.int64], NDArray[np.float32]]
 """Keys and heights of a strip's vertices."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import leaf
-from orograph.lod.sharing import enters, last, leave, left, ready, wait_for
+from orograph.lod.work_sharing import enters, last, leave, left, ready, wait_for
 
 
 @leaf

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, leaf, paired
-from orograph.lod.sharing import enters, last, leave, left, stop
 from orograph.lod.soar_weigh import DROP, EVERYWHERE, LEAF, NAN, SPLIT, call, draws, weigh, weigh_both
+from orograph.lod.work_sharing import enters, last, leave, left, stop
 
 MARGIN = 1024
 """Room that a strip needs beyond its length: what one pass through the loop may append, 2n levels ending at once."""
@@ -54,7 +54,7 @@ def refine_subtrees(
     Args:
         pages: ``field.Pages``. lens: the camera. metric: its number.
         cull: whether what is out of view is left out.
-        pruned: int64, the table of diamonds that are not to be split for their errors (``lod.ahead``).
+        pruned: int64, the table of diamonds that are not to be split for their errors (``lod.look_ahead``).
         leaf_level: 2n.
         subtrees, subtree_zs, states: those of a ``frontier``, count of them.
         shares: ``sharing.begin``, the state of sharing.

@@ -1,7 +1,7 @@
 """What SOAR makes of a triangle: left out, drawn or split, by the numbers of its diamond; two at a time where it can.
 
-What ``lod.ahead`` knows is asked of near diamonds only: bits that triangles inherit say which planes of the frustum
-they are inside of, and that they are far.
+What ``lod.look_ahead`` knows is asked of near diamonds only: bits that triangles inherit say which planes of the
+frustum they are inside of, and that they are far.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from orograph._numba import inlined
 from orograph.error.screen import anisotropic_exceeds, color_exceeds, outside, sphere_exceeds, to_camera
-from orograph.lod.ahead import FAR_BIT, foresee
+from orograph.lod.look_ahead import FAR_BIT, foresee
 from orograph.lod.pages import BEYOND, locate, prefetch
 
 DROP, LEAF, SPLIT = 0, 1, 2

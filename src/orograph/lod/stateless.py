@@ -31,12 +31,12 @@ from numpy.typing import NDArray
 
 from orograph._numba import leaf
 from orograph.error.screen import color_exceeds, outside, sphere_bound, sphere_exceeds, to_camera
-from orograph.lod.ahead import foresee
 from orograph.lod.engine import UNBOUNDED, Engine, Mesh, by_tolerance
 from orograph.lod.field import find
+from orograph.lod.look_ahead import foresee
 from orograph.lod.pages import BEYOND
 from orograph.lod.queues import code_of, heap_pop, heap_push, usable_queue
-from orograph.view import View
+from orograph.viewpoint import View
 
 DONE, MISSED, GROW, PAUSED, FULL = 0, 1, 2, 3, 4
 """Why the kernel returns: the queue is empty; pages are missing; no room; enough for now; budget used up."""
@@ -56,13 +56,13 @@ def refine_queue(
     Args:
         pages: ``field.Pages``. lens: the camera, with the tolerance. metric: its number, of one on spheres.
         cull: whether triangles out of view are accurate and not drawn.
-        pruned: int64, the table of diamonds that are not to be split for their errors (``lod.ahead``).
+        pruned: int64, the table of diamonds that are not to be split for their errors (``lod.look_ahead``).
         ordered: largest bound first (a heap), else a FIFO.
         budget: most triangles drawn, but for what splits of mixed ones take. limit: most triangles taken in this call.
         closing: at the limit, still take the long-edge neighbour of the last one.
         leaf_level: 2n.
         corners: int64 (places, 3), left end, right end, apex; heights: float32 (places, 4), theirs and the middle's;
-            shown: uint8 (places,), whether it is drawn if it stays; masks: int64 (places,), bits of ``lod.ahead``;
+            shown: uint8 (places,), whether it is drawn if it stays; masks: int64 (places,), bits of ``lod.look_ahead``;
             free: int64 (places,), places not in use.
         priorities: float64, codes: int64, slots: int64, the queue: place of each triangle that waits.
         keys: int64 (capacity, 3), zs: float32 (capacity, 3), the triangles put out.

@@ -28,13 +28,13 @@ from numpy.typing import NDArray
 from orograph._numba import leaf
 from orograph.error.screen import color_exceeds, outside, sphere_bound, to_camera, triangle_bound
 from orograph.errors import UsageError
-from orograph.lod.ahead import DEPTH, NEAR
 from orograph.lod.engine import UNBOUNDED, Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.localise import STACK, localised_bound, prism_outside
+from orograph.lod.look_ahead import DEPTH, NEAR
 from orograph.lod.pages import BEYOND
 from orograph.lod.queues import LEVEL_SHIFT, code_of, heap_pop, heap_push, usable_queue
-from orograph.view import View
+from orograph.viewpoint import View
 
 DONE, MISSED, GROW, PAUSED, FULL = 0, 1, 2, 3, 4
 """Why the kernel returns: nothing is left to split; pages are missing; no room; enough for now; budget used up."""

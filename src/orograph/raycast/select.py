@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from orograph.parallel import map_ordered
 from orograph.raycast.stack import Window
 from orograph.store.terrain import TILE, Terrain
-from orograph.view import View
+from orograph.viewpoint import View
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Errors of patches: what decides about regular pieces of the hierarchy instead of single triangles (``lod.batched``).
+"""Errors of patches: what decides about regular pieces of the hierarchy instead of single triangles (``lod.patches``).
 
 A *patch* is a right triangle divided d = 2·log2(L) levels further down, into L² triangles (each of its legs has L
 segments). P(D), the error of a patch diamond D, is the largest of D's DAG descendants exactly d levels below it: its

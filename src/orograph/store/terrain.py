@@ -12,7 +12,6 @@ open.
 
 from __future__ import annotations
 
-import importlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
@@ -225,11 +224,6 @@ class Terrain(ABC):
         Raises: as ``diamonds``.
         """
         raise UsageError(f"{self.name} has no errors of patches; store.patches.patch_errors makes them.")
-
-    def view(self, camera: Any = None, **options: Any) -> Any:
-        """The terrain in a notebook's cell, to be explored, or a still picture of it: see ``viewer.notebook.view``."""
-        # By name: the store knows nothing of windows, and nobody pays for one who does not call this.
-        return importlib.import_module("orograph.viewer.notebook").view(self, camera, **options)
 
     def close(self) -> None:  # noqa: B027 (most terrains have nothing to close)
         """Let go of files and caches; the terrain cannot be read afterwards."""

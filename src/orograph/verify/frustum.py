@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import inlined, leaf
 from orograph.geo.grid import Grid
-from orograph.view import View
+from orograph.viewpoint import View
 
 P0, P1, A0, A1, B0, B1, NEAR, FAR = range(8)
 """Entries of a lens."""

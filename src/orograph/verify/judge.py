@@ -23,7 +23,7 @@ from orograph.verify.beyond import OF_HIDDEN, OF_MISSING, OF_SEEN, look_beyond
 from orograph.verify.edges import classify_edges, lie_on_others
 from orograph.verify.frustum import Camera
 from orograph.verify.report import Report, Sample
-from orograph.view import View
+from orograph.viewpoint import View
 
 Found = tuple[NDArray[np.int64], NDArray[np.int64], float, int, int, float]
 

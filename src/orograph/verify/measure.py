@@ -25,7 +25,7 @@ from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.verify.judge import judge
 from orograph.verify.report import ROUNDING, Report
-from orograph.view import View
+from orograph.viewpoint import View
 
 ROUNDS = 3
 """How often the clock is run for a view."""

@@ -93,8 +93,8 @@ class Warm:
             self._opened.set()
         with contextlib.suppress(Exception):  # whoever needs it says what is wrong with it
             importlib.import_module("orograph.viewer.window")
-            importlib.import_module("orograph.gpu.renderer")
-            importlib.import_module("orograph.gpu.tiles").warm()
+            importlib.import_module("orograph.rendering.gpu.renderer")
+            importlib.import_module("orograph.rendering.gpu.stream.tiles").warm()
 
     def device(self) -> None:
         """Return when there is a device.
@@ -179,7 +179,7 @@ def renderer_of(
     """What makes the renderer of a window."""
 
     def make(device: Device, terrain: Terrain) -> Drawer:
-        from orograph.gpu.renderer import Renderer
+        from orograph.rendering.gpu.renderer import Renderer
 
         budget = {k: v for k, v in (("gpu_memory", gpu_memory), ("memory", memory)) if v is not None}
         return Renderer(device, terrain, jobs=jobs, **budget)

@@ -17,7 +17,7 @@ from orograph.documents import load_object
 from orograph.errors import OrographError, OutputError
 from orograph.geo.grid import Grid
 from orograph.output import Beside
-from orograph.view import View
+from orograph.viewpoint import View
 
 SLOTS = tuple("123456789")
 

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from orograph.errors import OrographError
 from orograph.gpu.device import Device
-from orograph.picture.scene import Scene
+from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
-from orograph.view import View
 from orograph.viewer.reopening import Coming
 from orograph.viewer.screen import TOO_SLOW, Draft, Screen
+from orograph.viewpoint import View
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -33,7 +33,7 @@ RENEWING = "The GPU was lost; the terrain is being made ready for a new device."
 
 
 class Drawer(Protocol):
-    """What draws terrain: ``gpu.renderer.Renderer``."""
+    """What draws terrain: ``rendering.gpu.renderer.Renderer``."""
 
     def draw(
         self, target: Any, format: str, scene: Scene, *, overlay: Any = ..., freeze: View | None = None,

@@ -17,9 +17,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.view import View
 from orograph.viewer.navigation import FREE, HIGHEST_PITCH, Limits, lifted
 from orograph.viewer.pose import Pose
+from orograph.viewpoint import View
 
 Array = NDArray[np.float64]
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from orograph.view import View
 from orograph.viewer.navigation import FREE, Limits, lifted
 from orograph.viewer.pose import Pose, wrapped
+from orograph.viewpoint import View
 
 RHO = math.sqrt(2.0)
 PACE = 1.6

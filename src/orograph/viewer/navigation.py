@@ -22,8 +22,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.view import Point, View
 from orograph.viewer.pose import Pose
+from orograph.viewpoint import Point, View
 
 Array = NDArray[np.float64]
 Pixel = tuple[float, float]

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from orograph.view import Point, View
 from orograph.viewer.flying import FAST, KEYS, SLOW, Flying
 from orograph.viewer.glide import Glide
 from orograph.viewer.navigation import (
@@ -35,6 +34,7 @@ from orograph.viewer.navigation import (
     zoom,
 )
 from orograph.viewer.pose import Pose
+from orograph.viewpoint import Point, View
 
 Pick = Callable[[float, float], Point | None]
 

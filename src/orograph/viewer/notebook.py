@@ -1,4 +1,4 @@
-"""The window in a notebook's cell: ``terrain.view()``.
+"""The window in a notebook's cell: ``orograph.view(terrain)``.
 
 The same panels, mouse and keys on ``rendercanvas``'s widget, which runs in Jupyter, VS Code, Colab and marimo. The cell
 also holds a still picture of the first view, which is what shows where there is no front end to run the widget (a
@@ -16,12 +16,12 @@ from typing import Any
 from orograph.errors import OrographError
 from orograph.geovis.layers import Given as GivenLayer
 from orograph.geovis.layers import layers_of
-from orograph.light.sun import Given, Moment, Placed, SunSource, sun_of
-from orograph.picture.result import Picture
-from orograph.picture.scene import Scene
+from orograph.lighting.sun import Given, Moment, Placed, SunSource, sun_of
 from orograph.progress import SILENT
+from orograph.rendering.picture import Picture
+from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
-from orograph.view import View
+from orograph.viewpoint import View
 
 SIZE = (900, 560)
 
@@ -129,8 +129,8 @@ def view(
         return Still(_cpu(scene), f"the widget needs {error.name}: pip install 'orograph[notebook]'")
     try:
         from orograph.gpu.device import open_device
-        from orograph.gpu.picture import draw
-        from orograph.gpu.renderer import Renderer
+        from orograph.rendering.gpu.draw import draw
+        from orograph.rendering.gpu.renderer import Renderer
 
         device = open_device()
         made = renderer_of(gpu_memory)(device, terrain)
@@ -149,7 +149,7 @@ def view(
 
 
 def _cpu(scene: Scene) -> Picture:
-    from orograph.picture.cpu import draw
+    from orograph.rendering.cpu.draw import draw
 
     return draw(scene)
 

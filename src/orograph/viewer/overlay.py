@@ -13,8 +13,8 @@ import numpy as np
 from imgui_bundle import imgui
 
 from orograph.geovis.colour import linear_to_srgb, tint_of
-from orograph.picture.legend import north_on_screen, stretch
-from orograph.picture.pieces import bar_length, number, ticks
+from orograph.rendering.furniture.legend import north_on_screen, stretch
+from orograph.rendering.furniture.pieces import bar_length, number, ticks
 from orograph.viewer.keys import HELD, MOUSE, help_rows
 from orograph.viewer.navigation import heading_pitch
 from orograph.viewer.session import Message

@@ -15,10 +15,10 @@ from imgui_bundle import imgui
 from numpy.typing import NDArray
 
 from orograph.errors import OrographError
-from orograph.picture import camera
-from orograph.picture.pieces import bar_length
-from orograph.picture.result import plan_grid
-from orograph.view import Point, View
+from orograph.rendering.furniture.pieces import bar_length
+from orograph.rendering.picture import plan_grid
+from orograph.scene import camera
+from orograph.viewpoint import Point, View
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Area, Window
@@ -161,8 +161,8 @@ class Plan:
             self.window.session.probe.submit(lambda: self._make(size))
 
     def _make(self, size: tuple[int, int]) -> None:
-        from orograph.picture.cpu import draw
-        from orograph.picture.scene import Scene
+        from orograph.rendering.cpu.draw import draw
+        from orograph.scene.scene import Scene
 
         session = self.window.session
         try:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.view import Point, View
+from orograph.viewpoint import Point, View
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """What the ground is like under the cursor and under the eye, answered at once from what is known, and exactly soon.
 
 A window must not wait for a disk or a web server. ``Probe`` holds one nested level of at most ``COARSE`` samples in
-memory; what is asked beyond that (the true surface, ``geovis.measure``) is read by a thread, and the window is told
+memory; what is asked beyond that (the true surface, ``measuring``) is read by a thread, and the window is told
 when something came of it. Three questions are answered:
 
 - ``pick``: the ground at a pixel, for navigation: the full-resolution surface if it can be had within ``patience``,
@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OrographError
-from orograph.geovis.measure import Hit
+from orograph.measuring import Hit
 from orograph.raycast.caster import Caster
 from orograph.store.terrain import TILE, Terrain
-from orograph.view import Point, View
+from orograph.viewpoint import Point, View
 
 COARSE = 1 << 20
 """Samples of the level that is kept in memory."""
@@ -132,7 +132,7 @@ class Probe:
         return self.pick_coarse(view, x, y, exaggeration)
 
     def _cast(self, view: View, origin: Array, direction: Array) -> Point | None:
-        from orograph.geovis.measure.pick import cast
+        from orograph.measuring.pick import cast
 
         t = cast(self.terrain, origin, direction, view.near, view.far)
         return None if t is None else _point(origin + t * direction)
@@ -181,7 +181,7 @@ class Probe:
         self.hit = None
 
     def _hover(self) -> None:
-        from orograph.geovis.measure import pick
+        from orograph.measuring import pick
 
         while True:
             with self._lock:

@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.measure import Places
+from orograph.measuring import Places
 from orograph.store.terrain import Terrain
-from orograph.view import Point
 from orograph.viewer.overlay import lonlat
+from orograph.viewpoint import Point
 
 Kind = Literal["place", "line", "area", "sight", "viewshed"]
 KINDS: tuple[Kind, ...] = ("place", "line", "area", "sight", "viewshed")

@@ -15,16 +15,16 @@ from typing import Any
 
 from orograph.errors import OrographError, UsageError
 from orograph.geovis.layers import Layer
-from orograph.light.sun import SunSource
-from orograph.picture import camera
-from orograph.picture.scene import Scene
+from orograph.lighting.sun import SunSource
+from orograph.scene import camera
+from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
-from orograph.view import Point, View
 from orograph.viewer.bookmarks import Bookmarks
 from orograph.viewer.navigation import Limits
 from orograph.viewer.navigator import Navigator
 from orograph.viewer.probe import Probe
 from orograph.viewer.settings import Light, Settings
+from orograph.viewpoint import Point, View
 
 HOME_PITCH, HOME_FOV = 42.0, 30.0
 """Degrees, as ``camera.whole`` has them."""

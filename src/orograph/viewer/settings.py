@@ -1,6 +1,6 @@
 """What the panels set and the picture shows: light, colours, exaggeration, detail. No GUI; a ``Scene`` comes out.
 
-The sun is placed by hand, or it is the real one at a time and the terrain's place (``light.sun``), and a day can be
+The sun is placed by hand, or it is the real one at a time and the terrain's place (``lighting.sun``), and a day can be
 played. Times are shown in a zone of whole hours from UTC, at first the one of the place's longitude. Units: degrees,
 pixels, seconds.
 """
@@ -14,15 +14,15 @@ from typing import Any, Literal
 
 from orograph.errors import OrographError, UsageError
 from orograph.geovis.layers import Layer
-from orograph.gpu.frame import Normals
-from orograph.light.aperture import Lamp
-from orograph.light.sun import Moment, Placed, Sun, SunSource, place
-from orograph.picture.contours import Contours
-from orograph.picture.scene import Light as Way
-from orograph.picture.scene import Scene
-from orograph.picture.silhouettes import Silhouettes
+from orograph.lighting.aperture import Lamp
+from orograph.lighting.sun import Moment, Placed, Sun, SunSource, place
+from orograph.rendering.gpu.frame import Normals
+from orograph.scene.contours import Contours
+from orograph.scene.scene import Light as Way
+from orograph.scene.scene import Scene
+from orograph.scene.silhouettes import Silhouettes
 from orograph.store.terrain import Terrain
-from orograph.view import View
+from orograph.viewpoint import View
 
 DEFAULT_TOLERANCE = 1.0
 DAY = 86_400.0
@@ -127,12 +127,13 @@ class Settings:
         light: see ``Light``.
         exaggeration, shadows, colormap, layers, water, sky, relief, tolerance: as in ``Scene``.
         painted: a layer above all others for as long as a tool shows its result, or None.
-        wireframe, levels: as in ``gpu.frame.Overlay``. contours, silhouettes: as in ``Scene``; a window's labels fade.
+        wireframe, levels: as in ``rendering.gpu.frame.Overlay``. contours, silhouettes: as in ``Scene``; a window's
+        labels fade.
         way: how light falls, as ``Scene.light``. rays, lamps, discs: as in ``Scene``; the last two shine where ``way``
             knows them. occlusion: strength of what screen space darkens.
         budget: triangles to keep near instead of a tolerance, or None.
         engine: as in ``Scene``: which method makes the mesh; None: batched patches, the window's own.
-        normals: as in ``gpu.frame.Overlay``.
+        normals: as in ``rendering.gpu.frame.Overlay``.
         frozen: the view that the mesh is made for while one flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
     """
@@ -188,8 +189,8 @@ class Settings:
         return tuple(self.layers) if self.painted is None else (*self.layers, self.painted)
 
     def overlay(self) -> Any:
-        """What the renderer shows besides (``gpu.frame.Overlay``)."""
-        from orograph.gpu.frame import Overlay
+        """What the renderer shows besides (``rendering.gpu.frame.Overlay``)."""
+        from orograph.rendering.gpu.frame import Overlay
 
         return Overlay(
             self.wireframe, self.levels and self.engine is None, occlusion=self.occlusion, normals=self.normals,

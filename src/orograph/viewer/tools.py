@@ -1,6 +1,6 @@
 """Measuring with the mouse: click points on the ground, see what they measure, save it.
 
-All numbers are those of ``geovis.measure``: the full-resolution surface in true metres, never the drawn mesh. They are
+All numbers are those of ``measuring``: the full-resolution surface in true metres, never the drawn mesh. They are
 found by a thread; the panel shows the newest. A viewshed is painted on the ground as an image over it, which stands in
 for the user's own image until it is cleared.
 
@@ -22,14 +22,14 @@ import numpy as np
 from imgui_bundle import imgui, implot
 from numpy.typing import NDArray
 
+from orograph import measuring
 from orograph.errors import OrographError
-from orograph.geovis import measure
 from orograph.geovis.layers import Layer
 from orograph.progress import Progress, Task
-from orograph.view import Point
 from orograph.viewer.panels.tips import CLAMPED, beside
 from orograph.viewer.results import KINDS, Kind, paint, rows, save, save_rgba
 from orograph.viewer.traces import trace
+from orograph.viewpoint import Point
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -72,7 +72,7 @@ class Tools:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.marked: Point | None = None
         self._put: tuple[int, int] | None = None
-        self._border: tuple[Any, measure.Profile] | None = None
+        self._border: tuple[Any, measuring.Profile] | None = None
         self._ground: tuple[Any, Array] | None = None
 
     @property
@@ -172,13 +172,13 @@ class Tools:
         """What is to be done for points, or None if they are too few."""
         terrain = self.window.session.terrain
         if self.kind == "place" and at:
-            return lambda: measure.place(terrain, at[0])
+            return lambda: measuring.place(terrain, at[0])
         if self.kind == "line" and len(at) > 1:
-            return lambda: measure.profile(terrain, at)
+            return lambda: measuring.profile(terrain, at)
         if self.kind == "area" and len(at) > 2:
             return lambda: self._area(at)
         if self.kind == "sight" and len(at) == 2:
-            return lambda: measure.line_of_sight(terrain, at[0], at[1], self.eye, self.target)
+            return lambda: measuring.line_of_sight(terrain, at[0], at[1], self.eye, self.target)
         if self.kind == "viewshed" and at:
             asked = self._asked + 0
             return lambda: self._viewshed(at[0], asked)
@@ -187,13 +187,13 @@ class Tools:
     def _area(self, at: list[tuple[float, float]]) -> Any:
         """An area, and the ground along its border, to be drawn."""
         terrain = self.window.session.terrain
-        found = measure.area(terrain, at, jobs=1)
-        self._border = found, measure.profile(terrain, [*at, at[0]])
+        found = measuring.area(terrain, at, jobs=1)
+        self._border = found, measuring.profile(terrain, [*at, at[0]])
         return found
 
     def _viewshed(self, at: tuple[float, float], asked: int) -> Any:
         terrain = self.window.session.terrain
-        shed = measure.viewshed(terrain, at, self.eye, self.target, radius=self.radius, jobs=1)
+        shed = measuring.viewshed(terrain, at, self.eye, self.target, radius=self.radius, jobs=1)
         values = shed.values(_Part(self, asked))
         return shed, values, paint(values)
 

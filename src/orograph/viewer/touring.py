@@ -1,9 +1,9 @@
 """A tour made by hand: cameras kept one after another, gone through with the interpolation of ``tour``. No GUI.
 
-A tour is a list of *stops*, each a key frame (``tour.keys``) and the seconds that the way from it to the next takes, so
-that stops can be moved, taken out and put in wherever, and times always increase. What is shown while it plays is what
-``orograph movie --tour`` films: the same ``Tour``, kept above the ground by the same ``Course``. Units: seconds and
-metres.
+A tour is a list of *stops*, each a key frame (``touring.keys``) and the seconds that the way from it to the next takes,
+so that stops can be moved, taken out and put in wherever, and times always increase. What is shown while it plays is
+what ``orograph movie --tour`` films: the same ``Tour``, kept above the ground by the same ``Course``. Units: seconds
+and metres.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from orograph.errors import OrographError
 from orograph.geovis.layers import Layer
-from orograph.light.sun import Moment, Placed
+from orograph.lighting.sun import Moment, Placed
 from orograph.output import Beside
-from orograph.tour.course import Course
-from orograph.tour.keys import Key
-from orograph.tour.tour import DEFAULT_FPS, Tour
-from orograph.view import View
+from orograph.touring.course import Course
+from orograph.touring.keys import Key
+from orograph.touring.tour import DEFAULT_FPS, Tour
+from orograph.viewpoint import View
 
 if TYPE_CHECKING:
     from orograph.viewer.session import Session

@@ -14,9 +14,9 @@ import numpy as np
 from imgui_bundle import imgui
 from numpy.typing import NDArray
 
-from orograph.view import Point
 from orograph.viewer.overlay import colour
 from orograph.viewer.results import Kind
+from orograph.viewpoint import Point
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window

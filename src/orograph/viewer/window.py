@@ -17,7 +17,6 @@ from imgui_bundle import imgui
 
 from orograph.gpu.device import Device, open_device
 from orograph.store.terrain import Terrain
-from orograph.view import Point, View
 from orograph.viewer import overlay, panels
 from orograph.viewer.cover import Cover
 from orograph.viewer.drawing import Drawer, Drawing
@@ -28,6 +27,7 @@ from orograph.viewer.plan import Plan
 from orograph.viewer.session import Session
 from orograph.viewer.tools import Tools
 from orograph.viewer.touring import Touring
+from orograph.viewpoint import Point, View
 
 PROGRESS = 0.2
 """Seconds between frames that show how far a measurement is."""

@@ -1,4 +1,4 @@
-// Light through ambient apertures (Oat & Sander 2007): the twin of orograph.light.caps and orograph.light.aperture_kernels,
+// Light through ambient apertures (Oat & Sander 2007): the twin of orograph.lighting.caps and orograph.lighting.aperture_kernels,
 // with the same names. Include it and loop over lights:
 //
 //     let cap = cap_of(textureSampleLevel(caps, …));      // east, north, up, cosine of the radius

@@ -1,4 +1,4 @@
-// Light on points of the ground through a field of caps, interpolated between its samples (orograph.gpu.aperture).
+// Light on points of the ground through a field of caps, interpolated between its samples (orograph.lighting.gpu.aperture).
 
 // include: aperture.wgsl
 

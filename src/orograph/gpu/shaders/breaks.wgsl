@@ -1,5 +1,5 @@
 // Where ground breaks off, or turns away and back, between a pixel and the next one to the right (r, b) and below (g, a): the weight of a line
-// there, and the logarithm (base 2) of the nearer side's depth. As picture/silhouette_kernels.py.
+// there, and the logarithm (base 2) of the nearer side's depth. As rendering/lines/silhouette_kernels.py.
 // include: camera.wgsl
 
 @group(0) @binding(1) var depths: texture_depth_2d;

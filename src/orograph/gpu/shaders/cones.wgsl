@@ -1,4 +1,4 @@
-// Ambient occlusion by tracing cones through voxels (orograph.gpu.cone_tracing has the idea, source and units).
+// Ambient occlusion by tracing cones through voxels (orograph.lighting.gpu.cone_tracing has the idea, source and units).
 
 struct Level {
     origin: vec4f,  // voxels, of the level's own size: columns, rows, layers; metres thick

@@ -1,5 +1,5 @@
-// Contour lines: how much of a pixel they cover (picture/contour_kernels.py), and the smooth surface through the samples
-// that they are of near by (picture/smooth.py).
+// Contour lines: how much of a pixel they cover (rendering/lines/contour_kernels.py), and the smooth surface through the samples
+// that they are of near by (rendering/lines/smooth.py).
 // Needs ``heights`` (texture_2d_array), ``height_pages``, and what slopes.wgsl needs; ``shade`` (uniform): contour.
 // include: place.wgsl
 

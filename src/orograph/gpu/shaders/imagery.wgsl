@@ -1,8 +1,8 @@
-// Layers laid over the ground: a virtual texture (gpu/imagery.py), filtered over a pixel's footprint as
+// Layers laid over the ground: a virtual texture (rendering/gpu/stream/imagery.py), filtered over a pixel's footprint as
 // geovis/mipmap.look_along does it: look-ups as wide as the footprint's minor axis, side by side along its major axis.
 // Needs ``atlas``, ``atlas_sampler``, ``imagery``.
 
-const GRAZING: f32 = 0.02;         // picture/kernels.py
+const GRAZING: f32 = 0.02;         // rendering/cpu/kernels.py
 const LEAST: f32 = 0.7;
 const TILE_SIDE: i32 = 258;
 const IMAGE_LAYERS: u32 = 4u;      // words before the first head: layers, look-ups in a footprint at most

@@ -1,4 +1,4 @@
-// Silhouettes: how much of a pixel lines on breaks cover, and how far away they are (picture/silhouette_kernels.py).
+// Silhouettes: how much of a pixel lines on breaks cover, and how far away they are (rendering/lines/silhouette_kernels.py).
 // Needs ``breaks``, ``breaks_near`` (textures) and ``shade`` (uniform): edge: their colour and opacity; edge_range: nearest and farthest
 // depth, width of the nearest lines in pixels, pixels to look around.
 

@@ -1,4 +1,4 @@
-// Ambient occlusion by one shadow map per direction (orograph.gpu.occlusion_maps has the idea, source and units).
+// Ambient occlusion by one shadow map per direction (orograph.lighting.gpu.occlusion_maps has the idea, source and units).
 //
 // Three stages per direction ω: the height field is rasterised along ω (vertex, fragment) into a map of layers, each
 // texel a sorted list of the depths of all faces that look away from the light; then every sample finds the first of

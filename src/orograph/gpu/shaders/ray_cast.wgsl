@@ -1,4 +1,4 @@
-// Rays of any places and ways against the terrain (orograph.gpu.rays.blocked): one invocation each.
+// Rays of any places and ways against the terrain (orograph.rendering.gpu.shade.ray_field.blocked): one invocation each.
 
 // include: ray_field.wgsl
 

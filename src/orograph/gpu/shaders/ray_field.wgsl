@@ -3,7 +3,7 @@
 // a node's maximum it is free there; at the cells its passage is compared with both triangles, exactly. The walk is in
 // integers, so no cell is left out; places are counted from a window's first sample, so that float32 keeps its digits.
 //
-// orograph.gpu.rays makes the tables; who includes this puts them on group {{RAY_GROUP}}. Ways are unit vectors (east,
+// orograph.rendering.gpu.shade.ray_field makes the tables; who includes this puts them on group {{RAY_GROUP}}. Ways are unit vectors (east,
 // north, up) of stretched space, lengths stretched metres, heights true ones.
 // include: place.wgsl
 

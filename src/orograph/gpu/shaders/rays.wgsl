@@ -1,5 +1,5 @@
-// Light by rays: the discs of suns and the sky by lattices of rays, lamps by a ray each; light/hit_rays.py and
-// picture/lighting.py (Raytraced) on the GPU, with the same directions. Of every lattice `ray.rays` rays are traced from
+// Light by rays: the discs of suns and the sky by lattices of rays, lamps by a ray each; lighting/hit_rays.py and
+// rendering/cpu/lighting.py (Raytraced) on the GPU, with the same directions. Of every lattice `ray.rays` rays are traced from
 // `ray.first` on; what follows each other is spread over the lattice, so that a part of it already gives a fair mean.
 // include: ray_field.wgsl
 

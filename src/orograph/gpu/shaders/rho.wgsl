@@ -1,4 +1,4 @@
-// What an occluder at a distance lets through (orograph.light.rho): a table of ρ over [0, R), and ρ(R) apart.
+// What an occluder at a distance lets through (orograph.lighting.rho): a table of ρ over [0, R), and ρ(R) apart.
 // The table lies in `table`: its last value is ρ(R) of a ray that meets nothing, those before equal parts of [0, R].
 
 fn rho(length: f32, radius: f32) -> f32 {

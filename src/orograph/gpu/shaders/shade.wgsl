@@ -1,4 +1,4 @@
-// From the depth of a pixel to its colour: picture/shading.py and picture/kernels.py on the GPU, in the same order and
+// From the depth of a pixel to its colour: rendering/cpu/shading.py and rendering/cpu/kernels.py on the GPU, in the same order and
 // with the same constants. Light is linear; slopes are means over the pixel, from the atlas of slope tiles.
 // include: camera.wgsl
 // include: place.wgsl
@@ -102,7 +102,7 @@ fn sunlit(at: Place) -> f32 {
   return 1.0;
 }
 
-// The window of the field to look up, as light/field.py: of those that hold the place the one nearest in size to a pixel.
+// The window of the field to look up, as lighting/field.py: of those that hold the place the one nearest in size to a pixel.
 fn field_window(at: Place, footprint: f32) -> u32 {
   let wanted = i32(floor(log2(max(footprint, 1.0)) + 0.5));
   for (var w = i32(shade.fields) - 1; w > 0; w--) {
@@ -115,7 +115,7 @@ fn field_window(at: Place, footprint: f32) -> u32 {
   return 0u;
 }
 
-// Two numbers in a word (gpu/aperture.py, packed): one of −1 … 1, one of 0 … 1.
+// Two numbers in a word (lighting/gpu/aperture.py, packed): one of −1 … 1, one of 0 … 1.
 fn packed_pair(word: f32) -> vec2<f32> {
   let bits = bitcast<i32>(word);
   return vec2<f32>(f32((bits << 16u) >> 16u) * (1.0 / 32767.0), f32((bits >> 16u) - 128) * (1.0 / 32384.0));
@@ -323,7 +323,7 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     }
     var cover = contours(height, hit.place, hit.footprint, depth, ray.direction, drawn, own);
     cover *= (1.0 - seen.wet) * shade.contour.w;
-    if ((FLAGS & 4096u) != 0u) {   // labels: picture/marks.py
+    if ((FLAGS & 4096u) != 0u) {   // labels: rendering/cpu/marks.py
       let letters = textureLoad(lettering, pixel, 0).rg;
       colour = mix(colour, vec3<f32>(1.0), 0.16 * letters.g);
       cover = cover * (1.0 - letters.g) + letters.r * min(1.0, shade.contour.w + 0.3);

@@ -1,4 +1,4 @@
-// The clear sky and the air in front of the ground: picture/sky.py's tables, looked up per pixel.
+// The clear sky and the air in front of the ground: rendering/sky.py's tables, looked up per pixel.
 // Needs ``tables`` (storage, array<f32>) and ``shade`` (uniform).
 
 fn mie_phase(cosine: f32) -> f32 {
@@ -50,7 +50,7 @@ fn sky(d: vec3<f32>) -> vec3<f32> {
   return mix(out, shade.mist.xyz, 1.0 - exp(down * shade.mist.w));
 }
 
-// A colour moved by up to half a step of a byte of sRGB: a sky has no bands then (ordered dither, as picture/sky.py).
+// A colour moved by up to half a step of a byte of sRGB: a sky has no bands then (ordered dither, as rendering/sky.py).
 fn dithered(colour: vec3<f32>, pixel: vec2<u32>) -> vec3<f32> {
   var rank = 0u;
   for (var k = 0u; k < 3u; k++) {

@@ -1,5 +1,5 @@
 // Ground-truth ambient occlusion in screen space (Jimenez, Wu, Pesce & Jarabo 2016, "Practical Realtime Strategies for
-// Accurate Indirect Occlusion"), for any renderer: depth and normals in, ambient occlusion out (orograph.gpu.ssao).
+// Accurate Indirect Occlusion"), for any renderer: depth and normals in, ambient occlusion out (orograph.rendering.gpu.shade.ssao).
 //
 // In slices through the view vector the horizon is searched for on both sides along the pixels of a line; the integral of
 // the visible arc, weighted by the cosine to the normal projected into the slice, is in closed form. View space here: x

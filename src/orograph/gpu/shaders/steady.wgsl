@@ -1,5 +1,5 @@
 // A frame and the ones before it, each drawn with samples elsewhere in its pixels: where the ground in a pixel was in the
-// last frame is known, so what was gathered there goes on (see gpu/steady.py).
+// last frame is known, so what was gathered there goes on (see rendering/gpu/temporal/antialiasing.py).
 // include: camera.wgsl
 
 struct Steady {

@@ -1,4 +1,4 @@
-// Voxels out of a height field: the share of each voxel that lies under the ground (orograph.gpu.cone_tracing).
+// Voxels out of a height field: the share of each voxel that lies under the ground (orograph.lighting.gpu.cone_tracing).
 
 struct Level {
     origin: vec4i,  // of the level's voxels in its own units: columns, rows, layers; level

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from orograph.error.screen import FOCAL, LENGTH, LOCALISED, NEAR, WEDGIE
 from orograph.errors import UsageError
-from orograph.lod import ahead
+from orograph.lod import look_ahead as ahead
 from orograph.lod.engine import BOUNDS, Engine, Mesh
 from orograph.lod.localise import STACK
 from orograph.lod.roam import bounds, frame, mesh, queues, terms
 from orograph.lod.roam import strips as stripping
-from orograph.view import Point, View
+from orograph.viewpoint import Point, View
 
 FINEST = 0.25
 """Pixels to which a budget of time refines at most: finer is not seen, and would fill the memory of a still camera."""
@@ -246,7 +246,7 @@ class Roam(Engine):
         s.counts[mesh.RELABELLED] = s.counts[mesh.STAGE]
 
     def _nearness(self, tolerance: float) -> float:
-        """From which ratio on spheres are near enough to look ahead (``lod.ahead``); 0: it is not done.
+        """From which ratio on spheres are near enough to look ahead (``lod.look_ahead``); 0: it is not done.
 
         It is a matter of a tolerance; and where factors weigh what is seen, the bounds over volumes decide alone.
         """

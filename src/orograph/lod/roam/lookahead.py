@@ -10,7 +10,7 @@ So B is closed over the bintree. With W the bound over the volume, T is
 If a child is active then W(child) > τ, hence W(T) > τ (volumes nest), hence T is active: monotonic by definition, and
 what a neighbour needs is forced as ever. It depends on the triangle and the view alone, so splits and merges end in the
 same mesh from wherever they begin. And it is conservative: T is not active only if W ≤ τ or B ≤ τ. *Far* means what it
-means to the other engines (``lod.ahead``): there W is tight.
+means to the other engines (``lod.look_ahead``): there W is tight.
 
 *For how long.* Every part of T is within the tolerance by some margin, or out of view by some distance, or the one
 sample that is not gives the verdict; each of these lasts for a motion x that follows from the same three facts as in
@@ -24,8 +24,8 @@ import numpy as np
 
 from orograph._numba import leaf
 from orograph.error.screen import color_exceeds, to_camera
-from orograph.lod.ahead import DEPTH
 from orograph.lod.field import find
+from orograph.lod.look_ahead import DEPTH
 from orograph.lod.roam.bounds import above, screen
 from orograph.lod.roam.mesh import NEARNESS, N, begin_pair
 from orograph.lod.roam.queues import SPREAD, reach_of

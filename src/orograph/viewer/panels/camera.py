@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from orograph.geovis.measure import Places
+from orograph.measuring import Places
 from orograph.viewer import commands
 from orograph.viewer.navigation import heading_pitch
 from orograph.viewer.overlay import lonlat

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from orograph.gpu.frame import Normals
+from orograph.rendering.gpu.frame import Normals
 from orograph.viewer.panels.tips import tip
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from orograph.errors import OrographError
 from orograph.geovis.colour import TINTS, colour_table
 from orograph.geovis.layers import Layer, check_count
 from orograph.geovis.laying import Laid
-from orograph.picture.contours import Contours
-from orograph.picture.kept import Kept
-from orograph.picture.silhouettes import Silhouettes
+from orograph.memo import Kept
+from orograph.scene.contours import Contours
+from orograph.scene.silhouettes import Silhouettes
 from orograph.viewer.panels.tips import CLAMPED, path_of
 
 if TYPE_CHECKING:

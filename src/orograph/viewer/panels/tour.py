@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from imgui_bundle import imgui
 
-from orograph.light.sun import Placed
+from orograph.lighting.sun import Placed
 from orograph.viewer.panels.tips import CLAMPED, path_of, tip
 from orograph.viewer.touring import SHORTEST
 
 if TYPE_CHECKING:
-    from orograph.tour.keys import Key
+    from orograph.touring.keys import Key
     from orograph.viewer.touring import Touring
     from orograph.viewer.window import Window
 

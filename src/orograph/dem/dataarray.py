@@ -1,0 +1,119 @@
+"""A DataArray of heights as a Dem.
+
+The CRS and the place come from rioxarray's or CF's conventions: the coordinates along the last two dimensions, evenly
+spaced, and a ``spatial_ref`` coordinate (or ``crs`` in the attributes); the nodata value from ``_FillValue`` (xarray
+has turned it into NaN already where it decoded the file). Units: the ``units`` attribute, metres if there is none.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from affine import Affine
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from orograph.dem.raster import Dem
+from orograph.dem.units import metres_per
+from orograph.errors import ReadError, UsageError
+from orograph.geo.grid import Grid
+
+_ALONG_ROWS = {"x", "lon", "long", "longitude", "easting", "east", "e", "projection_x_coordinate"}
+_DOWN = {"y", "lat", "latitude", "northing", "north", "n", "projection_y_coordinate"}
+
+
+def axes_of(array: xr.DataArray) -> tuple[Any, Any]:
+    """The dimensions down the columns and along the rows: the last two, in the other order where they say so.
+
+    What a dimension is its name says, or its coordinate's ``axis`` or ``standard_name`` (CF).
+    """
+
+    def says(dim: Any, names: set[str], axis: str) -> bool:
+        attributes = array.coords[dim].attrs if dim in array.coords else {}
+        called = {str(dim).lower(), str(attributes.get("standard_name", "")).lower()}
+        return bool(called & names) or str(attributes.get("axis", "")).upper() == axis
+
+    first, second = array.dims[-2:]
+    turned = says(first, _ALONG_ROWS, "X") and says(second, _DOWN, "Y")
+    return (second, first) if turned else (first, second)
+
+
+def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str | None = None) -> Dem:
+    """A Dem of a two-dimensional DataArray (dimensions of length 1 in front are dropped).
+
+    Args:
+        array: heights with evenly spaced coordinates along its last two dimensions: rows and columns, or columns and
+            rows where they are called so (``axes_of``).
+        crs: the CRS, if the array does not say it.
+        name: what to call it. Default: the array's own name, else that of its file.
+
+    Raises:
+        ReadError: coordinates that are missing or uneven, values that are not real numbers, or a unit not of length.
+        UsageError: more than two dimensions longer than 1.
+    """
+    called = name or str(array.name or _file_name(array) or "terrain")
+    lead = array.dims[:-2]
+    if array.ndim < 2 or any(array.sizes[d] != 1 for d in lead):
+        raise UsageError(
+            f"{called} has the dimensions {dict(array.sizes)}; two are needed.", remedy="Select one layer with .isel()."
+        )
+    array = array.isel(dict.fromkeys(lead, 0))
+    array = array.transpose(*axes_of(array))
+    if array.dtype.kind not in "iuf":
+        raise ReadError(f"The numbers of {called} are {array.dtype}, which heights are not.")
+    heights = array.to_numpy().astype(np.float64)
+    fill = array.attrs.get("_FillValue", array.encoding.get("_FillValue"))
+    if fill is not None and np.isfinite(fill):
+        heights[heights == float(fill)] = np.nan
+    heights[~(np.abs(heights) < 1e30)] = np.nan
+    unit = str(array.attrs.get("units", "m")) or "m"
+    factor = metres_per(unit)
+    if factor is None:
+        raise ReadError(f"The unit of {called} is {unit!r}, which is not a length.", remedy="Set attrs['units'].")
+    y_dim, x_dim = array.dims
+    (x0, dx), (y0, dy) = _axis(array, x_dim, called), _axis(array, y_dim, called)
+    if dy > 0:
+        heights, y0, dy = heights[::-1], y0 + dy * (heights.shape[0] - 1), -dy
+    if dx < 0:
+        heights, x0, dx = heights[:, ::-1], x0 + dx * (heights.shape[1] - 1), -dx
+    transform = Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2)
+    grid = Grid((heights.shape[0], heights.shape[1]), transform, _crs_of(array, crs))
+    return Dem(np.ascontiguousarray(heights * factor, dtype=np.float32), grid, None, called)
+
+
+def _file_name(array: xr.DataArray) -> str:
+    """The stem of the file an array was read from, if it says so."""
+    source = array.encoding.get("source")
+    return Path(source).stem if isinstance(source, str) else ""
+
+
+def _axis(array: xr.DataArray, dim: Any, called: str) -> tuple[float, float]:
+    """First coordinate and step along a dimension."""
+    if dim not in array.coords:
+        raise ReadError(f"{called} has no coordinates along {dim!r}.", remedy="Assign them, in the units of its CRS.")
+    values = np.asarray(array.coords[dim].values, np.float64)
+    if values.size == 1:
+        return float(values[0]), 1.0
+    step = float(values[-1] - values[0]) / (values.size - 1)
+    # float32 coordinates are even to their own precision only
+    if step == 0 or np.abs(np.diff(values) - step).max() > 1e-2 * abs(step):
+        raise ReadError(
+            f"The coordinates of {called} along {dim!r} are not evenly spaced.", remedy="Resample it first."
+        )
+    return float(values[0]), step
+
+
+def _crs_of(array: xr.DataArray, asked: str | CRS | None) -> CRS | None:
+    found: Any = asked
+    if found is None and "spatial_ref" in array.coords:
+        attributes = array.coords["spatial_ref"].attrs
+        found = attributes.get("crs_wkt") or attributes.get("spatial_ref")
+    if found is None:
+        found = array.attrs.get("crs")
+    try:
+        return None if found is None else CRS.from_user_input(found)
+    except CRSError:
+        raise ReadError(f"The CRS {found!r} is not one that PROJ knows.", remedy="Give another: crs=…") from None

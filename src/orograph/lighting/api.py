@@ -1,0 +1,300 @@
+"""Maps of light in Python: the products on arrays, Dems, terrains and xarray, in one call each.
+
+>>> from orograph import lighting
+>>> lighting.slope(np.zeros((3, 3)), cell=30.0)                                # doctest: +SKIP
+>>> lighting.sky_view_factor(orograph.read("dem.tif"), azimuths=32).save("sky.tif")  # doctest: +SKIP
+
+What comes back is what was given: an array for an array, a DataArray for a DataArray; for a Dem, a Terrain or files a
+``Map``, whose grid is the terrain's. Heights in degrees or feet are brought to a metric CRS first, as everywhere.
+
+A DataArray keeps its dimensions, in their order, and its scalar coordinates; where its coordinates were degrees the
+map's are metres, along ``y`` and ``x``. Its attributes are the map's own (units, long_name). Lazy arrays (Dask) are
+computed: horizons need the whole terrain.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orograph.errors import UsageError
+from orograph.geo.grid import Grid
+from orograph.lighting.products import MEMORY, MORE, Context, Options, compute, product
+from orograph.lighting.raster import Band, write
+from orograph.lighting.rho import Rho
+from orograph.lighting.sun import Given, sun_of
+from orograph.progress import SILENT, Progress
+from orograph.store.terrain import Terrain
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from orograph.dem import Dem
+
+Values = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Map:
+    """A product on a terrain's grid.
+
+    Attributes:
+        values: (bands, rows, cols) float32 in the bands' units, NaN where missing.
+        grid: where they lie.
+        bands: their names and units.
+    """
+
+    values: Values
+    grid: Grid
+    bands: tuple[Band, ...]
+
+    def save(self, path: str | os.PathLike[str], *, byte: bool = False) -> None:
+        """Write a Cloud Optimized GeoTIFF, float32 or 8-bit (see ``raster.write``)."""
+        smooth = "nearest" if any(b.name in ("aspect", "code") for b in self.bands) else "average"
+        write(path, self.grid, self.bands, [(0, 0, 0, self.values)], byte=byte, overviews=smooth)
+
+    def to_xarray(self) -> xr.DataArray:
+        """A DataArray with the dimensions (band,) y, x; one band has no dimension of its own."""
+        import xarray as xr
+
+        grid, first = self.grid, self.bands[0]
+        if grid.transform.b or grid.transform.d:
+            raise UsageError("A rotated grid has no coordinates along its rows and columns.")
+        x, _ = grid.xy(np.arange(grid.cols), 0)
+        _, y = grid.xy(0, np.arange(grid.rows))
+        coords: dict[str, Any] = {"y": y, "x": x}
+        if grid.crs is not None:
+            coords["spatial_ref"] = ((), 0, {"crs_wkt": grid.crs.to_wkt(), "spatial_ref": grid.crs.to_wkt()})
+        attrs = {"units": first.unit, "long_name": first.doc}
+        if len(self.bands) == 1:
+            return xr.DataArray(self.values[0], coords, ("y", "x"), first.name, attrs)
+        coords["band"] = [b.name for b in self.bands]
+        return xr.DataArray(self.values, coords, ("band", "y", "x"), None, attrs)
+
+
+def make(
+    data: Any,
+    name: str,
+    *,
+    cell: float | tuple[float, float] | ArrayLike | None = None,
+    jobs: int | None = None,
+    max_memory: int = MEMORY,
+    progress: Progress = SILENT,
+    **options: Any,
+) -> Any:
+    """A product, by its name on the command line.
+
+    Args:
+        data: heights: an array (rows, cols), metres, NaN where missing; a DataArray; a Dem; a Terrain; or the path of a
+            DEM file or a store.
+        name: "slope", "sky-view-factor"…: ``products.names()``.
+        cell: for arrays, which need it: metres between samples, along both axes or as (along rows, along columns), rows
+            running south; or the (2, 2) linear part of a geotransform.
+        options: those of ``products.Options``: azimuths, radius, lights, curvature…; and those of its ``more``. The
+            ``sun`` is (azimuth, altitude), a datetime with its zone, or a ``Sun``.
+
+    Returns:
+        for an array (rows, cols) float32, or (bands, rows, cols) of products of several bands; for a DataArray a
+        DataArray; else a ``Map``.
+
+    Raises:
+        UsageError: there is no such product, an option is wrong, or an array comes without ``cell``.
+        ReadError: the data do not say what is needed of them.
+    """
+    wanted = product(name)
+    fields = set(Options.__dataclass_fields__) - {"more"}
+    if unknown := sorted(set(options) - fields - set(MORE)):
+        raise UsageError(
+            f"There is no option {unknown[0]!r}.", remedy=f"There are {', '.join(sorted(fields | set(MORE)))}."
+        )
+    known = {k: v for k, v in options.items() if k in fields and k != "sun"}
+    chosen = Options(**known, more={k: v for k, v in options.items() if k in MORE})
+    is_xarray = "xarray" in sys.modules and isinstance(data, sys.modules["xarray"].DataArray)
+    is_array = not is_xarray and (isinstance(data, list | tuple) or _like_an_array(data))
+    if is_array:
+        if cell is None:
+            raise UsageError("An array does not say how far its samples are apart.", remedy="Give cell=…, in metres.")
+        from orograph.lighting.arrays import terrain_of
+
+        terrain: Terrain = terrain_of(data, _linear(cell))
+    else:
+        if cell is not None:
+            raise UsageError("The cell size is for plain arrays; other data say it themselves.")
+        terrain = _terrain(data, is_xarray, max_memory, jobs, progress)
+    if options.get("sun") is not None:
+        sun = sun_of(options["sun"], terrain.grid)
+        more = chosen.more if isinstance(options["sun"], tuple) else {"diameter": sun.diameter, **chosen.more}
+        chosen = replace(chosen, sun=(sun.azimuth, sun.altitude), more=more)
+    values = compute(Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress), name)
+    if is_array:
+        return values[0] if len(values) == 1 else values
+    made = Map(values, terrain.grid, wanted.described(chosen))
+    return _like(made.to_xarray(), data) if is_xarray else made
+
+
+def _like_an_array(data: Any) -> bool:
+    """NumPy's, or one that becomes NumPy's (Dask's, CuPy's…)."""
+    return hasattr(data, "__array__") and hasattr(data, "dtype") and hasattr(data, "shape")
+
+
+def _linear(cell: float | tuple[float, float] | ArrayLike) -> NDArray[np.float64]:
+    size = np.asarray(cell, np.float64)
+    if size.shape == (2, 2):
+        return size
+    if size.shape not in ((), (2,)) or not (size > 0).all():
+        raise UsageError(f"A cell is one or two positive numbers of metres, or a 2 × 2 matrix, not {cell!r}.")
+    x, y = np.broadcast_to(size, 2)
+    return np.array([[x, 0.0], [0.0, -y]])
+
+
+def _terrain(data: Any, is_xarray: bool, max_memory: int, jobs: int | None, progress: Progress) -> Terrain:
+    if isinstance(data, Terrain):
+        return data
+    from orograph import store
+
+    if is_xarray:
+        from orograph.dem.dataarray import from_xarray
+
+        return store.terrain(from_xarray(data), progress)
+    if isinstance(data, str | os.PathLike):
+        from orograph.store.detect import is_store
+
+        if is_store(data):
+            return store.open(data, cache_bytes=min(64 << 20, max_memory // 16), jobs=jobs)
+        from orograph.dem.mosaic import Mosaic
+
+        return store.terrain(Mosaic.open(data, progress=progress), progress)
+    dem: Dem = data
+    if not hasattr(dem, "heights") or not hasattr(dem, "grid"):
+        raise UsageError(
+            f"Heights are an array, a DataArray, a Dem, a Terrain or a path, not {type(data).__name__}.",
+            remedy="Take the variable that has the heights: dataset['name']." if hasattr(data, "data_vars") else "",
+        )
+    return store.terrain(dem, progress)
+
+
+def _like(made: xr.DataArray, given: xr.DataArray) -> xr.DataArray:
+    """With the scalar coordinates of what was given; on the same grid also with its dimensions, in their order."""
+    from orograph.dem.dataarray import axes_of
+
+    scalars = {k: v.variable for k, v in given.coords.items() if v.ndim == 0 and k not in ("spatial_ref", "band")}
+    made = made.assign_coords({k: v for k, v in scalars.items() if k not in made.coords})
+    y, x = axes_of(given)
+    for ours, theirs in (("y", y), ("x", x)):
+        values = np.asarray(given[theirs].values, np.float64)
+        if len(values) != made.sizes[ours]:
+            return made
+        if len(values) > 1 and (values[-1] - values[0]) * float(made[ours][-1] - made[ours][0]) < 0:
+            made = made.isel({ours: slice(None, None, -1)})
+        # Coordinates may be float32: the same to a hundredth of a cell.
+        apart = np.abs(made[ours].values - values).max()
+        if (len(values) > 1 and apart > 0.01 * abs(values[1] - values[0])) or (len(values) == 1 and apart > 1e-3):
+            return made
+    made = made.rename({k: v for k, v in (("y", y), ("x", x)) if k != v})
+    return made.transpose(..., *[d for d in given.dims if d in (y, x)])
+
+
+def normals(data: Any, **options: Any) -> Any:
+    """Unit normals, three bands: east, north, up. Arguments and result: ``make``."""
+    return make(data, "normal", **options)
+
+
+def slope(data: Any, **options: Any) -> Any:
+    """Steepness, degrees. Arguments and result: ``make``."""
+    return make(data, "slope", **options)
+
+
+def aspect(data: Any, **options: Any) -> Any:
+    """The azimuth in which the ground falls, degrees clockwise from north, NaN where level. Arguments: ``make``."""
+    return make(data, "aspect", **options)
+
+
+def hillshade(
+    data: Any,
+    azimuth: float = 315.0,
+    altitude: float = 45.0,
+    *,
+    lights: Sequence[tuple[float, float, float]] = (),
+    sun: Given | None = None,
+    **options: Any,
+) -> Any:
+    """Lambert's cosine in [0, 1], under one light or the weighted mean of several (azimuth, altitude, weight).
+
+    ``sun``, if given, in place of azimuth and altitude: as for ``shadows``.
+    """
+    return make(data, "hillshade", sun=(azimuth, altitude) if sun is None else sun, lights=tuple(lights), **options)
+
+
+def horizons(data: Any, azimuths: int = 32, **options: Any) -> Any:
+    """Elevation of the horizon, degrees, one band per azimuth. Further: ``radius``, ``curvature``; ``make``."""
+    return make(data, "horizon", azimuths=azimuths, **options)
+
+
+def sky_view_factor(data: Any, azimuths: int = 32, *, horizontal: bool = False, **options: Any) -> Any:
+    """Share of a uniform sky's light on the inclined ground (Dozier & Frew 1990), or on a horizontal surface there."""
+    return make(data, "sky-view-horizontal" if horizontal else "sky-view-factor", azimuths=azimuths, **options)
+
+
+def visible_sky(data: Any, azimuths: int = 32, **options: Any) -> Any:
+    """Share of the hemisphere's solid angle that is sky. Further arguments: ``radius``, ``curvature``; ``make``."""
+    return make(data, "visible-sky", azimuths=azimuths, **options)
+
+
+def openness(
+    data: Any, azimuths: int = 8, *, radius: float | None = None, negative: bool = False, **options: Any
+) -> Any:
+    """Positive or negative openness, degrees (Yokoyama et al. 2002). Arguments and result: ``make``."""
+    name = "openness-negative" if negative else "openness"
+    return make(data, name, azimuths=azimuths, radius=radius, **options)
+
+
+def ambient_occlusion(
+    data: Any, radius: float | None = None, *, rho: Rho = "step", method: str = "horizon", **options: Any
+) -> Any:
+    """Share of ambient light that reaches the ground, out of the hemisphere around its normal.
+
+    Args:
+        radius: metres beyond which nothing occludes; None: unlimited (a step only).
+        rho: what an occluder at a distance lets through: "step", "linear" or a function of metres (``lighting.rho``).
+        method: "horizon" (of ``azimuths``), "rays", "shadow-maps" (``rays`` each) or "cone-tracing" (``cones``).
+        data, options: and the result: ``make``.
+    """
+    return make(data, "ambient-occlusion", radius=radius, rho=rho, method=method, **options)
+
+
+def apertures(data: Any, azimuths: int = 32, *, method: str = "horizon", **options: Any) -> Any:
+    """The sky that is seen as one cap, four bands: its direction (east, north, up) and radius in degrees.
+
+    ``method``: "horizon" or "rays". Further arguments and result: ``make``.
+    """
+    return make(data, "aperture", azimuths=azimuths, method=method, **options)
+
+
+def shadows(data: Any, sun: Given, **options: Any) -> Any:
+    """The part of the sun's disc that is seen, and a code (``lighting.shadow``): two bands.
+
+    Args:
+        sun: (azimuth, altitude) in degrees; a datetime with its zone, or such a time as text: the real sun over the
+            terrain's middle, refraction included; or a ``Sun``, with a diameter of its own.
+        data, options: and the result: ``make``. Further: ``strips``, ``diameter``, ``curvature``.
+    """
+    return make(data, "shadow", sun=sun, **options)
+
+
+def insolation(data: Any, date: str, azimuths: int = 64, **options: Any) -> Any:
+    """Energy of sun and sky on the ground under a clear sky, Wh/m²: direct, diffuse, global.
+
+    Args:
+        date: "2026", "2026-06" or "2026-06-21", in mean solar time.
+        data, options: and the result: ``make``. Further: ``step`` (minutes), ``turbidity`` (Linke's).
+
+    Raises:
+        UsageError: also where the data do not say where on Earth they lie, as plain arrays do not.
+    """
+    return make(data, "insolation", date=date, azimuths=azimuths, **options)

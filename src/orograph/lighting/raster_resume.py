@@ -1,0 +1,154 @@
+"""Work on a map that can go on after an interruption: its canvases are kept after each pass over the terrain.
+
+A folder beside the output holds a plan (what is being made, of which terrain), and for the canvases of each sweep one
+file of their values and one that says which azimuths are in it. After a pass a new file of values is written and then,
+by a rename, made the one that counts: whenever work is cut off, the folder tells of whole passes only. Of what is made
+window by window, by rays or walks, each window is a file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import OutputError
+from orograph.lighting.raster import Canvas
+from orograph.store.memory import MemoryTerrain
+from orograph.store.terrain import Terrain
+
+Values = NDArray[np.float32]
+
+_CHUNK = 1 << 22
+"""Values written at once."""
+
+
+def identity(terrain: Terrain) -> str:
+    """Differs whenever any height or its place might differ."""
+    grid = terrain.grid
+    digest = hashlib.sha256(repr((grid.shape, tuple(grid.transform), grid.crs and grid.crs.to_wkt())).encode())
+    if isinstance(terrain, MemoryTerrain):
+        digest.update(np.ascontiguousarray(terrain.heights).view(np.uint8).data)
+    else:
+        digest.update(str(getattr(getattr(terrain, "record", None), "source", terrain.name)).encode())
+    return digest.hexdigest()[:32]
+
+
+class Kept:
+    """What has been done of a map.
+
+    Args:
+        folder: made if it is not there.
+        plan: what is being made, JSON; other work in the folder is refused.
+
+    Raises:
+        OutputError: the folder holds other work, or cannot be written.
+    """
+
+    def __init__(self, folder: Path, plan: dict[str, Any]) -> None:
+        self.folder = folder
+        text = json.dumps(plan, sort_keys=True)
+        file = folder / "plan.json"
+        try:
+            if file.is_file():
+                if file.read_text(encoding="utf-8") != text:
+                    raise OutputError(
+                        "What was interrupted there is another map, or of another terrain.",
+                        path=folder,
+                        remedy="Run it with the same products and options, or delete that folder to start anew.",
+                    )
+                return
+            folder.mkdir(exist_ok=True)
+            _replace(file, text)
+        except OSError as error:
+            raise _unwritable(folder, error) from error
+
+    def load(self, key: str, canvases: Sequence[Canvas]) -> list[int]:
+        """Fill canvases with what is kept; the azimuths in them, [] if there is nothing."""
+        state = self.folder / f"{key}.json"
+        if not state.is_file():
+            return []
+        try:
+            kept = json.loads(state.read_text(encoding="utf-8"))
+            with (self.folder / kept["file"]).open("rb") as file:
+                for part in _parts(canvases):
+                    if file.readinto(part.view(np.uint8).data) != part.nbytes:
+                        raise OSError("it is cut off")
+        except (OSError, ValueError, KeyError) as error:
+            raise OutputError(
+                f"What was kept of the interrupted work cannot be read: {error}.",
+                path=self.folder,
+                remedy="Delete that folder to start anew.",
+            ) from error
+        return [int(k) for k in kept["azimuths"]]
+
+    def save(self, key: str, canvases: Sequence[Canvas], azimuths: Iterable[int]) -> None:
+        """Keep canvases after a pass."""
+        done = list(azimuths)
+        name = f"{key}.{len(done)}.f32"
+        try:
+            with (self.folder / name).open("wb") as file:
+                for part in _parts(canvases):
+                    file.write(part.view(np.uint8).data)
+                file.flush()
+                os.fsync(file.fileno())
+            _replace(self.folder / f"{key}.json", json.dumps({"file": name, "azimuths": done}))
+            for old in self.folder.glob(f"{key}.*.f32"):
+                if old.name != name:
+                    old.unlink()
+        except OSError as error:
+            raise _unwritable(self.folder, error) from error
+
+    def window(self, key: str, row: int, col: int, make: Callable[[], Values]) -> Values:
+        """A window (bands, rows, cols) of a product that is made window by window: as it was kept, or made and kept.
+
+        From any thread, for different windows.
+        """
+        path = self.folder / f"{key}.{row}.{col}.npy"
+        if path.is_file():
+            try:
+                return np.asarray(np.load(path, allow_pickle=False), np.float32)
+            except (OSError, ValueError, EOFError):
+                pass  # cut off: made anew
+        values = make()
+        part = path.with_suffix(".part")
+        try:
+            with part.open("wb") as file:
+                np.save(file, np.ascontiguousarray(values), allow_pickle=False)
+            part.replace(path)
+        except OSError as error:
+            raise _unwritable(self.folder, error) from error
+        return values
+
+    def remove(self) -> None:
+        """The map is complete."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _parts(canvases: Sequence[Canvas]) -> Iterator[Values]:
+    """All values, a few at a time; the memory of canvases on disk is let go of behind them."""
+    for canvas in canvases:
+        flat = canvas.values.reshape(-1)
+        for start in range(0, flat.size, _CHUNK):
+            yield flat[start : start + _CHUNK]
+            canvas.release()
+
+
+def _replace(path: Path, text: str) -> None:
+    part = path.with_suffix(".part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+
+
+def _unwritable(folder: Path, error: OSError) -> OutputError:
+    return OutputError(
+        f"What has been done cannot be kept: {error.strerror or error}.", path=folder,
+        remedy="See that the disk has room, or leave --resume away.",
+    )  # fmt: skip

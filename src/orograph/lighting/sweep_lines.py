@@ -1,0 +1,111 @@
+"""The lines along which horizons are swept, and the stacks they carry from band to band (see ``sweep``)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.lighting.raster import scratch
+from orograph.lighting.sweep_kernels import PAGE
+
+T = TypeVar("T")
+
+_TIE = 1e-6
+"""A line this close (in samples) to a sample goes through it: rounding must not decide which two it lies between."""
+
+
+def direction(azimuth: float) -> tuple[float, float]:
+    """Unit vector (east, north) of an azimuth in degrees."""
+    a = math.radians(azimuth % 360.0)
+    return math.sin(a), math.cos(a)
+
+
+class Lines:
+    """The lines of one azimuth over a raster: line ``l`` crosses step i at lane l + shift[i] + part[i].
+
+    Attributes:
+        by_columns: steps are columns and lanes rows, or the other way round.
+        backward: the light is at the end of increasing steps.
+        scale: steps per metre.
+    """
+
+    def __init__(self, index: int, azimuth: float, linear: NDArray[np.float64], shape: tuple[int, int]) -> None:
+        across, down = (float(v) for v in np.linalg.solve(linear, direction(azimuth)))  # samples per metre to the light
+        self.index = index
+        self.by_columns = abs(across) >= abs(down)
+        major, minor = (across, down) if self.by_columns else (down, across)
+        self.lanes, self.steps = shape if self.by_columns else shape[::-1]
+        self.backward, self.scale = major > 0, abs(major)
+        tilt = minor / major
+        if abs(tilt) * self.steps < _TIE:
+            tilt = 0.0
+        offset = tilt * np.arange(self.steps, dtype=np.float64)
+        near = np.round(offset)
+        offset = np.where(np.abs(offset - near) < _TIE, near, offset)
+        self.shift = np.floor(offset).astype(np.int64)
+        self.part = (offset - self.shift).astype(np.float32)
+
+    def position(self, step: int) -> int:
+        """Steps between the light's end of the raster and a step."""
+        return self.steps - 1 - step if self.backward else step
+
+    def touched(self, step0: int, step1: int) -> tuple[int, int]:
+        """The lines [first, last) that pass between or beside samples at these steps, and the line behind the last."""
+        ends = int(self.shift[step0]), int(self.shift[step1 - 1])
+        return -1 - max(ends), self.lanes - min(ends) + 1
+
+
+class Pool:
+    """The stacks of a share of an azimuth's lines, between two bands; ``clear`` it first."""
+
+    def __init__(self) -> None:
+        self.top = np.empty(0, np.int64)
+        self.position = np.empty(0, np.int32)
+        self.height = np.empty(0, np.float64)
+        self.link = np.empty(0, np.int64)
+        self.free = np.zeros(1, np.int64)
+        self.release: Callable[[], None] | None = None
+
+    def grow(self, pages: int, on_disk: bool) -> None:
+        """Add at least ``pages`` free pages, and half as many as there are."""
+        before = len(self.link)
+        after = before + max(pages, before // 2)
+        position, height = self.position, self.height
+        if on_disk:
+            space, self.release = scratch(after * PAGE * 12)
+            self.height = space[: after * PAGE * 8].view(np.float64)
+            self.position = space[after * PAGE * 8 :].view(np.int32)
+        else:
+            self.height = np.empty(after * PAGE, np.float64)
+            self.position = np.empty(after * PAGE, np.int32)
+        self.height[: len(height)], self.position[: len(position)] = height, position
+        self.link = np.append(self.link, np.full(after - before, -1))
+        count = int(self.free[0])
+        free = np.empty(after + 1, np.int64)
+        free[1 : count + 1] = self.free[1 : count + 1]
+        free[count + 1 : count + 1 + after - before] = np.arange(after - 1, before - 1, -1)
+        free[0] = count + after - before
+        self.free = free
+
+    def clear(self, lines: int) -> None:
+        """Begin with so many empty stacks, and one of the line before them."""
+        self.top = np.full(lines + 1, -1, np.int64)
+        self.free[0] = len(self.link)
+        self.free[1:] = np.arange(len(self.link) - 1, -1, -1)
+
+    @property
+    def size(self) -> int:
+        """Bytes in memory."""
+        return 0 if self.release else len(self.link) * (PAGE * 12 + 16)
+
+
+def taken(spare: list[T], make: Callable[[], T]) -> T:
+    """One of the spare ones, or a new one; from any thread."""
+    try:
+        return spare.pop()
+    except IndexError:
+        return make()

@@ -1,0 +1,267 @@
+"""One pass of ``sweep`` over a raster: bands for several azimuths that step along one axis in one sense.
+
+A pass says how wide its bands are and how many azimuths share it, so that memory suffices; of a band it fetches the
+heights, and hands out the work that makes the slopes: independent pieces, for threads. Stacks of lines wait in pools
+from band to band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.lighting.sweep_kernels import GROUP, PAGE, sweep_lines, sweep_windows, working
+from orograph.lighting.sweep_lines import Lines, Pool, taken
+
+Values = NDArray[np.float32]
+Read = Callable[[int, int, int, int], Values]
+Work = Callable[[], object]
+
+_BAND = 256
+"""Steps of a band: the tiles of a store."""
+_NARROW = 64
+"""Steps of a band where memory is short, before fewer azimuths share a pass."""
+_CACHE = 16 << 20
+"""Slopes of two bands that are still in the processor's cache, more or less, when they are used."""
+_CLASH = 128
+"""Rows that are a multiple of so many samples long share their places in the cache."""
+
+
+def pitch(cols: int) -> int:
+    """Samples from one row to the next in memory: an odd number of cache lines, so that rows do not share their places
+    in the cache, as they do a power of two apart."""
+    return (-(-cols // GROUP) | 1) * GROUP
+
+
+def aligned(samples: int) -> Values:
+    """Room for so many samples (float32) that begins with a cache line."""
+    space = np.empty(samples + GROUP, np.float32)
+    begin = -space.ctypes.data % (4 * GROUP) // 4
+    return space[begin : begin + samples]
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """Heights of a band as they are swept.
+
+    Attributes:
+        flat: rows one after the other.
+        wide: samples from one row to the next.
+        first: the first step they begin with.
+        space: memory that they lie in, to be used again; None: the reader's own.
+    """
+
+    flat: Values
+    wide: int
+    first: int
+    space: Values | None
+
+
+class Pass:
+    """A pass over the raster for the first of some azimuths with a common axis and sense, as many as memory allows.
+
+    Args:
+        group: lines of the azimuths.
+        shape: (rows, cols) of the raster.
+        lowest, below, radius, curvature, jobs, memory, band: as for ``sweep.horizons``.
+
+    Attributes:
+        lines: of the azimuths that take part. indices: which they are.
+        bands: (step0, step1), away from the light.
+        ahead: whether there is memory to fetch heights before the band in front of theirs is done.
+        samples: of a buffer that has room for the slopes of a band, padding included.
+
+    Raises:
+        UsageError: the radius takes more memory than there is.
+    """
+
+    def __init__(
+        self,
+        group: list[Lines],
+        shape: tuple[int, int],
+        lowest: float,
+        below: bool,
+        radius: float | None,
+        curvature: float,
+        jobs: int,
+        memory: int,
+        band: int | None,
+    ) -> None:
+        self.shape, self.lowest, self.below, self.curvature, self.jobs = shape, float(lowest), below, curvature, jobs
+        self.by_columns, self.backward = group[0].by_columns, group[0].backward
+        self.lanes, self.steps = group[0].lanes, group[0].steps
+        reach = 0 if radius is None else max(max(int(radius * a.scale + 1e-9), 1) for a in group)
+        reach = min(reach, self.steps)
+        # A third of the memory for bands' heights and slopes, a third for stacks; the rest is what their user needs.
+        third, step = memory // 3, 4 * self.pitch(self.lanes)
+
+        def needed(width: int, count: int, strips: int = 3) -> int:
+            halo = min(2 * reach, self.steps)
+            # Heights of a band and of the next, read and copied; slopes of a band and of the one before.
+            return step * ((width + halo) * strips + 2 * count * width) + jobs * 12 * (GROUP + 1) * (width + halo)
+
+        width = band or min(max(_BAND, reach, _CACHE // (2 * step * len(group)) // _BAND * _BAND), self.steps)
+        count = len(group)
+        while band is None and count > 1 and needed(width, count) > third:
+            if width > max(_NARROW, reach):
+                width = max(width // 2, _NARROW, reach)
+            else:
+                count -= 1
+        while band is None and width > max(16, reach // 8) and needed(width, count) > third:
+            width //= 2
+        self.ahead = band is not None or needed(width, count) <= third
+        if reach and needed(width, count, 2) > memory:
+            raise UsageError(
+                f"A radius of {radius:g} m is {reach} samples of a terrain {self.lanes} samples wide, for which "
+                f"{memory >> 20} MiB of memory are not enough.",
+                remedy="Allow more memory (--max-memory), or leave the radius unlimited, which takes less.",
+            )
+        self.lines, self.radius, self.stacks = group[:count], radius, third
+        self.indices = np.array([a.index for a in self.lines])
+        self.bands = [(s, min(s + width, self.steps)) for s in range(0, self.steps, width)]
+        if self.backward:
+            self.bands.reverse()
+        self.samples = count * min(width, self.steps) * self.pitch(self.lanes)
+        # Shares of the lines, counted from line 0: small enough for all threads to have some.
+        share = -(-self.lanes * count // (16 * jobs))
+        self.share = min(max(4 * GROUP, share + -share % GROUP), 512)
+        self.pools: dict[tuple[int, int], Pool] = {}
+        self._spare: list[Pool] = []
+        self._rows: list[tuple[NDArray[np.float64], Values]] = []
+
+    def pitch(self, cols: int) -> int:
+        """Samples from one row of heights or slopes to the next; columns are swept along rows, one after the other."""
+        return cols if self.by_columns else pitch(cols)
+
+    def begin(self, spare: list[Pool]) -> None:
+        """Take pools of passes before, and leave them for passes to come."""
+        if sum(p.size for p in spare) > self.stacks // 2:
+            spare.clear()
+        self._spare = spare
+
+    def window(self, s0: int, s1: int) -> tuple[int, int, int, int]:
+        """Rows and columns (row0, row1, col0, col1) of steps."""
+        return (0, self.lanes, s0, s1) if self.by_columns else (s0, s1, 0, self.lanes)
+
+    def fetch(self, read: Read, s0: int, s1: int, spaces: list[Values]) -> Strip:
+        """The heights that the slopes of a band are made of; ``spaces`` are buffers of strips before."""
+        if self.radius is None:
+            first, last = s0, s1
+        else:
+            reaches = [self._reach(a, s0, s1) for a in self.lines]
+            first, last = min(h0 for _, h0, _ in reaches), max(h1 for _, _, h1 in reaches)
+        heights = read(*self.window(first, last))
+        rows, cols = heights.shape
+        wide, stride = self.pitch(cols), heights.strides[0] // 4
+        apart = self.by_columns or stride % _CLASH or len(self.lines) == 1
+        in_rows = heights.dtype == np.float32 and heights.strides[1] == 4 and heights.strides[0] >= 4 * cols
+        if apart and in_rows and not self.below:
+            span = (rows - 1) * stride + cols
+            flat = np.lib.stride_tricks.as_strided(heights, (span,), (4,), writeable=False)
+            return Strip(flat, stride, first, None)
+        space = taken(spaces, lambda: aligned(rows * wide))
+        if len(space) < rows * wide:
+            space = aligned(rows * wide)
+        flat = space[: rows * wide]
+        (np.negative if self.below else np.positive)(heights, out=flat.reshape(rows, wide)[:, :cols])
+        flat = flat.view()
+        flat.flags.writeable = False  # as heights that are not copied: kernels are compiled once
+        return Strip(flat, wide, first, space)
+
+    def work(self, strip: Strip, s0: int, s1: int, slopes: Values) -> tuple[list[Work], list[Work]]:
+        """What makes the slopes (k, rows, ≥ cols) of a band, in any order, in two parts: a part needs what the same one
+        of the band before leaves, and nothing of the other."""
+        make = self._unlimited if self.radius is None else self._limited
+        parts: tuple[list[Work], list[Work]] = [], []
+        for a, s, work in make(strip, s0, s1, slopes):
+            parts[(a.index + s) % 2].append(work)
+        return parts
+
+    def _shares(self, s0: int, s1: int, lines: Sequence[Lines]) -> list[tuple[Lines, int]]:
+        work: list[tuple[Lines, int]] = []
+        for a in lines:
+            first, last = a.touched(s0, s1)
+            work += [(a, s) for s in range(first // self.share, -(-last // self.share))]
+        return work
+
+    def _unlimited(self, strip: Strip, s0: int, s1: int, slopes: Values) -> list[tuple[Lines, int, Work]]:
+        flat, wide, width = strip.flat, strip.wide, s1 - s0
+        lane, step = (wide, 1) if self.by_columns else (1, wide)
+        out_lane, out_step = (slopes.shape[2], 1) if self.by_columns else (1, slopes.shape[2])
+        work = self._shares(s0, s1, self.lines)
+        last = (s0, s1) == self.bands[-1]
+        keep = {(a.index, s) for a, s in work}
+        for key in list(self.pools):  # others may be adding theirs
+            if key not in keep:  # lines that left the raster
+                del self.pools[key]
+        on_disk = sum(p.size for p in list(self.pools.values())) > self.stacks
+        place = {a.index: k for k, a in enumerate(self.lines)}
+        longest = max(end - begin for begin, end in self.bands)
+
+        def run(a: Lines, s: int) -> None:
+            pool = self.pools.get((a.index, s)) or self._pool()
+            rows = taken(self._rows, lambda: working(longest))
+            profile, slope = rows
+            out = slopes[place[a.index]].reshape(-1)
+            done = 0
+            while True:
+                done = sweep_lines(
+                    flat, lane, step, self.lanes, a.shift[s0:s1], a.part[s0:s1], a.backward, a.position(s0), a.scale,
+                    self.lowest, self.curvature, s * self.share, self.share, done, pool.top, pool.position,
+                    pool.height, pool.link, pool.free, profile, slope, out_lane, out_step, out,
+                )  # fmt: skip
+                if done >= self.share:
+                    break
+                pool.grow((GROUP + 1) * (width // PAGE + 2) + (0 if last else self.share), on_disk)
+            self._rows.append(rows)
+            if last:
+                self.pools.pop((a.index, s), None)
+                if not pool.release:
+                    self._spare.append(pool)
+                return
+            if pool.release:
+                pool.release()
+            self.pools[a.index, s] = pool
+
+        return [(a, s, partial(run, a, s)) for a, s in work]
+
+    def _pool(self) -> Pool:
+        """An empty pool, from any thread."""
+        pool = taken(self._spare, Pool)
+        pool.clear(self.share)
+        return pool
+
+    def _reach(self, a: Lines, s0: int, s1: int) -> tuple[int, int, int]:
+        """The radius in steps, and the steps whose heights a band's slopes are made of: whole blocks of that many.
+
+        Azimuths have steps of different lengths in metres, hence radii of different numbers of steps.
+        """
+        assert self.radius is not None
+        reach = min(max(int(self.radius * a.scale + 1e-9), 1), self.steps)
+        first = a.position(s1 - 1 if a.backward else s0)
+        begin = max((first - reach) // reach * reach, 0)  # a whole block in front of what is in reach
+        return reach, *((s0, self.steps - begin) if a.backward else (begin, s1))
+
+    def _limited(self, strip: Strip, s0: int, s1: int, slopes: Values) -> list[tuple[Lines, int, Work]]:
+        lane, step = (strip.wide, 1) if self.by_columns else (1, strip.wide)
+        out_lane, out_step = (slopes.shape[2], 1) if self.by_columns else (1, slopes.shape[2])
+        work: list[tuple[Lines, int, Work]] = []
+        for k, a in enumerate(self.lines):
+            reach, h0, h1 = self._reach(a, s0, s1)
+            sweep = partial(
+                sweep_windows, strip.flat[(h0 - strip.first) * step :], lane, step, self.lanes, a.shift[h0:h1],
+                a.part[h0:h1], a.backward, a.position(h0), a.scale, self.lowest, self.curvature, lines=self.share,
+                reach=reach, skip=s0 - h0, own=s1 - s0, out_lane=out_lane, out_step=out_step,
+                out=slopes[k].reshape(-1),
+            )  # fmt: skip
+            work += [(a, s, partial(_at_line, sweep, s * self.share)) for _, s in self._shares(s0, s1, [a])]
+        return work
+
+
+def _at_line(sweep: Callable[..., None], line0: int) -> None:
+    sweep(line0=line0)

@@ -1,0 +1,37 @@
+"""Measuring on the true surface: full resolution, true metres whatever the exaggeration, exact for the triangulation.
+
+>>> from orograph import measuring
+>>> hit = measuring.pick(terrain, view, (640.5, 360.5))         # doctest: +SKIP
+>>> measuring.profile(terrain, [(e0, n0), (e1, n1)]).length     # doctest: +SKIP
+>>> measuring.area(terrain, corners).surface                    # doctest: +SKIP
+>>> measuring.line_of_sight(terrain, a, b).obstruction          # doctest: +SKIP
+>>> measuring.viewshed(terrain, a, radius=20_000).save("v.tif")  # doctest: +SKIP
+
+Points are (easting, northing) in the terrain's CRS; ``Places(terrain).of_lonlat`` brings degrees there.
+"""
+
+from __future__ import annotations
+
+from orograph.measuring.area import Area, area
+from orograph.measuring.pick import Hit, pick, place, slope_aspect
+from orograph.measuring.places import Places
+from orograph.measuring.profile import Profile, profile
+from orograph.measuring.sight import Mark, Sight, line_of_sight
+from orograph.measuring.viewshed import Viewshed, viewshed
+
+__all__ = [
+    "Area",
+    "Hit",
+    "Mark",
+    "Places",
+    "Profile",
+    "Sight",
+    "Viewshed",
+    "area",
+    "line_of_sight",
+    "pick",
+    "place",
+    "profile",
+    "slope_aspect",
+    "viewshed",
+]

@@ -1,0 +1,252 @@
+"""What lies under the cursor: a ray cast against the full-resolution surface, and what the ground is like at a place.
+
+The ray is the one that the picture was drawn with (``View.ray_basis``), in true space whatever the exaggeration. It is
+walked over the terrain's tiles of 256 × 256 cells; a tile whose lowest and highest full-resolution sample lie on one
+side of it is passed without being read, so a pick in a store of any size reads a handful of tiles. In a tile that is
+read the ray runs through the caster's own traversal (``raycast.traverse``), and carries the side of the surface that it
+is on from tile to tile: the answer is the full-resolution surface's, never a drawn mesh's.
+
+Slope and aspect are those of ``orograph light``: central differences at the samples, linear over the triangle between
+them, turned into true metres (``places``). Units: metres, degrees.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orograph.errors import UsageError
+from orograph.measuring.ground import facets
+from orograph.measuring.places import Places, lift
+from orograph.store.terrain import TILE, Terrain
+from orograph.viewpoint import View
+
+Array = NDArray[np.float64]
+
+SLAB = 1e-3
+"""Metres by which the slab of heights is opened, so that a level plain is not a slab of no thickness."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hit:
+    """A place on the ground.
+
+    Attributes:
+        easting, northing: in the terrain's CRS, metres; height: metres; None in a hole.
+        longitude, latitude: degrees, WGS 84 (the body's own if it is not the Earth); None without a CRS.
+        column, row: sample coordinates, fractional.
+        slope: degrees, in true metres; aspect: the azimuth in which the ground falls, clockwise from grid north;
+            true_aspect: from true north. None in a hole, aspects also where it is level.
+        depth: view-space depth in metres; distance: from the eye in a straight line, metres. None without a view.
+    """
+
+    easting: float
+    northing: float
+    height: float | None
+    longitude: float | None
+    latitude: float | None
+    column: float
+    row: float
+    slope: float | None
+    aspect: float | None
+    true_aspect: float | None
+    depth: float | None = None
+    distance: float | None = None
+
+    @property
+    def point(self) -> tuple[float, float]:
+        """(easting, northing)."""
+        return self.easting, self.northing
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def pick(terrain: Terrain, view: View, pixel: tuple[float, float], exaggeration: float = 1.0) -> Hit | None:
+    """The ground that a picture shows at a pixel.
+
+    Args:
+        view: the picture's camera.
+        pixel: position in the picture: (0.5, 0.5) is the middle of the upper left pixel.
+        exaggeration: of the picture; the answer is in true metres.
+
+    Returns:
+        the first hit of the pixel's ray with the full-resolution surface; None where it meets none (sky, a hole).
+
+    Raises:
+        UsageError: the terrain has no surface, or the pixel is not two finite numbers.
+        DamagedChunkError: a chunk of a store fails its checksum.
+    """
+    px, py = (float(v) for v in pixel)
+    if not (math.isfinite(px) and math.isfinite(py)):
+        raise UsageError(f"A pixel is two finite numbers, not {pixel!r}.")
+    if not (exaggeration > 0 and math.isfinite(exaggeration)):
+        raise UsageError(f"The exaggeration is a positive number, not {exaggeration!r}.")
+    places = Places(terrain)
+    o0, ou, ov, d0, du, dv = view.ray_basis(exaggeration)
+    origin, direction = o0 + px * ou + py * ov, d0 + px * du + py * dv
+    depth = cast(terrain, origin, direction, view.near, view.far)
+    if depth is None:
+        return None
+    meets = origin + depth * direction
+    return _at(places, meets[:2], float(meets[2]), depth, float(np.linalg.norm(meets - np.array(view.eye))))
+
+
+def place(terrain: Terrain, point: ArrayLike) -> Hit:
+    """The ground at a point (easting, northing).
+
+    Raises:
+        UsageError: the point is not on the terrain. DamagedChunkError: as ``pick``.
+    """
+    places = Places(terrain)
+    points = places.points(point)
+    if len(points) != 1:
+        raise UsageError(f"One point is asked for, not {len(points)}.")
+    return _at(places, points[0])
+
+
+def _at(
+    places: Places, point: Array, height: float | None = None, depth: float | None = None, distance: float | None = None
+) -> Hit:
+    """What the ground is like at a point (2,); the height is looked up unless a ray has found it."""
+    rows, cols = places.grid.shape
+    x, y = np.clip(np.stack(places.grid.index(*point)), 0.0, [cols - 1.0, rows - 1.0])
+    if height is None:
+        found = float(facets(places.terrain, x[None], y[None]).heights(x[None], y[None])[0])
+        height = None if math.isnan(found) else found
+    slope, aspect, true_aspect = (None, None, None) if height is None else _inclination(places, x, y, point, height)
+    degrees = places.lonlat(point[None])
+    lon, lat = (None, None) if degrees is None else (float(v) for v in degrees[0])
+    return Hit(
+        float(point[0]), float(point[1]), height, lon, lat, float(x), float(y), slope, aspect, true_aspect, depth,
+        distance,
+    )  # fmt: skip
+
+
+def slope_aspect(terrain: Terrain, point: ArrayLike) -> tuple[float, float]:
+    """Slope and aspect at a point (easting, northing), degrees; NaN in a hole, the aspect also where it is level.
+
+    Raises:
+        UsageError: the point is not on the terrain.
+    """
+    hit = place(terrain, point)
+    return (math.nan if hit.slope is None else hit.slope, math.nan if hit.aspect is None else hit.aspect)
+
+
+def _inclination(
+    places: Places, x: float, y: float, point: Array, height: float
+) -> tuple[float | None, float | None, float | None]:
+    """(slope, aspect from grid north, aspect from true north) at a place that is not in a hole."""
+    from orograph.lighting.normal import gradient
+
+    rows, cols = places.grid.shape
+    under = facets(places.terrain, np.array([x]), np.array([y]))
+    c, r = int(under.col[0]), int(under.row[0])
+    r0, c0 = max(r - 1, 0), max(c - 1, 0)
+    part = places.terrain.read(0, r0, min(r + 3, rows), c0, min(c + 3, cols))
+    corner = np.s_[:, r - r0 : r - r0 + 2, c - c0 : c - c0 + 2]
+    east, north = np.stack(gradient(part, places.linear, 1)).astype(np.float64)[corner].reshape(2, 4)
+    u, v = x - c, y - r
+    if (c + r) % 2 == 0:
+        weights = (1 - u, u - v, 0.0, v) if u >= v else (1 - v, 0.0, v - u, u)
+    else:
+        weights = (1 - u - v, u, v, 0.0) if u + v <= 1 else (0.0, 1 - v, 1 - u, u + v - 1)
+    known = [k for k, w in enumerate(weights) if w > 1e-6]  # a missing sample has weight 0 but for rounding
+    slopes = np.array([sum(weights[k] * float(g[k]) for k in known) for g in (east, north)])
+    if not np.isfinite(slopes).all():
+        return None, None, None
+    # Heights rise by g_grid · d for a grid step d, which is J d true metres: g_true = J⁻ᵀ g_grid.
+    true = np.linalg.solve(places.jacobian(point).T, slopes) / float(lift(places, np.array(height)))
+    steep = math.degrees(math.atan(math.hypot(*true)))
+    if slopes[0] == 0.0 and slopes[1] == 0.0:
+        return steep, None, None
+    return steep, _falls(slopes), _falls(true)
+
+
+def _falls(slopes: Array) -> float:
+    """The azimuth in [0, 360) in which ground with these slopes towards east and north falls."""
+    azimuth = math.degrees(math.atan2(-slopes[0], -slopes[1])) % 360.0
+    return 0.0 if azimuth >= 360.0 else azimuth
+
+
+def cast(terrain: Terrain, origin: Array, direction: Array, near: float = 0.0, far: float = math.inf) -> float | None:
+    """The first hit of a ray with the full-resolution surface.
+
+    Args:
+        origin, direction: (3,) easting, northing, height.
+        near, far: the range of t, in lengths of ``direction``, that counts.
+
+    Returns:
+        t of the hit; None if there is none.
+    """
+    from orograph.raycast.stack import Stack, Window
+    from orograph.raycast.traverse import cast as walk
+
+    rows, cols = terrain.grid.shape
+    a, b, c, d, e, f = (~terrain.grid.samples)[:6]
+    o = np.array([a * origin[0] + b * origin[1] + c, d * origin[0] + e * origin[1] + f, origin[2]])
+    v = np.array([a * direction[0] + b * direction[1], d * direction[0] + e * direction[1], direction[2]])
+    table = terrain.tiles(0)
+    low, high = terrain.height_range
+    if math.isnan(low):
+        return None
+    t0, t1 = _clip(o[2], v[2], low - SLAB, high + SLAB, near, far)
+    # A ray that comes in through the top of the slab of heights is above the surface; else the first cell tells.
+    began = t0
+    side = 0 if t0 == near else 1 if v[2] < 0 else -1
+    for axis, last in enumerate((cols - 1.0, rows - 1.0)):
+        t0, t1 = _clip(o[axis], v[axis], 0.0, last, t0, t1)
+    if not t0 <= t1 < math.inf:
+        return None
+    side = side if t0 == began else 0
+    cuts = _borders(o, v, t0, t1, (cols, rows))
+    middle = 0.5 * (cuts[:-1] + cuts[1:])
+    tile_rows, tile_cols = table.minimum.shape
+    j = np.clip(np.floor(o[0] + middle * v[0]) // TILE, 0, tile_cols - 1).astype(int)
+    i = np.clip(np.floor(o[1] + middle * v[1]) // TILE, 0, tile_rows - 1).astype(int)
+    z = o[2] + cuts * v[2]
+    lowest, highest = np.minimum(z[:-1], z[1:]), np.maximum(z[:-1], z[1:])
+    for k in range(len(middle)):
+        bottom, top = float(table.minimum[i[k], j[k]]), float(table.maximum[i[k], j[k]])
+        if math.isnan(top):  # nothing but a hole
+            side = 0
+            continue
+        if lowest[k] > top and side >= 0:
+            side = 1
+            continue
+        if highest[k] < bottom and side <= 0:
+            side = -1
+            continue
+        r0, c0 = int(i[k]) * TILE, int(j[k]) * TILE
+        part = terrain.read(0, r0, min(r0 + TILE + 1, rows), c0, min(c0 + TILE + 1, cols))
+        s = Stack.build([Window(0, 0, 0, np.ascontiguousarray(part))], part.shape, 1)
+        t, side = walk(
+            s.pool, 0, part.shape[1], part.shape[1] - 1, part.shape[0] - 1, s.maxima, s.mips[0], s.minima, s.mips[1],
+            s.mips[2], o[0] - c0, o[1] - r0, o[2], v[0], v[1], v[2], cuts[k], cuts[k + 1], side, 6,
+        )  # fmt: skip
+        if t < math.inf:
+            return float(t)
+    return None
+
+
+def _clip(start: float, step: float, low: float, high: float, t0: float, t1: float) -> tuple[float, float]:
+    """The part of [t0, t1] on which start + t·step lies in [low, high]; (1, 0) or the like if there is none."""
+    if step == 0.0:
+        return (t0, t1) if low <= start <= high else (1.0, 0.0)
+    first, last = sorted(((low - start) / step, (high - start) / step))
+    return max(t0, float(first)), min(t1, float(last))
+
+
+def _borders(o: Array, v: Array, t0: float, t1: float, size: tuple[int, int]) -> Array:
+    """t0, the parameters at which a ray crosses borders of tiles, and t1."""
+    found = [np.array([t0, t1])]
+    for axis, samples in enumerate(size):
+        if v[axis] != 0.0:
+            t = (np.arange(TILE, samples - 1, TILE) - o[axis]) / v[axis]
+            found.append(t[(t > t0) & (t < t1)])
+    return np.sort(np.concatenate(found))

@@ -1,0 +1,234 @@
+"""Along the ground: profiles of the surface, and how long a line is on the grid, on the ellipsoid, in space, on foot.
+
+A profile is cut wherever its line crosses an edge of the triangulated surface (``ground.line``); in between the ground
+is straight, so its length is exact. True metres: a step d on the grid at height h is sqrt(dᵀ G d)·(1 + h/R) metres long
+(``places``), with G taken at most ``KNOT`` metres apart and linear between (an error below 1e-8), so that
+
+    ground = Σ sqrt((1 + h/R)² dᵀ G d + Δh²)   over all pieces;   horizontal = Σ sqrt(dᵀ G d).
+
+Straight is the chord in space between the ends (geocentric), geodesic the shortest way on the ellipsoid from vertex to
+vertex (Karney 2013). Holes have no ground: their length is reported, not bridged. Units: metres, degrees.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orograph.errors import UsageError
+from orograph.measuring.ground import heights as surface
+from orograph.measuring.ground import line
+from orograph.measuring.places import Places, lift
+from orograph.output import Beside
+from orograph.store.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+KNOT = 2000.0
+"""Metres on the grid between places where the projection's stretch is looked up."""
+
+COLUMNS = ("distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m")
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The surface along a polyline, at every crossing of an edge; n places.
+
+    Attributes:
+        points: (n, 2) easting, northing.
+        heights: (n,) metres, NaN over holes.
+        distance: (n,) metres from the start along the line, true, on the ellipsoid.
+        ground: (n,) metres from the start along the surface, true; holes add nothing.
+        known: (n − 1,) whether there is ground between a place and the next.
+        vertices: (v,) indices of the polyline's own vertices.
+        grid: metres of the line on the grid; ground_grid: along the surface as if grid metres were true.
+        straight: metres between the ends in a straight line through space; None if one of them is in a hole.
+        geodesic: metres on the ellipsoid from vertex to vertex; None without a CRS.
+        climb, descent: metres up and down along the surface.
+        missing: metres of the line over holes.
+    """
+
+    points: Array
+    heights: Array
+    distance: Array
+    ground: Array
+    known: NDArray[np.bool_]
+    vertices: NDArray[np.int64]
+    grid: float
+    ground_grid: float
+    straight: float | None
+    geodesic: float | None
+    climb: float
+    descent: float
+    missing: float
+    places: Places
+
+    @property
+    def length(self) -> float:
+        """Metres along the ground, true."""
+        return float(self.ground[-1])
+
+    @property
+    def scale(self) -> float:
+        """Grid metres per metre on the ellipsoid, over the whole line."""
+        return self.grid / float(self.distance[-1]) if self.distance[-1] > 0 else 1.0
+
+    @cached_property
+    def lonlat(self) -> Array | None:
+        """(n, 2) longitude and latitude of the places, degrees; None without a CRS."""
+        return self.places.lonlat(self.points)
+
+    @property
+    def lowest(self) -> float | None:
+        """The lowest ground on the line, metres; None if there is none."""
+        return None if np.isnan(self.heights).all() else float(np.nanmin(self.heights))
+
+    @property
+    def highest(self) -> float | None:
+        """The highest ground on the line, metres; None if there is none."""
+        return None if np.isnan(self.heights).all() else float(np.nanmax(self.heights))
+
+    def at(self, distance: ArrayLike) -> tuple[Array, Array, Array]:
+        """Points (k, 2), heights (k,) and ground (k,) at distances (k,) along the line; exact: it is straight between.
+
+        Raises:
+            UsageError: a distance is not on the line.
+        """
+        s = np.atleast_1d(np.asarray(distance, np.float64))
+        if not ((s >= 0) & (s <= self.distance[-1])).all():
+            raise UsageError(f"Distances along this line go from 0 to {self.distance[-1]:.10g} m.")
+        i = np.clip(np.searchsorted(self.distance, s, side="right") - 1, 0, len(self.distance) - 2)
+        gap = self.distance[i + 1] - self.distance[i]
+        f = np.divide(s - self.distance[i], gap, out=np.zeros_like(s), where=gap > 0)
+        ends = f <= 0, f >= 1
+        heights = (1 - f) * self.heights[i] + f * self.heights[i + 1]
+        heights[~self.known[i]] = np.nan
+        for exact, k in zip(ends, (0, 1)):  # a place itself may be on the rim of a hole
+            heights[exact] = self.heights[i + k][exact]
+        points = (1 - f)[:, None] * self.points[i] + f[:, None] * self.points[i + 1]
+        return points, heights, (1 - f) * self.ground[i] + f * self.ground[i + 1]
+
+    def rows(self, every: float | None = None) -> list[dict[str, float | None]]:
+        """The profile as records of ``COLUMNS``: at every crossing, or every so many metres (and at the end)."""
+        distance, points, heights, ground = self.distance, self.points, self.heights, self.ground
+        if every is not None:
+            if not (every > 0 and math.isfinite(every)):
+                raise UsageError(f"The distance between places is a positive number of metres, not {every!r}.")
+            if self.distance[-1] / every > 1e7:
+                raise UsageError(f"A place every {every:g} m would be more than ten million places.")
+            distance = np.append(np.arange(0.0, self.distance[-1], every), self.distance[-1])
+            points, heights, ground = self.at(distance)
+        degrees = self.places.lonlat(points)
+        lonlat = np.full((len(points), 2), np.nan) if degrees is None else degrees
+        table = np.column_stack([distance, ground, points, lonlat, heights])
+        return [dict(zip(COLUMNS, (None if math.isnan(v) else float(v) for v in row))) for row in table]
+
+    def save_csv(self, path: str | os.PathLike[str], every: float | None = None) -> None:
+        """Write ``rows`` as CSV, with a line of names; what is missing is empty.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        places = (3, 3, 4, 4, 8, 8, 3)
+        with Beside(Path(path)) as part, part.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(COLUMNS)
+            for row in self.rows(every):
+                writer.writerow(
+                    "" if row[name] is None else f"{row[name]:.{digits}f}" for name, digits in zip(COLUMNS, places)
+                )
+
+    def to_dict(self) -> dict[str, Any]:
+        """What it comes to, for JSON."""
+        first, last = self.heights[0], self.heights[-1]
+        return {
+            "ground_m": self.length, "horizontal_m": float(self.distance[-1]), "straight_m": self.straight,
+            "geodesic_m": self.geodesic, "grid_m": self.grid, "ground_grid_m": self.ground_grid,
+            "grid_scale": self.scale, "climb_m": self.climb, "descent_m": self.descent, "lowest_m": self.lowest,
+            "highest_m": self.highest, "first_m": None if math.isnan(first) else float(first),
+            "last_m": None if math.isnan(last) else float(last), "missing_m": self.missing, "places": len(self.heights),
+        }  # fmt: skip
+
+
+def profile(terrain: Terrain, polyline: ArrayLike) -> Profile:
+    """The surface along a polyline, exact.
+
+    Args:
+        polyline: (v, 2) easting, northing, at least two points, in the terrain's CRS (``Places.of_lonlat`` brings
+            degrees there); straight on the grid from vertex to vertex.
+
+    Raises:
+        UsageError: a point is not on the terrain, or the line has no length.
+        DamagedChunkError: a chunk of a store fails its checksum.
+    """
+    places = Places(terrain)
+    given = places.points(polyline, least=2, what="A line")
+    corners = places.samples(given)
+    moves = np.append(True, (np.diff(given, axis=0) != 0).any(axis=1))
+    given, corners = given[moves], corners[moves]
+    if len(given) < 2:
+        raise UsageError("The line has no length: its points are one and the same.")
+    points, distance, ground = [given[:1]], [np.zeros(1)], [np.zeros(1)]
+    heights: list[Array] = []
+    known: list[NDArray[np.bool_]] = []
+    vertices = [0]
+    at, along, walked, walked_grid, climb, descent, missing = np.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for a, b, p, q in zip(corners[:-1], corners[1:], given[:-1], given[1:]):
+        cut = line(terrain, a, b)
+        step = np.diff(cut.t)
+        rise = cut.after - cut.before
+        middle = 0.5 * (cut.before + cut.after)
+        flat = step * stretch(places, p, q, 0.5 * (cut.t[:-1] + cut.t[1:]))
+        foot = np.where(cut.known, np.hypot(flat * lift(places, middle), rise), 0.0)
+        foot_grid = np.where(cut.known, np.hypot(step * math.hypot(*(q - p)), rise), 0.0)
+        up = np.where(cut.known, rise, 0.0)
+        here = cut.heights
+        for end in (0, -1):  # on the rim of a hole that the line runs over
+            if math.isnan(here[end]):
+                here[end] = surface(terrain, cut.x[[end]], cut.y[[end]])[0]
+        heights += [np.atleast_1d(at if math.isnan(here[0]) else here[0]), here[1:-1]]
+        at = float(here[-1])
+        points.append(p + cut.t[1:, None] * (q - p))
+        distance.append(along + np.cumsum(flat))
+        ground.append(walked + np.cumsum(foot))
+        known.append(cut.known)
+        along, walked = float(distance[-1][-1]), float(ground[-1][-1])
+        walked_grid += float(foot_grid.sum())
+        climb, descent = climb + float(up[up > 0].sum()), descent - float(up[up < 0].sum())
+        missing += float(flat[~cut.known].sum())
+        vertices.append(vertices[-1] + len(step))
+    heights.append(np.atleast_1d(at))
+    z = np.concatenate(heights)
+    straight = None
+    if not (math.isnan(z[0]) or math.isnan(z[-1])):
+        ends = places.ecef(given[[0, -1]], z[[0, -1]])
+        straight = float(np.linalg.norm(ends[1] - ends[0]))
+    return Profile(
+        np.concatenate(points), z, np.concatenate(distance), np.concatenate(ground), np.concatenate(known),
+        np.array(vertices), float(np.hypot(*np.diff(given, axis=0).T).sum()), walked_grid, straight,
+        _geodesic(places, given), climb, descent, missing, places,
+    )  # fmt: skip
+
+
+def stretch(places: Places, start: Array, end: Array, t: Array) -> Array:
+    """Metres on the ellipsoid per unit of a straight line on the grid, at fractions t of it."""
+    step = end - start
+    if places.ellipsoid is None:
+        return np.full(len(t), math.hypot(*step))
+    knots = np.linspace(0.0, 1.0, max(2, math.ceil(math.hypot(*step) / KNOT) + 1))
+    metric = places.metric(start + knots[:, None] * step)
+    return np.asarray(np.interp(t, knots, np.sqrt(np.einsum("i,nij,j->n", step, metric, step))))
+
+
+def _geodesic(places: Places, points: Array) -> float | None:
+    """Metres on the ellipsoid from point to point; None without a CRS."""
+    geod = places.geod
+    return None if geod is None else float(geod.line_length(*places.geodetic(points).T))

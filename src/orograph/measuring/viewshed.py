@@ -1,0 +1,378 @@
+"""Viewsheds: what an eye sees of the terrain, sample by sample, each by its own line of sight; exact, out of core.
+
+Every sample within the radius is looked at along the straight line from the eye, over the triangulated surface, at
+every edge that the line crosses: R3 in the terms of Franklin & Ray (1994, *Higher isn't necessarily better*), but with
+a pyramid of maxima (Tevs, Ihrke & Seidel 2008) that passes all ground under the line unseen, so that the cost of a line
+grows with the roughness along it, not with its length. No line is interpolated from others (R2, XDraw, horizon sweeps).
+
+The body is round and its air refracts as for a line of sight (``sight``): the apparent height of a sample d metres away
+is z − c d²/2. d² is a quadratic form of the step in samples, by the projection's metric at the eye, times the ratio of
+geodesic distance to that form, r, looked up on a lattice of ``LATTICE``² places over the window and bilinear between.
+Heights are counted from the eye and divided by √r: light, whose height is in proportion to true distance, then runs
+straight over the grid too, where metres are not all as long. Lines are straight on the grid (not geodesics, as those of
+``sight``). Apparent heights are linear between samples: within c·cell²/8 (16 µm for cells of 30 m) of ground that is
+straight on the round body. Where all of them do not fit in a third of the memory allowed they go to a scratch
+file that is mapped, 5.4 bytes for a sample; memory beyond it does not depend on the terrain's size.
+
+Units: metres above the ground for eye and targets. Results: 1 seen, 0 hidden, NaN not known (missing, or too far); or
+with ``heights`` how many metres above the ground a target must be to be seen (0 where the ground is).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orograph.errors import UsageError
+from orograph.geo.grid import Grid
+from orograph.lighting.raster import Band, rectangles, scratch, write
+from orograph.measuring.ground import heights as surface
+from orograph.measuring.places import Places
+from orograph.measuring.sight import LEAST, REFRACTION, bend_of, check_heights
+from orograph.parallel import cpu_count, map_ordered
+from orograph.progress import SILENT, Progress
+from orograph.store.terrain import TILE, Terrain
+
+Array = NDArray[np.float64]
+Values = NDArray[np.float32]
+
+LATTICE = 17
+"""Places along each side of the window where distances are geodesic."""
+EXTREMES = 0.01, 100.0
+"""Of r: beyond, a projection is not what it should be used for."""
+FINEST = 16
+"""Apparent heights are multiples of 2^−16 m, or more where that does not hold their range in 31 bits."""
+BLOCK = 256
+RELEASE = 8
+"""Blocks after which the scratch file's pages are let go of (they stay in the system's cache)."""
+MEMORY = 1 << 30
+SEEN = Band("visible", "1", "1: seen from the eye, 0: hidden; missing where no height is known or beyond the radius")
+NEEDED = Band("height needed", "m", "how high above the ground a target must be to be seen; 0: the ground itself is")
+
+
+@dataclass(frozen=True)
+class Viewshed:
+    """What an eye sees; made with ``viewshed``, looked at when it is asked for.
+
+    Attributes:
+        grid: of the result: the terrain's, or its part within the radius.
+        row, col: the first sample of ``grid`` in the terrain.
+        point: (easting, northing) of the eye; ground: the height of the ground there; eye, target: metres above it.
+        radius: metres, true; None: no limit. bend: c, per metre.
+        heights: whether the values are heights needed instead of 0 and 1.
+        quantum: metres to which apparent heights are held.
+        on_disk: whether they are in a scratch file.
+    """
+
+    grid: Grid
+    row: int
+    col: int
+    point: tuple[float, float]
+    ground: float
+    eye: float
+    target: float
+    radius: float | None
+    bend: float
+    heights: bool
+    quantum: float
+    on_disk: bool
+    _scene: _Scene = field(repr=False)
+
+    @property
+    def band(self) -> Band:
+        """What the values are, for a file."""
+        return NEEDED if self.heights else SEEN
+
+    def blocks(self, progress: Progress = SILENT) -> Iterator[tuple[int, int, Values]]:
+        """Look at the samples, block by block: (first row, first column, values (rows, cols) float32), once each."""
+        windows = list(rectangles(self.grid.shape, BLOCK, BLOCK))
+        with progress.task("Looking at the ground", total=len(windows)) as task:
+            for k, made in enumerate(map_ordered(self._block, windows, self._scene.jobs)):
+                yield made
+                task.advance()
+                if self._scene.release is not None and k % RELEASE == RELEASE - 1:
+                    self._scene.release()
+
+    def values(self, progress: Progress = SILENT) -> Values:
+        """All of it in memory: (rows, cols) float32."""
+        out = np.empty(self.grid.shape, np.float32)
+        for row, col, values in self.blocks(progress):
+            out[row : row + values.shape[0], col : col + values.shape[1]] = values
+        return out
+
+    def save(self, path: str | os.PathLike[str], progress: Progress = SILENT) -> dict[str, float]:
+        """Write a Cloud Optimized GeoTIFF of float32, and tell how much was seen (``summary``).
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        from orograph.lighting.sweep import curvature_of
+
+        told = Summary(self)
+        tags = {
+            "software": "orograph", "measure": "viewshed", "eye": f"{self.point[0]:.10g}, {self.point[1]:.10g}",
+            "eye_height": f"{self.eye:g} m", "target_height": f"{self.target:g} m",
+            "radius": "unlimited" if self.radius is None else f"{self.radius:g} m",
+            "refraction": f"{1 - self.bend / curvature_of(self.grid.crs, 0.0):.3f}" if self.bend else "flat",
+        }  # fmt: skip
+        blocks = ((0, row, col, values[None]) for row, col, values in told.over(self.blocks(progress)))
+        overviews = "average" if self.heights else "nearest"
+        write(path, self.grid, [self.band], blocks, overviews=overviews, tags=tags, jobs=self._scene.jobs,
+              progress=progress)  # fmt: skip
+        return told.result()
+
+    def _block(self, window: tuple[int, int, int, int]) -> tuple[int, int, Values]:
+        from orograph.measuring.viewshed_kernels import look
+
+        row, _, col, _ = window
+        s = self._scene
+        dr, dc = self.row - s.row, self.col - s.col
+        window = (window[0] + dr, window[1] + dr, window[2] + dc, window[3] + dc)
+        out = np.empty((window[1] - window[0], window[3] - window[2]), np.float32)
+        per = 1.0 / self.quantum
+        far = None
+        if self.radius is not None:
+            far = s.distance2(*window) > self.radius**2
+            if far.all():
+                out[:] = np.nan
+                return row, col, out
+        look(
+            s.z, s.maxima, s.offset, s.per_row, s.x, s.y, 0.0 if self.heights else self.target * per,
+            np.sqrt(s.ratios(*window)), max(LEAST * per, 4.0), not self.heights, *window, out,
+        )  # fmt: skip
+        if self.heights:
+            out *= np.float32(self.quantum)
+        if far is not None:
+            out[far] = np.nan
+        return row, col, out
+
+
+class Summary:
+    """Counts what is seen while blocks go by."""
+
+    def __init__(self, shed: Viewshed) -> None:
+        self.cell = abs(shed.grid.transform.determinant)
+        self.heights = shed.heights
+        self.seen = self.known = 0
+
+    def over(self, blocks: Iterator[tuple[int, int, Values]]) -> Iterator[tuple[int, int, Values]]:
+        """The same blocks, counted."""
+        for row, col, values in blocks:
+            self.known += int(np.isfinite(values).sum())
+            self.seen += int((values <= 0).sum() if self.heights else (values > 0).sum())
+            yield row, col, values
+
+    def result(self) -> dict[str, float]:
+        """Samples looked at and seen, the fraction of them, and the area of the seen ones on the grid, m²."""
+        return {
+            "samples": self.known, "seen": self.seen, "seen_fraction": self.seen / max(self.known, 1),
+            "seen_grid_m2": self.seen * self.cell,
+        }  # fmt: skip
+
+
+@dataclass
+class _Scene:
+    """Apparent heights of a window, whose first sample is even, as the kernels take them."""
+
+    row: int
+    col: int
+    x: float
+    y: float
+    z: NDArray[np.int32]
+    maxima: NDArray[np.int32]
+    offset: NDArray[np.int64]
+    per_row: NDArray[np.int64]
+    form: Array
+    ratio: Array
+    rx: tuple[float, float]
+    ry: tuple[float, float]
+    jobs: int
+    release: Callable[[], None] | None
+
+    def distance2(self, row0: int, row1: int, col0: int, col1: int) -> Array:
+        """Squared true distances (metres²) of a window's samples from the eye."""
+        dx, dy = np.meshgrid(np.arange(col0, col1) - self.x, np.arange(row0, row1) - self.y)
+        a, b, c = self.form[0, 0], self.form[0, 1], self.form[1, 1]
+        return np.asarray(self.ratios(row0, row1, col0, col1) * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
+
+    def ratios(self, row0: int, row1: int, col0: int, col1: int) -> Array:
+        """r: true squared distance by the quadratic form's, at a window's samples."""
+        fx, fy = (np.arange(col0, col1) - self.rx[0]) / self.rx[1], (np.arange(row0, row1) - self.ry[0]) / self.ry[1]
+        kx, ky = (np.clip(np.floor(f), 0, LATTICE - 2).astype(int) for f in (fx, fy))
+        rows = self.ratio[ky] + (fy - ky)[:, None] * (self.ratio[ky + 1] - self.ratio[ky])
+        return np.asarray(rows[:, kx] + (fx - kx) * (rows[:, kx + 1] - rows[:, kx]))
+
+
+def viewshed(
+    terrain: Terrain,
+    point: ArrayLike,
+    eye_height: float = 1.7,
+    target_height: float = 0.0,
+    *,
+    radius: float | None = None,
+    curvature: bool = True,
+    refraction: float = REFRACTION,
+    heights: bool = False,
+    max_memory: int = MEMORY,
+    jobs: int | None = None,
+    progress: Progress = SILENT,
+) -> Viewshed:
+    """What is seen from a point.
+
+    Args:
+        point: easting and northing of the eye, anywhere on the terrain.
+        eye_height, target_height: metres above the ground.
+        radius: true metres beyond which nothing is looked at; None: all of the terrain.
+        curvature, refraction: as for ``line_of_sight``.
+        heights: find the height that a target needs to be seen at each sample, instead of whether it is.
+        max_memory: bytes; apparent heights that take more than a third of them are in a scratch file.
+
+    Returns:
+        a ``Viewshed``: ``values()`` or ``save(path)`` look.
+
+    Raises:
+        UsageError: the point is not on the terrain or in a hole; a height or the radius is negative.
+        OutputError: the temporary folder has no room. DamagedChunkError: a chunk of a store fails its checksum.
+    """
+    check_heights(**{"eye's height": eye_height, "target's height": target_height})
+    if radius is not None and not (radius > 0 and math.isfinite(radius)):
+        raise UsageError(f"The radius is a positive number of metres, not {radius!r}.")
+    if heights and target_height:
+        raise UsageError("The heights that targets need are asked for, so that a target's height has no meaning.")
+    places = Places(terrain)
+    points = places.points(point)
+    if len(points) != 1:
+        raise UsageError(f"A viewshed is that of one point, not of {len(points)}.")
+    x, y = places.samples(points)[0]
+    ground = float(surface(terrain, np.array([x]), np.array([y]))[0])
+    if math.isnan(ground):
+        raise UsageError(
+            f"The point {points[0][0]:.10g}, {points[0][1]:.10g} is in a hole: no ground is known there.",
+            remedy="Choose another point.",
+        )
+    bend = bend_of(places, points[0], curvature, refraction)
+    row0, row1, col0, col1 = _window(places, points[0], x, y, radius)
+    frame = (row0 & ~1, min(row1 + 1, terrain.grid.rows), col0 & ~1, min(col1 + 1, terrain.grid.cols))
+    scene, quantum, on_disk = _scene(
+        places, points[0], (x, y), ground, eye_height, bend, frame, max_memory, jobs or cpu_count(), progress
+    )
+    return Viewshed(
+        terrain.grid.window(row0, row1, col0, col1), row0, col0, (float(points[0][0]), float(points[0][1])), ground,
+        float(eye_height), float(target_height), radius, bend, heights, quantum, on_disk, scene,
+    )  # fmt: skip
+
+
+def _form(places: Places, point: Array) -> Array:
+    """(2, 2): true metres² of a step in samples (columns, rows), by the metric at a point (2,)."""
+    return np.asarray(places.linear.T @ places.metric(point[None])[0] @ places.linear)
+
+
+def _ratios(places: Places, point: Array, x: float, y: float, cols: Array, rows: Array) -> Array:
+    """(rows, cols): squared geodesic distance from the eye by the quadratic form, on a lattice of samples."""
+    u, v = (a.ravel() for a in np.meshgrid(cols, rows))
+    form = _form(places, point)
+    step = np.stack([u - x, v - y])
+    squared = np.einsum("in,ij,jn->n", step, form, step)
+    if places.geod is None:
+        return np.ones((len(rows), len(cols)))
+    at = np.stack(places.grid.xy(u, v), axis=-1)
+    there, here = places.geodetic(at, strict=False), places.geodetic(point[None])[0]
+    _, _, metres = places.geod.inv(np.full(len(u), here[0]), np.full(len(u), here[1]), there[:, 0], there[:, 1])
+    # Too near for a quotient the form is as good; where the projection does not reach there is nothing better.
+    form_only = (squared < 1e4) | ~np.isfinite(metres)
+    out: Array = np.where(form_only, 1.0, np.where(form_only, 1.0, metres) ** 2 / np.where(form_only, 1.0, squared))
+    return np.clip(out.reshape(len(rows), len(cols)), *EXTREMES)
+
+
+def _window(places: Places, point: Array, x: float, y: float, radius: float | None) -> tuple[int, int, int, int]:
+    """Samples (row0, row1, col0, col1) within the radius, and a few more."""
+    rows, cols = places.grid.shape
+    if radius is None:
+        return 0, rows, 0, cols
+    ratio = _ratios(places, point, x, y, np.linspace(0, cols - 1, LATTICE), np.linspace(0, rows - 1, LATTICE))
+    inverse = np.linalg.inv(_form(places, point))
+    reach = radius / math.sqrt(float(ratio.min())) * np.sqrt(np.diag(inverse)) * 1.001
+    return (
+        max(math.floor(y - reach[1]), 0), min(math.ceil(y + reach[1]) + 1, rows),
+        max(math.floor(x - reach[0]), 0), min(math.ceil(x + reach[0]) + 1, cols),
+    )  # fmt: skip
+
+
+def _scene(
+    places: Places, point: Array, at: tuple[float, float], ground: float, eye: float, bend: float,
+    frame: tuple[int, int, int, int], max_memory: int, jobs: int, progress: Progress,
+) -> tuple[_Scene, float, bool]:  # fmt: skip
+    """Apparent heights and their pyramid; the quantum; whether they are on disk."""
+    from orograph.measuring.viewshed_kernels import first_level, lower, next_level
+
+    terrain = places.terrain
+    row0, row1, col0, col1 = frame
+    rows, cols = row1 - row0, col1 - col0
+    lattice_x, lattice_y = np.linspace(0, cols - 1, LATTICE), np.linspace(0, rows - 1, LATTICE)
+    ratio = _ratios(places, point, *at, lattice_x + col0, lattice_y + row0)
+    form = _form(places, point)
+    corners = np.array([[c - at[0], r - at[1]] for c in (col0, col1 - 1) for r in (row0, row1 - 1)])
+    farthest = float(ratio.max() * np.einsum("ni,ij,nj->n", corners, form, corners).max())
+    low, high = terrain.height_range
+    reach = (high - low + eye + 0.5 * bend * farthest + 1.0) / math.sqrt(float(ratio.min()))
+    quantum = 2.0 ** max(-FINEST, math.ceil(math.log2(reach)) - 30)
+    shapes: list[tuple[int, int]] = []
+    nodes = rows - 1, cols - 1
+    while max(nodes) > 1 or not shapes:
+        nodes = -(-nodes[0] // 2), -(-nodes[1] // 2)
+        shapes.append(nodes)
+    sizes = [r * c for r, c in shapes]
+    total = 4 * (rows * cols + sum(sizes))
+    on_disk = 3 * total > max_memory
+    release: Callable[[], None] | None = None
+    if on_disk:
+        space, release = scratch(total)
+        pool = space.view(np.int32)
+    else:
+        pool = np.empty(total // 4, np.int32)
+    z = pool[: rows * cols].reshape(rows, cols)
+    maxima = pool[rows * cols :]
+    offset = np.concatenate([[-1, 0], np.cumsum(sizes)[:-1]]).astype(np.int64)
+    per_row = np.array([cols - 1, *(c for _, c in shapes)], np.int64)
+    rx, ry = (0.0, (cols - 1) / (LATTICE - 1)), (0.0, (rows - 1) / (LATTICE - 1))
+
+    def fill(window: tuple[int, int, int, int]) -> None:
+        a, b, c, d = window
+        part = np.ascontiguousarray(terrain.read(0, row0 + a, row0 + b, col0 + c, col0 + d))
+        lower(
+            part, ground + eye, 1.0 / quantum, bend, form[0, 0], form[0, 1], form[1, 1], col0 + c - at[0],
+            row0 + a - at[1], ratio, (rx[0] - c, rx[1]), (ry[0] - a, ry[1]), z[a:b, c:d],
+        )  # fmt: skip
+
+    windows = list(rectangles((rows, cols), TILE, 16 * TILE))
+    with progress.task("Reading heights", total=len(windows)) as task:
+        for k, _ in enumerate(map_ordered(fill, windows, jobs)):
+            task.advance()
+            if release is not None and k % 16 == 15:
+                release()
+    levels = [maxima[o : o + s].reshape(shape) for o, s, shape in zip(offset[1:], sizes, shapes)]
+    for fine, coarse in pairwise([z, *levels]):
+        kernel = first_level if fine is z else next_level
+        strips = [(r, min(r + TILE, len(coarse))) for r in range(0, len(coarse), TILE)]
+        for _ in map_ordered(lambda s: kernel(fine, coarse, *s), strips, jobs):  # noqa: B023 (used at once)
+            if release is not None:
+                release()
+    scene = _Scene(
+        row0, col0, at[0] - col0, at[1] - row0, z, maxima, offset, per_row, form, ratio, rx, ry, jobs, release
+    )
+    return scene, quantum, on_disk
+
+
+def summary(shed: Viewshed, values: Values) -> dict[str, Any]:
+    """How much of a viewshed in memory is seen (see ``Summary.result``)."""
+    told = Summary(shed)
+    for _ in told.over(iter([(0, 0, values)])):
+        pass
+    return told.result()

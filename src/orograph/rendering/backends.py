@@ -1,0 +1,71 @@
+"""What draws a scene: the CPU caster, or a later layer's renderer, known by name and imported when asked for."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from orograph.errors import OrographError, UsageError
+from orograph.progress import SILENT, Progress
+from orograph.rendering.picture import Picture
+from orograph.scene.scene import Scene
+
+BACKENDS = {"cpu": "orograph.rendering.cpu.draw", "gpu": "orograph.rendering.gpu.draw"}
+"""Name to the module whose ``draw`` makes a picture of a scene."""
+
+NO_GPU = 6
+"""Exit code of the error that says that there is no GPU."""
+
+Session = Callable[[Scene], Picture]
+"""Draws scene after scene of one terrain: what they have in common is made once."""
+
+
+class Draw(Protocol):
+    """Draws a scene; further arguments are a backend's own."""
+
+    def __call__(self, scene: Scene, progress: Progress = ..., **own: Any) -> Picture: ...
+
+
+def backend_of(name: str) -> Draw:
+    """The function that draws with a backend.
+
+    Raises:
+        UsageError: there is no backend of that name.
+    """
+    if name not in BACKENDS:
+        raise UsageError(f"There is no backend {name!r}; there are {', '.join(BACKENDS)}.")
+    draw: Draw = importlib.import_module(BACKENDS[name]).draw
+    return draw
+
+
+def draw(scene: Scene, progress: Progress = SILENT, *, backend: str = "cpu") -> Picture:
+    """Draw a scene; where there is no GPU the CPU draws the same picture, with a warning.
+
+    Raises: as the backend's ``draw``.
+    """
+    try:
+        return backend_of(backend)(scene, progress)
+    except OrographError as error:
+        if backend == "cpu" or error.exit_code != NO_GPU:
+            raise
+        progress.warn(f"{error} The CPU draws the picture instead.")
+        return backend_of("cpu")(scene, progress)
+
+
+def session(progress: Progress = SILENT, *, backend: str = "cpu") -> Session:
+    """What draws many pictures of one terrain, such as a movie's frames; without a GPU, the CPU, with a warning.
+
+    Each picture is complete and the same whatever was drawn before it.
+
+    Raises: as ``backend_of``.
+    """
+    backend_of(backend)
+    try:
+        found: Session = importlib.import_module(BACKENDS[backend]).session()
+        return found
+    except OrographError as error:
+        if backend == "cpu" or error.exit_code != NO_GPU:
+            raise
+        progress.warn(f"{error} The CPU draws the pictures instead.")
+        return session(progress)

@@ -1,0 +1,181 @@
+"""One sheet that shows what several engines made of the same terrain from the same camera: their meshes side by side.
+
+Each panel is a picture of its own: the mesh, refined for the panel's pixels, under light relief, its edges as thin
+lines; above it the engine's name and what the referee found. The panels of a row are as wide as the sheet allows and
+have the view's proportions. Units: pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.lighting.sun import Sun
+from orograph.rendering.cpu.draw import draw
+from orograph.rendering.furniture.lettering import Style, cut, length, set_type
+from orograph.scene.camera import direction, ground, outline, whole
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
+from orograph.viewpoint import View
+
+Pixels = NDArray[np.uint8]
+
+SHEET = (255, 255, 255)
+INK, GREY, ALARM = (28, 30, 36), (96, 98, 104), (176, 42, 30)
+HAIR = (190, 190, 186)
+WIDTH, ALONE = 1600, 1000
+"""Of a sheet, and of one with a single panel."""
+
+MARGIN, GAP = 30, 22
+
+LOW, ASIDE = 9.0, 215.0
+"""Pitch and side, in degrees, of the low oblique among the usual views."""
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One engine's part of the sheet.
+
+    Attributes:
+        title: the engine's name. mesh: for the panel's view; None shows the terrain itself.
+        lines: what is said of it, each a line. alarm: whether the last of them says that something is wrong.
+    """
+
+    title: str
+    mesh: Tessellation | None
+    lines: tuple[str, ...]
+    alarm: bool = False
+
+
+def usual_views(terrain: Terrain, size: tuple[int, int] = (1280, 720), exaggeration: float = 1.0) -> dict[str, View]:
+    """Views that show what engines differ in, by name: all of the terrain; low over it; straight down onto its middle.
+
+    Args:
+        size: (width, height) in pixels. exaggeration: heights are stretched by this on the screen.
+
+    Raises:
+        NothingInViewError: no sample is valid.
+    """
+    points = outline(terrain)
+    low, high = points[:, :2].min(0), points[:, :2].max(0)
+    span = float(np.linalg.norm(high - low))
+    middle = (low + high) / 2
+    default = float(np.median(points[:, 2]))
+    target = np.array([*middle, ground(terrain, middle[0], middle[1], default)])
+    forward = direction(ASIDE, LOW)
+    eye = target - 0.4 * span * forward
+    # A tenth of the way up from the ground below, at least, or a ridge may stand before the eye.
+    eye[2] = max(eye[2], ground(terrain, eye[0], eye[1], default) + 0.04 * span / exaggeration)
+    above = target + np.array([0.0, 0.0, 0.45 * float(np.min(high - low)) / exaggeration])
+    above[2] = max(above[2], terrain.height_range[1] + 0.1 * span / exaggeration)
+    return {
+        "overview": whole(terrain, size, azimuth=200.0, pitch=35.0, exaggeration=exaggeration),
+        "low oblique": View(tuple(eye), tuple(target), fov_y=50.0, width=size[0], height=size[1]),
+        "straight down": View(tuple(above), tuple(target), (0.0, 1.0, 0.0), 60.0, size[0], size[1]),
+    }
+
+
+def columns(count: int) -> int:
+    """Panels in a row, of so many."""
+    return 1 if count == 1 else 3 if count == 3 or count > 6 else 2
+
+
+def sheet_width(count: int) -> int:
+    """Pixels across a sheet of so many panels."""
+    return ALONE if count == 1 else WIDTH
+
+
+def panel_view(view: View, count: int) -> View:
+    """The view in the size it has as one of ``count`` panels on a sheet."""
+    wide = (sheet_width(count) - 2 * MARGIN - (columns(count) - 1) * GAP) // columns(count)
+    return view.resized(wide, max(1, round(wide * view.height / view.width)))
+
+
+def sheet(
+    terrain: Terrain,
+    view: View,
+    panels: Sequence[Panel],
+    *,
+    title: str,
+    note: str,
+    exaggeration: float = 1.0,
+    jobs: int | None = None,
+) -> Pixels:
+    """The sheet, (height, width, 3) uint8 sRGB.
+
+    Args:
+        terrain: of which the meshes are.
+        view: of every panel (``panel_view``).
+        panels: at least one.
+        title: above all. note: below all, in small type.
+        exaggeration: as the meshes'.
+        jobs: threads.
+
+    Raises:
+        UsageError: the meshes' surfaces do not fit into memory.
+        NothingInViewError: no ground is in view.
+    """
+    from PIL import Image
+
+    width = sheet_width(len(panels))
+    across = columns(len(panels))
+    down = -(-len(panels) // across)
+    if len(panels) < across * down:  # what is free shows what the meshes are of
+        rows, cols = terrain.grid.shape
+        panels = [*panels, Panel("the terrain", None, (f"{cols:,} × {rows:,} samples", "no mesh"))]
+    words = " ".join([title, note, *(t for p in panels for t in (p.title, *p.lines))])
+    style = Style(18.0, Style.of((width, width), words).face)
+    head, name, small, tiny = (style.font(s) for s in (1.5, 1.12, 0.86, 0.8))
+    lead = 23
+    most = max(len(p.lines) for p in panels)
+    caption = 30 + lead * most
+    top = MARGIN + 52
+    tall = top + down * (caption + view.height) + (down - 1) * 1.3 * GAP + 52
+    page = Image.new("RGB", (width, math.ceil(tall)), SHEET)
+    set_type(page, (MARGIN, MARGIN + 20), cut(style.text(title), head, width - 2 * MARGIN, style), head, INK, "ls")
+    for k, panel in enumerate(panels):
+        x = MARGIN + (k % across) * (view.width + GAP)
+        y = round(top + (k // across) * (caption + view.height + 1.3 * GAP))
+        set_type(page, (x, y + 20), style.text(panel.title), name, INK, "ls")
+        for i, line in enumerate(panel.lines):
+            colour = ALARM if panel.alarm and i == len(panel.lines) - 1 else GREY
+            words = cut(style.text(line), small, view.width, style)
+            set_type(page, (x, y + 20 + lead * (i + 1)), words, small, colour, "ls")
+        picture = Image.fromarray(_picture(terrain, view, panel.mesh, exaggeration, jobs))
+        page.paste(HAIR, (x - 1, y + caption - 1, x + view.width + 1, y + caption + view.height + 1))
+        page.paste(picture, (x, y + caption))
+    words = style.text(note)
+    fitted = tiny if length(tiny, words) <= width - 2 * MARGIN else style.font(0.68)
+    set_type(page, (MARGIN, page.height - 24), cut(words, fitted, width - 2 * MARGIN, style), fitted, GREY, "ls")
+    return np.asarray(page, np.uint8).copy()
+
+
+def _picture(terrain: Terrain, view: View, mesh: Tessellation | None, exaggeration: float, jobs: int | None) -> Pixels:
+    """A mesh with its edges over the terrain's relief, or the terrain alone."""
+    scene = Scene(
+        terrain, view, Sun(315.0, 50.0), shadows=False, exaggeration=exaggeration, jobs=jobs,
+        engine=None if mesh is None else mesh.stats["engine"], wireframe=mesh is not None,
+    )  # fmt: skip
+    return draw(scene, mesh=mesh).pixels
+
+
+def caption(stats: dict[str, Any], largest: float) -> tuple[tuple[str, ...], bool]:
+    """What is said of a mesh, and whether it is an alarm: size and metric, then the error and the promise.
+
+    Args:
+        stats: the tessellation's. largest: pixels, by the referee.
+    """
+    first = f"{stats['triangles']:,} triangles · {stats['error']} error · {stats['metric']} metric"
+    reached = f"largest error {largest:.2f} px" if math.isfinite(largest) else "error beyond any bound"
+    promised = stats["tolerance"]
+    if not stats["conservative"] or promised is None:
+        return (first, f"{reached} · promises nothing"), promised is not None and largest > promised
+    if largest <= promised * (1 + 1e-9):
+        return (first, f"{reached} · within the promised {promised:.3g} px"), False
+    return (first, f"{reached} · promised {promised:.3g} px"), True

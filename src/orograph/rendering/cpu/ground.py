@@ -1,0 +1,285 @@
+"""What is known at the points where rays meet the ground: position, slope at the pixel's scale, light there.
+
+Everything here is asked by blocks of samples from several threads. Positions are kept twice: in sample coordinates (for
+the caster and the rasters) and in the terrain's CRS (for drapes). Slopes and normals are those of the stretched ground,
+since that is what light falls on in the picture; heights stay true.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis.missing import patches
+from orograph.lighting.relief import Relief
+from orograph.lighting.sun import Sun
+from orograph.memo import Kept
+from orograph.raycast.caster import Caster
+from orograph.raycast.kernels import BLOCK_X, BLOCK_Y
+from orograph.raycast.select import Rectangle, load, rectangles
+from orograph.rendering.cpu.kernels import beginnings, ends, footprints, incidence
+from orograph.rendering.lines.silhouettes import terrain_ends
+from orograph.rendering.memory import BYTES_PER_PIXEL, band_pixels
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+COARSEST = 1000.0
+"""Pixels of tolerance beyond which nothing is left to be gained."""
+
+
+FARTHEST = 1e13
+"""Metres that rays go at most."""
+
+FIXED_MEMORY = 300 << 20
+"""Bytes a picture takes whatever the terrain: the interpreter and its libraries, maps of light, blocks of samples."""
+
+LEAST_MEMORY = 24 << 20
+"""Bytes of heights that are loaded even where --max-memory leaves no room for them."""
+
+Area = tuple[int, int, int, int]
+"""Pixels of the whole picture: the first row, that after the last, the first column, that after the last."""
+
+
+def fixed_memory(scene: Scene) -> int:
+    """Bytes that drawing a scene takes besides its heights."""
+    _, _, width, height = scene.view.frame
+    pixels = width * height
+    if scene.view.part is not None:  # the same for all tiles, so that all are drawn from the same heights
+        pixels = min(pixels, band_pixels(scene.max_memory))
+    return FIXED_MEMORY + BYTES_PER_PIXEL * pixels
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """Samples of a picture (n,), NaN where no ground was met.
+
+    Attributes:
+        t: (n,) view-space depth.
+        points: (n, 3) sample coordinates and true height.
+        rays: (n, 3) unit directions in stretched CRS space, of all samples.
+        width: (n,) of a pixel on the ground, in samples.
+        window: (n,) of the caster, −1 where no ground was met.
+        veil: (n,) depth of a patch over missing data in front of what was met, NaN where there is none.
+    """
+
+    t: Array
+    points: Array
+    rays: Array
+    width: Array
+    window: NDArray[np.int8]
+    veil: Array
+
+
+class Rays:
+    """A scene's camera against its caster."""
+
+    def __init__(self, scene: Scene, caster: Caster, patches: Caster | None) -> None:
+        self.scene, self.caster, self.patches = scene, caster, patches
+        self.single = copy.copy(caster)
+        self.single.jobs = 1
+        view, grid = scene.view.whole, scene.terrain.grid
+        self.view = view
+        self.basis = view.ray_basis(scene.exaggeration)
+        inverse = ~grid.samples
+        self.linear = np.array([[inverse.a, inverse.b, 0.0], [inverse.d, inverse.e, 0.0], [0.0, 0.0, 1.0]])
+        self.offset = np.array([inverse.c, inverse.f, 0.0])
+        self.spacing = math.sqrt(abs(grid.transform.determinant))
+        self.far = min(view.far, FARTHEST)
+
+    def first(self, area: Area) -> tuple[Array, NDArray[np.int8], Array]:
+        """Depth, window and veil (see ``Hits``), each (rows, cols), of the rays through the pixel centres of an area of
+        the whole picture."""
+        t, window = self._pixels(self.caster, area)
+        return t, window, self._veil(t, lambda: self._pixels(self.patches, area)[0])
+
+    def cast(self, px: Array, py: Array) -> tuple[Array, NDArray[np.int8], Array]:
+        """Depth, window and veil of rays through arbitrary pixel positions (n,), in the calling thread."""
+        t, window = self._positions(px, py, self.single)
+        return t, window, self._veil(t, lambda: self._positions(px, py, self.patches)[0])
+
+    def positions(self, px: Array, py: Array) -> tuple[Array, NDArray[np.int8]]:
+        """Depth and window of rays through arbitrary pixel positions (n,), by all threads."""
+        return self._positions(px, py, self.caster)
+
+    def _veil(self, t: Array, patch_depth: Callable[[], Array]) -> Array:
+        if self.patches is None:
+            return np.full(t.shape, np.nan)
+        veil = patch_depth()
+        veil[t <= veil] = np.nan  # false where nothing else was met
+        return veil
+
+    def _pixels(self, caster: Caster | None, area: Area) -> tuple[Array, NDArray[np.int8]]:
+        assert caster is not None
+        view = self.view
+        top, bottom, left, right = area
+        o0, _, _, d0, du, dv = self.basis
+        if view.projection == "perspective":
+            # Whole blocks of the caster are the same to the bit in every area.
+            y0, x0 = top // BLOCK_Y * BLOCK_Y, left // BLOCK_X * BLOCK_X
+            y1, x1 = min(-(-bottom // BLOCK_Y) * BLOCK_Y, view.height), min(-(-right // BLOCK_X) * BLOCK_X, view.width)
+            t, window = caster.cast_pinhole(
+                self.linear @ o0 + self.offset, self.linear @ (d0 + 0.5 * (du + dv)), self.linear @ du,
+                self.linear @ dv, (view.height, view.width), view.near, self.far, (y0, y1, x0, x1),
+            )  # fmt: skip
+            inner = slice(top - y0, bottom - y0), slice(left - x0, right - x0)
+            return np.ascontiguousarray(t[inner]), np.ascontiguousarray(window[inner])
+        t, window = np.empty((bottom - top, right - left)), np.empty((bottom - top, right - left), np.int8)
+        px = np.arange(left, right) + 0.5
+        for row in range(0, bottom - top, 64):
+            py = np.arange(top + row, min(top + row + 64, bottom)) + 0.5
+            u, v = (a.ravel() for a in np.meshgrid(px, py))
+            a, b = self._positions(u, v, caster)
+            t[row : row + 64], window[row : row + 64] = a.reshape(len(py), -1), b.reshape(len(py), -1)
+        return t, window
+
+    def _positions(self, px: Array, py: Array, caster: Caster | None) -> tuple[Array, NDArray[np.int8]]:
+        assert caster is not None
+        origins, directions = np.empty((len(px), 3)), np.empty((len(px), 3))
+        beginnings(px, py, *self.basis, self.linear, self.offset, origins, directions)
+        return caster.cast(origins, directions, self.view.near, self.far)
+
+    def meet(self, px: Array, py: Array, t: Array, window: NDArray[np.int8], veil: Array) -> Hits:
+        """Positions of the samples at pixel positions (n,) with depths t (n,)."""
+        view = self.view
+        parallel = view.projection == "plan"
+        points, rays, width = np.empty((len(px), 3)), np.empty((len(px), 3)), np.empty(len(px))
+        ends(
+            px, py, t, *self.basis, self.linear, self.offset, self.scene.exaggeration,
+            view.pixel_metres if parallel else view.pixel_slope, parallel, self.spacing, points, rays, width,
+        )  # fmt: skip
+        return Hits(t, points, rays, width, window, veil)
+
+
+class Ground:
+    """The caster and relief a scene needs, loaded within its budget of memory.
+
+    Attributes:
+        relief: of the surface that light falls on. drawn: of the surface that rays meet. own: of a mesh with
+            silhouettes, of the terrain itself, whose creases it has; else as relief.
+        bare: the scene; of a mesh, that of the terrain itself, whose tint, water and strength of relief it has, too.
+        under: of a mesh with contour lines, the ground of the terrain itself, which those are of; else None.
+    """
+
+    def __init__(self, scene: Scene, surface: Terrain, windows: list[Rectangle], tolerance: float, kept: Kept) -> None:
+        terrain = scene.terrain
+        self.scene, self.tolerance = scene, tolerance
+        self.bare = scene
+        self.under: Ground | None = None
+        self.windows = windows
+        shape, jobs = terrain.grid.shape, scene.jobs
+        self.caster = kept(
+            "caster", (tuple(windows), jobs), lambda: Caster(load(surface, windows, jobs), shape, jobs), surface
+        )
+        means = rectangles(terrain, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
+        self.relief = kept("relief", tuple(means), lambda: Relief.load(terrain, means, jobs), terrain)
+        self.drawn = self.own = self.relief
+        over = None
+        if terrain.valid_fraction < 1:
+            found = kept("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
+            over = kept("over", jobs, lambda: Caster(found, shape, jobs), found) if found else None
+        self.rays = Rays(scene, self.caster, over)
+        if scene.silhouettes is not None:
+            self.ends = kept("ends", shape, lambda: terrain_ends(terrain), terrain)  # for silhouettes
+        grid = terrain.grid
+        linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
+        self.linear = linear  # metres east and north per column and per row
+        self.to_world = np.linalg.inv(linear).T  # gradients per sample → gradients per metre
+        self.to_samples = np.linalg.inv(linear)
+
+    @classmethod
+    def load(
+        cls, scene: Scene, surface: Terrain | None = None, kept: Kept | None = None, bare: Scene | None = None
+    ) -> Ground:
+        """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed.
+
+        Args:
+            surface: what rays meet, if not the terrain itself (on the same grid); light falls on the terrain's slopes.
+            kept: what earlier pictures left.
+            bare: of a mesh, the scene of the terrain itself, which contour lines are of.
+        """
+        kept = Kept() if kept is None else kept
+        if bare is not None:
+            both = scene.contours is not None
+            half = (scene.max_memory + fixed_memory(scene)) // 2 if both and scene.max_memory else scene.max_memory
+            ground = cls.load(replace(scene, contours=None, max_memory=half), surface, kept)
+            ground.bare = bare
+            if scene.silhouettes is not None and scene.terrain is not bare.terrain:
+                means = rectangles(bare.terrain, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
+                ground.own = kept(
+                    "own relief", tuple(means), lambda: Relief.load(bare.terrain, means, scene.jobs), bare.terrain
+                )
+            if not both:
+                return ground
+            ground.under = cls.load(replace(bare, max_memory=half), None, kept)
+            if surface is not None and surface is not scene.terrain:
+                means = rectangles(surface, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
+                ground.drawn = kept("relief", tuple(means), lambda: Relief.load(surface, means, scene.jobs), surface)
+            return ground
+        terrain = scene.terrain if surface is None else surface
+        rows, cols = terrain.grid.shape
+        tolerance, by = scene.pixel_tolerance, "error"
+        if scene.contours is not None and tolerance > 0:
+            if scene.view.projection == "plan":  # heights move nothing but lines: samples as fine as pixels
+                tolerance, by = 0.7, "spacing"
+            else:
+                tolerance *= scene.contours.finer(terrain, scene.view.whole, kept)
+        # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together, the means.
+        bytes_per_sample = 4 * (1 + 5 / 12) + 4 + 4
+        budget = math.inf if scene.max_memory is None else max(scene.max_memory - fixed_memory(scene), LEAST_MEMORY)
+        if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
+            return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0, kept)
+        tolerance = tolerance or 0.05
+        while True:
+            chosen = rectangles(terrain, scene.view.whole, scene.exaggeration, tolerance, by=by)
+            fits = sum(r.samples for r in chosen) * bytes_per_sample <= budget
+            # Ground about the eye is wanted exactly at any tolerance; that much is drawn whatever the budget.
+            if fits or tolerance > COARSEST or chosen[-1].level == terrain.levels - 1:
+                return cls(scene, terrain, chosen, tolerance, kept)
+            tolerance *= 1.25
+
+    def incidence(self, hits: Hits, to_sun: Array, strength: float) -> tuple[Array, Array]:
+        """Cosine of the sun's angle of incidence (n,), not below 0, and the upward part of the normal (n,).
+
+        Slopes are averaged over each pixel, and multiplied by the exaggeration and ``strength``.
+        """
+        gradient = self.relief.gradient(hits.points, hits.width)
+        cosine, tilt = np.empty(len(gradient)), np.empty(len(gradient))
+        incidence(gradient, self.to_world, self.scene.exaggeration * strength, to_sun, cosine, tilt)
+        return cosine, tilt
+
+    def footprints(self, hits: Hits, px: Array, py: Array) -> tuple[Array, Array]:
+        """What pixels cover of the ground (n, 4) and the least width (n,) of that, metres (``kernels.footprints``)."""
+        rays, view, n = self.rays, self.rays.view, len(px)
+        gradient = self.relief.gradient(hits.points, hits.width)
+        slope = np.asarray(gradient, np.float64) @ self.to_world.T
+        ground, least = np.empty((n, 4)), np.empty(n)
+        parallel = view.projection == "plan"
+        footprints(
+            px, py, hits.t, *rays.basis, self.scene.exaggeration,
+            view.pixel_metres if parallel else view.pixel_slope, parallel, slope, ground, least,
+        )  # fmt: skip
+        return ground, least
+
+    def skyline(self, hits: Hits, sun: Sun, which: NDArray[np.int64]) -> Array:
+        """tan of the horizon's angle towards the sun on the stretched ground, clamped just around the sun's disc, for
+        the hits in ``which``."""
+        radius = sun.diameter / 2
+        low = math.tan(math.radians(max(sun.altitude - radius, -89.0)))
+        high = math.tan(math.radians(min(sun.altitude + radius, 89.9)))
+        a = math.radians(sun.azimuth)
+        step = self.to_samples @ [math.sin(a), math.cos(a)]
+        x, skip = self.scene.exaggeration, self.skip(hits, which)
+        return self.rays.single.skyline(hits.points[which], (step[0], step[1]), skip, low / x, high / x) * x
+
+    def skip(self, hits: Hits, which: NDArray[np.int64]) -> Array:
+        """Metres around the hits in ``which`` where their own facet would shade them and the normal decides instead; a
+        pixel limits detail as well."""
+        scale = 2.0 ** np.array([w.level for w in self.caster.stack.windows])
+        return np.asarray(np.maximum(scale[hits.window[which]], np.minimum(hits.width[which], 4.0)) * self.rays.spacing)

@@ -1,0 +1,140 @@
+"""Maps of light and water over the ground in view, made once for a picture and looked up by its pixels.
+
+A sky-view factor is smooth: it is swept on a grid of at most ``WORKING`` samples over what is seen, of the level whose
+samples are about a pixel large, with the whole terrain around it at that level or coarser as horizon.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.lighting.horizon import sky_view
+from orograph.memo import Kept
+from orograph.rendering.cpu.ground import Ground
+from orograph.rendering.cpu.kernels import SHORE
+from orograph.rendering.cpu.survey import Survey
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+
+Array = NDArray[np.float64]
+
+WORKING = 1_500_000
+"""Samples of a map of light."""
+
+AZIMUTHS = 16
+
+TYPICAL_SLOPE = 0.42
+"""Slope (rise over run) that four fifths of the ground should not exceed once strengthened."""
+
+MOST_STRENGTH = 6.0
+
+
+class MapGrid:
+    """Sky-view factor and water, bilinear.
+
+    Attributes:
+        window: level, first row, row after the last, first column, column after it.
+        sky_view, water: (rows, cols) float32, samples of 2^level = ``scale``, first (row0, col0); water may be empty.
+            Water is where the water field, interpolated, is above 0.5. The sky is swept for the light "relief" only.
+        strength: by how much slopes are strengthened for shading unless the scene says.
+        water_fraction: of the working grid.
+    """
+
+    def __init__(self, scene: Scene, ground: Ground, survey: Survey, kept: Kept) -> None:
+        terrain = scene.terrain
+        self.window = window = working_window(terrain, survey.hits.points)
+        self.scale, self.row0, self.col0 = 2.0 ** window[0], window[1], window[3]
+        level, r0, r1, c0, c1 = window
+        t = terrain.grid.transform
+        linear = np.array([[t.a, t.b], [t.d, t.e]]) * self.scale
+
+        def sky() -> NDArray[np.float32]:
+            heights = terrain.read_mean(level, r0, r1, c0, c1)
+            return sky_view(heights * np.float32(scene.exaggeration), linear, AZIMUTHS, jobs=scene.jobs)
+
+        known = window, scene.exaggeration
+        self.sky_view = kept("sky", known, sky, terrain) if scene.light == "relief" else np.empty((0, 0), np.float32)
+        self.strength = (
+            kept("strength", known, lambda: strength_of(ground.bare, window), ground.bare.terrain)
+            if scene.relief is None
+            else scene.relief
+        )
+        self.water, self.water_fraction = np.empty((0, 0), np.float32), 0.0
+        if scene.water is not None:
+            self.water, self.water_fraction = kept(
+                "water", (window, scene.water), lambda: _water(ground.bare, ground, window), ground.bare.terrain
+            )
+
+
+def working_window(terrain: Terrain, points: Array) -> tuple[int, int, int, int, int]:
+    """The working grid for ground in view: its level, first row, row after the last, first column, column after it.
+
+    It covers points (n, 2 or 3) in sample coordinates and a fifth of their extent around them, since what stands there
+    hides the sky too. Its borders lie at multiples of an eighth of its size: from frame to frame of a movie it mostly
+    stays what it is.
+    """
+    west, north = np.maximum(points[:, :2].min(0) - 8, 0)
+    east, south = points[:, :2].max(0) + 8
+    level = 0
+    band = 0.2 * max(east - west, south - north)
+    west, north = max(west - band, 0), max(north - band, 0)
+    east, south = min(east + band, terrain.grid.cols - 1), min(south + band, terrain.grid.rows - 1)
+    while level < terrain.levels - 1 and (east - west) * (south - north) / 4.0**level > WORKING:
+        level += 1
+    scale = 2.0**level
+    total_rows, total_cols = terrain.mean_shape(level)
+    size = max(east - west, south - north) / scale
+    grain = max(16, 1 << max(0, math.ceil(math.log2(max(size, 1.0) / 8))))
+    r0, c0 = int(north / scale) // grain * grain, int(west / scale) // grain * grain
+    r1 = min(-(-(int(south / scale) + 2) // grain) * grain, total_rows)
+    c1 = min(-(-(int(east / scale) + 2) // grain) * grain, total_cols)
+    return level, r0, r1, c0, c1
+
+
+def _water(scene: Scene, ground: Ground, window: tuple[int, int, int, int, int]) -> tuple[NDArray[np.float32], float]:
+    """The field of water over the working grid, (0, 0) if there is none, and the part of the grid that is water."""
+    from orograph.geovis.water import shore, water_in
+
+    level, r0, r1, c0, c1 = window
+    heights = scene.terrain.read_mean(level, r0, r1, c0, c1)
+    field: NDArray[np.floating] = np.empty((0, 0), np.float32)
+    if scene.water == "auto":
+        found = water_in(scene.terrain, ground.rays.spacing, level, r0, c0, heights)
+        if found.any():
+            field = shore(found)
+    else:
+        assert scene.water is not None
+        found = heights <= np.float32(scene.water)
+        # Linear in height, so that its contour is that of the ground; what has just this height is water.
+        if found.any():
+            field = np.where(np.isfinite(heights), np.float32(scene.water + 0.5 + SHORE) - heights, 0)
+    return field.astype(np.float32), float(found.mean()) if found.any() else 0.0
+
+
+def strength_of(scene: Scene, window: tuple[int, int, int, int, int]) -> float:
+    """How much slopes are strengthened for shading: 1 for rugged ground, more where a small scale or a gentle land
+    leaves little to see (cartographers' practice: relief is drawn for its form, Imhof 1965 ch. 8).
+
+    Args:
+        window: the ground, as ``working_window`` has it.
+    """
+    level, r0, r1, c0, c1 = window
+    heights = scene.terrain.read_mean(level, r0, r1, c0, c1)
+    t = scene.terrain.grid.transform
+    linear = np.array([[t.a, t.b], [t.d, t.e]]) * 2.0**level
+    rows, cols = heights.shape
+    if rows < 3 or cols < 3:
+        return 1.0
+    down, across = heights[1:, :-1] - heights[:-1, :-1], heights[:-1, 1:] - heights[:-1, :-1]
+    to_world = np.linalg.inv(linear).T
+    gx = to_world[0, 0] * across + to_world[0, 1] * down
+    gy = to_world[1, 0] * across + to_world[1, 1] * down
+    slope = np.sqrt(gx * gx + gy * gy)
+    slope = slope[np.isfinite(slope) & (slope > 0)]  # water is level and has no say
+    if slope.size == 0:
+        return 1.0
+    typical = float(np.percentile(slope, 80)) * scene.exaggeration
+    return float(np.clip(TYPICAL_SLOPE / max(typical, 1e-9), 1.0, MOST_STRENGTH))

@@ -1,0 +1,133 @@
+"""What is drawn on the ground besides its colour: contour lines and their labels, as ``scene.contours`` says them.
+
+Lines and labels lie on the ground: haze comes before them, and ground before them hides them. On a mesh of the terrain
+they are the terrain's own, laid over the mesh: its heights' would be as coarse as it is.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis.colour import srgb_to_linear
+from orograph.lighting.relief import Relief
+from orograph.memo import Kept
+from orograph.rendering.cpu.ground import Ground, Hits
+from orograph.rendering.cpu.mapgrid import MapGrid
+from orograph.rendering.lines.contour_kernels import AROUND, WIDE, line_cover, thin_out
+from orograph.rendering.lines.label_type import Lettering
+from orograph.rendering.lines.labels import Placer
+from orograph.rendering.lines.smooth import smoothed
+from orograph.scene.contours import Contours
+from orograph.scene.scene import Scene
+
+Array = NDArray[np.float64]
+Colours = NDArray[np.float32]
+
+
+RIM = 8
+"""Pixels around a tile that its sheet of labels has, too: antialiasing looks there."""
+
+GLOW, STRONGER = 0.16, 0.3
+"""How much lighter the ground is under a label, and by how much a label is more opaque than lines."""
+
+
+def ink(contours: Contours) -> Colours:
+    """The lines' colour (3,), linear light."""
+    return np.asarray(srgb_to_linear(np.array(contours.colour, np.float32)), np.float32)
+
+
+class Lines:
+    """The contour lines of one picture.
+
+    Attributes:
+        contours: with an interval. facts: what the picture tells of them.
+    """
+
+    def __init__(self, scene: Scene, ground: Ground, maps: MapGrid, kept: Kept) -> None:
+        assert scene.contours is not None
+        self.ground, self.maps = ground, maps
+        self.under = ground.under
+        if self.under is not None:
+            scene = self.under.scene
+        assert scene.contours is not None
+        self.contours = scene.contours.fitted(scene.terrain, scene.view, kept)
+        self.ink = ink(self.contours)
+        self.facts: dict[str, Any] = {"interval_m": self.contours.interval, "index": self.contours.index}
+        self.letters = Lettering(np.zeros((0, 3)), np.zeros(0), 1.0, ())
+        self._area, self._sheet = (0, 0, 0, 0), np.zeros((0, 0, 2), np.uint8)
+        if self.contours.labels and self.contours.step > 0:
+            placer = kept("labels", (), lambda: Placer(scene.terrain), scene.terrain)
+            view, exaggeration = scene.view.whole, scene.exaggeration
+            drawn = None if self.under is None else ground.caster.surfaces
+            labels = kept(
+                "labels of a view", (view, exaggeration, self.contours),
+                lambda: placer.place(scene, self.contours, drawn), placer if drawn is None else ground.caster,
+            )  # fmt: skip
+            self.letters = Lettering.of(labels, view, exaggeration, self.contours.type_size)
+            left, top, _, _ = scene.view.frame
+            self._area = top - RIM, top + scene.view.height + RIM, left - RIM, left + scene.view.width + RIM
+            self._sheet = self.letters.sheet(self._area)
+        self.facts["labels"] = len(self.letters.words)
+        self._basis = np.array(ground.rays.basis)
+
+    def draw(self, hits: Hits, px: Array, py: Array, out: Colours) -> None:
+        """Draw over the colours (n, 3) of hits at pixel positions (n,) of the whole picture."""
+        c, maps = self.contours, self.maps
+        cover = np.empty(len(hits.t), np.float32)
+        drawn = gradient = self.ground.drawn.gradient(hits.points, hits.width)
+        own = self.ground.drawn
+        if self.under is None:
+            heights = smoothed(own, hits.points, hits.width, hits.points[:, 2], self._rays(hits))
+        else:
+            own = self.under.relief
+            heights = self.under.caster.surfaces(hits.points[:, 0], hits.points[:, 1])
+            gradient = own.gradient(hits.points, hits.width)
+            heights = smoothed(own, hits.points, hits.width, heights)
+        line_cover(
+            px, py, hits.t, hits.points, heights, gradient, drawn, maps.water, maps.scale, maps.row0, maps.col0,
+            self.ground.to_world, self._basis, float(c.interval or 1.0), c.index, c.width, cover,
+        )  # fmt: skip
+        lines = np.flatnonzero(cover > 0)
+        if len(lines):
+            cover[lines] = self._thinned(hits, px, py, heights, own, lines, cover[lines])
+        cover *= np.float32(c.opacity)
+        if self.letters.words:
+            top, _, left, _ = self._area
+            found = self._sheet[np.floor(py).astype(np.intp) - top, np.floor(px).astype(np.intp) - left]
+            letters = np.where(np.isnan(hits.t)[:, None], np.float32(0), found * np.float32(1 / 255))
+            gaps = np.flatnonzero(letters[:, 1] > 0)
+            out[gaps] += (np.float32(GLOW) * letters[gaps, 1])[:, None] * (1 - out[gaps])
+            cover *= 1 - letters[:, 1]
+            cover += letters[:, 0] * np.float32(min(1.0, c.opacity + STRONGER))
+        some = np.flatnonzero(cover > 0)
+        out[some] += cover[some, None] * (self.ink - out[some])
+
+    def _rays(self, hits: Hits) -> Array:
+        """Directions (n, 3) of the rays: columns, rows and true metres."""
+        x, y, z = hits.rays.T
+        (a, b), (c, d) = self.ground.to_samples
+        return np.stack([a * x + b * y, c * x + d * y, z / self.ground.scene.exaggeration], -1)
+
+    def _thinned(
+        self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp], cover: Colours
+    ) -> Colours:
+        """``cover`` (m,) of the hits ``lines``, less where lines run together around."""
+        points, width = hits.points[lines], hits.width[lines]
+        away = np.zeros((4, *points.shape))
+        away[0, :, 0], away[1, :, 1] = AROUND * width, AROUND * width
+        away[2:] = -away[:2]
+        around = np.stack([own.gradient(points + step, WIDE * width) for step in away])
+        thin_out(
+            px[lines], py[lines], hits.t[lines], heights[lines], around, self.ground.to_world, self._basis,
+            float(self.contours.interval or 1.0), self.contours.index, cover,
+        )  # fmt: skip
+        return cover
+
+    def gaps(self) -> Colours | None:
+        """How much of each pixel (height, width) of the view labels keep free, 0 to 1; None: there are none."""
+        if not self.letters.words:
+            return None
+        return self._sheet[RIM:-RIM, RIM:-RIM, 1] * np.float32(1 / 255)

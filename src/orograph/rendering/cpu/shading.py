@@ -1,0 +1,271 @@
+"""From what is known at a point of the ground to the colour of a pixel.
+
+Light is a warm disc of sun, cut by the skyline (soft shadows), and blue light from as much of the sky as the place sees
+(sky-view factor by horizon sweeps). Level ground in full sun shows the map's own colour: tints can be read off the
+legend there (but for the brightest, which ``_shoulder`` in ``kernels`` bends). Water, missing data and background are
+each told apart. Colours are linear light throughout.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis.colour import srgb_to_linear, tint_of
+from orograph.geovis.layers import MOST, Layer, composite, drawn, nothing_over
+from orograph.lighting.shade import disc_fraction, sky_colour, sun_colour
+from orograph.lighting.sun import Sun
+from orograph.memo import Kept
+from orograph.progress import SILENT, Progress
+from orograph.rendering.cpu.ground import Ground, Hits
+from orograph.rendering.cpu.kernels import LEAST, compose, paint
+from orograph.rendering.cpu.lighting import Lighting, Shine, field_ahead, lighting_of
+from orograph.rendering.cpu.mapgrid import MapGrid
+from orograph.rendering.cpu.survey import Survey
+from orograph.rendering.sky import Atmosphere, dithered
+from orograph.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from orograph.geovis.drape import Drape
+
+Array = NDArray[np.float64]
+Colours = NDArray[np.float32]
+
+PAPER = srgb_to_linear(np.array([0.965, 0.958, 0.937], np.float32))
+MISSING = srgb_to_linear(np.array([[0.83, 0.845, 0.87], [0.50, 0.52, 0.56]], np.float32))
+"""Ground and lines of the hatching over missing data: lighter and cooler than shadow, since the smallest voids are all
+ground, and darker than snow and paper, since the largest are seen as a whole."""
+
+HATCH, LINE = 7, 2.0
+"""Pixels from line to line of the hatching (across the picture, not the line), and of a line's width."""
+
+VISIBLE = 9
+"""Samples of water or of missing data that can be seen as such: a spot of three by three."""
+
+WATER = srgb_to_linear(np.array([0.44, 0.60, 0.70], np.float32))
+AMBIENT = 0.27
+"""The part of the light on level ground, under a 45° sun and an open sky, that comes from the sky."""
+
+BOUNCE = 0.10
+"""The part of all light that ground which does not see the sky gets from lit ground instead."""
+
+NOTHING = np.empty((0, 7), np.float32)
+
+SMOOTH = 0.5
+"""Samples that a pixel covers below which colours change so slowly that bytes would show bands."""
+
+
+def illumination(sun: Sun) -> tuple[Array, Colours, Colours]:
+    """The unit vector (3,) towards the sun (east, north, up), the colours (3,) of its light and of the sky's.
+
+    Exposure is set for level ground under a sun at 45°, which shows its own colour there, and opens for lower ones, by
+    half only: evening is darker.
+    """
+    a, h = math.radians(sun.azimuth), math.radians(sun.altitude)
+    to_sun = np.array([math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)])
+    direct, sky = sun_colour(sun.altitude), sky_colour(sun.altitude)
+    high = math.sin(math.radians(45))
+    white = (1 - AMBIENT) * sun_colour(45.0) + AMBIENT * sky_colour(45.0)
+    opened = (1 - AMBIENT) / high * (high / max(to_sun[2], 0.03)) ** 0.55
+    return to_sun, (opened * direct / white).astype(np.float32), (AMBIENT * sky / white).astype(np.float32)
+
+
+def hatching(px: Array, py: Array) -> Colours:
+    """Linear colours (n, 3) over missing data at pixel positions: lines at 45°, the cartographer's sign for what is not
+    known."""
+    return MISSING[((px + py) % HATCH < LINE).astype(np.intp)]
+
+
+def drapes_of(
+    scene: Scene, ground: Ground, survey: Survey, kept: Kept, progress: Progress
+) -> list[tuple[Layer, Drape]]:  # fmt: skip
+    """The layers that can be seen and what is held of them, bottom to top, ready for what the picture looks up;
+    warnings are told once."""
+    layers = drawn(scene.layers)
+    if not layers:
+        return []
+    from orograph.geovis.drape import Drape
+    from orograph.geovis.laying import Laid
+
+    terrain, view = scene.terrain, scene.view.whole
+    grid = terrain.grid
+    # Half of what the nearest ground wants that some rays have met: others may meet nearer ground.
+    pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * survey.range[0]
+    metres = 0.5 * LEAST * pixel
+    metres = 2.0 ** math.floor(math.log2(metres)) if metres > 0 else 0.0  # the same for all frames of a slow flight
+    memory = None if scene.max_memory is None else scene.max_memory // len(layers)
+
+    def held(layer: Layer) -> Drape:
+        """What is held of a layer: the same for all frames that want no finer of it, or read it where they look."""
+        content = layer.content
+        laid = kept("laid", content, lambda: Laid.open(content, grid), terrain, MOST)
+        plan = Drape.plan(laid, memory, metres)
+
+        def opened() -> Drape:
+            drape = Drape.of(laid, *plan, progress)
+            for warning in drape.warnings:
+                progress.warn(warning)
+            return drape
+
+        return kept("drape", (content, plan), opened, laid, MOST)
+
+    drapes = [(layer, held(layer)) for layer in layers]
+    if any(drape.tiles is not None for _, drape in drapes):
+        x, y = grid.xy(survey.hits.points[:, 0], survey.hits.points[:, 1])
+        footprints = ground.footprints(survey.hits, survey.px, survey.py)
+        for _, drape in drapes:
+            drape.prepare(x, y, *footprints, progress=progress, jobs=scene.jobs)
+    return drapes
+
+
+class Shader:
+    """Colours samples of one scene.
+
+    Attributes:
+        shown: pixel centres coloured so far: "ground", of it "draped" (mostly covered by layers) and "water" (that is
+            not), and "missing".
+    """
+
+    def __init__(self, scene: Scene, ground: Ground, survey: Survey, kept: Kept, progress: Progress = SILENT) -> None:
+        self.scene, self.ground = scene, ground
+        self.facts: dict[str, Any] = {}
+        self.shown = {"ground": 0, "water": 0, "draped": 0, "missing": 0}
+        self._lock = threading.Lock()
+        self.to_sun, self.sunlight, self.skylight = illumination(scene.sun)
+        ahead = field_ahead(scene, kept)
+        self.maps = MapGrid(scene, ground, survey, kept)
+        terrain, sea = ground.bare.terrain, None if scene.water is not None else False
+        self.tint = kept("tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain)
+        self.air = None
+        if scene.sky:
+            self.air = Atmosphere(scene, scene.depths or survey.range, kept)
+        self.lines = None
+        if scene.contours is not None:
+            from orograph.rendering.cpu.marks import Lines
+
+            self.lines = Lines(scene, ground, self.maps, kept)
+            self.facts["contours"] = self.lines.facts
+        self.drapes = drapes_of(scene, ground, survey, kept, progress)
+        self.strength = self.maps.strength
+        self.lighting: Lighting | None = None
+        if scene.light != "relief":
+            bounce = np.float32(BOUNCE) * (self.sunlight + self.skylight)
+            shine = Shine(self.to_sun, self.sunlight, self.skylight, bounce)
+            self.lighting = lighting_of(scene, ground, shine, self.maps.window, self.strength, kept, progress, ahead)
+            self.facts["light"] = self.lighting.told
+        self.lower_limb = math.tan(math.radians(max(scene.sun.altitude - scene.sun.diameter / 2, -89.0))) * (1 + 1e-9)
+        self.facts["relief"] = self.strength
+        self.facts["tint_from_to_m"] = [self.tint.low, self.tint.high]
+        self.facts["water_fraction"] = self.maps.water_fraction
+
+    @property
+    def smooth(self) -> bool:
+        """Whether colours only change fast where the ground in view does, or from land to water."""
+        if self.lines is not None:
+            return False
+        return not self.drapes and self.lighting is not None and self.lighting.smooth
+
+    def colour(
+        self, hits: Hits, px: Array, py: Array, counted: NDArray[np.bool_] | None = None,
+        wet: NDArray[np.bool_] | None = None,
+    ) -> Colours:  # fmt: skip
+        """Linear colours (n, 3) of the samples in ``hits`` at pixel positions px, py (n,).
+
+        ``counted`` (n,): which of them go into ``shown``; None: none. ``wet`` (n,): gets which of them are water.
+        """
+        out = np.empty((len(hits.t), 3), np.float32)
+        missed = np.flatnonzero(np.isnan(hits.t))
+        if len(missed):
+            out[missed] = self.background(hits.rays[missed], px[missed], py[missed])
+        if len(missed) < len(hits.t):
+            self._lit(hits, px, py, out, counted)
+            if wet is not None and self.maps.water.size:
+                met = np.flatnonzero(~np.isnan(hits.t))
+                wet[met] = self._wet(hits.points[met])
+        veiled = np.flatnonzero(~np.isnan(hits.veil))
+        if len(veiled):
+            if counted is not None:
+                self._count(missing=int(np.count_nonzero(counted[veiled])))
+            out[veiled] = hatching(px[veiled], py[veiled])
+            if self.air is not None:
+                out[veiled] = self.air.haze(out[veiled], hits.rays[veiled], hits.veil[veiled])
+        return out
+
+    def _lit(self, hits: Hits, px: Array, py: Array, out: Colours, counted: NDArray[np.bool_] | None) -> None:
+        """Colour the samples that met ground; count those that are ``counted``."""
+        drape = NOTHING if not self.drapes else self.draped(hits, px, py)
+        if self.lighting is None:
+            self._relief(hits, drape, out)
+        else:
+            maps, tint = self.maps, self.tint
+            light = self.lighting.on(hits, px, py, self.scene.samples if counted is None else 1)
+            paint(
+                hits.points, light, maps.water, maps.scale, maps.row0, maps.col0, tint.land, tint.low, tint.high,
+                tint.sea, tint.floor, drape, WATER, out,
+            )  # fmt: skip
+        met = np.flatnonzero(~np.isnan(hits.t))
+        if counted is not None:
+            bare = np.flatnonzero(counted & ~np.isnan(hits.t) & np.isnan(hits.veil))
+            wet = self._wet(hits.points[bare])
+            covered = drape[bare, 6] < 0.5 if self.drapes else np.zeros(len(bare), bool)
+            self._count(ground=len(bare), water=int((wet & ~covered).sum()), draped=int(covered.sum()))
+        if self.lines is not None:
+            self.lines.draw(hits, px, py, out)
+        if self.air is not None:
+            out[met] = self.air.haze(out[met], hits.rays[met], hits.t[met])
+        large = np.flatnonzero(hits.width < SMOOTH)  # false for NaN
+        if len(large):
+            out[large] = dithered(out[large], px[large], py[large])
+
+    def _relief(self, hits: Hits, drape: Colours, out: Colours) -> None:
+        """Light by the skyline and the sky-view factor of the working grid."""
+        cosine, tilt = self.ground.incidence(hits, self.to_sun, self.strength)
+        sunlit = np.ones(len(cosine))
+        if self.scene.shadows:
+            lit = np.flatnonzero(cosine > 0)  # false for NaN
+            slopes = self.ground.skyline(hits, self.scene.sun, lit)
+            shaded = np.flatnonzero(slopes > self.lower_limb)
+            sunlit[lit[shaded]] = disc_fraction(
+                np.degrees(np.arctan(slopes[shaded])), self.scene.sun.altitude, self.scene.sun.diameter
+            )
+        maps = self.maps
+        compose(
+            hits.points, cosine, tilt, sunlit, maps.sky_view, maps.water, maps.scale, maps.row0, maps.col0,
+            self.tint.land, self.tint.low, self.tint.high, self.tint.sea, self.tint.floor, drape, WATER, self.sunlight,
+            self.skylight, BOUNCE, out,
+        )  # fmt: skip
+
+    def _wet(self, points: Array) -> NDArray[np.bool_]:
+        """Which points (n, 3) lie on samples of water."""
+        maps = self.maps
+        if not maps.water.size:
+            return np.zeros(len(points), bool)
+        c = np.rint((points[:, 0] + 0.5) / maps.scale - 0.5 - maps.col0).astype(np.intp)
+        r = np.rint((points[:, 1] + 0.5) / maps.scale - 0.5 - maps.row0).astype(np.intp)
+        rows, cols = maps.water.shape
+        return maps.water[np.clip(r, 0, rows - 1), np.clip(c, 0, cols - 1)] > 0.5
+
+    def _count(self, **samples: int) -> None:
+        """Add to ``shown``, from any thread."""
+        with self._lock:
+            for name, n in samples.items():
+                self.shown[name] += n
+
+    def draped(self, hits: Hits, px: Array, py: Array) -> Colours:
+        """What the layers make of the ground's own colours (n, 7), see ``geovis.layers.composite``."""
+        x, y = self.scene.terrain.grid.xy(hits.points[:, 0], hits.points[:, 1])
+        ground, least = self.ground.footprints(hits, px, py)
+        stack = nothing_over(len(x))
+        for layer, drape in self.drapes:
+            composite(drape.spread(x, y, ground, least), layer.opacity, layer.blend == "multiply", stack)
+        return stack
+
+    def background(self, directions: Array, px: Array, py: Array) -> Colours:
+        """What is seen where no ground is, in directions (n, 3) and at pixel positions (n,)."""
+        if self.air is not None:
+            return dithered(self.air.sky(directions), px, py)
+        return np.broadcast_to(PAPER, (len(directions), 3)).astype(np.float32)

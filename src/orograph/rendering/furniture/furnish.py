@@ -1,0 +1,277 @@
+"""A map's furniture drawn over a finished picture: title, legend of heights, scale bar, north arrow, note.
+
+Every piece has its own corner: title top left, north top right, scale and note bottom left, legend bottom right. A
+camera that keeps ``insets`` leaves these places free, and the pieces stand on the picture's own paper. Where ground (or
+sky) lies under one of them, all stand on framed slips of opaque paper and exchange corners so that they hide the least
+ground. All lengths are multiples of one unit, the size of plain type, which follows the picture's size. Shapes are
+drawn three times too large and averaged; type is drawn at its size. Where pieces would meet or crowd the picture they
+shrink, then go, the last first: title, legend, scale bar, north arrow, note, subtitle. Units: pixels; colours sRGB.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.rendering.furniture.lettering import Colour, Style, set_type
+from orograph.rendering.furniture.pieces import (
+    INK,
+    PAPER,
+    Legend,
+    Piece,
+    arrow,
+    foot,
+    heading,
+    key,
+)
+
+Pixels = NDArray[np.uint8]
+Box = tuple[int, int, int, int]
+Corner = Literal["top left", "top right", "bottom left", "bottom right"]
+CORNERS: tuple[Corner, ...] = get_args(Corner)
+
+EDGE: Colour = (168, 166, 160)
+"""The line around paper that lies on something else."""
+
+OVERSIZE = 3
+COVER = 0.36
+"""The part of the picture that furniture may cover."""
+
+TALL = 0.56
+"""The part of the picture's height that the legend may take."""
+
+MOVED = 0.01
+"""The part of the picture of which ground must be saved to move a piece out of its usual corner."""
+
+MOST_INSET = 0.3
+"""The part of the picture's width or height that one side leaves free at most: tiny pictures are for the terrain."""
+
+
+def insets(size: tuple[int, int]) -> tuple[float, float, float, float]:
+    """Parts of a picture of ``size`` (width, height) to leave free for furniture: left, right, top, bottom.
+
+    The right side holds the legend and the north arrow; titles and notes run along the top and the foot.
+    """
+    style = Style.of(size, "")
+    far = 100 * max(size)
+    title, base = heading("A", None, style, far), foot(1.0, "A", style, far, 1.0)
+    column = key(Legend(-5000.0, 5000.0, np.zeros((2, 3)), water=(0, 0, 0), missing=(0, 0, 0)), style, 6.5, True)
+    edge = style.margin + style.gap
+    right = (column.width + edge) / size[0]
+    top, bottom = ((piece.height + edge) / size[1] if piece else 0.0 for piece in (title, base))
+    return 0.0, min(right, MOST_INSET), min(top, MOST_INSET), min(bottom, MOST_INSET)
+
+
+@dataclass(frozen=True, slots=True)
+class Cover:
+    """Where in a picture there is ground that should not be hidden, a bit for each pixel.
+
+    Attributes:
+        rows: (height, ⌈width / 8⌉) uint8, packed as ``numpy.packbits`` does. width: pixels.
+    """
+
+    rows: NDArray[np.uint8]
+    width: int
+
+    @classmethod
+    def of(cls, mask: NDArray[np.bool_]) -> Cover:
+        return cls(np.packbits(mask, axis=1), mask.shape[1])
+
+    @property
+    def size(self) -> int:
+        """Pixels in all."""
+        return int(self.rows.shape[0]) * self.width
+
+    def under(self, box: Box) -> int:
+        """Pixels of ground under a box."""
+        first = box[0] // 8
+        bits = np.unpackbits(self.rows[box[1] : box[3], first : -(-box[2] // 8)], axis=1)
+        return int(np.count_nonzero(bits[:, box[0] - 8 * first : box[2] - 8 * first]))
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Pieces of furniture in their places.
+
+    Attributes:
+        placed: the pieces and their boxes. style: their type. framed: whether they bring paper of their own.
+    """
+
+    placed: list[tuple[Piece, Box]]
+    style: Style
+    framed: bool
+
+    def paint(self, sheet: Any, corner: tuple[int, int] = (0, 0), which: int | None = None) -> None:
+        """Paint the pieces onto an image that begins at the picture's pixel ``corner`` (x, y); ``which``: one alone."""
+        for i, (piece, box) in enumerate(self.placed):
+            if which in (None, i):
+                x, y = corner
+                _paint(sheet, piece, (box[0] - x, box[1] - y, box[2] - x, box[3] - y), self.style, framed=self.framed)
+
+
+def furnish(
+    pixels: Pixels,
+    *,
+    ground: NDArray[np.bool_] | None = None,
+    **pieces: Any,
+) -> Pixels:
+    """The picture with furniture drawn over it.
+
+    Args:
+        pixels: (height, width, 3) uint8, sRGB; left as it is.
+        ground: (height, width), what should not be hidden; None: everywhere alike.
+        pieces: for ``lay_out``.
+
+    Returns:
+        (height, width, 3) uint8. What does not fit is left out; see the module's text for the order.
+    """
+    from PIL import Image
+
+    sheet = Image.fromarray(np.ascontiguousarray(pixels, np.uint8)).convert("RGB")
+    lay_out(sheet.size, ground=None if ground is None else Cover.of(ground), **pieces).paint(sheet)
+    return np.asarray(sheet, np.uint8).copy()
+
+
+def lay_out(
+    size: tuple[int, int],
+    *,
+    title: str | None = None,
+    subtitle: str | None = None,
+    legend: Legend | None = None,
+    north: float | None = None,
+    metres_per_pixel: float | None = None,
+    note: str | None = None,
+    grid_north: bool = False,
+    ground: Cover | None = None,
+    paper: bool = False,
+) -> Layout:
+    """Find places for furniture in a picture.
+
+    Args:
+        size: (width, height) in pixels.
+        title, subtitle: text at the top left.
+        legend: the colours of heights.
+        north: direction of north on the screen, degrees clockwise from up.
+        metres_per_pixel: for the scale bar; None (a perspective has no one scale) leaves it out.
+        note: a line of small type, such as "Light from 315°, 45° · heights ×2".
+        grid_north: whether the arrow must say that it is the grid's north.
+        ground: what should not be hidden; None: everywhere alike.
+        paper: whether all the rest is bare paper, on which pieces need none of their own.
+    """
+    words = " ".join(t for t in (title, subtitle, note, legend.label + legend.unit if legend else None) if t)
+    style = Style.of(size, words)
+    inner = size[0] - 2 * style.margin
+    chosen: dict[Corner, tuple[Piece, Box]] = {}
+
+    def put(corner: Corner, piece: Piece | None) -> bool:
+        """Place a piece, in the stead of what that corner held, if it fits."""
+        if piece is None:
+            return False
+        box = _box(piece, corner, size, style.margin)
+        others = [b for c, (_, b) in chosen.items() if c != corner]
+        area = sum((b[2] - b[0]) * (b[3] - b[1]) for b in [*others, box])
+        inside = min(box[:2]) >= 0 and box[2] <= size[0] and box[3] <= size[1]
+        if not inside or area > COVER * size[0] * size[1] or any(_meet(box, b, style.gap) for b in others):
+            return False
+        chosen[corner] = piece, box
+        return True
+
+    if title:
+        put("top left", heading(title, None, style, inner))
+    if legend is not None:
+        sizes = ((12, True), (9, True), (6.5, True), (9, False), (6.5, False), (4.5, False))
+        pieces = (key(legend, style, size, rows) for size, rows in sizes)
+        any(put("bottom right", p) for p in pieces if p.height < TALL * size[1])
+    if metres_per_pixel is not None:
+        any(put("bottom left", foot(metres_per_pixel, None, style, inner, share)) for share in (0.24, 0.4))
+    if north is not None:
+        put("top right", arrow(north, style, grid_north))
+    if note:
+        held = "bottom left" in chosen
+        scale = metres_per_pixel if held else None
+        beside = inner - (math.ceil(chosen["bottom right"][0].width) + style.gap if "bottom right" in chosen else 0)
+        rooms = [(room, share) for room in (inner, beside) for share in (0.24, 0.4)]
+        any(put("bottom left", foot(scale, note, style, inner, share, room)) for room, share in rooms)
+    if subtitle and (not title or "top left" in chosen):
+        put("top left", heading(title or "", subtitle, style, inner))
+    placed = list(chosen.items())
+    boxes = [box for _, (_, box) in placed]
+    free = False
+    if ground is not None:
+        slips = {corner: piece for corner, (piece, _) in placed}
+        boxes = _arrange(slips, ground, size, style)
+        free = paper and not any(ground.under(box) for box in boxes)
+    return Layout([(piece, box) for (_, (piece, _)), box in zip(placed, boxes)], style, not free)
+
+
+def _arrange(pieces: dict[Corner, Piece], ground: Cover, size: tuple[int, int], style: Style) -> list[Box]:
+    """A box for each piece: the corners, each for one, where they hide the least ground. What is at the top or at the
+    foot because one reads it first or last stays there: titles and notes change sides only."""
+    usual = list(pieces)
+    best, least = [_box(pieces[c], c, size, style.margin) for c in usual], math.inf
+    for corners in permutations(CORNERS, len(usual)):
+        if any(c.split()[0] != u.split()[0] for c, u in zip(corners, usual) if u in ("top left", "bottom left")):
+            continue
+        boxes = [_box(pieces[u], c, size, style.margin) for c, u in zip(corners, usual)]
+        if any(_meet(a, b, style.gap) for i, a in enumerate(boxes) for b in boxes[:i]):
+            continue
+        moved = sum(c != u for c, u in zip(corners, usual))
+        cost = sum(ground.under(box) for box in boxes) + MOVED * moved * ground.size
+        if cost < least:
+            best, least = boxes, cost
+    return best
+
+
+# ---- pieces --------------------------------------------------------------------------------------------------------
+
+
+def _box(piece: Piece, corner: Corner, size: tuple[int, int], margin: int) -> Box:
+    w, h = math.ceil(piece.width), math.ceil(piece.height)
+    x = margin if "left" in corner else size[0] - margin - w
+    y = margin if "top" in corner else size[1] - margin - h
+    return x, y, x + w, y + h
+
+
+def _meet(a: Box, b: Box, gap: int) -> bool:
+    return a[0] < b[2] + gap and b[0] < a[2] + gap and a[1] < b[3] + gap and b[1] < a[3] + gap
+
+
+def _paint(sheet: Any, piece: Piece, box: Box, style: Style, framed: bool = True) -> None:
+    """Lay the piece's paper (if ``framed``), shapes and type onto the sheet."""
+    from PIL import Image, ImageDraw
+
+    s = OVERSIZE
+    w, h = box[2] - box[0], box[3] - box[1]
+    layer = Image.new("RGBA", (w * s, h * s), (*PAPER, 0))
+    pen = ImageDraw.Draw(layer)
+    if framed:
+        line = max(s, round(style.hair * s))
+        whole = 0, 0, w * s - 1, h * s - 1
+        pen.rounded_rectangle(whole, 0.3 * style.unit * s, (*PAPER, 255), outline=(*EDGE, 255), width=line)
+    if piece.ramp is not None:
+        x0, y0, x1, y1 = (round(v) for v in piece.ramp[:4])
+        line = max(1, round(style.hair * s / 2))
+        pen.rectangle((x0 * s - line, y0 * s - line, x1 * s - 1 + line, y1 * s - 1 + line), (*INK, 255))
+        table = piece.ramp[4].astype(np.float64)
+        # Row centres of the bar run from high to low through the table.
+        at = (1 - (np.arange(y1 - y0) + 0.5) / (y1 - y0)) * (len(table) - 1)
+        k = np.minimum(at.astype(int), max(len(table) - 2, 0))
+        part = (at - k)[:, None]
+        rows = table[k] * (1 - part) + table[np.minimum(k + 1, len(table) - 1)] * part
+        for i, colour in enumerate(np.round(rows).astype(int)):
+            pen.rectangle((x0 * s, (y0 + i) * s, x1 * s - 1, (y0 + i + 1) * s - 1), (*(int(v) for v in colour), 255))
+    for points, colour in piece.polygons:
+        pen.polygon([(x * s - 0.5, y * s - 0.5) for x, y in points], (*colour, 255))
+    layer = layer.resize((w, h), Image.Resampling.BOX)
+    sheet.paste(layer, box[:2], layer)
+    for left, top, right, bottom, tile in piece.patterns:
+        x0, y0, x1, y1 = math.ceil(left), math.ceil(top), math.floor(right), math.floor(bottom)
+        rows, cols = np.arange(max(y1 - y0, 1)) % tile.shape[0], np.arange(max(x1 - x0, 1)) % tile.shape[1]
+        sheet.paste(Image.fromarray(np.ascontiguousarray(tile[np.ix_(rows, cols)])), (box[0] + x0, box[1] + y0))
+    for x, y, words, font, colour, anchor in piece.texts:
+        set_type(sheet, (box[0] + x, box[1] + y), words, font, colour, anchor)

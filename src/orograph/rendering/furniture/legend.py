@@ -1,0 +1,166 @@
+"""What the furniture of a scene says: title, colours, north, scale and light, from what was drawn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis.colour import Tint, linear_to_srgb
+from orograph.rendering.cpu.shading import HATCH, VISIBLE, WATER, hatching
+from orograph.rendering.cpu.survey import stride
+from orograph.rendering.furniture.pieces import Legend
+from orograph.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+DRAPED = 0.98
+"""The part of the ground in the picture under an image from which on the colours of heights are not explained."""
+
+ONE_SCALE = 3.0
+"""A perspective whose ground is up to this many times farther here than there has a scale bar, for its middle."""
+
+CONVERGENCE = 3.0
+"""Degrees between grid north and true north from which on the arrow, which shows the grid's, says so."""
+
+NAMELESS = ("unknown", "unnamed", "undefined", "undetermined", "none")
+"""How the names of CRS begin that are none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What furniture must know of a picture besides its scene.
+
+    Attributes:
+        tint: the colours of heights. shown: how many pixels show "ground", of it "water" and "draped", and "missing".
+        draped: whether an image lies over the ground.
+        depths: (n,) view-space depths of ground, evenly from all of the picture (``sampled``), none NaN.
+        column: (height,) depths in the picture's middle column, NaN where no ground is.
+    """
+
+    tint: Tint
+    shown: dict[str, int]
+    draped: bool
+    depths: Array
+    column: Array
+
+
+def sampled(depth: NDArray[np.floating], height: int, width: int, top: int = 0, left: int = 0) -> Array:
+    """Of a part of a picture's depth, beginning at (top, left), what ``Drawn.depths`` takes of it."""
+    step = stride(height, width)
+    some = depth[-top % step :: step, -left % step :: step]
+    return np.asarray(some[np.isfinite(some)], np.float64)
+
+
+def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
+    """What ``furnish`` is to draw over a scene's picture: its keyword arguments, but for the ground to spare."""
+    view, terrain = scene.view, scene.terrain
+    metres = _scale(scene, drawn)
+    if metres is not None:
+        metres /= stretch(scene)
+    parts = [f"Light from {round(scene.sun.azimuth, 1):g}°, {round(scene.sun.altitude, 1):g}° high"]
+    if scene.exaggeration != 1:
+        parts.append(f"heights ×{scene.exaggeration:g}")
+    if view.projection == "perspective" and metres is not None:
+        parts.append("scale at the picture's middle")
+    if crs := _crs_name(terrain.grid.crs):
+        parts.append(crs)
+    return {
+        "title": scene.title if scene.title is not None else _title(terrain.name), "legend": _legend(drawn),
+        "north": north_on_screen(scene), "metres_per_pixel": metres, "note": " · ".join(parts),
+        "grid_north": abs(convergence(scene)) > CONVERGENCE, "paper": not scene.sky,
+    }  # fmt: skip
+
+
+def _legend(drawn: Drawn) -> Legend | None:
+    """What the colours mean that were drawn: of heights unless an image covers (nearly) all, of water, of no data."""
+    shown, tint = drawn.shown, drawn.tint
+    low, high, colours = tint.scale()
+    dry = shown["ground"] - shown["water"]
+    tinted = not drawn.draped or shown["draped"] < DRAPED * dry
+    wet, missing = (shown[what] >= VISIBLE for what in ("water", "missing"))
+    if not (tinted or wet or missing):
+        return None
+    y, x = np.mgrid[:HATCH, :HATCH].reshape(2, -1) + 0.5
+    return Legend(
+        low, high, linear_to_srgb(colours) if tinted else None,
+        water=linear_to_srgb(WATER) if wet else None,
+        missing=linear_to_srgb(hatching(x, y)).reshape(HATCH, HATCH, 3) if missing else None,
+        below=tint.below, above=tint.above,
+    )  # fmt: skip
+
+
+def _crs_name(crs: Any) -> str | None:
+    """What to call a CRS: its name, else its projection method's, None if neither is known."""
+    if crs is None:
+        return None
+    method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
+    for name in (crs.name, method):
+        if name and not name.strip().lower().startswith(NAMELESS):
+            return str(name)
+    return None
+
+
+def _factors(scene: Scene) -> Any:
+    """The projection's distortions (``pyproj`` factors) at what the view looks at; None where the CRS does not tell."""
+    crs = scene.terrain.grid.crs
+    if crs is None or not crs.is_projected:
+        return None
+    from pyproj import Proj
+    from pyproj.exceptions import ProjError
+
+    try:
+        projection = Proj(crs)
+        lon, lat = projection(scene.view.target[0], scene.view.target[1], inverse=True)
+        return projection.get_factors(lon, lat)
+    except ProjError:
+        return None
+
+
+def convergence(scene: Scene) -> float:
+    """Degrees between true north and grid north at what the view looks at; 0 where the CRS does not tell."""
+    found = _factors(scene)
+    angle = 0.0 if found is None else float(found.meridian_convergence)
+    return angle if math.isfinite(angle) else 0.0
+
+
+def stretch(scene: Scene) -> float:
+    """Metres of the grid to a metre on the ground, at what the view looks at: 2 at 60° N in Web Mercator."""
+    found = _factors(scene)
+    area = 1.0 if found is None else float(found.areal_scale)
+    return math.sqrt(area) if math.isfinite(area) and area > 0 else 1.0
+
+
+def _title(name: str) -> str:
+    return name.replace("_", " ").strip()
+
+
+def north_on_screen(scene: Scene) -> float | None:
+    """Direction of grid north at the target, degrees clockwise from the picture's up; None if it points at the eye."""
+    view: Any = scene.view
+    here = np.array(view.target)
+    step = max(view.distance * 1e-4, 1e-3)
+    (a, b), _ = view.project(np.stack([here, here + np.array([0.0, step, 0.0])]), scene.exaggeration)
+    dx, dy = b - a
+    if not (math.isfinite(dx) and math.isfinite(dy)) or math.hypot(dx, dy) < 1e-6:
+        return None
+    return math.degrees(math.atan2(dx, -dy))
+
+
+def _scale(scene: Scene, drawn: Drawn) -> float | None:
+    """Metres across a pixel: anywhere in a plan, at the ground nearest the picture's middle in perspective; None where
+    depths differ so much (see ``ONE_SCALE``) that one scale would mislead."""
+    view = scene.view
+    if view.projection == "plan":
+        return view.pixel_metres
+    seen = np.flatnonzero(np.isfinite(drawn.column))
+    if len(seen) == 0 or len(drawn.depths) == 0:
+        return None
+    near, far = np.percentile(drawn.depths, [1, 99])
+    if far > ONE_SCALE * near:
+        return None
+    middle = seen[np.argmin(np.abs(seen - view.height // 2))]
+    return float(drawn.column[middle]) * view.pixel_slope

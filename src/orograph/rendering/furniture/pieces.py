@@ -1,0 +1,245 @@
+"""The pieces of a map's furniture: what each of them draws, in pixels, before ``furniture`` finds it a place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.rendering.furniture.lettering import Colour, Style, cut, length
+
+PAPER: Colour = (246, 244, 239)
+INK: Colour = (36, 40, 46)
+GREY: Colour = (92, 96, 102)
+
+
+@dataclass(frozen=True, slots=True)
+class Legend:
+    """What the colours of a picture mean.
+
+    Attributes:
+        low, high: heights at the ends of the colour table.
+        colours: (n, 3), from low to high, sRGB: uint8, or float in [0, 1]; None: heights have no colours.
+        unit: of the heights; ``label``: what the colours show.
+        water, missing: sRGB colours (uint8 or float) of water and of ground without data, None if there is none; a tile
+            (rows, cols, 3) is a pattern, repeated pixel by pixel.
+        below, above: whether there is ground beyond an end of the table, in the end's colour: a triangle says so.
+    """
+
+    low: float
+    high: float
+    colours: NDArray[Any] | None
+    unit: str = "m"
+    label: str = "Height"
+    water: Any = None
+    missing: Any = None
+    below: bool = False
+    above: bool = False
+
+
+@dataclass(slots=True)
+class Piece:
+    """Something to draw: shapes and type in pixels from the upper left corner of its paper."""
+
+    width: float
+    height: float
+    polygons: list[tuple[list[tuple[float, float]], Colour]] = field(default_factory=list)
+    texts: list[tuple[float, float, str, Any, Colour, str]] = field(default_factory=list)
+    ramp: tuple[float, float, float, float, NDArray[np.uint8]] | None = None
+    patterns: list[tuple[float, float, float, float, NDArray[np.uint8]]] = field(default_factory=list)
+
+    def box(self, x0: float, y0: float, x1: float, y1: float, colour: Colour) -> None:
+        self.polygons.append(([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], colour))
+
+    def framed(self, x0: float, y0: float, x1: float, y1: float, colour: Colour, line: float) -> None:
+        """A box with an outline around it."""
+        self.box(x0 - line, y0 - line, x1 + line, y1 + line, INK)
+        self.box(x0, y0, x1, y1, colour)
+
+
+def heading(title: str, subtitle: str | None, style: Style, inner: int) -> Piece | None:
+    """Title and subtitle; a long title is set smaller, then cut."""
+    widest = inner - 2 * style.pad
+    lines: list[tuple[str, Any, Colour, float]] = []
+    for words, sizes, colour in ((title, (1.7, 1.4, 1.15), INK), (subtitle or "", (0.95,), GREY)):
+        if not words:
+            continue
+        words = style.text(words)
+        size = next((s for s in sizes if length(style.font(s), words) <= widest), sizes[-1])
+        lines.append((cut(words, style.font(size), widest, style), style.font(size), colour, size * style.unit))
+    if not lines or any(not words for words, *_ in lines):
+        return None
+    piece = Piece(max(length(f, w) for w, f, *_ in lines) + 2 * style.pad, 0)
+    y = float(style.pad)
+    for words, font, colour, size in lines:
+        y += 0.74 * size
+        piece.texts.append((style.pad, y, words, font, colour, "ls"))
+        y += 0.26 * size + 0.25 * style.unit
+    piece.height = y - 0.25 * style.unit - 0.1 * style.unit + style.pad
+    return piece
+
+
+def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
+    """The ramp with its ticks, ``size`` units high; below it the swatches, if ``extras``."""
+    u, pad, small = style.unit, style.pad, style.font(0.9)
+    label = style.text(f"{legend.label} ({legend.unit})" if legend.unit else legend.label)
+    if legend.colours is None:
+        label, size = "", 0.0
+    rows = [(style.text("Water"), legend.water), (style.text("No data"), legend.missing)]
+    rows = [(words, colour) for words, colour in rows if colour is not None and extras]
+    bar, tall, tip = round(1.15 * u), round(size * u), 0.8 * u
+    top = pad + (1.35 * u if label else 0.0) + (tip if legend.above and label else 0.0)
+    span = legend.high - legend.low
+    values = ticks(legend.low, legend.high, max(2, int(tall / (1.9 * u)))) if label else []
+    names = [number(v, values) for v in values]
+    reach = max([length(small, n) for n in names], default=0.0)
+    width = max(bar + 0.8 * u + reach, length(small, label), *(bar + 0.6 * u + length(small, w) for w, _ in rows), 0)
+    foot = top + tall + (tip if legend.below and label else 0.0)
+    lead = 0.75 * u if label else 0.15 * u
+    piece = Piece(width + 2 * pad, foot + pad + (lead - 0.5 * u + len(rows) * 1.5 * u if rows else 0.25 * u))
+    if legend.colours is not None:
+        piece.texts.append((pad, pad + 0.72 * u, label, small, GREY, "ls"))
+        table = _bytes(legend.colours)
+        piece.ramp = pad, top, pad + bar, top + tall, table
+        line = style.hair / 2
+        ends = ((legend.above, top, -1, table[-1]), (legend.below, top + tall, 1, table[0]))
+        for _, y, way, colour in (end for end in ends if end[0]):
+            for grow, ink in ((line, INK), (-line, _colour(colour))):
+                left, right, point = pad - grow, pad + bar + grow, y + way * (tip + 1.6 * grow)
+                piece.polygons.append(([(left, y), (right, y), ((left + right) / 2, point)], ink))
+    for value, name in zip(values, names):
+        y = top + tall * (1 - (value - legend.low) / span) if span > 0 else top + tall / 2
+        piece.box(pad + bar, y - style.hair / 2, pad + bar + 0.35 * u, y + style.hair / 2, INK)
+        piece.texts.append((pad + bar + 0.65 * u, y + 0.31 * u, name, small, INK, "ls"))
+    y, high = float(round(foot + lead)), round(0.95 * u)  # whole pixels, for patterns
+    for words, colour in rows:
+        sample = _bytes(colour)
+        piece.framed(pad, y, pad + bar, y + high, _colour(sample.reshape(-1, 3)[0]), style.hair / 2)
+        if sample.ndim == 3:
+            piece.patterns.append((pad, y, pad + bar, y + high, sample))
+        piece.texts.append((pad + bar + 0.65 * u, y + 0.78 * u, words, small, INK, "ls"))
+        y = round(y + 1.5 * u)
+    return piece
+
+
+def foot(
+    metres_per_pixel: float | None, note: str | None, style: Style, inner: int, share: float, room_for_note: int = 0
+) -> Piece | None:
+    """Scale bar of at most ``share`` of the width, and the note beneath it (in ``inner`` or the room it has)."""
+    u, pad, small, tiny = style.unit, style.pad, style.font(0.9), style.font(0.78)
+    piece = Piece(0, float(pad))
+    if metres_per_pixel is not None:
+        if not (math.isfinite(metres_per_pixel) and metres_per_pixel > 0):
+            return None
+        room = min(share * inner, 15 * u)
+        if room < 2.5 * u:
+            return None
+        distance, parts, name = bar_length(room * metres_per_pixel)
+        pixels = distance / metres_per_pixel
+        name = style.text(name)
+        if pixels < 2.5 * u:
+            return None
+        x0, y0 = pad + length(small, "0") / 2, piece.height + 1.15 * u
+        thick = max(3.0, round(0.32 * u))
+        piece.framed(x0, y0, x0 + pixels, y0 + thick, PAPER, style.hair)
+        for k in range(0, parts, 2):
+            piece.box(x0 + pixels * k / parts, y0, x0 + pixels * (k + 1) / parts, y0 + thick, INK)
+        digits = name.split(" ")[0]
+        piece.texts.append((x0, y0 - 0.42 * u, "0", small, INK, "ms"))
+        end = x0 + pixels - length(small, digits) / 2
+        piece.texts.append((end, y0 - 0.42 * u, name, small, INK, "ls"))
+        piece.width = max(x0 + pixels, end + length(small, name)) + pad
+        piece.height = y0 + thick + 0.15 * u
+    if note:
+        words = cut(style.text(note), tiny, (room_for_note or inner) - 2 * pad, style)
+        if not words:
+            return None
+        if metres_per_pixel is not None:
+            piece.height += 0.5 * u
+        piece.texts.append((pad, piece.height + 0.58 * u, words, tiny, GREY, "ls"))
+        piece.width = max(piece.width, length(tiny, words) + 2 * pad)
+        piece.height += 0.66 * u
+    piece.height += pad
+    return piece
+
+
+def arrow(north: float, style: Style, grid: bool = False) -> Piece | None:
+    """A slim needle, its western half dark, with an N at its tip that stays upright; below it "grid north", if so."""
+    if not math.isfinite(north):
+        return None
+    u, font = style.unit, style.font(1.05)
+    a = math.radians(north)
+    along, across = np.array([math.sin(a), -math.cos(a)]), np.array([math.cos(a), math.sin(a)])
+    side = 5.0 * u
+    middle = np.array([side / 2, side / 2])
+    piece = Piece(side, side)
+
+    def at(forward: float, right: float) -> tuple[float, float]:
+        x, y = middle + (along * forward + across * right) * u
+        return float(x), float(y)
+
+    h = style.hair / u
+    outline = [at(0.9 + 2.6 * h, 0), at(-2.0 - 1.2 * h, -0.78 - h), at(-1.4 - h, 0), at(-2.0 - 1.2 * h, 0.78 + h)]
+    piece.polygons.append((outline, INK))
+    piece.polygons.append(([at(0.9, 0), at(-1.4, 0), at(-2.0, 0.78)], PAPER))
+    x, y = at(1.68, 0)
+    piece.texts.append((x, y + 0.36 * 1.05 * u, "N", font, INK, "ms"))
+    if grid:
+        piece.texts.append((side / 2, side + 0.35 * u, "grid north", style.font(0.78), GREY, "ms"))
+        piece.height += 0.9 * u
+    return piece
+
+
+def ticks(low: float, high: float, most: int) -> list[float]:
+    """At most ``most`` round values from low to high, in steps of 1, 2, 2.5 or 5 × 10ᵏ."""
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return []
+    if not high > low:
+        return [low]
+    power = math.floor(math.log10((high - low) / most)) - 1
+    for k in range(power, power + 4):
+        for m in (1.0, 2.0, 2.5, 5.0):
+            step = m * 10.0**k
+            if m == 2.5 and k < 1:
+                continue
+            first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+            if last - first + 1 <= most:
+                return [i * step for i in range(first, last + 1)]
+    return []
+
+
+def number(value: float, among: list[float]) -> str:
+    """A tick's value with the decimals its neighbours need, groups of three set apart from 10 000 on."""
+    steps = [b - a for a, b in pairwise(among)] or [abs(value) or 1.0]
+    decimals = max(0, -math.floor(math.log10(min(steps)) + 1e-9))
+    text = f"{value:,.{decimals}f}" if abs(value) >= 10_000 else f"{value:.{decimals}f}"
+    return "0" if float(text.replace(",", "")) == 0 else text.replace(",", " ")
+
+
+def bar_length(most: float) -> tuple[float, int, str]:
+    """The longest round distance (1, 2 or 5 × 10ᵏ metres) up to ``most``, its parts, and its name with the unit."""
+    power = math.floor(math.log10(most))
+    digit = next((d for d in (5, 2) if d * 10.0**power <= most * (1 + 1e-9)), 1)
+    length = digit * 10.0**power
+    unit, metres = ("km", 1000.0) if length >= 1000 else ("m", 1.0) if length >= 1 else ("cm", 0.01)
+    return length, {1: 4, 2: 4, 5: 5}[digit], f"{length / metres:g} {unit}"
+
+
+# ---- drawing -------------------------------------------------------------------------------------------------------
+
+
+def _bytes(colours: Any) -> NDArray[np.uint8]:
+    a = np.asarray(colours)
+    if a.dtype.kind not in "iu":
+        a = np.round(np.clip(a.astype(np.float64), 0, 1) * 255)
+    out: NDArray[np.uint8] = np.clip(a, 0, 255).astype(np.uint8, copy=False)
+    return out
+
+
+def _colour(colour: Any) -> Colour:
+    r, g, b = (int(v) for v in _bytes(colour)[:3])
+    return r, g, b

@@ -1,0 +1,146 @@
+"""The GPU backend of pictures: a scene drawn off screen, every tile there, read back.
+
+The same scene as the CPU caster's (``rendering.cpu.draw``), the same light and colours (the shader follows it line by
+line): depth differs by no more than the tolerance promises, colours by what docs/gpu.md states. More pixels than a
+device draws at once are drawn by tiles (``rendering.large``), which have what the whole picture has there
+(``overview``).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from orograph.errors import NothingInViewError, UsageError
+from orograph.geovis.layers import drawn as visible
+from orograph.gpu.device import Device, open_device
+from orograph.progress import SILENT, Progress
+from orograph.rendering.furniture.furnish import furnish
+from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
+from orograph.rendering.gpu.frame import PLAIN, Overlay
+from orograph.rendering.gpu.renderer import Renderer
+from orograph.rendering.gpu.surface.overview import rimmed
+from orograph.rendering.picture import Picture, plan_grid
+from orograph.scene.diagnostics import doubts, what_to_do, why_empty
+from orograph.scene.scene import Scene
+
+TOLERANCE = 1.0
+"""Pixels, where the scene does not say."""
+
+
+def draw(
+    scene: Scene,
+    progress: Progress = SILENT,
+    *,
+    device: Device | None = None,
+    renderer: Renderer | None = None,
+    overlay: Overlay = PLAIN,
+) -> Picture:
+    """Draw ``scene`` on a GPU.
+
+    Args:
+        scene: what is drawn.
+        progress: hears of it.
+        device: where; None: the best there is.
+        renderer: of the scene's terrain, to use again for several pictures; None: one for this picture.
+        overlay: what is drawn besides.
+
+    Raises:
+        NoAdapterError: there is no GPU.
+        NothingInViewError: no ground is in view.
+        UsageError: the picture is larger than the device can draw, or the scene's engine is unknown.
+    """
+    begun = time.perf_counter()
+    device = device or open_device()
+    view, whole = scene.view, scene.view.part is None
+    if not whole and scene.furniture:
+        raise UsageError("A tile has no furniture: that belongs to the whole picture.")
+    around, own_pixels = rimmed(scene)
+    scene = replace(scene, view=around)
+    most = largest(device)
+    if max(around.width, around.height) > most:
+        raise UsageError(
+            f"{device.adapter.name} draws at most {most} × {most} pixels at once, not {view.width} × {view.height}.",
+            remedy="Draw it by tiles: orograph render, or picture.large.draw_large.",
+        )
+    if scene.tolerance is None and scene.triangles is None:
+        scene = replace(scene, tolerance=TOLERANCE)
+    if scene.engine is not None and not scene.wireframe:
+        overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh
+    warnings = doubts(scene) if around.frame[:2] == (0, 0) else []  # of tiles, the first
+    for warning in warnings:
+        progress.warn(warning)
+    own = renderer is None
+    renderer = renderer or Renderer(device, scene.terrain, jobs=scene.jobs)
+    renderer.imagery.progress = progress
+    try:
+        by_rays = scene.light == "raytraced"
+        with progress.task(f"Drawing on {device.adapter.name}", total=1.0 if by_rays else None) as task:
+            texture = device.texture((around.width, around.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
+            target = texture.create_view()
+            # What is seen is asked without its light if that takes its time.
+            first = replace(scene, light="none", lamps=(), discs=()) if by_rays else scene
+            stats = renderer.draw(target, "rgba8unorm", first, overlay=overlay, wait=True, samples=1)
+            notes = list(stats.notes)
+            if renderer.imagery.full:
+                notes.append("Layers are coarser than they could be: more would not fit into the GPU's memory.")
+            for warning in notes:
+                progress.warn(warning)
+            warnings += notes
+            depth, veiled = renderer.depth(), renderer.veiled()
+            if not np.isfinite(depth).any() and (whole or renderer.overview(scene)[1] is None):
+                raise NothingInViewError(why_empty(scene), path=scene.terrain.name, remedy=what_to_do(scene))
+            if scene.samples > 1 or by_rays:
+                stats = renderer.draw(
+                    target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=scene.samples, advance=task.advance
+                )
+            pixels = device.read_texture(texture, np.uint8, 4)[..., :3][own_pixels].copy()
+            depth, veiled, scene = depth[own_pixels], veiled[own_pixels], replace(scene, view=view)
+            shown = renderer.shown(scene, depth, veiled)
+            if scene.furniture:
+                drawn = Drawn(
+                    renderer.tint, shown, bool(visible(scene.layers)), sampled(depth, *depth.shape),
+                    depth[:, view.width // 2].astype(np.float64),
+                )  # fmt: skip
+                pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | veiled)
+    finally:
+        if own:
+            renderer.close()
+    facts: dict[str, Any] = {
+        "backend": "gpu", "adapter": device.adapter.name, "patches": stats.patches, "triangles": stats.triangles,
+        "tolerance_px": scene.tolerance, "light": renderer.light, "tiles": stats.tiles_resident, "warnings": warnings,
+        "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
+        "seconds": {"all": round(time.perf_counter() - begun, 4)},
+    }  # fmt: skip
+    if renderer.mesh is not None:
+        facts["mesh"] = renderer.mesh.stats
+    place = plan_grid(view, scene.terrain.grid.crs)
+    return Picture(pixels, depth, view, facts, place, veiled if veiled.any() else None, tint=renderer.tint)
+
+
+def largest(device: Device) -> int:
+    """Pixels a side that a device can draw at once."""
+    return int(device.handle.limits["max-texture-dimension-2d"])
+
+
+def session() -> Callable[[Scene], Picture]:
+    """Draws scene after scene with one renderer, as long as their terrain is the same; each waits for all its tiles.
+
+    Raises:
+        NoAdapterError: there is no GPU.
+    """
+    device = open_device()
+    held: list[Renderer] = []
+
+    def drawn(scene: Scene) -> Picture:
+        if not held or held[0].terrain is not scene.terrain:
+            for renderer in held:
+                renderer.close()
+            held[:] = [Renderer(device, scene.terrain, jobs=scene.jobs)]
+        return draw(scene, device=device, renderer=held[0])
+
+    return drawn

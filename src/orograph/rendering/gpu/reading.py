@@ -1,0 +1,97 @@
+"""What the last frame of a renderer shows, read back: depths in metres, missing ground, how much there is of what."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+from orograph.rendering.gpu.camera import camera_of
+from orograph.rendering.gpu.readback import depth_of, veiled_of
+from orograph.rendering.gpu.shade.following import Following
+from orograph.rendering.gpu.shade.passes import Targets
+from orograph.rendering.gpu.stream.imagery import Imagery
+from orograph.rendering.gpu.surface.meshes import Meshes
+from orograph.rendering.gpu.surface.overview import Seen, seen_by
+from orograph.rendering.gpu.surface.visible import points_of, wet_at
+from orograph.rendering.gpu.surface.void_fill import VeilPass
+from orograph.rendering.gpu.temporal.jitter import Samples
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
+
+
+class Reading:
+    """The part of a renderer that reads its last frame back.
+
+    Attributes:
+        device, terrain: the renderer's. imagery: its layers.
+    """
+
+    device: Device
+    terrain: Terrain
+    imagery: Imagery
+    _targets: Targets | None
+    _veil: VeilPass
+    _light: Following
+    _samples: Samples
+    _meshes: Meshes
+
+    def depth_at(self, x: float, y: float) -> float | None:
+        """View-space depth of the last frame at a pixel position, metres; None where there is no ground."""
+        t = self._targets
+        if t is None or not (0 <= x < t.width and 0 <= y < t.height):
+            return None
+        value = float(depth_of(self.device, t, self._camera_drawn, (int(x), int(y), 1, 1))[0, 0])
+        return value if math.isfinite(value) else None
+
+    def depth(self) -> NDArray[np.float32]:
+        """View-space depth (height, width) of the last frame, metres, NaN where there is no ground."""
+        assert self._targets is not None
+        return np.where(self.veiled(), np.float32(np.nan), depth_of(self.device, self._targets, self._camera_drawn))
+
+    def veiled(self) -> NDArray[np.bool_]:
+        """Pixels (height, width) of the last frame that show missing ground."""
+        t = self._targets
+        assert t is not None
+        return veiled_of(self.device, t) if self._veil.count else np.zeros((t.height, t.width), bool)
+
+    def shown(self, scene: Scene, depth: NDArray[np.float32], veiled: NDArray[np.bool_]) -> dict[str, int]:
+        """How many pixels show ground, of it water and imagery, and missing ground; the middle two by a sample."""
+        ground = int(np.isfinite(depth).sum())
+        points, share = points_of(self.terrain, scene.view, scene.exaggeration, depth)
+        wet, covered = wet_at(self._light.maps, points), 0
+        if scene.layers and len(points):
+            x, y = self.terrain.grid.xy(points[:, 0], points[:, 1])
+            hidden = self.imagery.covered(scene.layers, x, y) > 0.5
+            wet, covered = wet & ~hidden, int(hidden.sum())
+        return {
+            "ground": ground, "water": round(int(wet.sum()) * share), "draped": round(covered * share),
+            "missing": int(veiled.sum()),
+        }  # fmt: skip
+
+    @property
+    def mesh(self) -> Tessellation | None:
+        """The mesh of the scene's engine that the last frame drew; None: patches."""
+        return self._meshes.mesh
+
+    @property
+    def light(self) -> str:
+        """Where the light of the last frame came from, if it was looked up in a layer or by rays."""
+        scene = self._samples.state and self._samples.state[0]
+        if scene and scene.light == "raytraced":
+            return f"{scene.rays} rays"
+        return self._light.maps.told if self._light.maps is not None else ""
+
+    def _seen(self, scene: Scene) -> Seen:
+        """Some of the ground in view, by the last frame's depth."""
+        return seen_by(self.terrain, scene.view, scene.exaggeration, self.depth())
+
+    @property
+    def _camera_drawn(self) -> NDArray[Any]:
+        """The camera of the last frame."""
+        scene = self._samples.state[0]
+        return camera_of(scene.view, self.terrain, scene.exaggeration)

@@ -1,0 +1,399 @@
+"""The terrain renderer: a scene becomes a frame, out of core, at the rate of the screen.
+
+A frame: tiles that were read meanwhile are brought to the atlases; the engine ``batched`` selects patches among those
+whose tiles are there (coarser ones stand in, so there is neither hole nor crack nor waiting); one instanced draw leaves
+depth and marks; one pass gives every pixel its light. What the frame would have liked to have goes to the streamer,
+largest error first. Maps of light follow the camera from a thread of their own. When nothing changes any more, further
+frames are drawn with samples elsewhere in the pixels and averaged: a picture at rest is smooth everywhere.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+from orograph.gpu.recording import write
+from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
+from orograph.lod.triangle_patches import Patches
+from orograph.memo import Kept
+from orograph.rendering.gpu.camera import CAMERA, camera_of
+from orograph.rendering.gpu.frame import PLAIN, FrameStats, Overlay
+from orograph.rendering.gpu.reading import Reading
+from orograph.rendering.gpu.shade.following import Following, maps_key
+from orograph.rendering.gpu.shade.lettering import Letters
+from orograph.rendering.gpu.shade.look import DRAPE, FIELD, LABELS, SILHOUETTES, SMOOTH, WIREFRAME
+from orograph.rendering.gpu.shade.look_cache import SLOPES, Looks
+from orograph.rendering.gpu.shade.outlines import BreakPass
+from orograph.rendering.gpu.shade.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass, Targets
+from orograph.rendering.gpu.shade.resources import Resources
+from orograph.rendering.gpu.shade.tracing import RAYS, Around, Share, parts_of
+from orograph.rendering.gpu.stream.image_tiles import SIDE
+from orograph.rendering.gpu.stream.imagery import Imagery
+from orograph.rendering.gpu.stream.residency import Residency
+from orograph.rendering.gpu.stream.tiles import missing
+from orograph.rendering.gpu.surface.meshes import Meshes, MeshPass
+from orograph.rendering.gpu.surface.overview import Seen, overview
+from orograph.rendering.gpu.surface.patches import PatchPass, Slopes
+from orograph.rendering.gpu.surface.void_fill import VeilPass
+from orograph.rendering.gpu.temporal.antialiasing import NONE, Steady
+from orograph.rendering.gpu.temporal.jitter import SAMPLES, Samples
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import View
+
+LATE, PASSED = 0.008, 3
+"""A frame that took so many seconds until it was handed over looks not ahead, nor do the next ones, so many at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Choice:
+    """What a frame draws.
+
+    Attributes:
+        patches: of the ground. tolerance: that they were chosen by, pixels. layers: on the ground.
+        lettered: whether contours are labelled. loaded: tiles that came for it, of so many ``bytes``.
+        seconds: that selecting patches took. state: two frames of one camera are one picture while it is the same.
+    """
+
+    patches: Patches
+    tolerance: float
+    layers: Any
+    lettered: bool
+    loaded: int
+    bytes: int
+    seconds: float
+    state: tuple[Any, ...]
+
+
+class Renderer(Reading):
+    """Draws one terrain on one device.
+
+    Args:
+        device: where.
+        terrain: what; it is read from several threads.
+        gpu_memory: bytes of the atlases, a quarter of it for layers, if there are any.
+        memory: bytes of the engine's tables.
+        jobs: threads that read tiles.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        terrain: Terrain,
+        *,
+        gpu_memory: int = 1 << 29,
+        memory: int = 1 << 30,
+        jobs: int | None = None,
+    ) -> None:
+        self.device, self.terrain = device, terrain
+        self.kept = Kept()
+        self.tiles = Residency(device, terrain, 3 * (gpu_memory // 4), memory, jobs)
+        self.imagery = Imagery(device, terrain, gpu_memory // 4, jobs)
+        self.heights, self.slopes, self.engine = self.tiles.heights, self.tiles.slopes, self.tiles.engine
+        self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
+        legs = self.engine.legs
+        self._resources = Resources(device, terrain, self.heights, self.slopes, self.imagery, self.kept)
+        self._patches = PatchPass(
+            device, self._camera, self.heights.texture, self._resources.stored_slopes, patch_vertices(legs),
+            patch_indices(legs), INSTANCE.itemsize, missing(terrain),
+        )  # fmt: skip
+        self._slopes: Slopes = ""
+        field = self.heights.texture.create_view(dimension="2d-array"), self.heights.page_buffer, self._resources.levels
+        self._meshes, self._triangles = Meshes(terrain), MeshPass(device, self._camera, field, missing(terrain))
+        self._field = False
+        self._letters = Letters(device, terrain)
+        self._breaks = BreakPass(device, self._camera, terrain, self._resources.stored_slopes)
+        self._veil = VeilPass(device, self._camera)
+        self._shading = ShadePass(device, self._camera, missing(terrain))
+        self._corners = ScreenOcclusion(device, self._shading)
+        self._resolves: dict[str, ResolvePass] = {}
+        self._targets: Targets | None = None
+        self._light = Following(
+            terrain, self.kept, self._veil, legs, upload=lambda pool: self._resources.upload("maps", pool)
+        )
+        self._looks = Looks(terrain, self.kept, self._light, self._veil)
+        self._flags = 0
+        self._samples = Samples()
+        self._steady = Steady(device, self._camera)
+        self._around = Around(terrain, device.largest)
+        self._missing = self._late = 0
+        self._lit: Scene | None = None
+
+    # ---- drawing ---------------------------------------------------------------------------------------------------
+
+    def draw(
+        self, target: Any, format: str, scene: Scene, *, overlay: Overlay = PLAIN, freeze: View | None = None,
+        wait: bool = False, samples: int | None = None, advance: Callable[[float], None] = lambda part: None,
+    ) -> FrameStats:  # fmt: skip
+        """Draw a frame.
+
+        Args:
+            target: a texture view of the scene's view's size, to be overwritten. format: its format.
+            scene: what; its terrain must be the renderer's.
+            overlay: what is shown besides.
+            freeze: the camera that patches are selected for, or a mesh refined, if not the scene's view (or, of a mesh,
+                its ``mesh_view``).
+            wait: first wait for all tiles and maps that the picture wants.
+            samples: draw with so many samples per pixel at once; None: one, and one more every further frame at rest.
+            advance: hears how much of a picture by rays was drawn, part by part, when it is waited for.
+
+        Raises:
+            OrographError: with ``wait``, a tile, a map or a mesh could not be made.
+        """
+        begun = time.perf_counter()
+        view, chosen = scene.view, self._choose(scene, freeze, wait=wait)
+        instances = chosen.patches.instances
+        targets = self._fit(view.width, view.height)
+        begin, count = self._samples.next((scene, overlay, freeze, *chosen.state, maps_key(scene)), samples, self.busy)
+        self._light_for(scene, targets, instances, wait=wait)
+        group, flags = self._shaded(scene, overlay, targets, chosen, wait=wait)
+        if begin and flags != self._flags:  # it was compiled meanwhile: what was gathered looks otherwise
+            begin, count = 0, 1
+        self._flags, self._samples.gathered = flags, begin + count
+        resolve = self._resolve(format)
+        encoder = self.device.handle.create_command_encoder()
+        for k in range(begin, begin + count):
+            shift = self._samples.place(k, samples, (0.0, 0.0) if wait else self._steady.shift)
+            encoder = self._pass(encoder, targets, scene, instances, group, flags, shift, k, samples, advance)
+            if k + 1 < begin + count:  # the camera is written before the next pass
+                self.device.queue.submit([encoder.finish()])
+                encoder = self.device.handle.create_command_encoder()
+        dark = None
+        if overlay.occlusion > 0 and overlay.reach != 0:
+            plan = view.projection == "plan"
+            dark = self._corners.encode(
+                encoder, targets, group, view.pixel_metres if plan else view.pixel_slope,
+                overlay.reach or view.distance / 12, not plan,
+            )  # fmt: skip
+        light = None
+        if wait or samples is not None or flags & RAYS:
+            self._steady.forget()
+        else:
+            settings = overlay, freeze is None, chosen.layers, flags
+            came = np.concatenate([self.tiles.areas, self.imagery.areas]) if chosen.loaded else NONE
+            made, there = (self._light.maps, self._meshes.mesh), self._samples
+            light = self._steady.encode(
+                encoder, targets, scene, settings, there.shift, there.gathered, came, made
+            )  # fmt: skip
+        resolve.draw(encoder, targets, target, occlusion=dark, strength=overlay.occlusion, light=light)
+        commands = encoder.finish()
+        to_submit = time.perf_counter() - begun
+        self.device.queue.submit([commands])
+        after = 0.0 if wait else self._go_on(freeze or view, chosen.tolerance, scene.exaggeration, to_submit)
+        return self._told(scene, chosen, to_submit, after)
+
+    def overview(self, scene: Scene) -> Seen:
+        """What a scene's whole view shows: all tiles of it have their light and their haze by that."""
+        return self.kept(
+            "overview", (scene.view.whole, scene.exaggeration),
+            lambda: overview(self.device, self.tiles, self._patches, self._camera, scene), self.terrain,
+        )  # fmt: skip
+
+    def prepare(self, format: str, scene: Scene, *, overlay: Overlay = PLAIN) -> None:
+        """Do what the first frame of a scene would do once and for all, so that it takes no longer than others.
+
+        Kernels are loaded, shaders compiled, tiles asked for; may be called in a thread, before any frame. Arguments
+        are those of ``draw``.
+        """
+        self._light.begin()
+        look, slopes = self._looks.of(scene, overlay, exact=False), SLOPES[overlay.normals]
+        flags = self._looks.features(look, bool(slopes))
+
+        def compile() -> None:
+            with contextlib.suppress(Exception):  # the frame says what is wrong
+                self._resolve(format)
+                self._patches.pipeline(bool(flags & WIREFRAME), slopes)
+                for entry in SHOWN:
+                    self._shading.pipeline(flags, entry)
+
+        beside = threading.Thread(target=compile, daemon=True)
+        beside.start()
+        self.tiles.choose(scene.view, scene.tolerance or 1.0, scene.exaggeration, wait=False)
+        beside.join()
+
+    @property
+    def busy(self) -> bool:
+        """Whether tiles or maps are on their way: the next frame will be better."""
+        waiting = self._missing > 0 or self.tiles.waiting > 0 or self.imagery.waiting > 0
+        parts = self._light, self._around, self._meshes, self._letters, self._shading
+        return waiting or any(part.busy for part in parts)
+
+    @property
+    def resting(self) -> bool:
+        """Whether the picture is as good as it gets."""
+        return not self.busy and self._samples.complete
+
+    def close(self) -> None:
+        """Stop reading."""
+        self.tiles.close()
+        self.imagery.close()
+        self._light.close()
+        self._around.close()
+        self._meshes.close()
+        self._letters.close()
+
+    # ---- parts of a frame ------------------------------------------------------------------------------------------
+
+    def _choose(self, scene: Scene, freeze: View | None, *, wait: bool) -> _Choice:
+        """What a frame draws: patches or a mesh, layers, letters."""
+        view = scene.view
+        if wait and view.part is not None:
+            self.overview(scene)  # before the tile's own ground is chosen, whose place it may take
+        tolerance = scene.tolerance or 1.0
+        if scene.contours is not None:
+            tolerance *= scene.contours.finer(self.terrain, view, self.kept)
+        chosen = self.tiles.choose(freeze or view, tolerance, scene.exaggeration, wait=wait, later=True)
+        layers = self.imagery.prepare(scene.layers, view, scene.exaggeration, wait=wait)
+        self._missing = chosen.missing + self.imagery.missing
+        loaded = chosen.loaded + self.imagery.loaded
+        self._mesh_for(scene, freeze, wait=wait)
+        mesh = self._meshes.mesh
+        self._field = mesh is not None and scene.contours is not None  # lines are the terrain's
+        lettered = self._letters.prepare(scene, self._looks.contours(scene), wait=wait, mesh=mesh)
+        state = loaded, layers, len(chosen.patches.instances), mesh, self._letters.state
+        return _Choice(
+            chosen.patches, tolerance, layers, bool(lettered), loaded, chosen.bytes + 4 * SIDE**2 * self.imagery.loaded,
+            chosen.seconds, state,
+        )  # fmt: skip
+
+    def _shaded(
+        self, scene: Scene, overlay: Overlay, targets: Targets, chosen: _Choice, *, wait: bool
+    ) -> tuple[Any, int]:  # fmt: skip
+        """Bring what the shading looks up to the GPU: its bind group, and the flags of the shader to draw with."""
+        view, maps, mesh = scene.view, self._light.maps, self._meshes.mesh
+        assert maps is not None
+        self._slopes = slopes = SLOPES[overlay.normals]
+        given, field = bool(slopes), self._field
+        if wait:
+            self._around.at_once(scene, mesh if overlay.normals == "faces" else None)
+        else:
+            self._around.aside(scene)
+        self._shading.rays.load(self._around.field)
+        look = self._looks.of(scene, overlay, exact=wait)
+        self.tint = look.tint
+        u = look.uniform
+        if view.part is not None:
+            u = u.copy()
+            u["corner"] = view.part[0] | view.part[1] << 16
+        self._resources.shade_with(u)
+        breaks: tuple[Any, Any] = None, None
+        if int(u["flags"]) & SILHOUETTES:
+            near, far, *_ = u["edge_range"]
+            self._breaks.aim((float(near), float(far)), scene.silhouettes.creases if scene.silhouettes else 0.0)
+            breaks = self._breaks.views(targets)
+        views = self._letters.view, *breaks
+        bound = self._resources.bound(look, maps, scene, targets, given=given or field, field=field, marks=views)
+        group = self._shading.group(targets, bound)
+        flags = self._looks.features(look, given)
+        flags |= (LABELS if chosen.lettered else 0) | (DRAPE if chosen.layers else 0)
+        flags |= (FIELD if field else 0) | (SMOOTH if self._looks.beyond_samples(scene) else 0)
+        edges = bool(flags & WIREFRAME)
+        return group, self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, slopes), wait=wait)
+
+    def _go_on(self, view: View, tolerance: float, exaggeration: float, taken: float) -> float:
+        """Have threads read, also for a moment later if there is time, and make maps; the seconds that took."""
+        begun = time.perf_counter()
+        late = taken > LATE and self._late < PASSED
+        self._late = self._late + 1 if late else 0
+        self.tiles.prepare(view, tolerance, exaggeration, ahead=not late)
+        self._light.go_on()
+        return time.perf_counter() - begun
+
+    def _told(self, scene: Scene, chosen: _Choice, to_submit: float, after: float) -> FrameStats:
+        """What a frame took: seconds of Python until it was handed over, and after that."""
+        patches, mesh = chosen.patches, self._meshes.mesh
+        return FrameStats(
+            len(patches.instances) if mesh is None else 0,
+            patches.stats["triangles"] if mesh is None else len(mesh.triangles),
+            patches.stats["pixels"] if mesh is None else scene.tolerance or 1.0, chosen.seconds * 1e3,
+            (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,
+            self.tiles.count + self.imagery.count, self._missing,
+            self._samples.gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
+            current=scene.engine is None or self._meshes.current, notes=tuple(self.imagery.told()),
+            submit_ms=to_submit * 1e3, making=self.imagery.making,
+        )  # fmt: skip
+
+    def _pass(
+        self, encoder: Any, targets: Targets, scene: Scene, instances: NDArray[Any], group: Any, flags: int,
+        shift: tuple[float, float], k: int, samples: int | None, advance: Callable[[float], None],
+    ) -> Any:  # fmt: skip
+        """Add a pass to the mean of the ``k`` before it; the encoder to go on with."""
+        camera = camera_of(scene.view, self.terrain, scene.exaggeration, shift=shift)
+        write(self.device, self._camera, camera)
+        self._ground(encoder, targets, instances, edges=bool(flags & WIREFRAME), slopes=self._slopes)
+        self._veil.draw(encoder, targets)
+        if flags & SILHOUETTES:
+            self._breaks.draw(encoder, targets)
+        self._samples.enough = SAMPLES
+        if not flags & RAYS:
+            self._shading.draw(encoder, targets, group, flags, frame=k)
+            return encoder
+        share = Share.of(self.device, scene, k, SAMPLES, samples=samples, shift=shift)
+        self._samples.enough = share.frames
+        self._shading.rays.run(share)
+        parts = parts_of(self.device, (targets.width, targets.height), share.rays * share.lights)
+        for n, part in enumerate(parts):
+            self._shading.draw(encoder, targets, group, flags, frame=k, clear=n == 0, part=part)
+            if n + 1 < len(parts):
+                self.device.queue.submit([encoder.finish()])
+                encoder = self.device.handle.create_command_encoder()
+                if samples is not None:
+                    self.device.wait()  # Ctrl-C is heard in between
+                    advance(1 / (len(parts) * samples))
+        return encoder
+
+    def _ground(
+        self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False, slopes: Slopes = ""
+    ) -> None:
+        """Depth and marks of the ground: the engine's mesh, or patches."""
+        if self._meshes.mesh is None:
+            self._patches.draw(encoder, targets, instances, edges=edges, slopes=slopes)
+        else:
+            mesh, given = self._meshes.mesh, bool(slopes)
+            self._triangles.draw(encoder, targets, mesh, edges=edges, given=given, field=self._field)
+
+    def _mesh_for(self, scene: Scene, freeze: View | None, *, wait: bool) -> None:
+        """Have the mesh of the scene's engine: at once if ``wait``, else aside while the old one serves."""
+        if scene.engine is None:
+            self._meshes.none()
+            return
+        (self._meshes.at_once if wait else self._meshes.aside)(scene, freeze or scene.mesh_view or scene.view)
+
+    def _resolve(self, format: str) -> ResolvePass:
+        if format not in self._resolves:
+            self._resolves[format] = ResolvePass(self.device, format)
+        return self._resolves[format]
+
+    def _fit(self, width: int, height: int) -> Targets:
+        if self._targets is None or (self._targets.width, self._targets.height) != (width, height):
+            self._targets = Targets(self.device, width, height)
+            self._samples.state = None
+        return self._targets
+
+    def _light_for(
+        self, scene: Scene, targets: Targets, instances: NDArray[Any], *, wait: bool
+    ) -> None:  # fmt: skip
+        """Have maps of light for the scene: at once if ``wait``, else aside while old ones serve."""
+        if wait and scene.view.part is not None:
+            whole = replace(scene, view=scene.view.whole, samples=1)
+            if self._lit != whole:
+                self._light.at_once(whole, lambda: self.overview(scene))
+                self._lit = whole
+            return
+        self._lit = None
+        if not wait:
+            self._light.aside(scene, instances)
+            return
+        write(self.device, self._camera, camera_of(scene.view, self.terrain, scene.exaggeration))
+        encoder = self.device.handle.create_command_encoder()
+        self._ground(encoder, targets, instances)
+        self.device.queue.submit([encoder.finish()])
+        self._light.at_once(scene, lambda: self._seen(scene))

@@ -1,0 +1,163 @@
+"""Maps of light and membranes over holes that follow the camera: made at once for a picture that may take its time, in
+a thread of their own for frames that may not wait; the old ones serve until new ones are there.
+
+The first that a window gets are quick ones: coarse shadows under an open sky, in a tenth of the time. Where the camera
+comes to rest maps are made for what is seen there; while it moves on and on they are renewed now and then, so seldom
+that the thread leaves three quarters of the time to others.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.background import Aside
+from orograph.memo import Kept
+from orograph.rendering.gpu.shade.light_maps import LightMaps, light_maps, plain_maps, quick_maps, whole
+from orograph.rendering.gpu.surface.visible import about
+from orograph.rendering.gpu.surface.void_fill import EXACT, VeilPass, veils
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import View
+
+Array = NDArray[np.float64]
+
+SETTLED = 0.25
+"""Seconds the camera must have stood still before maps of light are made for where it is."""
+RENEWED = 1.0
+"""Seconds between the maps that a camera is given which never stands still, at least."""
+SHARE = 4.0
+"""How many times as long as making them takes they serve."""
+QUICK = "quick"
+DETAIL = 1.5
+"""Pixels that a sample of the sun's finest window may be as large as; of the quick ones: ``COARSE``."""
+COARSE = 12.0
+
+
+def maps_key(scene: Scene) -> tuple[Any, ...]:
+    """What of a scene the maps of light depend on besides the camera."""
+    return scene.sun, scene.shadows, scene.exaggeration, scene.water, scene.light
+
+
+Upload = Callable[[NDArray[Any]], None]
+
+KINDS = 5
+"""Parts of a key that ``maps_key`` gives; the others tell where the camera is."""
+
+
+class Following:
+    """What is made for where the camera is.
+
+    Args:
+        kept: what earlier maps left. veil: takes the membranes. legs: segments of a patch's leg.
+        upload: is given the pool of maps made aside, in their thread: frames have no time for so many bytes.
+
+    Attributes:
+        maps: those to draw with; None before the first frame. range: of the depths in view, metres.
+    """
+
+    def __init__(
+        self, terrain: Terrain, kept: Kept, veil: VeilPass, legs: int, upload: Upload = lambda _: None
+    ) -> None:
+        self.terrain, self.kept, self.veil, self.legs, self.upload = terrain, kept, veil, legs, upload
+        self.maps: LightMaps | None = None
+        self.range = (1.0, 1e5)
+        self._aside = Aside()
+        self._own = Kept()
+        """What the thread keeps for the next maps; ``kept`` would have frames wait while it makes something."""
+        self._begun = self._taken = self._took = 0.0
+        self._wish: Any = None
+        self._due_now: tuple[Any, Callable[[], Any]] | None = None
+        self._last_view: View | None = None
+        self._moved = 0.0
+
+    @property
+    def busy(self) -> bool:
+        """Whether better maps are on their way, or are to be made."""
+        return self._aside.busy or self._aside.done != self._wish
+
+    def at_once(self, scene: Scene, seen: Callable[[], tuple[Array, tuple[float, float] | None]]) -> None:
+        """Have maps for the scene; ``seen`` gives the ground in view as ``seen.about`` does."""
+        points, found = seen()
+        self.range = found or self.range
+        self.maps = light_maps(scene, points if found else whole(self.terrain), self.kept)
+        self.veil.load(*self._veils(scene, self.kept))
+        self._aside.done = self._wish = self._key(scene)
+
+    def begin(self) -> LightMaps:
+        """The maps to draw with: those of an open sky, until there are others."""
+        if self.maps is None:
+            self.maps = plain_maps()
+        return self.maps
+
+    def aside(self, scene: Scene, instances: NDArray[Any]) -> None:
+        """Take the maps that were made meanwhile; if the scene wants others, ``go_on`` has them made."""
+        now, self._due_now = time.monotonic(), None
+        done = self._aside.take()
+        if done is not None:
+            self.maps, self.range, veil = done
+            self._taken, self._took = now, now - self._begun
+            if veil is not None:
+                self.veil.load(*veil)
+        self.begin()
+        if self._last_view is None:
+            self.range = self._about(scene, instances)[1]
+        key = self._wish = self._key(scene)
+        if scene.view != self._last_view:
+            self._last_view, self._moved = scene.view, now
+        if not self._due(key, now) or not self._aside.wants(key):
+            return
+        instances = instances.copy()  # the next frame's take their place
+        quick = self._aside.done is None
+
+        def make() -> tuple[LightMaps, tuple[float, float], Any]:
+            points, visible = self._about(scene, instances)
+            if quick:
+                return self._uploaded(quick_maps(scene, points, self._own, detail=COARSE)), visible, None
+            maps = self._uploaded(light_maps(scene, points, self._own, detail=DETAIL))
+            return maps, visible, self._veils(scene, self._own)
+
+        self._due_now = (*key[:KINDS], QUICK) if quick else key, make
+
+    def go_on(self) -> None:
+        """Begin what ``aside`` found to be due: when a frame was handed over, whose Python would be slowed down."""
+        if self._due_now is not None:
+            begin, self._due_now = self._due_now, None
+            self._begun = time.monotonic()
+            self._aside.start(*begin)
+
+    def _due(self, key: tuple[Any, ...], now: float) -> bool:
+        """Whether it is time to make maps: a new sun, the first maps and those after quick ones are not waited with."""
+        done = self._aside.done
+        if done is None or done[:KINDS] != key[:KINDS] or done[KINDS] == QUICK:
+            return True
+        return now - self._moved > SETTLED or now - self._taken > max(RENEWED, SHARE * self._took)
+
+    def close(self) -> None:
+        self._aside.close()
+
+    def _uploaded(self, maps: LightMaps) -> LightMaps:
+        self.upload(maps.pool)
+        return maps
+
+    def _about(self, scene: Scene, instances: NDArray[Any]) -> tuple[Array, tuple[float, float]]:
+        if not len(instances):
+            return whole(self.terrain), self.range
+        points, found = about(self.terrain, scene.view, scene.exaggeration, instances, self.legs)
+        return points, found or self.range
+
+    def _veils(self, scene: Scene, kept: Kept) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+        """Patches over the holes in view."""
+        view, terrain, tolerance = scene.view, self.terrain, scene.tolerance or 1.0
+        known = () if terrain.grid.shape[0] * terrain.grid.shape[1] <= EXACT else (view, scene.exaggeration, tolerance)
+        return kept("veils", known, lambda: veils(terrain, view, scene.exaggeration, tolerance), terrain)
+
+    def _key(self, scene: Scene) -> Any:
+        view = scene.view
+        step = 0.15 * max(view.distance, 1.0)
+        return (*maps_key(scene), *(math.floor(v / step) for v in (*view.eye, *view.target)))

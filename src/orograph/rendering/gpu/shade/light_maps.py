@@ -1,0 +1,226 @@
+"""Maps of light for the GPU: what of the sky and of the sun ground sees, water, over windows of a terrain.
+
+The sky-view factor and the water are those of the CPU's pictures (``rendering.cpu.mapgrid``). Whether the sun is seen
+is a horizon towards its azimuth, swept over nested windows from the coarsest, which holds the whole terrain, to the
+finest around what is in view (``lighting.nested``): shadows reach as far as the terrain does, their resolution is that
+of the pixels, and they are as soft as the sun's disc is wide. None of it depends on the camera but the choice of
+windows, so it is made aside, when the sun or what is in view has changed, while pictures go on being drawn with what
+there is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.lighting.gpu.aperture import packed
+from orograph.lighting.nested import Nested, sunward
+from orograph.lighting.sun import Sun
+from orograph.memo import Kept
+from orograph.progress import SILENT
+from orograph.raycast.select import Rectangle, rectangles
+from orograph.rendering.cpu.lighting import SKIES, field_of
+from orograph.rendering.cpu.mapgrid import MapGrid, strength_of, working_window
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import View
+
+Array = NDArray[np.float64]
+Values = NDArray[np.float32]
+
+WINDOW, LARGEST = 3_000_000, 6_000_000
+"""Samples of a window of horizons towards the sun, at most (or an eighth of a very large picture's pixels), and of the
+outermost one, or any."""
+
+FIELDS = {"ao": SKIES, "aperture": ("aperture",)}
+"""The layers that a way of lighting looks up, the best first."""
+
+FAR = 64.0
+"""Radii of the sun's disc beyond which it does not matter how far the horizon is from it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LightMaps:
+    """Maps ready for a storage buffer.
+
+    Attributes:
+        pool: float32: the sky-view factor, water (as large, if there is any), then the windows of the sun.
+        light: offset, rows, cols, level of the sky-view factor. first: its first block (row, col).
+        wet: whether there is water.
+        windows: (n, 8) int32: offset, rows, cols, level, first row and column, two unused; outermost first.
+        fields: (n, 8) int32: windows of a share of the sky or of caps (``lighting.field``): offset, rows, cols, level,
+            first row and column, words per sample, unused; outermost first. told: what they are.
+        strength: factor on slopes for shading that suits the ground in view.
+        water_fraction: of the map.
+    """
+
+    pool: Values
+    light: tuple[int, int, int, int]
+    first: tuple[int, int]
+    wet: bool
+    windows: NDArray[np.int32]
+    fields: NDArray[np.int32]
+    told: str
+    strength: float
+    water_fraction: float
+
+
+def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) -> LightMaps:
+    """Make the maps for a scene.
+
+    Args:
+        points: (n, ≥ 2) sample coordinates of the ground in view.
+        kept: what earlier maps left.
+        detail: pixels that a sample of the sun's finest window may be as large as.
+    """
+    grid = MapGrid(scene, _ground(scene), _Seen(points), kept)  # type: ignore[arg-type]
+    level, row0, row1, col0, col1 = grid.window
+    rows, cols = row1 - row0, col1 - col0
+    open_sky = np.ones(rows * cols, np.float32)  # where nothing is known, the sky is open
+    parts: list[Values] = [np.nan_to_num(grid.sky_view, nan=1.0).ravel() if grid.sky_view.size else open_sky]
+    wet = grid.water.size > 0
+    if wet:
+        parts.append(grid.water.ravel())
+    offset = sum(p.size for p in parts)
+    windows: NDArray[np.int32] = np.zeros((0, 8), np.int32)
+    if scene.shadows and scene.light in ("relief", "ao"):
+        chosen = sun_windows(scene.terrain, scene.view, scene.exaggeration, detail)
+        found = kept(
+            "sun", (tuple(chosen), scene.sun, scene.exaggeration),
+            lambda: sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, kept, scene.jobs), scene.terrain,
+        )  # fmt: skip
+        windows = np.zeros((len(chosen), 8), np.int32)
+        for k, (r, values) in enumerate(zip(chosen, found)):
+            windows[k, :6] = offset, *values.shape, r.level, r.row0, r.col0
+            offset += values.size
+            parts.append(values.ravel())
+    fields: NDArray[np.int32] = np.zeros((0, 8), np.int32)
+    told = ""
+    if scene.light in FIELDS:
+        field, told = field_of(scene, _ground(scene), grid.window, FIELDS[scene.light], kept, SILENT)  # type: ignore[arg-type]
+        channels = field.pool.shape[1]
+        words = 2 if channels == 4 else channels
+        fields = np.zeros((len(field.ints), 8), np.int32)
+        for k, (ints, floats) in enumerate(zip(field.ints, field.floats)):
+            first_col, first_row = round(floats[5]), round(floats[6])
+            window_level = round(math.log2(floats[0]))
+            fields[k, :7] = (
+                offset + int(ints[0]) * words,
+                ints[1],
+                ints[2],
+                window_level,
+                first_row,
+                first_col,
+                words,
+            )
+        neutral = np.array([0.0, 0.0, 1.0, 0.0] if channels == 4 else [1.0], np.float32)  # the open sky
+        values = np.where(np.isnan(field.pool), neutral, field.pool).astype(np.float32)
+        parts.append(packed(values) if channels == 4 else values.ravel())
+    return LightMaps(
+        np.concatenate(parts), (0, rows, cols, level), (row0, col0), wet, windows, fields, told, grid.strength,
+        grid.water_fraction,
+    )  # fmt: skip
+
+
+def quick_maps(scene: Scene, points: Array, kept: Kept, *, detail: float) -> LightMaps:
+    """Maps for the first moment: the sun's shadows, coarsely, under an open sky, and no water.
+
+    Args:
+        points, kept, detail: as ``light_maps`` has them.
+    """
+    plain = plain_maps()
+    if not scene.shadows or scene.light not in ("relief", "ao"):
+        return plain
+    strength = scene.relief
+    if strength is None:
+        strength = kept(
+            "strength", (window := working_window(scene.terrain, points), scene.exaggeration),
+            lambda: strength_of(scene, window), scene.terrain,
+        )  # fmt: skip
+    chosen = sun_windows(scene.terrain, scene.view, scene.exaggeration, detail)
+    found = sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, kept, scene.jobs)
+    windows: NDArray[np.int32] = np.zeros((len(chosen), 8), np.int32)
+    parts, offset = [plain.pool], plain.pool.size
+    for k, (r, values) in enumerate(zip(chosen, found)):
+        windows[k, :6] = offset, *values.shape, r.level, r.row0, r.col0
+        offset += values.size
+        parts.append(values.ravel())
+    return replace(plain, pool=np.concatenate(parts), windows=windows, strength=strength)
+
+
+def plain_maps() -> LightMaps:
+    """Light before any map of it is there: an open sky, no water, no shadows."""
+    nothing: NDArray[np.int32] = np.zeros((0, 8), np.int32)
+    return LightMaps(np.ones(1, np.float32), (0, 1, 1, 0), (0, 0), False, nothing, nothing, "", 1.0, 0.0)
+
+
+def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float) -> list[Rectangle]:
+    """Nested windows of box means, outermost first, whose samples are about ``detail`` pixels large where they show, or
+    larger where that would be too many: the outermost holds the whole terrain."""
+    most = min(max(WINDOW, view.width * view.height // 8), LARGEST)
+    found = rectangles(terrain, view, exaggeration, detail, by="spacing")
+    level = found[0].level
+    while math.prod(terrain.mean_shape(level)) > LARGEST and level < terrain.levels - 1:
+        level += 1
+    rows, cols = terrain.mean_shape(level)
+    out = [Rectangle(level, 0, rows, 0, cols)]
+    for r in found:
+        rows, cols = terrain.mean_shape(r.level)
+        row1, col1 = min(r.row1, rows), min(r.col1, cols)
+        row0, col0 = min(r.row0, row1 - 1), min(r.col0, col1 - 1)
+        if r.level >= level or (row1 - row0) * (col1 - col0) > most:
+            continue  # too large: the coarser one around it has to do, until a finer and smaller one comes
+        out.append(Rectangle(r.level, row0, row1, col0, col1))
+    return out
+
+
+def sun_maps(
+    terrain: Terrain, windows: list[Rectangle], sun: Sun, exaggeration: float, kept: Kept, jobs: int | None
+) -> list[Values]:
+    """How far the horizon stands above the sun's centre, in radii of its disc, for every sample of the windows.
+
+    Beyond ±``FAR`` it is cut. Missing ground is told not to be in the way.
+    """
+
+    def means(r: Rectangle) -> Nested:
+        box = r.row0, r.row1, r.col0, r.col1
+        heights = kept("means", (r.level, *box), lambda: terrain.read_mean(r.level, *box), terrain, 8)
+        return Nested(heights * np.float32(exaggeration), r.level, r.row0, r.col0)
+
+    nested = [means(r) for r in windows]
+    a, b, _, d, e, _ = terrain.grid.samples[:6]
+    lowest = math.tan(math.radians(max(sun.altitude - 89.0 * sun.diameter, -89.0)))
+    out = []
+    radius = max(sun.diameter / 2, 1e-3)
+    for slopes in sunward(nested, np.array([[a, b], [d, e]]), sun.azimuth, lowest=lowest, jobs=jobs):
+        with np.errstate(invalid="ignore"):
+            above = (np.degrees(np.arctan(slopes)) - np.float32(sun.altitude)) / np.float32(radius)
+        out.append(np.clip(np.nan_to_num(above, nan=-FAR), -FAR, FAR).astype(np.float32))
+    return out
+
+
+class _Seen:
+    """What ``MapGrid`` asks of a survey: where the ground in view is."""
+
+    def __init__(self, points: Array) -> None:
+        self.hits = self
+        self.points = points
+
+
+class _ground:
+    """What ``MapGrid`` asks of the ground: what it is, and how far apart samples are."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.rays, self.bare = self, scene
+        t = scene.terrain.grid.transform
+        self.spacing = math.sqrt(abs(t.determinant))
+        self.linear = np.array([[t.a, t.b], [t.d, t.e]])
+
+
+def whole(terrain: Terrain) -> Array:
+    """Points that stand for all of a terrain."""
+    rows, cols = terrain.grid.shape
+    return np.array([[0.0, 0.0], [cols - 1.0, rows - 1.0]])

@@ -1,0 +1,121 @@
+"""What a scene looks like, as the shading shader wants it: colours, light and air in one uniform and one table."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis.colour import Tint, tint_of
+from orograph.lighting.aperture import Lights
+from orograph.memo import Kept
+from orograph.rendering.cpu.kernels import SHORE
+from orograph.rendering.cpu.marks import ink
+from orograph.rendering.cpu.shading import BOUNCE, MISSING, PAPER, WATER, illumination
+from orograph.rendering.gpu.shade.light_maps import LightMaps
+from orograph.rendering.gpu.shade.tracing import RAYS
+from orograph.rendering.sky import FADE, Atmosphere
+from orograph.scene.contours import Contours
+from orograph.scene.scene import Scene
+from orograph.scene.silhouettes import Silhouettes
+
+SHADE = np.dtype(
+    [
+        ("sun", "<f4", 4), ("sunlight", "<f4", 4), ("skylight", "<f4", 4), ("water", "<f4", 4), ("paper", "<f4", 4),
+        ("extinction", "<f4", 4), ("mist", "<f4", 4), ("disc", "<f4", 4), ("tint", "<f4", 4), ("contour", "<f4", 4),
+        ("contour_colour", "<f4", 4), ("edge", "<f4", 4), ("edge_range", "<f4", 4),
+        ("side", "<f4", 2), ("sky_at", "<u4"), ("sky_rows", "<u4"), ("sky_cols", "<u4"),
+        ("ring_at", "<u4"), ("land_at", "<u4"), ("land_count", "<u4"), ("sea_at", "<u4"), ("sea_count", "<u4"),
+        ("levels", "<u4"), ("flags", "<u4"), ("light", "<i4", 4), ("light_first", "<i4", 2), ("windows", "<u4"),
+        ("hatch", "<u4"), ("fields", "<u4"), ("suns", "<u4"), ("lamps", "<u4"), ("corner", "<u4"),
+    ]
+)  # fmt: skip
+"""The uniform ``Shade`` of ``shaders/shade.wgsl``."""
+
+SHADOWS, WATERS, DRAPE, WIREFRAME, LEVELS = 1, 2, 4, 8, 16
+LIGHTS = {"relief": 0, "none": 32, "ao": 64, "aperture": 128, "raytraced": 32 | RAYS}
+"""Flags of the shader."""
+
+SKY, CONTOURS, VEILED, GIVEN, LABELS, SILHOUETTES, FIELD, SMOOTH = 256, 512, 1024, 2048, 4096, 8192, 16384, 32768
+
+LAMPS, SUNS = 1 << 17, 20
+"""A flag, and the bit from which three say how many discs of light there are (7: any number); loops that are not there
+cost nothing."""
+
+
+class Look:
+    """The numbers of one scene.
+
+    Attributes:
+        lights: what shines through apertures or by rays. uniform: of ``SHADE``.
+        tables: float32, colours one after the other. tint: how heights become colours.
+    """
+
+    def __init__(
+        self, scene: Scene, maps: LightMaps, visible_range: tuple[float, float], kept: Kept, *, wireframe: bool = False,
+        levels: bool = False, contours: Contours | None = None, silhouettes: Silhouettes | None = None,
+    ) -> None:  # fmt: skip
+        terrain = scene.terrain
+        sea = None if scene.water is not None else False
+        self.tint: Tint = kept(
+            "tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain
+        )
+        parts: list[NDArray[np.float32]] = []
+
+        def put(values: NDArray[np.floating]) -> int:
+            at = sum(p.size for p in parts)
+            parts.append(np.ascontiguousarray(values, np.float32).ravel())
+            return at
+
+        u = np.zeros((), SHADE)
+        to_sun, sunlight, skylight = illumination(scene.sun)
+        u["sun"] = *to_sun, math.radians(scene.sun.diameter) / 2
+        u["sunlight"] = *sunlight, maps.strength if scene.relief is None else scene.relief
+        u["skylight"] = *skylight, BOUNCE
+        u["water"] = *WATER, SHORE
+        u["paper"] = *PAPER, math.sqrt(abs(terrain.grid.transform.determinant))
+        u["tint"] = self.tint.low, self.tint.high, self.tint.floor, 0.0
+        u["land_at"], u["land_count"] = put(self.tint.land), len(self.tint.land)
+        u["sea_at"], u["sea_count"] = put(self.tint.sea), len(self.tint.sea)
+        u["hatch"] = put(MISSING)
+        if scene.sky:
+            air = Atmosphere(scene, visible_range, kept)
+            u["sky_at"] = put(air.table)
+            u["sky_rows"], u["sky_cols"] = air.table.shape[:2]
+            u["ring_at"] = put(air.ring)
+            u["side"] = air.side
+            u["mist"] = *air.mist, FADE
+            u["disc"] = *air.disc, 1.0
+            u["extinction"] = *air.extinction, air.near
+        if contours is not None:
+            u["contour"] = contours.interval, contours.index, contours.width, contours.opacity
+            u["contour_colour"][:3] = ink(contours)
+        if silhouettes is not None:
+            near = max(visible_range[0], 1e-3)
+            u["edge"] = *silhouettes.ink, silhouettes.opacity
+            u["edge_range"] = near, max(visible_range[1], near * 1.001, 2e-3), silhouettes.width, silhouettes.reach
+        u["levels"] = terrain.levels
+        flags = (SHADOWS if len(maps.windows) else 0) | (WATERS if maps.wet else 0)
+        flags |= (WIREFRAME if wireframe else 0) | (LEVELS if levels else 0)
+        lamplit = scene.light in ("aperture", "raytraced")
+        flags |= LIGHTS[scene.light] | (SHADOWS if scene.shadows and lamplit else 0)
+        flags |= SKY if scene.sky else 0
+        flags |= CONTOURS if contours is not None else 0
+        flags |= SILHOUETTES if silhouettes is not None else 0
+        u["light"], u["light_first"] = maps.light, maps.first
+        u["windows"] = len(maps.windows)
+        u["water"][3], u["fields"] = SHORE, len(maps.fields)
+        discs = [(scene.sun, _colour(sunlight)), *scene.discs]
+        lamps = [replace(lamp, height=lamp.height * scene.exaggeration) for lamp in scene.lamps]
+        self.lights = Lights(discs, lamps, _colour(skylight)) if lamplit else Lights()
+        u["suns"], u["lamps"] = len(self.lights.suns), len(self.lights.lamps)
+        u["flags"] = flags | min(len(self.lights.suns), 7) << SUNS | (LAMPS if self.lights.lamps else 0)
+        self.uniform = u
+        self.tables = np.concatenate(parts)
+
+
+def _colour(colour: NDArray[np.float32]) -> tuple[float, float, float]:
+    red, green, blue = (float(c) for c in colour)
+    return red, green, blue

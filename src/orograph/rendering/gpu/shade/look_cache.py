@@ -1,0 +1,70 @@
+"""How a scene looks to the shading shader: its numbers, made again only if something of it changed, and its flags."""
+
+from __future__ import annotations
+
+import math
+
+from orograph.memo import Kept
+from orograph.rendering.gpu.frame import Normals, Overlay
+from orograph.rendering.gpu.shade.following import Following
+from orograph.rendering.gpu.shade.look import GIVEN, VEILED, Look
+from orograph.rendering.gpu.surface.patches import Slopes
+from orograph.rendering.gpu.surface.void_fill import VeilPass
+from orograph.rendering.lines.smooth import SMALL
+from orograph.scene.contours import Contours
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+
+SLOPES: dict[Normals, Slopes] = {"computed": "", "stored": "stored", "derivatives": "flat", "faces": "flat"}
+"""Which slopes the geometry leaves for a choice of normals."""
+
+
+class Looks:
+    """The looks of scenes on a terrain.
+
+    Args:
+        kept: what earlier pictures left. light: the maps of light there are. veil: the membranes over holes.
+    """
+
+    def __init__(self, terrain: Terrain, kept: Kept, light: Following, veil: VeilPass) -> None:
+        self.terrain, self.kept, self.light, self.veil = terrain, kept, light, veil
+
+    def of(self, scene: Scene, overlay: Overlay, *, exact: bool) -> Look:
+        """The scene's colours and light: made again only if something of it changed.
+
+        Unless it is to be ``exact`` the range of depths that haze spans is rounded, so that it does not change always.
+        """
+        maps = self.light.maps
+        assert maps is not None
+        contours = self.contours(scene)
+        outlined = scene.silhouettes is not None and scene.view.projection != "plan"
+        silhouettes = scene.silhouettes.fitted(scene.view) if scene.silhouettes and outlined else None
+        near, far = scene.depths or self.light.range
+        if not exact:
+            near, far = (math.exp(round(10 * math.log(max(v, 1e-3))) / 10) for v in (near, far))
+        key = (
+            scene.sun, scene.light, scene.lamps, scene.discs, scene.shadows, scene.sky, scene.colormap, scene.water,
+            scene.relief, scene.exaggeration, near, far, overlay.wireframe, scene.wireframe,
+            overlay.levels, contours, silhouettes,
+        )  # fmt: skip
+
+        def make() -> Look:
+            return Look(
+                scene, maps, (near, far), self.kept, wireframe=overlay.wireframe or scene.wireframe,
+                levels=overlay.levels, contours=contours, silhouettes=silhouettes,
+            )  # fmt: skip
+
+        return self.kept("look", key, make, maps)
+
+    def features(self, look: Look, given: bool) -> int:
+        """What the shading shader is compiled for; ``given``: slopes are those that the targets hold."""
+        return int(look.uniform["flags"]) | (VEILED if self.veil.count else 0) | (GIVEN if given else 0)
+
+    def contours(self, scene: Scene) -> Contours | None:
+        return scene.contours and scene.contours.fitted(self.terrain, scene.view, self.kept)
+
+    def beyond_samples(self, scene: Scene) -> bool:
+        """Whether there are contour lines, and pixels somewhere so small that they follow the smooth surface."""
+        view = scene.view
+        pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * self.light.range[0]
+        return scene.contours is not None and pixel < SMALL[1] * min(self.terrain.grid.spacing)

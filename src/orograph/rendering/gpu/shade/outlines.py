@@ -1,0 +1,101 @@
+"""Silhouettes on the GPU: passes between geometry and light find how ground faces the eye (``shaders/facing.wgsl``),
+and where it breaks off or turns away and back (``shaders/breaks.wgsl``).
+
+The shading pass draws the lines (``shaders/lines.wgsl``), as ``rendering.lines.silhouettes`` does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from orograph.gpu.device import Device
+from orograph.rendering.gpu.shade.passes import Targets
+from orograph.rendering.lines.silhouettes import terrain_ends
+from orograph.store.terrain import Terrain
+
+BREAKS = "rgba16float"
+FACING = "r16float"
+SHADERS = {"facing": FACING, "breaks": BREAKS, "breaks_near": BREAKS}
+
+
+class BreakPass:
+    """Finds breaks in the targets' depth.
+
+    Args:
+        camera: the uniform buffer (``camera.CAMERA``). terrain: what is drawn.
+        slopes: the view of the slopes' atlas, its pages and the table of levels (``shaders/slopes.wgsl``).
+    """
+
+    def __init__(self, device: Device, camera: Any, terrain: Terrain, slopes: tuple[Any, Any, Any]) -> None:
+        self.device, self.camera, self.terrain, self.slopes = device, camera, terrain, slopes
+        self._away: Any = None  # where the terrain ends (``terrain_ends``), made when first asked for
+        self._step = 1
+        self.range = device.buffer(16, "UNIFORM", "depths in view")
+        self._pipelines: dict[str, Any] = {}
+        self._of: Targets | None = None
+        self._views: tuple[Any, ...] = ()
+        self._groups: tuple[Any, ...] = ()
+
+    def views(self, targets: Targets) -> tuple[Any, Any]:
+        """The views of the breaks of these targets, and of the heaviest one in every square of 8 × 8 pixels."""
+        if self._of is not targets:
+            usage = "RENDER_ATTACHMENT|TEXTURE_BINDING"
+            full = targets.width, targets.height
+            sizes = full, full, (-(-targets.width // 8), -(-targets.height // 8))
+            self._of = targets
+            facing, breaks, _ = self._views = tuple(
+                self.device.texture(size, format, usage, label=name).create_view()
+                for size, (name, format) in zip(sizes, SHADERS.items(), strict=True)
+            )
+            camera, range_, pages, levels = (
+                {"buffer": b} for b in (self.camera, self.range, self.slopes[1], self.slopes[2])
+            )
+            self._groups = (
+                self._group("facing", camera, targets.depth_view, self.slopes[0], pages, levels),
+                self._group("breaks", camera, targets.depth_view, range_, self._away.create_view(), facing),
+                self._group("breaks_near", breaks),
+            )
+        return self._views[1], self._views[2]
+
+    def aim(self, depths: tuple[float, float], creases: float) -> None:
+        """Say which depths are in view, metres, and how heavy creases are; before ``views``."""
+        if self._away is None:
+            away, self._step = terrain_ends(self.terrain)
+            height, width = away.shape
+            self._away = self.device.texture((width, height), "r32float", "COPY_DST|TEXTURE_BINDING", label="ends")
+            self.device.queue.write_texture(
+                {"texture": self._away}, away, {"bytes_per_row": 4 * width}, (width, height, 1)
+            )
+        self.device.queue.write_buffer(self.range, 0, np.array([*depths, self._step, creases], np.float32))
+
+    def draw(self, encoder: Any, targets: Targets) -> None:
+        """Find the breaks of what the targets hold."""
+        self.views(targets)
+        for name, view, group in zip(SHADERS, self._views, self._groups, strict=True):
+            pass_ = encoder.begin_render_pass(
+                color_attachments=[{"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"}]
+            )
+            pass_.set_pipeline(self._pipeline(name))
+            pass_.set_bind_group(0, group)
+            pass_.draw(3)
+            pass_.end()
+
+    def _pipeline(self, name: str) -> Any:
+        if name not in self._pipelines:
+            module = self.device.shader(name)
+            self._pipelines[name] = self.device.handle.create_render_pipeline(
+                label=name,
+                layout="auto",
+                vertex={"module": module, "entry_point": "vertex"},
+                primitive={"topology": "triangle-list"},
+                fragment={"module": module, "entry_point": "fragment", "targets": [{"format": SHADERS[name]}]},
+            )
+        return self._pipelines[name]
+
+    def _group(self, name: str, *resources: Any) -> Any:
+        return self.device.handle.create_bind_group(
+            layout=self._pipeline(name).get_bind_group_layout(0),
+            entries=[{"binding": k, "resource": resource} for k, resource in enumerate(resources)],
+        )

@@ -1,0 +1,344 @@
+"""The passes of a frame: patches into depth and marks, light and colour per pixel, resolving to the display.
+
+Shading is deferred: patches leave only depth and a word of marks per pixel, so that light is computed once a pixel
+whatever lies behind another, and one shader holds all of it (``shaders/shade.wgsl``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from orograph.gpu.background import Aside
+from orograph.gpu.device import Device
+from orograph.gpu.recording import KEEP, Attachments, write
+from orograph.rendering.gpu.shade.ray_field import Rays
+from orograph.rendering.gpu.shade.ssao import Ssao
+from orograph.rendering.gpu.shade.tracing import RAYS
+
+SHOWN = "fragment", "background"
+"""Entries of the shading shader that make a picture."""
+
+DEPTH, MARKS, LIGHT, GIVEN, FIELD = "depth32float", "r32uint", "rgba16float", "rg32float", "r32float"
+EMPTY = 0.0, 0.0, 0.0, 0.0
+
+
+class Targets:
+    """What a frame is drawn into: depth, marks, linear light, and where it is asked for the slopes of what was drawn
+    (metres per metre east and north) and the terrain's own heights there, of one size in pixels."""
+
+    def __init__(self, device: Device, width: int, height: int) -> None:
+        self.width, self.height = width, height
+        attach = "RENDER_ATTACHMENT|TEXTURE_BINDING|COPY_SRC"
+        size = (width, height)
+        self.depth = device.texture(size, DEPTH, attach, label="depth")
+        self.marks = device.texture(size, MARKS, attach, label="marks")
+        self.light = device.texture(size, LIGHT, attach, label="light")
+        self.depth_view, self.marks_view = self.depth.create_view(), self.marks.create_view()
+        self.light_view = self.light.create_view()
+        self._given: Any = None
+        self._field: Any = None
+        self._attached: dict[str, Attachments] = {}
+
+    def attached(self, name: str, make: Callable[[], Attachments]) -> Attachments:
+        """What a pass draws into, described when it is first asked for by this name."""
+        found = self._attached.get(name)
+        if found is None:
+            found = self._attached[name] = make()
+        return found
+
+    @property
+    def has_field(self) -> bool:
+        """Whether heights were asked for; as ``has_given``."""
+        return self._field is not None
+
+    def field_view(self, device: Device) -> Any:
+        """The view of the heights, which are made when they are first asked for."""
+        if self._field is None:
+            attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
+            self._field = device.texture((self.width, self.height), FIELD, attach, label="heights").create_view()
+        return self._field
+
+    @property
+    def has_given(self) -> bool:
+        """Whether slopes were asked for: a shader that looks at them may serve until another one is compiled."""
+        return self._given is not None
+
+    def given_view(self, device: Device) -> Any:
+        """The view of the slopes, which are made when they are first asked for."""
+        if self._given is None:
+            attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
+            self._given = device.texture((self.width, self.height), GIVEN, attach, label="slopes").create_view()
+        return self._given
+
+
+class ShadePass:
+    """Light and colour of every pixel, from depth and marks, added to what the target holds or replacing it.
+
+    Args:
+        camera: the uniform buffer (``camera.CAMERA``).
+        missing: what is added to heights that are missing (``tiles.missing``), metres.
+    """
+
+    def __init__(self, device: Device, camera: Any, missing: int) -> None:
+        self.device, self.camera, self.missing = device, camera, missing
+        handle = device.handle
+        layouts = [
+            handle.create_bind_group_layout(entries=[uniform(device, 0, "VERTEX|FRAGMENT")]),
+            handle.create_bind_group_layout(
+                entries=[
+                    uniform(device, 0, "FRAGMENT"),
+                    texture(1, "depth"), texture(2, "uint"), texture(3, "unfilterable-float", "2d-array"),
+                    *(storage(k) for k in (4, 5, 6, 7, 8)),
+                    texture(9, "float", "2d-array"), {"binding": 10, "visibility": stage("FRAGMENT"), "sampler": {}},
+                    storage(11), storage(12), storage(13),
+                    *(texture(k, "unfilterable-float") for k in (14, 15, 16, 17, 18)),
+                    texture(19, "unfilterable-float", "2d-array"), storage(20),
+                ]
+            ),
+        ]  # fmt: skip
+        self.layouts = layouts
+        self.rays = Rays(device)
+        self._pipelines: dict[tuple[int, str], Any] = {}
+        self._bound: tuple[list[Any], Any] = ([], None)
+        self._compiler = Aside()
+        self._last: int | None = None
+        self.camera_group = handle.create_bind_group(
+            layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]
+        )
+        self.sampler = handle.create_sampler(
+            mag_filter="linear", min_filter="linear", mipmap_filter="linear", max_anisotropy=1
+        )
+
+    def group(self, targets: Targets, resources: dict[int, Any]) -> Any:
+        """The bind group of what a frame looks up: buffers and texture views by binding (1, 2, 10 are put in).
+
+        It is kept as long as the same objects are asked for: making one takes longer than a frame's other calls.
+        """
+        asked = [targets.depth_view, targets.marks_view, *resources.values()]
+        if len(asked) == len(self._bound[0]) and all(a is b for a, b in zip(asked, self._bound[0], strict=True)):
+            return self._bound[1]
+        entries = [
+            {"binding": 1, "resource": targets.depth_view},
+            {"binding": 2, "resource": targets.marks_view},
+            {"binding": 10, "resource": self.sampler},
+        ]
+        entries += [
+            {"binding": k, "resource": {"buffer": r} if hasattr(r, "map_state") else r} for k, r in resources.items()
+        ]
+        group = self.device.handle.create_bind_group(
+            layout=self.layouts[1], entries=sorted(entries, key=lambda e: e["binding"])
+        )
+        self._bound = asked, group
+        return group
+
+    def at_hand(self, flags: int, also: Callable[[], Any], *, wait: bool) -> int:
+        """The flags to draw with: those wanted, or the last ones while a thread compiles what these need.
+
+        Compiling takes a hundred milliseconds and more, which no frame has but the first.
+
+        Args:
+            also: compiles what else a frame with these flags needs.
+            wait: compile at once.
+        """
+        self._compiler.take()
+        there = all((flags, entry) in self._pipelines for entry in SHOWN)
+        if wait or there or self._last is None or self._compiler.done == flags:
+            self._last = flags
+        elif self._compiler.wants(flags):
+            self._compiler.start(flags, lambda: (also(), *(self.pipeline(flags, entry) for entry in SHOWN)))
+        return self._last
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being compiled: a later frame will look otherwise."""
+        return self._compiler.busy
+
+    def pipeline(self, flags: int, entry: str = "fragment") -> Any:
+        """The pipeline for what is drawn (``look``'s flags), compiled when it is first asked for.
+
+        ``entry``: "fragment" (ground, where there is depth) or "background" (where there is none), which give light its
+        weight in the target's mean; or "surface" (depth and normals).
+        """
+        found = self._pipelines.get((flags, entry))
+        if found is None:
+            by_rays = bool(flags & RAYS)
+            module = self.device.shader(
+                "shade", {"FLAGS": flags, "RAYS": int(by_rays), "RAY_GROUP": 2, "MISSING": self.missing}
+            )
+            mean = {"src_factor": "constant", "dst_factor": "one-minus-constant", "operation": "add"}
+            light: list[dict[str, Any]] = [{"format": LIGHT, "blend": {"color": mean, "alpha": mean}}]
+            layouts = [*self.layouts, self.rays.layout.group] if by_rays else self.layouts
+            found = self.device.handle.create_render_pipeline(
+                label=f"shade {entry} {flags}",
+                layout=self.device.handle.create_pipeline_layout(bind_group_layouts=layouts),
+                vertex={"module": module, "entry_point": "vertex"},
+                primitive={"topology": "triangle-list"},
+                fragment={
+                    "module": module, "entry_point": entry,
+                    "targets": [{"format": "r32float"}, {"format": LIGHT}] if entry == "surface" else light,
+                },
+                depth_stencil=None if entry == "surface" else {
+                    "format": DEPTH, "depth_write_enabled": False,
+                    "depth_compare": "less" if entry == "fragment" else "greater-equal",  # than the triangle's 0
+                },
+            )  # fmt: skip
+            self._pipelines[flags, entry] = found
+        return found
+
+    def draw(
+        self, encoder: Any, targets: Targets, group: Any, flags: int, *, frame: int = 0, clear: bool = True,
+        part: tuple[int, int, int, int] | None = None,
+    ) -> None:  # fmt: skip
+        """Bring the light of all pixels to the target, which holds the mean over ``frame`` frames before this one.
+
+        The depth test tells ground from background, so that no pixel goes through both.
+
+        Args:
+            clear: whether a first frame finds the target as it was left. part: x, y, width and height; None: all.
+        """
+        before = EMPTY if frame == 0 and clear else None
+        pass_ = targets.attached(
+            "light" if before else "more light",
+            lambda: Attachments([(targets.light_view, before)], (targets.depth_view, KEEP)),
+        ).begin(encoder)
+        pass_.set_bind_group(0, self.camera_group)
+        pass_.set_bind_group(1, group)
+        if flags & RAYS:
+            pass_.set_bind_group(2, self.rays.group)
+        if part is not None:
+            pass_.set_scissor_rect(*part)
+        pass_.set_blend_constant((1.0 / (frame + 1),) * 4)
+        for entry in SHOWN:
+            pass_.set_pipeline(self.pipeline(flags, entry))
+            pass_.draw(3)
+        pass_.end()
+
+
+class ScreenOcclusion:
+    """Ambient occlusion in screen space of what the targets hold (``ssao``): depth and normals from the shading's data.
+
+    Args:
+        shading: knows how to look up the ground's slope.
+    """
+
+    def __init__(self, device: Device, shading: ShadePass) -> None:
+        self.device, self.shading = device, shading
+        self._passes: Ssao | None = None
+        self._surface: list[Any] = []
+
+    def encode(self, encoder: Any, targets: Targets, group: Any, pixel: float, radius: float, perspective: bool) -> Any:
+        """Add the passes; the view of a texture of how open each pixel's surroundings are.
+
+        Args:
+            pixel: metres of a pixel at depth 1, or anywhere in a plan. radius: metres.
+        """
+        size = targets.width, targets.height
+        if not self._surface or tuple(self._surface[0].size[:2]) != size:
+            usage = "RENDER_ATTACHMENT|TEXTURE_BINDING"
+            self._surface = [self.device.texture(size, kind, usage, label="surface") for kind in ("r32float", LIGHT)]
+        views = [texture.create_view() for texture in self._surface]
+        pass_ = encoder.begin_render_pass(
+            color_attachments=[
+                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"} for view in views
+            ]
+        )
+        pass_.set_pipeline(self.shading.pipeline(0, "surface"))
+        pass_.set_bind_group(0, self.shading.camera_group)
+        pass_.set_bind_group(1, group)
+        pass_.draw(3)
+        pass_.end()
+        if self._passes is None:
+            self._passes = Ssao(self.device)
+        made = self._passes.encode(
+            encoder, self._surface[0], self._surface[1], size, (pixel, pixel), radius, perspective=perspective
+        )
+        return made.create_view()
+
+
+class ResolvePass:
+    """The mean over a pixel's samples and over accumulated frames, encoded for the display."""
+
+    def __init__(self, device: Device, format: str) -> None:
+        self.device = device
+        handle = device.handle
+        module = device.shader("resolve")
+        self.encode = 0 if format.endswith("-srgb") else 1
+        self.uniform = device.buffer(16, "UNIFORM", "resolve")
+        self._told = b""
+        self._bound: list[tuple[Any, Any, Any]] = []
+        self._onto: tuple[Any, Attachments] | None = None
+        self.layout = handle.create_bind_group_layout(
+            entries=[uniform(device, 0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "unfilterable-float")]
+        )
+        self.pipeline = handle.create_render_pipeline(
+            label="resolve",
+            layout=handle.create_pipeline_layout(bind_group_layouts=[self.layout]),
+            vertex={"module": module, "entry_point": "vertex"},
+            primitive={"topology": "triangle-list"},
+            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": format}]},
+        )
+
+    def draw(
+        self, encoder: Any, targets: Targets, view: Any, *, frames: int = 1, occlusion: Any = None,
+        strength: float = 0.0, light: Any = None,
+    ) -> None:  # fmt: skip
+        """Bring the light to a view.
+
+        Args:
+            frames: how many the light is the sum of.
+            occlusion: a texture's view that it is multiplied by, as ``strength`` says.
+            light: a view of it, if it is not that of the targets.
+        """
+        values = np.zeros(4, np.uint32)
+        values[2] = self.encode
+        values[1:2].view(np.float32)[0] = frames
+        values[3:4].view(np.float32)[0] = strength if occlusion is not None else 0.0
+        if values.tobytes() != self._told:
+            write(self.device, self.uniform, values)
+            self._told = values.tobytes()
+        light = targets.light_view if light is None else light
+        group = next((g for bright, dark, g in self._bound if bright is light and dark is occlusion), None)
+        if group is None:
+            group = self.device.handle.create_bind_group(
+                layout=self.layout,
+                entries=[
+                    {"binding": 0, "resource": {"buffer": self.uniform}},
+                    {"binding": 1, "resource": light},
+                    {"binding": 2, "resource": light if occlusion is None else occlusion},
+                ],
+            )
+            self._bound = [(light, occlusion, group), *self._bound[:2]]  # (frames take turns with two)
+        if self._onto is None or self._onto[0] is not view:
+            self._onto = view, Attachments([(view, (0.0, 0.0, 0.0, 1.0))])
+        pass_ = self._onto[1].begin(encoder)
+        pass_.set_pipeline(self.pipeline)
+        pass_.set_bind_group(0, group)
+        pass_.draw(3)
+        pass_.end()
+
+
+def stage(names: str) -> int:
+    import wgpu
+
+    flags = 0
+    for name in names.split("|"):
+        flags |= int(getattr(wgpu.ShaderStage, name))
+    return flags
+
+
+def uniform(device: Device, binding: int, stages: str) -> dict[str, Any]:
+    return {"binding": binding, "visibility": stage(stages), "buffer": {"type": device.record}}
+
+
+def storage(binding: int) -> dict[str, Any]:
+    return {"binding": binding, "visibility": stage("FRAGMENT"), "buffer": {"type": "read-only-storage"}}
+
+
+def texture(binding: int, kind: str, dimension: str = "2d") -> dict[str, Any]:
+    return {
+        "binding": binding, "visibility": stage("FRAGMENT"),
+        "texture": {"sample_type": kind, "view_dimension": dimension},
+    }  # fmt: skip

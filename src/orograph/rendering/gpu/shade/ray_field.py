@@ -1,0 +1,306 @@
+"""The terrain as rays of light meet it on the GPU: nested windows of heights with pyramids of their maxima.
+
+``shaders/ray_field.wgsl`` walks them (Tevs, Ihrke & Seidel 2008), ``shaders/rays.wgsl`` lights pictures by it, as
+``rendering.cpu.lighting.Raytraced`` does on the CPU; ``blocked`` asks about any rays.
+
+*Which heights.* A terrain of up to ``EXACT`` samples is held whole at full resolution: then rays meet the surface
+itself, whatever the camera. Of a larger one there are nested windows: within what is in view each is as fine as the
+tolerance in pixels asks (``raycast.select``, as pictures of the CPU have it), and beyond that every window reaches
+``margin`` of its own samples farther than the finer one inside it. So an occluder d metres away from what is seen is
+drawn from a level whose samples are at most d / margin apart: where that level is off by e, the edge of a shadow is
+turned by e / d at most (``Field.turn`` says by how much: the largest over all windows).
+
+Heights are metres, float32, missing ones far below any other; windows are counted in samples of the raster.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orograph.gpu.binding import bind, compute, layout
+from orograph.gpu.device import Device, open_device
+from orograph.raycast.mips import build_mips
+from orograph.raycast.select import Rectangle, load, rectangles
+from orograph.raycast.stack import Window
+from orograph.scene.scene import EXACT_SAMPLES
+from orograph.store.terrain import TILE, Terrain
+from orograph.viewpoint import View
+
+if TYPE_CHECKING:
+    from orograph.rendering.gpu.shade.tracing import Share
+
+Values = NDArray[np.float32]
+
+EXACT = EXACT_SAMPLES
+"""Samples up to which a terrain is held whole."""
+
+MARGIN = 256
+"""Samples of its own by which a window reaches beyond the finer one in it."""
+
+WINDOWS, NODES = 16, 256
+"""Windows, and levels of all their pyramids, that the shader's tables hold."""
+
+MISSING = np.float32(-1e30)
+
+FRAME = np.dtype(
+    [
+        ("inverse", "<f4", 4), ("last", "<i4", 2), ("exaggeration", "<f4"), ("top", "<f4"), ("count", "<u4"),
+        ("first", "<u4"), ("rays", "<u4"), ("total", "<u4"), ("corner", "<f4", 2), ("stride", "<u4"),
+        ("spacing", "<f4"), ("windows", "<i4", (WINDOWS, 3, 4)), ("nodes", "<i4", (NODES, 4)),
+    ]
+)  # fmt: skip
+"""The uniform ``RayFrame`` of ``shaders/ray_field.wgsl``."""
+
+_QUERY = np.dtype(
+    [("whole", "<i4", 2), ("part", "<f4", 2), ("way", "<f4", 3), ("height", "<f4"), ("skip", "<f4"), ("far", "<f4"),
+     ("pad", "<f4", 2)]
+)  # fmt: skip
+_SHARE = 1 << 18  # rays per submission: no watchdog of a driver is kept waiting
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """Windows as the shader takes them.
+
+    Attributes:
+        pool: float32: of each window its heights, then its maxima from level 1 up.
+        frame: ``FRAME`` with what does not change from ray to ray.
+        turn: radians by which the edge of a shadow may be turned by coarse levels; 0 where all is exact.
+    """
+
+    pool: Values
+    frame: NDArray[np.void]
+    turn: float = 0.0
+
+    @classmethod
+    def of(cls, windows: list[Window], shape: tuple[int, int], linear: ArrayLike, exaggeration: float = 1.0,
+           turn: float = 0.0, jobs: int | None = None) -> Field:  # fmt: skip
+        """Of windows, outermost first.
+
+        Args:
+            shape: (rows, cols) of the raster. linear: (2, 2) metres east and north per column and per row.
+        """
+        cells = np.asarray(linear, np.float64)
+        frame = np.zeros((), FRAME)
+        frame["inverse"] = np.linalg.inv(cells).ravel()
+        frame["last"] = shape[1] - 1, shape[0] - 1
+        frame["exaggeration"], frame["spacing"] = exaggeration, math.sqrt(abs(np.linalg.det(cells)))
+        frame["count"], frame["stride"], frame["rays"], frame["total"] = len(windows), 1, 1, 1
+        parts: list[Values] = []
+        at = row = 0
+        tops = []
+        for k, w in enumerate(windows):
+            rows, cols = w.heights.shape
+            mips = build_mips(w.heights, jobs)
+            scale = 2.0**w.level
+            first = w.col0 << w.level, w.row0 << w.level
+            end = np.minimum(
+                [cols - 1, rows - 1], [(shape[1] - 1 - first[0]) / scale, (shape[0] - 1 - first[1]) / scale]
+            )
+            table = frame["windows"][k]
+            table[0] = *first, cols - 1, rows - 1
+            table[1] = at, cols, w.level, row
+            table[2, 0] = mips.levels - 1
+            table[2, 1:3] = end.astype(np.float32).view(np.int32)
+            parts += [np.where(np.isnan(w.heights), MISSING, w.heights).ravel(), np.maximum(mips.maxima, MISSING)]
+            for level in range(1, mips.levels):
+                frame["nodes"][row + level, :2] = at + w.heights.size + mips.max_offset[level], mips.cols[level]
+            at += w.heights.size + mips.maxima.size
+            row += mips.levels
+            tops.append(mips.height_range[1])
+        frame["top"] = max((t for t in tops if np.isfinite(t)), default=0.0)
+        return cls(np.concatenate(parts), frame, turn)
+
+
+NOTHING = Field(np.zeros(4, np.float32), np.zeros((), FRAME))
+"""Nothing that stands in the way."""
+
+
+def field_of(
+    terrain: Terrain, view: View, exaggeration: float, tolerance: float, most: int, jobs: int | None = None
+) -> tuple[tuple[Rectangle, ...], Any]:
+    """What rays are to meet in a view: the windows, and a function that reads them.
+
+    Args:
+        tolerance: pixels. most: bytes that there are for them.
+    """
+    chosen = choose(terrain, view, exaggeration, tolerance, samples_in(most))
+    a, b, _, d, e, _ = terrain.grid.samples[:6]
+
+    def make() -> Field:
+        turn = turned(terrain, chosen)
+        windows = load(terrain, list(chosen), jobs)
+        return Field.of(windows, terrain.grid.shape, [[a, b], [d, e]], exaggeration, turn, jobs)
+
+    return chosen, make
+
+
+def samples_in(most: int) -> int:
+    """How many samples so many bytes hold: heights, and a third of that for maxima, 4 bytes each."""
+    return most // 16 * 3
+
+
+def choose(terrain: Terrain, view: View, exaggeration: float, tolerance: float, samples: int) -> tuple[Rectangle, ...]:
+    """The windows for a view, outermost first: at most so many samples, which a coarser tolerance makes room for."""
+    rows, cols = terrain.grid.shape
+    if rows * cols <= min(EXACT, samples):
+        return (Rectangle(0, 0, rows, 0, cols),)
+    tolerance, margin = max(tolerance, 0.05), MARGIN
+    while True:
+        found = grown(terrain, rectangles(terrain, view.whole, exaggeration, tolerance), margin)
+        if sum(r.samples for r in found) <= samples and len(found) <= WINDOWS:
+            return found
+        if found[-1].level == terrain.levels - 1:  # nothing coarser is kept
+            return found[-1:]
+        tolerance *= 1.25
+
+
+def grown(terrain: Terrain, found: list[Rectangle], margin: int) -> tuple[Rectangle, ...]:
+    """Windows of all levels from the finest of ``found`` on until one holds the whole terrain, outermost first: each
+    holds what is wanted of its level and reaches ``margin`` of its samples beyond the finer one in it."""
+    wanted = {r.level: r for r in found}
+    out: list[Rectangle] = []
+    for level in range(found[-1].level, terrain.levels):
+        rows, cols = terrain.shape(level)
+        boxes = []
+        if level in wanted:
+            r = wanted[level]
+            boxes.append((r.row0, r.row1, r.col0, r.col1))
+        if out:
+            r = out[-1]
+            boxes.append((
+                r.row0 // 2 - margin, -(-(r.row1 - 1) // 2) + 1 + margin,
+                r.col0 // 2 - margin, -(-(r.col1 - 1) // 2) + 1 + margin,
+            ))  # fmt: skip
+        low, high = np.min(boxes, 0), np.max(boxes, 0)
+        # Windows begin at even samples (their diagonals are the terrain's) and have cells.
+        row0, col0 = (max(int(low[k]), 0) & ~1 for k in (0, 2))
+        row1, col1 = min(int(high[1]), rows), min(int(high[3]), cols)
+        row0, col0 = min(row0, max(rows - 2, 0) & ~1), min(col0, max(cols - 2, 0) & ~1)
+        out.append(Rectangle(level, row0, max(row1, row0 + 2), col0, max(col1, col0 + 2)))
+        if (row0, col0, row1, col1) == (0, 0, rows, cols):
+            break
+    return tuple(reversed(out))
+
+
+def turned(terrain: Terrain, chosen: tuple[Rectangle, ...]) -> float:
+    """Radians by which coarse levels may turn the edge of a shadow on what the finest window holds: the largest error
+    of a level beyond the window inside it, over the distance to it."""
+    spacing = min(terrain.grid.spacing)
+    worst = 0.0
+    for outer, inner in pairwise(chosen):
+        error = terrain.tiles(outer.level).error
+        k = outer.level - inner.level
+        tile = TILE
+        beyond = np.ones(error.shape, bool)
+        r0, r1 = -(-(inner.row0 >> k) // tile), ((inner.row1 - 1) >> k) // tile
+        c0, c1 = -(-(inner.col0 >> k) // tile), ((inner.col1 - 1) >> k) // tile
+        beyond[r0:r1, c0:c1] = False
+        here = np.zeros_like(beyond)
+        here[outer.row0 // tile : -(-outer.row1 // tile), outer.col0 // tile : -(-outer.col1 // tile)] = True
+        known = np.where(beyond & here & np.isfinite(error), error, 0.0)
+        if known.any():
+            worst = max(worst, float(known.max()) / (MARGIN * spacing * 2.0**inner.level))
+    return worst
+
+
+class Rays:
+    """The bind group that shaders with ``ray_field.wgsl`` look terrain up in.
+
+    Args:
+        stages: of shaders, joined by ``|``.
+    """
+
+    def __init__(self, device: Device, stages: str = "FRAGMENT") -> None:
+        self.device = device
+        self.layout = layout(device, "uniform", "read", stages=stages)
+        self._uniform = device.buffer(FRAME.itemsize, "UNIFORM", "rays")
+        self._field: Field | None = None
+        self._pool: Any = None
+        self.group: Any = None
+
+    def load(self, field: Field) -> None:
+        """Take other terrain."""
+        if field is self._field:
+            return
+        self._pool = self.device.buffer(field.pool, "STORAGE", "heights for rays")
+        self.group = bind(self.device, self.layout, self._uniform, self._pool)
+        self._field = field
+        self.run()
+
+    def run(self, share: Share | None = None) -> None:
+        """Trace a share of the light in what is submitted next."""
+        assert self._field is not None
+        frame = self._field.frame.copy()
+        if share is not None:
+            frame["first"], frame["rays"], frame["total"] = share.first, share.rays, share.total
+            frame["corner"], frame["stride"] = share.corner, _spread(share.total)
+        self.device.queue.write_buffer(self._uniform, 0, frame)
+
+
+@cache
+def _spread(total: int) -> int:
+    """A factor that runs through all of ``total`` numbers and spreads what follows each other evenly over them: of
+    those near the golden section the one that leaves the smallest gaps."""
+    near = round(total * 0.6180339887498949)
+    some = [k for k in range(max(near - 32, 1), near + 33) if math.gcd(k, total) == 1] or [1]
+
+    def gaps(k: int) -> float:
+        worst = 0.0
+        for part in (total // 16, total // 8, total // 4, total // 2):
+            if part > 1:
+                numbers = np.sort(np.arange(part) * k % total)
+                worst = max(worst, float(np.diff(np.append(numbers, numbers[0] + total)).max()) * part / total)
+        return worst
+
+    return min(some, key=gaps) % max(total, 2)
+
+
+def blocked(
+    field: Field, points: ArrayLike, ways: ArrayLike, *, skip: float = 0.0, far: float = math.inf,
+    device: Device | None = None,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Whether terrain stands in the way of rays.
+
+    Args:
+        points: (n, 3) columns, rows, metres. ways: (n, 3) unit vectors east, north, up.
+        skip, far: metres between which they look.
+
+    Returns:
+        (n,) bool.
+
+    Raises:
+        NoAdapterError: there is no GPU to do it.
+    """
+    gpu = device or open_device()
+    at, way = np.atleast_2d(np.asarray(points, np.float64)), np.atleast_2d(np.asarray(ways, np.float64))
+    queries = np.zeros(len(at), _QUERY)
+    whole = np.floor(at[:, :2])
+    queries["whole"], queries["part"] = whole, at[:, :2] - whole
+    queries["way"], queries["height"], queries["skip"] = way, at[:, 2], skip
+    queries["far"] = min(far, 1e9)
+    rays = Rays(gpu, "COMPUTE")
+    rays.load(field)
+    plan = layout(gpu, "read", "write")
+    pipeline = compute(gpu, rays.layout, "ray_cast", beside=plan, RAY_GROUP=0)
+    out = np.zeros(len(at), bool)
+    for a in range(0, len(at), _SHARE):
+        some = queries[a : a + _SHARE]
+        answers = gpu.buffer(4 * len(some), "STORAGE|COPY_SRC")
+        encoder = gpu.handle.create_command_encoder()
+        casting = encoder.begin_compute_pass()
+        casting.set_pipeline(pipeline)
+        casting.set_bind_group(0, rays.group)
+        casting.set_bind_group(1, bind(gpu, plan, gpu.buffer(some, "STORAGE"), answers))
+        casting.dispatch_workgroups(-(-len(some) // 64))
+        casting.end()
+        gpu.queue.submit([encoder.finish()])
+        out[a : a + _SHARE] = gpu.read_buffer(answers, np.uint32)[: len(some)] != 0
+    return out

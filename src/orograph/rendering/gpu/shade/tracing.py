@@ -1,0 +1,144 @@
+"""Light by rays, frame by frame: what terrain rays meet around the camera, and how many of them a frame traces.
+
+A picture that is waited for traces all its rays, in parts whose work is bounded: no driver's watchdog fires, Ctrl-C is
+heard in between. A frame of the window traces a few per pixel; at rest further frames trace the others of the same
+lattices, and the mean over them is the picture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from orograph.gpu.background import Aside
+from orograph.gpu.device import Device
+from orograph.rendering.cpu.mesh_surface import surface_of
+from orograph.rendering.gpu.shade.ray_field import EXACT, NOTHING, Field, field_of, samples_in
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
+
+RAYS = 1 << 16
+"""The flag of ``shaders/shade.wgsl`` for light by rays."""
+
+WORK = {True: 1 << 21, False: 1 << 23}
+"""Rays that one submission traces, and a frame of the window if it can help it, on slow devices (software, GPUs in
+processors) and on others: a second of the one, some hundredths of the other. No driver's watchdog waits for less than
+two."""
+
+
+def work_of(device: Device) -> int:
+    """``WORK`` of a device."""
+    return WORK[device.adapter.kind != "DiscreteGPU"]
+
+
+class Around:
+    """The terrain around the camera that rays meet: made at once for a picture, aside for frames that may not wait.
+
+    Args:
+        most: bytes that there are for it.
+
+    Attributes:
+        field: what to draw with.
+    """
+
+    def __init__(self, terrain: Terrain, most: int) -> None:
+        self.terrain, self.most = terrain, most
+        self.field = NOTHING
+        self._aside = Aside()
+        self._made: Any = None
+        self._wish: Any = None
+        self._mesh: Tessellation | None = None  # held, so that no other has its identity
+
+    @property
+    def busy(self) -> bool:
+        """Whether what the last scene wants is not there yet."""
+        return self._wish is not None and (self._aside.busy or self._wish != self._made)
+
+    def at_once(self, scene: Scene, mesh: Tessellation | None = None) -> None:
+        """Have what a scene's rays meet, if it has rays: the terrain, or a mesh that is drawn in its place."""
+        key = self._key(scene)
+        self._wish = key if key is None or mesh is None else (*key, id(mesh))
+        if self._wish is not None and self._wish != self._made:
+            self.field, self._made, self._mesh = self._make(scene, mesh), self._wish, mesh
+
+    def aside(self, scene: Scene) -> None:
+        """Take what was made meanwhile, and have other terrain made if the scene wants it."""
+        done = self._aside.take()
+        if done is not None:
+            self._made, self.field = done
+        key = self._wish = self._key(scene)
+        if key is not None and key != self._made and self._aside.wants(key):
+            self._aside.start(key, lambda: (key, self._make(scene)))
+
+    def close(self) -> None:
+        self._aside.close()
+
+    def _make(self, scene: Scene, mesh: Tessellation | None = None) -> Field:
+        terrain = self.terrain if mesh is None else surface_of(mesh, self.terrain, scene.max_memory)
+        made = field_of(terrain, scene.view, scene.exaggeration, scene.tolerance or 1.0, self.most, scene.jobs)
+        return made[1]()  # type: ignore[no-any-return]
+
+    def _key(self, scene: Scene) -> Any:
+        """What the choice of windows depends on; None if there are no rays. Where the camera is counts by steps."""
+        rows, cols = self.terrain.grid.shape
+        if scene.light != "raytraced":
+            return None
+        if rows * cols <= min(EXACT, samples_in(self.most)):
+            return (scene.exaggeration,)
+        view = scene.view
+        step = 0.15 * max(view.distance, 1.0)
+        where = (tuple(np.floor(np.asarray(p) / step).tolist()) for p in (view.eye, view.target))
+        return scene.exaggeration, scene.tolerance, *where
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """What of its light a frame of a scene traces.
+
+    Attributes:
+        first, rays, total: of every pixel's lattices of ``total`` rays so many, from the ``first`` on.
+        frames: how many frames make the whole. lights: to how many lights rays go.
+        corner: the position in the whole picture of the target's left upper corner.
+    """
+
+    first: int
+    rays: int
+    total: int
+    frames: int
+    lights: int
+    corner: tuple[float, float]
+
+    @classmethod
+    def of(
+        cls, device: Device, scene: Scene, frame: int, frames: int, *, samples: int | None = None,
+        shift: tuple[float, float] = (0.0, 0.0),
+    ) -> Share:  # fmt: skip
+        """Of a scene's ``frame``: each of so many ``samples`` of a pixel has lattices of its own, ``shift``-ed, as the
+        CPU's pictures have; or (None) frames share one, in ``frames`` of them or as many more as a frame's work allows.
+        """
+        view = scene.view
+        left, top, _, _ = view.frame
+        lights = 1 + (1 + len(scene.discs) if scene.shadows else 0)
+        if samples is not None:
+            rays = max(-(-scene.rays // samples), min(scene.rays, 8))
+            return cls(0, rays, rays, samples, lights, (left + shift[0], top + shift[1]))
+        most = work_of(device) // max(view.width * view.height * lights, 1)
+        rays = max(min(-(-scene.rays // frames), most), 1)
+        frames = max(frames, -(-scene.rays // rays))
+        return cls(frame * rays % scene.rays, rays, scene.rays, frames, lights, (left, top))
+
+
+def parts_of(device: Device, size: tuple[int, int], rays: int) -> list[tuple[int, int, int, int]]:
+    """Rectangles (x, y, width, height) of a target whose pixels trace so many rays each: a submission's work each."""
+    width, height = size
+    pixels = max(work_of(device) // max(rays, 1), 64)
+    wide = min(width, pixels)
+    high = min(max(pixels // wide, 1), height)
+    return [
+        (x, y, min(wide, width - x), min(high, height - y))
+        for y in range(0, height, high)
+        for x in range(0, width, wide)
+    ]

@@ -1,0 +1,1 @@
+"""What views want of terrain and imagery, read by threads into atlases on the GPU."""

@@ -1,0 +1,382 @@
+"""Layers on the GPU: a virtual texture. One atlas holds the tiles that views want of all layers, streamed like heights.
+
+Every frame says which tiles of which layers it wants (``sheets``, ``wanted``): those whose texels are about as large as
+a pixel, and all above them. They are read by threads of their own (``streamer``) into one atlas (``slots``) of a fixed
+size, which is made when there is a first layer. Each layer has a page table: for every tile the slot of the finest tile
+that is there for its place, itself or one above, so that shaders look up once and there is never a hole; the coarsest
+tiles never leave. A layer is opened, and its coarse levels are read, by the same threads: frames do not wait for it.
+
+One buffer holds all that ``shaders/imagery.wgsl`` asks for (``image_words``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel
+from orograph.errors import ReadError
+from orograph.geovis.layers import Layer, drawn
+from orograph.geovis.mipmap import TAPS
+from orograph.gpu.device import Device
+from orograph.progress import SILENT
+from orograph.rendering.cpu.kernels import LEAST
+from orograph.rendering.gpu.stream.atlas import Slots
+from orograph.rendering.gpu.stream.image_tiles import SIDE, Sheet
+from orograph.rendering.gpu.stream.image_words import HEAD_DTYPE, HEADS, STATIC, aim, fixed, level_words, node_words
+from orograph.rendering.gpu.stream.streamer import Streamer
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import View
+
+Array = NDArray[np.float64]
+Words = NDArray[np.uint32]
+Places = NDArray[np.int64]
+
+FEW = 4
+"""Look-ups in a footprint, at most, of a frame that a software driver draws and nothing waits for."""
+
+UPLOAD = 16
+"""Tiles brought to the GPU in a frame, at most."""
+
+MORE = 2.0
+"""Seconds after which a tile of which there is more now is read again."""
+
+OPENING = -1
+"""The place of a layer's tile that stands for opening it."""
+
+THERE = np.uint32(1 << 31)
+"""A page's bit that says: this is known (perhaps that nothing is to be seen). Bits 24–28 are the level, those below 24
+the slot + 1, 0 where nothing is to be seen."""
+
+SLOT = np.uint32((1 << 24) - 1)
+
+
+@kernel
+def _inherit(own: Words, parents: NDArray[np.int64], out: Words) -> tuple[int, int]:
+    """Pages of all tiles from those that are there; the span [from, to) of ``out`` that changed."""
+    first, last = len(out), 0
+    for i in range(len(own)):
+        page = own[i]
+        if page == 0 and parents[i] >= 0:
+            page = out[parents[i]]
+        if out[i] != page:
+            out[i] = page
+            first, last = min(first, i), i + 1
+    return first, last
+
+
+@dataclass(slots=True)
+class Held:
+    """An open layer.
+
+    Attributes:
+        sheet: its tiles. own: pages of the tiles that are there; pages: of all places. stale: whether ``own`` is newer.
+        at: where its words begin in the buffer.
+    """
+
+    sheet: Sheet
+    own: Words
+    pages: Words
+    stale: bool = True
+    at: int = 0
+
+
+class Imagery:
+    """The layers over a terrain on a device.
+
+    Args:
+        gpu_memory: bytes of the atlas. jobs: threads that read.
+
+    Attributes:
+        missing: tiles and layers that would make the last frame better. loaded: tiles that came for it.
+        warnings: what a user should know of the layers that are open; each is told once (``told``).
+        progress: hears of what is made while a frame waits.
+    """
+
+    def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, jobs: int | None = None) -> None:
+        self.device, self.terrain, self.gpu_memory, self.jobs = device, terrain, gpu_memory, jobs
+        self.missing = self.loaded = 0
+        self.warnings: list[str] = []
+        self.progress = SILENT
+        self._held: dict[Layer, Held] = {}
+        self._atlas: Slots | None = None
+        self._streamer: Streamer[Layer, int] | None = None
+        self._sheets: dict[Layer, Sheet] = {}
+        self._buffer: Any = None
+        self._frame = 0
+        self._full = self._refused = False
+        self._known: set[Layer] = set()
+        self._asked: set[tuple[Layer, int]] = set()
+        self._none: tuple[Any, Any] | None = None
+        self._came: list[Array] = []
+
+    def prepare(
+        self, layers: Sequence[Layer], view: View, exaggeration: float, *, wait: bool = False
+    ) -> int:  # fmt: skip
+        """Have layers ready to be drawn as well as they can be.
+
+        Args:
+            layers: of the scene, bottom to top. view: what is drawn.
+            wait: until all tiles that the view wants are there, or the atlas holds no more.
+
+        Returns:
+            how many layers there are to draw.
+
+        Raises:
+            ReadError: with ``wait``, a layer or one of its tiles cannot be read.
+        """
+        self.missing = self.loaded = 0
+        self._came.clear()
+        seen = drawn(layers)
+        if not seen and not self._held:
+            return 0
+        self._known = {layer.content for layer in layers}
+        self._drop()
+        if self._streamer is None:
+            self._streamer = Streamer(self._make, self.jobs or 2)
+        if wait:  # what failed before is tried again
+            self._streamer.failed.clear()
+        self._upload(1 << 16 if wait else UPLOAD)
+        wanted = self._want(seen, view, exaggeration, wait=wait)
+        self._refused = False
+        while wait and (wanted or self._streamer.waiting) and not self._refused:
+            self._streamer.wait(1.0)
+            self._upload(1 << 16)
+            for layer, place in self._asked & set(self._streamer.failed):
+                raise self._error(layer, place)
+            wanted = self._want(seen, view, exaggeration, wait=True)
+        self.missing = wanted
+        ready = [layer for layer in seen if layer.content in self._held]
+        if ready:
+            self._write(ready, view, TAPS if wait or not self.device.adapter.software else FEW)
+        return len(ready)
+
+    def bound(self) -> tuple[Any, Any]:
+        """The atlas's view and the buffer of ``shaders/imagery.wgsl``."""
+        if self._atlas is not None and self._buffer is not None:
+            return self._atlas.texture.create_view(dimension="2d-array"), self._buffer
+        if self._none is None:
+            texture = self.device.texture((1, 1, 1), "rgba8unorm-srgb", "TEXTURE_BINDING|COPY_DST", label="no layers")
+            self._none = (
+                texture.create_view(dimension="2d-array"),
+                self.device.buffer(np.zeros(STATIC, np.uint32), "STORAGE", "no layers"),
+            )
+        return self._none
+
+    @property
+    def waiting(self) -> int:
+        """How many tiles are on their way."""
+        return 0 if self._streamer is None else self._streamer.waiting
+
+    @property
+    def count(self) -> int:
+        """How many tiles are there."""
+        return 0 if self._atlas is None else self._atlas.count
+
+    @property
+    def full(self) -> bool:
+        """Whether the last frame wanted more tiles than there is room for."""
+        return self._full or self._refused
+
+    @property
+    def failure(self) -> str:
+        """What could not be read, and why; "" if there is nothing."""
+        if self._streamer is None:
+            return ""
+        for (layer, place), (_, why) in list(self._streamer.failed.items()):
+            if (layer, place) in self._asked:
+                return why if place == OPENING else f"{layer.label}: {why}"
+        return next((held.sheet.failure for held in list(self._held.values()) if held.sheet.failure), "")
+
+    def told(self) -> list[str]:
+        """Warnings that have not been told yet."""
+        new, self.warnings = self.warnings, []
+        return new
+
+    @property
+    def areas(self) -> Array:
+        """West, north, east, south (n, 4) of the ground under the tiles that came, sample coordinates."""
+        return np.array(self._came).reshape(-1, 4)
+
+    @property
+    def making(self) -> str:
+        """What is being made aside, and how far it is; "" if there is nothing."""
+        for layer, held in list(self._held.items()):
+            done = held.sheet.making
+            if done is not None:
+                return f"Coarse levels of {layer.label} are being made: {done:.0%}."
+        return ""
+
+    def covered(self, layers: Sequence[Layer], x: Array, y: Array) -> Array:
+        """How much (n,) of the ground's own colours layers hide at places in the terrain's CRS, about."""
+        clear = np.ones(len(x))
+        for layer in drawn(layers):
+            held = self._held.get(layer.content)
+            if held is not None and layer.blend == "normal":
+                clear *= 1 - layer.opacity * held.sheet.opacity_at(x, y)
+        return 1 - clear
+
+    def close(self) -> None:
+        """Stop reading."""
+        if self._streamer is not None:
+            self._streamer.close()
+        for held in self._held.values():
+            held.sheet.close()
+
+    # ---- tiles ---------------------------------------------------------------------------------------------------
+
+    def _make(self, layer: Layer, place: int) -> NDArray[Any]:
+        """Read a tile, or open the layer; called from the streamer's threads."""
+        if place == OPENING:
+            self._sheets[layer] = Sheet(layer, self.terrain)
+            return np.empty(0, np.uint8)
+        return self._held[layer].sheet.tile(place)
+
+    def _error(self, layer: Layer, place: int) -> ReadError:
+        assert self._streamer is not None
+        failure = self._streamer.failed[layer, place][1]
+        if place == OPENING:
+            return ReadError(failure)
+        return ReadError(f"A tile cannot be read: {failure}", path=layer.path)
+
+    def _want(self, layers: Sequence[Layer], view: View, exaggeration: float, *, wait: bool = False) -> int:
+        """Ask for what a view lacks; how much that is, but for what cannot be read."""
+        assert self._streamer is not None
+        self._frame += 1  # what was wanted before may leave, if it is not wanted any more
+        wanted: list[tuple[float, Layer, int]] = []
+        tiles: list[tuple[Layer, Held, Places, Array, NDArray[np.int32]]] = []
+        for content in dict.fromkeys(layer.content for layer in layers):
+            held = self._held.get(content)
+            if held is None:
+                wanted.append((math.inf, content, OPENING))
+                continue
+            if wait:
+                held.sheet.complete(self.progress, self.jobs)
+            self._refresh(held)
+            which, priority = held.sheet.tree.of(view, exaggeration, pixels=LEAST)
+            # What is known to show nothing, itself or below such a tile, is not asked for.
+            pages = held.pages[which]
+            some = ~((pages & THERE > 0) & (pages & SLOT == 0))
+            which, priority = which[some], priority[some]
+            priority[which < held.sheet.pinned] = math.inf
+            slots = (held.own[which] & SLOT).astype(np.int32) - np.int32(1)
+            more = held.sheet.outdated(MORE)
+            if more:  # of these there is more now
+                lacking = np.isin(which, more)
+                self._atlas.touch(slots[lacking], self._frame) if self._atlas is not None else None
+                slots[lacking] = -1
+            tiles.append((content, held, which, priority, slots))
+        least = self._least([t[3] for t in tiles])
+        for content, _, which, priority, slots in tiles:
+            assert self._atlas is not None
+            fits = priority >= least
+            self._atlas.touch(slots[fits], self._frame)
+            lack = fits & (slots < 0)
+            wanted += [(p, content, i) for p, i in zip(priority[lack].tolist(), which[lack].tolist(), strict=True)]
+        self._streamer.want(wanted)
+        self._asked = {(layer, place) for _, layer, place in wanted}
+        return len(self._asked - set(self._streamer.failed))
+
+    def _least(self, priorities: list[Array]) -> float:
+        """The priority from which on there is room for all tiles that have it; sets ``full``."""
+        every = np.concatenate(priorities) if priorities else np.empty(0)
+        every = every[np.isfinite(every)]  # but for those that are pinned
+        pinned = sum(held.sheet.pinned for held in self._held.values())
+        room = 0 if self._atlas is None else max(self._atlas.capacity - pinned, 0)
+        self._full = len(every) > room
+        if not self._full:
+            return -math.inf
+        return float(np.nextafter(np.partition(every, len(every) - room - 1)[len(every) - room - 1], np.inf))
+
+    def _upload(self, most: int) -> None:
+        assert self._streamer is not None
+        for layer, place, data in self._streamer.take(most):
+            if place == OPENING:
+                self._open(layer)
+                continue
+            held = self._held.get(layer)
+            if held is None:  # gone meanwhile
+                continue
+            self.loaded += 1
+            self._came.append(held.sheet.area(place))
+            self._insert(layer, held, place, data)
+
+    def _insert(self, layer: Layer, held: Held, place: int, data: NDArray[Any]) -> None:
+        assert self._atlas is not None
+        page = THERE | np.uint32(held.sheet.level_of(place) << 24)
+        if data.size:
+            if self._atlas.slot((layer, place)) >= 0:
+                self._atlas.replace((layer, place), data)  # there is more of it now
+                return
+            slot, before = self._atlas.put((layer, place), data, self._frame, pin=place < held.sheet.pinned)
+            if slot < 0:
+                self._refused = True
+                return
+            if before is not None:
+                other = self._held[before[0]]
+                other.own[before[1]], other.stale = 0, True
+            page |= np.uint32(slot + 1)
+        elif self._atlas.slot((layer, place)) >= 0:  # what there was of it before showed nothing either
+            self._atlas.free((layer, place))
+        held.own[place], held.stale = page, True
+
+    def _open(self, layer: Layer) -> None:
+        """Take a layer that a thread has opened."""
+        sheet = self._sheets.pop(layer)
+        if layer not in self._known:  # gone meanwhile
+            return
+        if self._atlas is None:
+            self._atlas = Slots(
+                self.device, SIDE, "rgba8unorm-srgb", 4, self.gpu_memory, 1 << 20, "imagery"
+            )  # as many tiles as there is room for: other layers may come
+        self._held[layer] = Held(sheet, np.zeros(sheet.count, np.uint32), np.zeros(sheet.count, np.uint32))
+        self.warnings += sheet.warnings
+        self._buffer = None
+
+    def _drop(self) -> None:
+        """Forget the layers that the scene has no more."""
+        for layer in [known for known in self._held if known not in self._known]:
+            held = self._held.pop(layer)
+            held.sheet.close()
+            assert self._atlas is not None
+            for place in np.flatnonzero(held.own & SLOT).tolist():
+                self._atlas.free((layer, place))
+            self._buffer = None
+
+    # ---- the buffer ----------------------------------------------------------------------------------------------
+
+    def _refresh(self, held: Held) -> None:
+        """Bring pages up to date, on the GPU as well."""
+        if not held.stale:
+            return
+        held.stale = False
+        first, last = _inherit(held.own, held.sheet.tree.parents, held.pages)
+        if self._buffer is not None and first < last:
+            at = 4 * (held.at + fixed(held.sheet) + first)
+            self.device.queue.write_buffer(self._buffer, at, held.pages[first:last])
+
+    def _write(self, layers: Sequence[Layer], view: View, taps: int) -> None:
+        """Have the buffer hold all open layers, and heads for those to draw; ``taps``: look-ups in a footprint."""
+        for held in self._held.values():
+            self._refresh(held)
+        if self._buffer is None:
+            parts, at = [np.zeros(STATIC, np.uint32)], STATIC
+            for held in self._held.values():
+                held.at = at
+                words = [level_words(held.sheet), node_words(held.sheet), held.pages]
+                parts += words
+                at += sum(w.size for w in words)
+            self._buffer = self.device.buffer(np.concatenate(parts), "STORAGE", "imagery")
+        head = np.zeros(STATIC, np.uint32)
+        head[:2] = len(layers), taps
+        heads = head[HEADS:].view(HEAD_DTYPE)
+        for k, layer in enumerate(layers):
+            held = self._held[layer.content]
+            aim(heads[k], held.sheet, held.at, view)
+            heads[k]["opacity"], heads[k]["multiply"] = layer.opacity, layer.blend == "multiply"
+        self.device.queue.write_buffer(self._buffer, 0, head)

@@ -1,0 +1,100 @@
+"""Where a moving camera will be in a moment, from how it moved in the last ones: what is read ahead is read for there.
+
+Eye and target are moved on along straight lines at a speed averaged over ``SMOOTH`` seconds: right for a flight, good
+enough for a turn of the head or an orbit, which curve little in ``HORIZONS``. A camera that jumps has no speed, and one
+that stands still has none after a moment. Metres, seconds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from orograph.errors import UsageError
+from orograph.viewpoint import Vector, View
+
+HORIZONS = (0.75, 1.5)
+"""How far ahead, in turn."""
+
+PERIOD = 0.1
+"""Between two looks ahead: they cost as much as selecting a frame's patches."""
+
+SMOOTH = 0.3
+"""Over how long the speed is averaged."""
+
+PAUSE = 0.5
+"""Between two frames, after which nothing is known of the speed."""
+
+JUMP = 0.3
+"""A step between two frames that is longer than this part of the distance to the target is no movement."""
+
+STILL = 1e-3
+"""A speed below which nothing is predicted, as a part of the distance to the target per second."""
+
+
+class Prediction:
+    """The speed of a camera, told frame by frame.
+
+    Attributes:
+        turn: which of the ``HORIZONS`` was looked at last.
+    """
+
+    def __init__(self) -> None:
+        self._last: View | None = None
+        self._when = self._looked = -math.inf
+        self._eye: Vector = (0.0, 0.0, 0.0)
+        self._target: Vector = (0.0, 0.0, 0.0)
+        self.turn = 0
+
+    def see(self, view: View, now: float) -> None:
+        """A frame's view, at a time (of any clock)."""
+        last, passed = self._last, now - self._when
+        self._last, self._when = view, now
+        if last is None or not 0 < passed <= PAUSE or last.projection != view.projection:
+            self._eye = self._target = (0.0, 0.0, 0.0)
+            return
+        far = max(math.dist(view.eye, last.eye), math.dist(view.target, last.target))
+        if far > JUMP * view.distance:
+            self._eye = self._target = (0.0, 0.0, 0.0)
+            return
+        keep = math.exp(-passed / SMOOTH)
+        self._eye = _mixed(self._eye, view.eye, last.eye, passed, keep)
+        self._target = _mixed(self._target, view.target, last.target, passed, keep)
+
+    @property
+    def moving(self) -> bool:
+        """Whether there is a speed to speak of."""
+        if self._last is None:
+            return False
+        fastest = max(math.hypot(*self._eye), math.hypot(*self._target))
+        return fastest > STILL * self._last.distance
+
+    def ahead(self, now: float) -> View | None:
+        """The view in a moment; None if the camera rests, or if that was asked for less than ``PERIOD`` ago."""
+        if self._last is None or not self.moving or now - self._looked < PERIOD:
+            return None
+        self._looked = now
+        self.turn = (self.turn + 1) % len(HORIZONS)
+        return self.at(HORIZONS[self.turn])
+
+    def at(self, seconds: float) -> View | None:
+        """The view after so many seconds, None where there could be none."""
+        view = self._last
+        if view is None:
+            return None
+        # No farther than the target is away: what is beyond was not in view yet, and the speed may be a slip.
+        seconds = min(seconds, view.distance / max(math.hypot(*self._eye), math.hypot(*self._target), 1e-12))
+        eye, target = _moved(view.eye, self._eye, seconds), _moved(view.target, self._target, seconds)
+        try:
+            return replace(view, eye=eye, target=target)
+        except UsageError:  # eye and target met
+            return None
+
+
+def _moved(place: Vector, speed: Vector, seconds: float) -> Vector:
+    return place[0] + seconds * speed[0], place[1] + seconds * speed[1], place[2] + seconds * speed[2]
+
+
+def _mixed(speed: Vector, now: Vector, before: Vector, passed: float, keep: float) -> Vector:
+    a, b, c = (keep * s + (1 - keep) * (n - p) / passed for s, n, p in zip(speed, now, before, strict=True))
+    return a, b, c

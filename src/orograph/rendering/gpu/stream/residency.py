@@ -1,0 +1,283 @@
+"""Which patches a frame draws, and the tiles they are drawn from: the engine, the atlases and the streamer together.
+
+A frame asks for the patches of its view among those whose tiles are there; what it lacks is asked for, largest error in
+pixels first, and comes when it comes. While the camera moves, so is what it will lack in a moment (``prediction``): a
+tile's error then counts ``AHEAD`` times, added to what it is now. The coarsest tiles are loaded at the beginning and
+stay. If an atlas holds less than a view wants, the tiles of the largest errors share it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import StoreError
+from orograph.gpu.device import Device
+from orograph.lod.triangle_patches import Batched, Patches
+from orograph.rendering.gpu.stream.prediction import Prediction
+from orograph.rendering.gpu.stream.streamer import Streamer
+from orograph.rendering.gpu.stream.tiles import Atlas, Key, Kind, height_tile, make_tile, slope_tile
+from orograph.rendering.gpu.stream.wanted import SlopeTiles
+from orograph.store.terrain import TILE, Terrain
+from orograph.viewpoint import View
+
+Array = NDArray[np.float64]
+
+UPLOAD = 16
+"""Tiles brought to the GPU in a frame, at most, …"""
+
+UPLOADING = 0.002
+"""… and seconds after which no further one is begun: what does not make it stutter."""
+
+AHEAD = 0.5
+"""What a pixel of error counts that will be missing in a moment; one that is missing now counts 1."""
+
+ASK = 64
+"""Tiles of a kind that a frame asks for, at most: until they are read it will be another frame that asks."""
+
+READERS, REMOTE_READERS = 2, 8
+"""Threads that read tiles from a disk, which keep processors busy, and over a network, which mostly wait."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The patches of a frame.
+
+    Attributes:
+        patches: with the slots of their tiles. seconds: that it took to select them.
+        missing: tiles and pages of errors that would make it better. loaded: tiles that came for it, of so many
+            ``bytes``.
+    """
+
+    patches: Patches
+    seconds: float
+    missing: int
+    loaded: int
+    bytes: int
+
+
+class Residency:
+    """The tiles of a terrain on a device.
+
+    Args:
+        gpu_memory: bytes of the atlases. memory: bytes of the engine's tables. jobs: threads that read.
+
+    Attributes:
+        heights, slopes: the atlases. engine: selects patches.
+        look_ahead: whether tiles are read for where the camera will be.
+        came: levels, rows and columns of the tiles that came for the last frame.
+    """
+
+    def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, memory: int, jobs: int | None) -> None:
+        self.terrain = terrain
+        self.engine = Batched(terrain, max_memory=memory, jobs=jobs, rim=0.5)
+        self.heights = Atlas(device, terrain, "heights", gpu_memory // 2)
+        self.slopes = Atlas(device, terrain, "slopes", gpu_memory // 2)
+        self._atlases: dict[Kind, Atlas] = {"heights": self.heights, "slopes": self.slopes}
+        self._slope_tiles = SlopeTiles(terrain)
+        self.streamer: Streamer[Kind, Key] = Streamer(
+            lambda kind, key: make_tile(terrain, kind, key), jobs or (REMOTE_READERS if terrain.remote else READERS)
+        )
+        self.look_ahead = True
+        self._prediction = Prediction()
+        self._ahead: dict[int, list[tuple[float, Kind, Key]]] = {}
+        self._asked: dict[tuple[Kind, Key], float] = {}
+        self._frame = 0
+        self._full = False
+        self.came: list[Key] = []
+        top = terrain.levels - 1
+        for make, atlas in ((height_tile, self.heights), (slope_tile, self.slopes)):
+            rows, cols = atlas.tables.shapes[top]
+            for row in range(rows):
+                for col in range(cols):
+                    atlas.insert((top, row, col), make(terrain, (top, row, col)), 0, pin=True)
+            atlas.flush()
+
+    def choose(
+        self, view: View, tolerance: float, exaggeration: float, *, wait: bool, later: bool = False
+    ) -> Chosen:  # fmt: skip
+        """The patches of a view.
+
+        Args:
+            wait: until all tiles that the view wants are there, or the atlases hold no more.
+            later: what is lacking is not asked for before ``prepare``.
+
+        Raises:
+            StoreError: with ``wait``, a tile cannot be read.
+        """
+        # (A picture that is waited for may take the place of the one before, a frame of many shares it with the last.)
+        self._frame += 2 if wait else 1
+        self._full = False
+        self.came.clear()
+        loaded, size = self._upload(wait)
+        if wait:
+            self._ahead.clear()
+        patches, missing, seconds = self._select(view, tolerance, exaggeration, wait)
+        if wait or not later:
+            self._ask()
+        while wait and (missing or self.streamer.waiting) and not self._full:
+            self.streamer.wait(1.0)
+            more, bytes_ = self._upload(wait)
+            loaded, size = loaded + more, size + bytes_
+            patches, missing, took = self._select(view, tolerance, exaggeration, wait)
+            self._ask()
+            seconds += took
+            for kind, key in self.streamer.failed.keys() & self._asked.keys():
+                why = self.streamer.failed[kind, key][1]
+                raise StoreError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
+        return Chosen(patches, seconds, missing + int(patches.stats["absent"]), loaded, size)
+
+    @property
+    def areas(self) -> Array:
+        """West, north, east, south (n, 4) of what is drawn from the tiles that came, sample coordinates."""
+        keys = np.array(sorted(set(self.came)), np.int64).reshape(-1, 3)
+        scale = 2.0 ** keys[:, :1]
+        corner = keys[:, [2, 1]] * TILE
+        return np.concatenate([(corner - 1) * scale, (corner + TILE + 1) * scale], 1)
+
+    @property
+    def waiting(self) -> int:
+        """How many tiles are on their way, or would be asked for again by a frame because it is time to."""
+        again = time.monotonic() - self.streamer.RETRY
+        failed = [self.streamer.failed[key][0] for key in self._asked.keys() & self.streamer.failed.keys()]
+        return self.streamer.waiting + sum(when < again for when in failed)
+
+    @property
+    def count(self) -> int:
+        """How many tiles are there."""
+        return self.heights.count + self.slopes.count
+
+    @property
+    def failure(self) -> str:
+        """What this view lacks because it could not be read, and why; "" if there is nothing."""
+        for kind, key in self._asked.keys() & self.streamer.failed.keys():
+            return f"{kind} of tile {key}: {self.streamer.failed[kind, key][1]}"
+        error = self.engine.field.failure
+        return "" if error is None else str(error)
+
+    def close(self) -> None:
+        """Stop reading."""
+        self.streamer.close()
+
+    def _select(self, view: View, tolerance: float, exaggeration: float, wait: bool) -> tuple[Patches, int, float]:
+        """The patches to draw, how many tiles are missing that can be read, and the seconds that took."""
+        begun = time.perf_counter()
+        judged, frustum = _judged(view, exaggeration)
+        patches = self.engine.select(
+            judged, tolerance, resident=self.heights.resident, slots=self.heights.pages, exaggeration=exaggeration,
+            frustum=frustum, wait=wait,
+        )  # fmt: skip
+        seconds = time.perf_counter() - begun
+        wanted, missing = self._lacking(view, patches, exaggeration, self._frame)
+        self._asked = {(kind, key): p for p, kind, key in wanted}
+        return patches, missing - len(self._asked.keys() & self.streamer.failed.keys()), seconds
+
+    def _ask(self) -> None:
+        """Have what is lacking read, now and in a moment."""
+        every = self._asked.copy()
+        for some in self._ahead.values():
+            for p, kind, key in some:
+                if self._atlases[kind].slot(key) < 0:  # it may have come since
+                    every[kind, key] = every.get((kind, key), 0.0) + AHEAD * p / len(self._ahead)
+        self.streamer.want([(p, kind, key) for (kind, key), p in every.items()])
+
+    def prepare(self, view: View, tolerance: float, exaggeration: float, *, ahead: bool = True) -> None:
+        """Have what is lacking read: when a frame was handed over, for its Python need not share the interpreter then.
+
+        Args:
+            ahead: look for what will be lacking in a moment, too.
+        """
+        if ahead:
+            self._foresee(view, tolerance, exaggeration)
+        self._ask()
+
+    def _foresee(self, view: View, tolerance: float, exaggeration: float) -> None:
+        """Find the tiles that will be lacking in a moment."""
+        now = time.monotonic()
+        self._prediction.see(view, now)
+        if not self.look_ahead or not self._prediction.moving:
+            self._ahead.clear()
+            return
+        ahead = self._prediction.ahead(now)
+        if ahead is None:
+            return
+        judged, frustum = _judged(ahead, exaggeration)
+        patches = self.engine.select(
+            judged, tolerance, resident=self.heights.resident, exaggeration=exaggeration, frustum=frustum, wait=False
+        )
+        # What is there already stays, if this frame and the last leave it room.
+        self._ahead[self._prediction.turn], _ = self._lacking(ahead, patches, exaggeration, self._frame - 2)
+
+    def _lacking(
+        self, view: View, patches: Patches, exaggeration: float, frame: int
+    ) -> tuple[list[tuple[float, Kind, Key]], int]:
+        """The tiles that a view wants and that are not there, those of the largest errors, and how many there are.
+
+        Those that are there are noted as wanted in a frame.
+
+        No more are wanted than there is room for: then the tiles of the largest errors settle in the atlas, instead of
+        all taking each other's place.
+        """
+        tiles, pixels = _largest(patches.tiles, patches.pixels, self.heights.room)
+        lack = self.heights.lacking(tiles, frame)
+        wanted: list[tuple[float, Kind, Key]] = []
+        missing, most = int(lack.sum()), ASK + len(self.streamer.failed)  # (what cannot be read is in nobody's way)
+        if missing:
+            tiles, pixels = _largest(tiles[lack], pixels[lack], most)
+            level, row, col = (a.tolist() for a in patches.tiling.where(tiles))
+            keys = zip(level, row, col, strict=True)
+            wanted += [(p, "heights", key) for p, key in zip(pixels.tolist(), keys, strict=True)]
+        which, priority = _largest(*self._slope_tiles.of(view, exaggeration), self.slopes.room)
+        lack = self.slopes.lacking(self._slope_tiles.index[which], frame)
+        if lack.any():
+            missing += int(lack.sum())
+            which, priority = _largest(which[lack], priority[lack], most)
+            for p, (k, i, j) in zip(priority.tolist(), self._slope_tiles.keys[which].tolist(), strict=True):
+                wanted.append((p, "slopes", (k, i, j)))
+        return wanted, missing
+
+    def _upload(self, wait: bool) -> tuple[int, int]:
+        """Bring tiles that have been read to the GPU; how many, and their bytes."""
+        count = size = 0
+        end = math.inf if wait else time.perf_counter() + UPLOADING
+        while (wait or count < UPLOAD) and (not count or time.perf_counter() < end):
+            taken = self.streamer.take(1)
+            if not taken:
+                break
+            kind, key, data = taken[0]
+            # What this frame or the last one wants is not to make room.
+            self._full |= not self._atlases[kind].insert(key, data, self._frame - 1)
+            self.came.append(key)
+            count, size = count + 1, size + data.nbytes
+        for atlas in self._atlases.values():
+            atlas.flush()
+        return count, size
+
+
+def _largest(which: NDArray[Any], errors: NDArray[Any], most: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Those of the largest errors, ``most`` at most."""
+    if len(which) <= most:
+        return which, errors
+    order = np.argsort(-errors, kind="stable")[:most]
+    return which[order], errors[order]
+
+
+def _judged(view: View, exaggeration: float) -> tuple[View, Array | None]:
+    """The camera that errors are judged by, and the planes to cull with if they are not its own.
+
+    From straight above no error of a height moves anything on the screen, but it has a colour: a plan is held to its
+    tolerance as if it was seen at 45°, from afar.
+    """
+    if view.projection != "plan":
+        return view, None
+    away = 1e4 * view.pixel_metres * max(view.frame[2:])
+    target = np.asarray(view.target)
+    eye = target + away * np.array([0.0, -math.sqrt(0.5), math.sqrt(0.5) / exaggeration])
+    fov = 2 * math.degrees(math.atan(view.pixel_metres * view.frame[3] / 2 / away))
+    slanted = replace(view, eye=tuple(eye), up=(0.0, 0.0, 1.0), fov_y=fov, projection="perspective", near=0.0)
+    return slanted, view.frustum(exaggeration)

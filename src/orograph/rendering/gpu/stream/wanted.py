@@ -1,0 +1,143 @@
+"""Which tiles of shading a view wants: for each place in view, those of the level whose samples are a pixel large.
+
+A tile is wanted if it is in the frustum and the tile above it is too coarse: its samples are larger than a pixel at
+the nearest point (``raycast.select.spacing_error``, tile by tile). So the tiles of all coarser levels are wanted as
+well, as the blend between levels needs them, and coarser ones come first. The boxes of all tiles are laid out once,
+coarsest level first; a view is one pass over them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel
+from orograph.raycast.select import tile_boxes
+from orograph.rendering.gpu.stream.tiles import Tables
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import View
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def _wanted(boxes, parents, sizes, planes, eye, scale, exaggeration, per_metre, plan, most, grow, priority, out):
+    """Indices of the tiles wanted go to ``out``; their number is returned.
+
+    Args:
+        boxes: (n, 6) west, east, north, south, low, high; NaN heights where a tile is empty. parents: (n,), −1 at the
+            top. sizes: (n,) metres between the samples of a tile's level.
+        planes: (m, 4) over column, row and height. eye: (3,) column, row, height. scale: metres per column and row.
+        per_metre: pixels of a metre at unit distance, or anywhere in a plan. most: pixels a sample may be large.
+        grow: uint8 (n,), whether a tile is too coarse. priority: (n,) of those wanted.
+    """
+    count = 0
+    for i in range(len(boxes)):
+        grow[i] = 0
+        p = parents[i]
+        if p >= 0 and grow[p] == 0:
+            continue
+        west, east, north, south = boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3]
+        low, high = boxes[i, 4], boxes[i, 5]
+        if low != low:
+            continue
+        inside = True
+        for k in range(planes.shape[0]):
+            a, b, c, d = planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3]
+            reach = d + a * (east if a > 0 else west) + b * (south if b > 0 else north) + c * (high if c > 0 else low)
+            if reach < 0.0:
+                inside = False
+                break
+        if not inside:
+            continue
+        if plan:
+            pixels = sizes[i] * per_metre
+        else:
+            dx = max(max(west - eye[0], eye[0] - east), 0.0) * scale[0]
+            dy = max(max(north - eye[1], eye[1] - south), 0.0) * scale[1]
+            dz = max(max(low - eye[2], eye[2] - high), 0.0) * exaggeration
+            pixels = sizes[i] * per_metre / max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-9)
+        grow[i] = 1 if pixels > most else 0
+        priority[i] = 2.0 * pixels if p >= 0 else 1e9
+        out[count] = i
+        count += 1
+    return count
+
+
+class Tree:
+    """Tiles of all levels over a terrain, asked at once.
+
+    Args:
+        terrain: below them.
+        boxes: (n, 6) west, east, north, south in sample coordinates, lowest and highest height (NaN: never wanted),
+            coarsest level first. parents: (n,) places of the tiles above, −1 at the top. sizes: (n,) metres between the
+            samples of a tile.
+    """
+
+    def __init__(self, terrain: Terrain, boxes: Array, parents: NDArray[np.int64], sizes: Array) -> None:
+        self.terrain, self.boxes, self.parents, self._sizes = terrain, boxes, parents, sizes
+        a, b, _, d, e, _ = terrain.grid.samples[:6]
+        scale = np.linalg.svd(np.array([[a, b], [d, e]]), compute_uv=False)
+        square = abs(a * b + d * e) < 1e-9 * scale[0] ** 2
+        self._scale = np.array((math.hypot(a, d), math.hypot(b, e)) if square else (scale[1], scale[1]))
+        """Metres per column and row, at least."""
+        n = len(sizes)
+        self._grow, self._priority, self._out = np.zeros(n, np.uint8), np.zeros(n), np.zeros(n, np.int64)
+
+    def of(self, view: View, exaggeration: float, *, pixels: float = 1.0) -> tuple[NDArray[np.int64], Array]:
+        """The tiles wanted: which, and how many pixels their parents' samples are large.
+
+        Args:
+            pixels: how large samples may be.
+        """
+        a, b, c, d, e, f = self.terrain.grid.samples[:6]
+        table = np.array(
+            [
+                (p * a + q * d, p * b + q * e, r * exaggeration, s + p * c + q * f)
+                for p, q, r, s in view.frustum(exaggeration).tolist()
+            ]
+        )
+        col, row = self.terrain.grid.index(view.eye[0], view.eye[1])
+        plan = view.projection == "plan"
+        count = _wanted(
+            self.boxes, self.parents, self._sizes, table, np.array([float(col), float(row), view.eye[2]]),
+            self._scale, exaggeration, 1.0 / (view.pixel_metres if plan else view.pixel_slope), plan, pixels,
+            self._grow, self._priority, self._out,
+        )  # fmt: skip
+        found = self._out[:count].copy()
+        return found, self._priority[found]
+
+
+class SlopeTiles(Tree):
+    """The slope tiles of a terrain.
+
+    Attributes:
+        keys: (n, 3) int64: level, row and column of every tile, coarsest level first.
+        index: (n,) their places in a page table (``tiles.Tables``).
+    """
+
+    def __init__(self, terrain: Terrain) -> None:
+        tables = Tables.of(terrain)
+        boxes, parents, sizes, keys, index = [], [], [], [], []
+        begin, above = 0, 0
+        spacing = max(terrain.grid.spacing)
+        for level in range(terrain.levels - 1, -1, -1):
+            b = tile_boxes(terrain, level)
+            rows, cols = b.low.shape
+            r, c = (a.ravel() for a in np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"))
+            boxes.append(np.stack([a.ravel() for a in (b.west, b.east, b.north, b.south, b.low, b.high)], 1))
+            if level == terrain.levels - 1:
+                parents.append(np.full(len(r), -1))
+            else:
+                pr, pc = tables.shapes[level + 1]
+                parents.append(above + np.minimum(r // 2, pr - 1) * pc + np.minimum(c // 2, pc - 1))
+            sizes.append(np.full(len(r), spacing * 2.0**level))
+            keys.append(np.stack([np.full(len(r), level), r, c], 1))
+            index.append(tables.offsets[level] + r * cols + c)
+            above, begin = begin, begin + len(r)
+        super().__init__(
+            terrain, np.concatenate(boxes), np.concatenate(parents).astype(np.int64), np.concatenate(sizes)
+        )
+        self.keys, self.index = np.concatenate(keys).astype(np.int64), np.concatenate(index).astype(np.int64)

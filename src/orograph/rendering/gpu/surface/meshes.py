@@ -1,0 +1,193 @@
+"""Meshes of any engine, drawn in place of the patches: refined on the CPU, drawn and lit as patches are.
+
+An engine refines in a thread of its own while the mesh there is serves (its vertices are samples of the ground, so it
+is drawn right from everywhere, only finer or coarser than asked for); engines are kept, so that those which go on from
+frame to frame (``roam``) do. Until the first mesh is there, patches stand in.
+
+Vertices reach the GPU as whole rows and columns and a height; differences to the eye's cell are taken in integers
+(``shaders/mesh.wgsl``), so their precision is the patches'.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import OrographError
+from orograph.gpu.background import Aside
+from orograph.gpu.binding import bind, layout
+from orograph.gpu.device import Device
+from orograph.lod import engine_of
+from orograph.rendering.cpu.mesh_surface import ENGINE_MEMORY, goal
+from orograph.rendering.gpu.shade.passes import DEPTH, FIELD, GIVEN, MARKS, Targets
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
+from orograph.viewpoint import View
+
+SAMPLE = np.dtype([("row", "<i4"), ("col", "<i4"), ("height", "<f4"), ("pad", "<u4")])
+"""A vertex: ``Sample`` of ``shaders/mesh.wgsl``."""
+
+SMOOTH = ("soar",)
+"""Engines whose vertices may move to their places by degrees (``geomorph=True``)."""
+
+
+def packed(mesh: Tessellation) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
+    """Vertices (n,) of ``SAMPLE`` and corners (3 m,) of a mesh."""
+    points = np.zeros(len(mesh.vertices), SAMPLE)
+    points["col"], points["row"], points["height"] = mesh.vertices.T
+    return points, np.ascontiguousarray(mesh.triangles, np.uint32).reshape(-1)
+
+
+class Meshes:
+    """The engine of a scene, and what it made last.
+
+    Attributes:
+        mesh: to be drawn; None until one is there. current: whether it is the one that the last scene asked for.
+        failure: why the engine made none, or "".
+    """
+
+    def __init__(self, terrain: Terrain) -> None:
+        self.terrain = terrain
+        self.mesh: Tessellation | None = None
+        self.current = False
+        self.failure = ""
+        self._aside = Aside()
+        self._wish: Any = None
+        self._engine: tuple[Any, Any] = (None, None)
+        self._lock = threading.Lock()
+
+    @property
+    def busy(self) -> bool:
+        """Whether another mesh is on its way, or is to be made."""
+        return self._wish is not None and not self.failure and (self._aside.busy or self._aside.done != self._wish)
+
+    def at_once(self, scene: Scene, view: View) -> None:
+        """Have the mesh of a scene for a camera.
+
+        Raises:
+            UsageError: there is no such engine. StoreError: the store was built without errors of diamonds.
+        """
+        key = self._asked(scene, view)
+        if self.mesh is None or self._aside.done != key:
+            self.mesh = self._refined(scene, view, smooth=False)
+        self._aside.done, self.current = key, True
+
+    def aside(self, scene: Scene, view: View) -> None:
+        """Take the mesh that was made meanwhile, and have another one made if the scene wants it."""
+        key = self._asked(scene, view)
+        made = self._aside.take()
+        if isinstance(made, str):
+            self.failure = made
+        elif made is not None:
+            self.mesh = made
+        self.current = self.mesh is not None and self._aside.done == key
+        if self._aside.wants(key) and not self.failure:
+
+            def make() -> Tessellation | str:
+                try:
+                    return self._refined(scene, view, smooth=True)
+                except OrographError as error:
+                    return str(error)
+
+            self._aside.start(key, make)
+
+    def none(self) -> None:
+        """No engine is wanted: forget the mesh."""
+        self.mesh, self._wish, self.failure = None, None, ""
+        self._engine = None, None
+
+    def close(self) -> None:
+        self._aside.close()
+
+    def _asked(self, scene: Scene, view: View) -> Any:
+        key = scene.engine, scene.exaggeration, scene.metric, scene.tolerance, scene.triangles, view
+        if self._wish is None or self._wish[:3] != key[:3]:
+            self.failure, self.mesh = "", None
+        self._wish = key
+        return key
+
+    def _refined(self, scene: Scene, view: View, *, smooth: bool) -> Tessellation:
+        assert scene.engine is not None
+        with self._lock:  # an engine does one thing at a time
+            memory = ENGINE_MEMORY if scene.max_memory is None else scene.max_memory // 2
+            known = scene.engine, scene.metric, scene.exaggeration, memory, scene.jobs, smooth
+            if self._engine[0] != known:
+                options: dict[str, Any] = {"geomorph": True} if smooth and scene.engine in SMOOTH else {}
+                engine = engine_of(scene.engine)(
+                    self.terrain, metric=scene.metric, exaggeration=scene.exaggeration, max_memory=memory,
+                    jobs=scene.jobs, **options,
+                )  # fmt: skip
+                self._engine = known, engine
+            mesh: Tessellation = self._engine[1].refine(view.whole, **goal(scene))
+            return mesh
+
+
+class MeshPass:
+    """Draws a mesh into depth and marks; with ``given`` the slope of each triangle besides, with ``field`` also the
+    terrain's own height in each pixel.
+
+    Args:
+        camera: the uniform buffer (``camera.CAMERA``).
+        field: a view of the atlas of heights, its pages and the table of levels (``shaders/field.wgsl``).
+        missing: what is added to heights that are missing (``tiles.missing``), metres.
+    """
+
+    def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
+        self.device, self.camera, self.field, self.missing = device, camera, field, missing
+        words = "uniform", "read", "read", "depths", "read", "read"
+        self.layout = layout(device, *words, stages="VERTEX|FRAGMENT")
+        self._pipelines: dict[tuple[bool, bool, bool], Any] = {}
+        self._held: tuple[Tessellation | None, Any, int] = (None, None, 0)
+
+    def draw(
+        self, encoder: Any, targets: Targets, mesh: Tessellation, *, edges: bool, given: bool, field: bool = False
+    ) -> None:
+        """Clear the targets and draw; ``edges``: mark those of triangles; ``given``: leave their slopes; ``field``: and
+        the terrain's own heights."""
+        if self._held[0] is not mesh:
+            points, corners = packed(mesh)
+            some = (a if a.size else np.zeros(4, np.uint32) for a in (points, corners))
+            buffers = [self.device.buffer(a, "STORAGE", "mesh") for a in some]
+            group = bind(self.device, self.layout, self.camera, *buffers, *self.field)
+            self._held = mesh, group, len(corners)
+        colours = [targets.marks_view]
+        colours += [targets.given_view(self.device)] if given or field else []
+        colours += [targets.field_view(self.device)] if field else []
+        pass_ = encoder.begin_render_pass(
+            color_attachments=[
+                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"} for view in colours
+            ],
+            depth_stencil_attachment={
+                "view": targets.depth_view, "depth_clear_value": 0.0, "depth_load_op": "clear",
+                "depth_store_op": "store",
+            },
+        )  # fmt: skip
+        if self._held[2]:
+            pass_.set_pipeline(self._pipeline(edges, given, field))
+            pass_.set_bind_group(0, self._held[1])
+            pass_.draw(self._held[2])
+        pass_.end()
+
+    def _pipeline(self, edges: bool, given: bool, field: bool) -> Any:
+        found = self._pipelines.get((edges, given, field))
+        if found is None:
+            module = self.device.shader("mesh", {"EDGES": int(edges), "MISSING": self.missing})
+            entry, formats = "fragment", [MARKS]
+            if given or field:
+                entry, formats = ("with_field", [MARKS, GIVEN, FIELD]) if field else ("with_slope", [MARKS, GIVEN])
+            found = self.device.handle.create_render_pipeline(
+                label="mesh",
+                layout=self.layout.pipeline,
+                vertex={"module": module, "entry_point": "vertex"},
+                primitive={"topology": "triangle-list", "cull_mode": "none"},
+                depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
+                fragment={
+                    "module": module, "entry_point": entry, "targets": [{"format": format} for format in formats],
+                },
+            )  # fmt: skip
+            self._pipelines[edges, given, field] = found
+        return found

@@ -1,0 +1,166 @@
+"""Patches over missing ground, drawn with hatching: meshes of the membranes of ``geovis.missing``.
+
+Of nested windows only the finest over a place is drawn. Vertices are whole samples of the raster, as those of the
+terrain's patches are. A coarse mesh leaves a hole out with the triangles around it: the membrane goes on some samples
+under the ground (``MARGIN``), a thousandth of its distance farther away, so that no gap shows.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis.missing import patches
+from orograph.gpu.device import Device
+from orograph.raycast.select import Rectangle, load, rectangles
+from orograph.raycast.stack import Window
+from orograph.rendering.gpu.shade.passes import DEPTH, MARKS, Targets
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import View
+
+VERTEX = np.dtype([("row", "<i4"), ("col", "<i4"), ("height", "<f4"), ("pad", "<u4")])
+"""A vertex: a sample of the raster and a height, metres."""
+
+MARGIN = 6
+"""Samples by which a membrane reaches under the ground around its hole."""
+
+EXACT = 4_000_000
+"""Samples up to which holes are looked for at full resolution."""
+
+
+def veils(
+    terrain: Terrain, view: View, exaggeration: float, tolerance: float
+) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+    """Vertices (n,) of ``VERTEX`` and triangles (m, 3) over the holes in view; empty if there are none."""
+    none = np.zeros(0, VERTEX), np.zeros((0, 3), np.uint32)
+    if terrain.valid_fraction >= 1:
+        return none
+    rows, cols = terrain.grid.shape
+    if rows * cols <= EXACT:
+        chosen = [Rectangle(0, 0, rows, 0, cols)]
+    else:
+        chosen = rectangles(terrain, view, exaggeration, tolerance)
+    windows = load(terrain, chosen)
+    found = patches(tuple(windows), terrain.grid.shape)
+    if not found:
+        return none
+    found = [_reaching(patch, window) for patch, window in zip(found, windows, strict=True)]
+    vertices: list[NDArray[Any]] = []
+    triangles: list[NDArray[np.uint32]] = []
+    count = 0
+    for window, finer in zip(found, [*found[1:], None]):
+        points, indices = _mesh(window, finer, terrain)
+        vertices.append(points)
+        triangles.append(indices + np.uint32(count))
+        count += len(points)
+    return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def _reaching(patch: Window, window: Window) -> Window:
+    """A patch with the samples of the ground around it."""
+    there = np.isfinite(patch.heights)
+    if not there.any():
+        return patch
+    around = _grown(there, MARGIN) & ~there
+    return Window(patch.level, patch.col0, patch.row0, np.where(around, window.heights, patch.heights))
+
+
+def _grown(there: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
+    """``there``, and what is at most so many steps along rows and columns away from it."""
+    for _ in range(times):
+        grown = there.copy()
+        grown[1:] |= there[:-1]
+        grown[:-1] |= there[1:]
+        grown[:, 1:] |= there[:, :-1]
+        grown[:, :-1] |= there[:, 1:]
+        there = grown
+    return there
+
+
+def _mesh(window: Window, finer: Window | None, terrain: Terrain) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+    """The triangles of one window's cells whose corners all have a height, but for those under ``finer``."""
+    there = np.isfinite(window.heights)
+    a, b, c, d = there[:-1, :-1], there[:-1, 1:], there[1:, :-1], there[1:, 1:]
+    cells = (a.astype(np.uint8) + b + c + d) >= 3
+    if finer is not None:
+        k = window.level - finer.level
+        r0, c0 = (finer.row0 >> k) - window.row0, (finer.col0 >> k) - window.col0
+        r1 = ((finer.row0 + finer.heights.shape[0] - 1) >> k) - window.row0
+        c1 = ((finer.col0 + finer.heights.shape[1] - 1) >> k) - window.col0
+        cells[max(r0, 0) : max(r1, 0), max(c0, 0) : max(c1, 0)] = False
+    r, c = np.nonzero(cells)
+    corners = np.stack([np.stack([r + i, c + j], -1) for i in (0, 1) for j in (0, 1)], 1)  # (n, 4, 2)
+    even = ((r + window.row0 + c + window.col0) % 2 == 0)[:, None, None]
+    halves = np.where(even, np.array([[0, 2, 3], [0, 3, 1]]), np.array([[0, 2, 1], [1, 2, 3]]))
+    picked = np.take_along_axis(corners[:, None], halves[..., None], 2)  # (n, 2, 3, 2)
+    whole = there[picked[..., 0], picked[..., 1]].all(-1)
+    picked = picked[whole]
+    flat = picked.reshape(-1, 2)
+    keys, inverse = np.unique(flat[:, 0] * window.heights.shape[1] + flat[:, 1], return_inverse=True)
+    row, col = np.divmod(keys, window.heights.shape[1])
+    points = np.zeros(len(keys), VERTEX)
+    points["row"] = np.minimum((row + window.row0) << window.level, terrain.grid.rows - 1)
+    points["col"] = np.minimum((col + window.col0) << window.level, terrain.grid.cols - 1)
+    points["height"] = window.heights[row, col]
+    return points, inverse.reshape(-1, 3).astype(np.uint32)
+
+
+class VeilPass:
+    """Draws them into depth and marks, after the ground."""
+
+    def __init__(self, device: Device, camera: Any) -> None:
+        self.device = device
+        handle = device.handle
+        module = device.shader("veil")
+        self.pipeline = handle.create_render_pipeline(
+            label="veil",
+            layout="auto",
+            vertex={
+                "module": module,
+                "entry_point": "vertex",
+                "buffers": [
+                    {
+                        "array_stride": VERTEX.itemsize,
+                        "step_mode": "vertex",
+                        "attributes": [
+                            {"format": "sint32x2", "offset": 0, "shader_location": 0},
+                            {"format": "float32", "offset": 8, "shader_location": 1},
+                        ],
+                    }
+                ],
+            },
+            primitive={"topology": "triangle-list", "cull_mode": "none"},
+            depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
+            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": MARKS}]},
+        )
+        self.group = handle.create_bind_group(
+            layout=self.pipeline.get_bind_group_layout(0), entries=[{"binding": 0, "resource": {"buffer": camera}}]
+        )
+        self.count = 0
+        self._buffers: tuple[Any, Any] | None = None
+
+    def load(self, vertices: NDArray[Any], triangles: NDArray[np.uint32]) -> None:
+        """Take other patches."""
+        self.count = int(triangles.size)
+        if self.count:
+            self._buffers = (
+                self.device.buffer(vertices, "VERTEX", "veil"), self.device.buffer(triangles, "INDEX", "veil"),
+            )  # fmt: skip
+
+    def draw(self, encoder: Any, targets: Targets) -> None:
+        if not self.count or self._buffers is None:
+            return
+        pass_ = encoder.begin_render_pass(
+            color_attachments=[{"view": targets.marks_view, "load_op": "load", "store_op": "store"}],
+            depth_stencil_attachment={
+                "view": targets.depth_view, "depth_load_op": "load", "depth_store_op": "store",
+            },
+        )  # fmt: skip
+        pass_.set_pipeline(self.pipeline)
+        pass_.set_bind_group(0, self.group)
+        pass_.set_vertex_buffer(0, self._buffers[0])
+        pass_.set_index_buffer(self._buffers[1], "uint32")
+        pass_.draw_indexed(self.count)
+        pass_.end()

@@ -1,0 +1,1 @@
+"""Samples of a pixel over time: gathered at rest, and while the camera moves."""

@@ -1,0 +1,208 @@
+"""A moving picture that does not shimmer: frames gather samples while the camera moves, as a picture at rest does.
+
+Every frame puts the samples of its pixels elsewhere (a Halton sequence). Where the ground that a pixel shows was in the
+last frame follows from its depth and the two cameras; the mean gathered there goes on, the new frame being one of many
+in it, with ``SHARE`` at least (temporal supersampling: Yang et al. 2009, *Amortized supersampling*; Karis 2014 for the
+cubic). It has more of what moves fast or changes its scale, since every look-up blurs. What the mean is of is known by
+depth: ground at a depth that no pixel around had in the last frame was hidden there. Only then, on ground of which
+tiles have come since, and where light has, is the mean clamped to the range of the 3 × 3 pixels around, so that it
+leaves no ghost; clamped always, the mean of a horizon with more detail than pixels would follow every sample. Where
+tiles came it begins anew. At rest the mean of a pixel's own samples takes over by degrees. Linear light; depths in
+metres; areas of the ground in sample coordinates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from operator import attrgetter
+from struct import Struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.gpu.device import Device
+from orograph.gpu.recording import Attachments, write
+from orograph.rendering.gpu.camera import axes_of
+from orograph.rendering.gpu.shade.passes import EMPTY, LIGHT, Targets, texture, uniform
+from orograph.scene.scene import Scene
+
+SHARE = 1 / 48
+"""Of a new frame in the mean of many, at least: an edge between ground and sky may not flicker by more."""
+
+FAR = "r32float"
+"""Of the depths that a frame leaves to the next one."""
+
+FULL = 16
+"""Samples of a pixel at rest that need no others."""
+
+AREAS = 64
+"""Areas of the ground that new tiles may be told of; were it more, all of the picture would be taken to be new."""
+
+Areas = NDArray[np.floating]
+NONE: Areas = np.empty((0, 4))
+_ZEROS = (0.0,) * (4 * AREAS)
+_UNIFORM = Struct(f"<20f4I{4 * AREAS}f")
+OWN = "view", "depths", "terrain", "furniture", "title"
+"""What of a scene may change from frame to frame of one picture."""
+_settings = attrgetter(*(f.name for f in fields(Scene) if f.name not in OWN))
+
+
+def _halton(k: int, base: int) -> float:
+    value, part = 0.0, 1.0
+    while k:
+        part /= base
+        k, digit = divmod(k, base)
+        value += part * digit
+    return value
+
+
+SHIFTS = tuple((_halton(k, 2) - 0.5, _halton(k, 3) - 0.5) for k in range(1, FULL + 1))
+"""Where in its pixel the sample of a frame lies, pixels from the middle, one frame after the other."""
+
+
+class Steady:
+    """The mean of a moving picture.
+
+    Args:
+        camera: the uniform buffer of the frame that was drawn.
+    """
+
+    def __init__(self, device: Device, camera: Any) -> None:
+        import wgpu
+
+        self.device = device
+        handle = device.handle
+        sampler = {"binding": 4, "visibility": wgpu.ShaderStage.FRAGMENT, "sampler": {}}
+        first = handle.create_bind_group_layout(entries=[uniform(device, 0, "VERTEX|FRAGMENT")])
+        self._layout = handle.create_bind_group_layout(
+            entries=[
+                uniform(device, 0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "depth"),
+                texture(3, "float"), sampler, texture(5, "unfilterable-float"),
+            ]
+        )  # fmt: skip
+        module = device.shader("steady")
+        self._pipeline = handle.create_render_pipeline(
+            label="steady",
+            layout=handle.create_pipeline_layout(bind_group_layouts=[first, self._layout]),
+            vertex={"module": module, "entry_point": "vertex"},
+            primitive={"topology": "triangle-list"},
+            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": LIGHT}, {"format": FAR}]},
+        )
+        self._camera = handle.create_bind_group(layout=first, entries=[{"binding": 0, "resource": {"buffer": camera}}])
+        self._sampler = handle.create_sampler(mag_filter="linear", min_filter="linear")
+        self._uniform = device.buffer(_UNIFORM.size, "UNIFORM", "steady")
+        self._targets: Targets | None = None
+        self._views: list[Any] = []
+        self._far: list[Any] = []
+        self._onto: list[Attachments] = []
+        self._groups: list[Any] = []
+        self._turn = self._tick = 0
+        self._last: tuple[tuple[float, ...], Scene, Any] | None = None
+        self._made: tuple[Any, ...] = ()
+
+    @property
+    def shift(self) -> tuple[float, float]:
+        """Where in its pixels the samples of the next frame belong."""
+        return SHIFTS[self._tick % FULL] if self._last is not None else (0.0, 0.0)
+
+    def forget(self) -> None:
+        """The next frame is the first of another picture."""
+        self._last = None
+
+    def encode(
+        self, encoder: Any, targets: Targets, scene: Scene, settings: Any, shift: tuple[float, float], gathered: int,
+        came: Areas = NONE, made: tuple[Any, ...] = (),
+    ) -> Any:  # fmt: skip
+        """Add the pass that takes a frame into the mean; the view of a texture of it.
+
+        Args:
+            targets: of the frame.
+            settings: what makes it another picture besides the scene.
+            shift: where in its pixels the samples lay that the depths are of.
+            gathered: samples of the same place that the light is the mean of.
+            came: (n, 4) west, north, east, south of the ground whose tiles came for this frame, sample coordinates.
+            made: what of the ground and its light was made aside, known by its id.
+        """
+        if targets is not self._targets:
+            self._fit(targets)
+        same = self._last is not None and settings == self._last[2] and _alike(scene, self._last[1])
+        fresh = len(came) > AREAS or [id(thing) for thing in made] != [id(thing) for thing in self._made]
+        self._made = made  # (held, so that no other thing gets their ids)
+        self._write(scene, shift, gathered, same, fresh, came)
+        self._turn = 1 - self._turn
+        self._tick += 1
+        pass_ = self._onto[self._turn].begin(encoder)
+        pass_.set_pipeline(self._pipeline)
+        pass_.set_bind_group(0, self._camera)
+        pass_.set_bind_group(1, self._groups[self._turn])
+        pass_.draw(3)
+        pass_.end()
+        right, up, forward, centre = axes_of(scene.view, scene.exaggeration)
+        self._last = (*right, *up, *forward, *centre), scene, settings
+        return self._views[self._turn]
+
+    def _write(
+        self, scene: Scene, shift: tuple[float, float], gathered: int, same: bool, fresh: bool, came: Areas
+    ) -> None:  # fmt: skip
+        packed = bytes(_UNIFORM.size)
+        if same and self._last is not None:
+            camera, before, _ = self._last
+            (a, b, c), (p, q, r) = _eye(scene), _eye(before)
+            share = SHARE if gathered <= 1 else min(1.0, gathered / FULL)
+            known = 2.0 if fresh else 1.0
+            areas = [] if fresh or not len(came) else _from_eye(came, scene).tolist()
+            packed = _UNIFORM.pack(
+                *camera[:11], known, a - p, b - q, (c - r) * scene.exaggeration, share, *camera[11:], *shift,
+                len(areas) // 4, 0, 0, 0, *areas, *_ZEROS[len(areas) :],
+            )  # fmt: skip
+        write(self.device, self._uniform, packed)
+
+    def _fit(self, targets: Targets) -> None:
+        self._targets, self._last = targets, None
+        size = targets.width, targets.height
+        self._views, self._far = (
+            [
+                self.device.texture(size, kind, "RENDER_ATTACHMENT|TEXTURE_BINDING", label="steady").create_view()
+                for _ in range(2)
+            ]
+            for kind in (LIGHT, FAR)
+        )
+        self._onto = [
+            Attachments([(view, EMPTY) for view in pair]) for pair in zip(self._views, self._far, strict=True)
+        ]
+        self._groups = [
+            self.device.handle.create_bind_group(
+                layout=self._layout,
+                entries=[
+                    {"binding": 0, "resource": {"buffer": self._uniform}},
+                    {"binding": 1, "resource": targets.light_view},
+                    {"binding": 2, "resource": targets.depth_view},
+                    {"binding": 3, "resource": self._views[1 - turn]},
+                    {"binding": 4, "resource": self._sampler},
+                    {"binding": 5, "resource": self._far[1 - turn]},
+                ],
+            )
+            for turn in range(2)
+        ]
+
+
+def _eye(scene: Scene) -> tuple[float, float, float]:
+    view = scene.view
+    return (*view.target[:2], view.eye[2]) if view.projection == "plan" else view.eye
+
+
+def _from_eye(areas: Areas, scene: Scene) -> Areas:
+    """Areas in one row (4 n,), columns and rows counted from the eye's."""
+    x, y, _ = _eye(scene)
+    col, row = (float(v) for v in scene.terrain.grid.index(x, y))
+    return np.asarray(areas - np.array([col, row, col, row]), np.float32).ravel()
+
+
+def _alike(one: Scene, other: Scene) -> bool:
+    """Whether two scenes differ by where the camera is and nothing else."""
+    if one is other:
+        return True
+    if one.view.projection != other.view.projection:
+        return False
+    return bool(_settings(one) == _settings(other))

@@ -1,0 +1,339 @@
+"""Pictures larger than memory: drawn by bands of rows, each a tile of the one view, and put together in a file.
+
+A tile is what the whole picture shows there, to the bit (``cpu.draw``), so bands have no seam and the file has the same
+pixels as a picture that fits into memory. What is drawn goes to a scratch file beside the result, row after row; the
+furniture, which depends on all of the picture, is painted into that; and GDAL encodes it, scan line by scan line.
+Memory is that of a band; room on disk for three bytes per pixel is needed besides the result's.
+
+Units: pixels, bytes.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import OutputError, UsageError
+from orograph.geo.grid import Grid
+from orograph.geovis.layers import drawn as visible
+from orograph.output import Beside, check_folder
+from orograph.parallel import aside
+from orograph.progress import SILENT, Progress
+from orograph.rendering.backends import Session, session
+from orograph.rendering.memory import BYTES_PER_PIXEL, amount, band_pixels
+from orograph.rendering.picture import picture_format, plan_grid
+from orograph.scene.scene import Scene
+
+ROWS, COLUMNS = 16, 64
+"""Tiles begin at multiples of these, the caster's blocks (``raycast.kernels``), which it then casts once."""
+
+MOST_PIXELS = 1 << 30
+"""Of a picture: 32768 × 32768. More would take hours, and is a slip of the keyboard."""
+
+ACROSS = 2048
+"""Columns of a tile that a graphics card draws, at most."""
+
+SIDE = 8192
+"""Pixels a side that any graphics card can draw at once."""
+
+MOST = {"JPEG": 65500, "WEBP": 16383}
+"""Pixels a side that a format can hold."""
+
+
+def is_large(size: tuple[int, int], max_memory: int | None, *, gpu: bool = False) -> bool:
+    """Whether a picture of so many pixels is drawn by bands: its arrays take more than half of the memory allowed, or
+    it has more pixels a side than any graphics card that is to draw it must be able to."""
+    pixels = size[0] * size[1]
+    if pixels > MOST_PIXELS:
+        return False
+    return (max_memory is not None and BYTES_PER_PIXEL * pixels > max_memory // 2) or (gpu and max(size) > SIDE)
+
+
+def draw_large(
+    scene: Scene, path: str | os.PathLike[str], *, depth: str | os.PathLike[str] | None = None,
+    draw: Session | None = None, progress: Progress = SILENT, pixels: int | None = None, across: int | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Draw a scene into a file, within ``scene.max_memory`` whatever the picture's size.
+
+    Args:
+        scene: its view says the size.
+        path: the picture: .png, .jpg, .webp or .tif (BigTIFF where needed; of a plan a GeoTIFF).
+        depth: where to write the depth besides: float32 TIFF, metres, NaN where nothing is hit.
+        draw: a backend that draws tiles; None: the CPU caster.
+        progress: hears of it.
+        pixels: how many are drawn at a time; None: as many as ``memory.band_pixels`` says.
+        across: columns that a tile has at most; None: as many as the picture, if so many pixels make ``ROWS`` of them.
+
+    Returns:
+        the picture's facts, as in ``Picture``.
+
+    Raises:
+        UsageError: the ending is unknown, its format cannot hold so many pixels, or the scene has a wireframe.
+        OutputError: a file cannot be written, or there is no room for it.
+        NothingInViewError and others: as ``cpu.draw``.
+    """
+    out, view = Path(path), scene.view
+    kind = picture_format(out)
+    most = MOST.get(kind)
+    if most is not None and max(view.width, view.height) > most:
+        raise UsageError(f"A {kind} has at most {most} × {most} pixels, not {view.width} × {view.height}.", path=out,
+                         remedy="Use .png or .tif.")  # fmt: skip
+    if scene.wireframe and draw is None:
+        raise UsageError("A wireframe is drawn over a whole picture in memory.",
+                         remedy="Allow more (--max-memory), or make it smaller.")  # fmt: skip
+    for file in filter(None, (out, None if depth is None else Path(depth))):
+        check_folder(file)
+    needed = 3 * view.width * view.height * 2 + (4 * view.width * view.height if depth is not None else 0)
+    free = shutil.disk_usage(out.parent).free
+    if needed > free:
+        raise OutputError(f"This may take {amount(needed)} on disk while it is made, and {amount(free)} are free.",
+                          path=out, remedy="Make room, or make it smaller.")  # fmt: skip
+    began = time.perf_counter()
+    place = plan_grid(view, scene.terrain.grid.crs)
+    with ExitStack() as stack:
+        scratch = stack.enter_context(Scratch(out, view.width, view.height))
+        depths = None if depth is None else stack.enter_context(DepthFile(Path(depth), view.width, view.height, place))
+        sheet = Sheet(scene, scratch, depths, session(progress) if draw is None else draw)
+        with progress.task("Drawing", total=view.width * view.height) as task:
+            for band in bands(view.width, view.height, pixels or band_pixels(scene.max_memory), across):
+                sheet.draw(band, progress)
+                task.advance(sum(w * h for _, _, w, h in band))
+        if scene.furniture:
+            sheet.furnish()
+        scratch.close()
+        with progress.task(f"Writing {out.name}"), Beside(out) as part:
+            aside(lambda: encode(scratch, part, kind, place))
+    sheet.facts["seconds"] = {"all": round(time.perf_counter() - began, 4)}
+    return sheet.facts
+
+
+Band = list[tuple[int, int, int, int]]
+"""Tiles (left, top, width, height) of the same rows, from left to right."""
+
+
+def bands(width: int, height: int, pixels: int, most: int | None = None) -> Iterator[Band]:
+    """Tiles that make up a picture, of at most about ``pixels`` pixels and ``most`` columns, at multiples of ``ROWS``
+    and ``COLUMNS``."""
+    most = min(width, pixels // ROWS, most or width)
+    across = width if most == width else max(COLUMNS, most // COLUMNS * COLUMNS)
+    rows = max(ROWS, pixels // across // ROWS * ROWS)
+    for top in range(0, height, rows):
+        tall = min(rows, height - top)
+        yield [(left, top, min(across, width - left), tall) for left in range(0, width, across)]
+
+
+class Sheet:
+    """What is known of a large picture while it is put together.
+
+    Attributes:
+        facts: as of a ``Picture``.
+    """
+
+    def __init__(self, scene: Scene, scratch: Scratch, depths: DepthFile | None, session: Session) -> None:
+        self.scene, self.scratch, self.depths, self._session = scene, scratch, depths, session
+        self.facts: dict[str, Any] = {}
+        self.tint: Any = None
+        height, width = scene.view.height, scene.view.width
+        self.column = np.full(height, np.nan)
+        self.samples: list[NDArray[np.float64]] = []
+        self.cover = np.zeros((height, -(-width // 8)), np.uint8) if scene.furniture else None
+
+    def draw(self, band: Band, progress: Progress) -> None:
+        """Draw the tiles of a band and write their rows."""
+        from orograph.rendering.furniture.legend import sampled
+
+        view = self.scene.view
+        _, top, _, tall = band[0]
+        pixels, depth = np.empty((tall, view.width, 3), np.uint8), np.empty((tall, view.width), np.float32)
+        ground = np.zeros((tall, view.width), bool)
+        for left, _, wide, _ in band:
+            picture = self._session(
+                replace(self.scene, view=view.tile(left, top, wide, tall), furniture=False, title=None)
+            )
+            here = slice(left, left + wide)
+            pixels[:, here], depth[:, here] = picture.pixels, picture.depth
+            ground[:, here] = np.isfinite(picture.depth)
+            if picture.veiled is not None:
+                ground[:, here] |= picture.veiled
+            self.tint = picture.tint
+            self._add(picture.facts, wide * tall / (view.width * view.height), progress)
+        self.scratch.write(pixels)
+        if self.depths is not None:
+            self.depths.write(depth, top)
+        if self.cover is not None:
+            self.cover[top : top + tall] = np.packbits(ground, axis=1)
+            self.column[top : top + tall] = depth[:, view.width // 2]
+            self.samples.append(sampled(depth, view.height, view.width, top))
+
+    def _add(self, facts: dict[str, Any], part: float, progress: Progress) -> None:
+        """Count a tile's facts, ``part`` of the picture, into the picture's."""
+        for warning in facts.get("warnings", ()):
+            if warning not in self.facts.get("warnings", ()):
+                progress.warn(warning)
+        shown = self.facts.get("shown", dict.fromkeys(facts["shown"], 0))
+        means: dict[str, Any] = {name: self.facts.get(name, 0.0) + part * facts[name]
+                 for name in ("hit_fraction", "edge_fraction") if name in facts}  # fmt: skip
+        means |= {name: self.facts.get(name, 0) + facts[name] for name in ("patches", "triangles") if name in facts}
+        self.facts = {**facts, **means, "shown": {k: shown[k] + n for k, n in facts["shown"].items()}}
+
+    def furnish(self) -> None:
+        """Paint the furniture into the scratch file."""
+        from PIL import Image
+
+        from orograph.rendering.furniture.furnish import Cover, lay_out
+        from orograph.rendering.furniture.legend import Drawn, furniture_of
+
+        view = self.scene.view
+        assert self.cover is not None
+        drawn = Drawn(self.tint, self.facts["shown"], bool(visible(self.scene.layers)), np.concatenate(self.samples),
+                      self.column)  # fmt: skip
+        pieces = furniture_of(self.scene, drawn)
+        layout = lay_out((view.width, view.height), ground=Cover(self.cover, view.width), **pieces)
+        around = 4 * layout.style.margin
+        for i, (_, box) in enumerate(layout.placed):
+            x0, y0 = max(box[0] - around, 0), max(box[1] - around, 0)
+            x1, y1 = min(box[2] + around, view.width), min(box[3] + around, view.height)
+            sheet = Image.fromarray(self.scratch.read(x0, y0, x1, y1))
+            layout.paint(sheet, (x0, y0), i)
+            self.scratch.put(x0, y0, np.asarray(sheet, np.uint8))
+
+
+class Scratch:
+    """Pixels on disk, three bytes each, row after row: raw, with a header by which GDAL can read them (ENVI's)."""
+
+    def __init__(self, out: Path, width: int, height: int) -> None:
+        self.out, self.width, self.height = out, width, height
+        self.path = out.with_name(f".{out.name}.{os.getpid()}.raw")
+        self.header = self.path.with_name(self.path.name + ".hdr")
+
+    def __enter__(self) -> Scratch:
+        try:
+            self.file = self.path.open("w+b")
+            self.header.write_text(
+                f"ENVI\nsamples = {self.width}\nlines = {self.height}\nbands = 3\nheader offset = 0\n"
+                "file type = ENVI Standard\ndata type = 1\ninterleave = bip\nbyte order = 0\n",
+                encoding="ascii",
+            )
+        except OSError as error:
+            raise OutputError(f"The file cannot be written: {error.strerror}.", path=self.out) from error
+        return self
+
+    def write(self, pixels: NDArray[np.uint8]) -> None:
+        """The next rows (rows, width, 3)."""
+        try:
+            self.file.write(np.ascontiguousarray(pixels).data)
+        except OSError as error:
+            raise OutputError(f"The file cannot be written: {error.strerror}.", path=self.out,
+                              remedy="See that the disk has room.") from error  # fmt: skip
+
+    def read(self, x0: int, y0: int, x1: int, y1: int) -> NDArray[np.uint8]:
+        """Pixels [y0, y1) × [x0, x1)."""
+        found = np.empty((y1 - y0, x1 - x0, 3), np.uint8)
+        for row in range(y0, y1):
+            self.file.seek(3 * (row * self.width + x0))
+            found[row - y0] = np.frombuffer(self.file.read(3 * (x1 - x0)), np.uint8).reshape(-1, 3)
+        return found
+
+    def put(self, x0: int, y0: int, pixels: NDArray[np.uint8]) -> None:
+        """Replace pixels from (x0, y0) on."""
+        for row, line in enumerate(pixels, y0):
+            self.file.seek(3 * (row * self.width + x0))
+            self.file.write(np.ascontiguousarray(line).data)
+
+    def close(self) -> None:
+        """Let GDAL see all of it."""
+        self.file.close()
+
+    def __exit__(self, *error: object) -> None:
+        self.file.close()
+        for path in (self.path, self.header):
+            path.unlink(missing_ok=True)
+
+
+class DepthFile:
+    """A float32 TIFF that is written by whole rows; it appears when it is complete."""
+
+    def __init__(self, out: Path, width: int, height: int, place: Grid | None) -> None:
+        self.out, self.width, self.height, self.place = out, width, height, place
+        self.beside = Beside(out)
+
+    def __enter__(self) -> DepthFile:
+        import rasterio
+
+        part = self.beside.__enter__()
+        with quiet():
+            self.file: Any = rasterio.open(
+                part, "w", driver="GTiff", width=self.width, height=self.height, count=1, dtype="float32",
+                compress="deflate", predictor=3, nodata=float("nan"), BIGTIFF="IF_SAFER", **located(self.place),
+            )  # fmt: skip
+            self.file.set_band_description(1, "view-space depth, metres")
+        return self
+
+    def write(self, depth: NDArray[np.float32], top: int) -> None:
+        """Rows (rows, width) from ``top`` on."""
+        from rasterio.windows import Window
+
+        with quiet():
+            self.file.write(depth, 1, window=Window(0, top, self.width, len(depth)))
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        with quiet():
+            self.file.close()
+        self.beside.__exit__(kind, error, trace)
+
+
+def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None) -> None:
+    """Write what is in the scratch file as a picture, reading and writing a few rows at a time.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    import rasterio
+    import rasterio.shutil
+    from rasterio.errors import RasterioError
+
+    options: dict[str, dict[str, Any]] = {
+        "PNG": {"ZLEVEL": 4},
+        "JPEG": {"QUALITY": 92, "JPEG_QUALITY": 92},
+        "WEBP": {"LOSSLESS": "YES"},
+        "TIFF": {"COMPRESS": "DEFLATE", "PREDICTOR": 2, "BIGTIFF": "IF_SAFER", "PHOTOMETRIC": "RGB"},
+    }
+    driver = {"TIFF": "GTiff"}.get(kind, kind)
+    try:
+        with rasterio.Env(GDAL_PAM_ENABLED="NO"), quiet():
+            if kind == "TIFF":
+                with rasterio.open(scratch.path) as source, rasterio.open(
+                    part, "w", driver=driver, width=scratch.width, height=scratch.height, count=3, dtype="uint8",
+                    interleave="pixel", **options[kind], **located(place),
+                ) as file:  # fmt: skip
+                    for _, window in source.block_windows(1):
+                        file.write(source.read(window=window), window=window)
+            else:
+                rasterio.shutil.copy(scratch.path, part, driver=driver, **options[kind])
+    except RasterioError as error:
+        raise OutputError(f"The picture cannot be written: {error}.", path=scratch.out) from error
+
+
+def located(place: Grid | None) -> dict[str, Any]:
+    """The part of a raster's profile that says where it lies."""
+    if place is None:
+        return {}
+    return {"transform": place.transform} | ({} if place.crs is None else {"crs": place.crs.to_wkt()})
+
+
+def quiet() -> Any:
+    """Without rasterio's remark that a picture in perspective lies nowhere."""
+    import warnings
+
+    from rasterio.errors import NotGeoreferencedWarning
+
+    return warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning)

@@ -1,0 +1,1 @@
+"""Lines drawn on the ground by both backends: contours and their labels, silhouettes."""

@@ -1,0 +1,149 @@
+"""The smooth surface through the samples that contour lines follow where samples are larger than pixels.
+
+The ground is triangles between samples; its isolines bend at every edge, which shows as soon as a cell covers some
+pixels, the more so as light there is smooth. So near by lines are those of a surface that passes through the samples,
+has at each the slope that light falls on (central differences, ``lighting.relief``), and no bend between cells: a
+bicubically blended Coons patch over every cell, with cubic Hermite curves along its edges, across which its slope
+changes linearly, just as the light's does. What the two directions say of the twist in a corner is blended as Gregory
+(1974) has it, so that four heights and four slopes are all a cell needs. Quadratic surfaces are reproduced. Beside
+missing samples lines are the triangles'. Source: Gregory, J. A. (1974). Smooth interpolation without twist constraints.
+*Computer Aided Geometric Design*, Academic Press.
+
+Heights in metres, positions and slopes by sample.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel, leaf
+from orograph.lighting.normal import central
+from orograph.lighting.relief import Relief, finest
+
+Array = NDArray[np.float64]
+
+SMALL = 0.35, 0.7
+"""Samples that a pixel covers up to which heights are the smooth surface's, and from which on they are the ground's."""
+
+STEPS, FAR = 3, 1.5
+"""Steps from where a ray meets triangles to where it meets the smooth surface, and how far that may be, samples."""
+
+
+@leaf
+def blended(h00, h10, h01, h11, a00, a10, a01, a11, b00, b10, b01, b11, f, g):
+    """Height at (f, g), 0 to 1, in a cell: of heights h, slopes a along columns and b along rows at its corners.
+
+    (The first digit of a name counts columns, the second rows.)
+    """
+    p, q = 1.0 - f, 1.0 - g
+    f1, g1 = f * f * (3.0 - 2.0 * f), g * g * (3.0 - 2.0 * g)
+    f0, g0 = 1.0 - f1, 1.0 - g1
+    u0, u1, v0, v1 = f * p * p, -f * f * p, g * q * q, -g * g * q
+    height = g0 * (f0 * h00 + f1 * h10) + g1 * (f0 * h01 + f1 * h11)
+    height += u0 * (q * a00 + g * a01) + u1 * (q * a10 + g * a11)
+    height += v0 * (p * b00 + f * b10) + v1 * (p * b01 + f * b11)
+    # The twists: of a along the rows, of b along the columns.
+    west, east, north, south = a01 - a00, a11 - a10, b10 - b00, b11 - b01
+    height -= u0 * v0 * (f * west + g * north) / max(f + g, 1e-9)
+    height -= u1 * v0 * (p * east + g * north) / max(p + g, 1e-9)
+    height -= u0 * v1 * (f * west + q * south) / max(f + q, 1e-9)
+    height -= u1 * v1 * (p * east + q * south) / max(p + q, 1e-9)
+    return height
+
+
+@leaf
+def _slope(pool, base, rows, cols, i, j):
+    """Slopes along columns and rows at a sample: central differences, beside borders and missing samples of what is
+    there, as ``relief.slope_at`` has them."""
+    at, nan = base + i * cols + j, np.nan
+    here = np.float64(pool[at])
+    west = np.float64(pool[at - 1]) if j > 0 else nan
+    east = np.float64(pool[at + 1]) if j + 1 < cols else nan
+    north = np.float64(pool[at - cols]) if i > 0 else nan
+    south = np.float64(pool[at + cols]) if i + 1 < rows else nan
+    return central(west, here, east, 1.0, 1.0), central(north, here, south, 1.0, 1.0)
+
+
+@leaf
+def _cell(pool, base, rows, cols, x, y):
+    """Height of the smooth surface at (x, y) of samples (rows, cols), and the slope that light has there; NaN beside
+    missing samples."""
+    i = min(max(np.int64(np.floor(y)), 0), rows - 2)
+    j = min(max(np.int64(np.floor(x)), 0), cols - 2)
+    at = base + i * cols + j
+    h00, h10 = np.float64(pool[at]), np.float64(pool[at + 1])
+    h01, h11 = np.float64(pool[at + cols]), np.float64(pool[at + cols + 1])
+    a00, b00 = _slope(pool, base, rows, cols, i, j)
+    a10, b10 = _slope(pool, base, rows, cols, i, j + 1)
+    a01, b01 = _slope(pool, base, rows, cols, i + 1, j)
+    a11, b11 = _slope(pool, base, rows, cols, i + 1, j + 1)
+    f, g = min(max(x - j, 0.0), 1.0), min(max(y - i, 0.0), 1.0)
+    height = blended(h00, h10, h01, h11, a00, a10, a01, a11, b00, b10, b01, b11, f, g)
+    across = (1.0 - g) * ((1.0 - f) * a00 + f * a10) + g * ((1.0 - f) * a01 + f * a11)
+    down = (1.0 - g) * ((1.0 - f) * b00 + f * b10) + g * ((1.0 - f) * b01 + f * b11)
+    return height, across, down
+
+
+@kernel
+def _smooth(pool, ints, floats, points, footprint, rays, heights):
+    """Move ``heights`` (n,) to the smooth surface, see ``smoothed``."""
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        if not footprint[k] < SMALL[1] or heights[k] != heights[k]:
+            continue
+        w = finest(ints, floats, x, y, 0.75)
+        if floats[w, 0] != 1.0:
+            continue
+        base, rows, cols = ints[w, 0], ints[w, 1], ints[w, 2]
+        x, y = x - floats[w, 5], y - floats[w, 6]
+        above, across, down = _cell(pool, base, rows, cols, x, y)
+        if above != above:
+            continue
+        smooth = above
+        if len(rays) > 0:
+            u, v, drop = rays[k, 0], rays[k, 1], rays[k, 2]
+            gone = 0.0
+            for _ in range(STEPS):  # Newton's method
+                facing = drop - across * u - down * v
+                gone += (above - heights[k] - gone * drop) / facing if facing < 0.0 else np.inf
+                if not abs(gone) * np.sqrt(u * u + v * v) < FAR:
+                    break
+                smooth = heights[k] + gone * drop
+                above, across, down = _cell(pool, base, rows, cols, x + gone * u, y + gone * v)
+                if above != above:
+                    break
+        t = min(max((footprint[k] - SMALL[0]) / (SMALL[1] - SMALL[0]), 0.0), 1.0)
+        t = t * t * (3.0 - 2.0 * t)
+        heights[k] = smooth + t * (heights[k] - smooth)
+
+
+NO_RAYS = np.zeros((0, 3))
+
+
+def smoothed(relief: Relief, points: Array, footprint: Array, heights: Array, rays: Array = NO_RAYS) -> Array:
+    """Heights (n,) that contour lines are of, metres: those of the smooth surface where pixels cover so little of a
+    sample that bends would be seen, elsewhere those given.
+
+    Args:
+        relief: of the terrain. points: (n, 3) sample coordinates (and heights, which are not looked at).
+        footprint: (n,) of a pixel, samples. heights: (n,) of the ground there.
+        rays: (n, 3) directions by which the ground was met at its heights, columns, rows and metres: then heights are
+            those at which they meet the smooth surface; else those above or below the points.
+    """
+    out = np.array(heights, np.float64)
+    _smooth(relief.pool, relief.ints, relief.floats, points, footprint, rays, out)
+    return out
+
+
+def interpolated(samples: NDArray[np.float32], x: Array, y: Array) -> Array:
+    """Heights (n,) of the smooth surface at columns and rows (n,) of samples (rows, cols); at the border slopes are
+    one-sided; NaN beside missing samples."""
+    rows, cols = samples.shape
+    ints = np.array([[0, rows, cols, 0]], np.int64)
+    floats = np.array([[1.0, -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0, 0.0]])
+    relief = Relief(np.ascontiguousarray(samples, np.float32).ravel(), ints, floats)
+    inner = np.stack([x, y, np.zeros(len(x))], -1)
+    none = np.full(len(x), -1e38)
+    found = smoothed(relief, inner, np.zeros(len(x)), none)
+    return np.where(found == none, np.nan, found)

@@ -1,0 +1,341 @@
+"""Where to stand: cameras made for a terrain out of what people say (from the south-west, at this place, all of it).
+
+Framing is exact: for a given direction the position that sees every given point with the least distance has a closed
+form, since each side of the frustum bounds the eye by one half-space (see ``fit``). Where that leaves room in one
+direction, what is seen stands in the middle of it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import NothingInViewError, UsageError
+from orograph.geo.grid import Grid
+from orograph.scene.scene import check_exaggeration
+from orograph.store.terrain import TILE, Terrain
+from orograph.viewpoint import View
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.93
+"""The part of the picture's half-width and half-height that the fitted terrain may fill."""
+
+Insets = tuple[float, float, float, float]
+"""Parts of the picture's width (left, right) and height (top, bottom) that the terrain leaves free, each below 0.5."""
+
+NO_INSETS: Insets = (0.0, 0.0, 0.0, 0.0)
+
+
+def _reach(insets: Insets) -> Insets:
+    """How far from the picture's middle the terrain may reach to the left, right, top and bottom; the border is 1."""
+    if not all(0 <= part < 0.5 for part in insets):
+        raise UsageError(f"Insets are parts of the picture, at least 0 and below one half, not {insets}.")
+    left, right, top, bottom = (min(MARGIN, 1 - 2 * part) for part in insets)
+    return left, right, top, bottom
+
+
+def outline(terrain: Terrain) -> Array:
+    """Positions (n, 3) in the terrain's CRS, float64 metres, around which all valid ground lies.
+
+    They are the samples of the coarsest level, raised and lowered by what that level may be off; and the corners of
+    blocks whose sample is missing there though ground is valid between the samples.
+
+    Raises:
+        NothingInViewError: no sample is valid.
+    """
+    level = terrain.levels - 1
+    table = terrain.tiles(level)
+    rows, cols = terrain.shape(level)
+    heights = terrain.read(level, 0, rows, 0, cols).astype(np.float64)
+    if not np.isfinite(table.maximum).any():
+        raise NothingInViewError(
+            "None of the samples is valid, so there is nothing to draw.",
+            path=terrain.name,
+            remedy="See what the file holds with orograph info; a wrong --nodata or --band hides everything.",
+        )
+    r, c = np.nonzero(np.isfinite(heights))
+    tile = np.minimum(r // TILE, table.error.shape[0] - 1), np.minimum(c // TILE, table.error.shape[1] - 1)
+    z, error = heights[r, c], np.nan_to_num(table.error[tile].astype(np.float64))
+    up, down = np.fmin(z + error, table.maximum[tile]), np.fmax(z - error, table.minimum[tile])
+    scale = 2**level
+    col, row, height = [c * scale, c * scale], [r * scale, r * scale], [np.maximum(up, z), np.minimum(down, z)]
+    if level:
+        means = terrain.read_mean(level, 0, terrain.mean_shape(level)[0], 0, terrain.mean_shape(level)[1])
+        i, j = np.nonzero(np.isfinite(means) & np.isnan(heights[: means.shape[0], : means.shape[1]]))
+        for di, dj in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            col.append((j + dj) * scale - dj)
+            row.append((i + di) * scale - di)
+            height.append(means[i, j].astype(np.float64))
+    x, y = terrain.grid.xy(
+        np.minimum(np.concatenate(col), terrain.grid.cols - 1), np.minimum(np.concatenate(row), terrain.grid.rows - 1)
+    )
+    return np.stack([x, y, np.concatenate(height)], 1)
+
+
+def direction(azimuth: float, pitch: float) -> Array:
+    """The unit viewing direction (3,) of an eye that stands at ``azimuth`` of what it looks at, ``pitch`` above it.
+
+    Both in degrees; azimuth is clockwise from north.
+    """
+    a, p = math.radians(azimuth), math.radians(pitch)
+    return np.array([-math.sin(a) * math.cos(p), -math.cos(a) * math.cos(p), -math.sin(p)])
+
+
+def fit(
+    points: Array,
+    forward: Array,
+    fov_y: float,
+    size: tuple[int, int],
+    exaggeration: float = 1.0,
+    insets: Insets = NO_INSETS,
+    heading: float = 0.0,
+) -> View:
+    """The perspective view along ``forward`` that holds all ``points`` (n, 3) from as near as possible, in its middle.
+
+    In camera axes (right a, up b, forward c) a point lies within the left and right sides seen from eye e if
+    −l·(c − e_c) ≤ a − e_a ≤ r·(c − e_c), with the tangents l, r of how far each side reaches: two half-spaces in
+    (e_a, e_c), whose nearest common point is the eye; likewise up and down. One direction leaves room at the depth that
+    the other demands: there what is seen reaches as near to one side as to the other on the screen, whose middle is not
+    that of the places the eye may have, since what is near looks larger.
+
+    Args:
+        forward: the viewing direction (3,), as it looks in the picture. size: (width, height), pixels.
+        insets: parts of the picture to leave free. heading: of a view straight down, the direction that is up in the
+            picture, degrees clockwise from north.
+
+    Raises:
+        UsageError: the exaggeration is no factor greater than 0, or an inset is not in [0, 0.5).
+    """
+    check_exaggeration(exaggeration)
+    width, height = size
+    stretch = np.array([1.0, 1.0, exaggeration])
+    drawn = points * stretch
+    forward = forward / np.linalg.norm(forward)
+    skyward = _skyward(forward, heading)
+    right = np.cross(forward, skyward)
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    a, b, c = drawn @ right, drawn @ up, drawn @ forward
+    ty = math.tan(math.radians(fov_y) / 2)
+    tx = ty * width / height
+    left, right_side, top, bottom = _reach(insets)
+    bounds = []
+    depth = []
+    for across, less, more in ((a, left * tx, right_side * tx), (b, bottom * ty, top * ty)):
+        # e_a − more·e_c is at least ``least``; e_a + less·e_c is at most ``most``.
+        least, most = (across - more * c).max(), (across + less * c).min()
+        bounds.append((least, most, less, more))
+        depth.append((most - least) / (less + more))
+    back = min(depth)
+    span = max(float(np.ptp(a)), float(np.ptp(b)), float(np.ptp(c)), 1.0)
+    back = min(back, float(c.min()) - 1e-3 * span)
+    eye = [
+        _centred(across, c - back, least + more * back, most - less * back, more - less)
+        for across, (least, most, less, more) in zip((a, b), bounds)
+    ]
+    position = right * eye[0] + up * eye[1] + forward * back
+    target = position + forward * (float((c.min() + c.max()) / 2) - back)
+    return View(
+        tuple(position / stretch),
+        tuple(target / stretch),
+        tuple(skyward),
+        fov_y,
+        width,
+        height,
+    )
+
+
+def _skyward(forward: Array, heading: float) -> Array:
+    """What is up (3,) in a picture: the zenith; to one who looks along it, the direction of a heading (degrees)."""
+    if np.hypot(forward[0], forward[1]) >= 1e-9 * np.linalg.norm(forward):
+        return np.array([0.0, 0.0, 1.0])
+    return direction(heading + 180.0, 0.0)
+
+
+def _centred(across: Array, depth: Array, low: float, high: float, aside: float) -> float:
+    """The place of the eye between ``low`` and ``high`` from which the largest and the least tangent of points sum up
+    to ``aside``.
+
+    Args:
+        across, depth: (n,) of the points, metres from the axis and from the eye; the tangents are
+            (across - eye) / depth, so each is linear in the eye and their sum falls piecewise linearly.
+    """
+    eye = (low + high) / 2
+    for _ in range(60):
+        tangent = (across - eye) / depth
+        i, j = int(tangent.argmax()), int(tangent.argmin())
+        off = tangent[i] + tangent[j] - aside
+        low, high = (eye, high) if off > 0 else (low, eye)
+        there = eye + off / (1 / depth[i] + 1 / depth[j])  # exact if the same two points decide there
+        if abs(there - eye) <= 1e-12 * (high - low) or high - low <= 1e-12 * float(np.ptp(across) + abs(eye)):
+            break
+        eye = there if low < there < high else (low + high) / 2
+    return float(eye)
+
+
+def whole(
+    terrain: Terrain,
+    size: tuple[int, int],
+    *,
+    azimuth: float = 180.0,
+    pitch: float = 42.0,
+    fov_y: float = 30.0,
+    exaggeration: float = 1.0,
+    insets: Insets = NO_INSETS,
+) -> View:
+    """A view that shows the whole terrain well: from the south, obliquely, with a long lens.
+
+    ``insets`` are parts of the picture to leave free, such as ``furniture.insets``.
+    """
+    return fit(outline(terrain), direction(azimuth, pitch), fov_y, size, exaggeration, insets, azimuth + 180.0)
+
+
+def around(
+    terrain: Terrain,
+    size: tuple[int, int],
+    *,
+    azimuth: float,
+    pitch: float,
+    distance: float | None,
+    fov_y: float = 30.0,
+    exaggeration: float = 1.0,
+    insets: Insets = NO_INSETS,
+) -> View:
+    """A view from ``azimuth`` and ``pitch`` at ``distance`` of the terrain's middle (None: all of it in the picture).
+
+    Pitch (degrees) and distance (metres) are those of the picture: of the ground as it is stretched there. ``insets``
+    are parts of the picture to leave free where the distance is not given.
+
+    Raises:
+        UsageError: a number is out of its range. NothingInViewError: no sample is valid.
+    """
+    if not math.isfinite(azimuth):
+        raise UsageError(f"--from is a direction in degrees clockwise from north, not {azimuth:g}.")
+    if not -90 <= pitch <= 90:
+        raise UsageError(f"--pitch is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
+    if distance is None:
+        return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration, insets=insets)
+    check_exaggeration(exaggeration)
+    if not 0 < distance < math.inf:
+        raise UsageError(f"--distance is in metres, more than 0, not {distance:g}.")
+    points = outline(terrain)
+    middle = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
+    target = np.array([*middle, ground(terrain, middle[0], middle[1], default=float(np.median(points[:, 2])))])
+    forward = direction(azimuth, pitch)
+    eye = target - forward * distance / np.array([1.0, 1.0, exaggeration])
+    return View(tuple(eye), tuple(target), tuple(_skyward(forward, azimuth + 180.0)), fov_y, size[0], size[1])
+
+
+def place(terrain: Terrain, lon: float, lat: float) -> tuple[float, float]:
+    """A longitude and a latitude (WGS 84, degrees) in the terrain's CRS.
+
+    Raises:
+        UsageError: the terrain has no CRS, the place cannot be brought to it, or its two numbers seem to be swapped.
+    """
+    from orograph.geo.transform import transformer
+
+    move = transformer("EPSG:4326", terrain.grid.crs)
+
+    def inside(lon: float, lat: float) -> bool:
+        x, y = (float(v) for v in move(lon, lat))
+        return not far_outside(terrain.grid, x, y, 0.0)
+
+    x, y = (float(v) for v in move(lon, lat))
+    if far_outside(terrain.grid, x, y) and inside(lat, lon):
+        raise UsageError(
+            f"Longitude {lon:g}, latitude {lat:g} lies far outside the terrain, and {lat:g}, {lon:g} within it: "
+            "were the two swapped?",
+            remedy=f"Give the longitude first: {lat:g},{lon:g}.",
+        )
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise UsageError(f"Longitude {lon:g}, latitude {lat:g} cannot be brought to the terrain's projection.")
+    return x, y
+
+
+def standing(
+    terrain: Terrain,
+    size: tuple[int, int],
+    eye: tuple[float, float, float],
+    look_at: tuple[float, float] | None,
+    *,
+    fov_y: float = 45.0,
+) -> View:
+    """A view from (longitude, latitude, height) towards the ground at (longitude, latitude), or the terrain's middle.
+
+    Args:
+        size: (width, height) in pixels.
+        eye: degrees of longitude and latitude (WGS 84), metres above the heights' own zero.
+        look_at: degrees of longitude and latitude; None: the terrain's middle.
+        fov_y: vertical field of view, degrees.
+
+    Raises:
+        UsageError: the terrain has no CRS, a place cannot be brought to it, or its two numbers seem to be swapped.
+    """
+    x, y = place(terrain, eye[0], eye[1])
+    points = outline(terrain)
+    if look_at is None:
+        tx, ty = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
+    else:
+        tx, ty = place(terrain, *look_at)
+    z = ground(terrain, tx, ty, default=float(np.median(points[:, 2])))
+    return View((x, y, eye[2]), (tx, ty, z), fov_y=fov_y, width=size[0], height=size[1])
+
+
+def plan(terrain: Terrain, size: tuple[int, int], *, azimuth: float = 180.0, insets: Insets = NO_INSETS) -> View:
+    """The map view: straight down, the whole terrain, its outline filling the picture to the margin or the insets.
+
+    Args:
+        azimuth: the side that lies at the foot of the picture, degrees clockwise from north; 180 has north up.
+
+    Raises:
+        UsageError: the azimuth is no angle, an inset not in [0, 0.5). NothingInViewError: no sample is valid.
+    """
+    if not math.isfinite(azimuth):
+        raise UsageError(f"--from is a direction in degrees clockwise from north, not {azimuth:g}.")
+    points = outline(terrain)
+    up = direction(azimuth, 0.0)
+    right = np.array([up[1], -up[0], 0.0])
+    across, along = points @ right, points @ up
+    left, right_side, top, bottom = _reach(insets)
+    wide, tall = size[0] * (left + right_side) / 2, size[1] * (top + bottom) / 2
+    metres = max(np.ptp(across) / wide, np.ptp(along) / tall, 1e-6) * size[1]
+    # The terrain's middle goes to the middle of the free area.
+    aside = metres / 2 * size[0] / size[1] * (right_side - left) / 2
+    above = metres / 2 * (top - bottom) / 2
+    middle = right * ((across.min() + across.max()) / 2 - aside) + up * ((along.min() + along.max()) / 2 - above)
+    x, y, _ = middle
+    fov_y = 30.0
+    distance = metres / 2 / math.tan(math.radians(fov_y) / 2)
+    # The eye is above the highest summit; the target lies as far below it as makes a pixel the wanted size.
+    eye = terrain.height_range[1] + max(10.0, 0.1 * distance)
+    return View((x, y, eye), (x, y, eye - distance), tuple(up), fov_y, size[0], size[1], projection="plan")
+
+
+def far_outside(grid: Grid, x: float, y: float, beyond: float = 1.0) -> bool:
+    """Whether a place in the grid's CRS lies more than ``beyond`` of its width or height outside of it (or nowhere)."""
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return True
+    col, row = grid.index(x, y)
+    across, down = (float(col) + 0.5) / grid.cols, (float(row) + 0.5) / grid.rows
+    return not (-beyond <= across <= 1 + beyond and -beyond <= down <= 1 + beyond)
+
+
+def ground(terrain: Terrain, x: float, y: float, default: float) -> float:
+    """Height of the full-resolution surface at a place in the terrain's CRS; ``default`` beside it or in a hole."""
+    col, row = (float(v) for v in terrain.grid.index(x, y))
+    rows, cols = terrain.grid.shape
+    if not (0 <= col <= cols - 1 and 0 <= row <= rows - 1):
+        return default
+    c, r = min(int(col), max(cols - 2, 0)), min(int(row), max(rows - 2, 0))
+    # An even corner keeps the diagonals' parity in the little window.
+    c0, r0 = c & ~1, r & ~1
+    patch = terrain.read(0, r0, min(r0 + 3, rows), c0, min(c0 + 3, cols))
+    from orograph.raycast.caster import Caster
+
+    if min(patch.shape) < 2:
+        return default
+    height = Caster.of(np.ascontiguousarray(patch), 1).surface(col - c0, row - r0)
+    return height if math.isfinite(height) else default

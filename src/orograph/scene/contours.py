@@ -1,0 +1,143 @@
+"""Contour lines: which heights have one, and how much of a pixel a line covers.
+
+A line's coverage is found in every pixel from its own height: the height's change from pixel to pixel on the ground's
+tangent plane (its slope averaged over the pixel, as for the light) tells how far away the line is. So lines are equally
+thin everywhere, whatever the distance, and no line is traced. Where lines would run together they fade, first the plain
+ones, then the index contours; level ground, of which no line can be said to be the contour, and water have none.
+
+The interval that suits a picture follows the cartographers' rule (Imhof 1965): on the steepest common slopes
+lines must still be told apart, so it is tan α of those slopes times the smallest distance between lines, rounded to
+1, 2 or 5 times a power of ten.
+
+Units: metres, pixels; colours are sRGB from 0 to 1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orograph.errors import UsageError
+from orograph.memo import Kept
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import View
+
+APART = 5.0
+"""Pixels that an interval found by itself leaves between lines on the steepest common slopes."""
+
+STEEP = 0.9
+"""The part of the ground that is less steep than those."""
+
+WORKING = 512
+"""Samples a side of what slopes are measured on, at most."""
+
+GENTLE, LEAST = 0.25, 0.02
+"""See ``Contours.finer``."""
+
+LEVEL = 2e-4
+"""Slopes below this (water, as a rule) have no say in it."""
+
+USUAL = 1100
+"""Pixels of a picture's shorter side beyond which lines and labels grow with it: such pictures are for print."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contours:
+    """How contour lines are drawn.
+
+    Attributes:
+        interval: metres of height from line to line; None: what suits the relief and the scale.
+        index: every how many a thick one, an index contour; 0: none.
+        width: of plain lines in pixels (index contours are twice as wide); larger in pictures for print (``USUAL``).
+        opacity: 0 to 1. colour: sRGB, 0 to 1.
+        labels: whether index contours bear their height.
+        type_size: of the labels, pixels; as ``width``.
+        fading: labels come and go by degrees as the camera moves, as a film wants it; else each is there or is not.
+
+    Raises:
+        UsageError: a number is out of its range.
+    """
+
+    interval: float | None = None
+    index: int = 5
+    width: float = 1.0
+    opacity: float = 0.7
+    colour: tuple[float, float, float] = (0.38, 0.30, 0.22)
+    labels: bool = True
+    type_size: float = 12.0
+    fading: bool = False
+
+    def __post_init__(self) -> None:
+        if self.interval is not None and not 0 < self.interval < math.inf:
+            raise UsageError(f"Contour lines are a number of metres apart, more than 0, not {self.interval:g}.")
+        if self.index < 0:
+            raise UsageError(f"Every how many contours a thick one comes is a whole number from 0, not {self.index}.")
+        if not 0 < self.width < math.inf or not 0 < self.type_size < math.inf:
+            raise UsageError("The width of contour lines and the size of their labels are pixels, more than 0.")
+        if not 0 <= self.opacity <= 1:
+            raise UsageError(f"The opacity of contour lines is from 0 to 1, not {self.opacity:g}.")
+        if len(self.colour) != 3 or not all(0 <= c <= 1 for c in self.colour):
+            raise UsageError(f"The colour of contour lines is three numbers from 0 to 1, not {self.colour}.")
+
+    def fitted(self, terrain: Terrain, view: View, kept: Kept) -> Contours:
+        """These lines for one picture: with an interval, and sizes for its number of pixels."""
+        _, _, width, height = view.frame
+        large = max(1.0, min(width, height) / USUAL)
+        interval = self.interval or suitable(kept("steepness", (), lambda: steepness(terrain), terrain), view)
+        return replace(self, interval=interval, width=self.width * large, type_size=self.type_size * large)
+
+    def finer(self, terrain: Terrain, view: View, kept: Kept) -> float:
+        """What part of a tolerance the ground may be displaced by, so that lines stay where they belong.
+
+        A height that is off by e moves a line by e / slope over the ground, and on the screen by that times the sine of
+        the angle at which it is seen; the height itself shows by its cosine. Slopes of ``GENTLE`` of the steep ones
+        are held to it.
+        """
+        slope = GENTLE * kept("steepness", (), lambda: steepness(terrain), terrain)
+        if view.projection == "plan":
+            return float(min(max(slope, LEAST), 1.0))
+        down = math.atan2(view.eye[2] - view.target[2], math.dist(view.eye[:2], view.target[:2]))
+        return float(min(max(slope / max(math.tan(min(max(down, 0.0), 1.4)), 1e-6), LEAST), 1.0))
+
+    @property
+    def step(self) -> float:
+        """Metres between index contours; 0: there are none."""
+        return 0.0 if self.interval is None else self.interval * self.index
+
+
+def suitable(steep: float, view: View) -> float:
+    """The interval (metres) for ground whose steepest common slopes are ``steep``, at the scale of a view's middle."""
+    least = max(APART * view.pixel_metres * steep, 1e-3)
+    power = 10.0 ** math.floor(math.log10(least))
+    # The nearest, by ratio, of 1, 2, 5 and 10 times the power of ten.
+    return float(min((m * power for m in (1.0, 2.0, 5.0, 10.0)), key=lambda v: abs(math.log(v / least))))
+
+
+def steepness(terrain: Terrain) -> float:
+    """tan of the slope that ``STEEP`` of a terrain does not exceed, on box means of ``WORKING`` samples a side."""
+    level = 0
+    while level < terrain.levels - 1 and max(terrain.mean_shape(level)) > WORKING:
+        level += 1
+    rows, cols = terrain.mean_shape(level)
+    heights = terrain.read_mean(level, 0, rows, 0, cols).astype(np.float64)
+    t = terrain.grid.transform
+    slope = np.zeros(0)
+    if min(heights.shape) >= 2:
+        to_world = np.linalg.inv(np.array([[t.a, t.b], [t.d, t.e]]) * 2.0**level).T
+        down, across = heights[1:, :-1] - heights[:-1, :-1], heights[:-1, 1:] - heights[:-1, :-1]
+        gx = to_world[0, 0] * across + to_world[0, 1] * down
+        gy = to_world[1, 0] * across + to_world[1, 1] * down
+        slope = np.hypot(gx, gy)
+        slope = slope[np.isfinite(slope) & (slope > LEVEL)]
+    return float(np.quantile(slope, STEEP)) if slope.size else 0.1
+
+
+def lines_of(given: Contours | float | None) -> Contours | None:
+    """Contour lines by their interval in metres, or as they are.
+
+    Raises:
+        UsageError: no interval can be that.
+    """
+    return given if given is None or isinstance(given, Contours) else Contours(float(given))

@@ -1,0 +1,88 @@
+"""What makes a scene's picture surprising without being an error: an eye under the ground, a sun under the horizon.
+
+Sentences for ``Progress.warn``. Units: metres, degrees.
+"""
+
+from __future__ import annotations
+
+import math
+
+from orograph.scene.camera import far_outside, ground
+from orograph.scene.scene import Scene
+
+TWILIGHT = -6.0
+"""Degrees of the sun's altitude below which civil twilight is over: only the sky gives light."""
+
+
+TALL = 1e5
+"""Metres above or below zero beyond which no ground reaches, on any planet."""
+
+NEEDLE = 100.0
+"""How many times as tall as wide a terrain may be to be looked for in a picture of all of it."""
+
+
+LEAVE_CAMERA = "Leave the camera options away to see all of it."
+
+
+def doubts(scene: Scene) -> list[str]:
+    """What the user of a scene should know before looking at it."""
+    return [text for text in (_eye(scene), _sun(scene)) if text is not None]
+
+
+def _eye(scene: Scene) -> str | None:
+    x, y, z = scene.view.eye
+    if scene.view.projection == "plan":
+        top = scene.terrain.height_range[1]
+        if not z < top:
+            return None
+        return f"the plan's eye is at {z:.0f} m: what rises above it, up to {top:.0f} m, is left out."
+    height = ground(scene.terrain, x, y, default=math.nan)
+    if not z < height:
+        return None
+    depth = f"{height - z:.0f}" if height - z >= 10 else f"{height - z:.2g}"
+    return f"the eye is {depth} m below the ground there ({height:.0f} m): the picture shows the underside."
+
+
+def _sun(scene: Scene) -> str | None:
+    altitude = scene.sun.altitude
+    if altitude >= TWILIGHT:
+        return None
+    return f"the sun is {round(-altitude, 1):g}° below the horizon: only the light of the sky is drawn."
+
+
+def _looks_like_degrees(scene: Scene) -> bool:
+    """Whether the eye could be a longitude and a latitude, and lies far outside the terrain as it is."""
+    x, y, _ = scene.view.eye
+    crs = scene.terrain.grid.crs
+    if crs is None or not crs.is_projected or abs(x) > 180 or abs(y) > 90:
+        return False
+    return far_outside(scene.terrain.grid, x, y)
+
+
+def why_empty(scene: Scene) -> str:
+    """Why nothing of a terrain is in view, a sentence or two."""
+    view, terrain = scene.view, scene.terrain
+    (low, high), (rows, cols) = terrain.height_range, terrain.grid.shape
+    wide = math.hypot(*(n * s for n, s in zip((cols, rows), terrain.grid.spacing, strict=True)))
+    tall = (high - low) * scene.exaggeration
+    if tall > NEEDLE * wide:
+        return (
+            f"Nothing of the terrain is in view: it is {wide:,.0f} m across and {tall:,.0f} m tall, which is thinner "
+            "than a pixel where all of it is in view."
+        )
+    col, row = (float(v) for v in terrain.grid.index(view.eye[0], view.eye[1]))
+    inside = 0 <= col <= cols - 1 and 0 <= row <= rows - 1
+    place = "above or under its area" if inside else "outside its area"
+    return (
+        f"Nothing of the terrain is in view: the eye at ({view.eye[0]:.0f}, {view.eye[1]:.0f}, {view.eye[2]:.0f}) is "
+        f"{place} and looks towards ({view.target[0]:.0f}, {view.target[1]:.0f}, {view.target[2]:.0f})."
+    )
+
+
+def what_to_do(scene: Scene) -> str:
+    """What may help where nothing is in view."""
+    if _looks_like_degrees(scene):
+        return 'Do these numbers stand for longitude and latitude? Then add "crs": "EPSG:4326" to the view.'
+    if max(map(abs, scene.terrain.height_range)) > TALL:
+        return "Say what unit its heights have (--vertical-unit), or which number means missing data (--nodata)."
+    return LEAVE_CAMERA

@@ -1,0 +1,105 @@
+"""From paths to a terrain that can be drawn: opened, read into memory, or built once into a store that is kept.
+
+A raster that is small enough is read into memory and forgotten. A larger one is built into a store in the user's cache
+folder (``$OROGRAPH_CACHE``, or the platform's own place), under a name made from its files, their sizes and times and
+the reading options: the next picture of it opens that store at once.
+"""
+
+from __future__ import annotations
+
+import shutil
+from typing import TYPE_CHECKING, Any
+
+from orograph.errors import OrographError, StoreError, UsageError
+from orograph.folders import cache_folder
+from orograph.progress import SILENT, Progress
+from orograph.scene.scene import EXACT_SAMPLES
+from orograph.store.terrain import Terrain
+
+if TYPE_CHECKING:
+    from orograph.dem.mosaic import Mosaic
+
+
+def cache_bytes(max_memory: int | None) -> int:
+    """What a store may cache while a picture is drawn from it: a picture reads each tile once or twice."""
+    return (64 << 20) if max_memory is None else min(64 << 20, max_memory // 16)
+
+
+def prepare(
+    paths: list[str],
+    *,
+    max_memory: int | None = None,
+    jobs: int | None = None,
+    progress: Progress = SILENT,
+    **options: Any,
+) -> Terrain:
+    """The terrain of a store, of one DEM or of many.
+
+    Args:
+        paths: one store, or DEM files.
+        options: for ``Mosaic.open``.
+
+    Raises:
+        ReadError, StoreError, UsageError: as ``store.open``, ``Mosaic.open`` and ``store.build``.
+    """
+    from orograph import store
+    from orograph.store.detect import is_store
+
+    if len(paths) == 1 and is_store(paths[0]):
+        given = {k: v for k, v in options.items() if v is not None}
+        if given:
+            names = ", ".join("--" + k.replace("_", "-") for k in sorted(given))
+            raise UsageError(
+                f"{names} cannot be used: a store is built already, and says itself what it is.",
+                path=paths[0],
+                remedy="Give such options to orograph build, or render the DEM files.",
+            )
+        return store.open(paths[0], cache_bytes=cache_bytes(max_memory))
+    from orograph.dem.mosaic import Mosaic
+
+    mosaic = Mosaic.open(paths, progress=progress, **{k: v for k, v in options.items() if v is not None})
+    for warning in mosaic.warnings:
+        progress.warn(warning)
+    rows, cols = mosaic.grid.shape
+    if rows * cols <= EXACT_SAMPLES and (max_memory is None or rows * cols * 12 <= max_memory):
+        return _told(mosaic, store.terrain(mosaic, progress), progress)
+    kept = cache_folder() / f"{mosaic.fingerprint()[:20]}.oro"
+    if kept.exists():
+        try:
+            terrain = store.open(kept, cache_bytes=cache_bytes(max_memory))
+        except OrographError as error:
+            # Stores take their place when they are complete: this one was damaged since, and is a copy.
+            progress.warn(f"the kept store cannot be used and is built again ({error})")
+            shutil.rmtree(kept, ignore_errors=True)
+        else:
+            progress.note(f"drawn from the store kept at {kept}")
+            return _told(mosaic, terrain, progress)
+    try:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(
+            f"The cache folder cannot be made: {error.strerror}.", path=kept.parent,
+            remedy="Set OROGRAPH_CACHE to a folder with room, or use orograph build and render the store.",
+        ) from error  # fmt: skip
+    memory: dict[str, Any] = {} if max_memory is None else {"max_memory": max_memory}
+    terrain = store.build(mosaic, kept, resume=True, jobs=jobs, progress=progress, **memory)
+    size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())
+    progress.note(f"the store made of it is kept at {kept} ({size / 1e6:.0f} MB); the next picture starts from there")
+    return _told(mosaic, terrain, progress)
+
+
+def _told(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
+    """The terrain, after saying what is doubtful about the heights of its files."""
+    from orograph.dem.inspect import doubtful_heights
+    from orograph.dem.source import Source
+
+    low, high = terrain.height_range
+    said: set[str] = set()
+    for source in mosaic.sources:
+        if mosaic.undulation is not None or not isinstance(source, Source):
+            continue  # the heights are no longer those of the files
+        for text in doubtful_heights(source, low, high):
+            if text not in said:
+                said.add(text)
+                progress.warn(text if len(mosaic.sources) == 1 else f"{source.name}: {text}")
+    return terrain

@@ -1,6 +1,0 @@
-"""Tours: a camera that goes through key frames (``tour``), above a terrain (``course``), and its film (``film``)."""
-
-from orograph.tour.keys import Key
-from orograph.tour.tour import Tour, moves
-
-__all__ = ["Key", "Tour", "moves"]

@@ -1,0 +1,6 @@
+"""Tours: a camera that goes through key frames (``tour``), above a terrain (``course``), and its film (``film``)."""
+
+from orograph.touring.keys import Key
+from orograph.touring.tour import Tour, moves
+
+__all__ = ["Key", "Tour", "moves"]

@@ -1,0 +1,143 @@
+"""A film: the frames of a tour over a terrain, drawn one by one by whatever backend, and written where they are wanted.
+
+The seam to the backends is ``backends.Session``: a scene in, a finished picture out, with all of its tiles. The CPU
+caster's keeps between frames what they have in common (``memo``); any frame is the same whatever was drawn
+before it, so that films can be made in parts and taken up again.
+
+Units: seconds, pixels.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+from orograph.errors import UsageError
+from orograph.memo import Kept
+from orograph.progress import SILENT, Progress
+from orograph.rendering.backends import Session, session
+from orograph.rendering.picture import Picture
+from orograph.scene.contours import Contours
+from orograph.scene.scene import Scene
+from orograph.touring.course import Course, Grading
+from orograph.touring.tour import Tour
+
+WAYPOINTS = 9
+"""Places of a tour that an interval of contour lines is to suit."""
+
+
+class Film:
+    """The frames of a tour.
+
+    Args:
+        tour: the camera, and what it says of light and scene.
+        scene: all else that is drawn: its view gives the size, the tour the camera; where the tour says no sun (or
+            exaggeration, …) the scene's holds.
+        draw: the backend; None: the CPU caster.
+        fps: frames per second; None: the tour's.
+        first, last: the part of the tour that is wanted, seconds; None: from its beginning, to its end.
+        progress: hears of what is prepared.
+
+    Attributes:
+        numbers: of the frames that are wanted, from 0 at the tour's beginning.
+
+    Raises:
+        UsageError: the part has no frame. NothingInViewError: the tour never shows the terrain.
+    """
+
+    def __init__(
+        self, tour: Tour, scene: Scene, *, draw: Session | None = None, fps: float | None = None,
+        first: float | None = None, last: float | None = None, progress: Progress = SILENT,
+    ) -> None:  # fmt: skip
+        self.tour = replace(tour.resized(scene.view.width, scene.view.height), fps=tour.fps if fps is None else fps)
+        self.base, self.draw = scene, session() if draw is None else draw
+        count = len(self.tour)
+        begin = 0 if first is None else round(first * self.tour.fps)
+        end = count if last is None else round(last * self.tour.fps)
+        if not 0 <= begin < end <= count:
+            what = f"{0 if first is None else first:g} to {self.tour.duration if last is None else last:g} s"
+            raise UsageError(f"From {what} there is no frame: the tour takes {self.tour.duration:g} s, at "
+                             f"{self.tour.fps:g} frames per second.")  # fmt: skip
+        self.numbers = range(begin, end)
+        self.course = Course(self.tour, scene.terrain, progress)
+        if scene.contours is not None:
+            self.base = replace(scene, contours=self._lines(scene.contours))
+        graded = (scene.relief is None and "relief" not in self.tour.settings(0.0)) or (
+            scene.sky and scene.depths is None
+        )
+        self.grading = Grading(self.course, self._scene, progress) if graded else None
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def scene(self, number: int) -> Scene:
+        """The scene of a frame."""
+        time = number / self.tour.fps
+        scene = self._scene(time)
+        if self.grading is None:
+            return scene
+        graded = self.grading.settings(time)
+        return replace(
+            scene,
+            relief=graded["relief"] if scene.relief is None else scene.relief,
+            depths=graded["depths"] if scene.depths is None else scene.depths,
+        )
+
+    def picture(self, number: int) -> Picture:
+        """A frame, drawn.
+
+        Raises:
+            NothingInViewError and others: as the backend's ``draw``; the frame's time is added to the message.
+        """
+        from orograph.errors import NothingInViewError
+
+        try:
+            return self.draw(self.scene(number))
+        except NothingInViewError as error:
+            raise NothingInViewError(
+                f"At {number / self.tour.fps:.2f} s (frame {number}): {error.what}", path=error.path,
+                remedy="Move the keys around that time, so that some of the terrain stays in view.",
+            ) from error  # fmt: skip
+
+    def fingerprint(self) -> str:
+        """A name for what every frame looks like: of the tour, the scene's options and the terrain, in short."""
+        left_out = ("terrain", "view", "sun", "jobs", "max_memory", "mesh_view")
+        scene = {f.name: getattr(self.base, f.name) for f in fields(Scene) if f.name not in left_out}
+        sun = self.base.sun
+        grid = self.base.terrain.grid
+        told = {
+            "tour": self.tour.to_dict(), "scene": scene, "sun": [sun.azimuth, sun.altitude, sun.diameter],
+            "view": self.base.view.to_dict(), "terrain": [self.base.terrain.name, grid.shape, list(grid.transform)[:6],
+                                                          self.base.terrain.height_range],
+            "mesh_view": None if self.base.mesh_view is None else self.base.mesh_view.to_dict(),
+        }  # fmt: skip
+        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:32]
+
+    def _lines(self, contours: Contours) -> Contours:
+        """Contour lines for a film: one interval for all of it (the median of what suits along the way), labels that
+        come and go by degrees."""
+        kept = Kept()
+        times = [self.tour.duration * k / (WAYPOINTS - 1) for k in range(WAYPOINTS)]
+        suits = sorted(
+            contours.fitted(self.base.terrain, self.course.at(t), kept).interval or 1.0 for t in times
+        )  # fmt: skip
+        return replace(contours, interval=suits[WAYPOINTS // 2], fading=True)
+
+    def _scene(self, time: float) -> Scene:
+        settings: dict[str, Any] = self.tour.settings(time)
+        sun = self.tour.sun(time)
+        if sun is not None:
+            settings["sun"] = sun.over(self.base.terrain.grid)
+        layers = self.tour.layers(time)
+        if layers is not None:
+            settings["layers"] = layers
+        return replace(self.base, view=self.course.at(time), **settings)
+
+
+def spoken(tour: Tour) -> Sequence[str]:
+    """What of the scene a tour says itself: "sun", "layers" and names of ``keys.SETTINGS``."""
+    more = [name for name, said in (("sun", tour.sun(0.0)), ("layers", tour.layers(0.0))) if said is not None]
+    return [*more, *tour.settings(0.0)]

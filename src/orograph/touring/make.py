@@ -1,0 +1,288 @@
+"""Tours that make themselves: around a terrain, the terrain on a turntable, along a line over the ground.
+
+- ``orbit``: the camera goes once round the terrain, all of it in the picture from every side; a loop.
+- ``turntable``: the same, but the light turns with the camera, as if the terrain were turned before it.
+- ``flyover``: along a line (a road, a valley, a GPX track) at an even speed and a height above the ground, looking
+  ahead along the line.
+
+``read_line`` reads lines from GPX and GeoJSON. Units: metres, seconds, degrees; positions in the terrain's CRS.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import ReadError, UsageError
+from orograph.lighting.sun import Placed
+from orograph.scene import camera
+from orograph.store.terrain import Terrain
+from orograph.touring.course import highest
+from orograph.touring.keys import Key
+from orograph.touring.schedule import Cruise
+from orograph.touring.tour import Tour
+from orograph.viewpoint import View
+
+Array = NDArray[np.float64]
+
+SIDES = 24
+"""Azimuths from which an orbit's whole terrain is held in the picture."""
+
+TURNTABLE_KEYS = 6
+
+SECONDS = 12.0
+"""For once round."""
+
+CRUISE = 12.0
+"""Seconds in which a fly-over crosses as much as it is high above the ground, times ``AHEAD``: a speed that feels even
+whatever the scale."""
+
+AHEAD = 4.0
+"""Heights above the ground that a fly-over looks ahead, along its line."""
+
+KEYS_PER_LOOK = 3.0
+"""Keys on the way to what it looks at."""
+
+
+def orbit(
+    terrain: Terrain, size: tuple[int, int], *, seconds: float = SECONDS, azimuth: float = 180.0, pitch: float = 35.0,
+    distance: float | None = None, fov_y: float = 30.0, turns: int = 1, exaggeration: float = 1.0,
+) -> Tour:  # fmt: skip
+    """Once round the terrain, at even speed: a loop.
+
+    Args:
+        size: (width, height) of the pictures. seconds: for all turns.
+        azimuth: the side that it begins from. turns: clockwise seen from above; negative: the other way.
+        pitch, distance: as for ``camera.around``; None: from as near as leaves all of it in view from every side.
+
+    Raises:
+        UsageError: a number is out of its range. NothingInViewError: no sample is valid.
+    """
+    if not 0 < seconds < math.inf:
+        raise UsageError(f"A tour takes some seconds, more than 0, not {seconds:g}.")
+    if turns == 0:
+        raise UsageError("An orbit goes round at least once: its turns are 1, −1, 2, …")
+    view = _around(terrain, size, azimuth, pitch, distance, fov_y, exaggeration)
+    return Tour((Key(view, 0.0, path="orbit", turns=turns),), seconds=seconds, loop=True, ease=False)
+
+
+def turntable(
+    terrain: Terrain, size: tuple[int, int], *, sun: tuple[float, float] = (315.0, 45.0), seconds: float = SECONDS,
+    azimuth: float = 180.0, pitch: float = 35.0, distance: float | None = None, fov_y: float = 30.0,
+    exaggeration: float = 1.0,
+) -> Tour:  # fmt: skip
+    """The terrain turned once before a camera and a sun that stay: a loop. Arguments as for ``orbit``.
+
+    Args:
+        sun: where it stands as the tour begins.
+    """
+    once = orbit(terrain, size, seconds=seconds, azimuth=azimuth, pitch=pitch, distance=distance, fov_y=fov_y,
+                 exaggeration=exaggeration)  # fmt: skip
+    keys = []
+    for k in range(TURNTABLE_KEYS):
+        time = seconds * k / TURNTABLE_KEYS
+        light = Placed((sun[0] + 360.0 * k / TURNTABLE_KEYS) % 360.0, sun[1])
+        keys.append(Key(once.at(time), time, path="orbit", sun=light))
+    return Tour(tuple(keys), seconds=seconds, loop=True, ease=False)
+
+
+def flyover(
+    terrain: Terrain, size: tuple[int, int], line: Array, *, height: float | None = None, speed: float | None = None,
+    seconds: float | None = None, fov_y: float = 45.0,
+) -> Tour:  # fmt: skip
+    """Along a line over the ground.
+
+    Args:
+        line: (n, 2) places in the terrain's CRS.
+        height: metres above the ground; None: a fifteenth of the line, from 50 to 3000 m.
+        speed: metres per second; None: one that suits the height. seconds: how long it takes, instead of a speed.
+
+    Raises:
+        UsageError: the line has no length, lies beside the terrain or goes far beyond it; a number is out of range.
+    """
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    line = line[np.concatenate([[True], steps > 0])]
+    far = np.concatenate([[0.0], np.cumsum(steps[steps > 0])])
+    if len(line) < 2:
+        raise UsageError("A line to fly along has at least two places.")
+    if not np.isfinite(highest(terrain, line)).any():
+        raise UsageError(
+            "The line lies beside the terrain.", path=terrain.name,
+            remedy="Its places are longitude and latitude (or in the terrain's CRS, with --line-crs).",
+        )  # fmt: skip
+    for x, y in line:
+        if camera.far_outside(terrain.grid, x, y):
+            raise UsageError(
+                f"The line goes far beyond the terrain, to {x:.10g}, {y:.10g} in its CRS.", path=terrain.name,
+                remedy="Longitude comes first, then latitude; --line-crs says if they are in another CRS.",
+            )  # fmt: skip
+    if height is None:
+        height = min(max(far[-1] / 15, 50.0), 3000.0)
+    if not 0 < height < math.inf:
+        raise UsageError(f"--height is in metres above the ground, more than 0, not {height:g}.")
+    if seconds is not None and not 0 < seconds < math.inf:
+        raise UsageError(f"A tour takes some seconds, more than 0, not {seconds:g}.")
+    ahead = AHEAD * height
+    speed = ahead / CRUISE * 3 if speed is None else speed
+    count = max(2, math.ceil(far[-1] / (ahead / KEYS_PER_LOOK)) + 1)
+    stations = np.linspace(0.0, far[-1], count)
+
+    def place(at: Array) -> Array:
+        """Places along the line, which goes straight on beyond its end."""
+        inside = np.stack([np.interp(at, far, line[:, k]) for k in (0, 1)], 1)
+        on = (line[-1] - line[-2]) / np.linalg.norm(line[-1] - line[-2])
+        return np.asarray(inside + np.maximum(at - far[-1], 0.0)[:, None] * on)
+
+    # Smoothed as finely as the camera looks ahead: it need not follow each bend of a path.
+    window = np.linspace(-0.5, 0.5, 9) * ahead / KEYS_PER_LOOK
+    eyes = np.mean([place(np.clip(stations + w, 0, far[-1])) for w in window], axis=0)
+    eyes[[0, -1]] = line[[0, -1]]
+    targets = np.mean([place(stations + ahead + w) for w in window], axis=0)
+    default = float(np.nanmean(highest(terrain, line)))
+    below = np.array([_ground(terrain, p, ahead / KEYS_PER_LOOK / 2, default) for p in eyes])
+    seen = np.array([_ground(terrain, p, 0.0, default) for p in targets])
+    keys = [
+        Key(View((x, y, z + height), (tx, ty, tz), fov_y=fov_y, width=size[0], height=size[1]))
+        for (x, y), z, (tx, ty), tz in zip(eyes, below, targets, seen)
+    ]
+    tour = Tour(tuple(keys), speed=speed, above_ground=height / 2)
+    if seconds is None:
+        return tour
+    # The way's length follows from the time at a speed, and the speed from the time there is: both have ramps.
+    length = Cruise.length_of(tour.duration, speed)
+    return Tour(tuple(keys), speed=Cruise.speed_for(length, seconds), above_ground=height / 2)
+
+
+def _ground(terrain: Terrain, place: Array, around: float, default: float) -> float:
+    """Mean height of the ground within ``around`` of a place, metres."""
+    offsets = np.linspace(-around, around, 5 if around else 1)
+    x, y = (a.ravel() for a in np.meshgrid(offsets, offsets))
+    found = highest(terrain, place + np.stack([x, y], 1))
+    return float(np.nanmean(found)) if np.isfinite(found).any() else default
+
+
+def _around(
+    terrain: Terrain, size: tuple[int, int], azimuth: float, pitch: float, distance: float | None, fov_y: float,
+    exaggeration: float,
+) -> View:  # fmt: skip
+    """The view of ``camera.around``, from so far that all of the terrain is in it from every side."""
+    view = camera.around(terrain, size, azimuth=azimuth, pitch=pitch, distance=1.0 if distance is None else distance,
+                         fov_y=fov_y, exaggeration=exaggeration)  # fmt: skip
+    if distance is not None:
+        return view
+    from scipy.optimize import minimize_scalar
+
+    points = camera.outline(terrain)
+    stretch = np.array([1.0, 1.0, exaggeration])
+    middle = (points.min(0) + points.max(0)) / 2
+    ty = math.tan(math.radians(fov_y) / 2) * camera.MARGIN
+    tx = ty * size[0] / size[1]
+    sides = []
+    for k in range(SIDES):
+        forward = camera.direction(azimuth + 360.0 * k / SIDES, pitch)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(right) < 1e-9 else right / np.linalg.norm(right)
+        sides.append(np.stack([right, np.cross(right, forward), forward], 1))
+
+    def needed(drop: float) -> float:
+        """The distance from which all is in view if the camera aims ``drop`` below the middle."""
+        far = 0.0
+        for axes in sides:
+            # At distance d a point is in the picture if |a| ≤ tx·(c + d) and |b| ≤ ty·(c + d).
+            a, b, c = (((points - middle) * stretch + [0.0, 0.0, drop]) @ axes).T
+            far = max(far, float((np.abs(a) / tx - c).max()), float((np.abs(b) / ty - c).max()))
+        return far
+
+    # What is near reaches farther from the picture's middle than what is far away, so the camera aims below the
+    # terrain's middle. The distance is convex in how far: a largest of linear functions.
+    span = float(np.linalg.norm(np.ptp(points[:, :2], axis=0)))
+    drop = float(minimize_scalar(needed, bounds=(0.0, span), method="bounded", options={"xatol": 1e-4 * span}).x)
+    far = needed(drop)
+    middle = middle - [0.0, 0.0, drop / exaggeration]
+    eye = middle - camera.direction(azimuth, pitch) * far * 1.005 / stretch
+    return View(tuple(eye), tuple(middle), fov_y=fov_y, width=size[0], height=size[1])
+
+
+def read_line(path: str | Path, crs: Any, line_crs: Any = None) -> Array:
+    """The line in a GPX or GeoJSON file: its longest track, route or LineString.
+
+    Args:
+        crs: the terrain's CRS. line_crs: the file's, if it is GeoJSON in something else than longitude and latitude.
+
+    Returns:
+        (n, 2) float64 in the terrain's CRS.
+
+    Raises:
+        ReadError: the file cannot be read, or holds no line. UsageError: its CRS cannot be brought to the terrain's.
+    """
+    file = Path(path)
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ReadError(f"The line cannot be read: {getattr(error, 'strerror', None) or error}.", path=path) from error
+    try:
+        lines = _gpx(text) if text.lstrip().startswith("<") else _geojson(json.loads(text))
+    except (ValueError, ElementTree.ParseError, TypeError, KeyError, IndexError) as error:
+        raise ReadError(f"This is neither GPX nor GeoJSON: {error}.", path=path) from error
+    lines = [line for line in lines if len(line) > 1]
+    if not lines:
+        raise ReadError("There is no line in this file (a track, a route, a LineString).", path=path)
+    return to_crs(max(lines, key=len), crs, line_crs)
+
+
+def to_crs(places: Sequence[Sequence[float]], crs: Any, line_crs: Any = None) -> Array:
+    """Places (n, 2), longitude and latitude or in ``line_crs``, in the terrain's CRS: (n, 2) float64.
+
+    Raises:
+        UsageError: the CRS cannot be brought to the terrain's, or a place cannot.
+    """
+    from orograph.geo.transform import transformer
+
+    given = np.array([p[:2] for p in places], np.float64)
+    x, y = transformer(line_crs or "EPSG:4326", crs)(given[:, 0], given[:, 1])
+    found = np.stack([np.asarray(x, np.float64), np.asarray(y, np.float64)], 1)
+    if not np.isfinite(found).all():
+        wrong = given[~np.isfinite(found).all(1)][0]
+        raise UsageError(f"The place {wrong[0]:g}, {wrong[1]:g} cannot be brought to the terrain's projection.")
+    return found
+
+
+def _gpx(text: str) -> list[list[tuple[float, float]]]:
+    """Track segments and routes of a GPX file."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ValueError("it defines entities of its own")
+    root = ElementTree.fromstring(text)
+    found = []
+    for element in root.iter():
+        kind = element.tag.rpartition("}")[2]
+        if kind in ("trkseg", "rte"):
+            points = [e for e in element if e.tag.rpartition("}")[2] in ("trkpt", "rtept")]
+            found.append([(float(p.attrib["lon"]), float(p.attrib["lat"])) for p in points])
+    return found
+
+
+def _geojson(value: Any) -> list[list[tuple[float, float]]]:
+    """LineStrings of a GeoJSON object, however deep."""
+    if not isinstance(value, dict):
+        raise ValueError("it holds no JSON object")
+    kind = value.get("type")
+    if kind == "FeatureCollection":
+        return [line for feature in value["features"] for line in _geojson(feature)]
+    if kind == "Feature":
+        return _geojson(value["geometry"]) if value["geometry"] else []
+    if kind == "GeometryCollection":
+        return [line for part in value["geometries"] for line in _geojson(part)]
+    if kind == "LineString":
+        return [[(float(p[0]), float(p[1])) for p in value["coordinates"]]]
+    if kind == "MultiLineString":
+        return [[(float(p[0]), float(p[1])) for p in line] for line in value["coordinates"]]
+    if kind in ("Point", "MultiPoint", "Polygon", "MultiPolygon"):
+        return []
+    raise ValueError(f'its "type" is {kind!r}')

@@ -1,0 +1,360 @@
+"""``Tour``: key frames, and the camera, the light and the scene's numbers at every moment between them; a JSON file.
+
+    {"fps": 30, "loop": false, "ease": true, "aim": "target", "keys": [
+       {"time": 0, "eye": [E, N, height], "target": [E, N, height], "sun": "2026-06-21T06:00+02:00"},
+       {"time": 8, "target": […], "azimuth": 225, "pitch": 20, "distance": 4000, "exaggeration": 1.5, "hold": 2}, …]}
+
+A tour is made of *ways* (``ways``): neighbouring keys that are joined in the same manner. Where the manner changes, at
+keys that ``hold`` or ``stop``, and at both ends unless ``ease`` is off, the camera comes to rest; everywhere else
+position, direction and field of view have continuous velocities. It passes every key exactly, in time. With ``speed``
+the keys have no times: the eye goes at that many metres a second, speeding up and slowing down over ``RAMP`` seconds.
+With ``loop`` the last key leads to the first again, smoothly, at ``seconds``.
+
+Layers that a key says are as opaque as it says, and fade in between (``layers``). Numbers of the scene change as
+monotonic cubics through the keys that say them, a sun that is said as moments by its moment: shadows go as they went
+that day. A flight's file (``flight``) can be read as a tour's.
+
+Units: seconds; metres and degrees as in ``View``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.documents import load_object, naming, number
+from orograph.errors import UsageError
+from orograph.flight import SAME, Flight
+from orograph.geovis.layers import Layer, found_beside
+from orograph.lighting.sun import Moment, Placed
+from orograph.splines import Monotone
+from orograph.touring.keys import INHERITED, SETTINGS, Key
+from orograph.touring.schedule import Schedule
+from orograph.touring.ways import Way
+from orograph.viewpoint import View
+
+Array = NDArray[np.float64]
+
+DEFAULT_FPS = 30.0
+MOST_FRAMES = 1_000_000
+FORMAT = 1
+"""The version of the file's format; ``"tour": 1`` in the file says so, and may be left out."""
+
+OWN = ("tour", "fps", "seconds", "loop", "ease", "aim", "speed", "above_ground", "keys")
+
+
+@dataclass(frozen=True, slots=True)
+class Tour:
+    """A camera's way through key frames (see the module's text).
+
+    Attributes:
+        keys: the key frames.
+        seconds: how long it takes; None: to the last key and its hold, or with a speed as long as that needs.
+        fps: frames per second.
+        loop: the last key leads to the first again.
+        ease: it begins and ends at rest (never in a loop).
+        aim: what is interpolated: the "target", so that what is looked at stays in view, or the "direction" of view.
+        speed: metres per second of the eye; None: the keys have times.
+        above_ground: metres that the eye stays above the ground, where a terrain is given (``course``); None: wherever
+            the path leads.
+
+    Raises:
+        UsageError: there is no key, times do not increase or are missing, views differ in what must be the same, …; of
+            a key, its number (from 0) is named.
+    """
+
+    keys: tuple[Key, ...]
+    seconds: float | None = None
+    fps: float = DEFAULT_FPS
+    loop: bool = False
+    ease: bool = True
+    aim: Literal["target", "direction"] = "target"
+    speed: float | None = None
+    above_ground: float | None = None
+    _schedule: Schedule = field(init=False, repr=False, compare=False)
+    _settings: dict[str, Monotone] = field(init=False, repr=False, compare=False)
+    _sun: tuple[type | None, tuple[Monotone, ...]] = field(init=False, repr=False, compare=False)
+    _layers: tuple[tuple[Layer, Monotone], ...] | None = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        self._check()
+        schedule = Schedule.of(self.keys, self.seconds, self.loop, self.ease, self.aim, self.speed)
+        if schedule.seconds * self.fps > MOST_FRAMES:
+            raise UsageError(
+                f"{schedule.seconds:g} s at {self.fps:g} frames per second are more than a million frames."
+            )
+        # Slots of a frozen dataclass are set so.
+        object.__setattr__(self, "_schedule", schedule)
+        if self.speed is None:
+            object.__setattr__(self, "seconds", schedule.seconds)
+        channels = {}
+        for name in SETTINGS:
+            values = [getattr(key, name) for key in self.keys]
+            if any(v is not None for v in values):
+                channels[name] = self._channel(values)
+        object.__setattr__(self, "_settings", channels)
+        object.__setattr__(self, "_sun", self._suns())
+        object.__setattr__(self, "_layers", self._stack())
+
+    def _check(self) -> None:
+        if not self.keys:
+            raise UsageError("A tour has at least one key.")
+        if not 0 < self.fps < math.inf:
+            raise UsageError(f'"fps" is the number of frames in a second, more than 0, not {self.fps:g}.')
+        if self.aim not in ("target", "direction"):
+            raise UsageError(f'"aim" is "target" or "direction", not {self.aim!r}.')
+        if self.speed is not None and not 0 < self.speed < math.inf:
+            raise UsageError(f'"speed" is in metres per second, more than 0, not {self.speed:g}.')
+        if self.above_ground is not None and not 0 <= self.above_ground < math.inf:
+            raise UsageError(f'"above_ground" is in metres, 0 or more, not {self.above_ground:g}.')
+        first = self.keys[0].view
+        for i, key in enumerate(self.keys):
+            if key.view.part is not None:
+                raise UsageError(f"Key {i} is a tile of a view; a tour is made of whole ones.")
+            for name in SAME:
+                if getattr(key.view, name) != getattr(first, name):
+                    raise UsageError(f"All keys have the same {name}, but key {i} has {getattr(key.view, name)} and "
+                                     f"key 0 {getattr(first, name)}.")  # fmt: skip
+            if key.path == "zoom" and (i + 1 < len(self.keys) or self.loop) and self.speed is not None:
+                raise UsageError(
+                    f'Key {i}: a "zoom" has no speed in metres per second.',
+                    remedy='Give the keys times, not a "speed".',
+                )
+
+    def _channel(self, values: Sequence[float | None], around: float = 0.0) -> Monotone:
+        """A number through the keys that say it; in a loop it comes back to itself, but for multiples of ``around``."""
+        times: list[float] = []
+        known: list[float] = []
+        for time, key, value in zip(self._schedule.times, self.keys, values):
+            if value is None:
+                continue
+            times.append(time)
+            known.append(value)
+            if key.hold:
+                times.append(time + key.hold)
+                known.append(value)
+        if self.loop and len(known) > 1:
+            times.append(self._schedule.seconds + times[0])
+            nearest = round((known[-1] - known[0]) / around) * around if around else 0.0
+            known.append(known[0] + nearest)
+        return Monotone(times, known, loop=self.loop and len(known) > 2)
+
+    def _suns(self) -> tuple[type | None, tuple[Monotone, ...]]:
+        suns = [key.sun for key in self.keys]
+        kinds = {type(sun) for sun in suns if sun is not None}
+        if not kinds:
+            return None, ()
+        if len(kinds) > 1:
+            raise UsageError("The suns of all keys are either directions or moments, not some of each.")
+        kind = kinds.pop()
+        if kind is Moment:
+            return kind, (self._channel([s.when.timestamp() if isinstance(s, Moment) else None for s in suns]),)
+        azimuths: list[float | None] = []
+        last: float | None = None
+        for sun in suns:
+            if not isinstance(sun, Placed):
+                azimuths.append(None)
+                continue
+            # The shorter way round from the key before.
+            last = sun.azimuth if last is None else last + (sun.azimuth - last + 180.0) % 360.0 - 180.0
+            azimuths.append(last)
+        return kind, (
+            self._channel(azimuths, 360.0),
+            self._channel([s.altitude if isinstance(s, Placed) else None for s in suns]),
+        )
+
+    def _stack(self) -> tuple[tuple[Layer, Monotone], ...] | None:
+        """All layers of all keys, bottom to top, and their opacities over time; None if no key says any."""
+        if all(key.layers is None for key in self.keys):
+            return None
+        order: list[Layer] = []
+        for key in self.keys:
+            at = 0  # a layer that is new goes above the one below it
+            for layer in key.layers or ():
+                one = replace(layer, opacity=1.0, visible=True)
+                if one in order:
+                    at = order.index(one) + 1
+                else:
+                    order.insert(at, one)
+                    at += 1
+        channels = []
+        for one in order:
+            values: list[float | None] = []
+            for key in self.keys:
+                found = [layer for layer in key.layers or () if replace(layer, opacity=1.0, visible=True) == one]
+                shown = found[0].opacity if found and found[0].visible else 0.0
+                values.append(None if key.layers is None else shown)
+            channels.append((one, self._channel(values)))
+        return tuple(channels)
+
+    # ---- files ---------------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], *, crs: Any = None) -> Self:
+        """A tour from its JSON.
+
+        Args:
+            values: ``keys`` (see ``Key.from_dict``); optionally what ``Tour`` has, and for all keys that do not say it
+                themselves, what ``keys.INHERITED`` lists.
+            crs: the terrain's CRS, as for ``View.from_dict``.
+
+        Raises:
+            UsageError: something is missing, unknown or of the wrong kind; of a key, its number is named.
+        """
+        unknown = set(values) - {*OWN, *INHERITED}
+        if unknown:
+            raise UsageError(
+                f"A tour has no {sorted(unknown)[0]!r}; it has {', '.join(OWN)}, and for all keys "
+                f"{', '.join(INHERITED)}."
+            )
+        if values.get("tour") not in (None, FORMAT):
+            raise UsageError(f"This tour is of format {values['tour']!r}; here format {FORMAT} is known.")
+        keys = values.get("keys")
+        if keys is None:
+            raise UsageError('A tour lacks "keys": a list of cameras, each with a "time" in seconds.')
+        if not isinstance(keys, Sequence) or isinstance(keys, str):
+            raise UsageError('"keys" of a tour is a list of cameras, each with a "time" in seconds.')
+        if not keys:
+            raise UsageError(
+                'The list "keys" of the tour is empty.', remedy='Give it cameras, each with a "time" in seconds.'
+            )
+        common = {k: values[k] for k in INHERITED if values.get(k) is not None}
+        made = []
+        for i, key in enumerate(keys):
+            if not isinstance(key, Mapping):
+                raise UsageError(f'Key {i} is no JSON object with a "time", an "eye" and a "target".')
+            try:
+                made.append(Key.from_dict({**common, **key}, crs=crs))
+            except UsageError as error:
+                raise UsageError(f"Key {i}: {error.what}", remedy=error.remedy) from error
+        more: dict[str, Any] = {}
+        for name in ("seconds", "fps", "speed", "above_ground"):
+            if values.get(name) is not None:
+                more[name] = number(values[name], f'"{name}"')
+        for name in ("loop", "ease"):
+            if name in values:
+                if not isinstance(values[name], bool):
+                    raise UsageError(f'"{name}" is true or false, not {values[name]!r}.')
+                more[name] = values[name]
+        if "aim" in values:
+            more["aim"] = values["aim"]
+        return cls(tuple(made), **more)
+
+    @classmethod
+    def load(cls, path: str | Path, *, crs: Any = None) -> Self:
+        """Read a tour's file.
+
+        Raises:
+            ReadError: the file cannot be read, or is no JSON object. UsageError: as ``from_dict``, naming the file.
+        """
+        values = load_object(path, "tour", "keys")
+        with naming(path):
+            tour = cls.from_dict(values, crs=crs)
+        if all(key.layers is None for key in tour.keys):
+            return tour
+        folder = Path(path).parent  # paths in a file are meant as they are, or beside it
+        keys = [k if k.layers is None else replace(k, layers=found_beside(k.layers, folder)) for k in tour.keys]
+        return replace(tour, keys=tuple(keys))
+
+    @staticmethod
+    def readable(path: str | Path) -> None:
+        """Raise ReadError unless the file holds a JSON object: what is wrong before any terrain is known."""
+        load_object(path, "tour", "keys")
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``from_dict`` reads."""
+        values: dict[str, Any] = {"tour": FORMAT, "fps": self.fps, "loop": self.loop, "ease": self.ease,
+                                  "aim": self.aim}  # fmt: skip
+        for name in ("speed", "above_ground"):
+            if getattr(self, name) is not None:
+                values[name] = getattr(self, name)
+        if self.speed is None:
+            values["seconds"] = self.seconds
+        return {**values, "keys": [key.to_dict() for key in self.keys]}
+
+    # ---- at a time -----------------------------------------------------------------------------------------------
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        """When the camera is at each key (where it arrives, if it stays)."""
+        return self._schedule.times
+
+    @property
+    def duration(self) -> float:
+        """Seconds in all."""
+        return self._schedule.seconds
+
+    def __len__(self) -> int:
+        """How many frames there are, at least 1."""
+        return max(1, round(self.duration * self.fps))
+
+    def moment(self, time: float) -> float:
+        """The time within the tour: a loop goes round, any other rests at its ends."""
+        if self.loop and self.duration > 0:
+            return self.times[0] + (time - self.times[0]) % self.duration
+        return min(max(time, 0.0), self.duration)
+
+    def at(self, time: float) -> View:
+        """The camera at a time in seconds."""
+        time = self.moment(time)
+        for key, arrived in zip(self.keys, self.times):
+            if arrived <= time <= arrived + key.hold:
+                return key.view
+        way: Way | None = self._schedule.way(time)
+        if way is None:
+            return self.keys[0].view if time < self.times[0] else self.keys[-1].view
+        return way.view(time)
+
+    def settings(self, time: float) -> dict[str, float]:
+        """The scene's numbers that the tour says, at a time: of ``keys.SETTINGS`` those that some key has."""
+        time = self.moment(time)
+        return {name: channel(time) for name, channel in self._settings.items()}
+
+    def layers(self, time: float) -> tuple[Layer, ...] | None:
+        """The layers at a time, bottom to top, each as opaque as it is then; None if no key says any."""
+        if self._layers is None:
+            return None
+        time = self.moment(time)
+        opacities = [(layer, min(max(channel(time), 0.0), 1.0)) for layer, channel in self._layers]
+        return tuple(replace(layer, opacity=opacity) for layer, opacity in opacities if opacity > 1e-3)
+
+    def sun(self, time: float) -> Placed | Moment | None:
+        """The sun at a time; None if no key says one."""
+        time = self.moment(time)
+        kind, channels = self._sun
+        if kind is None:
+            return None
+        if kind is Moment:
+            import datetime
+
+            return Moment(datetime.datetime.fromtimestamp(channels[0](time), datetime.UTC))
+        return Placed(channels[0](time) % 360.0, channels[1](time))
+
+    def frames(self) -> Iterator[View]:
+        """The cameras of all frames; frame k is that at k/fps seconds. So a tour can stand where a flight does."""
+        return (self.at(k / self.fps) for k in range(len(self)))
+
+    def resized(self, width: int, height: int) -> Self:
+        """The same tour in pictures of another size."""
+        return replace(self, keys=tuple(replace(k, view=k.view.resized(width, height)) for k in self.keys))
+
+
+def moves(path: str | Path, *, crs: Any = None) -> Flight | Tour:
+    """A moving camera from a file: a flight, gone along as flights always are, or a tour if it says what only tours do.
+
+    Raises:
+        ReadError, UsageError: as ``Flight.load`` and ``Tour.load``.
+    """
+    values = load_object(path, "flight or tour", "keys")
+    words = {"time", *(f.name for f in fields(View)), "crs"}
+    keys = values.get("keys")
+    plain = set(values) <= {"fps", "seconds", "keys"} and isinstance(keys, list)
+    if plain and all(isinstance(key, dict) and set(key) <= words for key in keys or ()):
+        return Flight.load(path, crs=crs)
+    return Tour.load(path, crs=crs)

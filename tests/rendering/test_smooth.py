@@ -1,0 +1,78 @@
+"""The smooth surface of contour lines: through the samples, with the light's slopes, no bend, true on quadrics."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.lighting.relief import Relief
+from orograph.rendering.lines.smooth import SMALL, interpolated, smoothed
+
+Array = NDArray[np.float64]
+
+
+def field(rows: int = 12, cols: int = 15, seed: int = 3) -> NDArray[np.float32]:
+    return (1000 + 40 * np.random.default_rng(seed).normal(size=(rows, cols))).astype(np.float32)
+
+
+def test_it_passes_through_the_samples() -> None:
+    z = field()
+    y, x = (a.ravel().astype(float) for a in np.indices(z.shape))
+    np.testing.assert_allclose(interpolated(z, x, y), z.ravel(), atol=1e-9)
+
+
+def test_quadrics_are_what_they_are() -> None:
+    """Away from the border, where slopes are one-sided."""
+    y, x = np.mgrid[:20, :20].astype(float)
+
+    def quadric(x: Array, y: Array) -> Array:
+        return 0.5 * x * x - 0.75 * x * y + 0.25 * y * y + 3.0 * x - 2.0 * y + 100.0  # exact in float32
+
+    at = np.random.default_rng(0).uniform(1, 18, (2000, 2))
+    found = interpolated(quadric(x, y).astype(np.float32), at[:, 0], at[:, 1])
+    np.testing.assert_allclose(found, quadric(at[:, 0], at[:, 1]), atol=1e-9)
+
+
+def test_it_has_no_bend_between_cells_and_the_slope_of_the_light_across_their_edges() -> None:
+    z = field().astype(np.float64)
+    rng = np.random.default_rng(1)
+    e = 1e-5
+    for _ in range(300):
+        col, row = int(rng.integers(2, 13)), rng.uniform(2, 9)
+        west, here, east = interpolated(z.astype(np.float32), col + np.array([-e, 0.0, e]), np.full(3, row))
+        before, after = (here - west) / e, (east - here) / e
+        i, g = int(row), row - int(row)
+        central = [(z[r, col + 1] - z[r, col - 1]) / 2 for r in (i, i + 1)]
+        slope = (1 - g) * central[0] + g * central[1]
+        assert abs(before - slope) < 0.02 and abs(after - slope) < 0.02  # (the slopes themselves are about 30)
+    for _ in range(300):
+        col, row = rng.uniform(2, 12), int(rng.integers(2, 10))
+        north, here, south = interpolated(z.astype(np.float32), np.full(3, col), row + np.array([-e, 0.0, e]))
+        assert abs((here - north) / e - (south - here) / e) < 0.02
+
+
+def test_beside_missing_samples_heights_are_the_grounds() -> None:
+    z = field()
+    z[5, 5] = np.nan
+    rows, cols = z.shape
+    relief = Relief(
+        z.ravel(), np.array([[0, rows, cols, 0]]), np.array([[1, -np.inf, np.inf, -np.inf, np.inf, 0, 0, 0, 0]], float)
+    )
+    x, y = (a.ravel() + 0.5 for a in np.indices((cols - 1, rows - 1)))
+    points = np.stack([x, y, 0 * x], -1)
+    found = smoothed(relief, points, np.zeros(len(x)), np.full(len(x), 7.0))
+    beside = (np.abs(x - 5) < 1) & (np.abs(y - 5) < 1)
+    assert (found[beside] == 7.0).all() and (found[~beside] > 500).all() and np.isfinite(found).all()
+
+
+def test_where_pixels_cover_samples_heights_are_the_grounds() -> None:
+    z = field()
+    rows, cols = z.shape
+    relief = Relief(
+        z.ravel(), np.array([[0, rows, cols, 0]]), np.array([[1, -np.inf, np.inf, -np.inf, np.inf, 0, 0, 0, 0]], float)
+    )
+    wide = np.linspace(0.0, 1.0, 201)
+    points = np.tile([6.3, 5.6, 0.0], (len(wide), 1))
+    found = smoothed(relief, points, wide, np.full(len(wide), 2000.0))
+    assert (found[wide >= SMALL[1]] == 2000.0).all() and (np.diff(found) >= 0).all() and found[0] < 1500
+    assert np.abs(np.diff(found)).max() < 30  # by degrees

@@ -1,8 +1,0 @@
-"""Makes ``exact_referee`` and ``broken_meshes`` importable for the tests beside them."""
-
-from __future__ import annotations
-
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parent))
