@@ -10,7 +10,7 @@ SOURCES := $(shell find src -name '*.py' 2>/dev/null)
 help:
 	@echo 'make demo   install, and render the built-in sample to out/'
 	@echo 'make test   install what the tests need, and run them'
-	@echo 'make check  ruff and mypy'
+	@echo 'make check  ruff, mypy and the direction of imports'
 	@echo 'make bench  the benchmarks, as tables'
 	@echo 'make clean  remove .venv/ and what was made'
 
@@ -34,6 +34,7 @@ check: $(VENV)/.check $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
 bench: $(VENV)/.bench
 	@for file in bench/[a-z]*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done

@@ -109,7 +109,7 @@ def plain(terrain: Terrain, point: Any, eye: float, radius: float | None) -> Non
 LARGE = """
 import json, sys, time
 from orograph import store
-from orograph.cli.build import peak_memory
+from orograph.cli.memory import peak_memory
 from orograph.geovis import measure
 terrain = store.open(sys.argv[1], cache_bytes=16 << 20)
 rows, cols = terrain.grid.shape

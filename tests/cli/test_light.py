@@ -17,7 +17,8 @@ from pyproj import CRS
 from orograph import store
 from orograph.dem.mosaic import Mosaic
 from orograph.geo.grid import Grid
-from orograph.lighting.products import Context, Options, compute, names, product
+from orograph.lighting.context import Context, Options
+from orograph.lighting.products import compute, names, product
 from orograph.store.memory import MemoryTerrain
 
 

@@ -168,7 +168,8 @@ def test_blocks_threads_and_refusals():
 
 def test_a_radius_limits_rays():
     from orograph.lighting.arrays import context_of
-    from orograph.lighting.products import Options, compute
+    from orograph.lighting.context import Options
+    from orograph.lighting.products import compute
 
     h = np.zeros((11, 41), np.float32)
     h[:, 30:] = 300.0
@@ -185,7 +186,8 @@ def test_products_are_the_same_on_disk_as_in_memory(name, real_ground, monkeypat
     from pyproj import CRS
 
     from orograph.geo.grid import Grid
-    from orograph.lighting.products import Context, Options, compute
+    from orograph.lighting.context import Context, Options
+    from orograph.lighting.products import compute
     from orograph.lighting.raster import Canvas
     from orograph.store.memory import MemoryTerrain
 

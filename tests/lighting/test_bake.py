@@ -14,7 +14,8 @@ from orograph import store
 from orograph.errors import DamagedChunkError, StoreError, UsageError
 from orograph.lighting.arrays import context_of
 from orograph.lighting.bake import BAKED, PARTIAL, bake
-from orograph.lighting.products import Options, compute, names
+from orograph.lighting.context import Options
+from orograph.lighting.products import compute, names
 from orograph.store.layers import LayerBand
 from orograph.store.storage import FolderStorage
 

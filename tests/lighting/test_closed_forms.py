@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from orograph.lighting.arrays import context_of
-from orograph.lighting.products import Options, compute
+from orograph.lighting.context import Options
+from orograph.lighting.products import compute
 
 MIDDLE, SIDE = 60, 121
 CELLS = {"square": np.diag([10.0, -10.0]), "rectangular": np.diag([10.0, -6.0]), "south-up": np.diag([10.0, 10.0])}

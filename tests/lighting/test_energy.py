@@ -151,7 +151,8 @@ def test_what_cannot_be():
 @pytest.mark.parametrize("latitude", [-89.0, -45.0, 0.0, 30.0, 60.0])
 def test_no_ground_gets_more_than_codes_can_say(latitude):
     """8-bit files and stores would clip it: without air, in the best month, on planes of all kinds."""
-    from orograph.lighting.products import Options, product
+    from orograph.lighting.context import Options
+    from orograph.lighting.products import product
 
     grid = Grid((9, 9), Affine(CELL, 0, -4 * CELL, 0, -CELL, 4 * CELL), CRS.from_proj4(f"+proj=laea +lat_0={latitude}"))
     row, col = np.mgrid[:9, :9] * CELL

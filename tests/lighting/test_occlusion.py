@@ -157,7 +157,8 @@ def test_what_is_no_rho():
 
 def test_what_does_not_fit_in_memory_says_so():
     from orograph.lighting.arrays import context_of
-    from orograph.lighting.products import Options, product
+    from orograph.lighting.context import Options
+    from orograph.lighting.products import product
 
     options = Options(radius=1e6, more={"rho": "linear"})
     context = context_of(np.zeros((1500, 1500), np.float32), CELL, options, jobs=2, max_memory=64 << 20)
@@ -167,7 +168,8 @@ def test_what_does_not_fit_in_memory_says_so():
 
 def test_rays_and_walks_do_not_pretend_to_know_a_round_earth():
     from orograph.lighting.arrays import context_of
-    from orograph.lighting.products import Options, product
+    from orograph.lighting.context import Options
+    from orograph.lighting.products import product
 
     for name, radius, more in (
         ("ambient-occlusion", 50.0, {}),

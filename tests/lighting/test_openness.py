@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from orograph.lighting.arrays import context_of
-from orograph.lighting.products import Options, compute
+from orograph.lighting.context import Options
+from orograph.lighting.products import compute
 
 SQUARE = np.array([[1.0, 0.0], [0.0, -1.0]])
 

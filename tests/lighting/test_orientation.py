@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from pyproj import CRS
 
 from orograph.geo.grid import Grid
-from orograph.lighting.products import Context, Options, compute, names
+from orograph.lighting.context import Context, Options
+from orograph.lighting.products import compute, names
 from orograph.store.memory import MemoryTerrain
 
 X, Y = 5e5, 4e6

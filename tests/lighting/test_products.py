@@ -17,7 +17,8 @@ from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
 from orograph.lighting import products
 from orograph.lighting.arrays import terrain_of
-from orograph.lighting.products import Context, Options, compute, names, product
+from orograph.lighting.context import Context, Options
+from orograph.lighting.products import compute, names, product
 from orograph.lighting.raster import to_bytes
 
 CELL = 30.0

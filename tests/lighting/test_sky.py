@@ -11,7 +11,8 @@ from pyproj import CRS
 
 from orograph.geo.grid import Grid
 from orograph.lighting.arrays import context_of
-from orograph.lighting.products import Context, Options, compute
+from orograph.lighting.context import Context, Options
+from orograph.lighting.products import compute
 from orograph.lighting.sky import arctangent
 from orograph.store.memory import MemoryTerrain
 

@@ -14,7 +14,8 @@ from orograph.dem import Dem
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.lighting.arrays import context_of
-from orograph.lighting.products import Context, Options, compute
+from orograph.lighting.context import Context, Options
+from orograph.lighting.products import compute
 from orograph.store import MemoryTerrain
 
 THIRTY = np.array([[30.0, 0], [0, -30.0]])

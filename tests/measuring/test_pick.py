@@ -163,7 +163,8 @@ def test_true_north_is_the_convergence_away_from_grid_north():
 
 
 def test_at_samples_it_is_what_orograph_light_says():
-    from orograph.lighting.products import Context, compute
+    from orograph.lighting.context import Context
+    from orograph.lighting.products import compute
 
     h = rough((40, 40), 2, True)
     terrain = terrain_of(h, RECTANGULAR)

@@ -17,8 +17,8 @@ from orograph.geo.grid import Grid
 from orograph.memo import Kept
 from orograph.rendering.cpu.draw import draw
 from orograph.rendering.lines.label_spots import POINTS, coarsest, read, spots
-from orograph.rendering.lines.label_type import Lettering, measured
-from orograph.rendering.lines.labels import Labels, Placer
+from orograph.rendering.lines.label_type import Labels, Lettering, measured
+from orograph.rendering.lines.labels import Placer
 from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
 from orograph.store import terrain as in_memory

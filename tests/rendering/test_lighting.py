@@ -15,8 +15,8 @@ from orograph.errors import UsageError
 from orograph.geovis.colour import srgb_to_linear
 from orograph.lighting.aperture import Lamp
 from orograph.lighting.bake import bake
+from orograph.lighting.context import Options
 from orograph.lighting.field import Field
-from orograph.lighting.products import Options
 from orograph.lighting.sun import Sun
 from orograph.progress import Progress
 from orograph.rendering.cpu import draw as cpu

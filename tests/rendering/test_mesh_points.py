@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from orograph.rendering.cpu.mesh_points import mesh_heights
+from orograph.rendering.mesh_points import mesh_heights
 from orograph.tessellation import Tessellation
 
 

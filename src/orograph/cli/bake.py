@@ -21,7 +21,7 @@ from orograph.cli.products import (
 )
 
 if TYPE_CHECKING:
-    from orograph.lighting.products import Options
+    from orograph.lighting.context import Options
     from orograph.progress import Progress
     from orograph.store.stored import StoredTerrain
 
@@ -74,7 +74,7 @@ def command(
       orograph bake area.oro --products sky-view-factor,aperture
       orograph bake area.oro --products ambient-occlusion --radius 600 --rho linear
     """
-    from orograph.lighting.products import Options
+    from orograph.lighting.context import Options
 
     began = time.perf_counter()
     wanted = once(products)
@@ -86,7 +86,7 @@ def command(
     )  # fmt: skip
     seconds = time.perf_counter() - began
     if as_json:
-        from orograph.cli.build import peak_memory
+        from orograph.cli.memory import peak_memory
 
         layers = {name: terrain.record.layers[name].to_json() for name in wanted}
         told = {"path": terrain.url, "layers": layers, "size_bytes": terrain.size_bytes, "seconds": round(seconds, 3),

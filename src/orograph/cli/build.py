@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from orograph.cli.memory import megabytes, peak_memory
 from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
 from orograph.cli.products import Names
 from orograph.errors import UsageError
@@ -199,26 +198,3 @@ def crs_name(crs: CRS | None) -> str | None:
         return None
     authority = crs.to_authority(min_confidence=100)
     return ":".join(authority) if authority else str(crs.to_wkt())
-
-
-def peak_memory() -> int | None:
-    """The largest memory this process has had resident, in bytes; None where the system does not tell."""
-    try:  # Linux: unlike getrusage, this does not count the process that started this one
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-    except OSError:
-        pass
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
-
-
-def megabytes(size: int | None) -> str:
-    """A size for people."""
-    if size is None:
-        return "unknown size"
-    return f"{size / 1e6:.1f} MB" if size < 1e9 else f"{size / 1e9:.2f} GB"

@@ -34,7 +34,8 @@ from orograph.cli.products import (
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
-    from orograph.lighting.products import Context, Options, Product, Values
+    from orograph.lighting.context import Context, Options, Values
+    from orograph.lighting.products import Product
     from orograph.lighting.raster import Band
 
 OWN = (
@@ -131,7 +132,8 @@ def command(
     if source["band"] == 1:
         source["band"] = None
     with progress.task("Loading Orograph"):
-        from orograph.lighting.products import Context, Options, product
+        from orograph.lighting.context import Context, Options
+        from orograph.lighting.products import product
         from orograph.lighting.raster import write
         from orograph.lighting.raster_resume import Kept, identity
         from orograph.lighting.sun import Sun
@@ -178,7 +180,7 @@ def command(
     seconds = time.perf_counter() - began
     rows, cols = terrain.grid.shape
     if as_json:
-        from orograph.cli.build import peak_memory
+        from orograph.cli.memory import peak_memory
 
         crs = terrain.grid.crs
         told = {

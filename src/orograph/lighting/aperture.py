@@ -26,9 +26,10 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.lighting.arrays import context_of
 from orograph.lighting.caps import cap_area
+from orograph.lighting.context import Blocks, Context, Options, Values
 from orograph.lighting.gather import Sweep, Window, by_azimuth
 from orograph.lighting.occlusion import Method, Neighbourhood, by_blocks, flat_only, lift
-from orograph.lighting.products import Blocks, Context, Options, Product, Values, compute
+from orograph.lighting.products import Product, compute
 from orograph.lighting.sun import Sun
 from orograph.lighting.sweep_lines import direction
 from orograph.parallel import map_ordered

@@ -25,7 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.lighting.products import MEMORY, MORE, Context, Options, compute, product
+from orograph.lighting.context import MEMORY, MORE, Context, Options
+from orograph.lighting.products import compute, product
 from orograph.lighting.raster import Band, write
 from orograph.lighting.rho import Rho
 from orograph.lighting.sun import Given, sun_of

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.lighting.products import MEMORY, Context, Options
+from orograph.lighting.context import MEMORY, Context, Options
 from orograph.progress import SILENT, Progress
 from orograph.store.memory import MemoryTerrain
 

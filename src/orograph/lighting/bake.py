@@ -28,8 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OutputError, StoreError, UsageError
+from orograph.lighting.context import MEMORY, Context, Options, Values
 from orograph.lighting.gather import Window, readers
-from orograph.lighting.products import MEMORY, Context, Options, Product, Values, product
+from orograph.lighting.products import Product, product
 from orograph.lighting.raster import trim
 from orograph.lighting.raster_resume import Kept
 from orograph.progress import SILENT, Progress

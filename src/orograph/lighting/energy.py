@@ -33,8 +33,9 @@ from orograph._numba import inlined, kernel
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.lighting.clearsky import beam, diffuse, extraterrestrial
+from orograph.lighting.context import Context, Options, Values
 from orograph.lighting.gather import Sweep, Window, by_azimuth
-from orograph.lighting.products import Context, Options, Product, Values, compute
+from orograph.lighting.products import Product, compute
 from orograph.lighting.sun import DIAMETER, grid_azimuths, place, positions
 from orograph.lighting.sweep_lines import direction
 

@@ -11,15 +11,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.lighting.products import Blocks, Context, Product, Values
+from orograph.lighting.context import Blocks, Context, Values
 from orograph.lighting.raster import Canvas, rectangles, trim
 from orograph.lighting.sweep import Block, fold
 from orograph.parallel import for_each, map_ordered
+
+if TYPE_CHECKING:
+    from orograph.lighting.products import Product
 
 _AROUND = 1 << 16
 """Bytes that the system maps around a touched place of a file."""

@@ -30,8 +30,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
 from orograph.lighting.arrays import context_of
+from orograph.lighting.context import Blocks, Context, Options, Values
 from orograph.lighting.gather import Sweep, Window, by_azimuth
-from orograph.lighting.products import Blocks, Context, Options, Product, Values, compute
+from orograph.lighting.products import Product, compute
 from orograph.lighting.raster import rectangles
 from orograph.lighting.rho import Rho, Transmission, transmission
 from orograph.lighting.sweep_lines import direction

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
+from orograph.lighting.context import Context
 from orograph.lighting.gather import Sweep, Window
-from orograph.lighting.products import Context, Product
+from orograph.lighting.products import Product
 from orograph.lighting.sky import arctangent
 from orograph.lighting.sweep import Block
 

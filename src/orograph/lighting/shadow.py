@@ -28,8 +28,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
 from orograph.lighting.arrays import context_of
+from orograph.lighting.context import Context, Options, Values
 from orograph.lighting.gather import Sweep, Window, by_azimuth, collected
-from orograph.lighting.products import Context, Options, Product, Values, compute
+from orograph.lighting.products import Product, compute
 from orograph.lighting.shade import disc_fraction
 from orograph.lighting.sun import Sun
 

@@ -22,8 +22,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph._numba import inlined, kernel
 from orograph.errors import UsageError
+from orograph.lighting.context import Context, Options
 from orograph.lighting.gather import Sweep, Window, whole
-from orograph.lighting.products import Context, Options, Product
+from orograph.lighting.products import Product
 from orograph.lighting.sweep import Block
 from orograph.lighting.sweep_lines import direction
 from orograph.progress import SILENT, Progress

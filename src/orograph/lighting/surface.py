@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.lighting.products import Blocks, Context, Options, Product
+from orograph.lighting.context import Blocks, Context, Options
+from orograph.lighting.products import Product
 
 Values = NDArray[np.float32]
 Light = tuple[float, float, float]

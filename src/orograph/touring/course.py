@@ -28,7 +28,7 @@ from orograph.memo import Kept
 from orograph.progress import SILENT, Progress
 from orograph.rendering.cpu.ground import Ground
 from orograph.rendering.cpu.mapgrid import strength_of, working_window
-from orograph.rendering.cpu.survey import Survey
+from orograph.rendering.survey import Survey
 from orograph.scene.scene import Scene
 from orograph.splines import Monotone
 from orograph.store.terrain import Terrain

@@ -14,11 +14,11 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.gpu.device import Device
 from orograph.lighting.arrays import context_of
+from orograph.lighting.context import Options
 from orograph.lighting.gpu import cone_tracing, occlusion_frames, occlusion_maps
 from orograph.lighting.gpu.occlusion_maps import Maps, Settings
 from orograph.lighting.gpu.rings import bound, rings
 from orograph.lighting.occlusion import ambient_occlusion
-from orograph.lighting.products import Options
 from orograph.lighting.rho import transmission
 from orograph.store.memory import MemoryTerrain
 

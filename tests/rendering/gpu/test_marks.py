@@ -19,7 +19,8 @@ from orograph.rendering.cpu.draw import draw as draw_cpu
 from orograph.rendering.gpu.draw import draw as draw_gpu
 from orograph.rendering.gpu.renderer import Renderer
 from orograph.rendering.lines.label_spots import POINTS
-from orograph.rendering.lines.labels import Labels, Placer
+from orograph.rendering.lines.label_type import Labels
+from orograph.rendering.lines.labels import Placer
 from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
 from orograph.scene.silhouettes import Silhouettes

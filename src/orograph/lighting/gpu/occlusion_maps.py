@@ -36,10 +36,10 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
+from orograph.lighting.context import Blocks, Context, Values
 from orograph.lighting.gpu.occlusion_frames import Frames, corners
 from orograph.lighting.gpu.rings import BLOCK, REACH, Held, Ring, Store, rings
 from orograph.lighting.occlusion import flat_only
-from orograph.lighting.products import Blocks, Context, Values
 from orograph.lighting.raster import rectangles
 from orograph.lighting.rho import Transmission, transmission
 

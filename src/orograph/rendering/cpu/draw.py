@@ -20,12 +20,14 @@ from orograph.geovis.colour import linear_to_srgb
 from orograph.memo import Kept
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
-from orograph.rendering.cpu.ground import LEAST_MEMORY, Area, Ground, fixed_memory
+from orograph.rendering.cpu.ground import LEAST_MEMORY, Ground, fixed_memory
 from orograph.rendering.cpu.shading import Shader
-from orograph.rendering.cpu.survey import Survey
+from orograph.rendering.jitter import pattern
 from orograph.rendering.lines.silhouettes import Outlines, rim
 from orograph.rendering.memory import check_memory
 from orograph.rendering.picture import Picture, plan_grid
+from orograph.rendering.rays import Area
+from orograph.rendering.survey import Survey
 from orograph.scene.diagnostics import doubts, what_to_do, why_empty
 from orograph.scene.scene import Scene
 from orograph.store.memory import MemoryTerrain
@@ -258,13 +260,3 @@ def find_breaks(
         out[a] |= step
         out[b] |= step
     return out
-
-
-def pattern(n: int) -> Array:
-    """n positions in a pixel (n, 2), evenly spread around its centre: the R2 sequence (Roberts 2018), the same for all.
-
-    Steps are counted from the middle of the sequence, so that positions are symmetric and edges stay where they are.
-    """
-    g = 1.32471795724474602596
-    k = (np.arange(n) - (n - 1) / 2)[:, None]
-    return np.asarray((0.5 + k * np.array([1 / g, 1 / g**2])) % 1.0)

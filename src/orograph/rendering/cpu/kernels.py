@@ -1,4 +1,4 @@
-"""The renderer's inner loops over samples: where rays end, how light falls there, what colour results.
+"""The renderer's inner loops over samples: what a pixel covers, how light falls there, what colour results.
 
 All arrays run over the samples of a block; a sample that met no ground has NaN in its depth and position and is passed
 over. Colours are linear light, float32.
@@ -9,53 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, kernel
-
-SHORE = 0.04
-"""The field of water goes from dry to wet within 0.5 ± this: a crisp shore, however large its samples are."""
-
+from orograph.rendering.lookup import LEAST, SHORE, bilinear
 
 GRAZING = 0.02
 """Cosine of the angle between a ray and the ground's normal below which a pixel's footprint grows no longer."""
-
-LEAST = 0.7
-"""The minor axis of a footprint, at least, in pixels on ground that faces the eye at the same distance."""
-
-
-@kernel
-def beginnings(px, py, o0, ou, ov, d0, du, dv, linear, offset, origins, directions):
-    """Rays through pixel positions (n,): ``origins`` and ``directions`` (n, 3) in sample coordinates."""
-    for i in range(len(px)):
-        for k in range(3):
-            o, d = offset[k], 0.0
-            for j in range(3):
-                o += linear[k, j] * (o0[j] + px[i] * ou[j] + py[i] * ov[j])
-                d += linear[k, j] * (d0[j] + px[i] * du[j] + py[i] * dv[j])
-            origins[i, k], directions[i, k] = o, d
-
-
-@kernel
-def ends(
-    px, py, t, o0, ou, ov, d0, du, dv, linear, offset, exaggeration, metres, parallel, spacing, points, rays, width
-):
-    """Ends of rays: ``points`` (n, 3) in sample coordinates, unit ``rays`` (n, 3) stretched, ``width`` (n,) of a pixel
-    on the ground in samples. ``metres``: a pixel at unit depth, or (``parallel``) anywhere.
-
-    Seen at a slant a pixel covers more ground one way; the geometric mean is what an isotropic filter can do.
-    """
-    for i in range(len(px)):
-        x = d0[0] + px[i] * du[0] + py[i] * dv[0]
-        y = d0[1] + px[i] * du[1] + py[i] * dv[1]
-        z = d0[2] + px[i] * du[2] + py[i] * dv[2]
-        wx = o0[0] + px[i] * ou[0] + py[i] * ov[0] + t[i] * x
-        wy = o0[1] + px[i] * ou[1] + py[i] * ov[1] + t[i] * y
-        points[i, 0] = linear[0, 0] * wx + linear[0, 1] * wy + offset[0]
-        points[i, 1] = linear[1, 0] * wx + linear[1, 1] * wy + offset[1]
-        points[i, 2] = o0[2] + px[i] * ou[2] + py[i] * ov[2] + t[i] * z
-        z *= exaggeration
-        k = 1.0 / np.sqrt(x * x + y * y + z * z)
-        rays[i, 0], rays[i, 1], rays[i, 2] = x * k, y * k, z * k
-        slant = 1.0 / np.sqrt(min(max(abs(z * k), 0.1), 1.0))
-        width[i] = (metres if parallel else metres * t[i]) * slant / spacing
 
 
 @kernel
@@ -98,18 +55,6 @@ def incidence(gradient, to_world, stretch, sun, cosine, tilt):
 
 
 @kernel
-def _bilinear(field, u, v):
-    rows, cols = field.shape
-    j = min(max(np.int64(np.floor(u)), 0), max(cols - 2, 0))
-    i = min(max(np.int64(np.floor(v)), 0), max(rows - 2, 0))
-    fu, fv = min(max(u - j, 0.0), 1.0), min(max(v - i, 0.0), 1.0)
-    j1, i1 = min(j + 1, cols - 1), min(i + 1, rows - 1)
-    top = field[i, j] * (1.0 - fu) + field[i, j1] * fu
-    low = field[i1, j] * (1.0 - fu) + field[i1, j1] * fu
-    return top * (1.0 - fv) + low * fv
-
-
-@kernel
 def _shoulder(x):
     """Bend what is brighter than 0.82 smoothly towards 1, so that sunlit snow keeps its relief; linear below."""
     return x if x < 0.82 else 0.82 + 0.18 * (1.0 - np.exp((0.82 - x) / 0.18))
@@ -125,7 +70,7 @@ def _albedo(points, i, wet_map, water_map, u, v, land, low, high, sea, floor):
     k = np.int64(z)
     wet = 0.0
     if wet_map:
-        wet = min(max((_bilinear(water_map, u, v) - (0.5 - SHORE)) / (2.0 * SHORE), 0.0), 1.0)
+        wet = min(max((bilinear(water_map, u, v) - (0.5 - SHORE)) / (2.0 * SHORE), 0.0), 1.0)
         wet = wet * wet * (3.0 - 2.0 * wet)
     return below, k, z - k, wet
 
@@ -198,7 +143,7 @@ def compose(
             continue
         u = (points[i, 0] + 0.5) / scale - 0.5 - col0
         v = (points[i, 1] + 0.5) / scale - 0.5 - row0
-        sky = _bilinear(sky_map, u, v)
+        sky = bilinear(sky_map, u, v)
         if sky != sky:
             sky = 1.0
         below, k, f, wet = _albedo(points, i, wet_map, water_map, u, v, land, low, high, sea, floor)

@@ -22,7 +22,8 @@ from orograph.lighting.sun import Sun
 from orograph.memo import Kept
 from orograph.progress import Progress
 from orograph.raycast.select import rectangles
-from orograph.rendering.cpu.ground import Ground, Hits
+from orograph.rendering.cpu.ground import Ground
+from orograph.rendering.rays import Hits
 from orograph.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -137,7 +138,8 @@ def field_of(
     def sweep() -> Field:
         from orograph.lighting.aperture import field as caps_of
         from orograph.lighting.arrays import context_of
-        from orograph.lighting.products import Options, compute
+        from orograph.lighting.context import Options
+        from orograph.lighting.products import compute
 
         level, row0, row1, col0, col1 = window
         heights = terrain.read_mean(level, row0, row1, col0, col1) * np.float32(scene.exaggeration)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from orograph.lighting.horizon import sky_view
 from orograph.memo import Kept
 from orograph.rendering.cpu.ground import Ground
-from orograph.rendering.cpu.kernels import SHORE
-from orograph.rendering.cpu.survey import Survey
+from orograph.rendering.lookup import SHORE
+from orograph.rendering.survey import Survey
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 

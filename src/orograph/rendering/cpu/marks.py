@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.colour import srgb_to_linear
 from orograph.lighting.relief import Relief
 from orograph.memo import Kept
-from orograph.rendering.cpu.ground import Ground, Hits
+from orograph.rendering.cpu.ground import Ground
 from orograph.rendering.cpu.mapgrid import MapGrid
 from orograph.rendering.lines.contour_kernels import AROUND, WIDE, line_cover, thin_out
 from orograph.rendering.lines.label_type import Lettering
 from orograph.rendering.lines.labels import Placer
 from orograph.rendering.lines.smooth import smoothed
-from orograph.scene.contours import Contours
+from orograph.rendering.palette import ink
+from orograph.rendering.rays import Hits
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]
@@ -32,11 +32,6 @@ RIM = 8
 
 GLOW, STRONGER = 0.16, 0.3
 """How much lighter the ground is under a label, and by how much a label is more opaque than lines."""
-
-
-def ink(contours: Contours) -> Colours:
-    """The lines' colour (3,), linear light."""
-    return np.asarray(srgb_to_linear(np.array(contours.colour, np.float32)), np.float32)
 
 
 class Lines:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.colour import Tint, linear_to_srgb
-from orograph.rendering.cpu.shading import HATCH, VISIBLE, WATER, hatching
-from orograph.rendering.cpu.survey import stride
 from orograph.rendering.furniture.pieces import Legend
+from orograph.rendering.palette import HATCH, VISIBLE, WATER, hatching
+from orograph.rendering.survey import stride
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]

@@ -22,8 +22,8 @@ from orograph.progress import SILENT, Progress
 from orograph.rendering.furniture.furnish import furnish
 from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
 from orograph.rendering.gpu.frame import PLAIN, Overlay
+from orograph.rendering.gpu.overview import rimmed
 from orograph.rendering.gpu.renderer import Renderer
-from orograph.rendering.gpu.surface.overview import rimmed
 from orograph.rendering.picture import Picture, plan_grid
 from orograph.scene.diagnostics import doubts, what_to_do, why_empty
 from orograph.scene.scene import Scene

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
-from orograph.rendering.gpu.shade.passes import Targets
+from orograph.rendering.gpu.targets import Targets
 
 VEIL = 2
 """The bit of a pixel's marks that says: a patch over missing ground."""

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
 from orograph.rendering.gpu.camera import camera_of
+from orograph.rendering.gpu.overview import Seen, seen_by
 from orograph.rendering.gpu.readback import depth_of, veiled_of
 from orograph.rendering.gpu.shade.following import Following
-from orograph.rendering.gpu.shade.passes import Targets
+from orograph.rendering.gpu.shade.visible import points_of, wet_at
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.surface.meshes import Meshes
-from orograph.rendering.gpu.surface.overview import Seen, seen_by
-from orograph.rendering.gpu.surface.visible import points_of, wet_at
 from orograph.rendering.gpu.surface.void_fill import VeilPass
+from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.gpu.temporal.jitter import Samples
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain

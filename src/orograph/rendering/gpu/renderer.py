@@ -26,13 +26,14 @@ from orograph.lod.triangle_patches import Patches
 from orograph.memo import Kept
 from orograph.rendering.gpu.camera import CAMERA, camera_of
 from orograph.rendering.gpu.frame import PLAIN, FrameStats, Overlay
+from orograph.rendering.gpu.overview import Seen, overview
 from orograph.rendering.gpu.reading import Reading
 from orograph.rendering.gpu.shade.following import Following, maps_key
 from orograph.rendering.gpu.shade.lettering import Letters
 from orograph.rendering.gpu.shade.look import DRAPE, FIELD, LABELS, SILHOUETTES, SMOOTH, WIREFRAME
 from orograph.rendering.gpu.shade.look_cache import SLOPES, Looks
 from orograph.rendering.gpu.shade.outlines import BreakPass
-from orograph.rendering.gpu.shade.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass, Targets
+from orograph.rendering.gpu.shade.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass
 from orograph.rendering.gpu.shade.resources import Resources
 from orograph.rendering.gpu.shade.tracing import RAYS, Around, Share, parts_of
 from orograph.rendering.gpu.stream.image_tiles import SIDE
@@ -40,9 +41,9 @@ from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.stream.residency import Residency
 from orograph.rendering.gpu.stream.tiles import missing
 from orograph.rendering.gpu.surface.meshes import Meshes, MeshPass
-from orograph.rendering.gpu.surface.overview import Seen, overview
 from orograph.rendering.gpu.surface.patches import PatchPass, Slopes
 from orograph.rendering.gpu.surface.void_fill import VeilPass
+from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.gpu.temporal.antialiasing import NONE, Steady
 from orograph.rendering.gpu.temporal.jitter import SAMPLES, Samples
 from orograph.scene.scene import Scene

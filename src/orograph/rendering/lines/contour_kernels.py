@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, kernel
-from orograph.rendering.cpu.kernels import SHORE, _bilinear
+from orograph.rendering.lookup import SHORE, bilinear
 
 CLOSE = 3.0, 7.0
 """Pixels between lines at which they are gone, and from which on they are whole."""
@@ -86,7 +86,7 @@ def line_cover(
         if cover > 0.0 and water.shape[0] > 0:
             x = (points[i, 0] + 0.5) / scale - 0.5 - col0
             y = (points[i, 1] + 0.5) / scale - 0.5 - row0
-            cover *= 1.0 - _ramp(0.5 - SHORE, 0.5 + SHORE, _bilinear(water, x, y))
+            cover *= 1.0 - _ramp(0.5 - SHORE, 0.5 + SHORE, bilinear(water, x, y))
         out[i] = cover
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from orograph.rendering.furniture.lettering import Style, _font
 from orograph.rendering.lines.label_kernels import lie, set_labels
-from orograph.rendering.lines.labels import NOTHING, Labels, wording
+from orograph.rendering.lines.label_spots import POINTS
 from orograph.viewpoint import View
 
 Array = NDArray[np.float64]
@@ -21,6 +21,31 @@ Array = NDArray[np.float64]
 SCALE = 3
 PAD = 0.2
 """Around a label lines are left out for so much of the type's size."""
+
+
+@dataclass(frozen=True, slots=True)
+class Labels:
+    """Labels (n,) of a view, the ones that can be seen at all.
+
+    Attributes:
+        lines: (n, POINTS, 3) easting, northing, height along the line. heights: what they say, metres.
+        opacity: (n,), 0 to 1.
+    """
+
+    lines: Array
+    heights: Array
+    opacity: Array
+
+    def __len__(self) -> int:
+        return len(self.heights)
+
+
+NOTHING = Labels(np.zeros((0, POINTS, 3)), np.zeros(0), np.zeros(0))
+
+
+def wording(height: float) -> str:
+    """What a label says: metres, no more digits than the interval needs."""
+    return f"{height:.6g}"
 
 
 @lru_cache(maxsize=1024)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ from orograph.raycast.caster import Caster
 from orograph.raycast.select import Boxes, Rectangle, distances, in_frustum, load, rectangles
 from orograph.rendering.lines.label_kernels import lie, stand
 from orograph.rendering.lines.label_spots import BLOCK, POINTS, Spots, coarsest, shape_of, spots
+from orograph.rendering.lines.label_type import NOTHING, Labels, measured
+from orograph.rendering.rays import Rays
 from orograph.scene.contours import USUAL, Contours
 from orograph.scene.scene import Scene
 from orograph.store.terrain import TILE, Terrain
@@ -61,31 +63,6 @@ MOST = 4096
 """Blocks whose spots are remembered."""
 
 
-@dataclass(frozen=True, slots=True)
-class Labels:
-    """Labels (n,) of a view, the ones that can be seen at all.
-
-    Attributes:
-        lines: (n, POINTS, 3) easting, northing, height along the line. heights: what they say, metres.
-        opacity: (n,), 0 to 1.
-    """
-
-    lines: Array
-    heights: Array
-    opacity: Array
-
-    def __len__(self) -> int:
-        return len(self.heights)
-
-
-NOTHING = Labels(np.zeros((0, POINTS, 3)), np.zeros(0), np.zeros(0))
-
-
-def wording(height: float) -> str:
-    """What a label says: metres, no more digits than the interval needs."""
-    return f"{height:.6g}"
-
-
 class Placer:
     """Finds the labels of view after view of a terrain; spots are kept. May be asked from one thread at a time."""
 
@@ -110,8 +87,6 @@ class Placer:
             return self._place(replace(scene, view=view), contours, drawn)
 
     def _place(self, scene: Scene, contours: Contours, drawn: Drawn | None) -> Labels:
-        from orograph.rendering.lines.label_type import measured
-
         view, step = scene.view, contours.step
         large = max(1.0, min(view.width, view.height) / USUAL)
         found = [s for s in self._wanted(scene, step, large) if len(s)]
@@ -225,8 +200,6 @@ class Placer:
     ) -> Array:
         """How well the ground under labels is seen (n,), 0 to 1: rays to points a little above its middle and ends, and
         through the label's corners, where the same slope has to go on."""
-        from orograph.rendering.cpu.ground import Rays
-
         view, terrain = scene.view, self.terrain
         chosen = tuple(rectangles(terrain, view, scene.exaggeration, COARSE * large))
         if self._caster[0] != chosen:

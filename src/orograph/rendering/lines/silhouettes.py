@@ -31,7 +31,8 @@ from orograph.scene.silhouettes import Silhouettes
 from orograph.store.terrain import Terrain
 
 if TYPE_CHECKING:
-    from orograph.rendering.cpu.ground import Area, Ground
+    from orograph.rendering.cpu.ground import Ground
+    from orograph.rendering.rays import Area
 
 Array = NDArray[np.float64]
 Colours = NDArray[np.float32]

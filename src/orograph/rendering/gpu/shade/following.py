@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from orograph.gpu.background import Aside
 from orograph.memo import Kept
 from orograph.rendering.gpu.shade.light_maps import LightMaps, light_maps, plain_maps, quick_maps, whole
-from orograph.rendering.gpu.surface.visible import about
+from orograph.rendering.gpu.shade.visible import about
 from orograph.rendering.gpu.surface.void_fill import EXACT, VeilPass, veils
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain

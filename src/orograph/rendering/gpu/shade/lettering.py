@@ -14,9 +14,9 @@ import numpy as np
 
 from orograph.gpu.background import Aside
 from orograph.gpu.device import Device
-from orograph.rendering.cpu.mesh_points import mesh_heights
-from orograph.rendering.lines.label_type import Lettering
-from orograph.rendering.lines.labels import NOTHING, Labels, Placer
+from orograph.rendering.lines.label_type import NOTHING, Labels, Lettering
+from orograph.rendering.lines.labels import Placer
+from orograph.rendering.mesh_points import mesh_heights
 from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain

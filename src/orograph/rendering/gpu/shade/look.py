@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from orograph.geovis.colour import Tint, tint_of
 from orograph.lighting.aperture import Lights
 from orograph.memo import Kept
-from orograph.rendering.cpu.kernels import SHORE
-from orograph.rendering.cpu.marks import ink
-from orograph.rendering.cpu.shading import BOUNCE, MISSING, PAPER, WATER, illumination
 from orograph.rendering.gpu.shade.light_maps import LightMaps
 from orograph.rendering.gpu.shade.tracing import RAYS
+from orograph.rendering.lookup import SHORE
+from orograph.rendering.palette import BOUNCE, MISSING, PAPER, WATER, illumination, ink
 from orograph.rendering.sky import FADE, Atmosphere
 from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orograph.gpu.device import Device
-from orograph.rendering.gpu.shade.passes import Targets
+from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.lines.silhouettes import terrain_ends
 from orograph.store.terrain import Terrain
 

@@ -13,65 +13,15 @@ import numpy as np
 
 from orograph.gpu.background import Aside
 from orograph.gpu.device import Device
+from orograph.gpu.layouts import stage, storage, texture, uniform
 from orograph.gpu.recording import KEEP, Attachments, write
 from orograph.rendering.gpu.shade.ray_field import Rays
 from orograph.rendering.gpu.shade.ssao import Ssao
 from orograph.rendering.gpu.shade.tracing import RAYS
+from orograph.rendering.gpu.targets import DEPTH, EMPTY, LIGHT, Targets
 
 SHOWN = "fragment", "background"
 """Entries of the shading shader that make a picture."""
-
-DEPTH, MARKS, LIGHT, GIVEN, FIELD = "depth32float", "r32uint", "rgba16float", "rg32float", "r32float"
-EMPTY = 0.0, 0.0, 0.0, 0.0
-
-
-class Targets:
-    """What a frame is drawn into: depth, marks, linear light, and where it is asked for the slopes of what was drawn
-    (metres per metre east and north) and the terrain's own heights there, of one size in pixels."""
-
-    def __init__(self, device: Device, width: int, height: int) -> None:
-        self.width, self.height = width, height
-        attach = "RENDER_ATTACHMENT|TEXTURE_BINDING|COPY_SRC"
-        size = (width, height)
-        self.depth = device.texture(size, DEPTH, attach, label="depth")
-        self.marks = device.texture(size, MARKS, attach, label="marks")
-        self.light = device.texture(size, LIGHT, attach, label="light")
-        self.depth_view, self.marks_view = self.depth.create_view(), self.marks.create_view()
-        self.light_view = self.light.create_view()
-        self._given: Any = None
-        self._field: Any = None
-        self._attached: dict[str, Attachments] = {}
-
-    def attached(self, name: str, make: Callable[[], Attachments]) -> Attachments:
-        """What a pass draws into, described when it is first asked for by this name."""
-        found = self._attached.get(name)
-        if found is None:
-            found = self._attached[name] = make()
-        return found
-
-    @property
-    def has_field(self) -> bool:
-        """Whether heights were asked for; as ``has_given``."""
-        return self._field is not None
-
-    def field_view(self, device: Device) -> Any:
-        """The view of the heights, which are made when they are first asked for."""
-        if self._field is None:
-            attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
-            self._field = device.texture((self.width, self.height), FIELD, attach, label="heights").create_view()
-        return self._field
-
-    @property
-    def has_given(self) -> bool:
-        """Whether slopes were asked for: a shader that looks at them may serve until another one is compiled."""
-        return self._given is not None
-
-    def given_view(self, device: Device) -> Any:
-        """The view of the slopes, which are made when they are first asked for."""
-        if self._given is None:
-            attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
-            self._given = device.texture((self.width, self.height), GIVEN, attach, label="slopes").create_view()
-        return self._given
 
 
 class ShadePass:
@@ -318,27 +268,3 @@ class ResolvePass:
         pass_.set_bind_group(0, group)
         pass_.draw(3)
         pass_.end()
-
-
-def stage(names: str) -> int:
-    import wgpu
-
-    flags = 0
-    for name in names.split("|"):
-        flags |= int(getattr(wgpu.ShaderStage, name))
-    return flags
-
-
-def uniform(device: Device, binding: int, stages: str) -> dict[str, Any]:
-    return {"binding": binding, "visibility": stage(stages), "buffer": {"type": device.record}}
-
-
-def storage(binding: int) -> dict[str, Any]:
-    return {"binding": binding, "visibility": stage("FRAGMENT"), "buffer": {"type": "read-only-storage"}}
-
-
-def texture(binding: int, kind: str, dimension: str = "2d") -> dict[str, Any]:
-    return {
-        "binding": binding, "visibility": stage("FRAGMENT"),
-        "texture": {"sample_type": kind, "view_dimension": dimension},
-    }  # fmt: skip

@@ -14,9 +14,9 @@ from orograph.lighting.gpu.aperture import tables as light_tables
 from orograph.memo import Kept
 from orograph.rendering.gpu.shade.light_maps import LightMaps
 from orograph.rendering.gpu.shade.look import SHADE, Look
-from orograph.rendering.gpu.shade.passes import Targets
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.stream.tiles import Atlas
+from orograph.rendering.gpu.targets import Targets
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 

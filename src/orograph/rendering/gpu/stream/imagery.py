@@ -25,11 +25,11 @@ from orograph.geovis.layers import Layer, drawn
 from orograph.geovis.mipmap import TAPS
 from orograph.gpu.device import Device
 from orograph.progress import SILENT
-from orograph.rendering.cpu.kernels import LEAST
 from orograph.rendering.gpu.stream.atlas import Slots
 from orograph.rendering.gpu.stream.image_tiles import SIDE, Sheet
 from orograph.rendering.gpu.stream.image_words import HEAD_DTYPE, HEADS, STATIC, aim, fixed, level_words, node_words
 from orograph.rendering.gpu.stream.streamer import Streamer
+from orograph.rendering.lookup import LEAST
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 

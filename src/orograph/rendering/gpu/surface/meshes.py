@@ -22,7 +22,7 @@ from orograph.gpu.binding import bind, layout
 from orograph.gpu.device import Device
 from orograph.lod import engine_of
 from orograph.rendering.cpu.mesh_surface import ENGINE_MEMORY, goal
-from orograph.rendering.gpu.shade.passes import DEPTH, FIELD, GIVEN, MARKS, Targets
+from orograph.rendering.gpu.targets import DEPTH, FIELD, GIVEN, MARKS, Targets
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
+from orograph.gpu.layouts import stage, texture, uniform
 from orograph.gpu.recording import Attachments, write
-from orograph.rendering.gpu.shade.passes import DEPTH, EMPTY, GIVEN, MARKS, Targets, stage, texture, uniform
+from orograph.rendering.gpu.targets import DEPTH, EMPTY, GIVEN, MARKS, Targets
 
 Slopes = Literal["", "stored", "flat"]
 """Which slopes are left, if any."""

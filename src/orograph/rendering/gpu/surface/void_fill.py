@@ -16,7 +16,7 @@ from orograph.geovis.missing import patches
 from orograph.gpu.device import Device
 from orograph.raycast.select import Rectangle, load, rectangles
 from orograph.raycast.stack import Window
-from orograph.rendering.gpu.shade.passes import DEPTH, MARKS, Targets
+from orograph.rendering.gpu.targets import DEPTH, MARKS, Targets
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 

@@ -22,9 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
+from orograph.gpu.layouts import texture, uniform
 from orograph.gpu.recording import Attachments, write
 from orograph.rendering.gpu.camera import axes_of
-from orograph.rendering.gpu.shade.passes import EMPTY, LIGHT, Targets, texture, uniform
+from orograph.rendering.gpu.targets import EMPTY, LIGHT, Targets
 from orograph.scene.scene import Scene
 
 SHARE = 1 / 48

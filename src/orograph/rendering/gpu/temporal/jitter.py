@@ -1,6 +1,6 @@
 """Samples of a picture's pixels, a frame each: a picture at rest gathers them, one that changes begins anew.
 
-Positions are pixels from a pixel's middle, those of the CPU's pictures (``rendering.cpu.draw.pattern``).
+Positions are pixels from a pixel's middle, those of the CPU's pictures (``rendering.jitter.pattern``).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Samples:
         if k == 0 and asked is None:
             self.shift = first
         elif (n := asked or SAMPLES) > 1:
-            from orograph.rendering.cpu.draw import pattern
+            from orograph.rendering.jitter import pattern
 
             x, y = pattern(n)[k % n]
             self.shift = float(x) - 0.5, float(y) - 0.5

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.rendering.cpu.ground import Hits, Rays
+from orograph.rendering.rays import Hits, Rays
 
 Array = NDArray[np.float64]
 

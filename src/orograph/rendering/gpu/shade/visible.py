@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.lod.patches.shape import STEPS
-from orograph.rendering.cpu.survey import stride
 from orograph.rendering.gpu.shade.light_maps import LightMaps
+from orograph.rendering.survey import stride
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 

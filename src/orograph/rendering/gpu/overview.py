@@ -19,10 +19,10 @@ from orograph.gpu.device import Device
 from orograph.gpu.recording import write
 from orograph.rendering.gpu.camera import camera_of
 from orograph.rendering.gpu.readback import depth_of
-from orograph.rendering.gpu.shade.passes import Targets
+from orograph.rendering.gpu.shade.visible import points_of
 from orograph.rendering.gpu.stream.residency import Residency
 from orograph.rendering.gpu.surface.patches import PatchPass
-from orograph.rendering.gpu.surface.visible import points_of
+from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.lines.silhouettes import rim
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain

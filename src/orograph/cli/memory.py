@@ -1,0 +1,29 @@
+"""How much memory a verb took, and sizes for people."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+
+def peak_memory() -> int | None:
+    """The largest memory this process has had resident, in bytes; None where the system does not tell."""
+    try:  # Linux: unlike getrusage, this does not count the process that started this one
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def megabytes(size: int | None) -> str:
+    """A size for people."""
+    if size is None:
+        return "unknown size"
+    return f"{size / 1e6:.1f} MB" if size < 1e9 else f"{size / 1e9:.2f} GB"

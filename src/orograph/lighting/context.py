@@ -1,0 +1,242 @@
+"""What products of light are made from: terrain, options, threads, memory, progress, and horizons as they are swept.
+
+Whatever is made does not depend on blocks, threads or memory, to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from numbers import Real
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.parallel import cpu_count, map_ordered
+from orograph.progress import SILENT, Progress
+from orograph.store.memory import MemoryTerrain
+from orograph.store.terrain import Heights, Terrain
+
+if TYPE_CHECKING:
+    from pyproj import CRS
+
+    from orograph.lighting.raster import Canvas
+    from orograph.lighting.raster_resume import Kept
+    from orograph.lighting.sweep import Block
+
+Values = NDArray[np.float32]
+Blocks = Iterator[tuple[int, int, Values]]
+
+MORE = ("rho", "method", "seed", "cones", "strips", "diameter", "date", "step", "turbidity")
+"""Options of single products."""
+
+REFRACTION = 0.13
+"""Of rays over the Earth's ground, in survey practice (Gauss)."""
+
+_EARTH = 6378137.0
+
+MEMORY = 1 << 30
+BASE = 320 << 20
+"""What the interpreter, its libraries, compiled kernels and a store's cache take."""
+_PIECE = 1024
+"""Columns read at a time where the same tiles are read again."""
+
+
+def _number(value: Any, above: float = -math.inf) -> bool:
+    """Whether it is a finite number greater than ``above``."""
+    return isinstance(value, Real) and math.isfinite(value) and float(value) > above
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What is asked of products; each uses what concerns it.
+
+    Attributes:
+        azimuths: how many directions horizons are swept in, evenly spread, the first in the north.
+        sun: (azimuth, altitude) of the light, degrees.
+        lights: several of them as (azimuth, altitude, weight), for hillshade; () for ``sun`` alone.
+        radius: metres beyond which nothing occludes; None: unlimited.
+        curvature: whether the Earth (or the CRS's body) is round, and the air refracts, for horizons.
+        refraction: coefficient k of terrestrial refraction: rays bend by k times the body's curvature. None: 0.13 on
+            the Earth, 0 on bodies whose air is thin or none.
+        exaggeration: heights are multiplied by this for hillshade only.
+        rays: per sample, for Monte Carlo products.
+        more: what single products need, by name (``MORE``): ``rho``, ``method``, ``seed``, ``cones`` (ambient
+            occlusion), ``strips``, ``diameter`` (shadow), ``date``, ``step``, ``turbidity`` (insolation).
+    """
+
+    azimuths: int = 32
+    sun: tuple[float, float] = (315.0, 45.0)
+    lights: tuple[tuple[float, float, float], ...] = ()
+    radius: float | None = None
+    curvature: bool = False
+    refraction: float | None = None
+    exaggeration: float = 1.0
+    rays: int = 256
+    more: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not _number(self.azimuths, above=2.0) or self.azimuths != int(self.azimuths):
+            raise UsageError(f"At least three azimuths are needed, not {self.azimuths}.")
+        if self.radius is not None and not _number(self.radius, above=0.0):
+            raise UsageError(f"The radius must be a positive number of metres, not {self.radius!r}.")
+        if not _number(self.exaggeration, above=0.0):
+            raise UsageError(f"Heights are stretched by a positive number, not {self.exaggeration!r}.")
+        if self.refraction is not None and (not _number(self.refraction) or abs(self.refraction) > 1.0):
+            raise UsageError(
+                f"The coefficient of refraction lies between -1 and 1 (0.13 as a rule), not {self.refraction}."
+            )
+        if any(len(light) != 3 or not all(map(_number, light)) for light in self.lights):
+            raise UsageError("A light of several is (azimuth, altitude, weight), all of them numbers.")
+        for _, altitude, weight in self.lights:
+            if abs(altitude) > 90:
+                raise UsageError(f"A light's altitude lies between -90 and 90 degrees, not {altitude:g}.")
+            if weight < 0:
+                raise UsageError(f"Lights need weights that are positive, not {weight:g}.")
+        if self.lights and not any(weight for *_, weight in self.lights):
+            raise UsageError("Lights need weights that are not all 0.")
+
+    def bending(self, crs: CRS | None) -> float:
+        """The coefficient of refraction over a terrain of that CRS (None: on the Earth)."""
+        if self.refraction is not None:
+            return self.refraction
+        body = None if crs is None else crs.ellipsoid
+        return REFRACTION if body is None or abs(body.semi_major_metre / _EARTH - 1.0) < 0.01 else 0.0
+
+    def directions(self) -> NDArray[np.float64]:
+        """The azimuths (n,), degrees."""
+        return np.arange(self.azimuths, dtype=np.float64) * (360.0 / self.azimuths)
+
+
+class Context:
+    """What a product is made from.
+
+    Args:
+        terrain: in metres.
+        max_memory: bytes the process should stay within.
+        jobs: threads; None: all processors.
+        kept: where sweeps keep what they have done, and find it again; None: nowhere.
+
+    Attributes:
+        shape: (rows, cols) of the terrain and of every product.
+        linear: (2, 2) metres east and north per column and per row.
+    """
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        options: Options | None = None,
+        *,
+        jobs: int | None = None,
+        max_memory: int = MEMORY,
+        progress: Progress = SILENT,
+        kept: Kept | None = None,
+    ) -> None:
+        self.kept = kept
+        if jobs is not None and jobs < 1:
+            raise UsageError(f"At least one thread is needed, not {jobs}.")
+        self.terrain, self.options = terrain, options or Options()
+        self.jobs, self.max_memory, self.progress = jobs or cpu_count(), max_memory, progress
+        self.shape = terrain.grid.shape
+        t = terrain.grid.transform
+        self.linear = np.array([[t.a, t.b], [t.d, t.e]])
+        # A terrain in memory is there already; a store takes its cache only (part of BASE).
+        self._held = 4 * self.shape[0] * self.shape[1] if isinstance(terrain, MemoryTerrain) else 0
+
+    @property
+    def budget(self) -> int:
+        """Bytes that blocks may take: what is allowed less the process itself, its terrain and canvases in memory."""
+        return max(self.max_memory - BASE - self._held, 32 << 20)
+
+    def heights(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """Heights of a window, metres, NaN where missing; read-only."""
+        return self.terrain.read(0, row0, row1, col0, col1)
+
+    def gradient(self, row0: int, row1: int, col0: int, col1: int) -> tuple[Values, Values]:
+        """Rise per metre east and north of a window, as of the whole raster."""
+        from orograph.lighting.normal import gradient
+
+        r0, c0 = max(row0 - 1, 0), max(col0 - 1, 0)
+        r1, c1 = min(row1 + 1, self.shape[0]), min(col1 + 1, self.shape[1])
+        inner = np.s_[row0 - r0 : row1 - r0, col0 - c0 : col1 - c0]
+        # Strips of rows next to one another want the same tiles: pieces of a few tiles come from the store's cache.
+        cuts = [c0, c1]
+        if not isinstance(self.terrain, MemoryTerrain):
+            cuts[1:1] = range((c0 // _PIECE + 1) * _PIECE, c1, _PIECE)
+        pieces = [self.heights(r0, r1, a, b) for a, b in pairwise(cuts)]
+        heights = pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=1)
+        east, north = gradient(heights, self.linear, 1)
+        return east[inner], north[inner]
+
+    def canvas(self, bands: int) -> Canvas:
+        """A canvas of so many bands; in memory if it takes no more than half of what is left."""
+        from orograph.lighting.raster import Canvas
+
+        size = 4 * bands * self.shape[0] * self.shape[1]
+        on_disk = 2 * size > self.budget
+        if not on_disk:
+            self._held += size
+        return Canvas(bands, self.shape, on_disk)
+
+    def horizons(
+        self,
+        azimuths: Sequence[float] | NDArray[np.float64] | None = None,
+        *,
+        lowest: float = 0.0,
+        below: bool = False,
+        what: str = "Sweeping horizons",
+        skip: Collection[int] = (),
+    ) -> Iterator[Block]:
+        """The horizon in each azimuth at each sample, by bands of rows or of columns (see ``sweep.horizons``).
+
+        Args:
+            azimuths: degrees; None: those of the options.
+            lowest: slopes are at least this (0: a level horizon; -inf: what looks down stays so).
+            below: of the terrain turned upside down (for negative openness).
+            skip: indices of azimuths to leave out.
+
+        Yields:
+            blocks; each sample comes once with each azimuth, its azimuths always in the same order. A block's
+            ``slopes`` are used again for the next block. The radius, curvature and refraction are those of the options.
+        """
+        from orograph.lighting.sweep import curvature_of, horizons
+
+        options = self.options
+        crs = self.terrain.grid.crs
+        bend = curvature_of(crs, options.bending(crs)) if options.curvature else 0.0
+        return horizons(
+            self.heights,
+            self.shape,
+            self.linear,
+            options.directions() if azimuths is None else np.asarray(azimuths, np.float64),
+            lowest=lowest,
+            below=below,
+            radius=options.radius,
+            curvature=bend,
+            jobs=self.jobs,
+            memory=self.budget,
+            progress=self.progress,
+            what=what,
+            skip=skip,
+        )
+
+    def blocks(self, make: Callable[[int, int, int, int], Values], what: str, height: int = 256) -> Blocks:
+        """Make a product window by window, in threads, window by window of whole tiles of a store.
+
+        Args:
+            make: (row0, row1, col0, col1) → (bands, rows, cols) float32.
+            what: to call it on the progress line.
+        """
+        from orograph.lighting.raster import rectangles
+
+        width = max(256, (1 << 22) // height)
+        windows = list(rectangles(self.shape, height, width))
+        with self.progress.task(what, total=len(windows)) as task:
+            made = map_ordered(lambda w: (w[0], w[2], make(*w)), windows, self.jobs)
+            for block in made:
+                yield block
+                task.advance()

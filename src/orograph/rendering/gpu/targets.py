@@ -1,0 +1,61 @@
+"""What a frame is drawn into on the GPU: the G-buffer's textures and their formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from orograph.gpu.device import Device
+from orograph.gpu.recording import Attachments
+
+DEPTH, MARKS, LIGHT, GIVEN, FIELD = "depth32float", "r32uint", "rgba16float", "rg32float", "r32float"
+EMPTY = 0.0, 0.0, 0.0, 0.0
+
+
+class Targets:
+    """What a frame is drawn into: depth, marks, linear light, and where it is asked for the slopes of what was drawn
+    (metres per metre east and north) and the terrain's own heights there, of one size in pixels."""
+
+    def __init__(self, device: Device, width: int, height: int) -> None:
+        self.width, self.height = width, height
+        attach = "RENDER_ATTACHMENT|TEXTURE_BINDING|COPY_SRC"
+        size = (width, height)
+        self.depth = device.texture(size, DEPTH, attach, label="depth")
+        self.marks = device.texture(size, MARKS, attach, label="marks")
+        self.light = device.texture(size, LIGHT, attach, label="light")
+        self.depth_view, self.marks_view = self.depth.create_view(), self.marks.create_view()
+        self.light_view = self.light.create_view()
+        self._given: Any = None
+        self._field: Any = None
+        self._attached: dict[str, Attachments] = {}
+
+    def attached(self, name: str, make: Callable[[], Attachments]) -> Attachments:
+        """What a pass draws into, described when it is first asked for by this name."""
+        found = self._attached.get(name)
+        if found is None:
+            found = self._attached[name] = make()
+        return found
+
+    @property
+    def has_field(self) -> bool:
+        """Whether heights were asked for; as ``has_given``."""
+        return self._field is not None
+
+    def field_view(self, device: Device) -> Any:
+        """The view of the heights, which are made when they are first asked for."""
+        if self._field is None:
+            attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
+            self._field = device.texture((self.width, self.height), FIELD, attach, label="heights").create_view()
+        return self._field
+
+    @property
+    def has_given(self) -> bool:
+        """Whether slopes were asked for: a shader that looks at them may serve until another one is compiled."""
+        return self._given is not None
+
+    def given_view(self, device: Device) -> Any:
+        """The view of the slopes, which are made when they are first asked for."""
+        if self._given is None:
+            attach = "RENDER_ATTACHMENT|TEXTURE_BINDING"
+            self._given = device.texture((self.width, self.height), GIVEN, attach, label="slopes").create_view()
+        return self._given
