@@ -56,9 +56,9 @@ def save(path: Path, truth: np.ndarray, made: np.ndarray) -> None:
 
     grey = [np.clip(a, 0, 1) ** (1 / 2.2) for a in (truth, made)]
     d = np.clip((made - truth) * 2, -1, 1)
-    colour = np.stack([1 - np.maximum(-d, 0), 1 - np.abs(d), 1 - np.maximum(d, 0)], -1)
+    color = np.stack([1 - np.maximum(-d, 0), 1 - np.abs(d), 1 - np.maximum(d, 0)], -1)
     gap = np.ones((len(truth), 6, 3))
-    parts = [np.repeat(grey[0][..., None], 3, -1), gap, np.repeat(grey[1][..., None], 3, -1), gap, colour]
+    parts = [np.repeat(grey[0][..., None], 3, -1), gap, np.repeat(grey[1][..., None], 3, -1), gap, color]
     Image.fromarray((np.concatenate(parts, 1) * 255).astype(np.uint8)).save(path)
 
 

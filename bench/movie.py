@@ -23,7 +23,7 @@ from orograph.scene.scene import Scene
 from orograph.touring import Tour, make
 from orograph.touring.film import Film
 
-STAGES = ("heights", "rays", "light", "colour", "antialiasing")
+STAGES = ("heights", "rays", "light", "color", "antialiasing")
 
 
 def main() -> None:

@@ -35,7 +35,7 @@ def grey(low: float, high: float, power: float = 1.0) -> Paint:
     return paint
 
 
-def coloured(low: float, high: float, scale: str) -> Paint:
+def colored(low: float, high: float, scale: str) -> Paint:
     """By a colour map; missing values are paper."""
 
     def paint(values: np.ndarray) -> Pixels:
@@ -104,7 +104,7 @@ def panels(terrain: orograph.Terrain, args: argparse.Namespace) -> Iterator[Pane
 
     yield Panel("normal", vectors(made("normal")), "east, north, up as red, green, blue")
     yield ramp("slope", made("slope")[0], "°", low=0.0, turned=True)
-    yield ramp("aspect", made("aspect")[0], "°", low=0.0, high=360.0, to=coloured, scale="romaO")
+    yield ramp("aspect", made("aspect")[0], "°", low=0.0, high=360.0, to=colored, scale="romaO")
     yield ramp("hillshade", made("hillshade", sun=(315, 45))[0], low=0.0, high=1.0)
     many = made("hillshade", lights=((315, 45, 2.0), (255, 40, 1.0), (15, 40, 1.0)))[0]
     yield ramp("hillshade", many, note="three lights", low=0.0, high=1.0)
@@ -126,10 +126,10 @@ def panels(terrain: orograph.Terrain, args: argparse.Namespace) -> Iterator[Pane
     yield ramp("shadow", fraction * cosine, note="fraction, by the cosine", low=0.0, high=0.75, power=0.7)
     yield Panel("shadow", codes(code), "code")
     direct, diffuse, _ = made("insolation", date=args.date) / 1000
-    yield ramp("insolation", direct, " kWh/m2", f"direct, {args.date}", to=coloured, scale="inferno")
-    yield ramp("insolation", diffuse, " kWh/m2", f"diffuse, {args.date}", to=coloured, scale="inferno")
+    yield ramp("insolation", direct, " kWh/m2", f"direct, {args.date}", to=colored, scale="inferno")
+    yield ramp("insolation", diffuse, " kWh/m2", f"diffuse, {args.date}", to=colored, scale="inferno")
     year = made("insolation", date=args.date[:4])[2] / 1e6
-    yield ramp("insolation", year, " MWh/m2", f"global, {args.date[:4]}", to=coloured, scale="inferno")
+    yield ramp("insolation", year, " MWh/m2", f"global, {args.date[:4]}", to=colored, scale="inferno")
 
 
 def sheet(terrain: orograph.Terrain, args: argparse.Namespace) -> Image.Image:
@@ -164,8 +164,8 @@ def sheet(terrain: orograph.Terrain, args: argparse.Namespace) -> Image.Image:
     length = next(n for e in range(5, -1, -1) for n in (5 * 10**e, 2 * 10**e, 10**e) if n / metres < size / 3)
     text = f"{length // 1000} km" if length >= 1000 else f"{length} m"
     x, y = GAP + 12, GAP + HEAD + size - 14
-    for colour, grow in ((INK, 2), ((255, 255, 255), 0)):
-        draw.rectangle((x - grow, y - grow, x + length / metres + grow, y + 2 + grow), colour)
+    for color, grow in ((INK, 2), ((255, 255, 255), 0)):
+        draw.rectangle((x - grow, y - grow, x + length / metres + grow, y + 2 + grow), color)
     draw.text((x, y - 20), text, (255, 255, 255), small, stroke_width=2, stroke_fill=INK)
     return out
 

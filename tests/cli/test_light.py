@@ -269,13 +269,13 @@ def test_ctrl_c_leaves_what_was_there(tmp_path, how, code):
     "name", ["sky-view-factor", "openness", "horizon", "ambient-occlusion", "aperture,visible-sky,sky-view-factor"]
 )
 def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_path, monkeypatch, name):
-    from orograph.lighting.raster_resume import Kept
+    from orograph.lighting.raster_resume import Checkpoint
     from orograph.lighting.sweep_pass import Pass
 
     whole, out = tmp_path / "whole.tif", tmp_path / "out.tif"
     given = ("--product", name, "--azimuths", 12, "--quiet", "--resume")
     assert run("light", hilly, *given, "-o", whole)[0] == 0
-    save, passes = Kept.save, []
+    save, passes = Checkpoint.save, []
 
     def interrupted(self, *args):
         if len(passes) == 2:
@@ -284,7 +284,7 @@ def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_pa
         save(self, *args)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Kept, "save", interrupted)
+        patch.setattr(Checkpoint, "save", interrupted)
         code, _, err = run("light", hilly, *given, "-o", out)
     assert code == 130 and "same command" in err and not out.exists() and (tmp_path / "out.tif.partial").is_dir()
     swept, begin = [], Pass.begin
@@ -299,14 +299,14 @@ def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_pa
 
 def test_resume_keeps_windows_of_walks(run, hilly, tmp_path, monkeypatch):
     from orograph.lighting import occlusion
-    from orograph.lighting.raster_resume import Kept
+    from orograph.lighting.raster_resume import Checkpoint
 
     monkeypatch.setattr(occlusion, "_BLOCK", 16)
     monkeypatch.setattr(occlusion, "_WIDTH", 16)
     whole, out = tmp_path / "whole.tif", tmp_path / "out.tif"
     given = ("--product", "ambient-occlusion", "--radius", 300, "--azimuths", 6, "--jobs", 1, "--quiet", "--resume")
     assert run("light", hilly, *given, "-o", whole)[0] == 0
-    window, made = Kept.window, []
+    window, made = Checkpoint.window, []
 
     def counted(self, key, row, col, make):
         def counting():
@@ -317,13 +317,13 @@ def test_resume_keeps_windows_of_walks(run, hilly, tmp_path, monkeypatch):
 
         return window(self, key, row, col, counting)
 
-    monkeypatch.setattr(Kept, "window", counted)
+    monkeypatch.setattr(Checkpoint, "window", counted)
     code, _, err = run("light", hilly, *given, "-o", out)
     assert code == 130 and "same command" in err and len(made) == 11
     cut = next((tmp_path / "out.tif.partial").glob("*.npy"))
     cut.write_bytes(cut.read_bytes()[:-4])
     before, made[:] = set(made), []
-    monkeypatch.setattr(Kept, "window", lambda *a: made.append(a[2:4]) or window(*a))
+    monkeypatch.setattr(Checkpoint, "window", lambda *a: made.append(a[2:4]) or window(*a))
     assert run("light", hilly, *given, "-o", out)[0] == 0
     assert len(made) == 30 and len(before) == 11
     assert out.read_bytes() == whole.read_bytes()
@@ -353,12 +353,12 @@ def test_several_products_share_a_sweep(run, hilly, tmp_path, monkeypatch):
 
 
 def test_resume_refuses_other_work_and_damage(run, hilly, tmp_path, monkeypatch):
-    from orograph.lighting.raster_resume import Kept
+    from orograph.lighting.raster_resume import Checkpoint
 
     out = tmp_path / "out.tif"
     given = ("light", hilly, "--product", "visible-sky", "--resume", "--quiet", "-o", out)
     with monkeypatch.context() as patch:
-        patch.setattr(Kept, "remove", lambda self: None)
+        patch.setattr(Checkpoint, "remove", lambda self: None)
         assert run(*given)[0] == 0
     code, _, err = run(*given, "--azimuths", 7)
     assert code == 4 and "another map" in err

@@ -107,13 +107,13 @@ def test_cameras_and_engines(run, hilly, tmp_path):
         "by file": ("--view", view), "by options": ("--from", 45, "--pitch", 12, "--size", "320x200"),
         "other": ("--from", 45, "--pitch", 60, "--size", "320x200"), "wedgie": ("--view", view, "--error", "wedgie"),
         "isotropic": ("--view", view, "--metric", "isotropic"), "tall": ("--view", view, "--exaggeration", 3),
-        "colours": ("--view", view, "--color-tolerance", 2),
+        "colors": ("--view", view, "--color-tolerance", 2),
     }.items():  # fmt: skip
         out = tmp_path / "mesh.npz"
         assert run("tessellate", hilly, "-o", out, *more, "--quiet")[0] == 0
         sizes[name] = len(Tessellation.load(out)[0].triangles)
     assert sizes["by file"] == sizes["by options"] != sizes["other"]
-    for finer in ("wedgie", "isotropic", "tall", "colours"):
+    for finer in ("wedgie", "isotropic", "tall", "colors"):
         assert sizes[finer] > sizes["by file"]
 
 

@@ -213,7 +213,7 @@ def test_bands(shared_data: Path) -> None:
         Source.open(path, band=6)
 
 
-def test_a_colour_table_is_not_heights_unless_it_is_of_plain_greys(tmp_path: Path, shared_data: Path) -> None:
+def test_a_color_table_is_not_heights_unless_it_is_of_plain_greys(tmp_path: Path, shared_data: Path) -> None:
     classes = shared_data / "spdatalarge-zion-nz-ecuador" / "zion_nlcd2011.tif"
     assert any("colour table" in w for w in Source.open(classes).warnings) and Source.open(classes).picture
     assert not Source.open(shared_data / "pugetsound-openglobe" / "ps-e.lg.png").picture
@@ -243,7 +243,7 @@ def test_terrain_rgb_by_its_definition() -> None:
         decode_rgb(bands, "png")
 
 
-def test_an_encoding_needs_colours(shared_data: Path) -> None:
+def test_an_encoding_needs_colors(shared_data: Path) -> None:
     with pytest.raises(UsageError, match="three bands of 8 bits"):
         read(shared_data / "n44w072-hgt" / "N44W072.hgt", encoding="mapbox")
 

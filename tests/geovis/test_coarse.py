@@ -18,7 +18,7 @@ from orograph.geo.grid import Grid
 from orograph.geovis import coarse
 from orograph.geovis.coarse import FINEST, TOP, CoarseLevels, Stopped
 from orograph.geovis.drape import Drape
-from orograph.geovis.imagery import Window, read_into
+from orograph.geovis.imagery import ImageWindow, read_into
 from orograph.geovis.layers import Layer
 from orograph.geovis.laying import Laid
 from orograph.progress import Progress, Task
@@ -99,7 +99,7 @@ def test_texels_are_those_of_the_file(tmp_path: Path, kind: str) -> None:
     for k in range(FINEST, TOP + 1):
         rows, cols = -(-ROWS >> k), -(-COLS >> k)
         truth = np.empty((rows, cols, 4), np.uint8)
-        read_into(truth, path, Window(0, ROWS, 0, COLS, 1 << k), kept.laid.bands)
+        read_into(truth, path, ImageWindow(0, ROWS, 0, COLS, 1 << k), kept.laid.bands)
         found, whole = kept.read(k, 0, rows, 0, cols)
         assert whole
         # Sums of 64 pixels are kept in single precision: a tie in a million is rounded otherwise.

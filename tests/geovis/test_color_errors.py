@@ -16,7 +16,7 @@ def terrain(rows: int, cols: int, seed: int = 0, holes: bool = False) -> MemoryT
     heights = rng.normal(0, 30, (rows, cols)).cumsum(0).cumsum(1).astype(np.float32)
     if holes:
         heights[rows // 3 : rows // 2, cols // 4 : cols // 3] = np.nan
-    return MemoryTerrain(heights, Grid((rows, cols), Affine(30, 0, 5e5, 0, -30, 4e6), None), "colours")
+    return MemoryTerrain(heights, Grid((rows, cols), Affine(30, 0, 5e5, 0, -30, 4e6), None), "colors")
 
 
 def test_lab_of_the_srgb_primaries() -> None:
@@ -104,7 +104,7 @@ def test_threads_and_odd_sizes(shape: tuple[int, int]) -> None:
         np.testing.assert_array_equal(a, many(level, 0, 10**6, 0, 10**6))
 
 
-def test_one_colour_has_no_error_and_light_alone_has() -> None:
+def test_one_color_has_no_error_and_light_alone_has() -> None:
     flat = MemoryTerrain(np.full((33, 33), 7, np.float32), Grid((33, 33), Affine(1, 0, 0, 0, -1, 0), None), "flat")
     assert ColorErrors(flat)(0, 0, 33, 0, 33).max() < 0.1
     rough = terrain(33, 33, 4)

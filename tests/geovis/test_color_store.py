@@ -125,7 +125,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(tmp_path, monkeypatch) -> 
     assert set(before) < set(files(path))
 
 
-def test_they_are_used_for_the_same_colours_only(tmp_path) -> None:
+def test_they_are_used_for_the_same_colors_only(tmp_path) -> None:
     shape = (130, 130)
     path = built(tmp_path, shape, shard=64)
     first = image(tmp_path / "a.tif", *shape, seed=1)

@@ -19,7 +19,7 @@ from rasterio.warp import transform_bounds
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, apply
 from orograph.geovis import mipmap
-from orograph.geovis.colour import srgb_to_linear
+from orograph.geovis.color import srgb_to_linear
 from orograph.geovis.drape import Drape
 from orograph.geovis.placement import TOLERANCE
 
@@ -157,7 +157,7 @@ def test_reduced_windows_stay_in_register(tmp_path: Path) -> None:
     assert np.abs((a - b).mean(0)).max() < 0.002  # half a texel would make 0.004
 
 
-def test_transparent_pixels_lend_no_colour(tmp_path: Path) -> None:
+def test_transparent_pixels_lend_no_color(tmp_path: Path) -> None:
     picture = np.zeros((100, 100, 4), np.uint8)
     picture[:, :50] = 255, 0, 0, 255
     picture[:, 50:] = 0, 0, 255, 0
@@ -181,8 +181,8 @@ def test_palettes_grey_and_wide_types(tmp_path: Path) -> None:
     x, y = places(GRID)
     one = np.full(len(x), 1.0)
     index = board(100, 100)[..., 0] // 255
-    colours = {0: (255, 0, 0, 255), 1: (0, 0, 255, 255)}
-    drape = Drape.open(write(tmp_path / "p.tif", index, colormap=colours), GRID)
+    colors = {0: (255, 0, 0, 255), 1: (0, 0, 255, 255)}
+    drape = Drape.open(write(tmp_path / "p.tif", index, colormap=colors), GRID)
     np.testing.assert_allclose(drape.sample(x, y, 2000 * one)[:, :3], [[0.5, 0, 0.5]] * len(x), atol=0.02)
     ramp = np.linspace(200, 3000, 10_000).reshape(100, 100)
     for kind in (np.uint16, np.float32, np.uint8):

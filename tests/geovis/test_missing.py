@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from orograph.geovis.missing import enclosed, fill, patches
-from orograph.raycast.stack import Window
+from orograph.raycast.stack import HeightWindow
 
 
 def reference(missing):
@@ -62,7 +62,7 @@ def test_a_patch_holds_its_holes_and_rims_only():
     heights = holed(3, 0.0)
     heights[20:25, 30:40] = np.nan
     heights[0:10, 0:10] = np.nan  # no hole: the terrain ends there
-    made = patches((Window(0, 0, 0, heights),), heights.shape)
+    made = patches((HeightWindow(0, 0, 0, heights),), heights.shape)
     assert made is not None
     expected = np.zeros(heights.shape, bool)
     expected[19:26, 29:41] = True
@@ -73,9 +73,9 @@ def test_a_patch_holds_its_holes_and_rims_only():
 
 def test_nothing_enclosed_is_no_patch():
     heights = holed(3, 0.0)
-    assert patches((Window(0, 0, 0, heights),), heights.shape) is None
+    assert patches((HeightWindow(0, 0, 0, heights),), heights.shape) is None
     heights[0:10, 0:10] = np.nan
-    assert patches((Window(0, 0, 0, heights),), heights.shape) is None
+    assert patches((HeightWindow(0, 0, 0, heights),), heights.shape) is None
 
 
 @pytest.mark.parametrize("is_hole", [True, False])
@@ -83,8 +83,8 @@ def test_finer_windows_ask_those_around(is_hole):
     """A hole larger than the fine window is one if the coarse window says so."""
     fine = holed(0, 0.0, (129, 129))
     fine[40:90, (40 if is_hole else 0) : 90] = np.nan
-    coarse = Window(1, 0, 0, fine[::2, ::2].copy())
-    window = Window(0, 50, 50, fine[50:81, 50:81].copy())
+    coarse = HeightWindow(1, 0, 0, fine[::2, ::2].copy())
+    window = HeightWindow(0, 50, 50, fine[50:81, 50:81].copy())
     made = patches((coarse, window), fine.shape)
     if is_hole:
         assert made is not None and np.isfinite(made[1].heights).all() and np.isfinite(made[0].heights).any()

@@ -184,13 +184,13 @@ def test_stopped_at_any_write(tmp_path, monkeypatch, path, seed):
 
 
 def test_a_sweep_that_is_interrupted_goes_on(tmp_path, monkeypatch, path):
-    from orograph.lighting.raster_resume import Kept
+    from orograph.lighting.raster_resume import Checkpoint
     from orograph.lighting.sweep_pass import Pass
 
     folder = tmp_path / "s"
     made(folder)
     given = ["sky-view-factor", "aperture", "horizon", "openness"]
-    save, passes = Kept.save, []
+    save, passes = Checkpoint.save, []
 
     def interrupted(self, key, canvases, azimuths):
         if len(passes) == 2:
@@ -199,7 +199,7 @@ def test_a_sweep_that_is_interrupted_goes_on(tmp_path, monkeypatch, path):
         save(self, key, canvases, azimuths)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Kept, "save", interrupted)
+        patch.setattr(Checkpoint, "save", interrupted)
         with pytest.raises(KeyboardInterrupt):
             bake(folder, given, FEW)
     swept, begin = [], Pass.begin
@@ -223,7 +223,7 @@ def test_what_is_there_is_left_and_what_differs_is_replaced(tmp_path):
         with pytest.raises(StoreError, match=r"radius 200.0, not unlimited"):
             terrain.layer("ambient-occlusion", radius=None)
         with pytest.raises(UsageError, match="azimuths"):
-            terrain.layer("ambient-occlusion", colour=1)
+            terrain.layer("ambient-occlusion", color=1)
         with pytest.raises(StoreError, match=r"no layer 'aperture'; it has ambient-occlusion.*orograph bake"):
             terrain.layer("aperture")
         old = terrain.layer("ambient-occlusion").read(0, 0, 50, 0, 50)

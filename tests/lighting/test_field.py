@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orograph.lighting.field import Field, light_caps
+from orograph.lighting.field import LightField, light_caps
 from orograph.lighting.relief import _gradients
 
 SIZE = 96
@@ -79,7 +79,7 @@ def test_beside_numpy(looked_at):
     field, relief, points, width = looked_at
     slope = np.zeros((len(points), 2))
     _gradients(*relief, points, width, slope, 0, len(points))
-    cap = Field(*field).values(points, width).astype(np.float64)
+    cap = LightField(*field).values(points, width).astype(np.float64)
     cap[np.isnan(cap).any(1)] = 0, 0, 1, 0
     seen = np.isfinite(points[:, 0])
     direction = cap[:, :3] / np.linalg.norm(cap[:, :3], axis=1, keepdims=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orograph.lighting.shade import air_mass, disc_fraction, sky_colour, sun_colour
+from orograph.lighting.shade import air_mass, disc_fraction, sky_color, sun_color
 
 
 def test_disc_fraction_is_the_area_above_the_horizon():
@@ -36,17 +36,17 @@ def test_air_mass_is_kasten_and_youngs():
 
 
 def test_low_suns_are_red_and_weak_and_gone_below_the_horizon():
-    high, low = sun_colour(60), sun_colour(3)
+    high, low = sun_color(60), sun_color(3)
     assert low[0] / low[2] > 1.5 * high[0] / high[2]
     assert low.sum() < high.sum()
-    assert (sun_colour(-1) == 0).all()
+    assert (sun_color(-1) == 0).all()
     altitudes = np.linspace(-1, 90, 4000)
-    series = np.array([sun_colour(a) for a in altitudes])
+    series = np.array([sun_color(a) for a in altitudes])
     assert (series >= 0).all() and np.abs(np.diff(series, axis=0)).max() < 0.06
     assert (np.diff(series[:, 1]) >= -1e-6).all()  # the higher the brighter, in green
 
 
 def test_the_sky_is_blue_and_fades():
-    assert sky_colour(45)[2] > sky_colour(45)[0]
-    series = np.array([sky_colour(a).sum() for a in np.linspace(-20, 90, 200)])
+    assert sky_color(45)[2] > sky_color(45)[0]
+    series = np.array([sky_color(a).sum() for a in np.linspace(-20, 90, 200)])
     assert (np.diff(series) >= -1e-12).all() and series[0] > 0

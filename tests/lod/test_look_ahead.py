@@ -186,7 +186,7 @@ def test_budgets_and_plans():
     assert not pruned_of(t, view, 0.0)
 
 
-def test_colours_are_split_whatever_the_errors_say():
+def test_colors_are_split_whatever_the_errors_say():
     rng = np.random.default_rng(8)
     t = plain.terrain(plain.rough(rng, (33, 33), amplitude=40.0))
 

@@ -49,7 +49,7 @@ def test_no_budget_stops_before_all_edges_of_missing_ground(shared_data, make):
 
 
 @ENGINES
-def test_colours_do_not_exceed_a_budget(make):
+def test_colors_do_not_exceed_a_budget(make):
     rng = np.random.default_rng(16)
     t = plain.terrain(plain.rough(rng, (65, 65)))
     view = plain.random_view(rng, t)
@@ -63,7 +63,7 @@ def test_colours_do_not_exceed_a_budget(make):
 
 
 @ENGINES
-def test_colours_force_splits(make):
+def test_colors_force_splits(make):
     rng = np.random.default_rng(12)
     t = plain.terrain(np.zeros((65, 65), np.float32))
     view = plain.random_view(rng, t)

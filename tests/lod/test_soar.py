@@ -259,7 +259,7 @@ def test_budget_of_time_ends_in_a_kept_tolerance(large):
     assert verify.judge(slow, large, view).ok(slow.stats["tolerance"])
 
 
-def test_colours_split_what_is_large_enough_to_be_seen():
+def test_colors_split_what_is_large_enough_to_be_seen():
     rng = np.random.default_rng(8)
     z = plain.rough(rng, (33, 33), amplitude=1.0)
     z[3:6, 4:9] = np.nan

@@ -264,7 +264,7 @@ def test_little_memory_gives_the_same_mesh():
     assert verify.judge(found, t, view).ok(2.0)
 
 
-def test_colours_force_splits():
+def test_colors_force_splits():
     rng = np.random.default_rng(12)
     t = plain.terrain(np.zeros((65, 65), np.float32))
     view = plain.random_view(rng, t)

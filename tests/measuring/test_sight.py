@@ -167,8 +167,8 @@ def test_plots(tmp_path, monkeypatch):
     for k, sight in enumerate(sights):
         save_sight(sight, tmp_path / f"s{k}.png", "Seen?")
         with Image.open(tmp_path / f"s{k}.png") as image:
-            colours = {tuple(c) for c in np.asarray(image.convert("RGB")).reshape(-1, 3)}
-        assert ((198, 47, 29) in colours) == (not sight.visible)  # the mark
+            colors = {tuple(c) for c in np.asarray(image.convert("RGB")).reshape(-1, 3)}
+        assert ((198, 47, 29) in colors) == (not sight.visible)  # the mark
     assert "Profile over ground" in (tmp_path / "b.svg").read_text() or "<svg" in (tmp_path / "b.svg").read_text()
     with pytest.raises(UsageError, match=r"\.svg"):
         save_profile(profile(terrain, ends), tmp_path / "a.txt")

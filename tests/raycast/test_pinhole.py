@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orograph.raycast.caster import Caster
-from orograph.raycast.stack import Window
+from orograph.raycast.stack import HeightWindow
 
 Array = np.ndarray
 
@@ -218,9 +218,9 @@ def nested(h: Array, level: int) -> Array:
     return np.ascontiguousarray(h[np.ix_(r, c)])
 
 
-def windows(h: Array, *wanted: tuple[int, int, int, int, int]) -> list[Window]:
+def windows(h: Array, *wanted: tuple[int, int, int, int, int]) -> list[HeightWindow]:
     """(level, row0, row1, col0, col1) → windows."""
-    return [Window(k, c0, r0, np.ascontiguousarray(nested(h, k)[r0:r1, c0:c1])) for k, r0, r1, c0, c1 in wanted]
+    return [HeightWindow(k, c0, r0, np.ascontiguousarray(nested(h, k)[r0:r1, c0:c1])) for k, r0, r1, c0, c1 in wanted]
 
 
 THREE = ((3, 0, 999, 0, 999), (1, 16, 90, 24, 110), (0, 60, 131, 80, 181))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orograph.raycast.caster import Caster
-from orograph.raycast.stack import Window
+from orograph.raycast.stack import HeightWindow
 
 Array = np.ndarray
 
@@ -109,7 +109,9 @@ def test_nested_windows_of_a_ridge_have_its_skyline() -> None:
     h = (200 - 2.0 * np.abs(x - 96) + 0.25 * y).astype(np.float32)
     one = Caster.of(h, 1)
     coarse = np.ascontiguousarray(h[::8, ::8])
-    stack = Caster([Window(3, 0, 0, coarse), Window(0, 16, 24, np.ascontiguousarray(h[24:81, 16:65]))], h.shape, 1)
+    stack = Caster(
+        [HeightWindow(3, 0, 0, coarse), HeightWindow(0, 16, 24, np.ascontiguousarray(h[24:81, 16:65]))], h.shape, 1
+    )
     rng = np.random.default_rng(1)
     p = np.column_stack([rng.random(200) * 158 + 1, rng.random(200) * 126 + 1, rng.random(200) * 200])
     for a in np.radians([3, 50, 90, 133, 222, 270, 300]):

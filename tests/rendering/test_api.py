@@ -20,7 +20,7 @@ from orograph.progress import Progress
 from orograph.rendering.cpu import draw as cpu
 from orograph.rendering.memory import BYTES_PER_PIXEL, amount, available, check_memory
 from orograph.scene.camera import whole
-from orograph.scene.diagnostics import doubts
+from orograph.scene.diagnostics import diagnose
 from orograph.scene.scene import Scene
 from orograph.viewpoint import View
 
@@ -120,25 +120,25 @@ def test_an_eye_below_the_ground(ground):
     x, y = (float(v) for v in ground.grid.xy(40, 30))
     height = orograph.camera.ground(ground, x, y, default=math.nan)
     low, high = View((x, y, height - 250), (x, y + 900, height)), View((x, y, height + 2), (x, y + 900, height))
-    (said,) = doubts(Scene(ground, low))
+    (said,) = diagnose(Scene(ground, low))
     assert "250 m below the ground" in said and f"({height:.0f} m)" in said and "underside" in said
-    assert doubts(Scene(ground, high)) == []
+    assert diagnose(Scene(ground, high)) == []
     beside = View((x - 1e5, y, 0), (x, y, height))
-    assert doubts(Scene(ground, beside)) == []
+    assert diagnose(Scene(ground, beside)) == []
     heard = Heard()
     orograph.render(ground, low.resized(*SIZE), progress=heard, **PLAIN)
     assert said in heard.warnings
     assert orograph.render(ground, low.resized(*SIZE), **PLAIN).facts["warnings"] == [said]
     plan = orograph.camera.plan(ground, SIZE)
-    assert doubts(Scene(ground, plan)) == []
+    assert diagnose(Scene(ground, plan)) == []
     sunk = View((*plan.eye[:2], ground.height_range[1] - 50), (*plan.target[:2], -1e4), projection="plan")
-    assert "left out" in doubts(Scene(ground, sunk))[0]
+    assert "left out" in diagnose(Scene(ground, sunk))[0]
 
 
 @pytest.mark.parametrize(("altitude", "said"), [(45, False), (-5.9, False), (-6.5, True), (-90, True)])
 def test_a_sun_below_the_horizon(ground, altitude, said):
     view = orograph.camera.whole(ground, SIZE)
-    assert any("below the horizon" in text for text in doubts(Scene(ground, view, Sun(0, altitude)))) == said
+    assert any("below the horizon" in text for text in diagnose(Scene(ground, view, Sun(0, altitude)))) == said
 
 
 def test_pictures_that_do_not_fit(ground):

@@ -11,7 +11,7 @@ from scenes import NORTH_UP, RECTANGULAR, ROTATED, embree_depth, hills, holes, s
 
 from orograph import store
 from orograph.errors import NothingInViewError
-from orograph.geovis.colour import TINTS, colour_table, linear_to_srgb, srgb_to_linear
+from orograph.geovis.color import TINTS, color_table, linear_to_srgb, srgb_to_linear
 from orograph.lighting.sun import Sun
 from orograph.rendering.cpu import draw as cpu
 from orograph.rendering.cpu.kernels import _shoulder
@@ -303,17 +303,17 @@ def test_direct_light_is_lamberts(transform, monkeypatch):
             np.testing.assert_allclose(got, expected, rtol=0.02, atol=0.005)
 
 
-def test_level_ground_in_the_sun_has_the_colour_of_the_legend():
+def test_level_ground_in_the_sun_has_the_color_of_the_legend():
     heights = np.full((90, 160), 300, np.float32)
     heights[:, 80:] = 900  # two levels, so that the tint has a span; the cliff is in the middle
     ground = terrain(heights)
     for name in ("alpine", "grey", "viridis"):
         scene = Scene(ground, camera.plan(ground, SIZE), Sun(90, 45), colormap=name, shadows=False, **BARE)
         picture = cpu.draw(scene)
-        table = np.round(linear_to_srgb(colour_table(name)) * 255)
-        for place, colour in (((45, 25), table[0]), ((45, 135), table[-1])):
-            if srgb_to_linear(colour / 255).max() < 0.8:  # brighter colours are bent by the shoulder, as documented
-                np.testing.assert_allclose(picture.pixels[place], colour, atol=1.5)
+        table = np.round(linear_to_srgb(color_table(name)) * 255)
+        for place, color in (((45, 25), table[0]), ((45, 135), table[-1])):
+            if srgb_to_linear(color / 255).max() < 0.8:  # brighter colours are bent by the shoulder, as documented
+                np.testing.assert_allclose(picture.pixels[place], color, atol=1.5)
 
 
 def test_relief_is_strengthened_for_shading_only(monkeypatch):

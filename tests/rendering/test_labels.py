@@ -14,7 +14,7 @@ from pyproj import CRS
 
 from orograph.dem.raster import Dem
 from orograph.geo.grid import Grid
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.cpu.draw import draw
 from orograph.rendering.lines.label_spots import POINTS, coarsest, read, spots
 from orograph.rendering.lines.label_type import Labels, Lettering, measured
@@ -53,7 +53,7 @@ def scenes(terrain: Terrain) -> dict[str, Scene]:
 
 def labelled(scene: Scene, placer: Placer | None = None) -> tuple[Labels, Contours]:
     assert scene.contours is not None
-    contours = scene.contours.fitted(scene.terrain, scene.view, Kept())
+    contours = scene.contours.fitted(scene.terrain, scene.view, Memo())
     return (placer or Placer(scene.terrain)).place(scene, contours), contours
 
 
@@ -130,17 +130,17 @@ def test_spots_do_not_depend_on_the_view_and_are_straight(terrain: Terrain) -> N
 def test_fading_is_continuous_and_labels_stay_where_they_are(terrain: Terrain) -> None:
     """Along a slow flight the opacity of no label jumps, and each label's place in the terrain never moves."""
     scene = replace(scenes(terrain)["slanted"], contours=Contours(20.0, fading=True))
-    placer, before, jumps, kept = Placer(terrain), {}, [], 0
+    placer, before, jumps, memo = Placer(terrain), {}, [], 0
     for k in range(40):
         eye = (scene.view.eye[0] + 12.0 * k, scene.view.eye[1] + 20.0 * k, scene.view.eye[2] - 6.0 * k)
         labels, _ = labelled(replace(scene, view=replace(scene.view, eye=eye)), placer)
         now = {tuple(line): o for line, o in zip(labels.lines[:, POINTS // 2].tolist(), labels.opacity, strict=True)}
         if before:
             jumps += [abs(now.get(at, 0.0) - before.get(at, 0.0)) for at in {*now, *before}]
-            kept += sum(at in now for at in before)
+            memo += sum(at in now for at in before)
         before = now
     assert max(jumps) < 0.75 and np.mean(np.array(jumps) > 0.35) < 0.02, sorted(jumps)[-5:]
-    assert kept > 150
+    assert memo > 150
 
 
 def test_a_tile_has_the_labels_of_its_picture(terrain: Terrain) -> None:

@@ -12,7 +12,7 @@ import scenes
 from affine import Affine
 from numpy.typing import NDArray
 
-from orograph.geovis.colour import linear_to_srgb, srgb_to_linear
+from orograph.geovis.color import linear_to_srgb, srgb_to_linear
 from orograph.geovis.drape import Drape
 from orograph.geovis.layers import Layer
 from orograph.rendering.cpu.draw import draw
@@ -149,14 +149,14 @@ def test_what_is_hidden_costs_nothing_and_shows_nothing(tmp_path: Path) -> None:
 
 def test_less_detail_is_read_where_less_is_seen(tmp_path: Path) -> None:
     """A picture from afar holds a coarse part of a large image, and is the same as with all of it."""
-    from orograph.memo import Kept
+    from orograph.memo import Memo
 
     path = image(tmp_path / "board.tif", board(64))
     terrain = flat()
     scene = Scene(terrain, plan(terrain, (64, 64)), light="none", layers=(Layer(path),), samples=1, water=None)
-    kept = Kept()
-    picture = draw(scene, kept=kept)
-    (drape,) = [made for made, _ in kept._held["drape"].values()]
+    memo = Memo()
+    picture = draw(scene, memo=memo)
+    (drape,) = [made for made, _ in memo._held["drape"].values()]
     assert drape.step >= 4 and drape.tiles is None
     truth, inside = supersampled(scene.view, board(64))
     ours = srgb_to_linear(picture.pixels[..., 0] / 255.0)

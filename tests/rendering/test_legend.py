@@ -36,7 +36,7 @@ def test_keys_are_of_what_is_seen(monkeypatch):
     heights[80:110, 60:90] = np.nan
     ground = terrain(heights)
     keys = told(monkeypatch, plan(ground))["legend"]
-    assert keys.water is not None and keys.colours is not None
+    assert keys.water is not None and keys.colors is not None
     tile = keys.missing
     assert tile.shape == (7, 7, 3) and len(np.unique(tile.reshape(-1, 3), axis=0)) == 2
     assert all((tile == np.roll(tile, (k, -k), (0, 1))).all() for k in range(7))  # lines at 45°
@@ -63,7 +63,7 @@ def test_heights_are_explained_unless_an_image_hides_them(monkeypatch, tmp_path,
     heights = hills(200, 400)
     heights[80:110, 60:90] = np.nan
     keys = told(monkeypatch, plan(terrain(heights), layers=(Layer(str(path)),)))["legend"]
-    assert keys.missing is not None and (keys.colours is not None) == explained
+    assert keys.missing is not None and (keys.colors is not None) == explained
 
 
 def test_counts_do_not_depend_on_threads(monkeypatch):

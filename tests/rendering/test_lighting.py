@@ -12,11 +12,11 @@ from scenes import NORTH_UP, ROTATED, hills, terrain
 import orograph
 from orograph import store
 from orograph.errors import UsageError
-from orograph.geovis.colour import srgb_to_linear
+from orograph.geovis.color import srgb_to_linear
 from orograph.lighting.aperture import Lamp
 from orograph.lighting.bake import bake
 from orograph.lighting.context import Options
-from orograph.lighting.field import Field
+from orograph.lighting.field import LightField
 from orograph.lighting.sun import Sun
 from orograph.progress import Progress
 from orograph.rendering.cpu import draw as cpu
@@ -88,13 +88,13 @@ def test_inclined_ground(light):
         assert ambient == pytest.approx(0.5, abs=0.006)
 
 
-def test_no_light_shows_the_maps_own_colours():
+def test_no_light_shows_the_maps_own_colors():
     ground = terrain(hills())
     view = camera.plan(ground, SIZE)
     picture = cpu.draw(Scene(ground, view, light="none", **BARE))
     seen = np.isfinite(picture.depth)
     heights = view.eye[2] - picture.depth[seen]
-    from orograph.geovis.colour import tint_of
+    from orograph.geovis.color import tint_of
 
     tint = tint_of(ground, "grey", sea=False)
     at = np.clip((heights - tint.low) / (tint.high - tint.low), 0, 1) * (len(tint.land) - 1)
@@ -154,9 +154,9 @@ def test_baked_light_is_the_same_as_swept_light(tmp_path, light, place):
     with bake(tmp_path / "s", [name], Options(azimuths=32)) as baked:
         view = camera.around(baked, SIZE, azimuth=200, pitch=40, distance=None)
         loads = []
-        load = Field.load
+        load = LightField.load
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(Field, "load", lambda *how: loads.append(threading.current_thread()) or load(*how))
+            patch.setattr(LightField, "load", lambda *how: loads.append(threading.current_thread()) or load(*how))
             alone = orograph.render(baked, view, light=light, jobs=1).pixels
             draw = cpu.session()
             assert all(np.array_equal(draw(Scene(baked, view, light=light, jobs=2)).pixels, alone) for _ in range(3))

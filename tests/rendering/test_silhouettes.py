@@ -194,6 +194,6 @@ def test_none_in_a_plan_and_the_same_in_tiles() -> None:
 
 
 def test_what_makes_no_sense_is_refused() -> None:
-    for wrong in ({"width": 0.0}, {"width": 99.0}, {"opacity": -1.0}, {"colour": (0.0, 0.0)}, {"creases": 1.5}):
+    for wrong in ({"width": 0.0}, {"width": 99.0}, {"opacity": -1.0}, {"color": (0.0, 0.0)}, {"creases": 1.5}):
         with pytest.raises(UsageError):
             Silhouettes(**wrong)  # type: ignore[arg-type]

@@ -151,9 +151,9 @@ def test_a_sky_has_no_bands() -> None:
     not dithered they are off by half a step, in bands."""
     rows, cols = 64, 640
     ramp = np.linspace(0.70, 0.72, cols)  # sRGB: five steps in 640 pixels
-    colour = np.repeat(((ramp + 0.055) / 1.055) ** 2.4, 3).reshape(-1, 3).astype(np.float32)
+    color = np.repeat(((ramp + 0.055) / 1.055) ** 2.4, 3).reshape(-1, 3).astype(np.float32)
     py, px = (a.ravel() + 0.5 for a in np.mgrid[:rows, :cols])
-    plain = np.tile(colour, (rows, 1))
+    plain = np.tile(color, (rows, 1))
     means = []
     for linear in (plain, dithered(plain, px, py)):
         bytes_ = encode(linear.reshape(rows, cols, 3)).astype(float)

@@ -13,7 +13,7 @@ from scenes import NORTH_UP, hills, holes, terrain
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Sun
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.cpu.draw import draw
 from orograph.scene import camera
 from orograph.scene.scene import Scene
@@ -52,11 +52,11 @@ def scenes(tmp_path):
 def test_a_tile_is_the_whole_there(tmp_path, name):
     scene = scenes(tmp_path)[name]
     whole = draw(scene)
-    kept = Kept()
+    memo = Memo()
     counts = dict.fromkeys(whole.facts["shown"], 0)
     for x, y, w, h in (*CUTS, *((x, y, min(170, SIZE[0] - x), min(100, SIZE[1] - y))
                                 for y in range(0, SIZE[1], 100) for x in range(0, SIZE[0], 170))):  # fmt: skip
-        tile = draw(replace(scene, view=scene.view.tile(x, y, w, h)), kept=kept)
+        tile = draw(replace(scene, view=scene.view.tile(x, y, w, h)), memo=memo)
         np.testing.assert_array_equal(tile.pixels, whole.pixels[y : y + h, x : x + w])
         np.testing.assert_array_equal(tile.depth, whole.depth[y : y + h, x : x + w])
         if (x, y, w, h) not in CUTS:
@@ -88,11 +88,11 @@ def test_what_a_tile_cannot_have():
 
 def test_what_is_kept_changes_nothing(tmp_path):
     """Pictures drawn one after the other, each as if it were the first."""
-    kept = Kept()
+    memo = Memo()
     pictures = {}
     for _ in range(2):
         for name, scene in scenes(tmp_path).items():
-            got = draw(scene, kept=kept).pixels
+            got = draw(scene, memo=memo).pixels
             alone = pictures.setdefault(name, draw(scene).pixels)
             np.testing.assert_array_equal(got, alone)
 

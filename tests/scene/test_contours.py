@@ -14,7 +14,7 @@ from pyproj import CRS
 from orograph.dem.raster import Dem
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.cpu.draw import draw
 from orograph.scene.contours import Contours, lines_of, steepness, suitable
 from orograph.scene.scene import Scene
@@ -40,7 +40,7 @@ def cone(side: int = 513, slope: float = 0.4) -> tuple[Terrain, tuple[float, flo
 
 def cover(scene: Scene) -> NDArray[np.float64]:
     """How much darker contour lines make each pixel, as a part of what black lines would."""
-    black = replace(scene.contours, colour=(0.0, 0.0, 0.0), opacity=1.0, labels=False)
+    black = replace(scene.contours, color=(0.0, 0.0, 0.0), opacity=1.0, labels=False)
     without, with_ = (draw(replace(scene, contours=c)).pixels for c in (None, black))
     linear = [np.where(p <= 10, p / 255 / 12.92, ((p / 255 + 0.055) / 1.055) ** 2.4) for p in (without, with_)]
     return 1 - linear[1].sum(-1) / linear[0].sum(-1)
@@ -125,7 +125,7 @@ def test_the_interval_suits_relief_and_scale() -> None:
     terrain, (x, y) = cone()
     assert steepness(terrain) == pytest.approx(0.4, rel=0.02)
     far = View((x, y, 5000.0), (x, y, 0.0), up=(0, 1, 0), projection="plan", fov_y=40, width=300, height=220)
-    found = [Contours().fitted(terrain, replace(far, fov_y=f), Kept()).interval for f in (40.0, 4.0, 0.4)]
+    found = [Contours().fitted(terrain, replace(far, fov_y=f), Memo()).interval for f in (40.0, 4.0, 0.4)]
     assert found[0] > found[1] > found[2] and all(
         v / 10 ** math.floor(math.log10(v)) == pytest.approx(round(v / 10 ** math.floor(math.log10(v)))) for v in found
     )
@@ -140,15 +140,15 @@ def test_the_interval_suits_relief_and_scale() -> None:
 def test_large_pictures_have_lines_for_print() -> None:
     terrain, (x, y) = cone(65)
     view = View((x, y, 5000.0), (x, y, 0.0), projection="plan", width=4400, height=3300)
-    fitted = Contours(10.0).fitted(terrain, view, Kept())
+    fitted = Contours(10.0).fitted(terrain, view, Memo())
     assert fitted.width == 3.0 and fitted.type_size == 36.0 and fitted.step == 50.0
-    tile = Contours(10.0).fitted(terrain, view.tile(0, 0, 64, 64), Kept())
+    tile = Contours(10.0).fitted(terrain, view.tile(0, 0, 64, 64), Memo())
     assert tile == fitted
 
 
 def test_what_makes_no_sense_is_refused() -> None:
     for wrong in ({"interval": 0.0}, {"interval": math.nan}, {"index": -1}, {"width": 0.0}, {"opacity": 2.0},
-                  {"colour": (2.0, 0.0, 0.0)}):  # fmt: skip
+                  {"color": (2.0, 0.0, 0.0)}):  # fmt: skip
         with pytest.raises(UsageError):
             Contours(**wrong)  # type: ignore[arg-type]
     assert lines_of(None) is None and lines_of(20).interval == 20.0  # type: ignore[union-attr]
@@ -169,7 +169,7 @@ def test_lines_over_a_coarse_mesh_lie_where_the_terrain_has_their_height(wirefra
     """At a slant on a mesh that is pixels off: what is inked has a contour's height, to less than its half width."""
     terrain, (x, y) = cone()
     view = View((x, y - 5200.0, 3300.0), (x, y - 300.0, 700.0), fov_y=35, width=240, height=180)
-    scene = plain(terrain, view, Contours(100.0, 0, labels=False, colour=(0.0, 0.0, 0.0), opacity=1.0, width=2.0))
+    scene = plain(terrain, view, Contours(100.0, 0, labels=False, color=(0.0, 0.0, 0.0), opacity=1.0, width=2.0))
     scene = replace(scene, engine="soar", tolerance=6.0, wireframe=wireframe)
     without, with_ = (draw(replace(scene, contours=c)) for c in (None, scene.contours))
     assert with_.facts["mesh"]["triangles"] < 400

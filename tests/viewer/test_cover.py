@@ -43,7 +43,7 @@ def image(folder, name, west, north, width, height) -> Layer:
     return Layer(str(path))
 
 
-def test_a_small_layer_leaves_the_colours_in_sight_and_a_whole_one_hides_them(session, tmp_path):
+def test_a_small_layer_leaves_the_colors_in_sight_and_a_whole_one_hides_them(session, tmp_path):
     cover = Cover(session)
     assert not cover.hides()
     small = image(tmp_path, "small", 1000.0, 1000.0, 2000.0, 2000.0)

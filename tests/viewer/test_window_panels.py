@@ -97,13 +97,13 @@ def test_layers_by_hand(window, hand, tmp_path):
     settings = window.session.settings
     grid = window.session.terrain.grid
     paths = []
-    for name, colour in (("red", (220, 20, 20)), ("blue", (20, 20, 220))):
+    for name, color in (("red", (220, 20, 20)), ("blue", (20, 20, 220))):
         paths.append(tmp_path / f"{name}.tif")
         with rasterio.open(
             paths[-1], "w", "GTiff", 64, 64, 3, dtype="uint8", crs=grid.crs.to_wkt(),
             transform=grid.transform @ Affine.scale(grid.cols / 64, grid.rows / 64),
         ) as file:  # fmt: skip
-            file.write(np.broadcast_to(np.array(colour, np.uint8)[:, None, None], (3, 64, 64)))
+            file.write(np.broadcast_to(np.array(color, np.uint8)[:, None, None], (3, 64, 64)))
 
     def ground() -> np.ndarray:
         return hand.frames(1)[380:420, 280:320].reshape(-1, 3).mean(0)

@@ -135,7 +135,7 @@ def command(
         from orograph.lighting.context import Context, Options
         from orograph.lighting.products import product
         from orograph.lighting.raster import write
-        from orograph.lighting.raster_resume import Kept, identity
+        from orograph.lighting.raster_resume import Checkpoint, identity
         from orograph.lighting.sun import Sun
         from orograph.output import check_folder
         from orograph.scene.prepare import prepare
@@ -163,7 +163,7 @@ def command(
         progress.warn(f"--resume keeps nothing of {', '.join(wanted)}: such maps are made in one go, in seconds.")
     if resume:
         plan = {"products": wanted, "terrain": identity(terrain), "options": repr(chosen)}
-        kept = Kept(Path(f"{output}.partial"), plan)
+        kept = Checkpoint(Path(f"{output}.partial"), plan)
     context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
     bands = _bands(products, chosen)
     try:

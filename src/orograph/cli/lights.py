@@ -72,11 +72,11 @@ def check_lights(options: Mapping[str, Any]) -> None:
     """Raise UsageError where what is said of lamps and discs cannot be."""
     from orograph.errors import UsageError
 
-    for name, colours in (("--light-at", [lamp[4:] for lamp in options["lamps"]]),
+    for name, colors in (("--light-at", [lamp[4:] for lamp in options["lamps"]]),
                           ("--disc", [disc[3:] for disc in options["discs"]])):  # fmt: skip
-        if any(len(colour) not in (0, 3) for colour in colours):
+        if any(len(color) not in (0, 3) for color in colors):
             raise UsageError(f"{name} has no colour, or one of three numbers.")
-        if colours and options["light"] not in SHINING:
+        if colors and options["light"] not in SHINING:
             raise UsageError(
                 f"--light {options['light']} knows no {name}.", remedy=f"Use --light {' or '.join(SHINING)}."
             )
@@ -94,8 +94,8 @@ def lights_of(
 
     white = (1.0, 1.0, 1.0)
     lamps = [
-        Lamp.at(terrain.grid, *place(terrain, lon, lat), height, reach, tuple(colour) or white)
-        for lon, lat, height, reach, *colour in options["lamps"]
+        Lamp.at(terrain.grid, *place(terrain, lon, lat), height, reach, tuple(color) or white)
+        for lon, lat, height, reach, *color in options["lamps"]
     ]
     discs = [(Sun(*disc[:3]), (disc[3], disc[4], disc[5]) if disc[3:] else white) for disc in options["discs"]]
     return tuple(lamps), tuple(discs)

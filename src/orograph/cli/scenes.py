@@ -132,7 +132,7 @@ def scene_options(function: F) -> F:
 def check_scene(options: Mapping[str, Any], progress: Progress) -> None:
     """Raise UsageError where what is said of a scene contradicts itself; warn of what has no effect."""
     from orograph.errors import UsageError
-    from orograph.geovis.colour import colour_table
+    from orograph.geovis.color import color_table
 
     for name in ("triangles", "metric"):
         if options[name] is not None and options["engine"] is None:
@@ -147,7 +147,7 @@ def check_scene(options: Mapping[str, Any], progress: Progress) -> None:
         raise UsageError("--wireframe shows what an engine made.", remedy="Choose one, such as --engine soar.")
     if options["mesh_view"] is not None and options["engine"] is None:
         raise UsageError("--mesh-view is what an engine refines for.", remedy="Choose one, such as --engine soar.")
-    colour_table(options["colormap"])
+    color_table(options["colormap"])
     layers_of_options(options)
     check_lights(options)
     if options["title"] is not None and not options["furniture"]:

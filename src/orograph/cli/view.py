@@ -103,7 +103,7 @@ def command(
         check()
         warm = Warm(options["adapter"])
         from orograph.errors import UsageError
-        from orograph.geovis.colour import colour_table
+        from orograph.geovis.color import color_table
         from orograph.output import check_folder
         from orograph.scene.prepare import prepare
         from orograph.scene.scene import check_exaggeration
@@ -113,7 +113,7 @@ def command(
     # What is wrong with the command line is said before any work is done.
     warm.device()
     check_exaggeration(options["exaggeration"])
-    colour_table(options["colormap"])
+    color_table(options["colormap"])
     layers = layers_of_options(options)
     more = {
         "way": options["light"], "shadows": options["shadows"], "contours": contours_of(options),

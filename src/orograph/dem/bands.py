@@ -79,7 +79,7 @@ def is_palette(dataset: Any, band: int) -> bool:
         table = dataset.colormap(band)
     except ValueError:
         return False
-    return any(colour[:3] != (i, i, i) for i, colour in table.items())  # a table of plain greys changes nothing
+    return any(color[:3] != (i, i, i) for i, color in table.items())  # a table of plain greys changes nothing
 
 
 def description_of(dataset: Any, band: int) -> str:

@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Mesh:
+class NodeMesh:
     """Source positions of a window of target samples, as nodes ``step`` apart and patches of single samples.
 
     Attributes:
@@ -106,12 +106,12 @@ class Coordinates:
         u, v = self.source.index(x, y)
         return u, v
 
-    def mesh(self, row0: int, row1: int, col0: int, col1: int) -> Mesh:
+    def mesh(self, row0: int, row1: int, col0: int, col1: int) -> NodeMesh:
         """The part of the mesh that a window needs, with its bent cells evaluated sample by sample."""
         s = self.step
         if s == 1:
             cols, rows = np.meshgrid(np.arange(col0, col1, dtype=float), np.arange(row0, row1, dtype=float))
-            return Mesh(1, row0, col0, *self.exact(cols, rows), [])
+            return NodeMesh(1, row0, col0, *self.exact(cols, rows), [])
         # Mesh cells touched by the window, and a ring of nodes around them for the second differences.
         top, bottom, left, right = row0 // s - 1, (row1 - 1) // s + 2, col0 // s - 1, (col1 - 1) // s + 2
         cols, rows = np.meshgrid(np.arange(left, right + 1.0) * s, np.arange(top, bottom + 1.0) * s)
@@ -123,7 +123,7 @@ class Coordinates:
                 a, b, c, d = max(r0, row0), min(r0 + s, row1), max(c0, col0), min(c0 + s, col1)
                 cols, rows = np.meshgrid(np.arange(c, d, dtype=float), np.arange(a, b, dtype=float))
                 patches.append((a, c, *self.exact(cols, rows)))
-        return Mesh(s, (top + 1) * s, (left + 1) * s, u[1:-1, 1:-1], v[1:-1, 1:-1], patches)
+        return NodeMesh(s, (top + 1) * s, (left + 1) * s, u[1:-1, 1:-1], v[1:-1, 1:-1], patches)
 
     def _choose_step(self) -> int:
         """The largest step for which 9 in 10 mesh cells, probed all over the target, are well within the tolerance."""

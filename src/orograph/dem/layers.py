@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.coordinates import Coordinates, Mesh
+from orograph.dem.coordinates import Coordinates, NodeMesh
 from orograph.dem.lattice import Lattice, offset_between
 from orograph.dem.resample import box_means
 from orograph.geo.grid import Grid
@@ -24,7 +24,7 @@ Heights = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Layer:
+class LatticeMap:
     """A lattice and how to take it to the target grid: by a whole offset, or by coordinates (and averaging before)."""
 
     lattice: Lattice
@@ -34,15 +34,15 @@ class Layer:
     box: tuple[int, int, int, int]  # target rows and columns it can reach
 
 
-def layer_of(lattice: Lattice, target: Grid, resampling: str) -> Layer:
+def layer_of(lattice: Lattice, target: Grid, resampling: str) -> LatticeMap:
     """How ``lattice`` is taken to ``target``."""
     everything = (0, target.rows, 0, target.cols)
     offset = offset_between(target, lattice.grid)
     if offset is not None:
-        return Layer(lattice, offset, None, (1, 1), everything)
+        return LatticeMap(lattice, offset, None, (1, 1), everything)
     coordinates = Coordinates(target, lattice.grid)
     means = (1, 1) if resampling == "nearest" else _blocks(coordinates, lattice.grid)
-    return Layer(lattice, None, coordinates, means, _box(lattice.grid, target))
+    return LatticeMap(lattice, None, coordinates, means, _box(lattice.grid, target))
 
 
 def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
@@ -73,7 +73,7 @@ def _box(grid: Grid, target: Grid) -> tuple[int, int, int, int]:
     return max(0, r0), min(target.rows, r1), max(0, c0), min(target.cols, c1)
 
 
-def averaged(layer: Layer, row0: int, row1: int, col0: int, col1: int) -> Heights:
+def averaged(layer: LatticeMap, row0: int, row1: int, col0: int, col1: int) -> Heights:
     """A window of the lattice, or of its block means, whose blocks are counted from the lattice's first sample."""
     k_rows, k_cols = layer.means
     if layer.means == (1, 1):
@@ -91,7 +91,7 @@ def averaged(layer: Layer, row0: int, row1: int, col0: int, col1: int) -> Height
     return out
 
 
-def needed(layer: Layer, mesh: Mesh) -> tuple[int, int, int, int] | None:
+def needed(layer: LatticeMap, mesh: NodeMesh) -> tuple[int, int, int, int] | None:
     """Rows and columns of the (averaged) lattice that a window needs, with what the kernels look at around them."""
     bounds = mesh.bounds()
     if bounds is None:

@@ -23,7 +23,7 @@ from pyproj import CRS, Proj
 
 from orograph.dem.axes import east_north
 from orograph.dem.lattice import Lattice, Raster, full_turn, group
-from orograph.dem.layers import BUDGET, Layer, averaged, layer_of, needed
+from orograph.dem.layers import BUDGET, LatticeMap, averaged, layer_of, needed
 from orograph.dem.projection import horizontal, in_metres, unwrapped
 from orograph.dem.resample import METHODS, sample
 from orograph.dem.target import choose, ground_spacing, parse_crs
@@ -202,7 +202,7 @@ class Mosaic:
                 said.append(f"{found.st_size} {found.st_mtime_ns}")
         return hashlib.sha256("\n".join(said).encode()).hexdigest()
 
-    def _fill(self, layer: Layer, row0: int, row1: int, col0: int, col1: int, out: Heights) -> None:
+    def _fill(self, layer: LatticeMap, row0: int, row1: int, col0: int, col1: int, out: Heights) -> None:
         """Give the missing samples of ``out`` (that window) the values of one lattice."""
         if layer.offset is not None:
             r, c = layer.offset

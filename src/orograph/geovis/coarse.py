@@ -31,14 +31,14 @@ from orograph._numba import kernel
 from orograph.dem.handles import HANDLES
 from orograph.errors import StoreError
 from orograph.folders import cache_folder
-from orograph.geovis.imagery import PICKS, Window, pieces, shrink
+from orograph.geovis.imagery import PICKS, ImageWindow, pieces, shrink
 from orograph.geovis.laying import Laid
 from orograph.geovis.mipmap import curves
 from orograph.parallel import for_each
 from orograph.progress import SILENT, Progress
 
 Bytes = NDArray[np.uint8]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 Floats = NDArray[np.float64]
 Block = tuple[int, int]
 """Row and column of a block."""
@@ -116,7 +116,7 @@ class CoarseLevels:
         """Blocks of the window that have texels [r0, r1) × [c0, c1) of a level."""
         w = self.window
         return self._within(
-            Window(
+            ImageWindow(
                 max(r0 << k, w.row0), min(r1 << k, w.row1), max(c0 << k, w.col0), min(c1 << k, w.col1),
             )
         )  # fmt: skip
@@ -175,7 +175,7 @@ class CoarseLevels:
 
             for_each(work, tasks, 1 if serial else jobs)
 
-    def _within(self, window: Window) -> list[Block]:
+    def _within(self, window: ImageWindow) -> list[Block]:
         if window.row1 <= window.row0 or window.col1 <= window.col0:
             return []
         rows = range(window.row0 >> TOP, ((window.row1 - 1) >> TOP) + 1)
@@ -185,7 +185,7 @@ class CoarseLevels:
     def _tasks(self, lack: list[Block]) -> tuple[list[list[Block]], bool]:
         """Runs of blocks that are read at once; whether one after the other, as the file's own order is."""
         with HANDLES.borrow(self.laid.location) as file:
-            _, width = file.block_shapes[self.laid.bands.colours[0] - 1]
+            _, width = file.block_shapes[self.laid.bands.colors[0] - 1]
         if width <= SIDE:
             return [[block] for block in lack], False
         runs: list[list[Block]] = []
@@ -220,7 +220,7 @@ class CoarseLevels:
         col1 = (run[-1][1] + 1) * SIDE
         if not laid.cyclic:
             col1 = min(col1, image.cols)
-        window = Window(row * SIDE, row1, col * SIDE, col1, 1 << FINEST)
+        window = ImageWindow(row * SIDE, row1, col * SIDE, col1, 1 << FINEST)
         sums = np.empty((*window.shape, 4), np.float32)
         high = wide = np.empty(0)
         for first, last, piece, step in pieces(laid.location, window, laid.bands):
@@ -338,7 +338,7 @@ def _levels(sums: Floats, high: Floats, wide: Floats) -> list[Bytes]:
 
 
 @kernel
-def accumulate(fine: Bytes, step: int, decode: Colours, out: Colours) -> None:
+def accumulate(fine: Bytes, step: int, decode: Colors, out: Colors) -> None:
     """Sums over ``step`` × ``step`` pixels: red, green, blue (linear, times opacity) and opacity."""
     rows, cols = fine.shape[0], fine.shape[1]
     for i in range(out.shape[0]):
@@ -370,7 +370,7 @@ def finish(sums: Floats, high: Floats, wide: Floats, encode: Bytes, out: Bytes) 
 def _fingerprint(laid: Laid) -> str:
     """A hash of all that decides the texels."""
     bands, image = laid.bands, laid.placement.image
-    said = [str(VERSION), repr(image.shape), repr(bands.colours), str(bands.stretched), repr(bands.nodata)]
+    said = [str(VERSION), repr(image.shape), repr(bands.colors), str(bands.stretched), repr(bands.nodata)]
     said += [repr(bands.span) if bands.stretched else ""]
     said += [
         "" if table is None else hashlib.sha256(table.tobytes()).hexdigest() for table in (bands.palette, bands.table)

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.diamonds import Surface, diamonds
-from orograph.geovis.colour import tint_of
+from orograph.geovis.color import tint_of
 from orograph.lighting.normal import gradient
 from orograph.progress import SILENT, Progress
 from orograph.store.diamonds import NESTED, place, surface
@@ -61,7 +61,7 @@ class Colors:
     Args:
         terrain: whose samples are coloured.
         drape: an image file laid over it, in any CRS; None: the hypsometric tint.
-        colormap: of the tint (see ``geovis.colour``).
+        colormap: of the tint (see ``geovis.color``).
         sun: (azimuth, altitude) in degrees of the light on the slopes; None: no light, the colours alone.
         relief: factor on slopes for the light.
         max_memory: bytes for the image.

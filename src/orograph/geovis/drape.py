@@ -31,7 +31,7 @@ from orograph.geovis.texels import Texels
 from orograph.progress import SILENT, Progress
 
 Array = NDArray[np.float64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 BUDGET = 1 << 30
 """Bytes of texels where no limit is given."""
@@ -171,7 +171,7 @@ class Drape:
             u, v = self._placement.pixels(x, y)
         return u, v, density
 
-    def sample(self, x: Array, y: Array, footprint_metres: Array) -> Colours:
+    def sample(self, x: Array, y: Array, footprint_metres: Array) -> Colors:
         """The image's mean colours around positions; safe from any thread.
 
         Args:
@@ -197,7 +197,7 @@ class Drape:
         )
         return out
 
-    def spread(self, x: Array, y: Array, ground: Array, least: Array) -> Colours:
+    def spread(self, x: Array, y: Array, ground: Array, least: Array) -> Colors:
         """The image's mean colours over the ground that pixels of a picture show; safe from any thread.
 
         Args:

@@ -23,7 +23,7 @@ from orograph.geovis.tile_kernels import EDGE, SIDE
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 LEAST = 2 * mipmap.TAPS
 """Tiles that one footprint may take."""
@@ -65,7 +65,7 @@ class ImageTiles:
         self._free = list(range(self.capacity - 1, -1, -1))
         self._changed = threading.Condition()
 
-    def look_along(self, u: Floats, v: Floats, axes: Floats, floor: Floats, inside: Floats, out: Colours) -> None:
+    def look_along(self, u: Floats, v: Floats, axes: Floats, floor: Floats, inside: Floats, out: Colors) -> None:
         """As ``mipmap.look_along``, positions and axes in pixels from the window's corner.
 
         Raises:

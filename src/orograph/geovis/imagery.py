@@ -25,7 +25,7 @@ from orograph.geovis.layers import Layer
 from orograph.geovis.mipmap import curves
 
 Bytes = NDArray[np.uint8]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 CUT = (2.0, 98.0)
 """Percentiles that become black and white."""
@@ -44,7 +44,7 @@ PIECE = 1 << 22
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class ImageWindow:
     """Pixels [row0, row1) × [col0, col1) of a file, held as texels of ``step`` × ``step`` pixels.
 
     Columns may lie beyond the file's borders where it goes once around the body.
@@ -79,7 +79,7 @@ class Bands:
         span: the values that become black and white, or the ends of the table.
     """
 
-    colours: tuple[int, ...]
+    colors: tuple[int, ...]
     palette: Bytes | None
     stretched: bool
     table: Bytes | None = None
@@ -100,29 +100,29 @@ class Bands:
                 raise ReadError(
                     f"It has no band {layer.band}.", path=file.name, remedy=f"There are bands 1 to {file.count}."
                 )
-            colours: tuple[int, ...] = (layer.band,)
+            colors: tuple[int, ...] = (layer.band,)
         elif all(c in names for c in ("red", "green", "blue")):
-            colours = tuple(names.index(c) + 1 for c in ("red", "green", "blue"))
+            colors = tuple(names.index(c) + 1 for c in ("red", "green", "blue"))
         else:
-            colours = tuple(data[:3]) if len(data) >= 3 else tuple(data[:1] or [1])
-        kind = np.dtype(file.dtypes[colours[0] - 1])
+            colors = tuple(data[:3]) if len(data) >= 3 else tuple(data[:1] or [1])
+        kind = np.dtype(file.dtypes[colors[0] - 1])
         if kind.kind == "c":
             raise ReadError("Its values are complex numbers, not colours.", path=file.name, remedy="Name an image.")
         if layer.colormap is not None:
-            from orograph.geovis.colour import colour_table, linear_to_srgb
+            from orograph.geovis.color import color_table, linear_to_srgb
 
-            table = np.round(linear_to_srgb(colour_table(layer.colormap)) * 255).astype(np.uint8)
-            return cls(colours, None, True, table, layer.nodata)
+            table = np.round(linear_to_srgb(color_table(layer.colormap)) * 255).astype(np.uint8)
+            return cls(colors, None, True, table, layer.nodata)
         palette = None
-        if len(colours) == 1 and names[colours[0] - 1] == "palette" and kind in (np.uint8, np.uint16):
+        if len(colors) == 1 and names[colors[0] - 1] == "palette" and kind in (np.uint8, np.uint16):
             palette = np.zeros((np.iinfo(kind).max + 1, 4), np.uint8)
-            for index, colour in file.colormap(colours[0]).items():
+            for index, color in file.colormap(colors[0]).items():
                 if 0 <= index < len(palette):
-                    palette[index] = colour
-        stretched = palette is None and (kind != np.uint8 or len(colours) == 1)
-        return cls(colours, palette, stretched, nodata=layer.nodata)
+                    palette[index] = color
+        stretched = palette is None and (kind != np.uint8 or len(colors) == 1)
+        return cls(colors, palette, stretched, nodata=layer.nodata)
 
-    def spanned(self, file: Any, layer: Layer, window: Window) -> Bands:
+    def spanned(self, file: Any, layer: Layer, window: ImageWindow) -> Bands:
         """With the span of the layer's range, or else of the values in a window."""
         if not self.stretched:
             return self
@@ -130,10 +130,10 @@ class Bands:
 
     def factors(self, file: Any) -> list[int]:
         """Pixels along the side of a texel of the file's overviews, finest first."""
-        return [int(f) for f in file.overviews(self.colours[0])]
+        return [int(f) for f in file.overviews(self.colors[0])]
 
 
-def read_into(out: Bytes, location: str, window: Window, bands: Bands) -> None:
+def read_into(out: Bytes, location: str, window: ImageWindow, bands: Bands) -> None:
     """Read a window into ``out`` (rows, cols, 4) of its shape: sRGB and opacity, means in linear light.
 
     Raises:
@@ -146,7 +146,7 @@ def read_into(out: Bytes, location: str, window: Window, bands: Bands) -> None:
             shrink(piece, step, *curves(), out[first:last])
 
 
-def pieces(location: str, window: Window, bands: Bands) -> Iterator[tuple[int, int, Bytes, int]]:
+def pieces(location: str, window: ImageWindow, bands: Bands) -> Iterator[tuple[int, int, Bytes, int]]:
     """A window's pixels, or those of the file's own means that take part of the way, in pieces of bounded size.
 
     Yields:
@@ -190,7 +190,7 @@ def unreadable(location: str, error: BaseException) -> ReadError:
     )
 
 
-def _around(window: Window, width: int) -> list[tuple[int, int]]:
+def _around(window: ImageWindow, width: int) -> list[tuple[int, int]]:
     """The columns of a window as runs within the file."""
     borders = range(math.floor(window.col0 / width) * width, window.col1, width)
     edges = pairwise([window.col0, *(k for k in borders if k > window.col0), window.col1])
@@ -202,7 +202,7 @@ Area = tuple[tuple[int, int], tuple[int, int]]
 
 
 def _options(area: Area, shape: tuple[int, ...]) -> dict[str, Any]:
-    from rasterio.windows import Window as Part
+    from rasterio.windows import ImageWindow as Part
 
     (a, b), (c, d) = area
     return {"window": Part(c, a, d - c, b - a), "out_shape": shape}
@@ -211,7 +211,7 @@ def _options(area: Area, shape: tuple[int, ...]) -> dict[str, Any]:
 def _pixels(file: Any, bands: Bands, area: Area, factor: int) -> Bytes:
     """An area of the file, or of its overview of ``factor``, as RGBA."""
     shape = tuple(-(-(b - a) // factor) for a, b in area)
-    values = file.read(list(bands.colours), **_options(area, (len(bands.colours), *shape)))
+    values = file.read(list(bands.colors), **_options(area, (len(bands.colors), *shape)))
     opacity = _mask(file, bands, values, area, shape)
     if bands.palette is not None:
         out: Bytes = bands.palette[values[0]]
@@ -247,13 +247,13 @@ def _mask(file: Any, bands: Bands, values: NDArray[Any], area: Area, shape: tupl
     if all("all_valid" in (flag.name for flag in flags) for flags in file.mask_flag_enums):
         return np.full(shape, 255, np.uint8)
     if bands.table is not None:  # one band of several: its own mask, not all of theirs
-        return np.asarray(file.read_masks(bands.colours[0], **_options(area, shape)))
+        return np.asarray(file.read_masks(bands.colors[0], **_options(area, shape)))
     return np.asarray(file.dataset_mask(**_options(area, shape)))
 
 
 def _probed(file: Any, bands: Bands, area: Area, shape: tuple[int, ...]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """Values (bands, rows, cols) of an area, picked to this shape, and which are valid in all bands."""
-    values = file.read(list(bands.colours), **_options(area, (len(bands.colours), *shape)))
+    values = file.read(list(bands.colors), **_options(area, (len(bands.colors), *shape)))
     return values, (_mask(file, bands, values, area, shape) > 127) & np.isfinite(values).all(0)
 
 
@@ -269,7 +269,7 @@ def _spots(file: Any, area: Area) -> Iterator[Area]:
             yield (row, row + SPOT), (col, col + SPOT)
 
 
-def _span(file: Any, bands: Bands, window: Window) -> tuple[float, float]:
+def _span(file: Any, bands: Bands, window: ImageWindow) -> tuple[float, float]:
     """The values that become black and white: percentiles over the window."""
     cols = (max(window.col0, 0), min(window.col1, file.width))
     area = ((window.row0, window.row1), cols if cols[0] < cols[1] else (0, file.width))
@@ -298,7 +298,7 @@ def step_for(rows: int, cols: int, budget: float, wanted: float) -> int:
 
 
 @kernel
-def shrink(fine: Bytes, step: int, decode: Colours, encode: Bytes, out: Bytes) -> None:
+def shrink(fine: Bytes, step: int, decode: Colors, encode: Bytes, out: Bytes) -> None:
     """Means of ``step`` × ``step`` pixels of linear light, weighted by opacity, as in ``mipmap``."""
     rows, cols = fine.shape[0], fine.shape[1]
     for i in range(out.shape[0]):

@@ -26,7 +26,7 @@ from orograph._numba import kernel
 from orograph.documents import number
 from orograph.errors import UsageError
 
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 Blend = Literal["normal", "multiply"]
 
@@ -85,10 +85,10 @@ class Layer:
                 remedy="Give a colormap, such as viridis, or leave them away.",
             )
         if self.colormap is not None:
-            from orograph.geovis.colour import colour_table
+            from orograph.geovis.color import color_table
 
             try:
-                colour_table(self.colormap, 2)
+                color_table(self.colormap, 2)
             except UsageError as error:
                 raise self._error(error.what, error.remedy) from error
 
@@ -227,7 +227,7 @@ def found_beside(layers: Iterable[Layer], folder: Path) -> tuple[Layer, ...]:
     )
 
 
-def nothing_over(n: int) -> Colours:
+def nothing_over(n: int) -> Colors:
     """What ``composite`` begins with: no layer at all over n places."""
     out = np.ones((n, 7), np.float32)
     out[:, :3] = 0
@@ -235,7 +235,7 @@ def nothing_over(n: int) -> Colours:
 
 
 @kernel
-def composite(image: Colours, opacity: float, multiply: bool, stack: Colours) -> None:
+def composite(image: Colors, opacity: float, multiply: bool, stack: Colors) -> None:
     """Lay an image's colours and opacities (n, 4) over what a stack of layers makes of the ground's own colours.
 
     That is linear in them: ``stack`` (n, 7) holds what is added (3), by what they are multiplied (3), and how much of

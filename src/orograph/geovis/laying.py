@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from orograph.dem.handles import HANDLES, locate
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
-from orograph.geovis.imagery import Bands, Window, unreadable
+from orograph.geovis.imagery import Bands, ImageWindow, unreadable
 from orograph.geovis.layers import Layer
 from orograph.geovis.placement import Lattice, Placement, extent, grid_of
 
@@ -40,7 +40,7 @@ class Laid:
     location: str
     placement: Placement
     lattice: Lattice
-    area: Window
+    area: ImageWindow
     bands: Bands
     overviews: tuple[int, ...]
     warnings: tuple[str, ...]
@@ -82,7 +82,7 @@ class Laid:
             raise unreadable(location, error) from None
         return cls(layer, location, placement, lattice, area, bands, overviews, tuple(warnings))
 
-    def aligned(self) -> tuple[Window, int]:
+    def aligned(self) -> tuple[ImageWindow, int]:
         """The area in whole texels of its coarsest level, and that level: all levels of means are then in register
         with the file's corner, as its overviews are, whoever holds them."""
         area, image = self.area, self.placement.image
@@ -90,7 +90,7 @@ class Laid:
         grain = 1 << top
         row0, col0 = area.row0 // grain * grain, area.col0 // grain * grain
         row1, col1 = min(-(-area.row1 // grain) * grain, image.rows), -(-area.col1 // grain) * grain
-        return Window(row0, row1, col0, col1 if self.cyclic else min(col1, image.cols)), top
+        return ImageWindow(row0, row1, col0, col1 if self.cyclic else min(col1, image.cols)), top
 
     @property
     def cyclic(self) -> bool:
@@ -107,7 +107,7 @@ def empty(path: str) -> ReadError:
     )
 
 
-def _window(placement: Placement, bounds: tuple[float, float, float, float]) -> Window | None:
+def _window(placement: Placement, bounds: tuple[float, float, float, float]) -> ImageWindow | None:
     """Pixels of the image around ``bounds`` with a margin for its means, None if there are none."""
     rows, cols = placement.image.shape
     u0, u1, v0, v1 = bounds
@@ -117,5 +117,5 @@ def _window(placement: Placement, bounds: tuple[float, float, float, float]) -> 
     row0, row1 = max(0, math.floor(v0 - margin)), min(rows, math.ceil(v1 + margin))
     col0, col1 = math.floor(u0 - margin), math.ceil(u1 + margin)
     if not placement.cyclic:
-        return Window(row0, row1, max(0, col0), min(cols, col1))
-    return Window(row0, row1, col0, min(col1, col0 + cols + 2 * math.ceil(margin)))
+        return ImageWindow(row0, row1, max(0, col0), min(cols, col1))
+    return ImageWindow(row0, row1, col0, min(col1, col0 + cols + 2 * math.ceil(margin)))

@@ -18,7 +18,7 @@ from orograph.parallel import map_ordered
 
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 Table = NDArray[np.int64]
 
 STRIP = 1 << 18
@@ -29,9 +29,9 @@ TAPS = 16
 
 
 @lru_cache(maxsize=1)
-def curves() -> tuple[Colours, Bytes]:
+def curves() -> tuple[Colors, Bytes]:
     """sRGB bytes → linear light (256 values), and linear light in 65535ths → the nearest sRGB byte."""
-    from orograph.geovis.colour import linear_to_srgb, srgb_to_linear
+    from orograph.geovis.color import linear_to_srgb, srgb_to_linear
 
     decode = np.ascontiguousarray(srgb_to_linear(np.arange(256, dtype=np.float32) / 255), np.float32)
     encode = np.round(linear_to_srgb(np.arange(65536, dtype=np.float32) / 65535) * 255).astype(np.uint8)
@@ -69,7 +69,7 @@ def fill(pool: Bytes, levels: Table, jobs: int | None = None) -> None:
 
 
 @kernel
-def halve(pool: Bytes, levels: Table, k: int, first: int, last: int, decode: Colours, encode: Bytes) -> None:
+def halve(pool: Bytes, levels: Table, k: int, first: int, last: int, decode: Colors, encode: Bytes) -> None:
     """Rows [first, last) of level k from level k − 1."""
     base, cols = levels[k, 0], levels[k, 2]
     below, rows_b, cols_b = levels[k - 1, 0], levels[k - 1, 1], levels[k - 1, 2]
@@ -101,7 +101,7 @@ def halve(pool: Bytes, levels: Table, k: int, first: int, last: int, decode: Col
 
 @inlined
 def _add(
-    pool: Bytes, levels: Table, decode: Colours, u: float, v: float, level: float, weight: float, sums: Floats
+    pool: Bytes, levels: Table, decode: Colors, u: float, v: float, level: float, weight: float, sums: Floats
 ) -> None:
     """Add the mean at a level, which may lie between two, to ``sums`` (red, green, blue, opacity), all of them
     multiplied by opacity (0 to 255) and ``weight``."""
@@ -144,7 +144,7 @@ def footprint(axes: Floats, floor: Floats, n: int, top: float) -> tuple[float, f
 
 
 @inlined
-def _give(sums: Floats, out: Colours, n: int) -> None:
+def _give(sums: Floats, out: Colors, n: int) -> None:
     """A mean of ``_add``: linear RGB, not multiplied by opacity, and opacity."""
     if sums[3] > 0.0:
         out[n, 0], out[n, 1], out[n, 2] = sums[0] / sums[3], sums[1] / sums[3], sums[2] / sums[3]
@@ -154,7 +154,7 @@ def _give(sums: Floats, out: Colours, n: int) -> None:
 
 
 @kernel
-def look_up(pool: Bytes, levels: Table, decode: Colours, u: Floats, v: Floats, width: Floats, out: Colours) -> None:
+def look_up(pool: Bytes, levels: Table, decode: Colors, u: Floats, v: Floats, width: Floats, out: Colors) -> None:
     """Means over ``width`` (n,) pixels around positions u, v (n,): texel (0, 0) has its centre at (0.5, 0.5).
 
     Bilinear within two levels and linear between them; out (n, 4): linear RGB and opacity. Beyond the picture its
@@ -173,13 +173,13 @@ def look_up(pool: Bytes, levels: Table, decode: Colours, u: Floats, v: Floats, w
 def look_along(
     pool: Bytes,
     levels: Table,
-    decode: Colours,
+    decode: Colors,
     u: Floats,
     v: Floats,
     axes: Floats,
     floor: Floats,
     inside: Floats,
-    out: Colours,
+    out: Colors,
 ) -> None:
     """Means over parallelograms around positions u, v (n,), as ``look_up`` has them over squares.
 

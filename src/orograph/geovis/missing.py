@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.raycast.stack import Window
+from orograph.raycast.stack import HeightWindow
 
 Heights = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -97,11 +97,11 @@ def _halved(a: NDArray[np.float32]) -> NDArray[np.float32]:
 class _Known:
     """What the window around says about the next finer one's edges."""
 
-    window: Window
+    window: HeightWindow
     outside: Flags
 
 
-def patches(windows: tuple[Window, ...], shape: tuple[int, int]) -> list[Window] | None:
+def patches(windows: tuple[HeightWindow, ...], shape: tuple[int, int]) -> list[HeightWindow] | None:
     """Windows like ``windows`` (outermost first) that hold only patches over holes and the samples of their rims.
 
     Args:
@@ -110,7 +110,7 @@ def patches(windows: tuple[Window, ...], shape: tuple[int, int]) -> list[Window]
     Returns:
         None if nothing is enclosed.
     """
-    found: list[Window] = []
+    found: list[HeightWindow] = []
     around: _Known | None = None
     some = False
     for w in windows:
@@ -141,11 +141,11 @@ def patches(windows: tuple[Window, ...], shape: tuple[int, int]) -> list[Window]
         patch = np.full(w.heights.shape, np.nan, np.float32)
         if holes.any():
             patch = np.where(rim, fill(w.heights, holes), patch)
-        found.append(Window(w.level, w.col0, w.row0, patch))
+        found.append(HeightWindow(w.level, w.col0, w.row0, patch))
     return found if some else None
 
 
-def _from_around(around: _Known, w: Window, edge: Any) -> Flags:
+def _from_around(around: _Known, w: HeightWindow, edge: Any) -> Flags:
     """Whether the samples on an edge of ``w`` lie outside, looked up in the window around it."""
     shape, coarse = w.heights.shape, around.outside.shape
     rows = np.broadcast_to(np.arange(shape[0])[:, None], shape)[edge] + w.row0

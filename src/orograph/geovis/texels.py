@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from orograph.geovis import coarse, mipmap
 from orograph.geovis.coarse import FINEST, CoarseLevels
-from orograph.geovis.imagery import Window, read_into
+from orograph.geovis.imagery import ImageWindow, read_into
 from orograph.geovis.laying import Laid, empty
 from orograph.progress import SILENT, Progress
 
@@ -80,7 +80,7 @@ class Texels:
                 top, left = w.row0 >> self.base, w.col0 >> self.base
                 finest[:] = self._made(self.kept, self.base, top, top + rows, left, left + cols, progress)
             else:
-                window = Window(w.row0, w.row1, w.col0, w.col1, 1 << self.base)
+                window = ImageWindow(w.row0, w.row1, w.col0, w.col1, 1 << self.base)
                 read_into(finest, self.laid.location, window, self.laid.bands)
             if not finest[..., 3].any():
                 raise empty(self.laid.layer.path)
@@ -105,7 +105,7 @@ class Texels:
             return self._made(self.kept, k, r0, r1, c0, c1)
         image = self.laid.placement.image
         last = c1 << k if self.laid.cyclic else min(c1 << k, image.cols)
-        window = Window(r0 << k, min(r1 << k, image.rows), c0 << k, last, 1 << k)
+        window = ImageWindow(r0 << k, min(r1 << k, image.rows), c0 << k, last, 1 << k)
         block = np.empty((*window.shape, 4), np.uint8)
         read_into(block, self.laid.location, window, self.laid.bands)
         return block
@@ -130,6 +130,6 @@ class Texels:
         return -float(w.row0), float(placement.image.rows - w.row0), *across
 
 
-def shape_at(window: Window, k: int) -> tuple[int, int]:
+def shape_at(window: ImageWindow, k: int) -> tuple[int, int]:
     """Rows and columns of texels of a level over a window of pixels."""
     return -(-(window.row1 - window.row0) >> k), -(-(window.col1 - window.col0) >> k)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
-from orograph.geovis.mipmap import Bytes, Colours, Floats, Table, _add, _give, footprint
+from orograph.geovis.mipmap import Bytes, Colors, Floats, Table, _add, _give, footprint
 
 Places = NDArray[np.int64]
 
@@ -105,7 +105,7 @@ def assign(keys: Places, found: Places, given: Places, slots: Places) -> None:
 
 
 @inlined
-def _add_tile(tiles: Bytes, slot: int, decode: Colours, x: float, y: float, weight: float, sums: Floats) -> None:
+def _add_tile(tiles: Bytes, slot: int, decode: Colors, x: float, y: float, weight: float, sums: Floats) -> None:
     """Add what a tile has at a texel position to ``sums``, as ``mipmap._add`` does."""
     j, i = np.int64(x), np.int64(y)
     fx, fy = x - j, y - i
@@ -121,8 +121,8 @@ def _add_tile(tiles: Bytes, slot: int, decode: Colours, x: float, y: float, weig
 
 @kernel
 def look(
-    tiles: Bytes, keys: Places, slots: Places, pool: Bytes, table: Table, levels: Table, base: int, decode: Colours,
-    u: Floats, v: Floats, axes: Floats, floor: Floats, inside: Floats, first: int, last: int, out: Colours,
+    tiles: Bytes, keys: Places, slots: Places, pool: Bytes, table: Table, levels: Table, base: int, decode: Colors,
+    u: Floats, v: Floats, axes: Floats, floor: Floats, inside: Floats, first: int, last: int, out: Colors,
 ) -> None:  # fmt: skip
     """Means over footprints [first, last), as ``mipmap.look_along``, out of tiles and of levels that are held.
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 
-class Aside:
+class BackgroundTask:
     """One thing made at a time in a thread, the newest wish next.
 
     Attributes:

@@ -20,7 +20,7 @@ from orograph.gpu.device import Device
 KEEP = "keep"
 """Of depth: it is looked at and stays as it is."""
 
-Colour = tuple[Any, tuple[float, float, float, float] | None]
+Color = tuple[Any, tuple[float, float, float, float] | None]
 """A texture's view, and what it is cleared with; None: what it holds is loaded."""
 
 
@@ -31,21 +31,21 @@ class Attachments:
         colours: the views. depth: a view and what it is cleared with, None (it is loaded), or ``KEEP``.
     """
 
-    def __init__(self, colours: Sequence[Colour], depth: tuple[Any, float | str | None] | None = None) -> None:
-        self._colours, self._depth = tuple(colours), depth
+    def __init__(self, colors: Sequence[Color], depth: tuple[Any, float | str | None] | None = None) -> None:
+        self._colors, self._depth = tuple(colors), depth
         self._native = _native()
-        self._described = None if self._native is None else self._native.described(self._colours, depth)
+        self._described = None if self._native is None else self._native.described(self._colors, depth)
 
     def begin(self, encoder: Any) -> Any:
         """Begin a pass of a command encoder of wgpu-py: a ``GPURenderPassEncoder``, or what does as it does."""
         if self._native is not None:
             return self._native.begin(encoder, self._described)
-        colours = [
+        colors = [
             {
                 "view": view, "clear_value": clear or (0, 0, 0, 0), "load_op": "load" if clear is None else "clear",
                 "store_op": "store",
             }
-            for view, clear in self._colours
+            for view, clear in self._colors
         ]  # fmt: skip
         depth: dict[str, Any] = {}
         if self._depth is not None:
@@ -56,7 +56,7 @@ class Attachments:
                     "view": view, "depth_load_op": "load" if clear is None else "clear",
                     "depth_clear_value": clear or 0.0, "depth_store_op": "store",
                 }  # fmt: skip
-        return encoder.begin_render_pass(color_attachments=colours, depth_stencil_attachment=depth or None)
+        return encoder.begin_render_pass(color_attachments=colors, depth_stencil_attachment=depth or None)
 
 
 def write(device: Device, buffer: Any, values: NDArray[Any] | bytes) -> None:
@@ -94,11 +94,11 @@ class _Native:
         self.begin: Callable[[Any, Any], Any] = begin
         self.write: Callable[[Any, Any, Any], None] = write
 
-    def described(self, colours: tuple[Colour, ...], depth: tuple[Any, float | str | None] | None) -> tuple[Any, ...]:
+    def described(self, colors: tuple[Color, ...], depth: tuple[Any, float | str | None] | None) -> tuple[Any, ...]:
         """The C structure of a pass, and what it points to."""
         ffi, lib = self._ffi, self._lib
-        targets = ffi.new("WGPURenderPassColorAttachment[]", len(colours))
-        for target, (view, clear) in zip(targets, colours, strict=True):
+        targets = ffi.new("WGPURenderPassColorAttachment[]", len(colors))
+        for target, (view, clear) in zip(targets, colors, strict=True):
             target.view = view._internal
             target.depthSlice = lib.WGPU_DEPTH_SLICE_UNDEFINED
             target.loadOp = lib.WGPULoadOp_Load if clear is None else lib.WGPULoadOp_Clear
@@ -106,7 +106,7 @@ class _Native:
             c = target.clearValue
             c.r, c.g, c.b, c.a = clear or (0.0, 0.0, 0.0, 0.0)
         whole = ffi.new("WGPURenderPassDescriptor *")
-        whole.colorAttachmentCount, whole.colorAttachments = len(colours), targets
+        whole.colorAttachmentCount, whole.colorAttachments = len(colors), targets
         behind = ffi.NULL
         if depth is not None:
             view, empty = depth
@@ -118,7 +118,7 @@ class _Native:
                 behind.depthStoreOp = lib.WGPUStoreOp_Store
                 behind.depthClearValue = empty or 0.0
         whole.depthStencilAttachment = behind
-        return whole, targets, behind, colours, depth
+        return whole, targets, behind, colors, depth
 
 
 def _pass_class(lib: Any, checked: Any, ffi: Any) -> type:
@@ -160,8 +160,8 @@ def _pass_class(lib: Any, checked: Any, ffi: Any) -> type:
         def set_scissor_rect(self, x: int, y: int, width: int, height: int) -> None:
             scissor(self._internal, x, y, width, height)
 
-        def set_blend_constant(self, colour: tuple[float, float, float, float]) -> None:
-            blend(self._internal, ffi.new("WGPUColor *", colour))
+        def set_blend_constant(self, color: tuple[float, float, float, float]) -> None:
+            blend(self._internal, ffi.new("WGPUColor *", color))
 
         def draw(self, vertices: int, instances: int = 1) -> None:
             draw(self._internal, vertices, instances, 0, 0)

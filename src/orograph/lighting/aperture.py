@@ -35,7 +35,7 @@ from orograph.lighting.sweep_lines import direction
 from orograph.parallel import map_ordered
 
 Array = NDArray[np.float64]
-Colour = tuple[float, float, float]
+Color = tuple[float, float, float]
 
 BANDS = ["east", "north", "up", "radius"]
 _SHARE = 1 << 14
@@ -53,11 +53,11 @@ class Lamp:
     col: float
     row: float
     height: float
-    colour: Colour = (1.0, 1.0, 1.0)
+    color: Color = (1.0, 1.0, 1.0)
 
     @classmethod
-    def at(cls, grid: Grid, x: float, y: float, height: float, reach: float, colour: Colour = (1.0, 1.0, 1.0)) -> Lamp:
-        """A lamp at a place of the grid's CRS that gives ``colour`` ((1, 1, 1) is about a sun at 45°) ``reach`` metres
+    def at(cls, grid: Grid, x: float, y: float, height: float, reach: float, color: Color = (1.0, 1.0, 1.0)) -> Lamp:
+        """A lamp at a place of the grid's CRS that gives ``color`` ((1, 1, 1) is about a sun at 45°) ``reach`` metres
         away, square to it; four times that at half the distance.
 
         Raises:
@@ -66,7 +66,7 @@ class Lamp:
         if not 0 < reach < math.inf:
             raise UsageError(f"A lamp's reach is a positive number of metres, not {reach:g}.")
         col, row = grid.index(x, y)
-        red, green, blue = (c * reach * reach for c in colour)
+        red, green, blue = (c * reach * reach for c in color)
         return cls(float(col), float(row), float(height), (red, green, blue))
 
 
@@ -80,18 +80,18 @@ class Lights:
         ambient: irradiance of level ground by the sky, if all of it is seen.
     """
 
-    suns: Sequence[tuple[Sun, Colour]] = ()
+    suns: Sequence[tuple[Sun, Color]] = ()
     lamps: Sequence[Lamp] = ()
-    ambient: Colour = (0.0, 0.0, 0.0)
+    ambient: Color = (0.0, 0.0, 0.0)
 
     def tables(self, linear: Array) -> tuple[Array, Array, Array]:
         """Suns (k, 10), lamps (m, 6) and ambient (3,), as ``aperture_kernels`` takes them."""
         suns, lamps = np.zeros((len(self.suns), 10)), np.zeros((len(self.lamps), 6))
-        for row, (sun, colour) in zip(suns, self.suns):
+        for row, (sun, color) in zip(suns, self.suns):
             radius = math.radians(sun.diameter / 2)
-            row[:] = *sun.direction, radius, math.cos(radius), math.sin(radius), cap_area(radius), *colour
+            row[:] = *sun.direction, radius, math.cos(radius), math.sin(radius), cap_area(radius), *color
         for row, lamp in zip(lamps, self.lamps):
-            row[:] = *(linear @ [lamp.col, lamp.row]), lamp.height, *lamp.colour
+            row[:] = *(linear @ [lamp.col, lamp.row]), lamp.height, *lamp.color
         return suns, lamps, np.array(self.ambient, np.float64)
 
 

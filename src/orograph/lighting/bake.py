@@ -32,7 +32,7 @@ from orograph.lighting.context import MEMORY, Context, Options, Values
 from orograph.lighting.gather import Window, readers
 from orograph.lighting.products import Product, product
 from orograph.lighting.raster import trim
-from orograph.lighting.raster_resume import Kept
+from orograph.lighting.raster_resume import Checkpoint
 from orograph.progress import SILENT, Progress
 from orograph.store.layers import GROUP, Bits, Codes, LayerBand, LayerRecord, layer_spec
 from orograph.store.layout import Record, metadata
@@ -198,13 +198,13 @@ def _record(of: Product, options: Options, bits: Bits | None, store: Record) -> 
     return LayerRecord(of.name, of.doc, bands, _SAID[how.averaging], made_with, store.source)
 
 
-def _kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overwrite: bool) -> Kept:
+def _kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overwrite: bool) -> Checkpoint:
     """The folder of the bake under way: that of the same bake, interrupted, or a new one."""
     plan = {layer.name: layer.to_json() for layer in made}
     if overwrite or _finished(storage, record):
         storage.remove(PARTIAL)
     try:
-        return Kept(storage.path / PARTIAL, plan)
+        return Checkpoint(storage.path / PARTIAL, plan)
     except OutputError as error:
         if storage.get(f"{PARTIAL}/plan.json") is None:
             raise

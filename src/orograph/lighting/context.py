@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
     from orograph.lighting.raster import Canvas
-    from orograph.lighting.raster_resume import Kept
+    from orograph.lighting.raster_resume import Checkpoint
     from orograph.lighting.sweep import Block
 
 Values = NDArray[np.float32]
@@ -134,7 +134,7 @@ class Context:
         jobs: int | None = None,
         max_memory: int = MEMORY,
         progress: Progress = SILENT,
-        kept: Kept | None = None,
+        kept: Checkpoint | None = None,
     ) -> None:
         self.kept = kept
         if jobs is not None and jobs < 1:

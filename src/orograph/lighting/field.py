@@ -19,7 +19,7 @@ from orograph.lighting.aperture_kernels import illuminate
 from orograph.lighting.relief import Tables, finest, slope_at, slope_inside
 from orograph.parallel import map_ordered
 from orograph.raycast.select import Rectangle
-from orograph.store.layers import Layer, LayerBand
+from orograph.store.layers import LayerBand, StoredLayer
 from orograph.store.terrain import Terrain
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ def _table(band: LayerBand, cosine: bool = False) -> Values:
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class LightField:
     """Values over nested windows.
 
     Attributes:
@@ -70,7 +70,9 @@ class Field:
     floats: Array
 
     @classmethod
-    def load(cls, layer: Layer, terrain: Terrain, rectangles: list[Rectangle], jobs: int | None = None) -> Field:
+    def load(
+        cls, layer: StoredLayer, terrain: Terrain, rectangles: list[Rectangle], jobs: int | None = None
+    ) -> LightField:
         """Read a layer of one band, or one of caps, over ``rectangles`` (outermost first; see ``raycast.select``)."""
         tables = Tables.over(terrain, rectangles)
         caps = len(layer.bands) == 4
@@ -97,7 +99,7 @@ class Field:
         return cls(pool, tables.ints, tables.floats)
 
     @classmethod
-    def of(cls, values: Values, level: int, row0: int, col0: int) -> Field:
+    def of(cls, values: Values, level: int, row0: int, col0: int) -> LightField:
         """One window: values (rows, cols) or (rows, cols, 4), samples of ``level``, the first (row0, col0)."""
         rows, cols = values.shape[:2]
         floats = np.array([[2.0**level, -np.inf, np.inf, -np.inf, np.inf, col0, row0, 0.0, 0.0]])

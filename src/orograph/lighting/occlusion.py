@@ -153,14 +153,14 @@ class Neighbourhood:
     def scene(self) -> tuple[Any, ...]:
         """The first arguments of the ray kernels: what the caster knows of these heights."""
         if self._scene is None:
-            from orograph.raycast.stack import Stack, Window
+            from orograph.raycast.stack import HeightWindow, Stack
 
             heights = self.heights
             short = [max(2 - n, 0) for n in heights.shape]
             if any(short):  # a caster needs a cell; beside a single row or column there is nothing
                 heights = np.pad(heights, [(0, n) for n in short], constant_values=np.nan)
             shape = (self.row0 + heights.shape[0], self.col0 + heights.shape[1])
-            s = Stack.build([Window(0, self.col0, self.row0, heights)], shape, 1)
+            s = Stack.build([HeightWindow(0, self.col0, self.row0, heights)], shape, 1)
             self._scene = s.scene, s.ints, s.floats, s.low, s.high
         return self._scene
 

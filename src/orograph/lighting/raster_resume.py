@@ -41,7 +41,7 @@ def identity(terrain: Terrain) -> str:
     return digest.hexdigest()[:32]
 
 
-class Kept:
+class Checkpoint:
     """What has been done of a map.
 
     Args:

@@ -39,15 +39,15 @@ def air_mass(altitude: float) -> float:
     return 1.0 / (math.sin(math.radians(h)) + 0.50572 * math.pow(h + 6.07995, -1.6364))
 
 
-def sun_colour(altitude: float) -> Array:
+def sun_color(altitude: float) -> Array:
     """Colour (3,) of direct sunlight, green held at 1 down to low suns: an eye or a camera adapts to its strength."""
-    colour = np.exp(-ZENITH_DEPTH * (air_mass(altitude) - air_mass(45.0)))
-    strength = colour[1]
+    color = np.exp(-ZENITH_DEPTH * (air_mass(altitude) - air_mass(45.0)))
+    strength = color[1]
     night = min(max((altitude + 0.27) / 0.54, 0.0), 1.0)  # the disc sinks
-    return np.asarray(np.array([1.02, 1.0, 0.95]) * (colour / strength) ** 0.7 * strength**0.25 * night)
+    return np.asarray(np.array([1.02, 1.0, 0.95]) * (color / strength) ** 0.7 * strength**0.25 * night)
 
 
-def sky_colour(altitude: float) -> Array:
+def sky_color(altitude: float) -> Array:
     """Colour (3,) of the light of a clear sky on level ground, the sun ``altitude`` degrees high."""
     high = min(max((altitude + 6.0) / 51.0, 0.0), 1.0)
     blue, dusk = np.array([0.86, 0.97, 1.20]), np.array([0.80, 0.90, 1.25])

@@ -20,7 +20,7 @@ from orograph.measuring.viewshed import Viewshed
 from orograph.output import Beside, check_folder
 
 Values = NDArray[np.float32]
-Colour = tuple[int, int, int, int]
+Color = tuple[int, int, int, int]
 
 SEEN, HIDDEN = (255, 176, 0, 165), (38, 44, 74, 120)
 """Red, green, blue and opacity: seen ground is as if lit, hidden ground as if in the dark."""
@@ -30,7 +30,7 @@ MOST = 36_000_000
 
 def save_paint(
     shed: Viewshed, blocks: Iterable[tuple[int, int, Values]], path: str | os.PathLike[str],
-    seen: Colour = SEEN, hidden: Colour = HIDDEN,
+    seen: Color = SEEN, hidden: Color = HIDDEN,
 ) -> None:  # fmt: skip
     """Write a GeoTIFF of red, green, blue, opacity.
 

@@ -68,14 +68,14 @@ def save_sight(sight: Sight, path: str | os.PathLike[str], title: str | None = N
     if hidden.any():
         floor = axes.get_ylim()[0]
         axes.fill_between(s, floor, profile.heights, where=hidden, color=_DARK, linewidth=0, zorder=2)
-    colour = _RAY if sight.visible else _MARK
+    color = _RAY if sight.visible else _MARK
     stop = len(s)
     mark = sight.obstruction
     if mark is not None:
         stop = int(np.searchsorted(profile.distance, mark.distance))
         axes.plot(s[stop - 1 :], sight.line[stop - 1 :], color=_MARK, linewidth=0.9, linestyle=(0, (4, 3)), zorder=4)
     axes.plot(s[:stop], sight.line[:stop], color=_RAY, linewidth=1.2, zorder=5)
-    axes.plot(s[[0, -1]], sight.line[[0, -1]], "o", color=colour, markersize=4, zorder=6, clip_on=False)
+    axes.plot(s[[0, -1]], sight.line[[0, -1]], "o", color=color, markersize=4, zorder=6, clip_on=False)
     if mark is not None:
         axes.plot([mark.distance / scale], [mark.height], "o", color=_MARK, markersize=6, markerfacecolor="white",
                   markeredgewidth=1.6, zorder=7)  # fmt: skip

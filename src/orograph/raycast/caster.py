@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.parallel import cpu_count, map_ordered
-from orograph.raycast.stack import Stack, Window
+from orograph.raycast.stack import HeightWindow, Stack
 
 Array = NDArray[np.float64]
 
@@ -27,14 +27,14 @@ class Caster:
         jobs: threads; results do not depend on it.
     """
 
-    def __init__(self, windows: list[Window], shape: tuple[int, int], jobs: int | None = None) -> None:
+    def __init__(self, windows: list[HeightWindow], shape: tuple[int, int], jobs: int | None = None) -> None:
         self.jobs = jobs or cpu_count()
         self.stack = Stack.build(windows, shape, self.jobs)
 
     @classmethod
     def of(cls, heights: NDArray[np.float32], jobs: int | None = None) -> Caster:
         """The exact surface of heights (rows, cols) float32, NaN where missing."""
-        return cls([Window(0, 0, 0, heights)], heights.shape, jobs)
+        return cls([HeightWindow(0, 0, 0, heights)], heights.shape, jobs)
 
     def _scene(self) -> tuple[NDArray[Any], ...]:
         s = self.stack

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.parallel import map_ordered
-from orograph.raycast.stack import Window
+from orograph.raycast.stack import HeightWindow
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
 
@@ -176,10 +176,10 @@ def _without_hidden(found: list[Rectangle], terrain: Terrain) -> list[Rectangle]
     return kept
 
 
-def load(terrain: Terrain, found: list[Rectangle], jobs: int | None = None) -> list[Window]:
+def load(terrain: Terrain, found: list[Rectangle], jobs: int | None = None) -> list[HeightWindow]:
     """Read nested heights for the caster."""
     return [
-        Window(r.level, r.col0, r.row0, h)
+        HeightWindow(r.level, r.col0, r.row0, h)
         for r, h in zip(
             found, map_ordered(lambda r: terrain.read(r.level, r.row0, r.row1, r.col0, r.col1), found, jobs)
         )

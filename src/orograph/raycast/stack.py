@@ -14,7 +14,7 @@ MARGIN = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class HeightWindow:
     """A rectangle of samples of one nested level.
 
     Attributes:
@@ -45,7 +45,7 @@ class Stack:
         low, high: the slab that holds every height, metres.
     """
 
-    windows: tuple[Window, ...]
+    windows: tuple[HeightWindow, ...]
     pool: NDArray[np.float32]
     maxima: NDArray[np.float32]
     minima: NDArray[np.float32]
@@ -61,7 +61,7 @@ class Stack:
         return self.pool, self.maxima, self.minima, self.mips
 
     @classmethod
-    def build(cls, windows: list[Window], shape: tuple[int, int], jobs: int | None = None) -> Stack:
+    def build(cls, windows: list[HeightWindow], shape: tuple[int, int], jobs: int | None = None) -> Stack:
         """Flatten ``windows``; ``shape`` is the terrain's (rows, cols) at full resolution: nothing is hit beyond it."""
         pyramids: list[Mips] = [build_mips(w.heights, jobs) for w in windows]
         ints = np.zeros((len(windows), 6), np.int64)
@@ -85,7 +85,7 @@ class Stack:
         pool = _joined([w.heights for w in windows])
         # The windows become views of the pool, so that heights are held once.
         views = [
-            Window(w.level, w.col0, w.row0, pool[n[0] : n[0] + w.heights.size].reshape(w.heights.shape))
+            HeightWindow(w.level, w.col0, w.row0, pool[n[0] : n[0] + w.heights.size].reshape(w.heights.shape))
             for w, n in zip(windows, ints)
         ]
         return cls(

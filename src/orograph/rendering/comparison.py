@@ -144,9 +144,9 @@ def sheet(
         y = round(top + (k // across) * (caption + view.height + 1.3 * GAP))
         set_type(page, (x, y + 20), style.text(panel.title), name, INK, "ls")
         for i, line in enumerate(panel.lines):
-            colour = ALARM if panel.alarm and i == len(panel.lines) - 1 else GREY
+            color = ALARM if panel.alarm and i == len(panel.lines) - 1 else GREY
             words = cut(style.text(line), small, view.width, style)
-            set_type(page, (x, y + 20 + lead * (i + 1)), words, small, colour, "ls")
+            set_type(page, (x, y + 20 + lead * (i + 1)), words, small, color, "ls")
         picture = Image.fromarray(_picture(terrain, view, panel.mesh, exaggeration, jobs))
         page.paste(HAIR, (x - 1, y + caption - 1, x + view.width + 1, y + caption + view.height + 1))
         page.paste(picture, (x, y + caption))

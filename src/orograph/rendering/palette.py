@@ -10,13 +10,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.colour import srgb_to_linear
-from orograph.lighting.shade import sky_colour, sun_colour
+from orograph.geovis.color import srgb_to_linear
+from orograph.lighting.shade import sky_color, sun_color
 from orograph.lighting.sun import Sun
 from orograph.scene.contours import Contours
 
 Array = NDArray[np.float64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 PAPER = srgb_to_linear(np.array([0.965, 0.958, 0.937], np.float32))
 MISSING = srgb_to_linear(np.array([[0.83, 0.845, 0.87], [0.50, 0.52, 0.56]], np.float32))
@@ -37,7 +37,7 @@ BOUNCE = 0.10
 """The part of all light that ground which does not see the sky gets from lit ground instead."""
 
 
-def illumination(sun: Sun) -> tuple[Array, Colours, Colours]:
+def illumination(sun: Sun) -> tuple[Array, Colors, Colors]:
     """The unit vector (3,) towards the sun (east, north, up), the colours (3,) of its light and of the sky's.
 
     Exposure is set for level ground under a sun at 45°, which shows its own colour there, and opens for lower ones, by
@@ -45,19 +45,19 @@ def illumination(sun: Sun) -> tuple[Array, Colours, Colours]:
     """
     a, h = math.radians(sun.azimuth), math.radians(sun.altitude)
     to_sun = np.array([math.sin(a) * math.cos(h), math.cos(a) * math.cos(h), math.sin(h)])
-    direct, sky = sun_colour(sun.altitude), sky_colour(sun.altitude)
+    direct, sky = sun_color(sun.altitude), sky_color(sun.altitude)
     high = math.sin(math.radians(45))
-    white = (1 - AMBIENT) * sun_colour(45.0) + AMBIENT * sky_colour(45.0)
+    white = (1 - AMBIENT) * sun_color(45.0) + AMBIENT * sky_color(45.0)
     opened = (1 - AMBIENT) / high * (high / max(to_sun[2], 0.03)) ** 0.55
     return to_sun, (opened * direct / white).astype(np.float32), (AMBIENT * sky / white).astype(np.float32)
 
 
-def hatching(px: Array, py: Array) -> Colours:
+def hatching(px: Array, py: Array) -> Colors:
     """Linear colours (n, 3) over missing data at pixel positions: lines at 45°, the cartographer's sign for what is not
     known."""
     return MISSING[((px + py) % HATCH < LINE).astype(np.intp)]
 
 
-def ink(contours: Contours) -> Colours:
+def ink(contours: Contours) -> Colors:
     """The lines' colour (3,), linear light."""
-    return np.asarray(srgb_to_linear(np.array(contours.colour, np.float32)), np.float32)
+    return np.asarray(srgb_to_linear(np.array(contours.color, np.float32)), np.float32)

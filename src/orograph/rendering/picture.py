@@ -14,7 +14,7 @@ from pyproj import CRS
 
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
-from orograph.geovis.colour import Tint
+from orograph.geovis.color import Tint
 from orograph.output import Beside
 from orograph.viewpoint import View
 

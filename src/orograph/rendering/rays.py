@@ -45,7 +45,7 @@ class Hits:
     rays: Array
     width: Array
     window: NDArray[np.int8]
-    veil: Array
+    void_fill: Array
 
 
 class Rays:
@@ -82,9 +82,9 @@ class Rays:
     def _veil(self, t: Array, patch_depth: Callable[[], Array]) -> Array:
         if self.patches is None:
             return np.full(t.shape, np.nan)
-        veil = patch_depth()
-        veil[t <= veil] = np.nan  # false where nothing else was met
-        return veil
+        void_fill = patch_depth()
+        void_fill[t <= void_fill] = np.nan  # false where nothing else was met
+        return void_fill
 
     def _pixels(self, caster: Caster | None, area: Area) -> tuple[Array, NDArray[np.int8]]:
         assert caster is not None
@@ -116,7 +116,7 @@ class Rays:
         beginnings(px, py, *self.basis, self.linear, self.offset, origins, directions)
         return caster.cast(origins, directions, self.view.near, self.far)
 
-    def meet(self, px: Array, py: Array, t: Array, window: NDArray[np.int8], veil: Array) -> Hits:
+    def meet(self, px: Array, py: Array, t: Array, window: NDArray[np.int8], void_fill: Array) -> Hits:
         """Positions of the samples at pixel positions (n,) with depths t (n,)."""
         view = self.view
         parallel = view.projection == "plan"
@@ -125,4 +125,4 @@ class Rays:
             px, py, t, *self.basis, self.linear, self.offset, self.scene.exaggeration,
             view.pixel_metres if parallel else view.pixel_slope, parallel, self.spacing, points, rays, width,
         )  # fmt: skip
-        return Hits(t, points, rays, width, window, veil)
+        return Hits(t, points, rays, width, window, void_fill)

@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.scattering import (
     AZIMUTHS,
     ELEVATIONS,
@@ -32,7 +32,7 @@ from orograph.rendering.scattering import (
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 BRIGHTNESS = 0.46
 """Mean luminance of the upper half of the sky, weighted by the cosine from the zenith, before the tone curve."""
@@ -71,21 +71,21 @@ class Atmosphere:
         near: depth where the air begins, metres.
     """
 
-    def __init__(self, scene: Scene, visible_range: tuple[float, float], kept: Kept | None = None) -> None:
+    def __init__(self, scene: Scene, visible_range: tuple[float, float], memo: Memo | None = None) -> None:
         """
         Args:
             scene: only its sun is used.
             visible_range: view-space depths of the nearest and the farthest ground in view, metres.
             kept: what earlier pictures left.
         """
-        kept = Kept() if kept is None else kept
+        memo = Memo() if memo is None else memo
         azimuth, altitude = math.radians(scene.sun.azimuth), math.radians(scene.sun.altitude)
         self._radius = math.radians(scene.sun.diameter) / 2
         self.side = np.array([math.sin(azimuth), math.cos(azimuth)], np.float32)
         self._sun = np.array(
             [*(self.side * math.cos(altitude)), math.sin(altitude)], np.float32
         )  # fmt: skip
-        air, haze = kept("air", altitude, lambda: tuple(_greyed(part) for part in sky_table(altitude)))
+        air, haze = memo("air", altitude, lambda: tuple(_greyed(part) for part in sky_table(altitude)))
         exposure = adapted(scene.sun.altitude) / _mean(air, haze, altitude)
         self.table = np.concatenate([air, haze], 2).astype(np.float32) * np.float32(exposure)
         through = np.exp(-optical_depth(OBSERVER, max(math.sin(altitude), 0.0)))
@@ -105,7 +105,7 @@ class Atmosphere:
         self.extinction = (per_metre * (WAVELENGTHS / WAVELENGTHS[1]) ** -ANGSTROM).astype(np.float32)
         """Extinction coefficients of red, green and blue, per metre."""
 
-    def sky(self, directions: Array) -> Colours:
+    def sky(self, directions: Array) -> Colors:
         """Linear colours (n, 3) of the background in unit directions (n, 3): x east, y north, z up."""
         if len(directions) > BLOCK:
             parts = range(0, len(directions), BLOCK)
@@ -118,23 +118,23 @@ class Atmosphere:
             out += (self.mist - out) * -np.expm1(down * np.float32(FADE))[:, None]
         return out
 
-    def horizon(self, directions: NDArray[np.floating]) -> Colours:
+    def horizon(self, directions: NDArray[np.floating]) -> Colors:
         """Linear colours (n, 3) of the sky at the horizon under or above directions (n, 3)."""
         d = np.asarray(directions, np.float32)
         t = self._around(d) * np.float32(256)
         k = np.minimum(t.astype(np.int32), 255)
         low = self.ring.take(k, 0)
-        out: Colours = low + (self.ring.take(k + 1, 0) - low) * (t - k)[:, None]
+        out: Colors = low + (self.ring.take(k + 1, 0) - low) * (t - k)[:, None]
         return out
 
-    def haze(self, colour: Colours, directions: Array, depth: NDArray[np.floating]) -> Colours:
+    def haze(self, color: Colors, directions: Array, depth: NDArray[np.floating]) -> Colors:
         """What is left of linear colours (n, 3) of ground at ``depth`` (n,) metres, and the air's light before it."""
-        if len(colour) == 0 or not self.extinction.any():
-            return np.asarray(colour, np.float32)
+        if len(color) == 0 or not self.extinction.any():
+            return np.asarray(color, np.float32)
         path = np.maximum(depth - self.near, 0.0).astype(np.float32)
         left = np.exp(path[:, None] * -self.extinction)
         air = self.horizon(directions)
-        out: Colours = air + (colour - air) * left
+        out: Colors = air + (color - air) * left
         return out
 
     def _around(self, d: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -144,7 +144,7 @@ class Atmosphere:
         half: NDArray[np.float32] = np.sqrt(np.clip(np.float32(0.5) - np.float32(0.5) * cosine, 0.0, 1.0))
         return half
 
-    def _above(self, d: NDArray[np.float32], disc: bool = False) -> Colours:
+    def _above(self, d: NDArray[np.float32], disc: bool = False) -> Colors:
         """Radiance of the sky in directions at or above the horizon, before the tone curve."""
         z = np.clip(d[:, 2], 0.0, 1.0)
         both = grid_lookup(
@@ -152,7 +152,7 @@ class Atmosphere:
         )
         # Not by a product of matrices: its last digit depends on where in the array a direction stands.
         cosine = d[:, 0] * self._sun[0] + d[:, 1] * self._sun[1] + d[:, 2] * self._sun[2]
-        out: Colours = both[:, 3:] * mie_phase(cosine)[:, None]
+        out: Colors = both[:, 3:] * mie_phase(cosine)[:, None]
         out += both[:, :3]
         if disc and self._radius > 0 and self._sun[2] > -self._radius:
             close = np.flatnonzero((d[:, 2] >= 0) & (cosine > math.cos(2 * self._radius + 1e-3)))
@@ -165,7 +165,7 @@ class Atmosphere:
         return out
 
 
-def dithered(colours: Colours, px: Array, py: Array) -> Colours:
+def dithered(colors: Colors, px: Array, py: Array) -> Colors:
     """Linear colours (n, 3) at pixel positions (n,), moved by up to half a step of what a byte of sRGB can tell: a sky
     and ground whose colour changes by less than a step over many pixels have no bands then (ordered dither, Bayer 1973,
     8 × 8)."""
@@ -175,8 +175,8 @@ def dithered(colours: Colours, px: Array, py: Array) -> Colours:
         u, v = (x >> k) & 1, (y >> k) & 1
         rank |= ((u ^ v) << (5 - 2 * k)) | (v << (4 - 2 * k))
     aside = ((rank + 0.5) / 64 - 0.5).astype(np.float32)
-    step = np.float32(2.4 / 1.055 / 255) * np.maximum(colours, np.float32(1e-3)) ** np.float32(1.4 / 2.4)
-    return np.asarray(colours + aside[:, None] * step, np.float32)
+    step = np.float32(2.4 / 1.055 / 255) * np.maximum(colors, np.float32(1e-3)) ** np.float32(1.4 / 2.4)
+    return np.asarray(colors + aside[:, None] * step, np.float32)
 
 
 def adapted(altitude: float) -> float:
@@ -204,7 +204,7 @@ def _greyed(light: Array) -> Array:
     return np.asarray(light + CROSSTALK * (light.mean(-1, keepdims=True) - light))
 
 
-def _tone(radiance: Colours) -> Colours:
+def _tone(radiance: Colors) -> Colors:
     """Radiance → display-linear light in [0, 1): 1 − e^{−x}, in place."""
     np.negative(radiance, out=radiance)
     np.expm1(radiance, out=radiance)

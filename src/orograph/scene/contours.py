@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orograph.errors import UsageError
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
@@ -64,7 +64,7 @@ class Contours:
     index: int = 5
     width: float = 1.0
     opacity: float = 0.7
-    colour: tuple[float, float, float] = (0.38, 0.30, 0.22)
+    color: tuple[float, float, float] = (0.38, 0.30, 0.22)
     labels: bool = True
     type_size: float = 12.0
     fading: bool = False
@@ -78,24 +78,24 @@ class Contours:
             raise UsageError("The width of contour lines and the size of their labels are pixels, more than 0.")
         if not 0 <= self.opacity <= 1:
             raise UsageError(f"The opacity of contour lines is from 0 to 1, not {self.opacity:g}.")
-        if len(self.colour) != 3 or not all(0 <= c <= 1 for c in self.colour):
-            raise UsageError(f"The colour of contour lines is three numbers from 0 to 1, not {self.colour}.")
+        if len(self.color) != 3 or not all(0 <= c <= 1 for c in self.color):
+            raise UsageError(f"The colour of contour lines is three numbers from 0 to 1, not {self.color}.")
 
-    def fitted(self, terrain: Terrain, view: View, kept: Kept) -> Contours:
+    def fitted(self, terrain: Terrain, view: View, memo: Memo) -> Contours:
         """These lines for one picture: with an interval, and sizes for its number of pixels."""
         _, _, width, height = view.frame
         large = max(1.0, min(width, height) / USUAL)
-        interval = self.interval or suitable(kept("steepness", (), lambda: steepness(terrain), terrain), view)
+        interval = self.interval or suitable(memo("steepness", (), lambda: steepness(terrain), terrain), view)
         return replace(self, interval=interval, width=self.width * large, type_size=self.type_size * large)
 
-    def finer(self, terrain: Terrain, view: View, kept: Kept) -> float:
+    def finer(self, terrain: Terrain, view: View, memo: Memo) -> float:
         """What part of a tolerance the ground may be displaced by, so that lines stay where they belong.
 
         A height that is off by e moves a line by e / slope over the ground, and on the screen by that times the sine of
         the angle at which it is seen; the height itself shows by its cosine. Slopes of ``GENTLE`` of the steep ones
         are held to it.
         """
-        slope = GENTLE * kept("steepness", (), lambda: steepness(terrain), terrain)
+        slope = GENTLE * memo("steepness", (), lambda: steepness(terrain), terrain)
         if view.projection == "plan":
             return float(min(max(slope, LEAST), 1.0))
         down = math.atan2(view.eye[2] - view.target[2], math.dist(view.eye[:2], view.target[:2]))

@@ -24,7 +24,7 @@ NEEDLE = 100.0
 LEAVE_CAMERA = "Leave the camera options away to see all of it."
 
 
-def doubts(scene: Scene) -> list[str]:
+def diagnose(scene: Scene) -> list[str]:
     """What the user of a scene should know before looking at it."""
     return [text for text in (_eye(scene), _sun(scene)) if text is not None]
 

@@ -47,7 +47,7 @@ class Scene:
         rays: of "raytraced", to each disc and to the sky. ``lamps``: points of light, ``discs``: more suns with their
             colours ((1, 1, 1) being about that of the sun at 45°); both with "aperture" and "raytraced".
         exaggeration: heights are stretched by this on the screen (never in what is measured).
-        colormap: a ``cmap`` name or one of ``geovis.colour``'s own; None: the hypsometric tint.
+        colormap: a ``cmap`` name or one of ``geovis.color``'s own; None: the hypsometric tint.
         layers: images and rasters laid over the ground, bottom to top.
         sky: draw sky and haze; else the background is paper.
         water: "auto" finds seas and lakes by their flatness, None draws none, a number is a water level in metres.

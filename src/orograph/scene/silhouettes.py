@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.geovis.colour import srgb_to_linear
+from orograph.geovis.color import srgb_to_linear
 from orograph.viewpoint import View
 
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 USUAL = 1100
 """Pixels of a picture's shorter side beyond which lines are wider: such pictures are for print."""
@@ -36,7 +36,7 @@ class Silhouettes:
 
     width: float = 2.0
     opacity: float = 0.8
-    colour: tuple[float, float, float] = (0.20, 0.18, 0.20)
+    color: tuple[float, float, float] = (0.20, 0.18, 0.20)
     creases: float = 0.6
 
     def __post_init__(self) -> None:
@@ -46,8 +46,8 @@ class Silhouettes:
             raise UsageError(f"The opacity of silhouettes is from 0 to 1, not {self.opacity:g}.")
         if not 0 <= self.creases <= 1:
             raise UsageError(f"Creases are a part of silhouettes from 0 to 1, not {self.creases:g}.")
-        if len(self.colour) != 3 or not all(0 <= c <= 1 for c in self.colour):
-            raise UsageError(f"The colour of silhouettes is three numbers from 0 to 1, not {self.colour}.")
+        if len(self.color) != 3 or not all(0 <= c <= 1 for c in self.color):
+            raise UsageError(f"The colour of silhouettes is three numbers from 0 to 1, not {self.color}.")
 
     def fitted(self, view: View) -> Silhouettes:
         """These lines for one picture: with a width for its number of pixels."""
@@ -55,9 +55,9 @@ class Silhouettes:
         return replace(self, width=min(self.width * max(1.0, min(width, height) / USUAL), 32.0))
 
     @property
-    def ink(self) -> Colours:
+    def ink(self) -> Colors:
         """The colour (3,), linear light."""
-        return np.asarray(srgb_to_linear(np.array(self.colour, np.float32)), np.float32)
+        return np.asarray(srgb_to_linear(np.array(self.color, np.float32)), np.float32)
 
     @property
     def reach(self) -> int:

@@ -122,7 +122,7 @@ def layer_spec(shape: Shape, name: str, level: int, band: LayerBand, shard: int,
     )  # fmt: skip
 
 
-class Layer:
+class StoredLayer:
     """A layer of a terrain, opened for reading from any number of threads; ask a terrain for it (``Terrain.layer``).
 
     Attributes:

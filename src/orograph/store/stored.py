@@ -16,7 +16,7 @@ from orograph.errors import DamagedChunkError, StoreError, UsageError
 from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.diamonds import place
-from orograph.store.layers import Layer, LayerBand, LayerRecord, layer_spec
+from orograph.store.layers import LayerBand, LayerRecord, StoredLayer, layer_spec
 from orograph.store.layout import (
     PLAN,
     ROOT,
@@ -182,7 +182,7 @@ class StoredTerrain(Terrain):
     def layers(self) -> tuple[str, ...]:
         return tuple(self.record.layers)
 
-    def layer(self, name: str, **options: Any) -> Layer:
+    def layer(self, name: str, **options: Any) -> StoredLayer:
         record = self.record.layers.get(name)
         if record is None:
             return super().layer(name)
@@ -198,7 +198,7 @@ class StoredTerrain(Terrain):
                     path=self.url,
                     remedy=again,
                 )
-        return Layer(record, self.grid.shape, lambda band, level: self._coded(record, band, level))
+        return StoredLayer(record, self.grid.shape, lambda band, level: self._coded(record, band, level))
 
     def _coded(self, record: LayerRecord, band: LayerBand, level: int) -> ShardedArray:
         key = f"{record.name}/{band.name}", level

@@ -25,7 +25,7 @@ from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
 
 if TYPE_CHECKING:
-    from orograph.store.layers import Layer
+    from orograph.store.layers import StoredLayer
 
 TILE = 256
 """Cells along the side of a tile, at every level."""
@@ -197,7 +197,7 @@ class Terrain(ABC):
         """The names of the layers it has (``layer``)."""
         return ()
 
-    def layer(self, name: str, **options: Any) -> Layer:
+    def layer(self, name: str, **options: Any) -> StoredLayer:
         """A raster that rides on the terrain at every level, such as baked light (``orograph bake``).
 
         Args:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
 from orograph.rendering.cpu.ground import Ground
 from orograph.rendering.cpu.mapgrid import strength_of, working_window
@@ -149,15 +149,15 @@ class Grading:
         count = max(1, math.ceil(tour.duration / GRADED))
         times = np.unique([*np.linspace(0.0, tour.duration, count + 1), *tour.times])
         found: list[tuple[float, float, float, float]] = []
-        kept = Kept()
+        memo = Memo()
         with progress.task("Looking along the way", total=len(times)) as task:
             for time in times:
                 small = _preview(scene(float(time)))
-                ground = Ground.load(small, None, kept)
+                ground = Ground.load(small, None, memo)
                 survey = Survey.of(ground.rays)
                 if survey is not None:
                     window = working_window(small.terrain, survey.hits.points)
-                    strength = kept(
+                    strength = memo(
                         "strength", (window, small.exaggeration), partial(strength_of, small, window), small.terrain
                     )
                     found.append((float(time), strength, *survey.range))

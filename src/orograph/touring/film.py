@@ -16,7 +16,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from orograph.errors import UsageError
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
 from orograph.rendering.picture import Picture
@@ -119,10 +119,10 @@ class Film:
     def _lines(self, contours: Contours) -> Contours:
         """Contour lines for a film: one interval for all of it (the median of what suits along the way), labels that
         come and go by degrees."""
-        kept = Kept()
+        memo = Memo()
         times = [self.tour.duration * k / (WAYPOINTS - 1) for k in range(WAYPOINTS)]
         suits = sorted(
-            contours.fitted(self.base.terrain, self.course.at(t), kept).interval or 1.0 for t in times
+            contours.fitted(self.base.terrain, self.course.at(t), memo).interval or 1.0 for t in times
         )  # fmt: skip
         return replace(contours, interval=suits[WAYPOINTS // 2], fading=True)
 

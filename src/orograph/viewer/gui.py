@@ -237,7 +237,7 @@ def _style() -> None:
     style.item_spacing = (8.0, 6.0)
     style.window_padding = (10.0, 8.0)
     c = imgui.Col_
-    for which, colour in (
+    for which, color in (
         (c.window_bg, PAPER), (c.popup_bg, (0.08, 0.09, 0.10, 1)), (c.text, INK), (c.title_bg, (0.08, 0.09, 0.10, 1)),
         (c.title_bg_active, (0.13, 0.15, 0.18, 1)), (c.border, (0.62, 0.70, 0.80, 0.38)),
         (c.border_shadow, (0, 0, 0, 0)), (c.text_disabled, (0.62, 0.65, 0.69, 1)), (c.separator, (0.3, 0.33, 0.37, 1)),
@@ -247,4 +247,4 @@ def _style() -> None:
         (c.button_active, ACCENT), (c.header, (0.20, 0.25, 0.31, 1)), (c.header_hovered, (0.26, 0.36, 0.46, 1)),
         (c.tab, (0.12, 0.14, 0.16, 1)), (c.tab_selected, (0.20, 0.25, 0.31, 1)), (c.tab_hovered, (0.26, 0.36, 0.46, 1)),
     ):  # fmt: skip
-        style.set_color_(which, colour)
+        style.set_color_(which, color)

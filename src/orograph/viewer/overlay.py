@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from imgui_bundle import imgui
 
-from orograph.geovis.colour import linear_to_srgb, tint_of
+from orograph.geovis.color import linear_to_srgb, tint_of
 from orograph.rendering.furniture.legend import north_on_screen, stretch
 from orograph.rendering.furniture.pieces import bar_length, number, ticks
 from orograph.viewer.keys import HELD, MOUSE, help_rows
@@ -31,14 +31,14 @@ FOOT, NARROW, HIGH_FOOT = 34.0, 850.0, 120.0
 what they take there."""
 
 
-def colour(r: float, g: float, b: float, a: float = 1.0) -> int:
+def color(r: float, g: float, b: float, a: float = 1.0) -> int:
     """ImGui's number of a colour."""
     return int(imgui.get_color_u32((r, g, b, a)))
 
 
 def slip(draw: Any, x: float, y: float, w: float, h: float) -> None:
     """Paper for a piece at (x, y)."""
-    draw.add_rect_filled((x, y), (x + w, y + h), colour(0.06, 0.07, 0.08, 0.62), 5.0)
+    draw.add_rect_filled((x, y), (x + w, y + h), color(0.06, 0.07, 0.08, 0.62), 5.0)
 
 
 def furniture(window: Window) -> None:
@@ -50,7 +50,7 @@ def furniture(window: Window) -> None:
     _north(window, draw, x + w - MARGIN - 46, y + MARGIN)
     _scale(window, draw, x + MARGIN, y + h - MARGIN - 40)
     if h > 360 and not window.cover.hides():
-        _colours(window, draw, x + w - MARGIN, y + h - MARGIN)
+        _colors(window, draw, x + w - MARGIN, y + h - MARGIN)
     _readout(window, draw, x + w / 2, y + h - MARGIN - 24)
 
 
@@ -70,11 +70,11 @@ def _north(window: Window, draw: Any, x: float, y: float) -> None:
         tip = cx + up[0] * length, cy + up[1] * length
         tail = cx - up[0] * length, cy - up[1] * length
         left, right = ((cx - s * side[0] * 6, cy - s * side[1] * 6) for s in (1, -1))
-        draw.add_triangle_filled(tip, left, right, colour(0.86, 0.27, 0.22))
-        draw.add_triangle_filled(tail, left, right, colour(0.85, 0.87, 0.9))
+        draw.add_triangle_filled(tip, left, right, color(0.86, 0.27, 0.22))
+        draw.add_triangle_filled(tail, left, right, color(0.85, 0.87, 0.9))
     text = f"{heading_pitch(session.view, session.settings.exaggeration)[0]:.0f}°".replace("360", "0")
     wide = imgui.calc_text_size(text).x
-    draw.add_text((cx - wide / 2, y + size - 2), colour(0.95, 0.95, 0.95), text)
+    draw.add_text((cx - wide / 2, y + size - 2), color(0.95, 0.95, 0.95), text)
 
 
 def _scale(window: Window, draw: Any, x: float, y: float) -> None:
@@ -90,15 +90,15 @@ def _scale(window: Window, draw: Any, x: float, y: float) -> None:
     length, parts, text = bar_length(160.0 * metres)
     wide = length / metres
     slip(draw, x, y, wide + 2 * PAD, 38)
-    draw.add_text((x + PAD, y + 4), colour(0.95, 0.95, 0.95), text)
+    draw.add_text((x + PAD, y + 4), color(0.95, 0.95, 0.95), text)
     for k in range(parts):
-        shade = colour(0.95, 0.95, 0.95) if k % 2 == 0 else colour(0.35, 0.37, 0.4)
+        shade = color(0.95, 0.95, 0.95) if k % 2 == 0 else color(0.35, 0.37, 0.4)
         draw.add_rect_filled(
             (x + PAD + wide * k / parts, y + 25), (x + PAD + wide * (k + 1) / parts, y + 31), shade
         )  # fmt: skip
 
 
-def _colours(window: Window, draw: Any, right: float, bottom: float) -> None:
+def _colors(window: Window, draw: Any, right: float, bottom: float) -> None:
     """The colours of heights, highest on top."""
     name = window.session.settings.colormap
     low, high, table = window.cached(("tint", name), lambda: _table(window, name))
@@ -109,7 +109,7 @@ def _colours(window: Window, draw: Any, right: float, bottom: float) -> None:
     w, h = wide + space + 3 * PAD, tall + 2 * PAD + 18
     x, y = right - w, bottom - h
     slip(draw, x, y, w, h)
-    draw.add_text((x + PAD, y + 3), colour(0.95, 0.95, 0.95), "m")
+    draw.add_text((x + PAD, y + 3), color(0.95, 0.95, 0.95), "m")
     top = y + PAD + 14
     n = len(table)
     for k in range(n):
@@ -117,14 +117,14 @@ def _colours(window: Window, draw: Any, right: float, bottom: float) -> None:
         draw.add_rect_filled((x + PAD, a), (x + PAD + wide, b + 0.5), table[n - 1 - k])
     for v, text in zip(marks, texts):
         at = top + tall * (high - v) / (high - low)
-        draw.add_line((x + PAD + wide, at), (x + PAD + wide + 4, at), colour(0.95, 0.95, 0.95))
-        draw.add_text((x + 2 * PAD + wide, at - 8), colour(0.95, 0.95, 0.95), text)
+        draw.add_line((x + PAD + wide, at), (x + PAD + wide + 4, at), color(0.95, 0.95, 0.95))
+        draw.add_text((x + 2 * PAD + wide, at - 8), color(0.95, 0.95, 0.95), text)
 
 
 def _table(window: Window, name: str | None) -> tuple[float, float, list[int]]:
     low, high, linear = tint_of(window.session.terrain, name).scale(64)
     at = np.linspace(0, len(linear) - 1, 64).round().astype(int)
-    return low, high, [colour(*(float(v) for v in c)) for c in linear_to_srgb(linear[at])]
+    return low, high, [color(*(float(v) for v in c)) for c in linear_to_srgb(linear[at])]
 
 
 def _readout(window: Window, draw: Any, middle: float, y: float) -> None:
@@ -148,7 +148,7 @@ def _readout(window: Window, draw: Any, middle: float, y: float) -> None:
     wide = max(imgui.calc_text_size(t).x for t in lines)
     slip(draw, middle - wide / 2 - PAD, y, wide + 2 * PAD, 4 + 20 * len(lines))
     for k, text in enumerate(lines):
-        draw.add_text((middle - wide / 2, y + 4 + 20 * k), colour(0.95, 0.95, 0.95), text)
+        draw.add_text((middle - wide / 2, y + 4 + 20 * k), color(0.95, 0.95, 0.95), text)
 
 
 def lonlat(lon: float, lat: float) -> str:
@@ -165,8 +165,8 @@ def pivot(window: Window) -> None:
     if depth > 0:
         at = window.to_canvas(float(px), float(py))
         draw = imgui.get_background_draw_list()
-        draw.add_circle(at, 6.0, colour(0, 0, 0, 0.6), 24, 3.5)
-        draw.add_circle(at, 6.0, colour(1, 1, 1), 24, 1.5)
+        draw.add_circle(at, 6.0, color(0, 0, 0, 0.6), 24, 3.5)
+        draw.add_circle(at, 6.0, color(1, 1, 1), 24, 1.5)
 
 
 def messages(window: Window) -> None:

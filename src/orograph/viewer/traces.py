@@ -14,7 +14,7 @@ import numpy as np
 from imgui_bundle import imgui
 from numpy.typing import NDArray
 
-from orograph.viewer.overlay import colour
+from orograph.viewer.overlay import color
 from orograph.viewer.results import Kind
 from orograph.viewpoint import Point
 
@@ -34,7 +34,7 @@ def trace(
         result: of the measurement, or None. marked: a place of the line that the cursor asks for.
     """
     draw: Any = imgui.get_background_draw_list()
-    ink, dark = colour(1.0, 0.82, 0.25), colour(0, 0, 0, 0.65)
+    ink, dark = color(1.0, 0.82, 0.25), color(0, 0, 0, 0.65)
     if line is not None:
         for part in on_screen(window, line):
             draw.add_polyline(part, dark, 4.0, 0)
@@ -47,10 +47,10 @@ def trace(
         for (at,) in on_screen(window, np.array([[mark.easting, mark.northing, mark.height]]), single=True):
             for s in (-1, 1):
                 draw.add_line((at[0] - 7, at[1] - 7 * s), (at[0] + 7, at[1] + 7 * s), dark, 5.0)
-                draw.add_line((at[0] - 7, at[1] - 7 * s), (at[0] + 7, at[1] + 7 * s), colour(1, 0.25, 0.2), 2.5)
+                draw.add_line((at[0] - 7, at[1] - 7 * s), (at[0] + 7, at[1] + 7 * s), color(1, 0.25, 0.2), 2.5)
     if marked is not None and math.isfinite(marked[2]):
         for (at,) in on_screen(window, np.array([marked]), single=True):
-            draw.add_circle(at, 6.0, colour(1, 1, 1), 20, 2.0)
+            draw.add_circle(at, 6.0, color(1, 1, 1), 20, 2.0)
 
 
 def on_screen(window: Window, points: Array, single: bool = False) -> list[list[tuple[float, float]]]:

@@ -172,7 +172,7 @@ def test_what_was_made_is_kept(
     device: Device, mountains: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Interrupted in its second tile, the map goes on from the first."""
-    from orograph.lighting.raster_resume import Kept
+    from orograph.lighting.raster_resume import Checkpoint
 
     monkeypatch.setattr(cone_tracing, "TILE", 64)
     context = context_of(mountains[:64, :128], CELL, Options(radius=300.0, more={"method": "cone-tracing"}))
@@ -184,7 +184,7 @@ def test_what_was_made_is_kept(
         return tile(self, *window)  # type: ignore[arg-type]
 
     monkeypatch.setattr(cone_tracing.Tracer, "tile", counted)
-    context.kept = Kept(tmp_path / "kept", {"what": "test"})
+    context.kept = Checkpoint(tmp_path / "kept", {"what": "test"})
     blocks = cone_tracing.run(context)
     next(blocks)
     blocks.close()  # type: ignore[attr-defined]

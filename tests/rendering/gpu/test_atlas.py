@@ -7,7 +7,7 @@ import threading
 import numpy as np
 
 from orograph.gpu.device import Device
-from orograph.rendering.gpu.stream.atlas import Slots
+from orograph.rendering.gpu.stream.atlas import TileAtlas
 
 
 def test_tiles_are_put_while_the_texture_is_cleared(device: Device) -> None:
@@ -16,7 +16,7 @@ def test_tiles_are_put_while_the_texture_is_cleared(device: Device) -> None:
 
     def work() -> None:
         for _ in range(40):
-            slots = Slots(device, 257, "r32float", 4, 48 << 20, 1000, "tiles")
+            slots = TileAtlas(device, 257, "r32float", 4, 48 << 20, 1000, "tiles")
             for key in range(12):
                 slots.put(key, tile, key)
             device.wait()

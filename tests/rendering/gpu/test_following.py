@@ -13,7 +13,7 @@ from affine import Affine
 from orograph.dem import Dem
 from orograph.geo import Grid
 from orograph.lod.patches.shape import INSTANCE
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.gpu.shade import following
 from orograph.rendering.gpu.shade.following import Following
 from orograph.scene import camera
@@ -57,8 +57,8 @@ def settle(follow, scene, what, seconds=60.0):
 
 
 def test_quick_shadows_come_first_and_then_all_of_the_light(terrain):
-    veil = Veil()
-    follow = Following(terrain, Kept(), veil, 32)
+    void_fill = Veil()
+    follow = Following(terrain, Memo(), void_fill, 32)
     scene = scene_of(terrain)
     seen = []
     follow.aside(scene, NONE)
@@ -72,14 +72,14 @@ def test_quick_shadows_come_first_and_then_all_of_the_light(terrain):
     assert fine.light[1] > 50
     assert quick.strength == fine.strength
     assert quick.pool.size < fine.pool.size
-    assert veil.loads == 1
+    assert void_fill.loads == 1
     for maps in (quick, fine):  # both have the hill's shadow
         offset, rows, cols = maps.windows[-1][:3]
         assert (maps.pool[offset : offset + rows * cols] > 0).mean() > 0.01
 
 
 def test_no_maps_of_shadows_are_made_where_none_fall(terrain):
-    follow = Following(terrain, Kept(), Veil(), 32)
+    follow = Following(terrain, Memo(), Veil(), 32)
     scene = replace(scene_of(terrain), shadows=False)
     settle(follow, scene, lambda: follow.maps is not None and not follow.busy)
     assert len(follow.maps.windows) == 0
@@ -87,7 +87,7 @@ def test_no_maps_of_shadows_are_made_where_none_fall(terrain):
 
 def test_a_camera_that_never_rests_is_followed(terrain, monkeypatch):
     monkeypatch.setattr(following, "RENEWED", 0.05)
-    follow = Following(terrain, Kept(), Veil(), 32)
+    follow = Following(terrain, Memo(), Veil(), 32)
     scene = scene_of(terrain)
     settle(follow, scene, lambda: follow.maps is not None and not follow.busy)
     met = {id(follow.maps): follow.maps}
@@ -109,7 +109,7 @@ def test_a_camera_that_never_rests_is_followed(terrain, monkeypatch):
 
 def test_a_flight_gets_new_maps_only_so_often(terrain, monkeypatch):
     monkeypatch.setattr(following, "RENEWED", 1e6)
-    follow = Following(terrain, Kept(), Veil(), 32)
+    follow = Following(terrain, Memo(), Veil(), 32)
     scene = scene_of(terrain)
     settle(follow, scene, lambda: follow.maps is not None and not follow.busy)
     first = follow.maps

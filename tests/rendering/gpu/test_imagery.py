@@ -20,14 +20,14 @@ from pyproj import CRS, Transformer
 from orograph.dem.raster import Dem
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid, apply
-from orograph.geovis.colour import colour_table, linear_to_srgb, srgb_to_linear
+from orograph.geovis.color import color_table, linear_to_srgb, srgb_to_linear
 from orograph.geovis.layers import Layer
 from orograph.gpu.device import Device
 from orograph.rendering.cpu.draw import draw as cpu_draw
 from orograph.rendering.gpu.draw import draw as gpu_draw
 from orograph.rendering.gpu.frame import FrameStats
 from orograph.rendering.gpu.renderer import Renderer
-from orograph.rendering.gpu.stream.image_tiles import SIDE, Sheet
+from orograph.rendering.gpu.stream.image_tiles import SIDE, ImageTiles
 from orograph.scene.camera import around, plan
 from orograph.scene.scene import Scene
 from orograph.store import terrain as in_memory
@@ -74,9 +74,9 @@ def geographic(rows: int, cols: int) -> Affine:
 
 def patches(rows: int, cols: int, cells: int, seed: int = 0) -> NDArray[np.uint8]:
     """Random colours in squares, that many along a side."""
-    colours = np.random.default_rng(seed).integers(20, 200, (cells, cells, 3), dtype=np.uint8)
+    colors = np.random.default_rng(seed).integers(20, 200, (cells, cells, 3), dtype=np.uint8)
     r, c = np.arange(rows) * cells // rows, np.arange(cols) * cells // cols
-    return colours[r[:, None], c[None, :]]
+    return colors[r[:, None], c[None, :]]
 
 
 def difference(scene: Scene, device: Device) -> NDArray[np.float64]:
@@ -141,7 +141,7 @@ def test_positions_are_good_to_a_tenth_of_a_texel(device: Device, ground: Terrai
     column = (east - transform.c) / transform.a - 0.5
     whole = np.floor(column).astype(int)
     told = whole % 16 != 15  # not where the ramp begins anew
-    table = 255 * linear_to_srgb(colour_table("grey", 256)[:, 0]).astype(float)
+    table = 255 * linear_to_srgb(color_table("grey", 256)[:, 0]).astype(float)
     expected = np.interp(40 + 8 * (whole % 16 + column - whole), np.arange(256), table)
     step = np.ptp(table) * 8 / 255
     off = (drawn - expected)[told]
@@ -171,7 +171,7 @@ def test_there_are_no_seams_at_the_borders_of_tiles(device: Device, ground: Terr
 def test_tiles_are_means_of_the_file_whether_it_has_overviews_or_not(ground: Terrain, tmp_path: Path) -> None:
     pixels = np.random.default_rng(3).integers(0, 255, (1801, 1703, 3), dtype=np.uint8)
     path = write(tmp_path / "a.tif", pixels)
-    sheet = Sheet(Layer(path), ground)
+    sheet = ImageTiles(Layer(path), ground)
     assert sheet.base == 1  # level 0 is read from the file, others are held
     linear = np.where(pixels / 255.0 <= 0.04045, pixels / 255.0 / 12.92, ((pixels / 255.0 + 0.055) / 1.055) ** 2.4)
     for place in (0, sheet.count // 2, sheet.count - 1):
@@ -187,7 +187,7 @@ def test_tiles_are_means_of_the_file_whether_it_has_overviews_or_not(ground: Ter
                 np.testing.assert_allclose(got[i, j, :3], block.mean((0, 1)), atol=0.006)
     with rasterio.open(path, "r+") as file:
         file.build_overviews([2, 4, 8], rasterio.enums.Resampling.average)
-    again = Sheet(Layer(path), ground)
+    again = ImageTiles(Layer(path), ground)
     assert (again.base, again.laid.overviews) == (1, (2, 4, 8))
     np.testing.assert_array_equal(again.tile(again.count - 1), sheet.tile(sheet.count - 1))
 
@@ -241,15 +241,15 @@ def test_a_coarser_tile_stands_in_and_there_is_never_a_hole(
     frames: Frames, ground: Terrain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     layer = Layer(write(tmp_path / "red.tif", noisy_red(4000)))
-    gate, read, plain = threading.Event(), [], Sheet.tile
+    gate, read, plain = threading.Event(), [], ImageTiles.tile
 
-    def tile(sheet: Sheet, place: int) -> NDArray[np.uint8]:
+    def tile(sheet: ImageTiles, place: int) -> NDArray[np.uint8]:
         read.append(place)
         if sheet.level_of(place) < sheet.base:
             assert gate.wait(60)
         return plain(sheet, place)
 
-    monkeypatch.setattr(Sheet, "tile", tile)
+    monkeypatch.setattr(ImageTiles, "tile", tile)
     scene = scene_of(ground, layer, distance=250.0)
     frames.draw(replace(scene, layers=()), wait=True)
     begun = time.perf_counter()

@@ -98,9 +98,9 @@ def test_mountains_two_hundred_kilometres_away_do_not_flicker(eye) -> None:
     seen, depths = [], []
     for k in range(5):
         at = (x + 0.001 * k, y + 0.001 * k, 3500.0)
-        depth, colour = here.look(View(at, (x + FAR, y, 900.0), fov_y=1.0, width=SIZE[0], height=SIZE[1]))
+        depth, color = here.look(View(at, (x + FAR, y, 900.0), fov_y=1.0, width=SIZE[0], height=SIZE[1]))
         depths.append(depth)
-        seen.append(colour)
+        seen.append(color)
     assert np.isfinite(depths[0]).mean() > 0.1 and np.nanmax(depths[0]) > 195_000
     for before, after in pairwise(seen):
         assert float((np.abs(before - after).max(-1) > 3).mean()) < 1e-3

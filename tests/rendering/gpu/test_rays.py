@@ -15,8 +15,8 @@ from orograph.geo.grid import Grid
 from orograph.gpu.device import Device
 from orograph.raycast.caster import Caster
 from orograph.raycast.select import Rectangle
-from orograph.raycast.stack import Window
-from orograph.rendering.gpu.shade.ray_field import MARGIN, Field, blocked, choose, field_of, grown, turned
+from orograph.raycast.stack import HeightWindow
+from orograph.rendering.gpu.shade.ray_field import MARGIN, RayField, blocked, choose, field_of, grown, turned
 from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -71,7 +71,7 @@ def test_visibility_is_embrees(device: Device, linear: np.ndarray) -> None:
     way = ways(len(at))
     origin = np.column_stack([at[:, :2] @ linear.T, at[:, 2]]).astype(np.float32)
     truth = scene.run(origin, way.astype(np.float32), query="OCCLUDED") != -1
-    got = blocked(Field.of([Window(0, 0, 0, h)], h.shape, linear), at, way, device=device)
+    got = blocked(RayField.of([HeightWindow(0, 0, 0, h)], h.shape, linear), at, way, device=device)
     assert mesh is not None and 0.3 < truth.mean() < 0.9
     assert (got != truth).mean() <= 1e-4  # a ray through an edge may be told otherwise by either
 
@@ -82,7 +82,7 @@ def test_small_and_narrow_rasters(device: Device, shape: tuple[int, int]) -> Non
     caster = Caster.of(h)
     at = on_ground(caster, 2000, *shape, 0.05)
     way = ways(len(at))
-    got = blocked(Field.of([Window(0, 0, 0, h)], shape, np.diag([10.0, -10.0])), at, way, device=device)
+    got = blocked(RayField.of([HeightWindow(0, 0, 0, h)], shape, np.diag([10.0, -10.0])), at, way, device=device)
     t, _ = caster.cast(at, way * [0.1, -0.1, 1.0])
     assert (got != np.isfinite(t)).sum() <= 2
 
@@ -91,14 +91,14 @@ def test_nested_windows_are_the_casters(device: Device) -> None:
     """Three windows: what stands in the way is what the caster meets in the same ones, exaggerated or not."""
     h = rough(257, 257)
     windows = [
-        Window(2, 0, 0, h[::4, ::4].copy()), Window(1, 30, 40, h[80:201:2, 60:181:2].copy()),
-        Window(0, 100, 120, h[120:161, 100:141].copy()),
+        HeightWindow(2, 0, 0, h[::4, ::4].copy()), HeightWindow(1, 30, 40, h[80:201:2, 60:181:2].copy()),
+        HeightWindow(0, 100, 120, h[120:161, 100:141].copy()),
     ]  # fmt: skip
     caster = Caster(windows, h.shape)
     at = on_ground(caster, 20_000, 257, 257, 0.05)
     way = ways(len(at))
     for x in (1.0, 2.5):
-        field = Field.of(windows, h.shape, np.diag([30.0, -30.0]), x)
+        field = RayField.of(windows, h.shape, np.diag([30.0, -30.0]), x)
         got = blocked(field, at, way, device=device)
         t, _ = caster.cast(at, way * [1 / 30, -1 / 30, 1 / x])
         # A ray that comes into a window under its ground is stopped there; the caster lets it out within the cell.
@@ -115,13 +115,13 @@ def test_holes_stand_in_nobodys_way(device: Device) -> None:
     at = np.column_stack([np.full(40, 5.0), np.arange(40.0), np.full(40, 1.0)])
     way = np.tile([math.cos(0.1), 0.0, math.sin(0.1)], (40, 1))
     lin = np.diag([10.0, -10.0])
-    assert blocked(Field.of([Window(0, 0, 0, h)], h.shape, lin), at, way, device=device).all()
+    assert blocked(RayField.of([HeightWindow(0, 0, 0, h)], h.shape, lin), at, way, device=device).all()
     h[10:20] = np.nan
-    got = blocked(Field.of([Window(0, 0, 0, h)], h.shape, lin), at, way, device=device)
+    got = blocked(RayField.of([HeightWindow(0, 0, 0, h)], h.shape, lin), at, way, device=device)
     assert got[:9].all() and got[20:].all() and not got[10:19].any()  # row 9 is the hole's rim
     gone = np.full((9, 9), np.nan, np.float32)
     assert not blocked(
-        Field.of([Window(0, 0, 0, gone)], gone.shape, lin), [[4, 4, 0]], [[1, 0, 0]], device=device
+        RayField.of([HeightWindow(0, 0, 0, gone)], gone.shape, lin), [[4, 4, 0]], [[1, 0, 0]], device=device
     ).any()
 
 
@@ -133,8 +133,10 @@ def test_far_from_the_rasters_corner_no_digit_is_lost(device: Device) -> None:
     at = on_ground(Caster.of(h), 5000, 129, 129, 0.02)
     way = ways(len(at))
     way[:, 2] = np.abs(way[:, 2])
-    here = blocked(Field.of([Window(0, 0, 0, h)], h.shape, np.diag([1.0, -1.0])), at, way, device=device)
-    field = Field.of([Window(8, 0, 0, coarse), Window(0, far, far, h)], (65_537, 65_537), np.diag([1.0, -1.0]))
+    here = blocked(RayField.of([HeightWindow(0, 0, 0, h)], h.shape, np.diag([1.0, -1.0])), at, way, device=device)
+    field = RayField.of(
+        [HeightWindow(8, 0, 0, coarse), HeightWindow(0, far, far, h)], (65_537, 65_537), np.diag([1.0, -1.0])
+    )
     there = blocked(field, at + np.array([far, far, 0.0]), way, far=150.0, device=device)
     assert (here != there).mean() < 2e-3
 

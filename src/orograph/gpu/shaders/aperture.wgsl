@@ -3,8 +3,8 @@
 //
 //     let cap = cap_of(textureSampleLevel(caps, …));      // east, north, up, cosine of the radius
 //     var sky = sky_through(cap, normal);
-//     for each sun:  let seen = sun_through(cap, normal, sun, false); light += seen * sun.colour; sky -= covered(seen, sun);
-//     for each lamp: light += lamp_through(cap, normal, place, lamp) * lamp.colour;
+//     for each sun:  let seen = sun_through(cap, normal, sun, false); light += seen * sun.color; sky -= covered(seen, sun);
+//     for each lamp: light += lamp_through(cap, normal, place, lamp) * lamp.color;
 //     light += max(sky, 0.0) * ambient;
 //
 // Directions are unit vectors (east, north, up); places are metres from one origin near the eye; angles are radians.
@@ -21,7 +21,7 @@ struct Cap {
 struct Sun {
     direction: vec3f,
     radius: f32,
-    colour: vec3f,  // irradiance of a surface square to it, all of it seen
+    color: vec3f,  // irradiance of a surface square to it, all of it seen
     cosine: f32,    // of the radius
     sine: f32,
     area: f32,      // solid angle
@@ -31,7 +31,7 @@ struct Sun {
 struct Lamp {
     place: vec3f,
     pad: f32,
-    colour: vec3f,  // irradiance at one metre
+    color: vec3f,  // irradiance at one metre
     pad2: f32,
 };
 

@@ -28,11 +28,11 @@ fn illuminate(cap: Cap, normal: vec3f, place: vec3f) -> vec3f {
     var sky = sky_through(cap, normal);
     for (var k = 0u; k < frame.counts.y; k++) {
         let seen = sun_through(cap, normal, suns[k], frame.counts.w == 1u);
-        light += seen * suns[k].colour;
+        light += seen * suns[k].color;
         sky -= covered(seen, suns[k]);
     }
     for (var k = 0u; k < frame.counts.z; k++) {
-        light += lamp_through(cap, normal, place, lamps[k]) * lamps[k].colour;
+        light += lamp_through(cap, normal, place, lamps[k]) * lamps[k].color;
     }
     return light + max(sky, 0.0) * frame.ambient.rgb;
 }

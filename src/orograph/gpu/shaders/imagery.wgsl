@@ -129,9 +129,9 @@ fn layer_mean(head: u32, position: vec2<f32>, footprint: Footprint) -> vec4<f32>
   return sum / taps;
 }
 
-// A ground's colour under all layers, bottom to top (geovis/layers.py).
-fn under_layers(colour: vec3<f32>, position: vec2<f32>, footprint: Footprint) -> vec3<f32> {
-  var out = colour;
+// A ground's color under all layers, bottom to top (geovis/layers.py).
+fn under_layers(color: vec3<f32>, position: vec2<f32>, footprint: Footprint) -> vec3<f32> {
+  var out = color;
   for (var k = 0u; k < imagery[0]; k++) {
     let head = IMAGE_LAYERS + k * HEAD;
     let image = layer_mean(head, position, footprint) * word_f(head + 17u);

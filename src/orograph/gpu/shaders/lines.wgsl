@@ -1,5 +1,5 @@
 // Silhouettes: how much of a pixel lines on breaks cover, and how far away they are (rendering/lines/silhouette_kernels.py).
-// Needs ``breaks``, ``breaks_near`` (textures) and ``shade`` (uniform): edge: their colour and opacity; edge_range: nearest and farthest
+// Needs ``breaks``, ``breaks_near`` (textures) and ``shade`` (uniform): edge: their color and opacity; edge_range: nearest and farthest
 // depth, width of the nearest lines in pixels, pixels to look around.
 
 struct Line { cover: f32, depth: f32 };
@@ -45,15 +45,15 @@ fn silhouette(pixel: vec2<i32>) -> Line {
   return found;
 }
 
-// A colour with the silhouettes of a pixel over it; ``d``: the ray's unit direction, for the haze before them.
-fn outlined(colour: vec3<f32>, pixel: vec2<i32>, d: vec3<f32>) -> vec3<f32> {
+// A color with the silhouettes of a pixel over it; ``d``: the ray's unit direction, for the haze before them.
+fn outlined(color: vec3<f32>, pixel: vec2<i32>, d: vec3<f32>) -> vec3<f32> {
   let line = silhouette(pixel);
   if (line.cover <= 0.0) {
-    return colour;
+    return color;
   }
   var ink = shade.edge.rgb;
   if ((FLAGS & 256u) != 0u) {
     ink = haze(ink, d, line.depth);
   }
-  return mix(colour, ink, line.cover * shade.edge.w);
+  return mix(color, ink, line.cover * shade.edge.w);
 }

@@ -142,7 +142,7 @@ fn light_by_rays(
     if ((FLAGS & 1u) != 0u) {
       seen = disc_by_rays(from_, shaded, suns[k], shift_of(number, 1u));
     }
-    light += seen * suns[k].colour;
+    light += seen * suns[k].color;
   }
   for (var k = 0u; k < select(0u, shade.lamps, (FLAGS & 131072u) != 0u); k++) {
     let way = lamps[k].place - position;
@@ -150,7 +150,7 @@ fn light_by_rays(
     let facing = dot(way, shaded) / max(away, 1e-9);
     if (facing > 0.0) {
       let near = From(at, from_.height, min(from_.skip, away));
-      light += select(0.0, facing / (away * away), sees(near, way / away, away)) * lamps[k].colour;
+      light += select(0.0, facing / (away * away), sees(near, way / away, away)) * lamps[k].color;
     }
   }
   return light;

@@ -1,4 +1,4 @@
-// From the depth of a pixel to its colour: rendering/cpu/shading.py and rendering/cpu/kernels.py on the GPU, in the same order and
+// From the depth of a pixel to its color: rendering/cpu/shading.py and rendering/cpu/kernels.py on the GPU, in the same order and
 // with the same constants. Light is linear; slopes are means over the pixel, from the atlas of slope tiles.
 // include: camera.wgsl
 // include: place.wgsl
@@ -7,7 +7,7 @@ struct Shade {
   sun: vec4<f32>,           // towards the sun (east, north, up); w: the disc's radius, radians
   sunlight: vec4<f32>,      // w: strength, the factor on slopes
   skylight: vec4<f32>,      // w: bounce
-  water: vec4<f32>,         // colour; w: what the shore's field is half the width of
+  water: vec4<f32>,         // color; w: what the shore's field is half the width of
   paper: vec4<f32>,         // background; w: metres between samples
   extinction: vec4<f32>,    // per metre; w: depth where the air begins
   mist: vec4<f32>,          // w: how fast it fades
@@ -15,7 +15,7 @@ struct Shade {
   tint: vec4<f32>,          // low, high, floor (metres)
   contour: vec4<f32>,       // interval (metres, 0: none), every how many an index contour, width in pixels, opacity
   contour_colour: vec4<f32>,
-  edge: vec4<f32>,          // of silhouettes: colour, opacity
+  edge: vec4<f32>,          // of silhouettes: color, opacity
   edge_range: vec4<f32>,    // depths in view (metres), width of lines in pixels, pixels that they reach
   side: vec2<f32>,          // horizontal direction towards the sun
   sky_at: u32, sky_rows: u32,
@@ -61,7 +61,7 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 // include: imagery.wgsl
 
 // What is drawn, known when the shader is compiled: software renderers work through branches whether they are taken or
-// not. 1 shadows, 2 water, 4 layers, 8 wireframe, 16 colours of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
+// not. 1 shadows, 2 water, 4 layers, 8 wireframe, 16 colors of levels, 32 no light, 64 occlusion, 128 apertures, 256 sky,
 // 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes, 16384 lines of ``field``,
 // 32768 of the smooth surface where samples are large.
 const FLAGS: u32 = {{FLAGS}}u;
@@ -153,14 +153,14 @@ fn through_apertures(cap: Cap, normal: vec3<f32>, place: vec3<f32>) -> vec3<f32>
   for (var k = 0u; k < select(SUNS, shade.suns, SUNS == 7u); k++) {
     if ((FLAGS & 1u) != 0u) {
       let seen = sun_through(cap, normal, suns[k], false);
-      light += seen * suns[k].colour;
+      light += seen * suns[k].color;
       sky -= covered(seen, suns[k]);
     } else {   // nothing casts shadows
-      light += max(dot(normal, suns[k].direction), 0.0) * suns[k].colour;
+      light += max(dot(normal, suns[k].direction), 0.0) * suns[k].color;
     }
   }
   for (var k = 0u; k < select(0u, shade.lamps, (FLAGS & 131072u) != 0u); k++) {
-    light += lamp_through(cap, normal, place, lamps[k]) * lamps[k].colour;
+    light += lamp_through(cap, normal, place, lamps[k]) * lamps[k].color;
   }
   let around = shade.skylight.w * (shade.sunlight.rgb + shade.skylight.rgb);
   return light + max(sky, 0.0) * shade.skylight.rgb + cap.rim * cap.rim * around;
@@ -181,7 +181,7 @@ fn tint_of(height: f32) -> vec3<f32> {
 }
 
 struct Ground {
-  colour: vec3<f32>,
+  color: vec3<f32>,
   slope: vec2<f32>,     // metres per metre east and north, of the true ground
   wet: f32,             // how much of it is water
 };
@@ -268,14 +268,14 @@ fn in_picture(at: vec2<f32>) -> vec2<u32> {
 @fragment
 fn background(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let d = normalize(ray_of(at.xy).direction);
-  var colour = shade.paper.rgb;
+  var color = shade.paper.rgb;
   if ((FLAGS & 256u) != 0u) {
-    colour = dithered(sky(d), in_picture(at.xy));
+    color = dithered(sky(d), in_picture(at.xy));
   }
   if ((FLAGS & 8192u) != 0u) {
-    colour = outlined(colour, vec2<i32>(at.xy), d);
+    color = outlined(color, vec2<i32>(at.xy), d);
   }
-  return vec4<f32>(colour, 1.0);
+  return vec4<f32>(color, 1.0);
 }
 
 @fragment
@@ -302,9 +302,9 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     return vec4<f32>(veil, 1.0);
   }
   let seen = ground(hit.place, hit.height, hit.footprint, position, depth, pixel);
-  var colour = seen.colour;
+  var color = seen.color;
   if ((FLAGS & 16u) != 0u) {
-    colour = mix(colour, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(colour, vec3<f32>(0.4)), 0.65);
+    color = mix(color, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(color, vec3<f32>(0.4)), 0.65);
   }
   if ((FLAGS & 512u) != 0u) {
     var height = hit.height;
@@ -325,31 +325,31 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     cover *= (1.0 - seen.wet) * shade.contour.w;
     if ((FLAGS & 4096u) != 0u) {   // labels: rendering/cpu/marks.py
       let letters = textureLoad(lettering, pixel, 0).rg;
-      colour = mix(colour, vec3<f32>(1.0), 0.16 * letters.g);
+      color = mix(color, vec3<f32>(1.0), 0.16 * letters.g);
       cover = cover * (1.0 - letters.g) + letters.r * min(1.0, shade.contour.w + 0.3);
     }
-    colour = mix(colour, shade.contour_colour.rgb, cover);
+    color = mix(color, shade.contour_colour.rgb, cover);
   }
   if ((FLAGS & 256u) != 0u) {
-    colour = haze(colour, d, depth);
+    color = haze(color, d, depth);
   }
-  if (hit.footprint < 0.5) {   // where samples are large colours change by less than a byte tells over many pixels
-    colour = dithered(colour, in_picture(at.xy));
+  if (hit.footprint < 0.5) {   // where samples are large colors change by less than a byte tells over many pixels
+    color = dithered(color, in_picture(at.xy));
   }
   if ((FLAGS & 8192u) != 0u) {
-    colour = outlined(colour, pixel, d);
+    color = outlined(color, pixel, d);
   }
   if ((FLAGS & 8u) != 0u) {
     var edge = 0.75 * f32((mark >> 16u) & 255u) / 255.0;
     if ((FLAGS & 4608u) == 4608u) {   // labels stay legible
       edge *= 1.0 - 0.85 * textureLoad(lettering, pixel, 0).g;
     }
-    colour = mix(colour, vec3<f32>(0.02), edge);
+    color = mix(color, vec3<f32>(0.02), edge);
   }
-  return vec4<f32>(colour, 1.0);
+  return vec4<f32>(color, 1.0);
 }
 
-// A colour for the spacing of a patch's lattice and whether its legs are diagonal.
+// A color for the spacing of a patch's lattice and whether its legs are diagonal.
 fn level_colour(step: u32, diagonal: u32) -> vec3<f32> {
   let hue = f32(step) * 0.381966 + f32(diagonal) * 0.08;
   let h = abs(fract(vec3<f32>(hue, hue + 0.3333, hue + 0.6667)) * 6.0 - 3.0) - 1.0;

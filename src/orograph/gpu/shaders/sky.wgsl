@@ -50,15 +50,15 @@ fn sky(d: vec3<f32>) -> vec3<f32> {
   return mix(out, shade.mist.xyz, 1.0 - exp(down * shade.mist.w));
 }
 
-// A colour moved by up to half a step of a byte of sRGB: a sky has no bands then (ordered dither, as rendering/sky.py).
-fn dithered(colour: vec3<f32>, pixel: vec2<u32>) -> vec3<f32> {
+// A color moved by up to half a step of a byte of sRGB: a sky has no bands then (ordered dither, as rendering/sky.py).
+fn dithered(color: vec3<f32>, pixel: vec2<u32>) -> vec3<f32> {
   var rank = 0u;
   for (var k = 0u; k < 3u; k++) {
     let bit = (pixel >> vec2<u32>(k)) & vec2<u32>(1u);
     rank |= ((bit.x ^ bit.y) << (5u - 2u * k)) | (bit.y << (4u - 2u * k));
   }
-  let step = 2.4 / 1.055 / 255.0 * pow(max(colour, vec3<f32>(1e-3)), vec3<f32>(1.4 / 2.4));
-  return colour + ((f32(rank) + 0.5) / 64.0 - 0.5) * step;
+  let step = 2.4 / 1.055 / 255.0 * pow(max(color, vec3<f32>(1e-3)), vec3<f32>(1.4 / 2.4));
+  return color + ((f32(rank) + 0.5) / 64.0 - 0.5) * step;
 }
 
 fn horizon(d: vec3<f32>) -> vec3<f32> {
@@ -68,9 +68,9 @@ fn horizon(d: vec3<f32>) -> vec3<f32> {
   return mix(rgb(at), rgb(at + 3u), t - f32(k));
 }
 
-// What is left of the colour of ground at a depth, and the air's light before it.
-fn haze(colour: vec3<f32>, d: vec3<f32>, depth: f32) -> vec3<f32> {
+// What is left of the color of ground at a depth, and the air's light before it.
+fn haze(color: vec3<f32>, d: vec3<f32>, depth: f32) -> vec3<f32> {
   let left = exp(-max(depth - shade.extinction.w, 0.0) * shade.extinction.xyz);
   let air = horizon(d);
-  return air + (colour - air) * left;
+  return air + (color - air) * left;
 }

@@ -22,12 +22,12 @@ Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
 SUN = np.dtype(
-    [("direction", "f4", 3), ("radius", "f4"), ("colour", "f4", 3), ("cosine", "f4"), ("sine", "f4"), ("area", "f4"),
+    [("direction", "f4", 3), ("radius", "f4"), ("color", "f4", 3), ("cosine", "f4"), ("sine", "f4"), ("area", "f4"),
      ("pad", "f4", 2)]
 )  # fmt: skip
 """``Sun`` of the shader: direction east, north, up; radians; steradians."""
 
-LAMP = np.dtype([("place", "f4", 3), ("pad", "f4"), ("colour", "f4", 3), ("pad2", "f4")])
+LAMP = np.dtype([("place", "f4", 3), ("pad", "f4"), ("color", "f4", 3), ("pad2", "f4")])
 """``Lamp`` of the shader: metres east, north and up from the origin."""
 
 _POINT = np.dtype([("place", "f4", 3), ("col", "f4"), ("gradient", "f4", 2), ("row", "f4"), ("pad", "f4")])
@@ -45,10 +45,10 @@ def tables(lights: Lights, linear: ArrayLike, origin: ArrayLike) -> tuple[NDArra
     suns, lamps, _ = lights.tables(np.asarray(linear, np.float64))
     lit, hung = np.zeros(max(len(suns), 1), SUN), np.zeros(max(len(lamps), 1), LAMP)
     if len(suns):
-        lit["direction"], lit["radius"], lit["colour"] = suns[:, :3], suns[:, 3], suns[:, 7:10]
+        lit["direction"], lit["radius"], lit["color"] = suns[:, :3], suns[:, 3], suns[:, 7:10]
         lit["cosine"], lit["sine"], lit["area"] = suns[:, 4], suns[:, 5], suns[:, 6]
     if len(lamps):
-        hung["place"], hung["colour"] = lamps[:, :3] - np.asarray(origin, np.float64), lamps[:, 3:]
+        hung["place"], hung["color"] = lamps[:, :3] - np.asarray(origin, np.float64), lamps[:, 3:]
     return lit, hung
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError, UsageError
-from orograph.geovis.colour import linear_to_srgb
-from orograph.memo import Kept
+from orograph.geovis.color import linear_to_srgb
+from orograph.memo import Memo
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.rendering.cpu.ground import LEAST_MEMORY, Ground, fixed_memory
@@ -28,14 +28,14 @@ from orograph.rendering.memory import check_memory
 from orograph.rendering.picture import Picture, plan_grid
 from orograph.rendering.rays import Area
 from orograph.rendering.survey import Survey
-from orograph.scene.diagnostics import doubts, what_to_do, why_empty
+from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
 from orograph.scene.scene import Scene
 from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import View
 
 Array = NDArray[np.float64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 EDGE = 11
 """Difference of neighbouring pixels (sRGB bytes, largest channel) from which both are antialiased."""
@@ -51,7 +51,7 @@ EDGES = 1 << 12
 
 
 def draw(
-    scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None = None, kept: Kept | None = None
+    scene: Scene, progress: Progress = SILENT, *, mesh: Tessellation | None = None, memo: Memo | None = None
 ) -> Picture:
     """Draw ``scene``. A tile of a view (``View.tile``) is drawn as it is in the whole picture, to the bit.
 
@@ -69,8 +69,8 @@ def draw(
     """
     clock = [time.perf_counter()]
     facts: dict[str, Any] = {}
-    engines = kept  # of a single picture, the engine's tiles need not stay
-    kept = Kept() if kept is None else kept
+    engines = memo  # of a single picture, the engine's tiles need not stay
+    memo = Memo() if memo is None else memo
 
     def lap(name: str) -> None:
         clock.append(time.perf_counter())
@@ -81,7 +81,7 @@ def draw(
         what = "furniture" if scene.furniture else "a wireframe"
         raise UsageError(f"A tile has no {what}: that belongs to the whole picture.")
     check_memory((view.width, view.height))
-    facts["warnings"] = doubts(scene)
+    facts["warnings"] = diagnose(scene)
     for warning in facts["warnings"]:
         progress.warn(warning)
     surface = bare = None
@@ -93,20 +93,20 @@ def draw(
                 scene.engine, scene.metric, scene.view.whole, scene.mesh_view, scene.tolerance, scene.triangles,
                 scene.exaggeration,
             )  # fmt: skip
-            mesh = kept("mesh", known, lambda: refined(scene, progress, engines), scene.terrain)
+            mesh = memo("mesh", known, lambda: refined(scene, progress, engines), scene.terrain)
         made, terrain = mesh, scene.terrain
         bare = replace(
             scene, tolerance=None, engine=None, triangles=None, metric=None, mesh_view=None, wireframe=False
         )  # fmt: skip
         facts["mesh"] = mesh.stats
-        surface = kept("surface", id(terrain), lambda: surface_of(made, terrain, scene.max_memory), mesh)
+        surface = memo("surface", id(terrain), lambda: surface_of(made, terrain, scene.max_memory), mesh)
         lap("mesh")
         scene = replace(
             scene, tolerance=0.0 if isinstance(surface, MemoryTerrain) else WINDOWS, triangles=None,
             terrain=scene.terrain if scene.wireframe else surface,
         )  # fmt: skip
     with progress.task("Reading heights"):
-        ground = Ground.load(scene, surface, kept, bare)
+        ground = Ground.load(scene, surface, memo, bare)
         if ground.tolerance > scene.pixel_tolerance:
             progress.warn(
                 f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not "
@@ -124,18 +124,18 @@ def draw(
         survey = Survey.of(ground.rays)
         if survey is None:
             raise NothingInViewError(why_empty(scene), path=scene.terrain.name, remedy=what_to_do(scene))
-        t, window, veil = ground.rays.first(area)
+        t, window, void_fill = ground.rays.first(area)
     lap("rays")
     facts["windows"] = [{"level": r.level, "rows": r.row1 - r.row0, "cols": r.col1 - r.col0} for r in ground.windows]
     facts["tolerance_px"] = ground.tolerance
     own = slice(inner[0] - area[0], inner[1] - area[0]), slice(inner[2] - area[2], inner[3] - area[2])
     facts["hit_fraction"] = float(np.isfinite(t[own]).mean())
     with progress.task("Light and colour", total=2 * t.size) as task:
-        shader = Shader(scene, ground, survey, kept, progress)
+        shader = Shader(scene, ground, survey, memo, progress)
         lap("light")
         wide = area[3] - area[2]
         linear = np.empty((*t.shape, 3), np.float32)
-        flat, ft, fw, fv = linear.reshape(-1, 3), t.ravel(), window.ravel(), veil.ravel()
+        flat, ft, fw, fv = linear.reshape(-1, 3), t.ravel(), window.ravel(), void_fill.ravel()
         mine = np.zeros(t.shape, bool)
         mine[own] = True
         counted = mine.ravel()
@@ -146,16 +146,16 @@ def draw(
             i = np.arange(start, min(start + BLOCK, len(ft)))
             px, py = (a.astype(np.float64) + 0.5 for a in (area[2] + i % wide, area[0] + i // wide))
             water = shores[i[0] : i[-1] + 1] if shader.smooth else None
-            flat[i] = shader.colour(ground.rays.meet(px, py, ft[i], fw[i], fv[i]), px, py, counted[i], water)
+            flat[i] = shader.color(ground.rays.meet(px, py, ft[i], fw[i], fv[i]), px, py, counted[i], water)
             return len(i)
 
         for n in map_ordered(block, range(0, len(ft), BLOCK), scene.jobs):
             task.advance(n)
-        lap("colour")
+        lap("color")
         if scene.samples > 1:
             found = find_edges(encode(linear))
             if shader.smooth:
-                found &= find_breaks(t, view.whole, wet, np.isfinite(veil))
+                found &= find_depth_edges(t, view.whole, wet, np.isfinite(void_fill))
             edges = np.flatnonzero(found.ravel() & counted)
             facts["edge_fraction"] = len(edges) / (view.width * view.height)
             offsets = pattern(scene.samples)
@@ -166,8 +166,8 @@ def draw(
                 px = (area[2] + chosen % wide)[:, None] + offsets[None, :, 0]
                 py = (area[0] + chosen // wide)[:, None] + offsets[None, :, 1]
                 u, v = px.ravel(), py.ravel()
-                colours = shader.colour(ground.rays.meet(u, v, *ground.rays.cast(u, v)), u, v)
-                flat[chosen] = colours.reshape(len(chosen), scene.samples, 3).mean(1)
+                colors = shader.color(ground.rays.meet(u, v, *ground.rays.cast(u, v)), u, v)
+                flat[chosen] = colors.reshape(len(chosen), scene.samples, 3).mean(1)
                 return len(chosen)
 
             for n in map_ordered(refine, range(0, len(edges), few), scene.jobs):
@@ -175,9 +175,9 @@ def draw(
             lap("antialiasing")
         if lines is not None:
             outlines = Outlines(lines, ground, area, scene.depths or survey.range)
-            outlines.draw(linear, np.where(np.isfinite(veil), veil, t), pattern(scene.samples), shader.air)
+            outlines.draw(linear, np.where(np.isfinite(void_fill), void_fill, t), pattern(scene.samples), shader.air)
             lap("silhouettes")
-    linear, t, veiled = linear[own], t[own], np.isfinite(veil[own])
+    linear, t, veiled = linear[own], t[own], np.isfinite(void_fill[own])
     if mesh is not None and scene.wireframe:
         from orograph.rendering.cpu.wireframe import draw_edges
 
@@ -204,9 +204,9 @@ def draw(
 
 
 def session() -> Callable[[Scene], Picture]:
-    """Draws scene after scene, and keeps what they have in common (``kept``)."""
-    kept = Kept()
-    return lambda scene: draw(scene, kept=kept)
+    """Draws scene after scene, and keeps what they have in common (``memo``)."""
+    memo = Memo()
+    return lambda scene: draw(scene, memo=memo)
 
 
 def frame(scene: Scene) -> Area:
@@ -220,7 +220,7 @@ def _rimmed(area: Area, whole: View, by: int) -> Area:
     return max(top - by, 0), min(bottom + by, whole.height), max(left - by, 0), min(right + by, whole.width)
 
 
-def encode(linear: Colours) -> NDArray[np.uint8]:
+def encode(linear: Colors) -> NDArray[np.uint8]:
     """Linear light → sRGB in bytes, by a table of 2^14 steps (a quarter of a byte at the darkest)."""
     steps = np.clip(linear * np.float32(len(_ENCODED) - 1) + np.float32(0.5), 0, len(_ENCODED) - 1).astype(np.uint16)
     return np.asarray(_ENCODED[steps])
@@ -243,7 +243,7 @@ def find_edges(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return edges
 
 
-def find_breaks(
+def find_depth_edges(
     depth: Array, view: View, wet: NDArray[np.bool_], veiled: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Pixels (height, width) beside which the ground breaks off (by ``BREAK`` widths of a pixel along the ray), water,

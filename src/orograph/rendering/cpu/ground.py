@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from orograph.geovis.missing import patches
 from orograph.lighting.relief import Relief
 from orograph.lighting.sun import Sun
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.raycast.caster import Caster
 from orograph.raycast.select import Rectangle, load, rectangles
 from orograph.rendering.cpu.kernels import footprints, incidence
@@ -58,26 +58,26 @@ class Ground:
         under: of a mesh with contour lines, the ground of the terrain itself, which those are of; else None.
     """
 
-    def __init__(self, scene: Scene, surface: Terrain, windows: list[Rectangle], tolerance: float, kept: Kept) -> None:
+    def __init__(self, scene: Scene, surface: Terrain, windows: list[Rectangle], tolerance: float, memo: Memo) -> None:
         terrain = scene.terrain
         self.scene, self.tolerance = scene, tolerance
         self.bare = scene
         self.under: Ground | None = None
         self.windows = windows
         shape, jobs = terrain.grid.shape, scene.jobs
-        self.caster = kept(
+        self.caster = memo(
             "caster", (tuple(windows), jobs), lambda: Caster(load(surface, windows, jobs), shape, jobs), surface
         )
         means = rectangles(terrain, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
-        self.relief = kept("relief", tuple(means), lambda: Relief.load(terrain, means, jobs), terrain)
+        self.relief = memo("relief", tuple(means), lambda: Relief.load(terrain, means, jobs), terrain)
         self.drawn = self.own = self.relief
         over = None
         if terrain.valid_fraction < 1:
-            found = kept("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
-            over = kept("over", jobs, lambda: Caster(found, shape, jobs), found) if found else None
+            found = memo("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
+            over = memo("over", jobs, lambda: Caster(found, shape, jobs), found) if found else None
         self.rays = Rays(scene, self.caster, over)
         if scene.silhouettes is not None:
-            self.ends = kept("ends", shape, lambda: terrain_ends(terrain), terrain)  # for silhouettes
+            self.ends = memo("ends", shape, lambda: terrain_ends(terrain), terrain)  # for silhouettes
         grid = terrain.grid
         linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
         self.linear = linear  # metres east and north per column and per row
@@ -86,7 +86,7 @@ class Ground:
 
     @classmethod
     def load(
-        cls, scene: Scene, surface: Terrain | None = None, kept: Kept | None = None, bare: Scene | None = None
+        cls, scene: Scene, surface: Terrain | None = None, memo: Memo | None = None, bare: Scene | None = None
     ) -> Ground:
         """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed.
 
@@ -95,23 +95,23 @@ class Ground:
             kept: what earlier pictures left.
             bare: of a mesh, the scene of the terrain itself, which contour lines are of.
         """
-        kept = Kept() if kept is None else kept
+        memo = Memo() if memo is None else memo
         if bare is not None:
             both = scene.contours is not None
             half = (scene.max_memory + fixed_memory(scene)) // 2 if both and scene.max_memory else scene.max_memory
-            ground = cls.load(replace(scene, contours=None, max_memory=half), surface, kept)
+            ground = cls.load(replace(scene, contours=None, max_memory=half), surface, memo)
             ground.bare = bare
             if scene.silhouettes is not None and scene.terrain is not bare.terrain:
                 means = rectangles(bare.terrain, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
-                ground.own = kept(
+                ground.own = memo(
                     "own relief", tuple(means), lambda: Relief.load(bare.terrain, means, scene.jobs), bare.terrain
                 )
             if not both:
                 return ground
-            ground.under = cls.load(replace(bare, max_memory=half), None, kept)
+            ground.under = cls.load(replace(bare, max_memory=half), None, memo)
             if surface is not None and surface is not scene.terrain:
                 means = rectangles(surface, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
-                ground.drawn = kept("relief", tuple(means), lambda: Relief.load(surface, means, scene.jobs), surface)
+                ground.drawn = memo("relief", tuple(means), lambda: Relief.load(surface, means, scene.jobs), surface)
             return ground
         terrain = scene.terrain if surface is None else surface
         rows, cols = terrain.grid.shape
@@ -120,19 +120,19 @@ class Ground:
             if scene.view.projection == "plan":  # heights move nothing but lines: samples as fine as pixels
                 tolerance, by = 0.7, "spacing"
             else:
-                tolerance *= scene.contours.finer(terrain, scene.view.whole, kept)
+                tolerance *= scene.contours.finer(terrain, scene.view.whole, memo)
         # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together, the means.
         bytes_per_sample = 4 * (1 + 5 / 12) + 4 + 4
         budget = math.inf if scene.max_memory is None else max(scene.max_memory - fixed_memory(scene), LEAST_MEMORY)
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
-            return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0, kept)
+            return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0, memo)
         tolerance = tolerance or 0.05
         while True:
             chosen = rectangles(terrain, scene.view.whole, scene.exaggeration, tolerance, by=by)
             fits = sum(r.samples for r in chosen) * bytes_per_sample <= budget
             # Ground about the eye is wanted exactly at any tolerance; that much is drawn whatever the budget.
             if fits or tolerance > COARSEST or chosen[-1].level == terrain.levels - 1:
-                return cls(scene, terrain, chosen, tolerance, kept)
+                return cls(scene, terrain, chosen, tolerance, memo)
             tolerance *= 1.25
 
     def incidence(self, hits: Hits, to_sun: Array, strength: float) -> tuple[Array, Array]:

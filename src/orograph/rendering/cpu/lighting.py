@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from orograph.lighting.shade import disc_fraction
 from orograph.lighting.sun import Sun
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.progress import Progress
 from orograph.raycast.select import rectangles
 from orograph.rendering.cpu.ground import Ground
@@ -27,10 +27,10 @@ from orograph.rendering.rays import Hits
 from orograph.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from orograph.lighting.field import Field
+    from orograph.lighting.field import LightField
 
 Array = NDArray[np.float64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 Window = tuple[int, int, int, int, int]
 
 AZIMUTHS = 32
@@ -42,7 +42,7 @@ SKIES = ("ambient-occlusion", "sky-view-factor")
 BAKED: dict[str, tuple[str, ...]] = {"ao": SKIES, "aperture": ("aperture",)}
 """The layers that a light is made of, the best first."""
 
-Ahead = Callable[[], "Field"]
+Ahead = Callable[[], "LightField"]
 """Waits for a field that is being read."""
 
 
@@ -56,9 +56,9 @@ class Shine:
     """
 
     to_sun: Array
-    sunlight: Colours
-    skylight: Colours
-    bounce: Colours
+    sunlight: Colors
+    skylight: Colors
+    bounce: Colors
 
 
 class Lighting(Protocol):
@@ -72,12 +72,12 @@ class Lighting(Protocol):
     told: str
     smooth: bool
 
-    def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colours:
+    def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
         """Light (n, 3) on hits, seen at positions px, py (n,) of the whole picture; ``part`` of them share a pixel."""
 
 
 def lighting_of(
-    scene: Scene, ground: Ground, shine: Shine, window: Window, strength: float, kept: Kept, progress: Progress,
+    scene: Scene, ground: Ground, shine: Shine, window: Window, strength: float, memo: Memo, progress: Progress,
     ahead: Ahead | None = None,
 ) -> Lighting:  # fmt: skip
     """The scene's light.
@@ -91,15 +91,15 @@ def lighting_of(
     if scene.light == "raytraced":
         return Raytraced(scene, ground, shine, strength)
     if scene.light == "aperture":
-        field, told = field_of(scene, ground, window, BAKED["aperture"], kept, progress, ahead)
+        field, told = field_of(scene, ground, window, BAKED["aperture"], memo, progress, ahead)
         return Apertures(scene, ground, shine, strength, field, told)
-    field, told = field_of(scene, ground, window, SKIES, kept, progress, ahead)
+    field, told = field_of(scene, ground, window, SKIES, memo, progress, ahead)
     return Occlusion(scene, ground, shine, strength, field, told)
 
 
-def field_ahead(scene: Scene, kept: Kept) -> Ahead | None:
+def field_ahead(scene: Scene, memo: Memo) -> Ahead | None:
     """Begin to read the baked layer that the scene's light wants, in a thread aside; None if there is nothing to do."""
-    from orograph.lighting.field import PIXELS, Field
+    from orograph.lighting.field import PIXELS, LightField
 
     terrain = scene.terrain
     baked = [name for name in BAKED.get(scene.light, ()) if name in terrain.layers]
@@ -107,20 +107,20 @@ def field_ahead(scene: Scene, kept: Kept) -> Ahead | None:
         return None
     layer = terrain.layer(baked[0])
     chosen = rectangles(terrain, scene.view.whole, 1.0, PIXELS, by="spacing")
-    if kept.has("field", (baked[0], tuple(chosen)), terrain):
+    if memo.has("field", (baked[0], tuple(chosen)), terrain):
         return None
     pool = ThreadPoolExecutor(1)
-    begun = pool.submit(Field.load, layer, terrain, chosen, scene.jobs)
+    begun = pool.submit(LightField.load, layer, terrain, chosen, scene.jobs)
     pool.shutdown(wait=False)
     return begun.result
 
 
 def field_of(
-    scene: Scene, ground: Ground, window: Window, names: tuple[str, ...], kept: Kept, progress: Progress,
+    scene: Scene, ground: Ground, window: Window, names: tuple[str, ...], memo: Memo, progress: Progress,
     ahead: Ahead | None = None,
-) -> tuple[Field, str]:  # fmt: skip
+) -> tuple[LightField, str]:  # fmt: skip
     """The first of the layers that is baked; else the first of the products, swept."""
-    from orograph.lighting.field import PIXELS, Field
+    from orograph.lighting.field import PIXELS, LightField
 
     terrain = scene.terrain
     baked = [name for name in names if name in terrain.layers]
@@ -129,13 +129,13 @@ def field_of(
     elif baked:
         layer = terrain.layer(baked[0])
         chosen = rectangles(terrain, scene.view.whole, 1.0, PIXELS, by="spacing")
-        field = kept(
-            "field", (baked[0], tuple(chosen)), ahead or (lambda: Field.load(layer, terrain, chosen, scene.jobs)),
+        field = memo(
+            "field", (baked[0], tuple(chosen)), ahead or (lambda: LightField.load(layer, terrain, chosen, scene.jobs)),
             terrain,
         )  # fmt: skip
         return field, f"baked {baked[0]}"
 
-    def sweep() -> Field:
+    def sweep() -> LightField:
         from orograph.lighting.aperture import field as caps_of
         from orograph.lighting.arrays import context_of
         from orograph.lighting.context import Options
@@ -146,9 +146,9 @@ def field_of(
         options = Options(azimuths=AZIMUTHS)
         context = context_of(heights, ground.linear * 2.0**level, options, jobs=scene.jobs, progress=progress)
         values = compute(context, names[0])
-        return Field.of(caps_of(values) if len(values) == 4 else values[0], level, row0, col0)
+        return LightField.of(caps_of(values) if len(values) == 4 else values[0], level, row0, col0)
 
-    return kept("field", (names[0], window, scene.exaggeration), sweep, terrain), f"swept {names[0]}"
+    return memo("field", (names[0], window, scene.exaggeration), sweep, terrain), f"swept {names[0]}"
 
 
 class Bare:
@@ -157,7 +157,7 @@ class Bare:
     told = "none"
     smooth = True
 
-    def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colours:
+    def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
         return np.ones((len(hits.t), 3), np.float32)
 
 
@@ -166,11 +166,13 @@ class Occlusion:
 
     smooth = False
 
-    def __init__(self, scene: Scene, ground: Ground, shine: Shine, strength: float, field: Field, told: str) -> None:
+    def __init__(
+        self, scene: Scene, ground: Ground, shine: Shine, strength: float, field: LightField, told: str
+    ) -> None:
         self.scene, self.ground, self.shine, self.strength = scene, ground, shine, strength
         self.field, self.told = field, told
 
-    def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colours:
+    def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
         sun, shine = self.scene.sun, self.shine
         cosine, _ = self.ground.incidence(hits, shine.to_sun, self.strength)
         if self.scene.shadows:
@@ -188,17 +190,19 @@ class Apertures:
 
     smooth = True
 
-    def __init__(self, scene: Scene, ground: Ground, shine: Shine, strength: float, field: Field, told: str) -> None:
+    def __init__(
+        self, scene: Scene, ground: Ground, shine: Shine, strength: float, field: LightField, told: str
+    ) -> None:
         from orograph.lighting.aperture import Lamp, Lights
 
         self.scene, self.ground, self.shine, self.strength = scene, ground, shine, strength
         self.field, self.told = field, told
         x = scene.exaggeration
-        lamps = [Lamp(lamp.col, lamp.row, lamp.height * x, lamp.colour) for lamp in scene.lamps]
-        suns = [(sun, colour) for sun, colour in _discs(scene, shine) if scene.shadows]
-        self.tables = Lights(suns, lamps, _colour(shine.skylight)).tables(ground.linear)
+        lamps = [Lamp(lamp.col, lamp.row, lamp.height * x, lamp.color) for lamp in scene.lamps]
+        suns = [(sun, color) for sun, color in _discs(scene, shine) if scene.shadows]
+        self.tables = Lights(suns, lamps, _color(shine.skylight)).tables(ground.linear)
 
-    def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colours:
+    def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
         from orograph.lighting.field import light_caps
 
         ground, field, relief, x = self.ground, self.field, self.ground.relief, self.scene.exaggeration
@@ -222,7 +226,7 @@ class Raytraced:
         self.scene, self.ground, self.shine, self.strength = scene, ground, shine, strength
         self.told = f"{scene.rays} rays"
 
-    def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colours:
+    def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
         from orograph.lighting.aperture import Lights
         from orograph.lighting.hit_rays import disc_on_hits, lamp_on_hits, sky_on_hits
         from orograph.rendering.cpu.kernels import normals
@@ -242,12 +246,12 @@ class Raytraced:
         share = amount.astype(np.float32)[:, None]
         out = share * shine.skylight + (1 - share) * shine.bounce
         if scene.shadows:
-            for sun, colour in _discs(scene, shine):
+            for sun, color in _discs(scene, shine):
                 disc_on_hits(
                     *around, shaded, skip, pixels, ground.to_samples, x, np.array(sun.direction),
                     cos(radians(sun.diameter / 2)), rays, amount,
                 )  # fmt: skip
-                out += amount.astype(np.float32)[:, None] * np.array(colour, np.float32)
+                out += amount.astype(np.float32)[:, None] * np.array(color, np.float32)
         else:
             out += _unhidden(scene, ground, shine, gradient, self.strength)
         _, lamps, _ = Lights(lamps=scene.lamps).tables(ground.linear)
@@ -259,21 +263,21 @@ class Raytraced:
 
 def _discs(scene: Scene, shine: Shine) -> list[tuple[Sun, tuple[float, float, float]]]:
     """The sun and the scene's other discs, with their colours."""
-    return [(scene.sun, _colour(shine.sunlight)), *scene.discs]
+    return [(scene.sun, _color(shine.sunlight)), *scene.discs]
 
 
-def _colour(colour: Any) -> tuple[float, float, float]:
-    red, green, blue = (float(c) for c in colour)
+def _color(color: Any) -> tuple[float, float, float]:
+    red, green, blue = (float(c) for c in color)
     return red, green, blue
 
 
-def _unhidden(scene: Scene, ground: Ground, shine: Shine, gradient: Array, strength: float) -> Colours:
+def _unhidden(scene: Scene, ground: Ground, shine: Shine, gradient: Array, strength: float) -> Colors:
     """Light of all discs where nothing casts shadows: Lambert's cosine."""
     from orograph.rendering.cpu.kernels import incidence
 
     out = np.zeros((len(gradient), 3), np.float32)
     cosine, tilt = np.empty(len(gradient)), np.empty(len(gradient))
-    for sun, colour in _discs(scene, shine):
+    for sun, color in _discs(scene, shine):
         incidence(gradient, ground.to_world, scene.exaggeration * strength, np.array(sun.direction), cosine, tilt)
-        out += cosine.astype(np.float32)[:, None] * np.array(colour, np.float32)
+        out += cosine.astype(np.float32)[:, None] * np.array(color, np.float32)
     return out

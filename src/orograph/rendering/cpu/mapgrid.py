@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.lighting.horizon import sky_view
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.cpu.ground import Ground
 from orograph.rendering.lookup import SHORE
 from orograph.rendering.survey import Survey
@@ -43,7 +43,7 @@ class MapGrid:
         water_fraction: of the working grid.
     """
 
-    def __init__(self, scene: Scene, ground: Ground, survey: Survey, kept: Kept) -> None:
+    def __init__(self, scene: Scene, ground: Ground, survey: Survey, memo: Memo) -> None:
         terrain = scene.terrain
         self.window = window = working_window(terrain, survey.hits.points)
         self.scale, self.row0, self.col0 = 2.0 ** window[0], window[1], window[3]
@@ -56,15 +56,15 @@ class MapGrid:
             return sky_view(heights * np.float32(scene.exaggeration), linear, AZIMUTHS, jobs=scene.jobs)
 
         known = window, scene.exaggeration
-        self.sky_view = kept("sky", known, sky, terrain) if scene.light == "relief" else np.empty((0, 0), np.float32)
+        self.sky_view = memo("sky", known, sky, terrain) if scene.light == "relief" else np.empty((0, 0), np.float32)
         self.strength = (
-            kept("strength", known, lambda: strength_of(ground.bare, window), ground.bare.terrain)
+            memo("strength", known, lambda: strength_of(ground.bare, window), ground.bare.terrain)
             if scene.relief is None
             else scene.relief
         )
         self.water, self.water_fraction = np.empty((0, 0), np.float32), 0.0
         if scene.water is not None:
-            self.water, self.water_fraction = kept(
+            self.water, self.water_fraction = memo(
                 "water", (window, scene.water), lambda: _water(ground.bare, ground, window), ground.bare.terrain
             )
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.lighting.relief import Relief
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.cpu.ground import Ground
 from orograph.rendering.cpu.mapgrid import MapGrid
 from orograph.rendering.lines.contour_kernels import AROUND, WIDE, line_cover, thin_out
@@ -24,7 +24,7 @@ from orograph.rendering.rays import Hits
 from orograph.scene.scene import Scene
 
 Array = NDArray[np.float64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 
 RIM = 8
@@ -41,23 +41,23 @@ class Lines:
         contours: with an interval. facts: what the picture tells of them.
     """
 
-    def __init__(self, scene: Scene, ground: Ground, maps: MapGrid, kept: Kept) -> None:
+    def __init__(self, scene: Scene, ground: Ground, maps: MapGrid, memo: Memo) -> None:
         assert scene.contours is not None
         self.ground, self.maps = ground, maps
         self.under = ground.under
         if self.under is not None:
             scene = self.under.scene
         assert scene.contours is not None
-        self.contours = scene.contours.fitted(scene.terrain, scene.view, kept)
+        self.contours = scene.contours.fitted(scene.terrain, scene.view, memo)
         self.ink = ink(self.contours)
         self.facts: dict[str, Any] = {"interval_m": self.contours.interval, "index": self.contours.index}
         self.letters = Lettering(np.zeros((0, 3)), np.zeros(0), 1.0, ())
         self._area, self._sheet = (0, 0, 0, 0), np.zeros((0, 0, 2), np.uint8)
         if self.contours.labels and self.contours.step > 0:
-            placer = kept("labels", (), lambda: Placer(scene.terrain), scene.terrain)
+            placer = memo("labels", (), lambda: Placer(scene.terrain), scene.terrain)
             view, exaggeration = scene.view.whole, scene.exaggeration
             drawn = None if self.under is None else ground.caster.surfaces
-            labels = kept(
+            labels = memo(
                 "labels of a view", (view, exaggeration, self.contours),
                 lambda: placer.place(scene, self.contours, drawn), placer if drawn is None else ground.caster,
             )  # fmt: skip
@@ -68,7 +68,7 @@ class Lines:
         self.facts["labels"] = len(self.letters.words)
         self._basis = np.array(ground.rays.basis)
 
-    def draw(self, hits: Hits, px: Array, py: Array, out: Colours) -> None:
+    def draw(self, hits: Hits, px: Array, py: Array, out: Colors) -> None:
         """Draw over the colours (n, 3) of hits at pixel positions (n,) of the whole picture."""
         c, maps = self.contours, self.maps
         cover = np.empty(len(hits.t), np.float32)
@@ -107,8 +107,8 @@ class Lines:
         return np.stack([a * x + b * y, c * x + d * y, z / self.ground.scene.exaggeration], -1)
 
     def _thinned(
-        self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp], cover: Colours
-    ) -> Colours:
+        self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp], cover: Colors
+    ) -> Colors:
         """``cover`` (m,) of the hits ``lines``, less where lines run together around."""
         points, width = hits.points[lines], hits.width[lines]
         away = np.zeros((4, *points.shape))
@@ -121,7 +121,7 @@ class Lines:
         )  # fmt: skip
         return cover
 
-    def gaps(self) -> Colours | None:
+    def gaps(self) -> Colors | None:
         """How much of each pixel (height, width) of the view labels keep free, 0 to 1; None: there are none."""
         if not self.letters.words:
             return None

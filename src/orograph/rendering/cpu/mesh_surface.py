@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
 from orograph.rendering.memory import available
 from orograph.scene.scene import EXACT_SAMPLES, Scene
@@ -42,7 +42,7 @@ ENGINE_MEMORY = 1 << 30
 """Bytes of tiles that an engine may hold where no limit is given."""
 
 
-def refined(scene: Scene, progress: Progress = SILENT, kept: Kept | None = None) -> Tessellation:
+def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None) -> Tessellation:
     """What the scene's engine makes of its terrain for its view, or for its ``mesh_view``.
 
     Raises:
@@ -52,14 +52,14 @@ def refined(scene: Scene, progress: Progress = SILENT, kept: Kept | None = None)
     from orograph.lod import engine_of
 
     assert scene.engine is not None
-    kept = Kept() if kept is None else kept
+    memo = Memo() if memo is None else memo
     view = scene.view.whole if scene.mesh_view is None else scene.mesh_view
     if view.projection == "plan":
         progress.warn("in a plan no height moves a pixel: the coarsest mesh is as good as any.")
     make = engine_of(scene.engine)
     memory = ENGINE_MEMORY if scene.max_memory is None else scene.max_memory // 2
     with progress.task(f"Refining ({scene.engine})"):
-        engine = kept(
+        engine = memo(
             "engine", (scene.engine, scene.metric, scene.exaggeration, memory, scene.jobs),
             lambda: make(
                 scene.terrain, metric=scene.metric, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.colour import tint_of
+from orograph.geovis.color import tint_of
 from orograph.geovis.layers import MOST, Layer, composite, drawn, nothing_over
 from orograph.lighting.shade import disc_fraction
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
 from orograph.rendering.cpu.ground import Ground
 from orograph.rendering.cpu.kernels import compose, paint
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from orograph.geovis.drape import Drape
 
 Array = NDArray[np.float64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 NOTHING = np.empty((0, 7), np.float32)
 
@@ -44,7 +44,7 @@ SMOOTH = 0.5
 
 
 def drapes_of(
-    scene: Scene, ground: Ground, survey: Survey, kept: Kept, progress: Progress
+    scene: Scene, ground: Ground, survey: Survey, memo: Memo, progress: Progress
 ) -> list[tuple[Layer, Drape]]:  # fmt: skip
     """The layers that can be seen and what is held of them, bottom to top, ready for what the picture looks up;
     warnings are told once."""
@@ -65,7 +65,7 @@ def drapes_of(
     def held(layer: Layer) -> Drape:
         """What is held of a layer: the same for all frames that want no finer of it, or read it where they look."""
         content = layer.content
-        laid = kept("laid", content, lambda: Laid.open(content, grid), terrain, MOST)
+        laid = memo("laid", content, lambda: Laid.open(content, grid), terrain, MOST)
         plan = Drape.plan(laid, memory, metres)
 
         def opened() -> Drape:
@@ -74,7 +74,7 @@ def drapes_of(
                 progress.warn(warning)
             return drape
 
-        return kept("drape", (content, plan), opened, laid, MOST)
+        return memo("drape", (content, plan), opened, laid, MOST)
 
     drapes = [(layer, held(layer)) for layer in layers]
     if any(drape.tiles is not None for _, drape in drapes):
@@ -93,32 +93,32 @@ class Shader:
             not), and "missing".
     """
 
-    def __init__(self, scene: Scene, ground: Ground, survey: Survey, kept: Kept, progress: Progress = SILENT) -> None:
+    def __init__(self, scene: Scene, ground: Ground, survey: Survey, memo: Memo, progress: Progress = SILENT) -> None:
         self.scene, self.ground = scene, ground
         self.facts: dict[str, Any] = {}
         self.shown = {"ground": 0, "water": 0, "draped": 0, "missing": 0}
         self._lock = threading.Lock()
         self.to_sun, self.sunlight, self.skylight = illumination(scene.sun)
-        ahead = field_ahead(scene, kept)
-        self.maps = MapGrid(scene, ground, survey, kept)
+        ahead = field_ahead(scene, memo)
+        self.maps = MapGrid(scene, ground, survey, memo)
         terrain, sea = ground.bare.terrain, None if scene.water is not None else False
-        self.tint = kept("tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain)
+        self.tint = memo("tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain)
         self.air = None
         if scene.sky:
-            self.air = Atmosphere(scene, scene.depths or survey.range, kept)
+            self.air = Atmosphere(scene, scene.depths or survey.range, memo)
         self.lines = None
         if scene.contours is not None:
             from orograph.rendering.cpu.marks import Lines
 
-            self.lines = Lines(scene, ground, self.maps, kept)
+            self.lines = Lines(scene, ground, self.maps, memo)
             self.facts["contours"] = self.lines.facts
-        self.drapes = drapes_of(scene, ground, survey, kept, progress)
+        self.drapes = drapes_of(scene, ground, survey, memo, progress)
         self.strength = self.maps.strength
         self.lighting: Lighting | None = None
         if scene.light != "relief":
             bounce = np.float32(BOUNCE) * (self.sunlight + self.skylight)
             shine = Shine(self.to_sun, self.sunlight, self.skylight, bounce)
-            self.lighting = lighting_of(scene, ground, shine, self.maps.window, self.strength, kept, progress, ahead)
+            self.lighting = lighting_of(scene, ground, shine, self.maps.window, self.strength, memo, progress, ahead)
             self.facts["light"] = self.lighting.told
         self.lower_limb = math.tan(math.radians(max(scene.sun.altitude - scene.sun.diameter / 2, -89.0))) * (1 + 1e-9)
         self.facts["relief"] = self.strength
@@ -132,10 +132,10 @@ class Shader:
             return False
         return not self.drapes and self.lighting is not None and self.lighting.smooth
 
-    def colour(
+    def color(
         self, hits: Hits, px: Array, py: Array, counted: NDArray[np.bool_] | None = None,
         wet: NDArray[np.bool_] | None = None,
-    ) -> Colours:  # fmt: skip
+    ) -> Colors:  # fmt: skip
         """Linear colours (n, 3) of the samples in ``hits`` at pixel positions px, py (n,).
 
         ``counted`` (n,): which of them go into ``shown``; None: none. ``wet`` (n,): gets which of them are water.
@@ -149,16 +149,16 @@ class Shader:
             if wet is not None and self.maps.water.size:
                 met = np.flatnonzero(~np.isnan(hits.t))
                 wet[met] = self._wet(hits.points[met])
-        veiled = np.flatnonzero(~np.isnan(hits.veil))
+        veiled = np.flatnonzero(~np.isnan(hits.void_fill))
         if len(veiled):
             if counted is not None:
                 self._count(missing=int(np.count_nonzero(counted[veiled])))
             out[veiled] = hatching(px[veiled], py[veiled])
             if self.air is not None:
-                out[veiled] = self.air.haze(out[veiled], hits.rays[veiled], hits.veil[veiled])
+                out[veiled] = self.air.haze(out[veiled], hits.rays[veiled], hits.void_fill[veiled])
         return out
 
-    def _lit(self, hits: Hits, px: Array, py: Array, out: Colours, counted: NDArray[np.bool_] | None) -> None:
+    def _lit(self, hits: Hits, px: Array, py: Array, out: Colors, counted: NDArray[np.bool_] | None) -> None:
         """Colour the samples that met ground; count those that are ``counted``."""
         drape = NOTHING if not self.drapes else self.draped(hits, px, py)
         if self.lighting is None:
@@ -172,7 +172,7 @@ class Shader:
             )  # fmt: skip
         met = np.flatnonzero(~np.isnan(hits.t))
         if counted is not None:
-            bare = np.flatnonzero(counted & ~np.isnan(hits.t) & np.isnan(hits.veil))
+            bare = np.flatnonzero(counted & ~np.isnan(hits.t) & np.isnan(hits.void_fill))
             wet = self._wet(hits.points[bare])
             covered = drape[bare, 6] < 0.5 if self.drapes else np.zeros(len(bare), bool)
             self._count(ground=len(bare), water=int((wet & ~covered).sum()), draped=int(covered.sum()))
@@ -184,7 +184,7 @@ class Shader:
         if len(large):
             out[large] = dithered(out[large], px[large], py[large])
 
-    def _relief(self, hits: Hits, drape: Colours, out: Colours) -> None:
+    def _relief(self, hits: Hits, drape: Colors, out: Colors) -> None:
         """Light by the skyline and the sky-view factor of the working grid."""
         cosine, tilt = self.ground.incidence(hits, self.to_sun, self.strength)
         sunlit = np.ones(len(cosine))
@@ -218,7 +218,7 @@ class Shader:
             for name, n in samples.items():
                 self.shown[name] += n
 
-    def draped(self, hits: Hits, px: Array, py: Array) -> Colours:
+    def draped(self, hits: Hits, px: Array, py: Array) -> Colors:
         """What the layers make of the ground's own colours (n, 7), see ``geovis.layers.composite``."""
         x, y = self.scene.terrain.grid.xy(hits.points[:, 0], hits.points[:, 1])
         ground, least = self.ground.footprints(hits, px, py)
@@ -227,7 +227,7 @@ class Shader:
             composite(drape.spread(x, y, ground, least), layer.opacity, layer.blend == "multiply", stack)
         return stack
 
-    def background(self, directions: Array, px: Array, py: Array) -> Colours:
+    def background(self, directions: Array, px: Array, py: Array) -> Colors:
         """What is seen where no ground is, in directions (n, 3) and at pixel positions (n,)."""
         if self.air is not None:
             return dithered(self.air.sky(directions), px, py)

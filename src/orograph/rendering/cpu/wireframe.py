@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from orograph._numba import kernel
 from orograph.geo.grid import Grid
-from orograph.geovis.colour import srgb_to_linear
+from orograph.geovis.color import srgb_to_linear
 from orograph.parallel import map_ordered
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import View
 
 Array = NDArray[np.float64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 INK = srgb_to_linear(np.array([0.07, 0.09, 0.15], np.float32))
 OPACITY = 0.86
@@ -49,7 +49,7 @@ BANDS = 16
 
 
 def draw_edges(
-    linear: Colours,
+    linear: Colors,
     depth: Array,
     tessellation: Tessellation,
     grid: Grid,
@@ -57,7 +57,7 @@ def draw_edges(
     *,
     exaggeration: float = 1.0,
     width: float | None = None,
-    gaps: Colours | None = None,
+    gaps: Colors | None = None,
     jobs: int | None = None,
 ) -> None:
     """Draw a tessellation's edges over a picture.
@@ -149,7 +149,7 @@ def heights(corners: Array) -> Array:
 
 @kernel
 def draw_lines(
-    ends: Array, depth: Array, parallel: bool, half: float, near: float, row0: int, row1: int, ink: Colours
+    ends: Array, depth: Array, parallel: bool, half: float, near: float, row0: int, row1: int, ink: Colors
 ) -> None:
     """Draw lines into the rows [row0, row1) of ``ink`` (height, width), 0 to 1.
 

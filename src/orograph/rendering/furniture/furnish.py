@@ -18,7 +18,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.rendering.furniture.lettering import Colour, Style, set_type
+from orograph.rendering.furniture.lettering import Color, Style, set_type
 from orograph.rendering.furniture.pieces import (
     INK,
     PAPER,
@@ -35,7 +35,7 @@ Box = tuple[int, int, int, int]
 Corner = Literal["top left", "top right", "bottom left", "bottom right"]
 CORNERS: tuple[Corner, ...] = get_args(Corner)
 
-EDGE: Colour = (168, 166, 160)
+EDGE: Color = (168, 166, 160)
 """The line around paper that lies on something else."""
 
 OVERSIZE = 3
@@ -263,15 +263,15 @@ def _paint(sheet: Any, piece: Piece, box: Box, style: Style, framed: bool = True
         k = np.minimum(at.astype(int), max(len(table) - 2, 0))
         part = (at - k)[:, None]
         rows = table[k] * (1 - part) + table[np.minimum(k + 1, len(table) - 1)] * part
-        for i, colour in enumerate(np.round(rows).astype(int)):
-            pen.rectangle((x0 * s, (y0 + i) * s, x1 * s - 1, (y0 + i + 1) * s - 1), (*(int(v) for v in colour), 255))
-    for points, colour in piece.polygons:
-        pen.polygon([(x * s - 0.5, y * s - 0.5) for x, y in points], (*colour, 255))
+        for i, color in enumerate(np.round(rows).astype(int)):
+            pen.rectangle((x0 * s, (y0 + i) * s, x1 * s - 1, (y0 + i + 1) * s - 1), (*(int(v) for v in color), 255))
+    for points, color in piece.polygons:
+        pen.polygon([(x * s - 0.5, y * s - 0.5) for x, y in points], (*color, 255))
     layer = layer.resize((w, h), Image.Resampling.BOX)
     sheet.paste(layer, box[:2], layer)
     for left, top, right, bottom, tile in piece.patterns:
         x0, y0, x1, y1 = math.ceil(left), math.ceil(top), math.floor(right), math.floor(bottom)
         rows, cols = np.arange(max(y1 - y0, 1)) % tile.shape[0], np.arange(max(x1 - x0, 1)) % tile.shape[1]
         sheet.paste(Image.fromarray(np.ascontiguousarray(tile[np.ix_(rows, cols)])), (box[0] + x0, box[1] + y0))
-    for x, y, words, font, colour, anchor in piece.texts:
-        set_type(sheet, (box[0] + x, box[1] + y), words, font, colour, anchor)
+    for x, y, words, font, color, anchor in piece.texts:
+        set_type(sheet, (box[0] + x, box[1] + y), words, font, color, anchor)

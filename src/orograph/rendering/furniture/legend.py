@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.colour import Tint, linear_to_srgb
+from orograph.geovis.color import Tint, linear_to_srgb
 from orograph.rendering.furniture.pieces import Legend
 from orograph.rendering.palette import HATCH, VISIBLE, WATER, hatching
 from orograph.rendering.survey import stride
@@ -78,7 +78,7 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
 def _legend(drawn: Drawn) -> Legend | None:
     """What the colours mean that were drawn: of heights unless an image covers (nearly) all, of water, of no data."""
     shown, tint = drawn.shown, drawn.tint
-    low, high, colours = tint.scale()
+    low, high, colors = tint.scale()
     dry = shown["ground"] - shown["water"]
     tinted = not drawn.draped or shown["draped"] < DRAPED * dry
     wet, missing = (shown[what] >= VISIBLE for what in ("water", "missing"))
@@ -86,7 +86,7 @@ def _legend(drawn: Drawn) -> Legend | None:
         return None
     y, x = np.mgrid[:HATCH, :HATCH].reshape(2, -1) + 0.5
     return Legend(
-        low, high, linear_to_srgb(colours) if tinted else None,
+        low, high, linear_to_srgb(colors) if tinted else None,
         water=linear_to_srgb(WATER) if wet else None,
         missing=linear_to_srgb(hatching(x, y)).reshape(HATCH, HATCH, 3) if missing else None,
         below=tint.below, above=tint.above,

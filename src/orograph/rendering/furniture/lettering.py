@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-Colour = tuple[int, int, int]
+Color = tuple[int, int, int]
 
 FALLBACKS = ("DejaVuSans.ttf", "NotoSans-Regular.ttf", "Arial.ttf", "Arial Unicode.ttf")
 PLAIN = {"×": "x", "−": "-", "–": "-", "—": "-", "…": "...", "’": "'", "“": '"', "”": '"', "′": "'", "″": '"'}
@@ -145,7 +145,7 @@ def cut(words: str, font: Any, widest: float, style: Style) -> str:
     return ""
 
 
-def set_type(sheet: Any, place: tuple[float, float], words: str, font: Any, colour: Colour, anchor: str) -> None:
+def set_type(sheet: Any, place: tuple[float, float], words: str, font: Any, color: Color, anchor: str) -> None:
     """Set words on an image with their baseline at ``place``."""
     from PIL import Image, ImageDraw
 
@@ -158,4 +158,4 @@ def set_type(sheet: Any, place: tuple[float, float], words: str, font: Any, colo
     ImageDraw.Draw(mask).text((x - left * s, y - top * s), words, 255, large, anchor)
     if s > 1:
         mask = mask.resize((w, h), Image.Resampling.BOX)
-    sheet.paste(colour, (left, top, left + w, top + h), mask)
+    sheet.paste(color, (left, top, left + w, top + h), mask)

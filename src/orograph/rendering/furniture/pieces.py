@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.rendering.furniture.lettering import Colour, Style, cut, length
+from orograph.rendering.furniture.lettering import Color, Style, cut, length
 
-PAPER: Colour = (246, 244, 239)
-INK: Colour = (36, 40, 46)
-GREY: Colour = (92, 96, 102)
+PAPER: Color = (246, 244, 239)
+INK: Color = (36, 40, 46)
+GREY: Color = (92, 96, 102)
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Legend:
 
     low: float
     high: float
-    colours: NDArray[Any] | None
+    colors: NDArray[Any] | None
     unit: str = "m"
     label: str = "Height"
     water: Any = None
@@ -47,37 +47,37 @@ class Piece:
 
     width: float
     height: float
-    polygons: list[tuple[list[tuple[float, float]], Colour]] = field(default_factory=list)
-    texts: list[tuple[float, float, str, Any, Colour, str]] = field(default_factory=list)
+    polygons: list[tuple[list[tuple[float, float]], Color]] = field(default_factory=list)
+    texts: list[tuple[float, float, str, Any, Color, str]] = field(default_factory=list)
     ramp: tuple[float, float, float, float, NDArray[np.uint8]] | None = None
     patterns: list[tuple[float, float, float, float, NDArray[np.uint8]]] = field(default_factory=list)
 
-    def box(self, x0: float, y0: float, x1: float, y1: float, colour: Colour) -> None:
-        self.polygons.append(([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], colour))
+    def box(self, x0: float, y0: float, x1: float, y1: float, color: Color) -> None:
+        self.polygons.append(([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], color))
 
-    def framed(self, x0: float, y0: float, x1: float, y1: float, colour: Colour, line: float) -> None:
+    def framed(self, x0: float, y0: float, x1: float, y1: float, color: Color, line: float) -> None:
         """A box with an outline around it."""
         self.box(x0 - line, y0 - line, x1 + line, y1 + line, INK)
-        self.box(x0, y0, x1, y1, colour)
+        self.box(x0, y0, x1, y1, color)
 
 
 def heading(title: str, subtitle: str | None, style: Style, inner: int) -> Piece | None:
     """Title and subtitle; a long title is set smaller, then cut."""
     widest = inner - 2 * style.pad
-    lines: list[tuple[str, Any, Colour, float]] = []
-    for words, sizes, colour in ((title, (1.7, 1.4, 1.15), INK), (subtitle or "", (0.95,), GREY)):
+    lines: list[tuple[str, Any, Color, float]] = []
+    for words, sizes, color in ((title, (1.7, 1.4, 1.15), INK), (subtitle or "", (0.95,), GREY)):
         if not words:
             continue
         words = style.text(words)
         size = next((s for s in sizes if length(style.font(s), words) <= widest), sizes[-1])
-        lines.append((cut(words, style.font(size), widest, style), style.font(size), colour, size * style.unit))
+        lines.append((cut(words, style.font(size), widest, style), style.font(size), color, size * style.unit))
     if not lines or any(not words for words, *_ in lines):
         return None
     piece = Piece(max(length(f, w) for w, f, *_ in lines) + 2 * style.pad, 0)
     y = float(style.pad)
-    for words, font, colour, size in lines:
+    for words, font, color, size in lines:
         y += 0.74 * size
-        piece.texts.append((style.pad, y, words, font, colour, "ls"))
+        piece.texts.append((style.pad, y, words, font, color, "ls"))
         y += 0.26 * size + 0.25 * style.unit
     piece.height = y - 0.25 * style.unit - 0.1 * style.unit + style.pad
     return piece
@@ -87,10 +87,10 @@ def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
     """The ramp with its ticks, ``size`` units high; below it the swatches, if ``extras``."""
     u, pad, small = style.unit, style.pad, style.font(0.9)
     label = style.text(f"{legend.label} ({legend.unit})" if legend.unit else legend.label)
-    if legend.colours is None:
+    if legend.colors is None:
         label, size = "", 0.0
     rows = [(style.text("Water"), legend.water), (style.text("No data"), legend.missing)]
-    rows = [(words, colour) for words, colour in rows if colour is not None and extras]
+    rows = [(words, color) for words, color in rows if color is not None and extras]
     bar, tall, tip = round(1.15 * u), round(size * u), 0.8 * u
     top = pad + (1.35 * u if label else 0.0) + (tip if legend.above and label else 0.0)
     span = legend.high - legend.low
@@ -101,14 +101,14 @@ def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
     foot = top + tall + (tip if legend.below and label else 0.0)
     lead = 0.75 * u if label else 0.15 * u
     piece = Piece(width + 2 * pad, foot + pad + (lead - 0.5 * u + len(rows) * 1.5 * u if rows else 0.25 * u))
-    if legend.colours is not None:
+    if legend.colors is not None:
         piece.texts.append((pad, pad + 0.72 * u, label, small, GREY, "ls"))
-        table = _bytes(legend.colours)
+        table = _bytes(legend.colors)
         piece.ramp = pad, top, pad + bar, top + tall, table
         line = style.hair / 2
         ends = ((legend.above, top, -1, table[-1]), (legend.below, top + tall, 1, table[0]))
-        for _, y, way, colour in (end for end in ends if end[0]):
-            for grow, ink in ((line, INK), (-line, _colour(colour))):
+        for _, y, way, color in (end for end in ends if end[0]):
+            for grow, ink in ((line, INK), (-line, _color(color))):
                 left, right, point = pad - grow, pad + bar + grow, y + way * (tip + 1.6 * grow)
                 piece.polygons.append(([(left, y), (right, y), ((left + right) / 2, point)], ink))
     for value, name in zip(values, names):
@@ -116,9 +116,9 @@ def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
         piece.box(pad + bar, y - style.hair / 2, pad + bar + 0.35 * u, y + style.hair / 2, INK)
         piece.texts.append((pad + bar + 0.65 * u, y + 0.31 * u, name, small, INK, "ls"))
     y, high = float(round(foot + lead)), round(0.95 * u)  # whole pixels, for patterns
-    for words, colour in rows:
-        sample = _bytes(colour)
-        piece.framed(pad, y, pad + bar, y + high, _colour(sample.reshape(-1, 3)[0]), style.hair / 2)
+    for words, color in rows:
+        sample = _bytes(color)
+        piece.framed(pad, y, pad + bar, y + high, _color(sample.reshape(-1, 3)[0]), style.hair / 2)
         if sample.ndim == 3:
             piece.patterns.append((pad, y, pad + bar, y + high, sample))
         piece.texts.append((pad + bar + 0.65 * u, y + 0.78 * u, words, small, INK, "ls"))
@@ -232,14 +232,14 @@ def bar_length(most: float) -> tuple[float, int, str]:
 # ---- drawing -------------------------------------------------------------------------------------------------------
 
 
-def _bytes(colours: Any) -> NDArray[np.uint8]:
-    a = np.asarray(colours)
+def _bytes(colors: Any) -> NDArray[np.uint8]:
+    a = np.asarray(colors)
     if a.dtype.kind not in "iu":
         a = np.round(np.clip(a.astype(np.float64), 0, 1) * 255)
     out: NDArray[np.uint8] = np.clip(a, 0, 255).astype(np.uint8, copy=False)
     return out
 
 
-def _colour(colour: Any) -> Colour:
-    r, g, b = (int(v) for v in _bytes(colour)[:3])
+def _color(color: Any) -> Color:
+    r, g, b = (int(v) for v in _bytes(color)[:3])
     return r, g, b

@@ -25,7 +25,7 @@ from orograph.rendering.gpu.frame import PLAIN, Overlay
 from orograph.rendering.gpu.overview import rimmed
 from orograph.rendering.gpu.renderer import Renderer
 from orograph.rendering.picture import Picture, plan_grid
-from orograph.scene.diagnostics import doubts, what_to_do, why_empty
+from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
 from orograph.scene.scene import Scene
 
 TOLERANCE = 1.0
@@ -71,7 +71,7 @@ def draw(
         scene = replace(scene, tolerance=TOLERANCE)
     if scene.engine is not None and not scene.wireframe:
         overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh
-    warnings = doubts(scene) if around.frame[:2] == (0, 0) else []  # of tiles, the first
+    warnings = diagnose(scene) if around.frame[:2] == (0, 0) else []  # of tiles, the first
     for warning in warnings:
         progress.warn(warning)
     own = renderer is None

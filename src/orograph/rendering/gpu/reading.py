@@ -16,9 +16,9 @@ from orograph.rendering.gpu.shade.following import Following
 from orograph.rendering.gpu.shade.visible import points_of, wet_at
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.surface.meshes import Meshes
-from orograph.rendering.gpu.surface.void_fill import VeilPass
+from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.gpu.targets import Targets
-from orograph.rendering.gpu.temporal.jitter import Samples
+from orograph.rendering.gpu.temporal.jitter import Jitter
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
@@ -35,9 +35,9 @@ class Reading:
     terrain: Terrain
     imagery: Imagery
     _targets: Targets | None
-    _veil: VeilPass
+    _veil: VoidFillPass
     _light: Following
-    _samples: Samples
+    _samples: Jitter
     _meshes: Meshes
 
     def depth_at(self, x: float, y: float) -> float | None:

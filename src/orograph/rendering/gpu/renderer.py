@@ -23,7 +23,7 @@ from orograph.gpu.device import Device
 from orograph.gpu.recording import write
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
 from orograph.lod.triangle_patches import Patches
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.gpu.camera import CAMERA, camera_of
 from orograph.rendering.gpu.frame import PLAIN, FrameStats, Overlay
 from orograph.rendering.gpu.overview import Seen, overview
@@ -42,10 +42,10 @@ from orograph.rendering.gpu.stream.residency import Residency
 from orograph.rendering.gpu.stream.tiles import missing
 from orograph.rendering.gpu.surface.meshes import Meshes, MeshPass
 from orograph.rendering.gpu.surface.patches import PatchPass, Slopes
-from orograph.rendering.gpu.surface.void_fill import VeilPass
+from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.gpu.targets import Targets
-from orograph.rendering.gpu.temporal.antialiasing import NONE, Steady
-from orograph.rendering.gpu.temporal.jitter import SAMPLES, Samples
+from orograph.rendering.gpu.temporal.antialiasing import NONE, TemporalAntialiasing
+from orograph.rendering.gpu.temporal.jitter import SAMPLES, Jitter
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -95,13 +95,13 @@ class Renderer(Reading):
         jobs: int | None = None,
     ) -> None:
         self.device, self.terrain = device, terrain
-        self.kept = Kept()
+        self.memo = Memo()
         self.tiles = Residency(device, terrain, 3 * (gpu_memory // 4), memory, jobs)
         self.imagery = Imagery(device, terrain, gpu_memory // 4, jobs)
         self.heights, self.slopes, self.engine = self.tiles.heights, self.tiles.slopes, self.tiles.engine
         self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
         legs = self.engine.legs
-        self._resources = Resources(device, terrain, self.heights, self.slopes, self.imagery, self.kept)
+        self._resources = Resources(device, terrain, self.heights, self.slopes, self.imagery, self.memo)
         self._patches = PatchPass(
             device, self._camera, self.heights.texture, self._resources.stored_slopes, patch_vertices(legs),
             patch_indices(legs), INSTANCE.itemsize, missing(terrain),
@@ -112,18 +112,18 @@ class Renderer(Reading):
         self._field = False
         self._letters = Letters(device, terrain)
         self._breaks = BreakPass(device, self._camera, terrain, self._resources.stored_slopes)
-        self._veil = VeilPass(device, self._camera)
+        self._veil = VoidFillPass(device, self._camera)
         self._shading = ShadePass(device, self._camera, missing(terrain))
         self._corners = ScreenOcclusion(device, self._shading)
         self._resolves: dict[str, ResolvePass] = {}
         self._targets: Targets | None = None
         self._light = Following(
-            terrain, self.kept, self._veil, legs, upload=lambda pool: self._resources.upload("maps", pool)
+            terrain, self.memo, self._veil, legs, upload=lambda pool: self._resources.upload("maps", pool)
         )
-        self._looks = Looks(terrain, self.kept, self._light, self._veil)
+        self._looks = Looks(terrain, self.memo, self._light, self._veil)
         self._flags = 0
-        self._samples = Samples()
-        self._steady = Steady(device, self._camera)
+        self._samples = Jitter()
+        self._steady = TemporalAntialiasing(device, self._camera)
         self._around = Around(terrain, device.largest)
         self._missing = self._late = 0
         self._lit: Scene | None = None
@@ -193,7 +193,7 @@ class Renderer(Reading):
 
     def overview(self, scene: Scene) -> Seen:
         """What a scene's whole view shows: all tiles of it have their light and their haze by that."""
-        return self.kept(
+        return self.memo(
             "overview", (scene.view.whole, scene.exaggeration),
             lambda: overview(self.device, self.tiles, self._patches, self._camera, scene), self.terrain,
         )  # fmt: skip
@@ -250,7 +250,7 @@ class Renderer(Reading):
             self.overview(scene)  # before the tile's own ground is chosen, whose place it may take
         tolerance = scene.tolerance or 1.0
         if scene.contours is not None:
-            tolerance *= scene.contours.finer(self.terrain, view, self.kept)
+            tolerance *= scene.contours.finer(self.terrain, view, self.memo)
         chosen = self.tiles.choose(freeze or view, tolerance, scene.exaggeration, wait=wait, later=True)
         layers = self.imagery.prepare(scene.layers, view, scene.exaggeration, wait=wait)
         self._missing = chosen.missing + self.imagery.missing

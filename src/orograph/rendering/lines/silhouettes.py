@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from orograph.rendering.rays import Area
 
 Array = NDArray[np.float64]
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 SMOOTH = 2.5
 """Pixels that slopes are averaged over for creases."""
@@ -81,7 +81,7 @@ class Outlines:
         self.lines, self.ground, self.area = lines, ground, area
         self.depths = max(depths[0], 1e-3), max(depths[1], depths[0] * 1.001, 2e-3)
 
-    def draw(self, linear: Colours, depth: Array, samples: Array, air: Any) -> None:
+    def draw(self, linear: Colors, depth: Array, samples: Array, air: Any) -> None:
         """Draw over a picture.
 
         Args:
@@ -89,7 +89,7 @@ class Outlines:
             samples: (n, 2) positions in a pixel that its coverage is averaged over.
             air: what comes before lines (``rendering.sky.Atmosphere``), or None.
         """
-        middle: Colours = np.zeros((0, 0), np.float32)
+        middle: Colors = np.zeros((0, 0), np.float32)
         if self.lines.creases > 0:
             i, j = (a.ravel().astype(np.float64) for a in np.indices(depth.shape))
             middle = self._facing(j + (self.area[2] + 0.5), i + (self.area[0] + 0.5), depth.ravel())
@@ -103,10 +103,10 @@ class Outlines:
             mean, nearest = np.zeros(cover.shape, np.float32), np.full(cover.shape, np.inf)
             rows, cols = np.nonzero(asked)
 
-            def at(place: Array) -> tuple[Colours, Array]:
+            def at(place: Array) -> tuple[Colors, Array]:
                 moved = depth.copy()
-                t, _, veil = self.ground.rays.cast(cols + self.area[2] + place[0], rows + self.area[0] + place[1])
-                moved[rows, cols] = np.where(np.isfinite(veil), veil, t)
+                t, _, void_fill = self.ground.rays.cast(cols + self.area[2] + place[0], rows + self.area[0] + place[1])
+                moved[rows, cols] = np.where(np.isfinite(void_fill), void_fill, t)
                 facing = middle
                 if facing.size:
                     facing = facing.copy()
@@ -134,7 +134,7 @@ class Outlines:
         part = (cover[rows, cols] * np.float32(self.lines.opacity))[:, None]
         linear[rows, cols] += part * (ink - linear[rows, cols])
 
-    def _facing(self, px: Array, py: Array, depth: Array) -> Colours:
+    def _facing(self, px: Array, py: Array, depth: Array) -> Colors:
         """n · v of the ground at pixel positions (n,) and depths; NaN where there is none."""
         ground, out = self.ground, np.empty(len(px), np.float32)
 
@@ -151,7 +151,7 @@ class Outlines:
             pass
         return out
 
-    def _cover(self, depth: Array, facing: Colours, x: float, y: float) -> tuple[Colours, Array]:
+    def _cover(self, depth: Array, facing: Colors, x: float, y: float) -> tuple[Colors, Array]:
         """Coverage (rows, cols) by lines where depths are those at (x, y) in each pixel, and depths of the lines."""
         from orograph.rendering.lines.silhouette_kernels import breaks, creases, gather
 

@@ -11,10 +11,10 @@ from imgui_bundle import imgui
 
 from orograph.dem.handles import locate
 from orograph.errors import OrographError
-from orograph.geovis.colour import TINTS, colour_table
+from orograph.geovis.color import TINTS, color_table
 from orograph.geovis.layers import Layer, check_count
 from orograph.geovis.laying import Laid
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.scene.contours import Contours
 from orograph.scene.silhouettes import Silhouettes
 from orograph.viewer.panels.tips import CLAMPED, path_of
@@ -43,10 +43,10 @@ def draw(window: Window) -> None:
     at = COLOURS.index(settings.colormap) if settings.colormap in COLOURS else 0
     if settings.colormap not in COLOURS:
         names[0] = str(settings.colormap)
-    moved, at = imgui.combo("colours", at, names)
+    moved, at = imgui.combo("colors", at, names)
     if moved:
         settings.colormap = COLOURS[at]
-    _colour_by_name(window)
+    _color_by_name(window)
     nature = settings.relief is not None
     moved, nature = imgui.checkbox("slopes shaded as", nature)
     if moved:
@@ -94,7 +94,7 @@ def _contours(window: Window) -> None:
     imgui.same_line()
     moved, by_hand = imgui.checkbox("interval", lines.interval is not None)
     if moved:
-        fitted = lines.fitted(window.session.terrain, window.session.view, Kept())
+        fitted = lines.fitted(window.session.terrain, window.session.view, Memo())
         lines = replace(lines, interval=fitted.interval if by_hand else None)
     if lines.interval is not None:
         flags = imgui.SliderFlags_.logarithmic
@@ -114,7 +114,7 @@ def _contours(window: Window) -> None:
     settings.contours = lines
 
 
-def _colour_by_name(window: Window) -> None:
+def _color_by_name(window: Window) -> None:
     """Any name of the catalogue."""
     settings = window.session.settings
     entered, text = imgui.input_text_with_hint(
@@ -123,7 +123,7 @@ def _colour_by_name(window: Window) -> None:
     window.texts["colormap"] = text
     if entered and text.strip():
         try:
-            colour_table(text.strip())
+            color_table(text.strip())
         except OrographError as error:
             window.session.messages.say(str(error))
         else:

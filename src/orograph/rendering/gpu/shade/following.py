@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.gpu.background import Aside
-from orograph.memo import Kept
+from orograph.gpu.background import BackgroundTask
+from orograph.memo import Memo
 from orograph.rendering.gpu.shade.light_maps import LightMaps, light_maps, plain_maps, quick_maps, whole
 from orograph.rendering.gpu.shade.visible import about
-from orograph.rendering.gpu.surface.void_fill import EXACT, VeilPass, veils
+from orograph.rendering.gpu.surface.void_fill import EXACT, VoidFillPass, void_fills
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -62,14 +62,14 @@ class Following:
     """
 
     def __init__(
-        self, terrain: Terrain, kept: Kept, veil: VeilPass, legs: int, upload: Upload = lambda _: None
+        self, terrain: Terrain, memo: Memo, void_fill: VoidFillPass, legs: int, upload: Upload = lambda _: None
     ) -> None:
-        self.terrain, self.kept, self.veil, self.legs, self.upload = terrain, kept, veil, legs, upload
+        self.terrain, self.memo, self.void_fill, self.legs, self.upload = terrain, memo, void_fill, legs, upload
         self.maps: LightMaps | None = None
         self.range = (1.0, 1e5)
-        self._aside = Aside()
-        self._own = Kept()
-        """What the thread keeps for the next maps; ``kept`` would have frames wait while it makes something."""
+        self._aside = BackgroundTask()
+        self._own = Memo()
+        """What the thread keeps for the next maps; ``memo`` would have frames wait while it makes something."""
         self._begun = self._taken = self._took = 0.0
         self._wish: Any = None
         self._due_now: tuple[Any, Callable[[], Any]] | None = None
@@ -85,8 +85,8 @@ class Following:
         """Have maps for the scene; ``seen`` gives the ground in view as ``seen.about`` does."""
         points, found = seen()
         self.range = found or self.range
-        self.maps = light_maps(scene, points if found else whole(self.terrain), self.kept)
-        self.veil.load(*self._veils(scene, self.kept))
+        self.maps = light_maps(scene, points if found else whole(self.terrain), self.memo)
+        self.void_fill.load(*self._veils(scene, self.memo))
         self._aside.done = self._wish = self._key(scene)
 
     def begin(self) -> LightMaps:
@@ -100,10 +100,10 @@ class Following:
         now, self._due_now = time.monotonic(), None
         done = self._aside.take()
         if done is not None:
-            self.maps, self.range, veil = done
+            self.maps, self.range, void_fill = done
             self._taken, self._took = now, now - self._begun
-            if veil is not None:
-                self.veil.load(*veil)
+            if void_fill is not None:
+                self.void_fill.load(*void_fill)
         self.begin()
         if self._last_view is None:
             self.range = self._about(scene, instances)[1]
@@ -151,11 +151,11 @@ class Following:
         points, found = about(self.terrain, scene.view, scene.exaggeration, instances, self.legs)
         return points, found or self.range
 
-    def _veils(self, scene: Scene, kept: Kept) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+    def _veils(self, scene: Scene, memo: Memo) -> tuple[NDArray[Any], NDArray[np.uint32]]:
         """Patches over the holes in view."""
         view, terrain, tolerance = scene.view, self.terrain, scene.tolerance or 1.0
         known = () if terrain.grid.shape[0] * terrain.grid.shape[1] <= EXACT else (view, scene.exaggeration, tolerance)
-        return kept("veils", known, lambda: veils(terrain, view, scene.exaggeration, tolerance), terrain)
+        return memo("veils", known, lambda: void_fills(terrain, view, scene.exaggeration, tolerance), terrain)
 
     def _key(self, scene: Scene) -> Any:
         view = scene.view

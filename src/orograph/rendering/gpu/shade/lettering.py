@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from orograph.gpu.background import Aside
+from orograph.gpu.background import BackgroundTask
 from orograph.gpu.device import Device
 from orograph.rendering.lines.label_type import NOTHING, Labels, Lettering
 from orograph.rendering.lines.labels import Placer
@@ -37,7 +37,7 @@ class Letters:
         self.view: Any = None
         self.state: Any = None
         self._labels: Labels = NOTHING
-        self._aside = Aside()
+        self._aside = BackgroundTask()
         self._wish: Any = None
         self._texture: Any = None
         self._held: tuple[Any, Any] = (None, None)

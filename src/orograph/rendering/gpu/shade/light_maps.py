@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from orograph.lighting.gpu.aperture import packed
 from orograph.lighting.nested import Nested, sunward
 from orograph.lighting.sun import Sun
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.progress import SILENT
 from orograph.raycast.select import Rectangle, rectangles
 from orograph.rendering.cpu.lighting import SKIES, field_of
@@ -68,7 +68,7 @@ class LightMaps:
     water_fraction: float
 
 
-def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) -> LightMaps:
+def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float = 1.0) -> LightMaps:
     """Make the maps for a scene.
 
     Args:
@@ -76,7 +76,7 @@ def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) 
         kept: what earlier maps left.
         detail: pixels that a sample of the sun's finest window may be as large as.
     """
-    grid = MapGrid(scene, _ground(scene), _Seen(points), kept)  # type: ignore[arg-type]
+    grid = MapGrid(scene, _ground(scene), _Seen(points), memo)  # type: ignore[arg-type]
     level, row0, row1, col0, col1 = grid.window
     rows, cols = row1 - row0, col1 - col0
     open_sky = np.ones(rows * cols, np.float32)  # where nothing is known, the sky is open
@@ -88,9 +88,9 @@ def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) 
     windows: NDArray[np.int32] = np.zeros((0, 8), np.int32)
     if scene.shadows and scene.light in ("relief", "ao"):
         chosen = sun_windows(scene.terrain, scene.view, scene.exaggeration, detail)
-        found = kept(
+        found = memo(
             "sun", (tuple(chosen), scene.sun, scene.exaggeration),
-            lambda: sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, kept, scene.jobs), scene.terrain,
+            lambda: sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, memo, scene.jobs), scene.terrain,
         )  # fmt: skip
         windows = np.zeros((len(chosen), 8), np.int32)
         for k, (r, values) in enumerate(zip(chosen, found)):
@@ -100,7 +100,7 @@ def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) 
     fields: NDArray[np.int32] = np.zeros((0, 8), np.int32)
     told = ""
     if scene.light in FIELDS:
-        field, told = field_of(scene, _ground(scene), grid.window, FIELDS[scene.light], kept, SILENT)  # type: ignore[arg-type]
+        field, told = field_of(scene, _ground(scene), grid.window, FIELDS[scene.light], memo, SILENT)  # type: ignore[arg-type]
         channels = field.pool.shape[1]
         words = 2 if channels == 4 else channels
         fields = np.zeros((len(field.ints), 8), np.int32)
@@ -125,7 +125,7 @@ def light_maps(scene: Scene, points: Array, kept: Kept, *, detail: float = 1.0) 
     )  # fmt: skip
 
 
-def quick_maps(scene: Scene, points: Array, kept: Kept, *, detail: float) -> LightMaps:
+def quick_maps(scene: Scene, points: Array, memo: Memo, *, detail: float) -> LightMaps:
     """Maps for the first moment: the sun's shadows, coarsely, under an open sky, and no water.
 
     Args:
@@ -136,12 +136,12 @@ def quick_maps(scene: Scene, points: Array, kept: Kept, *, detail: float) -> Lig
         return plain
     strength = scene.relief
     if strength is None:
-        strength = kept(
+        strength = memo(
             "strength", (window := working_window(scene.terrain, points), scene.exaggeration),
             lambda: strength_of(scene, window), scene.terrain,
         )  # fmt: skip
     chosen = sun_windows(scene.terrain, scene.view, scene.exaggeration, detail)
-    found = sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, kept, scene.jobs)
+    found = sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, memo, scene.jobs)
     windows: NDArray[np.int32] = np.zeros((len(chosen), 8), np.int32)
     parts, offset = [plain.pool], plain.pool.size
     for k, (r, values) in enumerate(zip(chosen, found)):
@@ -178,7 +178,7 @@ def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float
 
 
 def sun_maps(
-    terrain: Terrain, windows: list[Rectangle], sun: Sun, exaggeration: float, kept: Kept, jobs: int | None
+    terrain: Terrain, windows: list[Rectangle], sun: Sun, exaggeration: float, memo: Memo, jobs: int | None
 ) -> list[Values]:
     """How far the horizon stands above the sun's centre, in radii of its disc, for every sample of the windows.
 
@@ -187,7 +187,7 @@ def sun_maps(
 
     def means(r: Rectangle) -> Nested:
         box = r.row0, r.row1, r.col0, r.col1
-        heights = kept("means", (r.level, *box), lambda: terrain.read_mean(r.level, *box), terrain, 8)
+        heights = memo("means", (r.level, *box), lambda: terrain.read_mean(r.level, *box), terrain, 8)
         return Nested(heights * np.float32(exaggeration), r.level, r.row0, r.col0)
 
     nested = [means(r) for r in windows]

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.colour import Tint, tint_of
+from orograph.geovis.color import Tint, tint_of
 from orograph.lighting.aperture import Lights
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.gpu.shade.light_maps import LightMaps
 from orograph.rendering.gpu.shade.tracing import RAYS
 from orograph.rendering.lookup import SHORE
@@ -53,12 +53,12 @@ class Look:
     """
 
     def __init__(
-        self, scene: Scene, maps: LightMaps, visible_range: tuple[float, float], kept: Kept, *, wireframe: bool = False,
+        self, scene: Scene, maps: LightMaps, visible_range: tuple[float, float], memo: Memo, *, wireframe: bool = False,
         levels: bool = False, contours: Contours | None = None, silhouettes: Silhouettes | None = None,
     ) -> None:  # fmt: skip
         terrain = scene.terrain
         sea = None if scene.water is not None else False
-        self.tint: Tint = kept(
+        self.tint: Tint = memo(
             "tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain
         )
         parts: list[NDArray[np.float32]] = []
@@ -80,7 +80,7 @@ class Look:
         u["sea_at"], u["sea_count"] = put(self.tint.sea), len(self.tint.sea)
         u["hatch"] = put(MISSING)
         if scene.sky:
-            air = Atmosphere(scene, visible_range, kept)
+            air = Atmosphere(scene, visible_range, memo)
             u["sky_at"] = put(air.table)
             u["sky_rows"], u["sky_cols"] = air.table.shape[:2]
             u["ring_at"] = put(air.ring)
@@ -106,15 +106,15 @@ class Look:
         u["light"], u["light_first"] = maps.light, maps.first
         u["windows"] = len(maps.windows)
         u["water"][3], u["fields"] = SHORE, len(maps.fields)
-        discs = [(scene.sun, _colour(sunlight)), *scene.discs]
+        discs = [(scene.sun, _color(sunlight)), *scene.discs]
         lamps = [replace(lamp, height=lamp.height * scene.exaggeration) for lamp in scene.lamps]
-        self.lights = Lights(discs, lamps, _colour(skylight)) if lamplit else Lights()
+        self.lights = Lights(discs, lamps, _color(skylight)) if lamplit else Lights()
         u["suns"], u["lamps"] = len(self.lights.suns), len(self.lights.lamps)
         u["flags"] = flags | min(len(self.lights.suns), 7) << SUNS | (LAMPS if self.lights.lamps else 0)
         self.uniform = u
         self.tables = np.concatenate(parts)
 
 
-def _colour(colour: NDArray[np.float32]) -> tuple[float, float, float]:
-    red, green, blue = (float(c) for c in colour)
+def _color(color: NDArray[np.float32]) -> tuple[float, float, float]:
+    red, green, blue = (float(c) for c in color)
     return red, green, blue

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.gpu.frame import Normals, Overlay
 from orograph.rendering.gpu.shade.following import Following
 from orograph.rendering.gpu.shade.look import GIVEN, VEILED, Look
 from orograph.rendering.gpu.surface.patches import Slopes
-from orograph.rendering.gpu.surface.void_fill import VeilPass
+from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.lines.smooth import SMALL
 from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
@@ -26,8 +26,8 @@ class Looks:
         kept: what earlier pictures left. light: the maps of light there are. veil: the membranes over holes.
     """
 
-    def __init__(self, terrain: Terrain, kept: Kept, light: Following, veil: VeilPass) -> None:
-        self.terrain, self.kept, self.light, self.veil = terrain, kept, light, veil
+    def __init__(self, terrain: Terrain, memo: Memo, light: Following, void_fill: VoidFillPass) -> None:
+        self.terrain, self.memo, self.light, self.void_fill = terrain, memo, light, void_fill
 
     def of(self, scene: Scene, overlay: Overlay, *, exact: bool) -> Look:
         """The scene's colours and light: made again only if something of it changed.
@@ -50,18 +50,18 @@ class Looks:
 
         def make() -> Look:
             return Look(
-                scene, maps, (near, far), self.kept, wireframe=overlay.wireframe or scene.wireframe,
+                scene, maps, (near, far), self.memo, wireframe=overlay.wireframe or scene.wireframe,
                 levels=overlay.levels, contours=contours, silhouettes=silhouettes,
             )  # fmt: skip
 
-        return self.kept("look", key, make, maps)
+        return self.memo("look", key, make, maps)
 
     def features(self, look: Look, given: bool) -> int:
         """What the shading shader is compiled for; ``given``: slopes are those that the targets hold."""
-        return int(look.uniform["flags"]) | (VEILED if self.veil.count else 0) | (GIVEN if given else 0)
+        return int(look.uniform["flags"]) | (VEILED if self.void_fill.count else 0) | (GIVEN if given else 0)
 
     def contours(self, scene: Scene) -> Contours | None:
-        return scene.contours and scene.contours.fitted(self.terrain, scene.view, self.kept)
+        return scene.contours and scene.contours.fitted(self.terrain, scene.view, self.memo)
 
     def beyond_samples(self, scene: Scene) -> bool:
         """Whether there are contour lines, and pixels somewhere so small that they follow the smooth surface."""

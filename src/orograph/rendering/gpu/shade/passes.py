@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from orograph.gpu.background import Aside
+from orograph.gpu.background import BackgroundTask
 from orograph.gpu.device import Device
 from orograph.gpu.layouts import stage, storage, texture, uniform
 from orograph.gpu.recording import KEEP, Attachments, write
-from orograph.rendering.gpu.shade.ray_field import Rays
+from orograph.rendering.gpu.shade.ray_field import RayBindings
 from orograph.rendering.gpu.shade.ssao import Ssao
 from orograph.rendering.gpu.shade.tracing import RAYS
 from orograph.rendering.gpu.targets import DEPTH, EMPTY, LIGHT, Targets
@@ -50,10 +50,10 @@ class ShadePass:
             ),
         ]  # fmt: skip
         self.layouts = layouts
-        self.rays = Rays(device)
+        self.rays = RayBindings(device)
         self._pipelines: dict[tuple[int, str], Any] = {}
         self._bound: tuple[list[Any], Any] = ([], None)
-        self._compiler = Aside()
+        self._compiler = BackgroundTask()
         self._last: int | None = None
         self.camera_group = handle.create_bind_group(
             layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]

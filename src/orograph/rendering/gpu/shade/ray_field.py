@@ -8,7 +8,7 @@ itself, whatever the camera. Of a larger one there are nested windows: within wh
 tolerance in pixels asks (``raycast.select``, as pictures of the CPU have it), and beyond that every window reaches
 ``margin`` of its own samples farther than the finer one inside it. So an occluder d metres away from what is seen is
 drawn from a level whose samples are at most d / margin apart: where that level is off by e, the edge of a shadow is
-turned by e / d at most (``Field.turn`` says by how much: the largest over all windows).
+turned by e / d at most (``RayField.turn`` says by how much: the largest over all windows).
 
 Heights are metres, float32, missing ones far below any other; windows are counted in samples of the raster.
 """
@@ -28,7 +28,7 @@ from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
 from orograph.raycast.mips import build_mips
 from orograph.raycast.select import Rectangle, load, rectangles
-from orograph.raycast.stack import Window
+from orograph.raycast.stack import HeightWindow
 from orograph.scene.scene import EXACT_SAMPLES
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
@@ -66,7 +66,7 @@ _SHARE = 1 << 18  # rays per submission: no watchdog of a driver is kept waiting
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class RayField:
     """Windows as the shader takes them.
 
     Attributes:
@@ -80,8 +80,8 @@ class Field:
     turn: float = 0.0
 
     @classmethod
-    def of(cls, windows: list[Window], shape: tuple[int, int], linear: ArrayLike, exaggeration: float = 1.0,
-           turn: float = 0.0, jobs: int | None = None) -> Field:  # fmt: skip
+    def of(cls, windows: list[HeightWindow], shape: tuple[int, int], linear: ArrayLike, exaggeration: float = 1.0,
+           turn: float = 0.0, jobs: int | None = None) -> RayField:  # fmt: skip
         """Of windows, outermost first.
 
         Args:
@@ -119,7 +119,7 @@ class Field:
         return cls(np.concatenate(parts), frame, turn)
 
 
-NOTHING = Field(np.zeros(4, np.float32), np.zeros((), FRAME))
+NOTHING = RayField(np.zeros(4, np.float32), np.zeros((), FRAME))
 """Nothing that stands in the way."""
 
 
@@ -134,10 +134,10 @@ def field_of(
     chosen = choose(terrain, view, exaggeration, tolerance, samples_in(most))
     a, b, _, d, e, _ = terrain.grid.samples[:6]
 
-    def make() -> Field:
+    def make() -> RayField:
         turn = turned(terrain, chosen)
         windows = load(terrain, list(chosen), jobs)
-        return Field.of(windows, terrain.grid.shape, [[a, b], [d, e]], exaggeration, turn, jobs)
+        return RayField.of(windows, terrain.grid.shape, [[a, b], [d, e]], exaggeration, turn, jobs)
 
     return chosen, make
 
@@ -211,7 +211,7 @@ def turned(terrain: Terrain, chosen: tuple[Rectangle, ...]) -> float:
     return worst
 
 
-class Rays:
+class RayBindings:
     """The bind group that shaders with ``ray_field.wgsl`` look terrain up in.
 
     Args:
@@ -222,11 +222,11 @@ class Rays:
         self.device = device
         self.layout = layout(device, "uniform", "read", stages=stages)
         self._uniform = device.buffer(FRAME.itemsize, "UNIFORM", "rays")
-        self._field: Field | None = None
+        self._field: RayField | None = None
         self._pool: Any = None
         self.group: Any = None
 
-    def load(self, field: Field) -> None:
+    def load(self, field: RayField) -> None:
         """Take other terrain."""
         if field is self._field:
             return
@@ -264,7 +264,7 @@ def _spread(total: int) -> int:
 
 
 def blocked(
-    field: Field, points: ArrayLike, ways: ArrayLike, *, skip: float = 0.0, far: float = math.inf,
+    field: RayField, points: ArrayLike, ways: ArrayLike, *, skip: float = 0.0, far: float = math.inf,
     device: Device | None = None,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Whether terrain stands in the way of rays.
@@ -286,7 +286,7 @@ def blocked(
     queries["whole"], queries["part"] = whole, at[:, :2] - whole
     queries["way"], queries["height"], queries["skip"] = way, at[:, 2], skip
     queries["far"] = min(far, 1e9)
-    rays = Rays(gpu, "COMPUTE")
+    rays = RayBindings(gpu, "COMPUTE")
     rays.load(field)
     plan = layout(gpu, "read", "write")
     pipeline = compute(gpu, rays.layout, "ray_cast", beside=plan, RAY_GROUP=0)

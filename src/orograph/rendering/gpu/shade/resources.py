@@ -11,7 +11,7 @@ from orograph.gpu.device import Device
 from orograph.gpu.recording import write
 from orograph.lighting.aperture import Lights
 from orograph.lighting.gpu.aperture import tables as light_tables
-from orograph.memo import Kept
+from orograph.memo import Memo
 from orograph.rendering.gpu.shade.light_maps import LightMaps
 from orograph.rendering.gpu.shade.look import SHADE, Look
 from orograph.rendering.gpu.stream.imagery import Imagery
@@ -31,9 +31,9 @@ class Resources:
     """
 
     def __init__(
-        self, device: Device, terrain: Terrain, heights: Atlas, slopes: Atlas, imagery: Imagery, kept: Kept
+        self, device: Device, terrain: Terrain, heights: Atlas, slopes: Atlas, imagery: Imagery, memo: Memo
     ) -> None:
-        self.device, self.terrain, self.slopes, self.imagery, self.kept = device, terrain, slopes, imagery, kept
+        self.device, self.terrain, self.slopes, self.imagery, self.memo = device, terrain, slopes, imagery, memo
         self.heights, self._heights = heights, heights.texture.create_view(dimension="2d-array")
         self.shade = device.buffer(SHADE.itemsize, "UNIFORM", "shade")
         self._shaded: Any = None

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from orograph.gpu.background import Aside
+from orograph.gpu.background import BackgroundTask
 from orograph.gpu.device import Device
 from orograph.rendering.cpu.mesh_surface import surface_of
-from orograph.rendering.gpu.shade.ray_field import EXACT, NOTHING, Field, field_of, samples_in
+from orograph.rendering.gpu.shade.ray_field import EXACT, NOTHING, RayField, field_of, samples_in
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
@@ -47,7 +47,7 @@ class Around:
     def __init__(self, terrain: Terrain, most: int) -> None:
         self.terrain, self.most = terrain, most
         self.field = NOTHING
-        self._aside = Aside()
+        self._aside = BackgroundTask()
         self._made: Any = None
         self._wish: Any = None
         self._mesh: Tessellation | None = None  # held, so that no other has its identity
@@ -76,7 +76,7 @@ class Around:
     def close(self) -> None:
         self._aside.close()
 
-    def _make(self, scene: Scene, mesh: Tessellation | None = None) -> Field:
+    def _make(self, scene: Scene, mesh: Tessellation | None = None) -> RayField:
         terrain = self.terrain if mesh is None else surface_of(mesh, self.terrain, scene.max_memory)
         made = field_of(terrain, scene.view, scene.exaggeration, scene.tolerance or 1.0, self.most, scene.jobs)
         return made[1]()  # type: ignore[no-any-return]

@@ -19,7 +19,7 @@ PER_SIDE = 4
 """Tiles along the side of an atlas's layer."""
 
 
-class Slots:
+class TileAtlas:
     """Places for tiles of one size in one texture array; the tiles wanted longest ago make room for new ones.
 
     Args:

@@ -24,7 +24,7 @@ from orograph._numba import kernel
 from orograph.errors import OrographError
 from orograph.geovis import mipmap
 from orograph.geovis.coarse import FINEST, CoarseLevels, Stopped
-from orograph.geovis.imagery import Window
+from orograph.geovis.imagery import ImageWindow
 from orograph.geovis.layers import Layer
 from orograph.geovis.laying import Laid
 from orograph.geovis.placement import Placement
@@ -68,7 +68,7 @@ class Level:
         return self.row1 - self.row0, self.col1 - self.col0
 
 
-class Sheet:
+class ImageTiles:
     """A layer over a terrain, as tiles.
 
     Attributes:
@@ -292,7 +292,7 @@ def multiplied(level: Bytes) -> Bytes:
     return out
 
 
-def _tiles(area: Window, k: int) -> int:
+def _tiles(area: ImageWindow, k: int) -> int:
     side = TILE << k
     return -(-(area.row1 - area.row0) // side + 1) * -(-(area.col1 - area.col0) // side + 1)
 

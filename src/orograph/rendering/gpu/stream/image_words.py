@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.layers import MOST
-from orograph.rendering.gpu.stream.image_tiles import Sheet
+from orograph.rendering.gpu.stream.image_tiles import ImageTiles
 from orograph.viewpoint import View
 
 Words = NDArray[np.uint32]
@@ -36,12 +36,12 @@ HEAD_DTYPE = np.dtype(
 eye is in it; nodes: how many; size: the image's columns and rows; bounded: 1 if columns end, and 2 if rows do."""
 
 
-def fixed(sheet: Sheet) -> int:
+def fixed(sheet: ImageTiles) -> int:
     """Words of a layer before its pages."""
     return LEVEL * len(sheet.levels) + 4 * sheet.laid.lattice.u.size
 
 
-def level_words(sheet: Sheet) -> Words:
+def level_words(sheet: ImageTiles) -> Words:
     """Of every level: the place of its first tile, its first row and column of tiles, and how many there are."""
     out = np.zeros((len(sheet.levels), LEVEL), np.int32)
     for k, level in enumerate(sheet.levels):
@@ -49,7 +49,7 @@ def level_words(sheet: Sheet) -> Words:
     return out.view(np.uint32).ravel()
 
 
-def node_words(sheet: Sheet) -> Words:
+def node_words(sheet: ImageTiles) -> Words:
     """Positions of the lattice's nodes: whole columns and rows of pixels, and what is left of them; the least integer
     where there is none."""
     lattice = sheet.laid.lattice
@@ -62,7 +62,7 @@ def node_words(sheet: Sheet) -> Words:
     return out.ravel()
 
 
-def aim(head: Any, sheet: Sheet, at: int, view: View) -> None:
+def aim(head: Any, sheet: ImageTiles, at: int, view: View) -> None:
     """Write a head: where a layer's words are (from ``at`` on), and where the eye is in its lattice, differenced in
     double precision."""
     laid = sheet.laid

@@ -25,8 +25,8 @@ from orograph.geovis.layers import Layer, drawn
 from orograph.geovis.mipmap import TAPS
 from orograph.gpu.device import Device
 from orograph.progress import SILENT
-from orograph.rendering.gpu.stream.atlas import Slots
-from orograph.rendering.gpu.stream.image_tiles import SIDE, Sheet
+from orograph.rendering.gpu.stream.atlas import TileAtlas
+from orograph.rendering.gpu.stream.image_tiles import SIDE, ImageTiles
 from orograph.rendering.gpu.stream.image_words import HEAD_DTYPE, HEADS, STATIC, aim, fixed, level_words, node_words
 from orograph.rendering.gpu.stream.streamer import Streamer
 from orograph.rendering.lookup import LEAST
@@ -79,7 +79,7 @@ class Held:
         at: where its words begin in the buffer.
     """
 
-    sheet: Sheet
+    sheet: ImageTiles
     own: Words
     pages: Words
     stale: bool = True
@@ -104,9 +104,9 @@ class Imagery:
         self.warnings: list[str] = []
         self.progress = SILENT
         self._held: dict[Layer, Held] = {}
-        self._atlas: Slots | None = None
+        self._atlas: TileAtlas | None = None
         self._streamer: Streamer[Layer, int] | None = None
-        self._sheets: dict[Layer, Sheet] = {}
+        self._sheets: dict[Layer, ImageTiles] = {}
         self._buffer: Any = None
         self._frame = 0
         self._full = self._refused = False
@@ -233,7 +233,7 @@ class Imagery:
     def _make(self, layer: Layer, place: int) -> NDArray[Any]:
         """Read a tile, or open the layer; called from the streamer's threads."""
         if place == OPENING:
-            self._sheets[layer] = Sheet(layer, self.terrain)
+            self._sheets[layer] = ImageTiles(layer, self.terrain)
             return np.empty(0, np.uint8)
         return self._held[layer].sheet.tile(place)
 
@@ -331,7 +331,7 @@ class Imagery:
         if layer not in self._known:  # gone meanwhile
             return
         if self._atlas is None:
-            self._atlas = Slots(
+            self._atlas = TileAtlas(
                 self.device, SIDE, "rgba8unorm-srgb", 4, self.gpu_memory, 1 << 20, "imagery"
             )  # as many tiles as there is room for: other layers may come
         self._held[layer] = Held(sheet, np.zeros(sheet.count, np.uint32), np.zeros(sheet.count, np.uint32))

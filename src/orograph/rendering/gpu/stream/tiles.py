@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from orograph._numba import kernel
 from orograph.gpu.device import Device
 from orograph.lighting.normal import central
-from orograph.rendering.gpu.stream.atlas import Slots
+from orograph.rendering.gpu.stream.atlas import TileAtlas
 from orograph.store.terrain import TILE, Terrain, tile_shape
 
 Kind = Literal["heights", "slopes"]
@@ -186,7 +186,7 @@ class Tables:
         return self.offsets[level] + row * self.shapes[level][1] + col
 
 
-class Atlas(Slots):
+class Atlas(TileAtlas):
     """One kind of tile of a terrain, and the page table that shaders find them by.
 
     Attributes:

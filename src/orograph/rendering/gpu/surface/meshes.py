@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OrographError
-from orograph.gpu.background import Aside
+from orograph.gpu.background import BackgroundTask
 from orograph.gpu.binding import bind, layout
 from orograph.gpu.device import Device
 from orograph.lod import engine_of
@@ -55,7 +55,7 @@ class Meshes:
         self.mesh: Tessellation | None = None
         self.current = False
         self.failure = ""
-        self._aside = Aside()
+        self._aside = BackgroundTask()
         self._wish: Any = None
         self._engine: tuple[Any, Any] = (None, None)
         self._lock = threading.Lock()
@@ -154,12 +154,12 @@ class MeshPass:
             buffers = [self.device.buffer(a, "STORAGE", "mesh") for a in some]
             group = bind(self.device, self.layout, self.camera, *buffers, *self.field)
             self._held = mesh, group, len(corners)
-        colours = [targets.marks_view]
-        colours += [targets.given_view(self.device)] if given or field else []
-        colours += [targets.field_view(self.device)] if field else []
+        colors = [targets.marks_view]
+        colors += [targets.given_view(self.device)] if given or field else []
+        colors += [targets.field_view(self.device)] if field else []
         pass_ = encoder.begin_render_pass(
             color_attachments=[
-                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"} for view in colours
+                {"view": view, "clear_value": (0, 0, 0, 0), "load_op": "clear", "store_op": "store"} for view in colors
             ],
             depth_stencil_attachment={
                 "view": targets.depth_view, "depth_clear_value": 0.0, "depth_load_op": "clear",

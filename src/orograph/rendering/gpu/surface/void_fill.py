@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from orograph.geovis.missing import patches
 from orograph.gpu.device import Device
 from orograph.raycast.select import Rectangle, load, rectangles
-from orograph.raycast.stack import Window
+from orograph.raycast.stack import HeightWindow
 from orograph.rendering.gpu.targets import DEPTH, MARKS, Targets
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -30,7 +30,7 @@ EXACT = 4_000_000
 """Samples up to which holes are looked for at full resolution."""
 
 
-def veils(
+def void_fills(
     terrain: Terrain, view: View, exaggeration: float, tolerance: float
 ) -> tuple[NDArray[Any], NDArray[np.uint32]]:
     """Vertices (n,) of ``VERTEX`` and triangles (m, 3) over the holes in view; empty if there are none."""
@@ -58,13 +58,13 @@ def veils(
     return np.concatenate(vertices), np.concatenate(triangles)
 
 
-def _reaching(patch: Window, window: Window) -> Window:
+def _reaching(patch: HeightWindow, window: HeightWindow) -> HeightWindow:
     """A patch with the samples of the ground around it."""
     there = np.isfinite(patch.heights)
     if not there.any():
         return patch
     around = _grown(there, MARGIN) & ~there
-    return Window(patch.level, patch.col0, patch.row0, np.where(around, window.heights, patch.heights))
+    return HeightWindow(patch.level, patch.col0, patch.row0, np.where(around, window.heights, patch.heights))
 
 
 def _grown(there: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
@@ -79,7 +79,9 @@ def _grown(there: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
     return there
 
 
-def _mesh(window: Window, finer: Window | None, terrain: Terrain) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+def _mesh(
+    window: HeightWindow, finer: HeightWindow | None, terrain: Terrain
+) -> tuple[NDArray[Any], NDArray[np.uint32]]:
     """The triangles of one window's cells whose corners all have a height, but for those under ``finer``."""
     there = np.isfinite(window.heights)
     a, b, c, d = there[:-1, :-1], there[:-1, 1:], there[1:, :-1], there[1:, 1:]
@@ -107,13 +109,13 @@ def _mesh(window: Window, finer: Window | None, terrain: Terrain) -> tuple[NDArr
     return points, inverse.reshape(-1, 3).astype(np.uint32)
 
 
-class VeilPass:
+class VoidFillPass:
     """Draws them into depth and marks, after the ground."""
 
     def __init__(self, device: Device, camera: Any) -> None:
         self.device = device
         handle = device.handle
-        module = device.shader("veil")
+        module = device.shader("void_fill")
         self.pipeline = handle.create_render_pipeline(
             label="veil",
             layout="auto",

@@ -62,7 +62,7 @@ SHIFTS = tuple((_halton(k, 2) - 0.5, _halton(k, 3) - 0.5) for k in range(1, FULL
 """Where in its pixel the sample of a frame lies, pixels from the middle, one frame after the other."""
 
 
-class Steady:
+class TemporalAntialiasing:
     """The mean of a moving picture.
 
     Args:
@@ -82,7 +82,7 @@ class Steady:
                 texture(3, "float"), sampler, texture(5, "unfilterable-float"),
             ]
         )  # fmt: skip
-        module = device.shader("steady")
+        module = device.shader("temporal_antialiasing")
         self._pipeline = handle.create_render_pipeline(
             label="steady",
             layout=handle.create_pipeline_layout(bind_group_layouts=[first, self._layout]),

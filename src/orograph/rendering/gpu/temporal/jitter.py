@@ -11,7 +11,7 @@ SAMPLES = 16
 """Samples of a pixel that a picture at rest gathers."""
 
 
-class Samples:
+class Jitter:
     """How many samples there are of the picture on the screen.
 
     Attributes:

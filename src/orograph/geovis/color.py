@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.store.terrain import Terrain
 
-Colours = NDArray[np.float32]
+Colors = NDArray[np.float32]
 
 TINTS: dict[str, list[tuple[float, str]]] = {
     # Position 0–1, colour. Lowland greens, ochre slopes, brown-grey heights, pale summits.
@@ -48,20 +48,20 @@ _M2 = np.array([[0.2104542553, 0.7936177850, -0.0040720468], [1.9779984951, -2.4
                 [0.0259040371, 0.7827717662, -0.8086757660]])  # fmt: skip
 
 
-def srgb_to_linear(colour: NDArray[Any]) -> Colours:
+def srgb_to_linear(color: NDArray[Any]) -> Colors:
     """sRGB in [0, 1] → linear light."""
-    c = np.asarray(colour, np.float32)
+    c = np.asarray(color, np.float32)
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def linear_to_srgb(colour: NDArray[Any]) -> Colours:
+def linear_to_srgb(color: NDArray[Any]) -> Colors:
     """Linear light → sRGB, both in [0, 1]; what lies outside is clipped."""
-    x = np.clip(np.asarray(colour, np.float32), 0.0, 1.0)
+    x = np.clip(np.asarray(color, np.float32), 0.0, 1.0)
     power = np.power(np.maximum(x, 0.0031308), np.float32(1 / 2.4))
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * power - 0.055).astype(np.float32)
 
 
-def colour_table(name: str | None = None, n: int = 1024) -> Colours:
+def color_table(name: str | None = None, n: int = 1024) -> Colors:
     """A table (n, 3) float32 of linear colours from the lowest to the highest.
 
     Args:
@@ -77,7 +77,7 @@ def colour_table(name: str | None = None, n: int = 1024) -> Colours:
         lab = np.cbrt(srgb_to_linear(stops).astype(np.float64) @ _M1.T) @ _M2.T
         x = np.linspace(0, 1, n)
         smooth = np.stack([np.interp(x, at, lab[:, k]) for k in range(3)], 1)
-        linear: Colours = (((smooth @ np.linalg.inv(_M2).T) ** 3) @ np.linalg.inv(_M1).T).astype(np.float32)
+        linear: Colors = (((smooth @ np.linalg.inv(_M2).T) ** 3) @ np.linalg.inv(_M1).T).astype(np.float32)
         return np.clip(linear, 0, 1)
     return srgb_to_linear(np.asarray(_catalogued(name)(np.linspace(0, 1, n)))[:, :3])
 
@@ -96,7 +96,7 @@ def _catalogued(name: str) -> Any:
         raise UsageError(f"There is no colour map {name!r}.", remedy=hint) from error
 
 
-def shored_tables(name: str | None) -> tuple[Colours, Colours] | None:
+def shored_tables(name: str | None) -> tuple[Colors, Colors] | None:
     """The sea half (128, 3), ending at the shore, and the land half (128, 3) of a map in ``SHORED``; None for others.
 
     Raises:
@@ -125,13 +125,13 @@ class Tint:
 
     low: float
     high: float
-    land: Colours
+    land: Colors
     floor: float
-    sea: Colours
+    sea: Colors
     below: bool = False
     above: bool = False
 
-    def scale(self, n: int = 256) -> tuple[float, float, Colours]:
+    def scale(self, n: int = 256) -> tuple[float, float, Colors]:
         """Both ends and one table (n, 3) of colours for a legend."""
         if not len(self.sea):
             return self.low, self.high, self.land
@@ -155,7 +155,7 @@ def tint_of(terrain: Terrain, name: str | None = None, sea: bool | None = None) 
     out the rest; they are taken on the coarsest level and never coincide.
 
     Args:
-        name: see ``colour_table``; None: the default tint, or one for the planet.
+        name: see ``color_table``; None: the default tint, or one for the planet.
         sea: whether ground below 0 m is the floor of a sea. None: it is, if at least a tenth of the ground lies deeper
             than 2 m and some higher (a basin on land, like Death Valley, is less of its surroundings), it reaches
             ``SEA_DEPTH`` and the land ``SEA_COAST``, the name is not a geoid's (``NO_GROUND``), and the planet is the
@@ -187,10 +187,10 @@ def tint_of(terrain: Terrain, name: str | None = None, sea: bool | None = None) 
         low = 0.0
     if not high - low > 1e-6:
         low, high = low - 0.5, high + 0.5
-    table = halves[1] if halves is not None else colour_table(name)
+    table = halves[1] if halves is not None else color_table(name)
     floors = np.empty((0, 3), np.float32)
     if sea:
-        floors = halves[0] if halves is not None else colour_table("sea", 256)
+        floors = halves[0] if halves is not None else color_table("sea", 256)
     # What differs by less than a step of a printed scale is not worth a sign.
     least, most = terrain.height_range
     end = floor if sea else low

@@ -9,8 +9,8 @@ from pyproj import CRS
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.geovis import colour
-from orograph.geovis.colour import TINTS, colour_table, linear_to_srgb, srgb_to_linear, tint_of
+from orograph.geovis import color
+from orograph.geovis.color import TINTS, color_table, linear_to_srgb, srgb_to_linear, tint_of
 from orograph.store import MemoryTerrain
 
 
@@ -33,7 +33,7 @@ def test_oklab_matrices_are_ottossons():
     """His published pairs: XYZ (0.950, 1, 1.089), white, is L = 1, a = b = 0; and sRGB red."""
 
     def lab(rgb):
-        return colour._M2 @ np.cbrt(colour._M1 @ rgb)
+        return color._M2 @ np.cbrt(color._M1 @ rgb)
 
     np.testing.assert_allclose(lab(np.ones(3)), [1, 0, 0], atol=1e-4)
     np.testing.assert_allclose(lab(np.array([1.0, 0, 0])), [0.62796, 0.22486, 0.12585], atol=1e-4)
@@ -42,7 +42,7 @@ def test_oklab_matrices_are_ottossons():
 
 @pytest.mark.parametrize("name", sorted(TINTS))
 def test_tints_pass_through_their_stops(name):
-    table = linear_to_srgb(colour_table(name, 1001)) * 255
+    table = linear_to_srgb(color_table(name, 1001)) * 255
     for at, code in TINTS[name]:
         expected = [int(code[i : i + 2], 16) for i in (1, 3, 5)]
         np.testing.assert_allclose(table[round(at * 1000)], expected, atol=1.0)
@@ -51,21 +51,21 @@ def test_tints_pass_through_their_stops(name):
 
 def test_names_of_the_catalogue():
     for name in ("viridis", "cmocean:topo", "matplotlib:gist_earth"):
-        table = colour_table(name, 256)
+        table = color_table(name, 256)
         assert table.shape == (256, 3) and table.dtype == np.float32 and table.min() >= 0 and table.max() <= 1
-    first = np.round(linear_to_srgb(colour_table("viridis", 256)[0]) * 255)
+    first = np.round(linear_to_srgb(color_table("viridis", 256)[0]) * 255)
     np.testing.assert_allclose(first, [68, 1, 84], atol=1)  # matplotlib's viridis begins with #440154
 
 
 @pytest.mark.parametrize(("wrong", "meant"), [("virids", "viridis"), ("alpin", "alpine"), ("gist_eart", "gist_earth")])
 def test_unknown_names_are_answered_with_similar_ones(wrong, meant):
     with pytest.raises(UsageError, match=f"no colour map '{wrong}'.*{meant}"):
-        colour_table(wrong)
+        color_table(wrong)
 
 
 def test_a_name_like_nothing():
     with pytest.raises(UsageError, match="Try alpine"):
-        colour_table("zzzzqqq")
+        color_table("zzzzqqq")
 
 
 def test_spikes_do_not_wash_out_the_rest():
@@ -104,10 +104,10 @@ def test_sea_floors_have_their_own_tint():
 def test_other_planets_have_no_sea():
     mars = tint_of(terrain(basin(0.5, -4000), "+proj=eqc +R=3396190 +units=m"))
     assert not len(mars.sea)
-    np.testing.assert_array_equal(mars.land, colour_table("mars"))
+    np.testing.assert_array_equal(mars.land, color_table("mars"))
     moon = tint_of(terrain(basin(0.5, -4000), "+proj=eqc +R=1737400 +units=m"))
-    np.testing.assert_array_equal(moon.land, colour_table("grey"))
-    np.testing.assert_array_equal(tint_of(terrain(basin(0), None)).land, colour_table("alpine"))
+    np.testing.assert_array_equal(moon.land, color_table("grey"))
+    np.testing.assert_array_equal(tint_of(terrain(basin(0), None)).land, color_table("alpine"))
 
 
 def test_the_legend_shows_both_tables():
