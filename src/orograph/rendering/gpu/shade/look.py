@@ -24,7 +24,7 @@ SHADE = np.dtype(
     [
         ("sun", "<f4", 4), ("sunlight", "<f4", 4), ("skylight", "<f4", 4), ("water", "<f4", 4), ("paper", "<f4", 4),
         ("extinction", "<f4", 4), ("mist", "<f4", 4), ("disc", "<f4", 4), ("tint", "<f4", 4), ("contour", "<f4", 4),
-        ("contour_colour", "<f4", 4), ("edge", "<f4", 4), ("edge_range", "<f4", 4),
+        ("contour_color", "<f4", 4), ("edge", "<f4", 4), ("edge_range", "<f4", 4),
         ("side", "<f4", 2), ("sky_at", "<u4"), ("sky_rows", "<u4"), ("sky_cols", "<u4"),
         ("ring_at", "<u4"), ("land_at", "<u4"), ("land_count", "<u4"), ("sea_at", "<u4"), ("sea_count", "<u4"),
         ("levels", "<u4"), ("flags", "<u4"), ("light", "<i4", 4), ("light_first", "<i4", 2), ("windows", "<u4"),
@@ -90,7 +90,7 @@ class Look:
             u["extinction"] = *air.extinction, air.near
         if contours is not None:
             u["contour"] = contours.interval, contours.index, contours.width, contours.opacity
-            u["contour_colour"][:3] = ink(contours)
+            u["contour_color"][:3] = ink(contours)
         if silhouettes is not None:
             near = max(visible_range[0], 1e-3)
             u["edge"] = *silhouettes.ink, silhouettes.opacity
