@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.documents import load_object, naming
 from orograph.errors import UsageError
+from orograph.geo.chart import Chart
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -358,3 +359,25 @@ def _length(a: Vector) -> float:
 def _unit(a: Vector) -> Vector:
     size = _length(a)
     return a[0] / size, a[1] / size, a[2] / size
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A view of a terrain: what a method selects for, and what surfaces are drawn by.
+
+    Attributes:
+        view: where from.
+        chart: how the terrain's samples lie in the view's world.
+        exaggeration: heights are stretched by this on the way to the screen.
+
+    Raises:
+        UsageError: the exaggeration is no factor.
+    """
+
+    view: View
+    chart: Chart
+    exaggeration: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.exaggeration < math.inf:
+            raise UsageError(f"The exaggeration is a factor greater than 0, not {self.exaggeration}.")

@@ -1,0 +1,161 @@
+"""The seam: a ``Method`` selects, for a camera and a goal, what is to be drawn of a terrain.
+
+A method knows its paper, its options, what it needs of a store, and whether its bound is conservative. All that comes
+after (surfaces, light, the referee, files) sees its ``Selection`` and never asks which method made it. A new method of
+a known kind is one file, and one line in ``lod.registry``.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from numbers import Integral, Real
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.lod.selection import Kind, Selection
+from orograph.progress import SILENT, Progress
+from orograph.store.terrain import Terrain
+from orograph.viewpoint import Camera
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """What a selection is to reach: exactly one of the three.
+
+    Attributes:
+        tolerance: pixels. triangles: at most so many. seconds: what can be done in so much time.
+
+    Raises:
+        UsageError: none or several are given, or one makes no sense.
+    """
+
+    tolerance: float | None = None
+    triangles: int | None = None
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        given = [name for name in ("tolerance", "triangles", "seconds") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise UsageError(f"Give one goal: {' or '.join(given or ('tolerance', 'triangles', 'seconds'))}.")
+        # (They come from users: what their types promise is what is checked.)
+        tolerance: Any = self.tolerance
+        triangles: Any = self.triangles
+        seconds: Any = self.seconds
+        if tolerance is not None and not (isinstance(tolerance, Real) and 0 <= tolerance < math.inf):
+            raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance!r}.")
+        if triangles is not None and not (isinstance(triangles, Integral) and triangles >= 2):
+            raise UsageError(f"A budget is a whole number of triangles, at least 2, not {triangles!r}.")
+        if seconds is not None and not (isinstance(seconds, Real) and seconds > 0):
+            raise UsageError(f"The time allowed is in seconds, more than 0, not {seconds!r}.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ready:
+    """Which tiles are in memory, for methods whose surfaces draw out of tiles.
+
+    Attributes:
+        tiles: (t,) uint8 over all tiles of all levels, level 0 first, each row by row: not 0 where one is there; None:
+            all are.
+        slots: (t,) uint32, 1 + where in an atlas each lies; None: in none.
+        wait: read what is lacking of errors before selecting; else threads do, and a later selection is better.
+    """
+
+    tiles: NDArray[np.uint8] | None = None
+    slots: NDArray[np.uint32] | None = None
+    wait: bool = True
+
+
+EVERYTHING = Ready()
+"""All tiles are there, or are read when they are needed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """Derived data that a method needs of a store.
+
+    Attributes:
+        name: of the derived data ("diamonds", "patches"…). options: what it must have been made with.
+    """
+
+    name: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Resources:
+    """What a method may use.
+
+    Attributes:
+        max_memory: bytes of tiles in memory. jobs: threads; None: all processors.
+        progress: hears of what takes long. color: colour errors, for methods that refine by colour (``lod.field``).
+    """
+
+    max_memory: int = 1 << 30
+    jobs: int | None = None
+    progress: Progress = SILENT
+    color: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class MethodInfo:
+    """What a method says of itself.
+
+    Attributes:
+        name: as on the command line. title: one line that says what it is.
+        paper: the source, with its section. kind: of its selections. options: the dataclass of its options.
+        conservative: whether its bound is a promise with these options.
+        incremental: whether a frame goes on from the one before.
+    """
+
+    name: str
+    title: str
+    paper: str
+    kind: Kind
+    options: type
+    conservative: Callable[[Any], bool]
+    incremental: bool = False
+
+
+class Method(ABC):
+    """A way of selecting what is drawn.
+
+    Args:
+        terrain: what is drawn.
+        options: of ``info.options``; None: the defaults.
+        resources: memory, threads, progress.
+    """
+
+    info: ClassVar[MethodInfo]
+
+    def __init__(self, terrain: Terrain, options: Any = None, resources: Resources | None = None) -> None:
+        self.terrain = terrain
+        self.options = self.info.options() if options is None else options
+        self.resources = Resources() if resources is None else resources
+
+    @classmethod
+    def needs(cls, options: Any) -> tuple[Need, ...]:
+        """What it needs of a store beside heights."""
+        return ()
+
+    @property
+    def conservative(self) -> bool:
+        """Whether a tolerance is a promise for every point of the full-resolution surface in view."""
+        return self.info.conservative(self.options)
+
+    @abstractmethod
+    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> Selection:
+        """What the camera is to see.
+
+        Raises:
+            UsageError: the goal is one that the method cannot reach, or one view needs more tiles than memory allows.
+            StoreError, DamagedChunkError: as ``terrain.read``.
+        """
+
+    def close(self) -> None:  # noqa: B027 (most methods have nothing to close)
+        """Let go of threads and tables; the method cannot be used afterwards."""

@@ -1,0 +1,180 @@
+"""What a method selects for a camera: one of a few kinds, which surfaces know how to draw.
+
+Every selection says its bound in pixels, which tiles would make it better, its statistics, and, unless it is for rays,
+its triangles. Positions are sample coordinates: column, row and height in true metres, on samples or between them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+from orograph.raycast.select import Rectangle
+from orograph.tessellation import Tessellation
+
+Kind = Literal["triangles", "patches", "batches", "rings", "rays"]
+"""The kinds of selections, by the word that ``MethodInfo.kind`` has for them."""
+
+WANTED = np.dtype([("level", "<i4"), ("row", "<i4"), ("col", "<i4"), ("pixels", "<f4")])
+"""A tile that a selection lacks: where it is, and the largest error in pixels that having it takes away."""
+
+NOTHING_WANTED: NDArray[Any] = np.zeros(0, WANTED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection(ABC):
+    """What a camera is to see of a terrain.
+
+    Attributes:
+        method: the name of the method that selected it.
+        bound: pixels within which every point of the full-resolution surface in view is drawn; None: no promise.
+        lacking: (w,) of ``WANTED``, largest error first: tiles that the method wanted and did not have.
+        stats: what the method says of it, as JSON has it.
+    """
+
+    method: str
+    bound: float | None
+    lacking: NDArray[Any] = field(default_factory=lambda: NOTHING_WANTED)
+    stats: dict[str, Any] = field(default_factory=dict)
+
+    @abstractmethod
+    def tessellation(self) -> Tessellation:
+        """Its triangles.
+
+        Raises:
+            UsageError: it has none.
+        """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TriangleMesh(Selection):
+    """A mesh of single triangles.
+
+    Attributes:
+        mesh: vertices anywhere, triangles, and the strip where the method makes one.
+    """
+
+    mesh: Tessellation
+
+    def tessellation(self) -> Tessellation:
+        """The mesh."""
+        return self.mesh
+
+
+@dataclass(frozen=True, slots=True)
+class Topology:
+    """The triangles that instances of a patch share.
+
+    Attributes:
+        points: (v, 2) int32, lattice points (i, j).
+        triangles: (t, 3) int32, indices into ``points``.
+    """
+
+    points: NDArray[np.int32]
+    triangles: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PatchSet(Selection):
+    """Instances of a few topologies, each with a place of its own.
+
+    Attributes:
+        topologies: the shapes there are.
+        instances: structured array (k,), one patch each (``lod.patches.shape.INSTANCE``).
+        shapes: (k,) uint8, the topology of each instance.
+        expand: makes the triangles of the instances.
+    """
+
+    topologies: Sequence[Topology]
+    instances: NDArray[Any]
+    shapes: NDArray[np.uint8]
+    expand: Any
+
+    def tessellation(self) -> Tessellation:
+        """The triangles of all instances."""
+        made: Tessellation = self.expand(self)
+        return made
+
+
+@dataclass(frozen=True, slots=True)
+class TinBatch:
+    """A small mesh of its own: vertices (n, 3) float64 and triangles (m, 3) int32."""
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TinBatches(Selection):
+    """Batches, each with vertices and triangles of its own; batches that touch list the same vertices along their edge.
+
+    Attributes:
+        batches: the meshes.
+    """
+
+    batches: Sequence[TinBatch]
+
+    def tessellation(self) -> Tessellation:
+        """All batches in one mesh, the vertices that they share welded."""
+        corners = np.concatenate([np.zeros((0, 3)), *(b.vertices for b in self.batches)])
+        bases = np.cumsum([0, *(len(b.vertices) for b in self.batches)])
+        faces = [b.triangles + base for b, base in zip(self.batches, bases)]
+        triangles = np.concatenate([np.zeros((0, 3), np.int32), *faces]).astype(np.int32)
+        vertices, where = np.unique(corners, axis=0, return_inverse=True)
+        return Tessellation(vertices, where.reshape(-1)[triangles].astype(np.int32), stats=dict(self.stats))
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """A level of a clipmap around the camera.
+
+    Attributes:
+        level: samples are 2^level apart.
+        outer, inner: (row0, row1, col0, col1) in samples of the level; the inner one is left to finer rings, or None.
+        blend: (rows, cols) float32, 0 where the level's own heights are drawn, 1 where the next coarser's are.
+    """
+
+    level: int
+    outer: tuple[int, int, int, int]
+    inner: tuple[int, int, int, int] | None
+    blend: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClipRings(Selection):
+    """Nested rings, each twice as coarse as the one within it.
+
+    Attributes:
+        rings: finest first.
+        expand: makes the triangles of the rings.
+    """
+
+    rings: Sequence[Ring]
+    expand: Any
+
+    def tessellation(self) -> Tessellation:
+        """The triangles of all rings."""
+        made: Tessellation = self.expand(self)
+        return made
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RayWindows(Selection):
+    """Nested windows of levels at which rays are cast; it makes no triangles.
+
+    Attributes:
+        windows: outermost first.
+    """
+
+    windows: Sequence[Rectangle]
+
+    def tessellation(self) -> Tessellation:
+        raise UsageError(
+            f"The method {self.method} casts rays: it makes no triangles.", remedy="Choose another, such as soar."
+        )
