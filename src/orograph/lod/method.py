@@ -47,11 +47,11 @@ class Goal:
         tolerance: Any = self.tolerance
         triangles: Any = self.triangles
         seconds: Any = self.seconds
-        if tolerance is not None and not (isinstance(tolerance, Real) and 0 <= tolerance < math.inf):
+        if tolerance is not None and not (isinstance(tolerance, Real) and 0 <= float(tolerance) < math.inf):
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance!r}.")
-        if triangles is not None and not (isinstance(triangles, Integral) and triangles >= 2):
+        if triangles is not None and not (isinstance(triangles, Integral) and int(triangles) >= 2):
             raise UsageError(f"A budget is a whole number of triangles, at least 2, not {triangles!r}.")
-        if seconds is not None and not (isinstance(seconds, Real) and seconds > 0):
+        if seconds is not None and not (isinstance(seconds, Real) and float(seconds) > 0):
             raise UsageError(f"The time allowed is in seconds, more than 0, not {seconds!r}.")
 
 
