@@ -12,7 +12,6 @@ import argparse
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -180,9 +179,9 @@ def frames(h: np.ndarray, linear: np.ndarray, rounds: int = 16) -> None:
             for light, more in ways.items():  # a renderer each, so that they can take turns
                 renderer, scene = (
                     Renderer(device, terrain),
-                    Scene(terrain, view, Sun(300, 30), light=light, tolerance=1.0),
+                    Scene.of(terrain, view, sun=Sun(300, 30), light=light, tolerance=1.0),
                 )
-                scene = replace(scene, **more)
+                scene = scene.but(**more)
                 drawn[light] = renderer, scene
                 renderer.draw(target, "rgba8unorm", scene)
                 while renderer.busy:

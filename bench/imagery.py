@@ -139,7 +139,7 @@ def main() -> None:
     for name, layers in (("bare", ()), ("imagery", (Layer(str(image)),))):
         renderer = Renderer(device, terrain, gpu_memory=given.gpu_memory << 20)
         try:
-            scenes = [Scene(terrain, view, layers=layers, sky=True, depths=(1e3, 1e5)) for view in views]
+            scenes = [Scene.of(terrain, view, layers=layers, sky=True, depths=(1e3, 1e5)) for view in views]
             told[name] = fly(renderer, target, scenes)
             if layers and renderer.imagery._atlas is not None:
                 atlas = renderer.imagery._atlas

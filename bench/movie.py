@@ -48,7 +48,7 @@ def main() -> None:
         f"| tour, {given.size} | ms/frame | " + " | ".join(STAGES) + " |\n|---" * 1 + "|---" * (len(STAGES) + 1) + "|"
     )
     for name, tour in tours.items():
-        base = Scene(terrain, tour.at(0.0), Sun(315, 35), sky=True)
+        base = Scene.of(terrain, tour.at(0.0), sun=Sun(315, 35), sky=True)
         kept = session()
         film = Film(tour, base, draw=kept)
         numbers = range(0, len(film), 1)[: given.frames + 1]

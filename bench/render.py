@@ -66,7 +66,7 @@ def sides(store: str) -> None:
         for side in range(0, 360, 45):
             views[f"{side}°"] = camera.around(terrain, (1280, 720), azimuth=side, pitch=35, distance=None)
         for name, view in views.items():
-            rays = Ground.load(Scene(terrain, view, jobs=1)).rays
+            rays = Ground.load(Scene.of(terrain, view, jobs=1)).rays
             best, depth = np.inf, np.empty(0)
             for _ in range(4):
                 began = time.process_time()

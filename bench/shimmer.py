@@ -92,14 +92,14 @@ def scene_of(name: str, data: Path) -> Scene | None:
     else:
         terrain = in_memory(Mosaic.open([str(next((data / files[0]).glob("*.tif")))]))
     view = View((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
-    scene = Scene(terrain, view, sky=True, tolerance=1.0, shadows=name != "noise")
+    scene = Scene.of(terrain, view, sky=True, tolerance=1.0, shadows=name != "noise")
     if name == "contours":
-        return replace(scene, contours=Contours(interval=40.0))
+        return scene.but(contours=Contours(interval=40.0))
     if name == "raster":
-        return replace(scene, layers=(Layer(str(raster(terrain)), colormap="viridis"),))
+        return scene.but(layers=(Layer(str(raster(terrain)), colormap="viridis"),))
     if name == "imagery":
         image = next(p for p in (data / files[0]).glob("*.tif") if "naip_2014" in p.name)
-        return replace(scene, layers=(Layer(str(image)),))
+        return scene.but(layers=(Layer(str(image)),))
     return scene
 
 
@@ -135,7 +135,7 @@ class Camera:
         """Linear light (height, width, 3) of each view, drawn with so many samples per pixel, 0: as the window does."""
         found = []
         for view in views:
-            scene = replace(self.scene, view=view)
+            scene = self.scene.but(view=view)
             if samples:
                 self.renderer.draw(self.target, "rgba8unorm", scene, wait=True, samples=samples)
             else:

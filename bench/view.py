@@ -26,7 +26,7 @@ import gc
 import math
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -140,7 +140,7 @@ def fly(renderer: Renderer, device: Device, views: list[View], scene: Scene, wai
     clock = Clock(device)
     texture = device.texture((views[0].width, views[0].height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
     target = texture.create_view()
-    renderer.prepare("rgba8unorm", replace(scene, view=views[0]))
+    renderer.prepare("rgba8unorm", scene.but(view=views[0]))
     device.wait()
     frames = []
     start = time.perf_counter()
@@ -148,7 +148,7 @@ def fly(renderer: Renderer, device: Device, views: list[View], scene: Scene, wai
         time.sleep(max(0.0, start + k / RATE - time.perf_counter()))
         clock.begin()
         begun = time.perf_counter()
-        stats = renderer.draw(target, "rgba8unorm", replace(scene, view=view), wait=waited)
+        stats = renderer.draw(target, "rgba8unorm", scene.but(view=view), wait=waited)
         python = time.perf_counter()
         device.wait()
         done = time.perf_counter()
@@ -231,7 +231,7 @@ def main() -> None:
         renderer = Renderer(device, terrain, gpu_memory=options.gpu_memory << 20)
         opened = time.perf_counter() - begun
         renderer.tiles.look_ahead = not options.no_look_ahead
-        scene = Scene(terrain, views[0], sky=True, tolerance=options.tolerance)
+        scene = Scene.of(terrain, views[0], sky=True, tolerance=options.tolerance)
         frames = fly(renderer, device, views, scene, options.waited)
         print(f"{name}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
         print(told(frames), flush=True)

@@ -28,7 +28,7 @@ def scene() -> Scene:
     terrain = in_memory(Dem(z, Grid(z.shape, Affine(10, 0, 5e5, 0, -10, 5e6), CRS.from_epsg(32632))))
     east, north = (float(v) for v in terrain.grid.xy(60, 45))
     view = View((east, north - 900, 700.0), (east, north, 0.0), width=SIZE[0], height=SIZE[1])
-    return Scene(terrain, view, sky=True, tolerance=1.0)
+    return Scene.of(terrain, view, sky=True, tolerance=1.0)
 
 
 def drawn(device: Device) -> list[NDArray[np.uint8]]:
@@ -38,7 +38,7 @@ def drawn(device: Device) -> list[NDArray[np.uint8]]:
     one = scene()
     renderer = Renderer(device, one.terrain, gpu_memory=1 << 26)
     texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
-    other = replace(one, view=replace(one.view, eye=(one.view.eye[0] + 5, *one.view.eye[1:])))
+    other = one.but(view=replace(one.view, eye=(one.view.eye[0] + 5, *one.view.eye[1:])))
     pictures = []
     for what, options in ((one, {"wait": True}), (other, {}), (one, {"wait": True, "samples": 4})):
         renderer.draw(texture.create_view(), "rgba8unorm", what, **options)

@@ -120,25 +120,25 @@ def test_an_eye_below_the_ground(ground):
     x, y = (float(v) for v in ground.grid.xy(40, 30))
     height = orograph.camera.ground(ground, x, y, default=math.nan)
     low, high = View((x, y, height - 250), (x, y + 900, height)), View((x, y, height + 2), (x, y + 900, height))
-    (said,) = diagnose(Scene(ground, low))
+    (said,) = diagnose(Scene.of(ground, low))
     assert "250 m below the ground" in said and f"({height:.0f} m)" in said and "underside" in said
-    assert diagnose(Scene(ground, high)) == []
+    assert diagnose(Scene.of(ground, high)) == []
     beside = View((x - 1e5, y, 0), (x, y, height))
-    assert diagnose(Scene(ground, beside)) == []
+    assert diagnose(Scene.of(ground, beside)) == []
     heard = Heard()
     orograph.render(ground, low.resized(*SIZE), progress=heard, **PLAIN)
     assert said in heard.warnings
     assert orograph.render(ground, low.resized(*SIZE), **PLAIN).facts["warnings"] == [said]
     plan = orograph.camera.plan(ground, SIZE)
-    assert diagnose(Scene(ground, plan)) == []
+    assert diagnose(Scene.of(ground, plan)) == []
     sunk = View((*plan.eye[:2], ground.height_range[1] - 50), (*plan.target[:2], -1e4), projection="plan")
-    assert "left out" in diagnose(Scene(ground, sunk))[0]
+    assert "left out" in diagnose(Scene.of(ground, sunk))[0]
 
 
 @pytest.mark.parametrize(("altitude", "said"), [(45, False), (-5.9, False), (-6.5, True), (-90, True)])
 def test_a_sun_below_the_horizon(ground, altitude, said):
     view = orograph.camera.whole(ground, SIZE)
-    assert any("below the horizon" in text for text in diagnose(Scene(ground, view, Sun(0, altitude)))) == said
+    assert any("below the horizon" in text for text in diagnose(Scene.of(ground, view, sun=Sun(0, altitude)))) == said
 
 
 def test_pictures_that_do_not_fit(ground):
@@ -209,9 +209,9 @@ def test_ground_as_tall_as_planets_are_large_is_drawn_and_needles_are_explained(
     y, x = np.mgrid[:200, :240]
     tall = (5e8 * np.sin(x / 20) * np.cos(y / 17)).astype(np.float32)
     broad = terrain(tall, Affine(3e6, 0, 500_000, 0, -3e6, 5_000_000))
-    picture = cpu.draw(Scene(broad, whole(broad, (80, 50)), samples=1))
+    picture = cpu.draw(Scene.of(broad, whole(broad, (80, 50)), samples=1))
     assert np.isfinite(picture.depth).mean() > 0.2 and np.nanmax(picture.depth) > 1e9
     needle = terrain(tall, Affine(30, 0, 500_000, 0, -30, 5_000_000))
     with pytest.raises(NothingInViewError, match=r"thinner than a pixel") as said:
-        cpu.draw(Scene(needle, whole(needle, (80, 50)), samples=1))
+        cpu.draw(Scene.of(needle, whole(needle, (80, 50)), samples=1))
     assert said.value.remedy is not None and "--vertical-unit" in said.value.remedy

@@ -49,7 +49,7 @@ def test_depth_is_that_of_the_triangles(transform, exaggeration, holed):
     ground = terrain(holes(heights) if holed else heights, transform)
     for azimuth, pitch in ((200, 25), (65, 8)):
         view = camera.whole(ground, SIZE, azimuth=azimuth, pitch=pitch, exaggeration=exaggeration)
-        picture = cpu.draw(Scene(ground, view, exaggeration=exaggeration, shadows=False, **BARE))
+        picture = cpu.draw(Scene.of(ground, view, exaggeration=exaggeration, shadows=False, **BARE))
         assert picture.depth.dtype == np.float32 and picture.depth.shape == (90, 160)
         agree(picture.depth, embree_depth(ground, view, exaggeration))
 
@@ -60,7 +60,7 @@ def test_depth_of_a_real_dem(shared_data):
 
     ground = prepare([str(next(f for f in sorted(path.iterdir()) if f.suffix in (".tif", ".bil")))])
     view = camera.whole(ground, (320, 180), azimuth=220, pitch=20)
-    picture = cpu.draw(Scene(ground, view, **BARE))
+    picture = cpu.draw(Scene.of(ground, view, **BARE))
     agree(picture.depth, embree_depth(ground, view))
 
 
@@ -74,16 +74,16 @@ def test_depth_from_within_and_beneath():
             view = View(
                 (x, y, height), (x + 1000 * toward[0], y + 1000 * toward[1], height), fov_y=60, width=160, height=90
             )
-            picture = cpu.draw(Scene(ground, view, shadows=False, **BARE))
+            picture = cpu.draw(Scene.of(ground, view, shadows=False, **BARE))
             agree(picture.depth, embree_depth(ground, view))
 
 
 def test_depth_is_cut_by_near_and_far():
     ground = terrain(hills())
     view = camera.whole(ground, SIZE)
-    whole = cpu.draw(Scene(ground, view, **BARE)).depth
+    whole = cpu.draw(Scene.of(ground, view, **BARE)).depth
     near, far = (float(v) for v in np.nanpercentile(whole, [30, 60]))
-    cut = cpu.draw(Scene(ground, dataclasses.replace(view, near=near, far=far), **BARE)).depth
+    cut = cpu.draw(Scene.of(ground, dataclasses.replace(view, near=near, far=far), **BARE)).depth
     assert np.nanmin(cut) >= near * (1 - 1e-6) and np.nanmax(cut) <= far * (1 + 1e-6)
     inside = (whole > near * 1.0001) & (whole < far * 0.9999)
     np.testing.assert_allclose(cut[inside], whole[inside], rtol=1e-6)
@@ -94,7 +94,7 @@ def test_depth_of_a_plan_is_height_under_the_eye(transform):
     ground = terrain(holes(hills()), transform)
     view = camera.plan(ground, SIZE)
     for exaggeration in (1.0, 3.0):
-        depth = cpu.draw(Scene(ground, view, exaggeration=exaggeration, **BARE)).depth
+        depth = cpu.draw(Scene.of(ground, view, exaggeration=exaggeration, **BARE)).depth
         px, py = np.meshgrid(np.arange(160) + 0.5, np.arange(90) + 0.5)
         x = view.target[0] + (px - 80) * view.pixel_metres
         y = view.target[1] - (py - 45) * view.pixel_metres
@@ -110,10 +110,10 @@ def test_looking_away_is_an_error():
     view = camera.whole(ground, SIZE)
     away = View(view.eye, tuple(2 * e - t for e, t in zip(view.eye, view.target)), width=160, height=90)
     with pytest.raises(NothingInViewError, match="outside its area and looks towards"):
-        cpu.draw(Scene(ground, away))
+        cpu.draw(Scene.of(ground, away))
     x, y = (float(v) for v in ground.grid.xy(40, 30))
     with pytest.raises(NothingInViewError, match="above or under its area"):
-        cpu.draw(Scene(ground, View((x, y, 5000), (x, y, 6000), width=160, height=90)))
+        cpu.draw(Scene.of(ground, View((x, y, 5000), (x, y, 6000), width=160, height=90)))
 
 
 def test_nothing_valid_is_an_error():
@@ -121,7 +121,7 @@ def test_nothing_valid_is_an_error():
     x, y = (float(v) for v in ground.grid.xy(20, 25))
     for projection in ("perspective", "plan"):
         with pytest.raises(NothingInViewError):
-            cpu.draw(Scene(ground, View((x, y, 500), (x, y, 0), width=160, height=90, projection=projection)))
+            cpu.draw(Scene.of(ground, View((x, y, 500), (x, y, 0), width=160, height=90, projection=projection)))
 
 
 def test_a_hole_in_view_is_no_picture():
@@ -131,7 +131,7 @@ def test_a_hole_in_view_is_no_picture():
     ground = terrain(heights)
     x, y = (float(v) for v in ground.grid.xy(45, 30))
     with pytest.raises(NothingInViewError):
-        cpu.draw(Scene(ground, View((x, y, 1500), (x, y, 0), fov_y=5, width=160, height=90)))
+        cpu.draw(Scene.of(ground, View((x, y, 1500), (x, y, 0), fov_y=5, width=160, height=90)))
 
 
 # ---- the same picture whatever the way -------------------------------------------------------------------------------
@@ -142,7 +142,7 @@ def test_threads_do_not_change_a_bit():
     for projection in ("perspective", "plan"):
         view = camera.whole(ground, SIZE) if projection == "perspective" else camera.plan(ground, SIZE)
         for sky in (False, True):
-            one, two = (cpu.draw(Scene(ground, view, sky=sky, jobs=jobs)) for jobs in (1, 2))
+            one, two = (cpu.draw(Scene.of(ground, view, sky=sky, jobs=jobs)) for jobs in (1, 2))
             np.testing.assert_array_equal(one.pixels, two.pixels)
             np.testing.assert_array_equal(one.depth, two.depth)
 
@@ -159,7 +159,7 @@ def test_threads_do_not_change_a_bit_of_a_store_seen_through_windows(tmp_path):
         pictures = []
         for jobs in (1, 2, 5):
             with store.open(tmp_path / "a.oro") as stored:
-                pictures.append(cpu.draw(Scene(stored, view, Sun(300, 20), sky=True, tolerance=1.0, jobs=jobs)))
+                pictures.append(cpu.draw(Scene.of(stored, view, sun=Sun(300, 20), sky=True, tolerance=1.0, jobs=jobs)))
         assert len({w["level"] for w in pictures[0].facts["windows"]}) > 1
         for other in pictures[1:]:
             np.testing.assert_array_equal(other.pixels, pictures[0].pixels)
@@ -169,15 +169,15 @@ def test_threads_do_not_change_a_bit_of_a_store_seen_through_windows(tmp_path):
 def test_more_samples_change_edges_only():
     ground = terrain(hills())
     view = camera.whole(ground, SIZE, pitch=15)
-    scene = Scene(ground, view, Sun(300, 20), samples=1)
+    scene = Scene.of(ground, view, sun=Sun(300, 20), samples=1)
     rough = cpu.draw(scene)
-    smooth = cpu.draw(dataclasses.replace(scene, samples=8))
+    smooth = cpu.draw(dataclasses.scene.but(samples=8))
     changed = (rough.pixels != smooth.pixels).any(-1)
     assert not changed[~cpu.find_edges(rough.pixels)].any()
     assert changed.sum() > 100
     np.testing.assert_array_equal(rough.depth, smooth.depth)
     # The truth is the mean over many rays in every pixel: a picture eight times as large, shrunk in linear light.
-    large = cpu.draw(dataclasses.replace(scene, view=view.resized(8 * 160, 8 * 90)))
+    large = cpu.draw(dataclasses.scene.but(view=view.resized(8 * 160, 8 * 90)))
     truth = linear(large).reshape(90, 8, 160, 8, 3).mean((1, 3))
     before, after = (np.abs(linear(p) - truth)[changed].mean() for p in (rough, smooth))
     assert after < 0.45 * before
@@ -210,8 +210,8 @@ def test_a_store_gives_the_same_picture(tmp_path):
         view = camera.whole(memory, SIZE)
         np.testing.assert_array_equal(camera.whole(stored, SIZE).eye, view.eye)
         for tolerance in (None, 0.5):
-            a = cpu.draw(Scene(memory, view, tolerance=tolerance))
-            b = cpu.draw(Scene(stored, view, tolerance=tolerance))
+            a = cpu.draw(Scene.of(memory, view, tolerance=tolerance))
+            b = cpu.draw(Scene.of(stored, view, tolerance=tolerance))
             np.testing.assert_array_equal(a.pixels, b.pixels)
             np.testing.assert_array_equal(a.depth, b.depth)
 
@@ -226,8 +226,8 @@ def test_level_of_detail_keeps_its_tolerance(tolerance):
     ground = terrain(heights)
     assert ground.levels == 4
     view = camera.whole(ground, SIZE, pitch=25)
-    exact = cpu.draw(Scene(ground, view, tolerance=0.0, **BARE))
-    coarse = cpu.draw(Scene(ground, view, tolerance=tolerance, **BARE))
+    exact = cpu.draw(Scene.of(ground, view, tolerance=0.0, **BARE))
+    coarse = cpu.draw(Scene.of(ground, view, tolerance=tolerance, **BARE))
     assert len(exact.facts["windows"]) == 1 and exact.facts["windows"][0]["level"] == 0
     assert any(w["level"] > 0 for w in coarse.facts["windows"])
     assert coarse.facts["tolerance_px"] == tolerance
@@ -258,7 +258,7 @@ def test_little_memory_loosens_the_tolerance_and_says_so():
     ground = terrain(np.random.default_rng(0).normal(500, 60, (1500, 1500)).astype(np.float32))
     view = camera.whole(ground, SIZE)
     heard = Heard()
-    picture = cpu.draw(Scene(ground, view, max_memory=8 << 20, **BARE), heard)
+    picture = cpu.draw(Scene.of(ground, view, max_memory=8 << 20, **BARE), heard)
     assert picture.facts["tolerance_px"] > 0
     assert any("instead of 0: more would not fit" in text for text in heard.warnings)
     assert sum(w["rows"] * w["cols"] for w in picture.facts["windows"]) * 4 < 8 << 20
@@ -270,7 +270,7 @@ def test_little_memory_loosens_the_tolerance_and_says_so():
 def sunlit(heights, sun, transform=NORTH_UP, **options):
     """Linear colours in the middle of a plan of ``heights`` and the picture's depth."""
     ground = terrain(heights, transform)
-    scene = Scene(ground, camera.plan(ground, SIZE), sun, colormap="grey", **{**BARE, **options})
+    scene = Scene.of(ground, camera.plan(ground, SIZE), sun=sun, colormap="grey", **{**BARE, **options})
     picture = cpu.draw(scene)
     return linear(picture), picture
 
@@ -308,7 +308,7 @@ def test_level_ground_in_the_sun_has_the_color_of_the_legend():
     heights[:, 80:] = 900  # two levels, so that the tint has a span; the cliff is in the middle
     ground = terrain(heights)
     for name in ("alpine", "grey", "viridis"):
-        scene = Scene(ground, camera.plan(ground, SIZE), Sun(90, 45), colormap=name, shadows=False, **BARE)
+        scene = Scene.of(ground, camera.plan(ground, SIZE), sun=Sun(90, 45), colormap=name, shadows=False, **BARE)
         picture = cpu.draw(scene)
         table = np.round(linear_to_srgb(color_table(name)) * 255)
         for place, color in (((45, 25), table[0]), ((45, 135), table[-1])):
@@ -320,8 +320,8 @@ def test_relief_is_strengthened_for_shading_only(monkeypatch):
     monkeypatch.setitem(TINTS, "grey", [(0.0, "#808080"), (1.0, "#808080")])
     ground = terrain(hills(tall=10))
     view = camera.plan(ground, SIZE)
-    plain = cpu.draw(Scene(ground, view, colormap="grey", water=None, samples=1, relief=1.0))
-    drawn = cpu.draw(Scene(ground, view, colormap="grey", water=None, samples=1))
+    plain = cpu.draw(Scene.of(ground, view, colormap="grey", water=None, samples=1, relief=1.0))
+    drawn = cpu.draw(Scene.of(ground, view, colormap="grey", water=None, samples=1))
     assert drawn.facts["shader"]["relief"] > 1.5 and plain.facts["shader"]["relief"] == 1
     np.testing.assert_array_equal(plain.depth, drawn.depth)
     assert linear(drawn)[10:-10, 30:-30].std() > 1.3 * linear(plain)[10:-10, 30:-30].std()
@@ -342,7 +342,7 @@ def test_a_shadow_ends_where_the_sun_comes_over_the_wall(exaggeration):
     for altitude in (10.0, 25.0):
         view = camera.plan(ground, (800, 100))
         sun = Sun(90, altitude, 0.0)
-        picture = cpu.draw(Scene(ground, view, sun, exaggeration=exaggeration, colormap="grey", **BARE))
+        picture = cpu.draw(Scene.of(ground, view, sun=sun, exaggeration=exaggeration, colormap="grey", **BARE))
         bright = linear(picture)[50].mean(-1)
         x = view.target[0] + (np.arange(800) + 0.5 - 400) * view.pixel_metres
         foot = ground.grid.xy(299, 0)[0]
@@ -353,7 +353,7 @@ def test_a_shadow_ends_where_the_sun_comes_over_the_wall(exaggeration):
         length = height * exaggeration / math.tan(math.radians(altitude))
         assert dark.min() == pytest.approx(edge - length, abs=view.pixel_metres)
         assert (np.diff(dark) < 1.5 * view.pixel_metres).all()  # one shadow, without holes
-        lit = Scene(ground, view, sun, exaggeration=exaggeration, colormap="grey", shadows=False, **BARE)
+        lit = Scene.of(ground, view, sun=sun, exaggeration=exaggeration, colormap="grey", shadows=False, **BARE)
         assert linear(cpu.draw(lit))[50][plain].min() > level
 
 
@@ -363,7 +363,7 @@ def test_a_penumbra_is_as_wide_as_the_suns_disc_makes_it():
     height, altitude, diameter = 300.0, 20.0, 12.0
     ground = terrain(wall(height))
     view = camera.plan(ground, (800, 100))
-    picture = cpu.draw(Scene(ground, view, Sun(90, altitude, diameter), colormap="grey", **BARE))
+    picture = cpu.draw(Scene.of(ground, view, sun=Sun(90, altitude, diameter), colormap="grey", **BARE))
     bright = linear(picture)[50].mean(-1)
     x = view.target[0] + (np.arange(800) + 0.5 - 400) * view.pixel_metres
     distance = ground.grid.xy(300, 0)[0] - x
@@ -378,8 +378,8 @@ def test_a_penumbra_is_as_wide_as_the_suns_disc_makes_it():
 
 def test_a_sun_below_the_horizon_leaves_light_of_the_sky():
     ground = terrain(hills())
-    day = cpu.draw(Scene(ground, camera.plan(ground, SIZE), Sun(200, 40)))
-    night = cpu.draw(Scene(ground, camera.plan(ground, SIZE), Sun(200, -10)))
+    day = cpu.draw(Scene.of(ground, camera.plan(ground, SIZE), sun=Sun(200, 40)))
+    night = cpu.draw(Scene.of(ground, camera.plan(ground, SIZE), sun=Sun(200, -10)))
     hit = np.isfinite(day.depth)
     assert 5 < night.pixels[hit].mean() < 0.7 * day.pixels[hit].mean()
 
@@ -392,7 +392,7 @@ def test_flat_sea_is_water_and_hills_are_not():
     heights[:, :60] = 0
     ground = terrain(heights)
     view = camera.plan(ground, SIZE)
-    picture = cpu.draw(Scene(ground, view, samples=1))
+    picture = cpu.draw(Scene.of(ground, view, samples=1))
     wet = picture.pixels[45, 30].astype(int)
     assert wet[2] > wet[0] + 15  # blue
     assert picture.facts["shader"]["water_fraction"] == pytest.approx(60 / 160, abs=0.01)
@@ -401,7 +401,7 @@ def test_flat_sea_is_water_and_hills_are_not():
     row = picture.pixels[45].astype(int)
     blue = row[:, 2] > row[:, 0] + 15
     assert blue[(col >= 0) & (col < 58)].all() and not blue[(col > 61) & (col < 159)].any()
-    dry = cpu.draw(Scene(ground, view, samples=1, water=None)).pixels[45].astype(int)
+    dry = cpu.draw(Scene.of(ground, view, samples=1, water=None)).pixels[45].astype(int)
     assert not (dry[:, 2] > dry[:, 0] + 15)[(col >= 0) & (col < 159)].any()
 
 
@@ -409,7 +409,7 @@ def test_a_given_water_level():
     heights = plane(0.1, 0)  # rises to the east, 1000 to 1477 m
     ground = terrain(heights)
     view = camera.plan(ground, SIZE)
-    picture = cpu.draw(Scene(ground, view, samples=1, water=1200.0))
+    picture = cpu.draw(Scene.of(ground, view, samples=1, water=1200.0))
     hit = np.isfinite(picture.depth)
     z = view.eye[2] - picture.depth
     p = picture.pixels.astype(int)
@@ -425,7 +425,7 @@ def test_a_shore_seen_from_near_is_crisp_and_follows_the_ground():
     half = math.degrees(math.atan(0.25 * 90 / 5000))  # half a metre a pixel
     view = View((x, y, 5000), (x, y, 0), (0, 1, 0), 2 * half, 160, 90, projection="plan")
     level = float(heights[45, 62])
-    wet, dry = (linear(cpu.draw(Scene(ground, view, samples=1, relief=1.0, water=w))) for w in (level, None))
+    wet, dry = (linear(cpu.draw(Scene.of(ground, view, samples=1, relief=1.0, water=w))) for w in (level, None))
     px, py = np.meshgrid(np.arange(160) + 0.5 - 80, 45 - np.arange(90) - 0.5)
     above = 0.5 * (0.1 * px + 0.03 * py)
     changed = np.abs(wet - dry).max(-1) > 1e-3
@@ -444,7 +444,7 @@ def test_hatching_only_over_enclosed_holes():
     heights[60:, 120:] = np.nan  # open to the border: there the terrain ends
     ground = terrain(heights)
     view = camera.plan(ground, SIZE)
-    picture = cpu.draw(Scene(ground, view, samples=1, colormap="viridis", relief=1))
+    picture = cpu.draw(Scene.of(ground, view, samples=1, colormap="viridis", relief=1))
     px, py = np.meshgrid(np.arange(160) + 0.5, np.arange(90) + 0.5)
     col, row = ground.grid.index(
         view.target[0] + (px - 80) * view.pixel_metres, view.target[1] - (py - 45) * view.pixel_metres
@@ -466,7 +466,7 @@ def test_hatching_keeps_to_its_hole_in_perspective():
     heights[30:50, 40:70] = np.nan
     ground, whole = terrain(heights), terrain(hills(90, 160, tall=300))
     view = camera.whole(ground, (320, 180), pitch=35)
-    picture = cpu.draw(Scene(ground, view, samples=1, colormap="viridis", relief=1))
+    picture = cpu.draw(Scene.of(ground, view, samples=1, colormap="viridis", relief=1))
     grey = hatched(picture.pixels)
     full = embree_depth(whole, view)
     holed = embree_depth(ground, view)
@@ -483,7 +483,7 @@ def test_the_floor_of_a_sea_and_a_basin_on_land():
         heights = plane(0.05, 0, 90, 160) - 1000  # 0 to 238 m
         heights[:, : int(160 * part)] = np.linspace(-85, -20, int(160 * part))
         ground = terrain(heights)
-        p = cpu.draw(Scene(ground, camera.plan(ground, SIZE), samples=1, **options)).pixels[45].astype(int)
+        p = cpu.draw(Scene.of(ground, camera.plan(ground, SIZE), samples=1, **options)).pixels[45].astype(int)
         deep = p[5 + 3 : 5 + int(140 * part) - 3]
         return (deep[:, 2] > deep[:, 0] + 15).mean()
 
@@ -496,7 +496,7 @@ def test_the_floor_of_a_sea_and_a_basin_on_land():
 def test_a_sky_is_drawn_where_no_ground_is():
     ground = terrain(hills())
     view = camera.whole(ground, SIZE, pitch=5)
-    paper, sky = (cpu.draw(Scene(ground, view, sky=sky)) for sky in (False, True))
+    paper, sky = (cpu.draw(Scene.of(ground, view, sky=sky)) for sky in (False, True))
     empty = np.isnan(paper.depth)
     assert len(np.unique(paper.pixels[:5][empty[:5]], axis=0)) == 1
     above = sky.pixels[:5][empty[:5]].astype(int)

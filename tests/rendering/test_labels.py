@@ -48,12 +48,12 @@ def scenes(terrain: Terrain) -> dict[str, Scene]:
         "plan": View((middle[0], middle[1], 12_000.0), middle, projection="plan", width=640, height=400),
         "near": View((EAST + 6000.0, NORTH - 9500.0, 1100.0), middle, width=640, height=400),
     }
-    return {k: Scene(terrain, v, contours=Contours(20.0), samples=1) for k, v in views.items()}
+    return {k: Scene.of(terrain, v, contours=Contours(20.0), samples=1) for k, v in views.items()}
 
 
 def labelled(scene: Scene, placer: Placer | None = None) -> tuple[Labels, Contours]:
-    assert scene.contours is not None
-    contours = scene.contours.fitted(scene.terrain, scene.view, Memo())
+    assert scene.annotations.contours is not None
+    contours = scene.annotations.contours.fitted(scene.terrain, scene.view, Memo())
     return (placer or Placer(scene.terrain)).place(scene, contours), contours
 
 
@@ -115,7 +115,7 @@ def test_hidden_ground_has_no_labels() -> None:
     high = replace(low, eye=(EAST + 4000.0, NORTH - 7000.0, 12_000.0))
     rows = []
     for view in (low, high):
-        labels, _ = labelled(Scene(terrain, view, contours=Contours(20.0)))
+        labels, _ = labelled(Scene.of(terrain, view, contours=Contours(20.0)))
         rows.append(NORTH - labels.lines[:, POINTS // 2, 1])
     assert not (rows[0] < 4800).any() and (rows[1] < 4800).any()
 
@@ -129,11 +129,11 @@ def test_spots_do_not_depend_on_the_view_and_are_straight(terrain: Terrain) -> N
 
 def test_fading_is_continuous_and_labels_stay_where_they_are(terrain: Terrain) -> None:
     """Along a slow flight the opacity of no label jumps, and each label's place in the terrain never moves."""
-    scene = replace(scenes(terrain)["slanted"], contours=Contours(20.0, fading=True))
+    scene = scenes(terrain)["slanted"].but(contours=Contours(20.0, fading=True))
     placer, before, jumps, memo = Placer(terrain), {}, [], 0
     for k in range(40):
         eye = (scene.view.eye[0] + 12.0 * k, scene.view.eye[1] + 20.0 * k, scene.view.eye[2] - 6.0 * k)
-        labels, _ = labelled(replace(scene, view=replace(scene.view, eye=eye)), placer)
+        labels, _ = labelled(scene.but(view=replace(scene.view, eye=eye)), placer)
         now = {tuple(line): o for line, o in zip(labels.lines[:, POINTS // 2].tolist(), labels.opacity, strict=True)}
         if before:
             jumps += [abs(now.get(at, 0.0) - before.get(at, 0.0)) for at in {*now, *before}]
@@ -146,7 +146,7 @@ def test_fading_is_continuous_and_labels_stay_where_they_are(terrain: Terrain) -
 def test_a_tile_has_the_labels_of_its_picture(terrain: Terrain) -> None:
     scene = scenes(terrain)["slanted"]
     whole = draw(scene).pixels
-    tile = draw(replace(scene, view=scene.view.tile(192, 96, 256, 192))).pixels
+    tile = draw(scene.but(view=scene.view.tile(192, 96, 256, 192))).pixels
     assert np.array_equal(tile, whole[96:288, 192:448])
 
 
@@ -157,7 +157,7 @@ def test_odd_terrain_is_no_trouble() -> None:
         terrain = in_memory(Dem(z.astype(np.float32), grid))
         view = View((EAST + 300, NORTH - 2000, 900.0), (EAST + 300, NORTH - 10, 0.0), width=200, height=160)
         for interval in (None, 0.5, 1000.0):
-            labels, _ = labelled(Scene(terrain, view, contours=Contours(interval)))
+            labels, _ = labelled(Scene.of(terrain, view, contours=Contours(interval)))
             assert len(labels) == 0
 
 
@@ -170,7 +170,7 @@ def test_small_rasters_seen_small_have_labels_too() -> None:
     assert np.array_equal(read(small, 2, 3, 9, 5, 8), small.read(0, 12, 36, 20, 32)[::4, ::4])
     middle = (EAST + 2500.0, NORTH - 2400.0, 500.0)
     view = View((middle[0], middle[1], 8500.0), middle, projection="plan", width=220, height=200)
-    assert len(labelled(Scene(small, view, contours=Contours(20.0)))[0]) >= 2
+    assert len(labelled(Scene.of(small, view, contours=Contours(20.0)))[0]) >= 2
 
 
 def zoomed(terrain: Terrain, pixels: float) -> Scene:
@@ -179,7 +179,7 @@ def zoomed(terrain: Terrain, pixels: float) -> Scene:
     away = METRES / pixels * 400 / (2 * math.tan(math.radians(20.0)))
     view = View((x, y, 1000.0 + away), (x, y, 1000.0), projection="plan", fov_y=40, width=640, height=400)
     interval = 60.0 / pixels
-    return Scene(terrain, view, contours=Contours(interval), samples=1)
+    return Scene.of(terrain, view, contours=Contours(interval), samples=1)
 
 
 @pytest.mark.parametrize("pixels", [5.0, 50.0, 300.0])
@@ -191,7 +191,7 @@ def test_lines_have_as_many_labels_however_near_one_comes(terrain: Terrain, pixe
     assert 6 <= len(labels) <= 40, len(labels)
     middle = labels.lines[:, POINTS // 2]
     # Each on the surface that is drawn, within a pixel: heights across there change by so much from pixel to pixel.
-    shown = draw(replace(scene, contours=None, tolerance=0.0, light="none"))
+    shown = draw(scene.but(contours=None, tolerance=0.0, light="none"))
     px = scene.view.project(middle)[0]
     j, i = np.clip(np.floor(px).astype(int), 2, [637, 397]).T
     ground = scene.view.eye[2] - shown.depth.astype(np.float64)
@@ -204,7 +204,7 @@ def test_labels_come_by_degrees_as_one_zooms_in_beyond_samples(terrain: Terrain)
     placer, before = Placer(terrain), {}
     jumps = []
     for pixels in np.geomspace(20.5, 25.0, 166):
-        scene = replace(zoomed(terrain, float(pixels)), contours=Contours(2.5, fading=True))
+        scene = zoomed(terrain, float(pixels)).but(contours=Contours(2.5, fading=True))
         labels, _ = labelled(scene, placer)
         found = zip(labels.lines[:, POINTS // 2].round(3).tolist(), labels.opacity, strict=True)
         now = {tuple(at): o for at, o in found}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +41,7 @@ def ground():
 )
 def test_no_seam(tmp_path, ending, pixels, options):
     land = ground()
-    scene = Scene(land, camera.around(land, SIZE, azimuth=215, pitch=22, distance=3500), **options)
+    scene = Scene.of(land, camera.around(land, SIZE, azimuth=215, pitch=22, distance=3500), **options)
     at_once = draw(scene)
     out, depth = tmp_path / f"large.{ending}", tmp_path / "depth.tif"
     facts = draw_large(scene, out, depth=depth, pixels=pixels)
@@ -57,7 +56,7 @@ def test_no_seam(tmp_path, ending, pixels, options):
 
 def test_a_plan_is_a_geotiff_in_its_place(tmp_path):
     land = ground()
-    scene = Scene(land, camera.plan(land, SIZE, azimuth=150), furniture=True)
+    scene = Scene.of(land, camera.plan(land, SIZE, azimuth=150), furniture=True)
     at_once = draw(scene)
     at_once.save(tmp_path / "once.tif")
     draw_large(scene, tmp_path / "large.tif", pixels=417 * 32)
@@ -94,7 +93,7 @@ from orograph.scene import camera
 from orograph.rendering.large import draw_large
 from orograph.scene.scene import Scene
 land = terrain(hills(140, 180))
-scene = lambda size: Scene(land, camera.whole(land, size), furniture=True, shadows=False)
+scene = lambda size: Scene.of(land, camera.whole(land, size), furniture=True, shadows=False)
 draw_large(scene((300, 200)), Path(sys.argv[2]) / "small.png", pixels=1 << 19)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 draw_large(scene((3000, 3000)), Path(sys.argv[2]) / "large.png", pixels=1 << 19)
@@ -110,10 +109,10 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 def test_what_cannot_be_drawn_by_bands(tmp_path, monkeypatch):
     land = ground()
-    scene = Scene(land, camera.whole(land, SIZE))
+    scene = Scene.of(land, camera.whole(land, SIZE))
     with pytest.raises(UsageError, match="wireframe"):
-        draw_large(replace(scene, engine="soar", wireframe=True), tmp_path / "a.png")
-    wide = replace(scene, view=camera.whole(land, (20_000, 100)))
+        draw_large(scene.but(engine="soar", wireframe=True), tmp_path / "a.png")
+    wide = scene.but(view=camera.whole(land, (20_000, 100)))
     with pytest.raises(UsageError, match="16383"):
         draw_large(wide, tmp_path / "a.webp")
     monkeypatch.setattr(large.shutil, "disk_usage", lambda path: type("", (), {"free": 1000}))
@@ -135,5 +134,7 @@ def test_what_was_there_stays_when_it_fails(tmp_path):
         return draw(scene)
 
     with pytest.raises(RuntimeError, match="in the middle"):
-        draw_large(Scene(land, camera.whole(land, SIZE)), out, depth=tmp_path / "d.tif", draw=failing, pixels=417 * 32)
+        draw_large(
+            Scene.of(land, camera.whole(land, SIZE)), out, depth=tmp_path / "d.tif", draw=failing, pixels=417 * 32
+        )
     assert out.read_bytes() == b"precious" and [f.name for f in tmp_path.iterdir()] == ["a.png"]

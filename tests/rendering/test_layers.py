@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +75,7 @@ def test_at_a_grazing_angle_it_is_what_many_rays_see(tmp_path: Path, heading: fl
     eye, target = middle - 800 * ahead, middle + 100 * ahead
     view = View((*eye, 70.0), (*target, HEIGHT), fov_y=30, width=180, height=110)
     terrain = flat()
-    scene = Scene(terrain, view, light="none", layers=(Layer(path),), samples=1, water=None)
+    scene = Scene.of(terrain, view, light="none", layers=(Layer(path),), samples=1, water=None)
     truth, inside = supersampled(view, pixels)
     inside[:2] = inside[-2:] = False
     picture = draw(scene)
@@ -104,7 +103,7 @@ def test_at_a_grazing_angle_it_is_what_many_rays_see(tmp_path: Path, heading: fl
 def test_far_ground_is_grey_and_does_not_sparkle(tmp_path: Path) -> None:
     path = image(tmp_path / "board.tif", board(1))
     view = View((WEST + 1000, NORTH - 1990, 60.0), (WEST + 1000, NORTH - 500, HEIGHT), fov_y=20, width=120, height=60)
-    picture = draw(Scene(flat(), view, light="none", layers=(Layer(path),), samples=1, water=None))
+    picture = draw(Scene.of(flat(), view, light="none", layers=(Layer(path),), samples=1, water=None))
     seen = np.isfinite(picture.depth) & (picture.depth > 900)
     ours = srgb_to_linear(picture.pixels[..., 0] / 255.0)[seen]
     grey = srgb_to_linear(np.array([20, 200]) / 255.0).mean()
@@ -114,7 +113,7 @@ def test_far_ground_is_grey_and_does_not_sparkle(tmp_path: Path) -> None:
 def test_layers_lie_one_above_another(tmp_path: Path) -> None:
     terrain = flat()
     view = plan(terrain, (64, 64))
-    bare = Scene(terrain, view, light="none", water=None)
+    bare = Scene.of(terrain, view, light="none", water=None)
     tint = srgb_to_linear(draw(bare).pixels[32, 32] / 255.0)
     one = np.empty((50, 50, 4), np.uint8)
     one[:] = 120, 60, 30, 255
@@ -135,16 +134,16 @@ def test_layers_lie_one_above_another(tmp_path: Path) -> None:
         ((a, b), times(over(tint, 1)), times(over(tint, 128 / 255))),
         ((b, a), over(times(tint), 1), over(times(tint), 128 / 255)),
     ):
-        got = srgb_to_linear(draw(replace(bare, layers=layers)).pixels / 255.0)
+        got = srgb_to_linear(draw(bare.but(layers=layers)).pixels / 255.0)
         np.testing.assert_allclose(got[32, 16], west, atol=0.006)
         np.testing.assert_allclose(got[32, 48], east, atol=0.006)
 
 
 def test_what_is_hidden_costs_nothing_and_shows_nothing(tmp_path: Path) -> None:
     terrain = flat()
-    scene = Scene(terrain, plan(terrain, (64, 64)))
+    scene = Scene.of(terrain, plan(terrain, (64, 64)))
     hidden = (Layer("not there.tif", visible=False), Layer("nor there.tif", 0.0))
-    np.testing.assert_array_equal(draw(scene).pixels, draw(replace(scene, layers=hidden)).pixels)
+    np.testing.assert_array_equal(draw(scene).pixels, draw(scene.but(layers=hidden)).pixels)
 
 
 def test_less_detail_is_read_where_less_is_seen(tmp_path: Path) -> None:
@@ -153,7 +152,7 @@ def test_less_detail_is_read_where_less_is_seen(tmp_path: Path) -> None:
 
     path = image(tmp_path / "board.tif", board(64))
     terrain = flat()
-    scene = Scene(terrain, plan(terrain, (64, 64)), light="none", layers=(Layer(path),), samples=1, water=None)
+    scene = Scene.of(terrain, plan(terrain, (64, 64)), light="none", layers=(Layer(path),), samples=1, water=None)
     memo = Memo()
     picture = draw(scene, memo=memo)
     (drape,) = [made for made, _ in memo._held["drape"].values()]
@@ -169,7 +168,7 @@ def test_an_image_covers_water(tmp_path: Path) -> None:
     ground = scenes.terrain(heights, Affine(METRES / 200, 0, WEST, 0, -METRES / 200, NORTH))
     pixels = np.zeros((100, 100, 4), np.uint8)
     pixels[:50] = 200, 40, 40, 255
-    scene = Scene(ground, plan(ground, (200, 200)), light="none", layers=(Layer(image(tmp_path / "i.tif", pixels)),))
+    scene = Scene.of(ground, plan(ground, (200, 200)), light="none", layers=(Layer(image(tmp_path / "i.tif", pixels)),))
     picture = draw(scene)
     y, x = np.nonzero(np.isfinite(picture.depth))
     west, east, top, bottom = x.min(), x.max(), y.min(), y.max()

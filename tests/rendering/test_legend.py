@@ -27,7 +27,7 @@ def told(monkeypatch, scene):
 
 
 def plan(ground, **options):
-    return Scene(ground, camera.plan(ground, SIZE), samples=1, furniture=True, **options)
+    return Scene.of(ground, camera.plan(ground, SIZE), samples=1, furniture=True, **options)
 
 
 def test_keys_are_of_what_is_seen(monkeypatch):
@@ -44,7 +44,7 @@ def test_keys_are_of_what_is_seen(monkeypatch):
     x, y = (float(v) for v in ground.grid.xy(300, 100))
     east = camera.fit(np.array([[x - 2000, y - 1500, 800.0], [x + 2000, y + 1500, 800.0]]),
                       camera.direction(180, 90), 30, SIZE)  # fmt: skip
-    keys = told(monkeypatch, Scene(ground, east, samples=1, furniture=True))["legend"]
+    keys = told(monkeypatch, Scene.of(ground, east, samples=1, furniture=True))["legend"]
     assert keys.water is None and keys.missing is None
     assert told(monkeypatch, plan(ground, water=None))["legend"].water is None
 
@@ -79,11 +79,11 @@ def test_counts_do_not_depend_on_threads(monkeypatch):
 
 def test_one_scale_where_there_is_one(monkeypatch):
     ground = terrain(hills(200, 400, tall=20))
-    steep = told(monkeypatch, Scene(ground, camera.whole(ground, SIZE), samples=1, furniture=True))
+    steep = told(monkeypatch, Scene.of(ground, camera.whole(ground, SIZE), samples=1, furniture=True))
     assert steep["metres_per_pixel"] > 0 and "scale at" in steep["note"]
     x, y = (float(v) for v in ground.grid.xy(200, 199))
     low = camera.View((x, y, 900.0), (x, y + 100, 895.0), width=320, height=180)
-    level = told(monkeypatch, Scene(ground, low, samples=1, furniture=True))
+    level = told(monkeypatch, Scene.of(ground, low, samples=1, furniture=True))
     assert level["metres_per_pixel"] is None and "scale" not in level["note"]
 
 
@@ -114,11 +114,11 @@ def test_grid_north_is_named_where_it_differs():
 
         x, y = Proj("EPSG:32611")(lon, 40.0)
         view = camera.View((x, y, 9000.0), (x, y, 0.0))
-        angle = legend.convergence(Scene(ground, view))
+        angle = legend.convergence(Scene.of(ground, view))
         assert angle == pytest.approx((lon + 117) * np.sin(np.radians(40)), abs=0.2)
         assert (abs(angle) > legend.CONVERGENCE) == named
     nowhere = terrain(hills(), crs=None)
-    assert legend.convergence(Scene(nowhere, camera.plan(nowhere, SIZE))) == 0
+    assert legend.convergence(Scene.of(nowhere, camera.plan(nowhere, SIZE))) == 0
 
 
 @pytest.mark.parametrize("projection", ["perspective", "plan"])

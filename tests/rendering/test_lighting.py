@@ -53,7 +53,7 @@ def light_on(ground, **options):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shading, "lighting_of", spy)
-        picture = cpu.draw(Scene(ground, view, **{**BARE, **options}))
+        picture = cpu.draw(Scene.of(ground, view, **{**BARE, **options}))
     left, top = view.frame[:2]
     out = np.full((view.height, view.width, 3), np.nan)
     for px, py, values in caught:
@@ -91,7 +91,7 @@ def test_inclined_ground(light):
 def test_no_light_shows_the_maps_own_colors():
     ground = terrain(hills())
     view = camera.plan(ground, SIZE)
-    picture = cpu.draw(Scene(ground, view, light="none", **BARE))
+    picture = cpu.draw(Scene.of(ground, view, light="none", **BARE))
     seen = np.isfinite(picture.depth)
     heights = view.eye[2] - picture.depth[seen]
     from orograph.geovis.color import tint_of
@@ -159,7 +159,7 @@ def test_baked_light_is_the_same_as_swept_light(tmp_path, light, place):
             patch.setattr(LightField, "load", lambda *how: loads.append(threading.current_thread()) or load(*how))
             alone = orograph.render(baked, view, light=light, jobs=1).pixels
             draw = cpu.session()
-            assert all(np.array_equal(draw(Scene(baked, view, light=light, jobs=2)).pixels, alone) for _ in range(3))
+            assert all(np.array_equal(draw(Scene.of(baked, view, light=light, jobs=2)).pixels, alone) for _ in range(3))
         # With more than one thread, a layer is read in a thread aside; and for many frames, once.
         assert len(loads) == 2 and loads[0] is threading.main_thread() is not loads[1]
         a, b = (light_on(t, light=light, sun=Sun(300, 30), view=view) for t in (ground, baked))
@@ -241,8 +241,8 @@ def test_tiles_are_what_the_whole_shows():
     for light in ("aperture", "raytraced", "ao"):
         view = camera.around(ground, (96, 64), azimuth=200, pitch=40, distance=None)
         scene = {"light": light, "water": None, "rays": 8}
-        whole = cpu.draw(Scene(ground, view, **scene)).pixels
-        tile = cpu.draw(Scene(ground, view.tile(32, 16, 40, 32), **scene)).pixels
+        whole = cpu.draw(Scene.of(ground, view, **scene)).pixels
+        tile = cpu.draw(Scene.of(ground, view.tile(32, 16, 40, 32), **scene)).pixels
         np.testing.assert_array_equal(tile, whole[16:48, 32:72])
 
 

@@ -42,14 +42,14 @@ def hemisphere(metres: float = 2.0, radius: float = 200.0) -> tuple[Terrain, NDA
 def inked(scene: Scene) -> NDArray[np.float64]:
     """How much of each pixel lines cover, by what they darken."""
     linear = []
-    for lines in (None, scene.silhouettes):
-        c = draw(replace(scene, silhouettes=lines)).pixels / 255
+    for lines in (None, scene.annotations.silhouettes):
+        c = draw(scene.but(silhouettes=lines)).pixels / 255
         linear.append(np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
     return 1 - linear[1].sum(-1) / linear[0].sum(-1)
 
 
 def plain(terrain: Terrain, view: View, lines: Silhouettes = BLACK, samples: int = 4) -> Scene:
-    return Scene(
+    return Scene.of(
         terrain, view, light="none", colormap="grey", water=None, samples=samples, tolerance=0.0, silhouettes=lines,
     )  # fmt: skip
 
@@ -62,7 +62,7 @@ def test_a_hemisphere_has_its_outline(samples: int) -> None:
     eye = centre + np.array([0.0, -900.0, 420.0])
     view = View(tuple(eye), tuple(centre), fov_y=36, width=300, height=240)
     lines = replace(BLACK, creases=0.0)  # which go on for some pixels where the sphere meets the plain
-    ink = inked(replace(plain(terrain, view, lines, samples), depths=(5e3, 1e5)))  # no line is far away
+    ink = inked(plain(terrain, view, lines, samples).but(depths=(5e3, 1e5)))  # no line is far away
     distance = float(np.linalg.norm(eye - centre))
     touch = 200.0**2 / distance  # of the circle's middle from the centre, towards the eye
     wide = np.sqrt(200.0**2 - touch**2)
@@ -107,8 +107,8 @@ def test_a_ridge_that_hides_nothing_has_a_crease() -> None:
     x, y = (float(v) for v in terrain.grid.xy(200, 200))
     view = View((x, y - 5400.0, 2900.0), (x, y, 0.0), fov_y=14, width=200, height=160)
     for samples in (1, 4):
-        scene = replace(plain(terrain, view, samples=samples), depths=(1e4, 1e5))
-        assert inked(replace(scene, silhouettes=replace(BLACK, creases=0.0))).max() < 0.02
+        scene = plain(terrain, view, samples=samples).but(depths=(1e4, 1e5))
+        assert inked(scene.but(silhouettes=replace(BLACK, creases=0.0))).max() < 0.02
         ink = inked(scene)
         north = np.linspace(0.0, 1500.0, 3001)
         height = 0.43 * 600.0 * np.sqrt(np.e / 2) * np.exp(-((north / 600.0) ** 2))
@@ -133,7 +133,7 @@ def test_gentle_ridges_have_no_crease_and_lines_come_by_degrees() -> None:
     for pitch in np.arange(26.0, 56.0, 1.0):
         a = np.radians(pitch)
         view = View((x, y - 6000 * np.cos(a), 6000 * np.sin(a)), (x, y, 0.0), fov_y=14, width=60, height=160)
-        scene = replace(plain(terrain, view, samples=4), depths=(1e4, 1e5))
+        scene = plain(terrain, view, samples=4).but(depths=(1e4, 1e5))
         weights.append(inked(scene)[:, 20:40].sum(0).mean())
     assert weights[0] > 0.5 and max(weights[-10:]) < 0.02
     assert np.abs(np.diff(weights)).max() < 0.25, weights

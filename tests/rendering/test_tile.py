@@ -37,14 +37,16 @@ def scenes(tmp_path):
     oblique = camera.around(land, SIZE, azimuth=200, pitch=25, distance=3000)
     turned = replace(oblique, up=(0.3, 0.1, 1.0))
     return {
-        "paper": Scene(land, oblique),
-        "sky": Scene(land, camera.around(land, SIZE, azimuth=140, pitch=4, distance=2500), Sun(130, 9), sky=True),
-        "turned": Scene(land, turned, exaggeration=2.0, samples=7, jobs=2),
-        "drape": Scene(land, oblique, layers=(Layer(str(image)),), sky=True),
-        "plan": Scene(land, camera.plan(land, SIZE, azimuth=150), samples=3),
-        "coarse": Scene(land, oblique, tolerance=3.0),
-        "plain": Scene(land, oblique, samples=1, shadows=False, water=None),
-        "mesh": Scene(land, oblique, engine="soar", tolerance=2.0),
+        "paper": Scene.of(land, oblique),
+        "sky": Scene.of(
+            land, camera.around(land, SIZE, azimuth=140, pitch=4, distance=2500), sun=Sun(130, 9), sky=True
+        ),
+        "turned": Scene.of(land, turned, exaggeration=2.0, samples=7, jobs=2),
+        "drape": Scene.of(land, oblique, layers=(Layer(str(image)),), sky=True),
+        "plan": Scene.of(land, camera.plan(land, SIZE, azimuth=150), samples=3),
+        "coarse": Scene.of(land, oblique, tolerance=3.0),
+        "plain": Scene.of(land, oblique, samples=1, shadows=False, water=None),
+        "mesh": Scene.of(land, oblique, engine="soar", tolerance=2.0),
     }  # fmt: skip
 
 
@@ -56,7 +58,7 @@ def test_a_tile_is_the_whole_there(tmp_path, name):
     counts = dict.fromkeys(whole.facts["shown"], 0)
     for x, y, w, h in (*CUTS, *((x, y, min(170, SIZE[0] - x), min(100, SIZE[1] - y))
                                 for y in range(0, SIZE[1], 100) for x in range(0, SIZE[0], 170))):  # fmt: skip
-        tile = draw(replace(scene, view=scene.view.tile(x, y, w, h)), memo=memo)
+        tile = draw(scene.but(view=scene.view.tile(x, y, w, h)), memo=memo)
         np.testing.assert_array_equal(tile.pixels, whole.pixels[y : y + h, x : x + w])
         np.testing.assert_array_equal(tile.depth, whole.depth[y : y + h, x : x + w])
         if (x, y, w, h) not in CUTS:
@@ -67,8 +69,8 @@ def test_a_tile_is_the_whole_there(tmp_path, name):
 
 def test_a_plan_s_tile_knows_its_place():
     land = ground()
-    whole = draw(Scene(land, camera.plan(land, SIZE, azimuth=150)))
-    tile = draw(Scene(land, whole.view.tile(50, 37, 101, 77)))
+    whole = draw(Scene.of(land, camera.plan(land, SIZE, azimuth=150)))
+    tile = draw(Scene.of(land, whole.view.tile(50, 37, 101, 77)))
     np.testing.assert_allclose(tile.grid.xy(3.0, 4.0), whole.grid.xy(53.0, 41.0), rtol=0, atol=1e-6)
 
 
@@ -76,14 +78,14 @@ def test_what_a_tile_cannot_have():
     land = ground()
     view = camera.whole(land, SIZE)
     with pytest.raises(UsageError, match="furniture"):
-        draw(Scene(land, view.tile(0, 0, 10, 10), furniture=True))
+        draw(Scene.of(land, view.tile(0, 0, 10, 10), furniture=True))
     with pytest.raises(UsageError, match="wireframe"):
-        draw(Scene(land, view.tile(0, 0, 10, 10), engine="soar", wireframe=True))
+        draw(Scene.of(land, view.tile(0, 0, 10, 10), engine="soar", wireframe=True))
     # A tile of nothing but paper is part of a picture; a picture of nothing is none.
-    assert not np.isfinite(draw(Scene(land, view.tile(0, 0, 10, 10))).depth).any()
+    assert not np.isfinite(draw(Scene.of(land, view.tile(0, 0, 10, 10))).depth).any()
     away = camera.View((500_000.0, 4_100_000.0, 900.0), (500_000.0, 4_200_000.0, 900.0), width=333, height=190)
     with pytest.raises(NothingInViewError):
-        draw(Scene(land, away.tile(0, 0, 10, 10)))
+        draw(Scene.of(land, away.tile(0, 0, 10, 10)))
 
 
 def test_what_is_kept_changes_nothing(tmp_path):
@@ -101,5 +103,5 @@ def test_a_grain_of_ground_between_the_surveyed_pixels_is_found():
     land = terrain(hills(3, 3, tall=1.0))
     x, y = (float(v) for v in land.grid.xy(1.0, 1.0))
     view = camera.View((x, y, 60_000.0), (x, y, 0.0), up=(0, 1, 0), fov_y=60, width=1300, height=1300)
-    picture = draw(Scene(land, view))
+    picture = draw(Scene.of(land, view))
     assert 0 < np.isfinite(picture.depth).sum() < 30

@@ -52,7 +52,7 @@ def rays(view, px, py):
 
 
 def test_the_surface_is_the_mesh_by_embree(ground, view, mesh):
-    picture = cpu.draw(Scene(ground, view, engine="soar", water=None), mesh=mesh)
+    picture = cpu.draw(Scene.of(ground, view, engine="soar", water=None), mesh=mesh)
     px, py = (a.ravel() + 0.5 for a in np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])))
     truth = embree_hits(mesh.positions(ground.grid), mesh.triangles, np.array(view.eye), rays(view, px, py))
     depth = picture.depth.ravel()
@@ -61,7 +61,7 @@ def test_the_surface_is_the_mesh_by_embree(ground, view, mesh):
     close = np.abs(depth[both] / truth[both] - 1) < 1e-4
     assert close.mean() > 0.999  # but for pixels whose centre a ridge touches
     # The terrain itself is another surface.
-    exact = cpu.draw(Scene(ground, view, water=None)).depth.ravel()
+    exact = cpu.draw(Scene.of(ground, view, water=None)).depth.ravel()
     assert (np.abs(exact[both] / truth[both] - 1) < 1e-4).mean() < 0.5
 
 
@@ -134,7 +134,7 @@ def test_a_large_mesh_is_drawn_as_it_is_within_a_part_of_a_pixel(monkeypatch):
     view = camera.whole(ground, SIZE, azimuth=205.0, pitch=12.0)
     mesh = Soar(ground).refine(view, tolerance=0.1)  # finer than the windows
     whole = surface_of(mesh, ground)
-    scene = Scene(ground, view, engine="soar", water=None, samples=1)
+    scene = Scene.of(ground, view, engine="soar", water=None, samples=1)
     monkeypatch.setattr("orograph.rendering.cpu.mesh_surface.EXACT_SAMPLES", 1000)
     windows = surface_of(mesh, ground)
     found = rectangles(windows, view, 1.0, 0.25)
@@ -210,7 +210,7 @@ def test_edges_are_each_drawn_once():
 def test_hidden_lines_are_hidden_and_visible_ones_are_whole(ground, view, mesh):
     """Points along the edges are visible or not by Embree: visible ones have ink, and ink is near visible ones only."""
     big = view.resized(600, 360)
-    depth = cpu.draw(Scene(ground, big, engine="soar", water=None, samples=1), mesh=mesh).depth.astype(np.float64)
+    depth = cpu.draw(Scene.of(ground, big, engine="soar", water=None, samples=1), mesh=mesh).depth.astype(np.float64)
     linear = np.ones((*depth.shape, 3), np.float32)
     draw_edges(linear, depth, mesh, ground.grid, big, width=1.0)
     ink = 1 - linear.mean(-1)
@@ -250,7 +250,7 @@ def test_lines_that_pass_the_eye_are_cut(ground):
     behind = Tessellation(mesh.vertices, mesh.triangles[(mesh.vertices[mesh.triangles, 1] > 80).all(1)])
     assert len(behind.triangles) > 10
     assert len(project(behind.positions(ground.grid), behind.triangles, view)) == 0
-    picture = cpu.draw(Scene(ground, view, engine="soar", wireframe=True, tolerance=8.0))
+    picture = cpu.draw(Scene.of(ground, view, engine="soar", wireframe=True, tolerance=8.0))
     assert np.isfinite(picture.pixels).all()
 
 

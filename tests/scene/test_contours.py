@@ -40,14 +40,14 @@ def cone(side: int = 513, slope: float = 0.4) -> tuple[Terrain, tuple[float, flo
 
 def cover(scene: Scene) -> NDArray[np.float64]:
     """How much darker contour lines make each pixel, as a part of what black lines would."""
-    black = replace(scene.contours, color=(0.0, 0.0, 0.0), opacity=1.0, labels=False)
-    without, with_ = (draw(replace(scene, contours=c)).pixels for c in (None, black))
+    black = replace(scene.annotations.contours, color=(0.0, 0.0, 0.0), opacity=1.0, labels=False)
+    without, with_ = (draw(scene.but(contours=c)).pixels for c in (None, black))
     linear = [np.where(p <= 10, p / 255 / 12.92, ((p / 255 + 0.055) / 1.055) ** 2.4) for p in (without, with_)]
     return 1 - linear[1].sum(-1) / linear[0].sum(-1)
 
 
 def plain(terrain: Terrain, view: View, contours: Contours) -> Scene:
-    return Scene(
+    return Scene.of(
         terrain, view, light="none", colormap="grey", water=None, samples=1, tolerance=0.0, contours=contours
     )  # fmt: skip
 
@@ -116,7 +116,7 @@ def test_level_ground_and_water_have_none() -> None:
     view = View((x, y, 5000.0), (x, y, 0.0), up=(0, 1, 0), projection="plan", fov_y=20, width=200, height=160)
     ink = cover(plain(terrain, view, Contours(50.0)))
     assert ink[:, :95].max() < 0.02 and ink[:, 110:].max() > 0.9
-    wet = cover(replace(plain(terrain, view, Contours(50.0)), water=310.0))
+    wet = cover(plain(terrain, view, Contours(50.0)).but(water=310.0))
     metres = (np.arange(200) + 0.5 - 100) * view.pixel_metres * 0.3 + 200
     assert wet[:, metres < 305].max() < 0.02 and wet[:, metres > 345].max() > 0.9
 
@@ -159,7 +159,7 @@ def test_lines_over_a_coarse_mesh_in_plan_are_those_without_one() -> None:
     view = View((x, y, 5000.0), (x, y, 0.0), up=(0, 1, 0), projection="plan", fov_y=30, width=200, height=160)
     scene = plain(terrain, view, Contours(50.0))
     camera = View((x, y - 9000.0, 4000.0), (x, y, 0.0), width=64, height=48)
-    bare, over = cover(scene), cover(replace(scene, engine="soar", tolerance=None, mesh_view=camera))
+    bare, over = cover(scene), cover(scene.but(engine="soar", tolerance=None, mesh_view=camera))
     assert bare.max() > 0.95
     np.testing.assert_allclose(over, bare, atol=0.02)
 
@@ -170,8 +170,8 @@ def test_lines_over_a_coarse_mesh_lie_where_the_terrain_has_their_height(wirefra
     terrain, (x, y) = cone()
     view = View((x, y - 5200.0, 3300.0), (x, y - 300.0, 700.0), fov_y=35, width=240, height=180)
     scene = plain(terrain, view, Contours(100.0, 0, labels=False, color=(0.0, 0.0, 0.0), opacity=1.0, width=2.0))
-    scene = replace(scene, engine="soar", tolerance=6.0, wireframe=wireframe)
-    without, with_ = (draw(replace(scene, contours=c)) for c in (None, scene.contours))
+    scene = scene.but(engine="soar", tolerance=6.0, wireframe=wireframe)
+    without, with_ = (draw(scene.but(contours=c)) for c in (None, scene.annotations.contours))
     assert with_.facts["mesh"]["triangles"] < 400
     light = without.pixels.astype(int).sum(-1)
     inked = (with_.pixels.astype(int).sum(-1) < 0.3 * light) & (light > 200)

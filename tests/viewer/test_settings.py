@@ -89,5 +89,5 @@ def test_scenes(terrain):
 
     settings = Settings(Light.over(terrain), exaggeration=2.0, layers=[Layer("x.tif", visible=False)])
     scene = settings.scene(terrain, camera.whole(terrain, (100, 100)))
-    assert scene.exaggeration == 2.0
-    assert scene.layers == (Layer("x.tif", visible=False),)
+    assert scene.surface.exaggeration == 2.0
+    assert scene.data.layers == (Layer("x.tif", visible=False),)

@@ -270,8 +270,8 @@ def test_movie_films_the_cameras_that_the_window_shows(session, touring, dem, tm
         touring.show(time)
         assert session.view.resized(32, 18) == scene.view
         sun = session.settings.light.sun(session.terrain)
-        assert (scene.sun.azimuth, scene.sun.altitude) == pytest.approx((sun.azimuth, sun.altitude))
-        assert scene.exaggeration == session.settings.exaggeration
+        assert (scene.lighting.sun.azimuth, scene.lighting.sun.altitude) == pytest.approx((sun.azimuth, sun.altitude))
+        assert scene.surface.exaggeration == session.settings.exaggeration
 
 
 def test_layers_fade_as_in_a_film(session, touring, dem, tmp_path, monkeypatch):
@@ -289,7 +289,7 @@ def test_layers_fade_as_in_a_film(session, touring, dem, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert touring.save(tmp_path / "tour.json")
     tour = Tour.load(tmp_path / "tour.json", crs=session.terrain.grid.crs)
-    base = Scene(session.terrain, session.view, relief=1.0, depths=(1.0, 2.0))
+    base = Scene.of(session.terrain, session.view, relief=1.0, depths=(1.0, 2.0))
     film = Film(tour, base, fps=2.0, draw=lambda scene: None)
     seen = []
     for number in film.numbers:

@@ -147,8 +147,8 @@ def command(
         from orograph.lod.field import check_surface
         from orograph.output import Beside, check_folder
         from orograph.rendering.picture import picture_format
+        from orograph.scene.parts import check_exaggeration
         from orograph.scene.prepare import prepare
-        from orograph.scene.scene import check_exaggeration
 
         for name, metric in engines:
             engine_of(name).usable_metric(metric)

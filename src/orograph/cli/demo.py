@@ -57,7 +57,7 @@ def command(ctx: click.Context, /, output: Path) -> None:
     crs = terrain.grid.crs
     step(f"read and brought to metres ({crs.name if crs else 'local'}, {cols} × {rows})")
     view = whole(terrain, (1280, 720), azimuth=160, pitch=38)
-    scene = Scene(terrain, view, Sun(315, 35), furniture=True, title="Jacksboro fault, Tennessee")
+    scene = Scene.of(terrain, view, sun=Sun(315, 35), furniture=True, title="Jacksboro fault, Tennessee")
     with progress.task("Drawing (the first run compiles)"):
         picture = draw(scene, progress)
     step("drawn, with sun, shadows and the light of the sky")

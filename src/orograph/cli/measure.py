@@ -114,7 +114,7 @@ def pick(
     places = measuring.Places(terrain)
     hits = [measuring.place(terrain, p) for p in on_terrain(places, points, degrees)] if points else []
     if pixels:
-        from orograph.scene.scene import check_exaggeration
+        from orograph.scene.parts import check_exaggeration
 
         check_exaggeration(camera["exaggeration"])
         view = camera_view(terrain, camera)

@@ -139,7 +139,7 @@ def command(
         told = {
             "picture": output, "depth": depth, "width": view.width, "height": view.height,
             "seconds_in_all": round(seconds, 3), "crs": crs.to_string() if crs else None,
-            "sun": [scene.sun.azimuth, scene.sun.altitude], "view": view.to_dict(),
+            "sun": [scene.lighting.sun.azimuth, scene.lighting.sun.altitude], "view": view.to_dict(),
             **facts,
         }  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))

@@ -161,8 +161,8 @@ def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memor
 
     mesh_view = options["mesh_view"]
     lamps, discs = lights_of(terrain, options)
-    return Scene(
-        terrain, view, options["sun"].over(terrain.grid),
+    return Scene.of(
+        terrain, view, sun=options["sun"].over(terrain.grid),
         mesh_view=None if mesh_view is None else View.load(mesh_view, crs=terrain.grid.crs),
         water=None if options["water"] == "none" else options["water"], max_memory=max_memory, jobs=jobs,
         contours=contours_of(options), silhouettes=silhouettes_of(options), layers=layers_of_options(options),

@@ -90,8 +90,8 @@ def command(
     with progress.task("Loading Orograph"):
         from orograph.meshing import mesh_format, write
         from orograph.output import check_folder
+        from orograph.scene.parts import check_exaggeration
         from orograph.scene.prepare import prepare
-        from orograph.scene.scene import check_exaggeration
 
     mesh_format(output)
     check_folder(Path(output))

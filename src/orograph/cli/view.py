@@ -105,8 +105,8 @@ def command(
         from orograph.errors import UsageError
         from orograph.geovis.color import color_table
         from orograph.output import check_folder
+        from orograph.scene.parts import check_exaggeration
         from orograph.scene.prepare import prepare
-        from orograph.scene.scene import check_exaggeration
         from orograph.store.detect import is_store
         from orograph.viewer.session import Session
 

@@ -18,7 +18,8 @@ from orograph.rendering.backends import BACKENDS, draw
 from orograph.rendering.memory import check_memory
 from orograph.rendering.picture import Picture
 from orograph.scene.contours import lines_of
-from orograph.scene.scene import Light, Scene
+from orograph.scene.parts import Light
+from orograph.scene.scene import Scene
 from orograph.scene.silhouettes import Silhouettes
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -140,8 +141,8 @@ def render(
         from orograph.scene.camera import NO_INSETS, whole
 
         view = whole(terrain, size, exaggeration=exaggeration, insets=insets(size) if furniture else NO_INSETS)
-    scene = Scene(
-        terrain, view, sun_of(sun, terrain.grid), shadows=shadows, light=light, rays=rays, lamps=tuple(lamps),
+    scene = Scene.of(
+        terrain, view, sun=sun_of(sun, terrain.grid), shadows=shadows, light=light, rays=rays, lamps=tuple(lamps),
         discs=tuple(discs), exaggeration=exaggeration, colormap=colormap, layers=layers_of(layers), sky=sky,
         water=water, contours=lines_of(contours),
         silhouettes=Silhouettes() if silhouettes is True else silhouettes or None, relief=relief, samples=samples,

@@ -158,8 +158,8 @@ def sheet(
 
 def _picture(terrain: Terrain, view: View, mesh: Tessellation | None, exaggeration: float, jobs: int | None) -> Pixels:
     """A mesh with its edges over the terrain's relief, or the terrain alone."""
-    scene = Scene(
-        terrain, view, Sun(315.0, 50.0), shadows=False, exaggeration=exaggeration, jobs=jobs,
+    scene = Scene.of(
+        terrain, view, sun=Sun(315.0, 50.0), shadows=False, exaggeration=exaggeration, jobs=jobs,
         engine=None if mesh is None else mesh.stats["engine"], wireframe=mesh is not None,
     )  # fmt: skip
     return draw(scene, mesh=mesh).pixels

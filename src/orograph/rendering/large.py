@@ -15,7 +15,6 @@ import shutil
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +61,7 @@ def draw_large(
     scene: Scene, path: str | os.PathLike[str], *, depth: str | os.PathLike[str] | None = None,
     draw: Session | None = None, progress: Progress = SILENT, pixels: int | None = None, across: int | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Draw a scene into a file, within ``scene.max_memory`` whatever the picture's size.
+    """Draw a scene into a file, within ``scene.budget.max_memory`` whatever the picture's size.
 
     Args:
         scene: its view says the size.
@@ -87,7 +86,7 @@ def draw_large(
     if most is not None and max(view.width, view.height) > most:
         raise UsageError(f"A {kind} has at most {most} × {most} pixels, not {view.width} × {view.height}.", path=out,
                          remedy="Use .png or .tif.")  # fmt: skip
-    if scene.wireframe and draw is None:
+    if scene.surface.wireframe and draw is None:
         raise UsageError("A wireframe is drawn over a whole picture in memory.",
                          remedy="Allow more (--max-memory), or make it smaller.")  # fmt: skip
     for file in filter(None, (out, None if depth is None else Path(depth))):
@@ -104,10 +103,10 @@ def draw_large(
         depths = None if depth is None else stack.enter_context(DepthFile(Path(depth), view.width, view.height, place))
         sheet = Sheet(scene, scratch, depths, session(progress) if draw is None else draw)
         with progress.task("Drawing", total=view.width * view.height) as task:
-            for band in bands(view.width, view.height, pixels or band_pixels(scene.max_memory), across):
+            for band in bands(view.width, view.height, pixels or band_pixels(scene.budget.max_memory), across):
                 sheet.draw(band, progress)
                 task.advance(sum(w * h for _, _, w, h in band))
-        if scene.furniture:
+        if scene.annotations.furniture:
             sheet.furnish()
         scratch.close()
         with progress.task(f"Writing {out.name}"), Beside(out) as part:
@@ -145,7 +144,7 @@ class Sheet:
         height, width = scene.view.height, scene.view.width
         self.column = np.full(height, np.nan)
         self.samples: list[NDArray[np.float64]] = []
-        self.cover = np.zeros((height, -(-width // 8)), np.uint8) if scene.furniture else None
+        self.cover = np.zeros((height, -(-width // 8)), np.uint8) if scene.annotations.furniture else None
 
     def draw(self, band: Band, progress: Progress) -> None:
         """Draw the tiles of a band and write their rows."""
@@ -156,9 +155,7 @@ class Sheet:
         pixels, depth = np.empty((tall, view.width, 3), np.uint8), np.empty((tall, view.width), np.float32)
         ground = np.zeros((tall, view.width), bool)
         for left, _, wide, _ in band:
-            picture = self._session(
-                replace(self.scene, view=view.tile(left, top, wide, tall), furniture=False, title=None)
-            )
+            picture = self._session(self.scene.but(view=view.tile(left, top, wide, tall), furniture=False, title=None))
             here = slice(left, left + wide)
             pixels[:, here], depth[:, here] = picture.pixels, picture.depth
             ground[:, here] = np.isfinite(picture.depth)
@@ -194,8 +191,8 @@ class Sheet:
 
         view = self.scene.view
         assert self.cover is not None
-        drawn = Drawn(self.tint, self.facts["shown"], bool(visible(self.scene.layers)), np.concatenate(self.samples),
-                      self.column)  # fmt: skip
+        layered = bool(visible(self.scene.data.layers))
+        drawn = Drawn(self.tint, self.facts["shown"], layered, np.concatenate(self.samples), self.column)
         pieces = furniture_of(self.scene, drawn)
         layout = lay_out((view.width, view.height), ground=Cover(self.cover, view.width), **pieces)
         around = 4 * layout.style.margin

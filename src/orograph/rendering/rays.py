@@ -57,7 +57,7 @@ class Rays:
         self.single.jobs = 1
         view, grid = scene.view.whole, scene.terrain.grid
         self.view = view
-        self.basis = view.ray_basis(scene.exaggeration)
+        self.basis = view.ray_basis(scene.surface.exaggeration)
         inverse = ~grid.samples
         self.linear = np.array([[inverse.a, inverse.b, 0.0], [inverse.d, inverse.e, 0.0], [0.0, 0.0, 1.0]])
         self.offset = np.array([inverse.c, inverse.f, 0.0])
@@ -122,7 +122,7 @@ class Rays:
         parallel = view.projection == "plan"
         points, rays, width = np.empty((len(px), 3)), np.empty((len(px), 3)), np.empty(len(px))
         ends(
-            px, py, t, *self.basis, self.linear, self.offset, self.scene.exaggeration,
+            px, py, t, *self.basis, self.linear, self.offset, self.scene.surface.exaggeration,
             view.pixel_metres if parallel else view.pixel_slope, parallel, self.spacing, points, rays, width,
         )  # fmt: skip
         return Hits(t, points, rays, width, window, void_fill)

@@ -79,14 +79,14 @@ class Atmosphere:
             kept: what earlier pictures left.
         """
         memo = Memo() if memo is None else memo
-        azimuth, altitude = math.radians(scene.sun.azimuth), math.radians(scene.sun.altitude)
-        self._radius = math.radians(scene.sun.diameter) / 2
+        azimuth, altitude = math.radians(scene.lighting.sun.azimuth), math.radians(scene.lighting.sun.altitude)
+        self._radius = math.radians(scene.lighting.sun.diameter) / 2
         self.side = np.array([math.sin(azimuth), math.cos(azimuth)], np.float32)
         self._sun = np.array(
             [*(self.side * math.cos(altitude)), math.sin(altitude)], np.float32
         )  # fmt: skip
         air, haze = memo("air", altitude, lambda: tuple(_greyed(part) for part in sky_table(altitude)))
-        exposure = adapted(scene.sun.altitude) / _mean(air, haze, altitude)
+        exposure = adapted(scene.lighting.sun.altitude) / _mean(air, haze, altitude)
         self.table = np.concatenate([air, haze], 2).astype(np.float32) * np.float32(exposure)
         through = np.exp(-optical_depth(OBSERVER, max(math.sin(altitude), 0.0)))
         self.disc = (DISC * _greyed(through)).astype(np.float32)

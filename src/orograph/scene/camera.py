@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geo.grid import Grid
-from orograph.scene.scene import check_exaggeration
+from orograph.scene.parts import check_exaggeration
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
 

@@ -44,7 +44,7 @@ def _eye(scene: Scene) -> str | None:
 
 
 def _sun(scene: Scene) -> str | None:
-    altitude = scene.sun.altitude
+    altitude = scene.lighting.sun.altitude
     if altitude >= TWILIGHT:
         return None
     return f"the sun is {round(-altitude, 1):g}° below the horizon: only the light of the sky is drawn."
@@ -64,7 +64,7 @@ def why_empty(scene: Scene) -> str:
     view, terrain = scene.view, scene.terrain
     (low, high), (rows, cols) = terrain.height_range, terrain.grid.shape
     wide = math.hypot(*(n * s for n, s in zip((cols, rows), terrain.grid.spacing, strict=True)))
-    tall = (high - low) * scene.exaggeration
+    tall = (high - low) * scene.surface.exaggeration
     if tall > NEEDLE * wide:
         return (
             f"Nothing of the terrain is in view: it is {wide:,.0f} m across and {tall:,.0f} m tall, which is thinner "

@@ -158,7 +158,10 @@ class Grading:
                 if survey is not None:
                     window = working_window(small.terrain, survey.hits.points)
                     strength = memo(
-                        "strength", (window, small.exaggeration), partial(strength_of, small, window), small.terrain
+                        "strength",
+                        (window, small.surface.exaggeration),
+                        partial(strength_of, small, window),
+                        small.terrain,
                     )
                     found.append((float(time), strength, *survey.range))
                 task.advance()
@@ -179,4 +182,4 @@ def _preview(scene: Scene) -> Scene:
     view = scene.view
     scale = min(1.0, math.sqrt(PREVIEW[0] * PREVIEW[1] / (view.width * view.height)))
     small = view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
-    return replace(scene, view=small, engine=None, wireframe=False, mesh_view=None, water=None, furniture=False)
+    return scene.but(view=small, engine=None, wireframe=False, mesh_view=None, water=None, furniture=False)

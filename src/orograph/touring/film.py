@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 from orograph.errors import UsageError
@@ -21,7 +21,7 @@ from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
 from orograph.rendering.picture import Picture
 from orograph.scene.contours import Contours
-from orograph.scene.scene import Scene
+from orograph.scene.scene import HOMES, Scene
 from orograph.touring.course import Course, Grading
 from orograph.touring.tour import Tour
 
@@ -63,10 +63,10 @@ class Film:
                              f"{self.tour.fps:g} frames per second.")  # fmt: skip
         self.numbers = range(begin, end)
         self.course = Course(self.tour, scene.terrain, progress)
-        if scene.contours is not None:
-            self.base = replace(scene, contours=self._lines(scene.contours))
-        graded = (scene.relief is None and "relief" not in self.tour.settings(0.0)) or (
-            scene.sky and scene.depths is None
+        if scene.annotations.contours is not None:
+            self.base = scene.but(contours=self._lines(scene.annotations.contours))
+        graded = (scene.lighting.relief is None and "relief" not in self.tour.settings(0.0)) or (
+            scene.lighting.sky and scene.lighting.depths is None
         )
         self.grading = Grading(self.course, self._scene, progress) if graded else None
 
@@ -80,10 +80,9 @@ class Film:
         if self.grading is None:
             return scene
         graded = self.grading.settings(time)
-        return replace(
-            scene,
-            relief=graded["relief"] if scene.relief is None else scene.relief,
-            depths=graded["depths"] if scene.depths is None else scene.depths,
+        return scene.but(
+            relief=graded["relief"] if scene.lighting.relief is None else scene.lighting.relief,
+            depths=graded["depths"] if scene.lighting.depths is None else scene.lighting.depths,
         )
 
     def picture(self, number: int) -> Picture:
@@ -104,15 +103,15 @@ class Film:
 
     def fingerprint(self) -> str:
         """A name for what every frame looks like: of the tour, the scene's options and the terrain, in short."""
-        left_out = ("terrain", "view", "sun", "jobs", "max_memory", "mesh_view")
-        scene = {f.name: getattr(self.base, f.name) for f in fields(Scene) if f.name not in left_out}
-        sun = self.base.sun
+        left_out = ("sun", "jobs", "max_memory", "mesh_view")
+        scene = {name: getattr(getattr(self.base, part), name) for name, part in HOMES.items() if name not in left_out}
+        sun, mesh_view = self.base.lighting.sun, self.base.surface.mesh_view
         grid = self.base.terrain.grid
         told = {
             "tour": self.tour.to_dict(), "scene": scene, "sun": [sun.azimuth, sun.altitude, sun.diameter],
             "view": self.base.view.to_dict(), "terrain": [self.base.terrain.name, grid.shape, list(grid.transform)[:6],
                                                           self.base.terrain.height_range],
-            "mesh_view": None if self.base.mesh_view is None else self.base.mesh_view.to_dict(),
+            "mesh_view": None if mesh_view is None else mesh_view.to_dict(),
         }  # fmt: skip
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:32]
 

@@ -22,7 +22,7 @@ from orograph.documents import number
 from orograph.errors import UsageError
 from orograph.geovis.layers import Layer, layers_of
 from orograph.lighting.sun import Moment, Placed, parse
-from orograph.scene.scene import check_exaggeration
+from orograph.scene.parts import check_exaggeration
 from orograph.viewpoint import Point, View
 
 Path = Literal["spline", "orbit", "zoom"]

@@ -167,7 +167,7 @@ class Plan:
         session = self.window.session
         try:
             view = camera.plan(session.terrain, size)
-            picture = draw(Scene(session.terrain, view, samples=1, tolerance=1.0, jobs=1, max_memory=256 << 20))
+            picture = draw(Scene.of(session.terrain, view, samples=1, tolerance=1.0, jobs=1, max_memory=256 << 20))
             pixels = np.full((*picture.pixels.shape[:2], 4), 255, np.uint8)
             pixels[..., :3] = picture.pixels
             pixels[~np.isfinite(picture.depth)] = (26, 29, 33, 255)

@@ -18,7 +18,7 @@ from orograph.lighting.aperture import Lamp
 from orograph.lighting.sun import Moment, Placed, Sun, SunSource, place
 from orograph.rendering.gpu.frame import Normals
 from orograph.scene.contours import Contours
-from orograph.scene.scene import Light as Way
+from orograph.scene.parts import Light as Way
 from orograph.scene.scene import Scene
 from orograph.scene.silhouettes import Silhouettes
 from orograph.store.terrain import Terrain
@@ -174,8 +174,8 @@ class Settings:
         low, high = terrain.height_range
         shining = self.way in ("aperture", "raytraced")
         near = max(view.eye[2] - (low + high) / 2, 0.0) * self.exaggeration if math.isfinite(low) else 0.0
-        return Scene(
-            terrain, view, self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
+        return Scene.of(
+            terrain, view, sun=self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
             colormap=self.colormap, layers=self.stack, sky=self.sky, water=self.water,
             contours=self.contours and replace(self.contours, fading=True), silhouettes=self.silhouettes,
             relief=self.relief, tolerance=self.tolerance, light=self.way, engine=self.engine,

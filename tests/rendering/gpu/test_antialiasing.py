@@ -36,13 +36,13 @@ class Camera:
         self.texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
         self.target = self.texture.create_view()
         view = View((501_500.0, 5_292_500.0, 700.0), (506_000.0, 5_292_500.0, 150.0), width=SIZE[0], height=SIZE[1])
-        self.scene = Scene(self.terrain, view, tolerance=1.0, shadows=False, water=None, colormap="grey", sky=True)
+        self.scene = Scene.of(self.terrain, view, tolerance=1.0, shadows=False, water=None, colormap="grey", sky=True)
 
     def moved(self, metres: float) -> Scene:
         view = self.scene.view
         step = np.array([0.8, 0.6, 0.0]) * metres
         eye, target = (tuple(float(v) for v in np.add(p, step)) for p in (view.eye, view.target))
-        return replace(self.scene, view=replace(view, eye=eye, target=target))
+        return self.scene.but(view=replace(view, eye=eye, target=target))
 
     def draw(self, scene: Scene, **options: object) -> NDArray[np.float64]:
         self.renderer.draw(self.target, "rgba8unorm", scene, **options)  # type: ignore[arg-type]
@@ -65,7 +65,7 @@ def change(frames: list[NDArray[np.float64]]) -> float:
 def test_a_slow_flight_changes_no_more_than_a_fine_one(camera: Camera, projection: str) -> None:
     if projection == "plan":
         view = replace(camera.scene.view, eye=(507_500.0, 5_292_500.0, 9000.0), target=(507_500.0, 5_292_500.0, 0.0))
-        camera.scene = replace(camera.scene, view=replace(view, projection="plan", fov_y=40.0))
+        camera.scene = camera.scene.but(view=replace(view, projection="plan", fov_y=40.0))
     slow = camera.scene.view.pixel_slope * 4000.0 / 5
     scenes = [camera.moved(slow * k) for k in range(18)]
     rough = change([camera.draw(s, wait=True, samples=1) for s in scenes[-6:]])
@@ -111,12 +111,12 @@ def test_what_a_ridge_uncovers_has_no_ghost_of_it(camera: Camera) -> None:
     renderer.close()
     eye, target = (503_600.0, 5_294_000.0, 400.0), (503_600.0, 5_296_000.0, 100.0)
     view = View(eye, target, width=SIZE[0], height=SIZE[1])
-    scene = Scene(terrain, view, tolerance=0.5, shadows=False, water=None, colormap="grey", light="none")
+    scene = Scene.of(terrain, view, tolerance=0.5, shadows=False, water=None, colormap="grey", light="none")
     step = np.array([view.pixel_slope * 1500.0, 0.0, 0.0])
 
     def moved(k: int) -> Scene:
         here = (tuple(float(v) for v in np.add(p, k * step)) for p in (eye, target))
-        return replace(scene, view=replace(view, **dict(zip(("eye", "target"), here, strict=True))))
+        return scene.but(view=replace(view, **dict(zip(("eye", "target"), here, strict=True))))
 
     made.draw(moved(0), wait=True, samples=1)
     drawn = [made.draw(moved(k)) for k in range(24)][-1]

@@ -40,13 +40,13 @@ class Flight:
         self.texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
         self.target = self.texture.create_view()
         view = View((508_000.0, 5_273_000.0, 900.0), (520_000.0, 5_273_000.0, -300.0), width=SIZE[0], height=SIZE[1])
-        self.scene = Scene(self.terrain, view, tolerance=1.0, shadows=False, water=None, colormap="grey", sky=True)
+        self.scene = Scene.of(self.terrain, view, tolerance=1.0, shadows=False, water=None, colormap="grey", sky=True)
 
     def moved(self, frame: int) -> Scene:
         view = self.scene.view
         step = np.array([0.8, 0.6, 0.0]) * view.pixel_slope * 3000.0 / 5 * frame
         eye, target = (tuple(float(v) for v in np.add(p, step)) for p in (view.eye, view.target))
-        return replace(self.scene, view=replace(view, eye=eye, target=target))
+        return self.scene.but(view=replace(view, eye=eye, target=target))
 
     def draw(self, scene: Scene, **options: object) -> Floats:
         self.stats = self.renderer.draw(self.target, "rgba8unorm", scene, **options)  # type: ignore[arg-type]
@@ -108,7 +108,7 @@ def test_tiles_that_come_leave_nothing_of_what_was_there(flight: Flight, monkeyp
     """One tile a frame: after the last one the picture is as good as one that was begun then, with all of them."""
     monkeypatch.setattr(residency, "UPLOAD", 1)
     # Maps of light and the range of haze come when they come.
-    flight.scene = replace(flight.scene, light="none", sky=False)
+    flight.scene = flight.scene.but(light="none", sky=False)
     came: list[int] = []
     k = 0
     end = time.monotonic() + 60

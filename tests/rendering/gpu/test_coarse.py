@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +62,7 @@ def scene(ground: Terrain, image: str, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(coarse, "MUCH", 1 << 22)
     monkeypatch.setattr(imagery, "MORE", 0.2)
     view = around(ground, SIZE, azimuth=200, pitch=12, distance=2500)
-    return Scene(ground, view, layers=(Layer(image),), light="none", tolerance=0.5, samples=1, water=None)
+    return Scene.of(ground, view, layers=(Layer(image),), light="none", tolerance=0.5, samples=1, water=None)
 
 
 class Screen:
@@ -81,11 +80,11 @@ def test_both_backends_draw_the_same(device: Device, scene: Scene) -> None:
     ours = gpu_draw(scene, device=device)
     kept = next(Path(coarse.cache_folder() / "images").iterdir())
     assert len(list(kept.glob("*_*"))) == 9
-    caster = cpu_draw(replace(scene, max_memory=200 << 20))
+    caster = cpu_draw(scene.but(max_memory=200 << 20))
     both = np.isfinite(ours.depth) & np.isfinite(caster.depth)
     off = np.linalg.norm(lab(ours.pixels) - lab(caster.pixels), axis=-1)[both]
     assert off.mean() < 1.0 and np.percentile(off, 95) < 3.0
-    bare = gpu_draw(replace(scene, layers=()), device=device)
+    bare = gpu_draw(scene.but(layers=()), device=device)
     assert np.linalg.norm(lab(ours.pixels) - lab(bare.pixels), axis=-1)[both].mean() > 10
 
 
@@ -100,7 +99,7 @@ def test_frames_go_on_and_fill_in_while_levels_are_made(
 
     monkeypatch.setattr(CoarseLevels, "_read", slowly)
     screen = Screen(device, scene.terrain)
-    bare = screen.draw(replace(scene, layers=()))
+    bare = screen.draw(scene.but(layers=()))
     took, said, notes, shown = [], "", (), bare
     end = time.monotonic() + 30
     while time.monotonic() < end and not (said and screen.renderer.imagery.waiting):

@@ -44,7 +44,7 @@ def scene_of(terrain, azimuth=315.0):
     from orograph.lighting.sun import Sun
 
     view = camera.whole(terrain, (320, 200))
-    return Scene(terrain, view, Sun(azimuth, 20.0))
+    return Scene.of(terrain, view, sun=Sun(azimuth, 20.0))
 
 
 def settle(follow, scene, what, seconds=60.0):
@@ -80,7 +80,7 @@ def test_quick_shadows_come_first_and_then_all_of_the_light(terrain):
 
 def test_no_maps_of_shadows_are_made_where_none_fall(terrain):
     follow = Following(terrain, Memo(), Veil(), 32)
-    scene = replace(scene_of(terrain), shadows=False)
+    scene = scene_of(terrain).but(shadows=False)
     settle(follow, scene, lambda: follow.maps is not None and not follow.busy)
     assert len(follow.maps.windows) == 0
 
@@ -99,7 +99,7 @@ def test_a_camera_that_never_rests_is_followed(terrain, monkeypatch):
         x, y, z = scene.view.eye
         e, n, h = scene.view.target
         d = 40.0 * step
-        moved = replace(scene, view=replace(scene.view, eye=(x + d, y, z), target=(e + d, n, h)))
+        moved = scene.but(view=replace(scene.view, eye=(x + d, y, z), target=(e + d, n, h)))
         follow.aside(moved, NONE)
         follow.go_on()
         assert follow._moved >= time.monotonic() - following.SETTLED  # it is never at rest
@@ -115,7 +115,7 @@ def test_a_flight_gets_new_maps_only_so_often(terrain, monkeypatch):
     first = follow.maps
     for step in range(1, 60):
         x, y, z = scene.view.eye
-        follow.aside(replace(scene, view=replace(scene.view, eye=(x + 100.0 * step, y, z))), NONE)
+        follow.aside(scene.but(view=replace(scene.view, eye=(x + 100.0 * step, y, z))), NONE)
         follow.go_on()
         time.sleep(0.002)
     assert follow.maps is first

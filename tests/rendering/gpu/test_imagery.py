@@ -101,7 +101,7 @@ def test_two_layers_in_foreign_crs_are_the_cpus(device: Device, ground: Terrain,
         "plan": lambda: plan(ground, SIZE),
         "stretched": lambda: around(ground, SIZE, azimuth=20, pitch=25, distance=6000, exaggeration=2.5),
     }
-    scene = Scene(
+    scene = Scene.of(
         ground, views[kind](), layers=layers, light="none", tolerance=0.5, samples=1, water=None,
         exaggeration=2.5 if kind == "stretched" else 1.0,
     )  # fmt: skip
@@ -131,9 +131,9 @@ def test_positions_are_good_to_a_tenth_of_a_texel(device: Device, ground: Terrai
     z = float(ground.read(0, row, row + 1, col, col + 1)[0, 0]) + 2
     view = View((x, y - 3, z + 5), (x, y, z), fov_y=40, width=160, height=110)
     layer = Layer(str(path), colormap="grey", range=(0, 255))
-    scene = Scene(ground, view, layers=(layer,), light="none", samples=1, water=None, tolerance=0.1)
+    scene = Scene.of(ground, view, layers=(layer,), light="none", samples=1, water=None, tolerance=0.1)
     drawn = gpu_draw(scene, device=device).pixels[..., 0]
-    depth = cpu_draw(replace(scene, layers=(), tolerance=0.0)).depth
+    depth = cpu_draw(scene.but(layers=(), tolerance=0.0)).depth
     py, px = np.mgrid[: view.height, : view.width][..., None] + 0.5
     o0, ou, ov, d0, du, dv = view.ray_basis(1.0)
     places = o0 + px * ou + py * ov + depth[..., None] * (d0 + px * du + py * dv)
@@ -160,7 +160,7 @@ def test_there_are_no_seams_at_the_borders_of_tiles(device: Device, ground: Terr
     layer = Layer(write(tmp_path / "smooth.tif", pixels, beyond))
     for distance in (900, 3000, 9000):
         view = around(ground, SIZE, azimuth=30, pitch=50, distance=distance)
-        scene = Scene(ground, view, layers=(layer,), light="none", samples=1, water=None, tolerance=0.5)
+        scene = Scene.of(ground, view, layers=(layer,), light="none", samples=1, water=None, tolerance=0.5)
         ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
         both = np.isfinite(ours.depth) & np.isfinite(caster.depth)
         off = np.abs(ours.pixels.astype(int) - caster.pixels).max(-1)[both]
@@ -234,7 +234,7 @@ def noisy_red(side: int) -> NDArray[np.uint8]:
 
 def scene_of(ground: Terrain, *layers: Layer, distance: float = 1500.0) -> Scene:
     view = around(ground, SIZE, azimuth=200, pitch=60, distance=distance)
-    return Scene(ground, view, layers=layers, light="none", water=None, tolerance=1.0, depths=(1.0, 1e5))
+    return Scene.of(ground, view, layers=layers, light="none", water=None, tolerance=1.0, depths=(1.0, 1e5))
 
 
 def test_a_coarser_tile_stands_in_and_there_is_never_a_hole(
@@ -251,7 +251,7 @@ def test_a_coarser_tile_stands_in_and_there_is_never_a_hole(
 
     monkeypatch.setattr(ImageTiles, "tile", tile)
     scene = scene_of(ground, layer, distance=250.0)
-    frames.draw(replace(scene, layers=()), wait=True)
+    frames.draw(scene.but(layers=()), wait=True)
     begun = time.perf_counter()
     frames.draw(scene)
     assert time.perf_counter() - begun < 5  # the file is opened by another thread
@@ -264,12 +264,12 @@ def test_a_coarser_tile_stands_in_and_there_is_never_a_hole(
     stats, fine = frames.until(scene, lambda stats, _: stats.tiles_wanted == 0)
     assert is_red(fine).all()
     _, fine = frames.draw(scene, samples=1)
-    truth = cpu_draw(replace(scene, samples=1)).pixels.astype(int)
+    truth = cpu_draw(scene.but(samples=1)).pixels.astype(int)
     assert np.abs(fine - truth).mean() < 0.5 < 0.5 * np.abs(coarse - truth).mean()  # detail came
     # Another order, opacity, or a layer hidden for a while: nothing is read again.
     count = len(read)
     for other in (replace(layer, opacity=0.5), replace(layer, visible=False), layer, replace(layer, blend="multiply")):
-        frames.draw(replace(scene, layers=(other,)))
+        frames.draw(scene.but(layers=(other,)))
     frames.until(scene, lambda stats, _: stats.tiles_wanted == 0)
     assert len(read) == count
     np.testing.assert_array_equal(frames.draw(scene, samples=1)[1], frames.draw(scene, samples=1, wait=True)[1])
@@ -296,7 +296,7 @@ def test_a_layer_that_cannot_be_opened_is_told_and_the_rest_is_drawn(
     assert "none.tif" in stats.failed
     with pytest.raises(ReadError, match=r"none\.tif"):
         frames.draw(scene, wait=True)
-    stats, _ = frames.draw(replace(scene, layers=(good,)), wait=True)
+    stats, _ = frames.draw(scene.but(layers=(good,)), wait=True)
     assert not stats.failed
 
 
@@ -337,7 +337,7 @@ def test_near_by_a_huge_image_both_backends_show_its_pixels(device: Device, grou
     col, row = (round(float(v)) for v in ground.grid.index(x, y))
     z = float(ground.read(0, row, row + 1, col, col + 1)[0, 0])
     view = View((x, y - 75, z + 180), (x, y, z), fov_y=40, width=200, height=130)
-    scene = Scene(
+    scene = Scene.of(
         ground, view, layers=(Layer(str(path)),), light="none", samples=1, water=None, tolerance=0.1,
         max_memory=400 << 20,
     )  # fmt: skip
@@ -346,7 +346,7 @@ def test_near_by_a_huge_image_both_backends_show_its_pixels(device: Device, grou
     assert np.percentile(off, 95) < 3.0
     # It is the image: what the nearest pixels under 64 rays of every pixel show.
     o0, ou, ov, d0, du, dv = view.ray_basis(1.0)
-    depth = cpu_draw(replace(scene, layers=(), tolerance=0.0)).depth.astype(np.float64)
+    depth = cpu_draw(scene.but(layers=(), tolerance=0.0)).depth.astype(np.float64)
     py, px = np.mgrid[: view.height, : view.width][..., None] + 0.5
     total, drawn = np.zeros((view.height, view.width, 3)), cpu_draw(scene)
     for i, j in np.ndindex(8, 8):
@@ -369,7 +369,7 @@ def test_an_image_covers_water_as_on_the_cpu(device: Device, tmp_path: Path) -> 
     pixels = np.zeros((60, 60, 4), np.uint8)
     pixels[:30] = *RED, 255
     layer = Layer(write(tmp_path / "i.tif", pixels))
-    scene = Scene(lake, plan(lake, SIZE), layers=(layer,), light="none", tolerance=0.5)
+    scene = Scene.of(lake, plan(lake, SIZE), layers=(layer,), light="none", tolerance=0.5)
     ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
     assert np.linalg.norm(lab(ours.pixels) - lab(caster.pixels), axis=-1).mean() < 0.5
     red = (np.abs(ours.pixels.astype(int) - RED).max(-1) <= 2)[np.isfinite(ours.depth)]

@@ -55,7 +55,7 @@ def test_no_seam(session, land, tmp_path, options, kind):
         if kind == "plan"
         else camera.around(land, SIZE, azimuth=215, pitch=22, distance=6000)
     )
-    scene = Scene(land, view, **options)
+    scene = Scene.of(land, view, **options)
     whole = session(scene)
     out, depth = tmp_path / "large.png", tmp_path / "depth.tif"
     facts = draw_large(scene, out, depth=depth, draw=session, pixels=128 * 96, across=128)
@@ -68,17 +68,17 @@ def test_no_seam(session, land, tmp_path, options, kind):
 
 def test_a_tile_may_be_empty_but_not_the_picture(session, land):
     view = camera.around(land, SIZE, azimuth=215, pitch=22, distance=60_000)
-    corner = session(Scene(land, view.tile(0, 0, 64, 48), sky=True))
+    corner = session(Scene.of(land, view.tile(0, 0, 64, 48), sky=True))
     assert not np.isfinite(corner.depth).any()
     x, y, z = view.eye
     away = replace(view, target=(2 * x - view.target[0], 2 * y - view.target[1], z + 1000.0))
     with pytest.raises(NothingInViewError):
-        session(Scene(land, away.tile(0, 0, 64, 48)))
+        session(Scene.of(land, away.tile(0, 0, 64, 48)))
 
 
 def test_a_tile_has_no_furniture(session, land):
     with pytest.raises(UsageError, match="whole picture"):
-        session(Scene(land, camera.whole(land, SIZE).tile(0, 0, 64, 48), furniture=True))
+        session(Scene.of(land, camera.whole(land, SIZE).tile(0, 0, 64, 48), furniture=True))
 
 
 @pytest.mark.parametrize("side", [900, 16384])

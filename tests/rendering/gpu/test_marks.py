@@ -47,9 +47,9 @@ def scenes(terrain: Terrain) -> dict[str, Scene]:
     near = View((EAST + 5100.0, NORTH - 6350.0, 620.0), (EAST + 5150.0, NORTH - 6250.0, 528.0), width=360, height=240)
     lines = Contours(20.0)
     return {
-        name: Scene(terrain, view, samples=4, tolerance=0.5, contours=lines, sky=name == "slanted")
+        name: Scene.of(terrain, view, samples=4, tolerance=0.5, contours=lines, sky=name == "slanted")
         for name, view in (("slanted", slanted), ("plan", plan))
-    } | {"beyond samples": Scene(terrain, near, samples=4, tolerance=0.5, contours=Contours(1.0))}
+    } | {"beyond samples": Scene.of(terrain, near, samples=4, tolerance=0.5, contours=Contours(1.0))}
 
 
 @pytest.mark.parametrize("name", ["slanted", "plan", "beyond samples"])
@@ -59,7 +59,7 @@ def test_both_backends_draw_the_same_lines_and_labels(device: Device, terrain: T
     assert cpu.facts["shader"]["contours"]["labels"] >= 3
     apart = np.linalg.norm(lab(cpu.pixels) - lab(gpu.pixels), axis=-1)
     assert apart.mean() < 1.0 and np.quantile(apart, 0.95) < 3.0, (apart.mean(), np.quantile(apart, 0.95))
-    bare = draw_gpu(replace(scene, contours=None), device=device)
+    bare = draw_gpu(scene.but(contours=None), device=device)
     marked = np.linalg.norm(lab(bare.pixels) - lab(gpu.pixels), axis=-1) > 8
     assert marked.mean() > 0.03 and apart[marked].mean() < 3.0, apart[marked].mean()
 
@@ -69,10 +69,10 @@ def test_both_backends_draw_the_same_silhouettes(device: Device, terrain: Terrai
     """On a mesh, too, whose creases are those of the terrain."""
     scene = scenes(terrain)["slanted"]
     low = replace(scene.view, eye=(scene.view.eye[0], scene.view.eye[1], 1500.0))
-    scene = replace(scene, view=low, contours=None, silhouettes=Silhouettes(2.5, creases=1.0), engine=engine)
+    scene = scene.but(view=low, contours=None, silhouettes=Silhouettes(2.5, creases=1.0), engine=engine)
     if engine is not None:
-        scene = replace(scene, tolerance=6.0, light="none")
-    cpu, gpu, bare = draw_cpu(scene), draw_gpu(scene, device=device), draw_cpu(replace(scene, silhouettes=None))
+        scene = scene.but(tolerance=6.0, light="none")
+    cpu, gpu, bare = draw_cpu(scene), draw_gpu(scene, device=device), draw_cpu(scene.but(silhouettes=None))
     apart = np.linalg.norm(lab(cpu.pixels) - lab(gpu.pixels), axis=-1)
     assert apart.mean() < 1.0 and np.quantile(apart, 0.95) < 3.0, (apart.mean(), np.quantile(apart, 0.95))
     if engine is not None:
@@ -84,7 +84,7 @@ def test_both_backends_draw_the_same_silhouettes(device: Device, terrain: Terrai
 def test_labels_hold_still_and_fade_while_the_camera_moves(device: Device, terrain: Terrain) -> None:
     """A slow pan in a plan: labels move with the ground, by whole pixels here, and none appears in one frame."""
     scene = scenes(terrain)["plan"]
-    scene = replace(scene, light="none", colormap="grey", contours=Contours(20.0, fading=True))
+    scene = scene.but(light="none", colormap="grey", contours=Contours(20.0, fading=True))
     renderer = Renderer(device, terrain)
     texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
     target = texture.create_view()
@@ -96,7 +96,7 @@ def test_labels_hold_still_and_fade_while_the_camera_moves(device: Device, terra
                 scene.view, eye=(scene.view.eye[0] + k * step, *scene.view.eye[1:]),
                 target=(scene.view.target[0] + k * step, *scene.view.target[1:]),
             )  # fmt: skip
-            renderer.draw(target, "rgba8unorm", replace(scene, view=view), wait=True, samples=1)
+            renderer.draw(target, "rgba8unorm", scene.but(view=view), wait=True, samples=1)
             frames.append(device.read_texture(texture, np.uint8, 4)[..., :3].astype(int))
     finally:
         renderer.close()
@@ -118,7 +118,7 @@ def test_frames_do_not_wait_for_labels(device: Device, terrain: Terrain) -> None
             time.sleep(0.02)
             renderer.draw(target, "rgba8unorm", scene)
         assert renderer._letters.view is not None
-        renderer.draw(target, "rgba8unorm", replace(scene, contours=None))
+        renderer.draw(target, "rgba8unorm", scene.but(contours=None))
         assert renderer._letters.view is None
     finally:
         renderer.close()
@@ -129,12 +129,11 @@ def test_both_backends_draw_the_terrains_lines_over_a_coarse_mesh(
     device: Device, terrain: Terrain, wireframe: bool
 ) -> None:
     """They are those of the terrain: where the mesh is pixels off, they are where they are without it."""
-    scene = replace(
-        scenes(terrain)["slanted"], engine="soar", tolerance=8.0, wireframe=wireframe, sky=False,
+    scene = scenes(terrain)["slanted"].but(engine="soar", tolerance=8.0, wireframe=wireframe, sky=False,
         contours=Contours(20.0, labels=wireframe),
     )  # fmt: skip
     cpu, gpu = draw_cpu(scene), draw_gpu(scene, device=device)
-    bare = replace(scene, contours=None)
+    bare = scene.but(contours=None)
     without = draw_cpu(bare), draw_gpu(bare, device=device)
     # (Edges of triangles, a pixel wide, are drawn by other means on each.)
     alike = np.linalg.norm(lab(without[0].pixels) - lab(without[1].pixels), axis=-1) < 1.5
@@ -148,7 +147,7 @@ def test_both_backends_draw_the_terrains_lines_over_a_coarse_mesh(
 @pytest.mark.parametrize("slow", [False, True])
 def test_labels_stand_on_the_mesh_that_is_drawn(device: Device, terrain: Terrain, slow: bool) -> None:
     """However far off the mesh is: where a ray through a label's middle meets it, the terrain has that height."""
-    scene = replace(scenes(terrain)["slanted"], engine="soar", tolerance=25.0, sky=False, samples=1)
+    scene = scenes(terrain)["slanted"].but(engine="soar", tolerance=25.0, sky=False, samples=1)
     placed = []
     place = Placer.place
 

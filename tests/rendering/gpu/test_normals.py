@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from affine import Affine
@@ -45,8 +43,8 @@ def scene(terrain: Terrain, pixels_per_cell: float, width: int = 400) -> Scene:
     x, y = EAST + METRES / 2 + 128.3 * METRES, NORTH - METRES / 2 - 128.4 * METRES
     fov = 2 * np.degrees(np.arctan(12 * METRES / pixels_per_cell / 2000.0))
     view = View((x, y, 2300.0), (x, y, 300.0), projection="plan", fov_y=fov, width=width, height=24)
-    return Scene(
-        terrain, view, Sun(300.0, 45.0), shadows=False, colormap="grey", water=None, relief=1.0, samples=1,
+    return Scene.of(
+        terrain, view, sun=Sun(300.0, 45.0), shadows=False, colormap="grey", water=None, relief=1.0, samples=1,
         tolerance=0.5,
     )  # fmt: skip
 
@@ -57,7 +55,7 @@ def line(device: Device, s: Scene, normals: Normals) -> NDArray[np.float64]:
     texture = device.texture((s.view.width, s.view.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
     rows = []
     try:
-        for lit in (s, replace(s, light="none")):
+        for lit in (s, s.but(light="none")):
             renderer.draw(
                 texture.create_view(), "rgba8unorm", lit, overlay=Overlay(normals=normals), wait=True, samples=1
             )
@@ -70,7 +68,7 @@ def line(device: Device, s: Scene, normals: Normals) -> NDArray[np.float64]:
 
 def truth(s: Scene) -> NDArray[np.float64]:
     """The cosine of the sun's angle on the smooth surface along that row, and the part of the sky above it."""
-    to_sun, _, _ = illumination(s.sun)
+    to_sun, _, _ = illumination(s.lighting.sun)
     px = np.arange(s.view.width) + 0.5
     x = s.view.target[0] + (px - s.view.width / 2) * s.view.pixel_metres - EAST - METRES / 2
     y = np.full_like(x, NORTH - METRES / 2 - s.view.target[1]) + 0.5 * s.view.pixel_metres
@@ -102,7 +100,7 @@ def test_computed_slopes_follow_the_smooth_surface(device: Device, terrain: Terr
     true = truth(s)
     off = {}
     for normals in ("computed", "stored", "derivatives"):
-        shade = line(device, replace(s, tolerance=25.0), normals)  # type: ignore[arg-type]
+        shade = line(device, s.but(tolerance=25.0), normals)  # type: ignore[arg-type]
         a = np.stack([true, np.ones_like(true)], 1)
         fit, *_ = np.linalg.lstsq(a, shade, rcond=None)
         off[normals] = float(np.abs(shade - a @ fit).max() / abs(fit[0]))
@@ -111,7 +109,7 @@ def test_computed_slopes_follow_the_smooth_surface(device: Device, terrain: Terr
 
 
 def test_stored_and_computed_agree_where_the_mesh_is_as_fine_as_the_data(device: Device, terrain: Terrain) -> None:
-    s = replace(scene(terrain, 20.0), tolerance=0.002)
+    s = scene(terrain, 20.0).but(tolerance=0.002)
     apart = np.abs(line(device, s, "stored") - line(device, s, "computed"))
     assert apart.max() < 0.03, apart.max()
 

@@ -90,9 +90,9 @@ def test_it_is_the_cpus_picture(device: Device, shared_data: Path, name: str, ki
         "near": lambda: around(terrain, SIZE, azimuth=200, pitch=18, distance=0.2 * reach),
         "plan": lambda: plan(terrain, SIZE),
     }
-    scene = Scene(terrain, views[kind](), sky=kind != "plan", tolerance=1.0)
+    scene = Scene.of(terrain, views[kind](), sky=kind != "plan", tolerance=1.0)
     ours = gpu_draw(scene, device=device)
-    caster = cpu_draw(Scene(terrain, scene.view, sky=scene.sky, tolerance=0.0))
+    caster = cpu_draw(Scene.of(terrain, scene.view, sky=scene.lighting.sky, tolerance=0.0))
 
     assert displacement(terrain, scene.view, ours.depth).max() <= 1.0 + 0.02
     seen, theirs = np.isfinite(ours.depth), np.isfinite(caster.depth)
@@ -110,7 +110,7 @@ def test_imagery_lies_where_the_cpu_lays_it(device: Device, shared_data: Path) -
     terrain = open_set(shared_data, "fortbragg")
     image = shared_data / "fortbragg-1m-dem-ortho/naip_2014_rgb.tif"
     view = around(terrain, SIZE, azimuth=150, pitch=30, distance=900)
-    scene = Scene(terrain, view, layers=(Layer(str(image)),), tolerance=1.0)
+    scene = Scene.of(terrain, view, layers=(Layer(str(image)),), tolerance=1.0)
     difference = lab(gpu_draw(scene, device=device).pixels) - lab(cpu_draw(scene).pixels)
     assert np.linalg.norm(difference, axis=-1).mean() < 1.5
 
@@ -128,7 +128,7 @@ def test_light_falls_as_on_the_cpu(device: Device, shared_data: Path, light: str
         more["lamps"] = (Lamp(600.0, 300.0, high, (4e5, 2e5, 1e5)),)
         more["discs"] = ((Sun(90, 30, 10.0), (0.2, 0.2, 0.6)),)
         light = "raytraced" if light == "lamps by rays" else "aperture"
-    scene = Scene(terrain, view, Sun(290, 20), light=light, tolerance=1.0, rays=16, **more)  # type: ignore[arg-type]
+    scene = Scene.of(terrain, view, sun=Sun(290, 20), light=light, tolerance=1.0, rays=16, **more)  # type: ignore[arg-type]
     ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
     difference = np.linalg.norm(lab(ours.pixels) - lab(caster.pixels), axis=-1)
     assert difference.mean() < 1.0
@@ -137,7 +137,7 @@ def test_light_falls_as_on_the_cpu(device: Device, shared_data: Path, light: str
 
 def test_missing_ground_is_hatched_and_has_no_depth(device: Device, shared_data: Path) -> None:
     terrain = open_set(shared_data, "rainier")
-    scene = Scene(terrain, plan(terrain, SIZE), samples=1)
+    scene = Scene.of(terrain, plan(terrain, SIZE), samples=1)
     ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
     assert ours.veiled is not None and caster.veiled is not None
     # A hole's edge is off by a triangle at most, and those there are no larger than a pixel.
@@ -157,7 +157,7 @@ def test_heights_may_be_radii_of_a_body(device: Device, shared_data: Path) -> No
     low = open_set(shared_data, "rainier")
     rows, cols = low.grid.shape
     terrain = in_memory(Dem(low.read(0, 0, rows, 0, cols) + np.float32(1_737_400), low.grid))
-    scene = Scene(terrain, whole(terrain, SIZE), samples=1, tolerance=1.0)
+    scene = Scene.of(terrain, whole(terrain, SIZE), samples=1, tolerance=1.0)
     ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
     assert ours.veiled is not None and caster.veiled is not None and caster.veiled.any()
     assert (ours.veiled != caster.veiled).mean() < 0.01
@@ -169,7 +169,7 @@ def test_heights_may_be_radii_of_a_body(device: Device, shared_data: Path) -> No
 
 def test_exaggeration_stretches_the_picture_only(device: Device, shared_data: Path) -> None:
     terrain = open_set(shared_data, "bigtujunga")
-    scene = Scene(terrain, whole(terrain, SIZE, exaggeration=3.0), exaggeration=3.0, tolerance=1.0)
+    scene = Scene.of(terrain, whole(terrain, SIZE, exaggeration=3.0), exaggeration=3.0, tolerance=1.0)
     ours, caster = gpu_draw(scene, device=device), cpu_draw(scene)
     both = np.isfinite(ours.depth) & np.isfinite(caster.depth)
     assert (np.isfinite(ours.depth) != np.isfinite(caster.depth)).mean() < 0.005
@@ -180,10 +180,10 @@ def test_an_empty_picture_is_an_error(device: Device, shared_data: Path) -> None
     terrain = open_set(shared_data, "bigtujunga")
     up = View((390000.0, 3800000.0, 5000.0), (390000.0, 3800000.1, 9000.0), width=64, height=48)
     with pytest.raises(NothingInViewError):
-        gpu_draw(Scene(terrain, up), device=device)
+        gpu_draw(Scene.of(terrain, up), device=device)
 
 
 def test_a_picture_too_large_for_the_device_is_refused(device: Device, shared_data: Path) -> None:
     terrain = open_set(shared_data, "bigtujunga")
     with pytest.raises(UsageError, match="at most"):
-        gpu_draw(Scene(terrain, whole(terrain, (200_000, 64))), device=device)
+        gpu_draw(Scene.of(terrain, whole(terrain, (200_000, 64))), device=device)

@@ -40,7 +40,7 @@ class Eye:
 
     def look(self, view: View, tolerance: float = 1.0) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
         """Depths and colours."""
-        scene = Scene(self.terrain, view, tolerance=tolerance, water=None, colormap="grey", shadows=False)
+        scene = Scene.of(self.terrain, view, tolerance=tolerance, water=None, colormap="grey", shadows=False)
         self.renderer.draw(self.target, "rgba8unorm", scene, wait=True, samples=1)
         return self.renderer.depth(), self.device.read_texture(self.texture, np.uint8, 4)[..., :3].astype(np.int16)
 

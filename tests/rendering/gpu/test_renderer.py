@@ -111,7 +111,7 @@ def above(terrain: Terrain) -> View:
 def test_frames_never_wait_for_tiles_and_never_show_a_hole(bench) -> None:
     terrain = Slow(make(hills(1500, 1800)))
     b = bench(terrain)
-    scene = Scene(terrain, above(terrain), tolerance=0.1)
+    scene = Scene.of(terrain, above(terrain), tolerance=0.1)
     b.draw(scene)  # compiles
     begun = time.perf_counter()
     stats = b.draw(scene)
@@ -131,7 +131,7 @@ def test_a_file_that_vanishes_leaves_what_there_is(bench) -> None:
     terrain = Slow(make(hills(1500, 1800)))
     terrain.fail = True
     b = bench(terrain)
-    scene = Scene(terrain, above(terrain), tolerance=1.0)
+    scene = Scene.of(terrain, above(terrain), tolerance=1.0)
     end = time.perf_counter() + 60
     stats = b.draw(scene)
     while not stats.failed and time.perf_counter() < end:
@@ -150,9 +150,9 @@ def test_the_atlas_stays_within_its_memory_and_drops_what_was_seen_longest_ago(b
         view = replace(
             here, eye=(here.eye[0] + shift, here.eye[1], 3000.0), target=(here.eye[0] + shift, here.target[1], 300.0)
         )
-        b.draw(Scene(terrain, view, tolerance=0.5))
+        b.draw(Scene.of(terrain, view, tolerance=0.5))
         for _ in range(10):
-            b.draw(Scene(terrain, view, tolerance=0.5))
+            b.draw(Scene.of(terrain, view, tolerance=0.5))
             time.sleep(0.02)
         assert b.renderer.heights.count <= 16 and b.renderer.slopes.count <= 16
         assert np.isfinite(b.renderer.depth()).all()
@@ -170,7 +170,7 @@ def test_a_step_of_a_millimetre_moves_the_picture_smoothly(bench) -> None:
     for k in range(6):
         eye = (x + 0.001 * k, y, ground + 2.0)
         view = View(eye, (x + 0.001 * k, y + 4.0, ground + 0.5), width=SIZE[0], height=SIZE[1])
-        b.draw(Scene(terrain, view, tolerance=1.0, shadows=False), wait=True, samples=1)
+        b.draw(Scene.of(terrain, view, tolerance=1.0, shadows=False), wait=True, samples=1)
         depths.append(b.renderer.depth()[-40:])
     stack = np.stack(depths)
     assert np.isfinite(stack).all()
@@ -190,7 +190,7 @@ def test_mountains_far_away_do_not_flicker(bench) -> None:
     for k in range(4):
         eye = (x + 0.001 * k, y, 3000.0)
         view = View(eye, (x + 110_000.0, y, 300.0), fov_y=2.0, width=SIZE[0], height=SIZE[1])
-        b.draw(Scene(terrain, view, tolerance=1.0), wait=True, samples=1)
+        b.draw(Scene.of(terrain, view, tolerance=1.0), wait=True, samples=1)
         seen.append(b.pixels())
     for before, after in pairwise(seen):
         assert float((np.abs(before - after).max(-1) > 3).mean()) < 1e-3
@@ -199,7 +199,7 @@ def test_mountains_far_away_do_not_flicker(bench) -> None:
 def test_the_picture_at_rest_is_smooth_and_stops(bench) -> None:
     terrain = make(hills(700, 700))
     b = bench(terrain)
-    scene = Scene(
+    scene = Scene.of(
         terrain, replace(above(terrain), eye=(FAR_EAST - 500, FAR_NORTH - 15000, 2500.0)), sky=True, tolerance=1.0
     )
     first = b.draw(scene, wait=True)
@@ -216,7 +216,7 @@ def test_the_picture_at_rest_is_smooth_and_stops(bench) -> None:
 def test_overlays_show_the_engine(bench) -> None:
     terrain = make(hills(400, 400))
     b = bench(terrain)
-    scene = Scene(terrain, above(terrain), tolerance=2.0, colormap="grey", water=None)
+    scene = Scene.of(terrain, above(terrain), tolerance=2.0, colormap="grey", water=None)
     b.draw(scene, wait=True, samples=1)
     plain = b.pixels()
     for overlay in (Overlay(wireframe=True), Overlay(levels=True)):
@@ -228,7 +228,7 @@ def test_overlays_show_the_engine(bench) -> None:
 def test_what_was_prepared_compiles_nothing_in_its_first_frame(bench, monkeypatch: pytest.MonkeyPatch) -> None:
     terrain = make(hills(300, 300))
     b = bench(terrain)
-    scene = Scene(terrain, above(terrain), tolerance=1.0)
+    scene = Scene.of(terrain, above(terrain), tolerance=1.0)
     b.renderer.prepare("rgba8unorm", scene)
     compiled = []
     create = b.device.handle.create_render_pipeline
@@ -256,7 +256,7 @@ def test_the_first_frame_has_an_open_sky(bench, light: str, monkeypatch: pytest.
     monkeypatch.setattr(following, "quick_maps", held_back)
     terrain = make(np.zeros((300, 300), np.float32))
     b = bench(terrain)
-    scene = Scene(terrain, above(terrain), tolerance=1.0, colormap="grey", water=None, light=light)  # type: ignore[arg-type]
+    scene = Scene.of(terrain, above(terrain), tolerance=1.0, colormap="grey", water=None, light=light)  # type: ignore[arg-type]
     try:
         b.draw(scene)
         first = b.pixels()
@@ -272,7 +272,7 @@ def test_screen_space_occlusion_darkens_hollows_and_not_plains(bench) -> None:
     heights[150:250, 150:250] = -400.0  # a shaft of two kilometres
     terrain = make(heights)
     b = bench(terrain)
-    scene = Scene(terrain, above(terrain), tolerance=1.0, colormap="grey", water=None, light="none")
+    scene = Scene.of(terrain, above(terrain), tolerance=1.0, colormap="grey", water=None, light="none")
     b.draw(scene, wait=True, samples=1)
     plain = b.pixels().sum(-1)
     b.draw(scene, wait=True, samples=1, overlay=Overlay(occlusion=1.0, reach=500.0))
@@ -293,10 +293,10 @@ def test_contours_lie_where_heights_are_multiples(bench) -> None:
     x, y = (float(v) for v in terrain.grid.xy(256, 256))
     view = View((x, y, 5000.0), (x, y, 512.0), up=(0, 1, 0), projection="plan", fov_y=40, width=SIZE[0], height=SIZE[1])
     b = bench(terrain)
-    scene = Scene(terrain, view, tolerance=1.0, shadows=False, water=None, colormap="grey")
+    scene = Scene.of(terrain, view, tolerance=1.0, shadows=False, water=None, colormap="grey")
     b.draw(scene, wait=True, samples=1)
     plain = b.pixels().sum(-1)
-    b.draw(replace(scene, contours=Contours(20.0, 1000, labels=False)), wait=True, samples=1)
+    b.draw(scene.but(contours=Contours(20.0, 1000, labels=False)), wait=True, samples=1)
     darker = (plain - b.pixels().sum(-1)).mean(0)
     px = np.arange(SIZE[0]) + 0.5
     east = x + (px - SIZE[0] / 2) * view.pixel_metres

@@ -66,7 +66,7 @@ class Loop:
         self.target = self.texture.create_view()
         x, y = (float(v) for v in terrain.grid.xy(800, 700))
         view = View((x, y - 1.0, 20_000.0), (x, y, 300.0), width=SIZE[0], height=SIZE[1])
-        self.scene = Scene(terrain, view, tolerance=0.05, shadows=False)
+        self.scene = Scene.of(terrain, view, tolerance=0.05, shadows=False)
 
     def frame(self, scene: Scene | None = None) -> FrameStats:
         stats = self.renderer.draw(self.target, "rgba8unorm", scene or self.scene)
@@ -100,7 +100,7 @@ def test_a_store_that_fails_never_holds_a_frame_up_and_recovers(loop: Loop, web:
     loop.whole()
     x, y, _ = loop.scene.view.target
     near = replace(loop.scene.view, eye=(x + 3000, y, 1500.0), target=(x + 3000, y + 400, 300.0))
-    there = replace(loop.scene, view=near)  # a jump
+    there = loop.scene.but(view=near)  # a jump
     fine = loop.whole(there)
     loop.renderer.close()
 
@@ -142,9 +142,9 @@ def test_a_slow_store_fills_in_while_frames_go_on(device: Device, web: Web, monk
 def test_what_must_be_compiled_holds_no_frame_up(device: Device, folder: Path) -> None:
     """Another way to shade: the last one serves until it is there, and the picture comes to rest as if it had been."""
     loop = Loop(device, store.open(folder / "area.oro"))
-    plain = replace(loop.scene, colormap="grey", water=None)
+    plain = loop.scene.but(colormap="grey", water=None)
     loop.whole(plain)
-    bare = replace(plain, light="none")
+    bare = plain.but(light="none")
     held: list[float] = []
     wanted = loop.renderer._shading.pipeline
 

@@ -39,8 +39,8 @@ def ground(side: int = 257) -> Terrain:
 def seen(terrain: Terrain, **how: Any) -> Scene:
     x, y = (float(v) for v in terrain.grid.xy(128, 160))
     view = View((x, y - 5000, 2500.0), (x, y, 400.0), width=SIZE[0], height=SIZE[1])
-    return Scene(
-        terrain, view, Sun(290, 12), light="raytraced", tolerance=1.0, colormap="grey", water=None, samples=1, **how
+    return Scene.of(
+        terrain, view, sun=Sun(290, 12), light="raytraced", tolerance=1.0, colormap="grey", water=None, samples=1, **how
     )
 
 
@@ -57,7 +57,7 @@ def test_numbers_are_spread_and_none_is_left_out(total: int) -> None:
 def test_frames_at_rest_trace_every_ray_of_a_lattice_and_bounded_work(device: Device) -> None:
     scene = seen(ground(33), rays=64)
     for size, most in ((SIZE, 4), ((2560, 1440), 1)):
-        there = replace(scene, view=replace(scene.view, width=size[0], height=size[1]))
+        there = scene.but(view=replace(scene.view, width=size[0], height=size[1]))
         shares = [Share.of(device, there, k, 16) for k in range(64)]
         assert shares[0].rays == most and shares[0].frames == 64 // most
         some = [(s.first + k) % s.total for s in shares[: shares[0].frames] for k in range(s.rays)]
@@ -65,7 +65,7 @@ def test_frames_at_rest_trace_every_ray_of_a_lattice_and_bounded_work(device: De
     # A picture's samples have lattices of their own, as the CPU's have.
     of = Share.of(device, scene, 2, 16, samples=4, shift=(0.25, -0.25))
     assert (of.first, of.rays, of.total, of.corner) == (0, 16, 16, (0.25, -0.25))
-    assert Share.of(device, replace(scene, rays=4), 0, 16, samples=4).rays == 4
+    assert Share.of(device, scene.but(rays=4), 0, 16, samples=4).rays == 4
 
 
 @pytest.mark.parametrize("work", [1, 700, 10**4, 10**9])
@@ -130,7 +130,7 @@ def test_terrain_too_large_to_be_held_is_met_in_windows(device: Device, monkeypa
     terrain = ground(2049)
     x, y = (float(v) for v in terrain.grid.xy(300, 1700))
     view = View((x, y, 1500.0), (x + 800, y + 300, 400.0), width=SIZE[0], height=SIZE[1])
-    scene = replace(seen(terrain, rays=8), tolerance=0.25, view=view)
+    scene = seen(terrain, rays=8).but(tolerance=0.25, view=view)
     exact = draw(scene, device=device)
     for module in (rays, tracing):
         monkeypatch.setattr(module, "EXACT", 1000)
@@ -146,10 +146,10 @@ def test_rays_meet_the_mesh_that_a_picture_shows(device: Device) -> None:
     """As the CPU's do: at 20 pixels a mesh leaves out the ridges whose shadows the terrain casts."""
     from orograph.rendering.cpu.draw import draw as on_cpu
 
-    scene = replace(seen(ground(), rays=16), engine="soar", tolerance=20.0)
+    scene = seen(ground(), rays=16).but(engine="soar", tolerance=20.0)
     theirs = on_cpu(scene).pixels.astype(int)
     ours = draw(scene, device=device).pixels.astype(int)
-    on_patches = draw(replace(scene, engine=None), device=device).pixels.astype(int)
+    on_patches = draw(scene.but(engine=None), device=device).pixels.astype(int)
     d = np.abs(ours - theirs)
     assert d.mean() < 1.0 and np.percentile(d, 95) < 4
     assert np.abs(on_patches - theirs).mean() > 6.0

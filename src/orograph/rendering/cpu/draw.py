@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -77,33 +76,28 @@ def draw(
         facts.setdefault("seconds", {})[name] = round(clock[-1] - clock[-2], 4)
 
     view = scene.view
-    if view.part is not None and (scene.furniture or scene.wireframe):
-        what = "furniture" if scene.furniture else "a wireframe"
+    if view.part is not None and (scene.annotations.furniture or scene.surface.wireframe):
+        what = "furniture" if scene.annotations.furniture else "a wireframe"
         raise UsageError(f"A tile has no {what}: that belongs to the whole picture.")
     check_memory((view.width, view.height))
     facts["warnings"] = diagnose(scene)
     for warning in facts["warnings"]:
         progress.warn(warning)
     surface = bare = None
-    if scene.engine is not None or mesh is not None:
+    if scene.surface.engine is not None or mesh is not None:
         from orograph.rendering.cpu.mesh_surface import WINDOWS, refined, surface_of
 
         if mesh is None:
-            known = (
-                scene.engine, scene.metric, scene.view.whole, scene.mesh_view, scene.tolerance, scene.triangles,
-                scene.exaggeration,
-            )  # fmt: skip
-            mesh = memo("mesh", known, lambda: refined(scene, progress, engines), scene.terrain)
+            mesh = memo(
+                "mesh", (scene.surface, scene.view.whole), lambda: refined(scene, progress, engines), scene.terrain
+            )
         made, terrain = mesh, scene.terrain
-        bare = replace(
-            scene, tolerance=None, engine=None, triangles=None, metric=None, mesh_view=None, wireframe=False
-        )  # fmt: skip
+        bare = scene.but(tolerance=None, engine=None, triangles=None, metric=None, mesh_view=None, wireframe=False)
         facts["mesh"] = mesh.stats
-        surface = memo("surface", id(terrain), lambda: surface_of(made, terrain, scene.max_memory), mesh)
+        surface = memo("surface", id(terrain), lambda: surface_of(made, terrain, scene.budget.max_memory), mesh)
         lap("mesh")
-        scene = replace(
-            scene, tolerance=0.0 if isinstance(surface, MemoryTerrain) else WINDOWS, triangles=None,
-            terrain=scene.terrain if scene.wireframe else surface,
+        scene = scene.but(tolerance=0.0 if isinstance(surface, MemoryTerrain) else WINDOWS, triangles=None,
+            terrain=scene.terrain if scene.surface.wireframe else surface,
         )  # fmt: skip
     with progress.task("Reading heights"):
         ground = Ground.load(scene, surface, memo, bare)
@@ -113,13 +107,17 @@ def draw(
                 "fit into --max-memory."
             )
     least = fixed_memory(scene) + LEAST_MEMORY
-    if scene.max_memory is not None and scene.max_memory < least:
+    if scene.budget.max_memory is not None and scene.budget.max_memory < least:
         progress.warn(f"a picture of this size takes about {least >> 20} MiB, more than --max-memory allows.")
     lap("heights")
     inner = frame(scene)
-    lines = scene.silhouettes.fitted(view) if scene.silhouettes and view.projection != "plan" else None
+    lines = (
+        scene.annotations.silhouettes.fitted(view)
+        if scene.annotations.silhouettes and view.projection != "plan"
+        else None
+    )
     # What is antialiased depends on the pixels around, and silhouettes do: a tile is drawn with a rim, left out then.
-    area = _rimmed(inner, view.whole, max(int(scene.samples > 1), 0 if lines is None else rim(lines)))
+    area = _rimmed(inner, view.whole, max(int(scene.surface.samples > 1), 0 if lines is None else rim(lines)))
     with progress.task("Casting rays"):
         survey = Survey.of(ground.rays)
         if survey is None:
@@ -149,17 +147,17 @@ def draw(
             flat[i] = shader.color(ground.rays.meet(px, py, ft[i], fw[i], fv[i]), px, py, counted[i], water)
             return len(i)
 
-        for n in map_ordered(block, range(0, len(ft), BLOCK), scene.jobs):
+        for n in map_ordered(block, range(0, len(ft), BLOCK), scene.budget.jobs):
             task.advance(n)
         lap("color")
-        if scene.samples > 1:
+        if scene.surface.samples > 1:
             found = find_edges(encode(linear))
             if shader.smooth:
                 found &= find_depth_edges(t, view.whole, wet, np.isfinite(void_fill))
             edges = np.flatnonzero(found.ravel() & counted)
             facts["edge_fraction"] = len(edges) / (view.width * view.height)
-            offsets = pattern(scene.samples)
-            few = max(1, EDGES // scene.samples)
+            offsets = pattern(scene.surface.samples)
+            few = max(1, EDGES // scene.surface.samples)
 
             def refine(start: int) -> int:
                 chosen = edges[start : start + few]
@@ -167,28 +165,37 @@ def draw(
                 py = (area[0] + chosen // wide)[:, None] + offsets[None, :, 1]
                 u, v = px.ravel(), py.ravel()
                 colors = shader.color(ground.rays.meet(u, v, *ground.rays.cast(u, v)), u, v)
-                flat[chosen] = colors.reshape(len(chosen), scene.samples, 3).mean(1)
+                flat[chosen] = colors.reshape(len(chosen), scene.surface.samples, 3).mean(1)
                 return len(chosen)
 
-            for n in map_ordered(refine, range(0, len(edges), few), scene.jobs):
+            for n in map_ordered(refine, range(0, len(edges), few), scene.budget.jobs):
                 task.advance(n * len(ft) / max(1, len(edges)))
             lap("antialiasing")
         if lines is not None:
-            outlines = Outlines(lines, ground, area, scene.depths or survey.range)
-            outlines.draw(linear, np.where(np.isfinite(void_fill), void_fill, t), pattern(scene.samples), shader.air)
+            outlines = Outlines(lines, ground, area, scene.lighting.depths or survey.range)
+            outlines.draw(
+                linear, np.where(np.isfinite(void_fill), void_fill, t), pattern(scene.surface.samples), shader.air
+            )
             lap("silhouettes")
     linear, t, veiled = linear[own], t[own], np.isfinite(void_fill[own])
-    if mesh is not None and scene.wireframe:
+    if mesh is not None and scene.surface.wireframe:
         from orograph.rendering.cpu.wireframe import draw_edges
 
         with progress.task("Drawing edges"):
             free = None if shader.lines is None else shader.lines.gaps()
             draw_edges(
-                linear, t, mesh, scene.terrain.grid, view, exaggeration=scene.exaggeration, gaps=free, jobs=scene.jobs
+                linear,
+                t,
+                mesh,
+                scene.terrain.grid,
+                view,
+                exaggeration=scene.surface.exaggeration,
+                gaps=free,
+                jobs=scene.budget.jobs,
             )
         lap("edges")
     pixels = encode(linear)
-    if scene.furniture:
+    if scene.annotations.furniture:
         from orograph.rendering.furniture.furnish import furnish
         from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
 

@@ -8,7 +8,6 @@ since that is what light falls on in the picture; heights stay true.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +43,7 @@ def fixed_memory(scene: Scene) -> int:
     _, _, width, height = scene.view.frame
     pixels = width * height
     if scene.view.part is not None:  # the same for all tiles, so that all are drawn from the same heights
-        pixels = min(pixels, band_pixels(scene.max_memory))
+        pixels = min(pixels, band_pixels(scene.budget.max_memory))
     return FIXED_MEMORY + BYTES_PER_PIXEL * pixels
 
 
@@ -64,11 +63,11 @@ class Ground:
         self.bare = scene
         self.under: Ground | None = None
         self.windows = windows
-        shape, jobs = terrain.grid.shape, scene.jobs
+        shape, jobs = terrain.grid.shape, scene.budget.jobs
         self.caster = memo(
             "caster", (tuple(windows), jobs), lambda: Caster(load(surface, windows, jobs), shape, jobs), surface
         )
-        means = rectangles(terrain, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
+        means = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, 1.0, by="spacing")
         self.relief = memo("relief", tuple(means), lambda: Relief.load(terrain, means, jobs), terrain)
         self.drawn = self.own = self.relief
         over = None
@@ -76,7 +75,7 @@ class Ground:
             found = memo("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
             over = memo("over", jobs, lambda: Caster(found, shape, jobs), found) if found else None
         self.rays = Rays(scene, self.caster, over)
-        if scene.silhouettes is not None:
+        if scene.annotations.silhouettes is not None:
             self.ends = memo("ends", shape, lambda: terrain_ends(terrain), terrain)  # for silhouettes
         grid = terrain.grid
         linear = np.array([[grid.transform.a, grid.transform.b], [grid.transform.d, grid.transform.e]])
@@ -97,38 +96,51 @@ class Ground:
         """
         memo = Memo() if memo is None else memo
         if bare is not None:
-            both = scene.contours is not None
-            half = (scene.max_memory + fixed_memory(scene)) // 2 if both and scene.max_memory else scene.max_memory
-            ground = cls.load(replace(scene, contours=None, max_memory=half), surface, memo)
+            both = scene.annotations.contours is not None
+            half = (
+                (scene.budget.max_memory + fixed_memory(scene)) // 2
+                if both and scene.budget.max_memory
+                else scene.budget.max_memory
+            )
+            ground = cls.load(scene.but(contours=None, max_memory=half), surface, memo)
             ground.bare = bare
-            if scene.silhouettes is not None and scene.terrain is not bare.terrain:
-                means = rectangles(bare.terrain, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
+            if scene.annotations.silhouettes is not None and scene.terrain is not bare.terrain:
+                means = rectangles(bare.terrain, scene.view.whole, scene.surface.exaggeration, 1.0, by="spacing")
                 ground.own = memo(
-                    "own relief", tuple(means), lambda: Relief.load(bare.terrain, means, scene.jobs), bare.terrain
+                    "own relief",
+                    tuple(means),
+                    lambda: Relief.load(bare.terrain, means, scene.budget.jobs),
+                    bare.terrain,
                 )
             if not both:
                 return ground
-            ground.under = cls.load(replace(bare, max_memory=half), None, memo)
+            ground.under = cls.load(bare.but(max_memory=half), None, memo)
             if surface is not None and surface is not scene.terrain:
-                means = rectangles(surface, scene.view.whole, scene.exaggeration, 1.0, by="spacing")
-                ground.drawn = memo("relief", tuple(means), lambda: Relief.load(surface, means, scene.jobs), surface)
+                means = rectangles(surface, scene.view.whole, scene.surface.exaggeration, 1.0, by="spacing")
+                ground.drawn = memo(
+                    "relief", tuple(means), lambda: Relief.load(surface, means, scene.budget.jobs), surface
+                )
             return ground
         terrain = scene.terrain if surface is None else surface
         rows, cols = terrain.grid.shape
         tolerance, by = scene.pixel_tolerance, "error"
-        if scene.contours is not None and tolerance > 0:
+        if scene.annotations.contours is not None and tolerance > 0:
             if scene.view.projection == "plan":  # heights move nothing but lines: samples as fine as pixels
                 tolerance, by = 0.7, "spacing"
             else:
-                tolerance *= scene.contours.finer(terrain, scene.view.whole, memo)
+                tolerance *= scene.annotations.contours.finer(terrain, scene.view.whole, memo)
         # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together, the means.
         bytes_per_sample = 4 * (1 + 5 / 12) + 4 + 4
-        budget = math.inf if scene.max_memory is None else max(scene.max_memory - fixed_memory(scene), LEAST_MEMORY)
+        budget = (
+            math.inf
+            if scene.budget.max_memory is None
+            else max(scene.budget.max_memory - fixed_memory(scene), LEAST_MEMORY)
+        )
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
             return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0, memo)
         tolerance = tolerance or 0.05
         while True:
-            chosen = rectangles(terrain, scene.view.whole, scene.exaggeration, tolerance, by=by)
+            chosen = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, tolerance, by=by)
             fits = sum(r.samples for r in chosen) * bytes_per_sample <= budget
             # Ground about the eye is wanted exactly at any tolerance; that much is drawn whatever the budget.
             if fits or tolerance > COARSEST or chosen[-1].level == terrain.levels - 1:
@@ -142,7 +154,7 @@ class Ground:
         """
         gradient = self.relief.gradient(hits.points, hits.width)
         cosine, tilt = np.empty(len(gradient)), np.empty(len(gradient))
-        incidence(gradient, self.to_world, self.scene.exaggeration * strength, to_sun, cosine, tilt)
+        incidence(gradient, self.to_world, self.scene.surface.exaggeration * strength, to_sun, cosine, tilt)
         return cosine, tilt
 
     def footprints(self, hits: Hits, px: Array, py: Array) -> tuple[Array, Array]:
@@ -153,7 +165,7 @@ class Ground:
         ground, least = np.empty((n, 4)), np.empty(n)
         parallel = view.projection == "plan"
         footprints(
-            px, py, hits.t, *rays.basis, self.scene.exaggeration,
+            px, py, hits.t, *rays.basis, self.scene.surface.exaggeration,
             view.pixel_metres if parallel else view.pixel_slope, parallel, slope, ground, least,
         )  # fmt: skip
         return ground, least
@@ -166,7 +178,7 @@ class Ground:
         high = math.tan(math.radians(min(sun.altitude + radius, 89.9)))
         a = math.radians(sun.azimuth)
         step = self.to_samples @ [math.sin(a), math.cos(a)]
-        x, skip = self.scene.exaggeration, self.skip(hits, which)
+        x, skip = self.scene.surface.exaggeration, self.skip(hits, which)
         return self.rays.single.skyline(hits.points[which], (step[0], step[1]), skip, low / x, high / x) * x
 
     def skip(self, hits: Hits, which: NDArray[np.int64]) -> Array:

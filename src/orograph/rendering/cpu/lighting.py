@@ -86,11 +86,11 @@ def lighting_of(
         window: the working grid (``mapgrid.working_window``). strength: factor on slopes for shading.
         ahead: what ``field_ahead`` began.
     """
-    if scene.light == "none":
+    if scene.lighting.light == "none":
         return Bare()
-    if scene.light == "raytraced":
+    if scene.lighting.light == "raytraced":
         return Raytraced(scene, ground, shine, strength)
-    if scene.light == "aperture":
+    if scene.lighting.light == "aperture":
         field, told = field_of(scene, ground, window, BAKED["aperture"], memo, progress, ahead)
         return Apertures(scene, ground, shine, strength, field, told)
     field, told = field_of(scene, ground, window, SKIES, memo, progress, ahead)
@@ -102,15 +102,15 @@ def field_ahead(scene: Scene, memo: Memo) -> Ahead | None:
     from orograph.lighting.field import PIXELS, LightField
 
     terrain = scene.terrain
-    baked = [name for name in BAKED.get(scene.light, ()) if name in terrain.layers]
-    if not baked or scene.exaggeration != 1 or scene.jobs == 1:
+    baked = [name for name in BAKED.get(scene.lighting.light, ()) if name in terrain.layers]
+    if not baked or scene.surface.exaggeration != 1 or scene.budget.jobs == 1:
         return None
     layer = terrain.layer(baked[0])
     chosen = rectangles(terrain, scene.view.whole, 1.0, PIXELS, by="spacing")
     if memo.has("field", (baked[0], tuple(chosen)), terrain):
         return None
     pool = ThreadPoolExecutor(1)
-    begun = pool.submit(LightField.load, layer, terrain, chosen, scene.jobs)
+    begun = pool.submit(LightField.load, layer, terrain, chosen, scene.budget.jobs)
     pool.shutdown(wait=False)
     return begun.result
 
@@ -124,15 +124,13 @@ def field_of(
 
     terrain = scene.terrain
     baked = [name for name in names if name in terrain.layers]
-    if baked and scene.exaggeration != 1:
+    if baked and scene.surface.exaggeration != 1:
         progress.warn(f"{baked[0]} is baked for true heights: for stretched ones it is swept for the picture.")
     elif baked:
         layer = terrain.layer(baked[0])
         chosen = rectangles(terrain, scene.view.whole, 1.0, PIXELS, by="spacing")
-        field = memo(
-            "field", (baked[0], tuple(chosen)), ahead or (lambda: LightField.load(layer, terrain, chosen, scene.jobs)),
-            terrain,
-        )  # fmt: skip
+        read = ahead or (lambda: LightField.load(layer, terrain, chosen, scene.budget.jobs))
+        field = memo("field", (baked[0], tuple(chosen)), read, terrain)
         return field, f"baked {baked[0]}"
 
     def sweep() -> LightField:
@@ -142,13 +140,13 @@ def field_of(
         from orograph.lighting.products import compute
 
         level, row0, row1, col0, col1 = window
-        heights = terrain.read_mean(level, row0, row1, col0, col1) * np.float32(scene.exaggeration)
+        heights = terrain.read_mean(level, row0, row1, col0, col1) * np.float32(scene.surface.exaggeration)
         options = Options(azimuths=AZIMUTHS)
-        context = context_of(heights, ground.linear * 2.0**level, options, jobs=scene.jobs, progress=progress)
+        context = context_of(heights, ground.linear * 2.0**level, options, jobs=scene.budget.jobs, progress=progress)
         values = compute(context, names[0])
         return LightField.of(caps_of(values) if len(values) == 4 else values[0], level, row0, col0)
 
-    return memo("field", (names[0], window, scene.exaggeration), sweep, terrain), f"swept {names[0]}"
+    return memo("field", (names[0], window, scene.surface.exaggeration), sweep, terrain), f"swept {names[0]}"
 
 
 class Bare:
@@ -173,9 +171,9 @@ class Occlusion:
         self.field, self.told = field, told
 
     def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
-        sun, shine = self.scene.sun, self.shine
+        sun, shine = self.scene.lighting.sun, self.shine
         cosine, _ = self.ground.incidence(hits, shine.to_sun, self.strength)
-        if self.scene.shadows:
+        if self.scene.lighting.shadows:
             lit = np.flatnonzero(cosine > 0)
             horizon = np.degrees(np.arctan(self.ground.skyline(hits, sun, lit)))
             cosine[lit] *= disc_fraction(horizon, sun.altitude, sun.diameter)
@@ -197,21 +195,21 @@ class Apertures:
 
         self.scene, self.ground, self.shine, self.strength = scene, ground, shine, strength
         self.field, self.told = field, told
-        x = scene.exaggeration
-        lamps = [Lamp(lamp.col, lamp.row, lamp.height * x, lamp.color) for lamp in scene.lamps]
-        suns = [(sun, color) for sun, color in _discs(scene, shine) if scene.shadows]
+        x = scene.surface.exaggeration
+        lamps = [Lamp(lamp.col, lamp.row, lamp.height * x, lamp.color) for lamp in scene.lighting.lamps]
+        suns = [(sun, color) for sun, color in _discs(scene, shine) if scene.lighting.shadows]
         self.tables = Lights(suns, lamps, _color(shine.skylight)).tables(ground.linear)
 
     def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
         from orograph.lighting.field import light_caps
 
-        ground, field, relief, x = self.ground, self.field, self.ground.relief, self.scene.exaggeration
+        ground, field, relief, x = self.ground, self.field, self.ground.relief, self.scene.surface.exaggeration
         out = np.zeros((len(hits.t), 3), np.float32)
         light_caps(
             field.pool, field.ints, field.floats, relief.pool, relief.ints, relief.floats, hits.points, hits.width,
             ground.to_world, x * self.strength, x, *self.tables, self.shine.bounce, ground.linear, out,
         )  # fmt: skip
-        if not self.scene.shadows:
+        if not self.scene.lighting.shadows:
             gradient = relief.gradient(hits.points, hits.width)
             out += _unhidden(self.scene, ground, self.shine, gradient, self.strength)
         return out
@@ -224,15 +222,15 @@ class Raytraced:
 
     def __init__(self, scene: Scene, ground: Ground, shine: Shine, strength: float) -> None:
         self.scene, self.ground, self.shine, self.strength = scene, ground, shine, strength
-        self.told = f"{scene.rays} rays"
+        self.told = f"{scene.lighting.rays} rays"
 
     def on(self, hits: Hits, px: Array, py: Array, part: int = 1) -> Colors:
         from orograph.lighting.aperture import Lights
         from orograph.lighting.hit_rays import disc_on_hits, lamp_on_hits, sky_on_hits
         from orograph.rendering.cpu.kernels import normals
 
-        scene, ground, shine, x = self.scene, self.ground, self.shine, self.scene.exaggeration
-        n, rays = len(hits.t), max(-(-scene.rays // part), min(scene.rays, 8))
+        scene, ground, shine, x = self.scene, self.ground, self.shine, self.scene.surface.exaggeration
+        n, rays = len(hits.t), max(-(-scene.lighting.rays // part), min(scene.lighting.rays, 8))
         gradient = ground.relief.gradient(hits.points, hits.width)
         true, shaded = np.empty((n, 3)), np.empty((n, 3))
         normals(gradient, ground.to_world, x, true)
@@ -245,7 +243,7 @@ class Raytraced:
         sky_on_hits(*around, true, skip, pixels, ground.to_samples, x, rays, amount)
         share = amount.astype(np.float32)[:, None]
         out = share * shine.skylight + (1 - share) * shine.bounce
-        if scene.shadows:
+        if scene.lighting.shadows:
             for sun, color in _discs(scene, shine):
                 disc_on_hits(
                     *around, shaded, skip, pixels, ground.to_samples, x, np.array(sun.direction),
@@ -254,7 +252,7 @@ class Raytraced:
                 out += amount.astype(np.float32)[:, None] * np.array(color, np.float32)
         else:
             out += _unhidden(scene, ground, shine, gradient, self.strength)
-        _, lamps, _ = Lights(lamps=scene.lamps).tables(ground.linear)
+        _, lamps, _ = Lights(lamps=scene.lighting.lamps).tables(ground.linear)
         for lamp in lamps:
             lamp[2] *= x
             lamp_on_hits(*around, shaded, skip, ground.to_samples, x, ground.linear, lamp, out)
@@ -263,7 +261,7 @@ class Raytraced:
 
 def _discs(scene: Scene, shine: Shine) -> list[tuple[Sun, tuple[float, float, float]]]:
     """The sun and the scene's other discs, with their colours."""
-    return [(scene.sun, _color(shine.sunlight)), *scene.discs]
+    return [(scene.lighting.sun, _color(shine.sunlight)), *scene.lighting.discs]
 
 
 def _color(color: Any) -> tuple[float, float, float]:
@@ -278,6 +276,8 @@ def _unhidden(scene: Scene, ground: Ground, shine: Shine, gradient: Array, stren
     out = np.zeros((len(gradient), 3), np.float32)
     cosine, tilt = np.empty(len(gradient)), np.empty(len(gradient))
     for sun, color in _discs(scene, shine):
-        incidence(gradient, ground.to_world, scene.exaggeration * strength, np.array(sun.direction), cosine, tilt)
+        incidence(
+            gradient, ground.to_world, scene.surface.exaggeration * strength, np.array(sun.direction), cosine, tilt
+        )
         out += cosine.astype(np.float32)[:, None] * np.array(color, np.float32)
     return out

@@ -53,19 +53,21 @@ class MapGrid:
 
         def sky() -> NDArray[np.float32]:
             heights = terrain.read_mean(level, r0, r1, c0, c1)
-            return sky_view(heights * np.float32(scene.exaggeration), linear, AZIMUTHS, jobs=scene.jobs)
+            return sky_view(heights * np.float32(scene.surface.exaggeration), linear, AZIMUTHS, jobs=scene.budget.jobs)
 
-        known = window, scene.exaggeration
-        self.sky_view = memo("sky", known, sky, terrain) if scene.light == "relief" else np.empty((0, 0), np.float32)
+        known = window, scene.surface.exaggeration
+        self.sky_view = (
+            memo("sky", known, sky, terrain) if scene.lighting.light == "relief" else np.empty((0, 0), np.float32)
+        )
         self.strength = (
             memo("strength", known, lambda: strength_of(ground.bare, window), ground.bare.terrain)
-            if scene.relief is None
-            else scene.relief
+            if scene.lighting.relief is None
+            else scene.lighting.relief
         )
         self.water, self.water_fraction = np.empty((0, 0), np.float32), 0.0
-        if scene.water is not None:
+        if scene.data.water is not None:
             self.water, self.water_fraction = memo(
-                "water", (window, scene.water), lambda: _water(ground.bare, ground, window), ground.bare.terrain
+                "water", (window, scene.data.water), lambda: _water(ground.bare, ground, window), ground.bare.terrain
             )
 
 
@@ -101,16 +103,16 @@ def _water(scene: Scene, ground: Ground, window: tuple[int, int, int, int, int])
     level, r0, r1, c0, c1 = window
     heights = scene.terrain.read_mean(level, r0, r1, c0, c1)
     field: NDArray[np.floating] = np.empty((0, 0), np.float32)
-    if scene.water == "auto":
+    if scene.data.water == "auto":
         found = water_in(scene.terrain, ground.rays.spacing, level, r0, c0, heights)
         if found.any():
             field = shore(found)
     else:
-        assert scene.water is not None
-        found = heights <= np.float32(scene.water)
+        assert scene.data.water is not None
+        found = heights <= np.float32(scene.data.water)
         # Linear in height, so that its contour is that of the ground; what has just this height is water.
         if found.any():
-            field = np.where(np.isfinite(heights), np.float32(scene.water + 0.5 + SHORE) - heights, 0)
+            field = np.where(np.isfinite(heights), np.float32(scene.data.water + 0.5 + SHORE) - heights, 0)
     return field.astype(np.float32), float(found.mean()) if found.any() else 0.0
 
 
@@ -136,5 +138,5 @@ def strength_of(scene: Scene, window: tuple[int, int, int, int, int]) -> float:
     slope = slope[np.isfinite(slope) & (slope > 0)]  # water is level and has no say
     if slope.size == 0:
         return 1.0
-    typical = float(np.percentile(slope, 80)) * scene.exaggeration
+    typical = float(np.percentile(slope, 80)) * scene.surface.exaggeration
     return float(np.clip(TYPICAL_SLOPE / max(typical, 1e-9), 1.0, MOST_STRENGTH))

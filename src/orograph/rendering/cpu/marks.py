@@ -1,4 +1,4 @@
-"""What is drawn on the ground besides its colour: contour lines and their labels, as ``scene.contours`` says them.
+"""What is drawn on the ground besides its colour: contour lines and their labels (``scene.contours``).
 
 Lines and labels lie on the ground: haze comes before them, and ground before them hides them. On a mesh of the terrain
 they are the terrain's own, laid over the mesh: its heights' would be as coarse as it is.
@@ -42,20 +42,20 @@ class Lines:
     """
 
     def __init__(self, scene: Scene, ground: Ground, maps: MapGrid, memo: Memo) -> None:
-        assert scene.contours is not None
+        assert scene.annotations.contours is not None
         self.ground, self.maps = ground, maps
         self.under = ground.under
         if self.under is not None:
             scene = self.under.scene
-        assert scene.contours is not None
-        self.contours = scene.contours.fitted(scene.terrain, scene.view, memo)
+        assert scene.annotations.contours is not None
+        self.contours = scene.annotations.contours.fitted(scene.terrain, scene.view, memo)
         self.ink = ink(self.contours)
         self.facts: dict[str, Any] = {"interval_m": self.contours.interval, "index": self.contours.index}
         self.letters = Lettering(np.zeros((0, 3)), np.zeros(0), 1.0, ())
         self._area, self._sheet = (0, 0, 0, 0), np.zeros((0, 0, 2), np.uint8)
         if self.contours.labels and self.contours.step > 0:
             placer = memo("labels", (), lambda: Placer(scene.terrain), scene.terrain)
-            view, exaggeration = scene.view.whole, scene.exaggeration
+            view, exaggeration = scene.view.whole, scene.surface.exaggeration
             drawn = None if self.under is None else ground.caster.surfaces
             labels = memo(
                 "labels of a view", (view, exaggeration, self.contours),
@@ -104,7 +104,7 @@ class Lines:
         """Directions (n, 3) of the rays: columns, rows and true metres."""
         x, y, z = hits.rays.T
         (a, b), (c, d) = self.ground.to_samples
-        return np.stack([a * x + b * y, c * x + d * y, z / self.ground.scene.exaggeration], -1)
+        return np.stack([a * x + b * y, c * x + d * y, z / self.ground.scene.surface.exaggeration], -1)
 
     def _thinned(
         self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp], cover: Colors

@@ -51,25 +51,26 @@ def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None)
     """
     from orograph.lod import engine_of
 
-    assert scene.engine is not None
+    asked, jobs = scene.surface, scene.budget.jobs
+    assert asked.engine is not None
     memo = Memo() if memo is None else memo
-    view = scene.view.whole if scene.mesh_view is None else scene.mesh_view
+    view = scene.view.whole if asked.mesh_view is None else asked.mesh_view
     if view.projection == "plan":
         progress.warn("in a plan no height moves a pixel: the coarsest mesh is as good as any.")
-    make = engine_of(scene.engine)
-    memory = ENGINE_MEMORY if scene.max_memory is None else scene.max_memory // 2
-    with progress.task(f"Refining ({scene.engine})"):
+    make = engine_of(asked.engine)
+    memory = ENGINE_MEMORY if scene.budget.max_memory is None else scene.budget.max_memory // 2
+    with progress.task(f"Refining ({asked.engine})"):
         engine = memo(
-            "engine", (scene.engine, scene.metric, scene.exaggeration, memory, scene.jobs),
+            "engine", (asked.engine, asked.metric, asked.exaggeration, memory, jobs),
             lambda: make(
-                scene.terrain, metric=scene.metric, exaggeration=scene.exaggeration, max_memory=memory, jobs=scene.jobs
+                scene.terrain, metric=asked.metric, exaggeration=asked.exaggeration, max_memory=memory, jobs=jobs
             ),
             scene.terrain,
         )  # fmt: skip
         mesh = engine.refine(view, **goal(scene))
-    if scene.triangles is not None and len(mesh.triangles) > scene.triangles:
+    if asked.triangles is not None and len(mesh.triangles) > asked.triangles:
         progress.warn(
-            f"{scene.triangles:,} triangles are not enough for a sound mesh of this view by {scene.engine}: it has "
+            f"{asked.triangles:,} triangles are not enough for a sound mesh of this view by {asked.engine}: it has "
             f"{len(mesh.triangles):,}."
         )
     return mesh
@@ -77,9 +78,9 @@ def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None)
 
 def goal(scene: Scene) -> dict[str, Any]:
     """What the scene's engine is asked for, as keyword arguments of ``Engine.refine``."""
-    if scene.triangles is not None:
-        return {"triangles": scene.triangles}
-    return {"tolerance": TOLERANCE if scene.tolerance is None else scene.tolerance}
+    if scene.surface.triangles is not None:
+        return {"triangles": scene.surface.triangles}
+    return {"tolerance": TOLERANCE if scene.surface.tolerance is None else scene.surface.tolerance}
 
 
 def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | None = None) -> Terrain:

@@ -48,7 +48,7 @@ def drapes_of(
 ) -> list[tuple[Layer, Drape]]:  # fmt: skip
     """The layers that can be seen and what is held of them, bottom to top, ready for what the picture looks up;
     warnings are told once."""
-    layers = drawn(scene.layers)
+    layers = drawn(scene.data.layers)
     if not layers:
         return []
     from orograph.geovis.drape import Drape
@@ -60,7 +60,7 @@ def drapes_of(
     pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * survey.range[0]
     metres = 0.5 * LEAST * pixel
     metres = 2.0 ** math.floor(math.log2(metres)) if metres > 0 else 0.0  # the same for all frames of a slow flight
-    memory = None if scene.max_memory is None else scene.max_memory // len(layers)
+    memory = None if scene.budget.max_memory is None else scene.budget.max_memory // len(layers)
 
     def held(layer: Layer) -> Drape:
         """What is held of a layer: the same for all frames that want no finer of it, or read it where they look."""
@@ -81,7 +81,7 @@ def drapes_of(
         x, y = grid.xy(survey.hits.points[:, 0], survey.hits.points[:, 1])
         footprints = ground.footprints(survey.hits, survey.px, survey.py)
         for _, drape in drapes:
-            drape.prepare(x, y, *footprints, progress=progress, jobs=scene.jobs)
+            drape.prepare(x, y, *footprints, progress=progress, jobs=scene.budget.jobs)
     return drapes
 
 
@@ -98,16 +98,18 @@ class Shader:
         self.facts: dict[str, Any] = {}
         self.shown = {"ground": 0, "water": 0, "draped": 0, "missing": 0}
         self._lock = threading.Lock()
-        self.to_sun, self.sunlight, self.skylight = illumination(scene.sun)
+        self.to_sun, self.sunlight, self.skylight = illumination(scene.lighting.sun)
         ahead = field_ahead(scene, memo)
         self.maps = MapGrid(scene, ground, survey, memo)
-        terrain, sea = ground.bare.terrain, None if scene.water is not None else False
-        self.tint = memo("tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain)
+        terrain, sea = ground.bare.terrain, None if scene.data.water is not None else False
+        self.tint = memo(
+            "tint", (scene.data.colormap, sea), lambda: tint_of(terrain, scene.data.colormap, sea=sea), terrain
+        )
         self.air = None
-        if scene.sky:
-            self.air = Atmosphere(scene, scene.depths or survey.range, memo)
+        if scene.lighting.sky:
+            self.air = Atmosphere(scene, scene.lighting.depths or survey.range, memo)
         self.lines = None
-        if scene.contours is not None:
+        if scene.annotations.contours is not None:
             from orograph.rendering.cpu.marks import Lines
 
             self.lines = Lines(scene, ground, self.maps, memo)
@@ -115,12 +117,14 @@ class Shader:
         self.drapes = drapes_of(scene, ground, survey, memo, progress)
         self.strength = self.maps.strength
         self.lighting: Lighting | None = None
-        if scene.light != "relief":
+        if scene.lighting.light != "relief":
             bounce = np.float32(BOUNCE) * (self.sunlight + self.skylight)
             shine = Shine(self.to_sun, self.sunlight, self.skylight, bounce)
             self.lighting = lighting_of(scene, ground, shine, self.maps.window, self.strength, memo, progress, ahead)
             self.facts["light"] = self.lighting.told
-        self.lower_limb = math.tan(math.radians(max(scene.sun.altitude - scene.sun.diameter / 2, -89.0))) * (1 + 1e-9)
+        self.lower_limb = math.tan(
+            math.radians(max(scene.lighting.sun.altitude - scene.lighting.sun.diameter / 2, -89.0))
+        ) * (1 + 1e-9)
         self.facts["relief"] = self.strength
         self.facts["tint_from_to_m"] = [self.tint.low, self.tint.high]
         self.facts["water_fraction"] = self.maps.water_fraction
@@ -165,7 +169,7 @@ class Shader:
             self._relief(hits, drape, out)
         else:
             maps, tint = self.maps, self.tint
-            light = self.lighting.on(hits, px, py, self.scene.samples if counted is None else 1)
+            light = self.lighting.on(hits, px, py, self.scene.surface.samples if counted is None else 1)
             paint(
                 hits.points, light, maps.water, maps.scale, maps.row0, maps.col0, tint.land, tint.low, tint.high,
                 tint.sea, tint.floor, drape, WATER, out,
@@ -188,12 +192,14 @@ class Shader:
         """Light by the skyline and the sky-view factor of the working grid."""
         cosine, tilt = self.ground.incidence(hits, self.to_sun, self.strength)
         sunlit = np.ones(len(cosine))
-        if self.scene.shadows:
+        if self.scene.lighting.shadows:
             lit = np.flatnonzero(cosine > 0)  # false for NaN
-            slopes = self.ground.skyline(hits, self.scene.sun, lit)
+            slopes = self.ground.skyline(hits, self.scene.lighting.sun, lit)
             shaded = np.flatnonzero(slopes > self.lower_limb)
             sunlit[lit[shaded]] = disc_fraction(
-                np.degrees(np.arctan(slopes[shaded])), self.scene.sun.altitude, self.scene.sun.diameter
+                np.degrees(np.arctan(slopes[shaded])),
+                self.scene.lighting.sun.altitude,
+                self.scene.lighting.sun.diameter,
             )
         maps = self.maps
         compose(

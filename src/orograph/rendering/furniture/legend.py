@@ -61,17 +61,18 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
     metres = _scale(scene, drawn)
     if metres is not None:
         metres /= stretch(scene)
-    parts = [f"Light from {round(scene.sun.azimuth, 1):g}°, {round(scene.sun.altitude, 1):g}° high"]
-    if scene.exaggeration != 1:
-        parts.append(f"heights ×{scene.exaggeration:g}")
+    parts = [f"Light from {round(scene.lighting.sun.azimuth, 1):g}°, {round(scene.lighting.sun.altitude, 1):g}° high"]
+    if scene.surface.exaggeration != 1:
+        parts.append(f"heights ×{scene.surface.exaggeration:g}")
     if view.projection == "perspective" and metres is not None:
         parts.append("scale at the picture's middle")
     if crs := _crs_name(terrain.grid.crs):
         parts.append(crs)
+    title = scene.annotations.title
     return {
-        "title": scene.title if scene.title is not None else _title(terrain.name), "legend": _legend(drawn),
+        "title": title if title is not None else _title(terrain.name), "legend": _legend(drawn),
         "north": north_on_screen(scene), "metres_per_pixel": metres, "note": " · ".join(parts),
-        "grid_north": abs(convergence(scene)) > CONVERGENCE, "paper": not scene.sky,
+        "grid_north": abs(convergence(scene)) > CONVERGENCE, "paper": not scene.lighting.sky,
     }  # fmt: skip
 
 
@@ -143,7 +144,7 @@ def north_on_screen(scene: Scene) -> float | None:
     view: Any = scene.view
     here = np.array(view.target)
     step = max(view.distance * 1e-4, 1e-3)
-    (a, b), _ = view.project(np.stack([here, here + np.array([0.0, step, 0.0])]), scene.exaggeration)
+    (a, b), _ = view.project(np.stack([here, here + np.array([0.0, step, 0.0])]), scene.surface.exaggeration)
     dx, dy = b - a
     if not (math.isfinite(dx) and math.isfinite(dy)) or math.hypot(dx, dy) < 1e-6:
         return None

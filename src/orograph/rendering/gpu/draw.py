@@ -57,33 +57,33 @@ def draw(
     begun = time.perf_counter()
     device = device or open_device()
     view, whole = scene.view, scene.view.part is None
-    if not whole and scene.furniture:
+    if not whole and scene.annotations.furniture:
         raise UsageError("A tile has no furniture: that belongs to the whole picture.")
     around, own_pixels = rimmed(scene)
-    scene = replace(scene, view=around)
+    scene = scene.but(view=around)
     most = largest(device)
     if max(around.width, around.height) > most:
         raise UsageError(
             f"{device.adapter.name} draws at most {most} × {most} pixels at once, not {view.width} × {view.height}.",
             remedy="Draw it by tiles: orograph render, or picture.large.draw_large.",
         )
-    if scene.tolerance is None and scene.triangles is None:
-        scene = replace(scene, tolerance=TOLERANCE)
-    if scene.engine is not None and not scene.wireframe:
+    if scene.surface.tolerance is None and scene.surface.triangles is None:
+        scene = scene.but(tolerance=TOLERANCE)
+    if scene.surface.engine is not None and not scene.surface.wireframe:
         overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh
     warnings = diagnose(scene) if around.frame[:2] == (0, 0) else []  # of tiles, the first
     for warning in warnings:
         progress.warn(warning)
     own = renderer is None
-    renderer = renderer or Renderer(device, scene.terrain, jobs=scene.jobs)
+    renderer = renderer or Renderer(device, scene.terrain, jobs=scene.budget.jobs)
     renderer.imagery.progress = progress
     try:
-        by_rays = scene.light == "raytraced"
+        by_rays = scene.lighting.light == "raytraced"
         with progress.task(f"Drawing on {device.adapter.name}", total=1.0 if by_rays else None) as task:
             texture = device.texture((around.width, around.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
             target = texture.create_view()
             # What is seen is asked without its light if that takes its time.
-            first = replace(scene, light="none", lamps=(), discs=()) if by_rays else scene
+            first = scene.but(light="none", lamps=(), discs=()) if by_rays else scene
             stats = renderer.draw(target, "rgba8unorm", first, overlay=overlay, wait=True, samples=1)
             notes = list(stats.notes)
             if renderer.imagery.full:
@@ -94,16 +94,22 @@ def draw(
             depth, veiled = renderer.depth(), renderer.veiled()
             if not np.isfinite(depth).any() and (whole or renderer.overview(scene)[1] is None):
                 raise NothingInViewError(why_empty(scene), path=scene.terrain.name, remedy=what_to_do(scene))
-            if scene.samples > 1 or by_rays:
+            if scene.surface.samples > 1 or by_rays:
                 stats = renderer.draw(
-                    target, "rgba8unorm", scene, overlay=overlay, wait=True, samples=scene.samples, advance=task.advance
+                    target,
+                    "rgba8unorm",
+                    scene,
+                    overlay=overlay,
+                    wait=True,
+                    samples=scene.surface.samples,
+                    advance=task.advance,
                 )
             pixels = device.read_texture(texture, np.uint8, 4)[..., :3][own_pixels].copy()
-            depth, veiled, scene = depth[own_pixels], veiled[own_pixels], replace(scene, view=view)
+            depth, veiled, scene = depth[own_pixels], veiled[own_pixels], scene.but(view=view)
             shown = renderer.shown(scene, depth, veiled)
-            if scene.furniture:
+            if scene.annotations.furniture:
                 drawn = Drawn(
-                    renderer.tint, shown, bool(visible(scene.layers)), sampled(depth, *depth.shape),
+                    renderer.tint, shown, bool(visible(scene.data.layers)), sampled(depth, *depth.shape),
                     depth[:, view.width // 2].astype(np.float64),
                 )  # fmt: skip
                 pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | veiled)
@@ -112,8 +118,8 @@ def draw(
             renderer.close()
     facts: dict[str, Any] = {
         "backend": "gpu", "adapter": device.adapter.name, "patches": stats.patches, "triangles": stats.triangles,
-        "tolerance_px": scene.tolerance, "light": renderer.light, "tiles": stats.tiles_resident, "warnings": warnings,
-        "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
+        "tolerance_px": scene.surface.tolerance, "light": renderer.light, "tiles": stats.tiles_resident,
+        "warnings": warnings, "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
         "seconds": {"all": round(time.perf_counter() - begun, 4)},
     }  # fmt: skip
     if renderer.mesh is not None:
@@ -140,7 +146,7 @@ def session() -> Callable[[Scene], Picture]:
         if not held or held[0].terrain is not scene.terrain:
             for renderer in held:
                 renderer.close()
-            held[:] = [Renderer(device, scene.terrain, jobs=scene.jobs)]
+            held[:] = [Renderer(device, scene.terrain, jobs=scene.budget.jobs)]
         return draw(scene, device=device, renderer=held[0])
 
     return drawn

@@ -51,7 +51,7 @@ def overview(device: Device, tiles: Residency, patches: PatchPass, camera: Any, 
     Raises:
         StoreError: a tile cannot be read.
     """
-    terrain, view, exaggeration = scene.terrain, scene.view.whole, scene.exaggeration
+    terrain, view, exaggeration = scene.terrain, scene.view.whole, scene.surface.exaggeration
     smaller = SIDE / max(view.width, view.height, SIDE)
     small = view.resized(max(round(smaller * view.width), 1), max(round(smaller * view.height), 1))
     chosen = tiles.choose(small, 1.0, exaggeration, wait=True)
@@ -65,7 +65,7 @@ def overview(device: Device, tiles: Residency, patches: PatchPass, camera: Any, 
 
 def rimmed(scene: Scene) -> tuple[View, tuple[slice, slice]]:
     """A tile with the pixels around it that its lines depend on, and where it is in that; a whole view as it is."""
-    view, lines = scene.view, scene.silhouettes
+    view, lines = scene.view, scene.annotations.silhouettes
     by = rim(lines.fitted(view.whole)) if lines is not None and view.projection != "plan" else 0
     if view.part is None or by == 0:
         return view, (slice(0, view.height), slice(0, view.width))

@@ -62,11 +62,11 @@ class Reading:
     def shown(self, scene: Scene, depth: NDArray[np.float32], veiled: NDArray[np.bool_]) -> dict[str, int]:
         """How many pixels show ground, of it water and imagery, and missing ground; the middle two by a sample."""
         ground = int(np.isfinite(depth).sum())
-        points, share = points_of(self.terrain, scene.view, scene.exaggeration, depth)
+        points, share = points_of(self.terrain, scene.view, scene.surface.exaggeration, depth)
         wet, covered = wet_at(self._light.maps, points), 0
-        if scene.layers and len(points):
+        if scene.data.layers and len(points):
             x, y = self.terrain.grid.xy(points[:, 0], points[:, 1])
-            hidden = self.imagery.covered(scene.layers, x, y) > 0.5
+            hidden = self.imagery.covered(scene.data.layers, x, y) > 0.5
             wet, covered = wet & ~hidden, int(hidden.sum())
         return {
             "ground": ground, "water": round(int(wet.sum()) * share), "draped": round(covered * share),
@@ -82,16 +82,16 @@ class Reading:
     def light(self) -> str:
         """Where the light of the last frame came from, if it was looked up in a layer or by rays."""
         scene = self._samples.state and self._samples.state[0]
-        if scene and scene.light == "raytraced":
-            return f"{scene.rays} rays"
+        if scene and scene.lighting.light == "raytraced":
+            return f"{scene.lighting.rays} rays"
         return self._light.maps.told if self._light.maps is not None else ""
 
     def _seen(self, scene: Scene) -> Seen:
         """Some of the ground in view, by the last frame's depth."""
-        return seen_by(self.terrain, scene.view, scene.exaggeration, self.depth())
+        return seen_by(self.terrain, scene.view, scene.surface.exaggeration, self.depth())
 
     @property
     def _camera_drawn(self) -> NDArray[Any]:
         """The camera of the last frame."""
         scene = self._samples.state[0]
-        return camera_of(scene.view, self.terrain, scene.exaggeration)
+        return camera_of(scene.view, self.terrain, scene.surface.exaggeration)

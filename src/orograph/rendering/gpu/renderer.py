@@ -13,7 +13,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -188,13 +188,13 @@ class Renderer(Reading):
         commands = encoder.finish()
         to_submit = time.perf_counter() - begun
         self.device.queue.submit([commands])
-        after = 0.0 if wait else self._go_on(freeze or view, chosen.tolerance, scene.exaggeration, to_submit)
+        after = 0.0 if wait else self._go_on(freeze or view, chosen.tolerance, scene.surface.exaggeration, to_submit)
         return self._told(scene, chosen, to_submit, after)
 
     def overview(self, scene: Scene) -> Seen:
         """What a scene's whole view shows: all tiles of it have their light and their haze by that."""
         return self.memo(
-            "overview", (scene.view.whole, scene.exaggeration),
+            "overview", (scene.view.whole, scene.surface.exaggeration),
             lambda: overview(self.device, self.tiles, self._patches, self._camera, scene), self.terrain,
         )  # fmt: skip
 
@@ -217,7 +217,7 @@ class Renderer(Reading):
 
         beside = threading.Thread(target=compile, daemon=True)
         beside.start()
-        self.tiles.choose(scene.view, scene.tolerance or 1.0, scene.exaggeration, wait=False)
+        self.tiles.choose(scene.view, scene.surface.tolerance or 1.0, scene.surface.exaggeration, wait=False)
         beside.join()
 
     @property
@@ -248,16 +248,16 @@ class Renderer(Reading):
         view = scene.view
         if wait and view.part is not None:
             self.overview(scene)  # before the tile's own ground is chosen, whose place it may take
-        tolerance = scene.tolerance or 1.0
-        if scene.contours is not None:
-            tolerance *= scene.contours.finer(self.terrain, view, self.memo)
-        chosen = self.tiles.choose(freeze or view, tolerance, scene.exaggeration, wait=wait, later=True)
-        layers = self.imagery.prepare(scene.layers, view, scene.exaggeration, wait=wait)
+        tolerance = scene.surface.tolerance or 1.0
+        if scene.annotations.contours is not None:
+            tolerance *= scene.annotations.contours.finer(self.terrain, view, self.memo)
+        chosen = self.tiles.choose(freeze or view, tolerance, scene.surface.exaggeration, wait=wait, later=True)
+        layers = self.imagery.prepare(scene.data.layers, view, scene.surface.exaggeration, wait=wait)
         self._missing = chosen.missing + self.imagery.missing
         loaded = chosen.loaded + self.imagery.loaded
         self._mesh_for(scene, freeze, wait=wait)
         mesh = self._meshes.mesh
-        self._field = mesh is not None and scene.contours is not None  # lines are the terrain's
+        self._field = mesh is not None and scene.annotations.contours is not None  # lines are the terrain's
         lettered = self._letters.prepare(scene, self._looks.contours(scene), wait=wait, mesh=mesh)
         state = loaded, layers, len(chosen.patches.instances), mesh, self._letters.state
         return _Choice(
@@ -288,7 +288,10 @@ class Renderer(Reading):
         breaks: tuple[Any, Any] = None, None
         if int(u["flags"]) & SILHOUETTES:
             near, far, *_ = u["edge_range"]
-            self._breaks.aim((float(near), float(far)), scene.silhouettes.creases if scene.silhouettes else 0.0)
+            self._breaks.aim(
+                (float(near), float(far)),
+                scene.annotations.silhouettes.creases if scene.annotations.silhouettes else 0.0,
+            )
             breaks = self._breaks.views(targets)
         views = self._letters.view, *breaks
         bound = self._resources.bound(look, maps, scene, targets, given=given or field, field=field, marks=views)
@@ -314,11 +317,11 @@ class Renderer(Reading):
         return FrameStats(
             len(patches.instances) if mesh is None else 0,
             patches.stats["triangles"] if mesh is None else len(mesh.triangles),
-            patches.stats["pixels"] if mesh is None else scene.tolerance or 1.0, chosen.seconds * 1e3,
+            patches.stats["pixels"] if mesh is None else scene.surface.tolerance or 1.0, chosen.seconds * 1e3,
             (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,
             self.tiles.count + self.imagery.count, self._missing,
             self._samples.gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
-            current=scene.engine is None or self._meshes.current, notes=tuple(self.imagery.told()),
+            current=scene.surface.engine is None or self._meshes.current, notes=tuple(self.imagery.told()),
             submit_ms=to_submit * 1e3, making=self.imagery.making,
         )  # fmt: skip
 
@@ -327,7 +330,7 @@ class Renderer(Reading):
         shift: tuple[float, float], k: int, samples: int | None, advance: Callable[[float], None],
     ) -> Any:  # fmt: skip
         """Add a pass to the mean of the ``k`` before it; the encoder to go on with."""
-        camera = camera_of(scene.view, self.terrain, scene.exaggeration, shift=shift)
+        camera = camera_of(scene.view, self.terrain, scene.surface.exaggeration, shift=shift)
         write(self.device, self._camera, camera)
         self._ground(encoder, targets, instances, edges=bool(flags & WIREFRAME), slopes=self._slopes)
         self._veil.draw(encoder, targets)
@@ -363,10 +366,10 @@ class Renderer(Reading):
 
     def _mesh_for(self, scene: Scene, freeze: View | None, *, wait: bool) -> None:
         """Have the mesh of the scene's engine: at once if ``wait``, else aside while the old one serves."""
-        if scene.engine is None:
+        if scene.surface.engine is None:
             self._meshes.none()
             return
-        (self._meshes.at_once if wait else self._meshes.aside)(scene, freeze or scene.mesh_view or scene.view)
+        (self._meshes.at_once if wait else self._meshes.aside)(scene, freeze or scene.surface.mesh_view or scene.view)
 
     def _resolve(self, format: str) -> ResolvePass:
         if format not in self._resolves:
@@ -384,7 +387,7 @@ class Renderer(Reading):
     ) -> None:  # fmt: skip
         """Have maps of light for the scene: at once if ``wait``, else aside while old ones serve."""
         if wait and scene.view.part is not None:
-            whole = replace(scene, view=scene.view.whole, samples=1)
+            whole = scene.but(view=scene.view.whole, samples=1)
             if self._lit != whole:
                 self._light.at_once(whole, lambda: self.overview(scene))
                 self._lit = whole
@@ -393,7 +396,7 @@ class Renderer(Reading):
         if not wait:
             self._light.aside(scene, instances)
             return
-        write(self.device, self._camera, camera_of(scene.view, self.terrain, scene.exaggeration))
+        write(self.device, self._camera, camera_of(scene.view, self.terrain, scene.surface.exaggeration))
         encoder = self.device.handle.create_command_encoder()
         self._ground(encoder, targets, instances)
         self.device.queue.submit([encoder.finish()])

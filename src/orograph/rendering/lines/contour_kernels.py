@@ -1,4 +1,4 @@
-"""The inner loop of contour lines (``scene.contours``): how much of each pixel a line covers."""
+"""The inner loop of contour lines (``scene.annotations.contours``): how much of each pixel a line covers."""
 
 from __future__ import annotations
 

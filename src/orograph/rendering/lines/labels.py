@@ -18,7 +18,6 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +83,7 @@ class Placer:
         if contours.step <= 0 or not contours.labels:
             return NOTHING
         with self._lock:
-            return self._place(replace(scene, view=view), contours, drawn)
+            return self._place(scene.but(view=view), contours, drawn)
 
     def _place(self, scene: Scene, contours: Contours, drawn: Drawn | None) -> Labels:
         view, step = scene.view, contours.step
@@ -99,7 +98,7 @@ class Placer:
         levels = np.concatenate([np.full(len(s), s.level) for s in found])
         lines = np.concatenate([lines, np.broadcast_to(heights[:, None, None], (*lines.shape[:2], 1))], -1)
         middle = lines[:, POINTS // 2]
-        pixels, depth = view.project(middle, scene.exaggeration)
+        pixels, depth = view.project(middle, scene.surface.exaggeration)
         size = view.pixel_metres if view.projection == "plan" else view.pixel_slope * depth
         spacing = float(np.mean(self.terrain.grid.spacing)) * 2.0**levels
         margin = 2.0  # (nearer to the edge no label has room)
@@ -114,16 +113,16 @@ class Placer:
         pixels, depth, per_sample = pixels[kept], depth[kept], per_sample[kept]
         if drawn is not None:
             lines = self._laid(lines, drawn)
-            pixels, depth = view.project(lines[:, POINTS // 2], scene.exaggeration)
+            pixels, depth = view.project(lines[:, POINTS // 2], scene.surface.exaggeration)
         opacity = _ramp(0.9 * FARTHEST, 1.1 * FARTHEST, per_sample)
         opacity *= np.where(levels > FINEST, 1 - _ramp(0.85 * NEAREST, NEAREST, per_sample), 1.0)
-        rate = _rates(view, scene.exaggeration, pixels, depth, slopes)
+        rate = _rates(view, scene.surface.exaggeration, pixels, depth, slopes)
         least = max(8.0, 1.15 * contours.type_size)
         opacity *= _ramp(0.8 * least, least, step / np.maximum(rate, 1e-9))
         opacity *= _ramp(3e-4, 6e-4, np.hypot(slopes[:, 0], slopes[:, 1]))
         widths, tall = measured(heights, contours.type_size)
         places, bent = np.zeros((len(heights), 3)), np.zeros(len(heights))
-        lie(view.project(lines, scene.exaggeration)[0], widths, tall, places, bent)
+        lie(view.project(lines, scene.surface.exaggeration)[0], widths, tall, places, bent)
         opacity *= 1 - _ramp(*BENT, np.minimum(bent, 1.0))
         across = np.abs(np.cos(places[:, 2])) * widths + np.abs(np.sin(places[:, 2])) * tall
         down = np.abs(np.sin(places[:, 2])) * widths + np.abs(np.cos(places[:, 2])) * tall
@@ -138,7 +137,7 @@ class Placer:
         if not contours.fading:
             opacity = np.where(opacity > 0.5, 1.0, 0.0)
         # Coarser levels first; among them those whose heads point uphill, then the straightest.
-        uphill = _uphill(view, scene.exaggeration, lines[:, POINTS // 2], slopes, places[:, 2])
+        uphill = _uphill(view, scene.surface.exaggeration, lines[:, POINTS // 2], slopes, places[:, 2])
         order = np.lexsort((bends - 0.1 * uphill, -levels))
         order = order[opacity[order] > 0.02]
         stand(order, places, widths, heights, opacity, APART * large, SAME * large)
@@ -160,13 +159,13 @@ class Placer:
                 rows, cols = shape_of(terrain, level)
                 blocks = blocks[(blocks * BLOCK < [rows - 1, cols - 1]).all(-1)]
             boxes = _blocks(terrain, level, blocks)
-            near = in_frustum(terrain, view, scene.exaggeration, boxes)
+            near = in_frustum(terrain, view, scene.surface.exaggeration, boxes)
             spacing = float(np.mean(terrain.grid.spacing)) * 2.0**level
             if view.projection == "plan":
                 least = most = np.full(boxes.low.shape, spacing / (view.pixel_metres * large))
             else:
-                away = distances(terrain, view, scene.exaggeration, boxes)
-                reach = spacing * BLOCK * 1.5 + scene.exaggeration * np.nan_to_num(boxes.high - boxes.low)
+                away = distances(terrain, view, scene.surface.exaggeration, boxes)
+                reach = spacing * BLOCK * 1.5 + scene.surface.exaggeration * np.nan_to_num(boxes.high - boxes.low)
                 # Depths are distances times the cosine to the axis, which is not less than the corner's.
                 with np.errstate(divide="ignore"):
                     most = spacing / (view.pixel_slope * large) / np.maximum(0.5 * away, 1e-9)
@@ -201,7 +200,7 @@ class Placer:
         """How well the ground under labels is seen (n,), 0 to 1: rays to points a little above its middle and ends, and
         through the label's corners, where the same slope has to go on."""
         view, terrain = scene.view, self.terrain
-        chosen = tuple(rectangles(terrain, view, scene.exaggeration, COARSE * large))
+        chosen = tuple(rectangles(terrain, view, scene.surface.exaggeration, COARSE * large))
         if self._caster[0] != chosen:
             self._caster = chosen, Caster(load(terrain, list(chosen), 1), terrain.grid.shape, 1)
         assert self._caster[1] is not None
@@ -217,8 +216,8 @@ class Placer:
                 # What lines are of may lie under the triangles that the ground is.
                 over = self._laid(at[:, None], self._caster[1].surfaces)[:, 0, 2]
                 at[:, 2] = np.maximum(at[:, 2], over)
-                at[:, 2] += lift * large * view.pixel_slope * depth / scene.exaggeration
-                pixels, far = view.project(at, scene.exaggeration)
+                at[:, 2] += lift * large * view.pixel_slope * depth / scene.surface.exaggeration
+                pixels, far = view.project(at, scene.surface.exaggeration)
                 t, _ = rays.positions(pixels[:, 0], pixels[:, 1])
                 seen += ~(t < far * (1 - 1e-6))
         held = np.zeros(len(lines))

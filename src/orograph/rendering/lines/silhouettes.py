@@ -115,7 +115,7 @@ class Outlines:
                     )
                 return self._cover(moved, facing, *place)
 
-            for one, z in map_ordered(at, list(samples), self.ground.scene.jobs):
+            for one, z in map_ordered(at, list(samples), self.ground.scene.budget.jobs):
                 mean += one
                 nearest = np.fmin(nearest, np.where(one > 0, z, np.inf))
             cover, near = np.where(touched, mean / np.float32(len(samples)), np.float32(0)), nearest
@@ -143,11 +143,11 @@ class Outlines:
             none = np.full(len(px[k]), np.nan)
             hits = ground.rays.meet(px[k], py[k], depth[k], np.zeros(len(none), np.int8), none)
             slope = ground.own.gradient(hits.points, SMOOTH * hits.width) @ ground.to_world.T
-            slope *= ground.scene.exaggeration
+            slope *= ground.scene.surface.exaggeration
             toward = (slope * hits.rays[:, :2]).sum(-1) - hits.rays[:, 2]
             out[k] = toward / np.sqrt(1 + (slope * slope).sum(-1))
 
-        for _ in map_ordered(some, range(0, len(px), BLOCK), ground.scene.jobs):
+        for _ in map_ordered(some, range(0, len(px), BLOCK), ground.scene.budget.jobs):
             pass
         return out
 

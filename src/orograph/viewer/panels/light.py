@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from orograph.scene.scene import Light
+from orograph.scene.parts import Light
 from orograph.viewer.panels.tips import CLAMPED
 
 if TYPE_CHECKING:

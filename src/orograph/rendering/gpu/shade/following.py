@@ -41,7 +41,13 @@ COARSE = 12.0
 
 def maps_key(scene: Scene) -> tuple[Any, ...]:
     """What of a scene the maps of light depend on besides the camera."""
-    return scene.sun, scene.shadows, scene.exaggeration, scene.water, scene.light
+    return (
+        scene.lighting.sun,
+        scene.lighting.shadows,
+        scene.surface.exaggeration,
+        scene.data.water,
+        scene.lighting.light,
+    )
 
 
 Upload = Callable[[NDArray[Any]], None]
@@ -148,14 +154,18 @@ class Following:
     def _about(self, scene: Scene, instances: NDArray[Any]) -> tuple[Array, tuple[float, float]]:
         if not len(instances):
             return whole(self.terrain), self.range
-        points, found = about(self.terrain, scene.view, scene.exaggeration, instances, self.legs)
+        points, found = about(self.terrain, scene.view, scene.surface.exaggeration, instances, self.legs)
         return points, found or self.range
 
     def _veils(self, scene: Scene, memo: Memo) -> tuple[NDArray[Any], NDArray[np.uint32]]:
         """Patches over the holes in view."""
-        view, terrain, tolerance = scene.view, self.terrain, scene.tolerance or 1.0
-        known = () if terrain.grid.shape[0] * terrain.grid.shape[1] <= EXACT else (view, scene.exaggeration, tolerance)
-        return memo("veils", known, lambda: void_fills(terrain, view, scene.exaggeration, tolerance), terrain)
+        view, terrain, tolerance = scene.view, self.terrain, scene.surface.tolerance or 1.0
+        known = (
+            ()
+            if terrain.grid.shape[0] * terrain.grid.shape[1] <= EXACT
+            else (view, scene.surface.exaggeration, tolerance)
+        )
+        return memo("veils", known, lambda: void_fills(terrain, view, scene.surface.exaggeration, tolerance), terrain)
 
     def _key(self, scene: Scene) -> Any:
         view = scene.view

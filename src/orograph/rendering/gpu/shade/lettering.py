@@ -53,7 +53,7 @@ class Letters:
         if contours is None or not contours.labels or contours.step <= 0:
             self._labels, self._wish, self.view, self.state = NOTHING, None, None, None
             return False
-        key = self._wish = scene.view.whole, scene.exaggeration, scene.tolerance, contours, id(mesh)
+        key = self._wish = scene.view.whole, scene.surface.exaggeration, scene.surface.tolerance, contours, id(mesh)
         drawn = None if mesh is None else partial(mesh_heights, mesh)
         if wait:
             if self._aside.done != key:
@@ -73,11 +73,11 @@ class Letters:
 
     def _set(self, scene: Scene, contours: Contours) -> None:
         view = scene.view
-        known = self._labels, (view, scene.exaggeration, contours)
+        known = self._labels, (view, scene.surface.exaggeration, contours)
         if known[0] is self._held[0] and known[1] == self._held[1]:
             return
         self._held = known
-        lettering = Lettering.of(self._labels, view, scene.exaggeration, contours.type_size)
+        lettering = Lettering.of(self._labels, view, scene.surface.exaggeration, contours.type_size)
         if not lettering.words:
             self.view = None
             return

@@ -86,11 +86,12 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float = 1.0) 
         parts.append(grid.water.ravel())
     offset = sum(p.size for p in parts)
     windows: NDArray[np.int32] = np.zeros((0, 8), np.int32)
-    if scene.shadows and scene.light in ("relief", "ao"):
-        chosen = sun_windows(scene.terrain, scene.view, scene.exaggeration, detail)
+    if scene.lighting.shadows and scene.lighting.light in ("relief", "ao"):
+        sun, stretch = scene.lighting.sun, scene.surface.exaggeration
+        chosen = sun_windows(scene.terrain, scene.view, stretch, detail)
         found = memo(
-            "sun", (tuple(chosen), scene.sun, scene.exaggeration),
-            lambda: sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, memo, scene.jobs), scene.terrain,
+            "sun", (tuple(chosen), sun, stretch),
+            lambda: sun_maps(scene.terrain, chosen, sun, stretch, memo, scene.budget.jobs), scene.terrain,
         )  # fmt: skip
         windows = np.zeros((len(chosen), 8), np.int32)
         for k, (r, values) in enumerate(zip(chosen, found)):
@@ -99,8 +100,8 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float = 1.0) 
             parts.append(values.ravel())
     fields: NDArray[np.int32] = np.zeros((0, 8), np.int32)
     told = ""
-    if scene.light in FIELDS:
-        field, told = field_of(scene, _ground(scene), grid.window, FIELDS[scene.light], memo, SILENT)  # type: ignore[arg-type]
+    if scene.lighting.light in FIELDS:
+        field, told = field_of(scene, _ground(scene), grid.window, FIELDS[scene.lighting.light], memo, SILENT)  # type: ignore[arg-type]
         channels = field.pool.shape[1]
         words = 2 if channels == 4 else channels
         fields = np.zeros((len(field.ints), 8), np.int32)
@@ -132,16 +133,16 @@ def quick_maps(scene: Scene, points: Array, memo: Memo, *, detail: float) -> Lig
         points, kept, detail: as ``light_maps`` has them.
     """
     plain = plain_maps()
-    if not scene.shadows or scene.light not in ("relief", "ao"):
+    if not scene.lighting.shadows or scene.lighting.light not in ("relief", "ao"):
         return plain
-    strength = scene.relief
+    strength = scene.lighting.relief
     if strength is None:
         strength = memo(
-            "strength", (window := working_window(scene.terrain, points), scene.exaggeration),
+            "strength", (window := working_window(scene.terrain, points), scene.surface.exaggeration),
             lambda: strength_of(scene, window), scene.terrain,
         )  # fmt: skip
-    chosen = sun_windows(scene.terrain, scene.view, scene.exaggeration, detail)
-    found = sun_maps(scene.terrain, chosen, scene.sun, scene.exaggeration, memo, scene.jobs)
+    chosen = sun_windows(scene.terrain, scene.view, scene.surface.exaggeration, detail)
+    found = sun_maps(scene.terrain, chosen, scene.lighting.sun, scene.surface.exaggeration, memo, scene.budget.jobs)
     windows: NDArray[np.int32] = np.zeros((len(chosen), 8), np.int32)
     parts, offset = [plain.pool], plain.pool.size
     for k, (r, values) in enumerate(zip(chosen, found)):

@@ -57,9 +57,9 @@ class Look:
         levels: bool = False, contours: Contours | None = None, silhouettes: Silhouettes | None = None,
     ) -> None:  # fmt: skip
         terrain = scene.terrain
-        sea = None if scene.water is not None else False
+        sea = None if scene.data.water is not None else False
         self.tint: Tint = memo(
-            "tint", (scene.colormap, sea), lambda: tint_of(terrain, scene.colormap, sea=sea), terrain
+            "tint", (scene.data.colormap, sea), lambda: tint_of(terrain, scene.data.colormap, sea=sea), terrain
         )
         parts: list[NDArray[np.float32]] = []
 
@@ -69,9 +69,9 @@ class Look:
             return at
 
         u = np.zeros((), SHADE)
-        to_sun, sunlight, skylight = illumination(scene.sun)
-        u["sun"] = *to_sun, math.radians(scene.sun.diameter) / 2
-        u["sunlight"] = *sunlight, maps.strength if scene.relief is None else scene.relief
+        to_sun, sunlight, skylight = illumination(scene.lighting.sun)
+        u["sun"] = *to_sun, math.radians(scene.lighting.sun.diameter) / 2
+        u["sunlight"] = *sunlight, maps.strength if scene.lighting.relief is None else scene.lighting.relief
         u["skylight"] = *skylight, BOUNCE
         u["water"] = *WATER, SHORE
         u["paper"] = *PAPER, math.sqrt(abs(terrain.grid.transform.determinant))
@@ -79,7 +79,7 @@ class Look:
         u["land_at"], u["land_count"] = put(self.tint.land), len(self.tint.land)
         u["sea_at"], u["sea_count"] = put(self.tint.sea), len(self.tint.sea)
         u["hatch"] = put(MISSING)
-        if scene.sky:
+        if scene.lighting.sky:
             air = Atmosphere(scene, visible_range, memo)
             u["sky_at"] = put(air.table)
             u["sky_rows"], u["sky_cols"] = air.table.shape[:2]
@@ -98,16 +98,16 @@ class Look:
         u["levels"] = terrain.levels
         flags = (SHADOWS if len(maps.windows) else 0) | (WATERS if maps.wet else 0)
         flags |= (WIREFRAME if wireframe else 0) | (LEVELS if levels else 0)
-        lamplit = scene.light in ("aperture", "raytraced")
-        flags |= LIGHTS[scene.light] | (SHADOWS if scene.shadows and lamplit else 0)
-        flags |= SKY if scene.sky else 0
+        lamplit = scene.lighting.light in ("aperture", "raytraced")
+        flags |= LIGHTS[scene.lighting.light] | (SHADOWS if scene.lighting.shadows and lamplit else 0)
+        flags |= SKY if scene.lighting.sky else 0
         flags |= CONTOURS if contours is not None else 0
         flags |= SILHOUETTES if silhouettes is not None else 0
         u["light"], u["light_first"] = maps.light, maps.first
         u["windows"] = len(maps.windows)
         u["water"][3], u["fields"] = SHORE, len(maps.fields)
-        discs = [(scene.sun, _color(sunlight)), *scene.discs]
-        lamps = [replace(lamp, height=lamp.height * scene.exaggeration) for lamp in scene.lamps]
+        discs = [(scene.lighting.sun, _color(sunlight)), *scene.lighting.discs]
+        lamps = [replace(lamp, height=lamp.height * scene.surface.exaggeration) for lamp in scene.lighting.lamps]
         self.lights = Lights(discs, lamps, _color(skylight)) if lamplit else Lights()
         u["suns"], u["lamps"] = len(self.lights.suns), len(self.lights.lamps)
         u["flags"] = flags | min(len(self.lights.suns), 7) << SUNS | (LAMPS if self.lights.lamps else 0)

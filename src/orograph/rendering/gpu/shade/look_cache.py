@@ -37,20 +37,23 @@ class Looks:
         maps = self.light.maps
         assert maps is not None
         contours = self.contours(scene)
-        outlined = scene.silhouettes is not None and scene.view.projection != "plan"
-        silhouettes = scene.silhouettes.fitted(scene.view) if scene.silhouettes and outlined else None
-        near, far = scene.depths or self.light.range
+        outlined = scene.annotations.silhouettes is not None and scene.view.projection != "plan"
+        silhouettes = (
+            scene.annotations.silhouettes.fitted(scene.view) if scene.annotations.silhouettes and outlined else None
+        )
+        near, far = scene.lighting.depths or self.light.range
         if not exact:
             near, far = (math.exp(round(10 * math.log(max(v, 1e-3))) / 10) for v in (near, far))
+        light = scene.lighting
         key = (
-            scene.sun, scene.light, scene.lamps, scene.discs, scene.shadows, scene.sky, scene.colormap, scene.water,
-            scene.relief, scene.exaggeration, near, far, overlay.wireframe, scene.wireframe,
-            overlay.levels, contours, silhouettes,
+            light.sun, light.light, light.lamps, light.discs, light.shadows, light.sky, light.relief,
+            scene.data.colormap, scene.data.water, scene.surface.exaggeration, near, far, overlay.wireframe,
+            scene.surface.wireframe, overlay.levels, contours, silhouettes,
         )  # fmt: skip
 
         def make() -> Look:
             return Look(
-                scene, maps, (near, far), self.memo, wireframe=overlay.wireframe or scene.wireframe,
+                scene, maps, (near, far), self.memo, wireframe=overlay.wireframe or scene.surface.wireframe,
                 levels=overlay.levels, contours=contours, silhouettes=silhouettes,
             )  # fmt: skip
 
@@ -61,10 +64,10 @@ class Looks:
         return int(look.uniform["flags"]) | (VEILED if self.void_fill.count else 0) | (GIVEN if given else 0)
 
     def contours(self, scene: Scene) -> Contours | None:
-        return scene.contours and scene.contours.fitted(self.terrain, scene.view, self.memo)
+        return scene.annotations.contours and scene.annotations.contours.fitted(self.terrain, scene.view, self.memo)
 
     def beyond_samples(self, scene: Scene) -> bool:
         """Whether there are contour lines, and pixels somewhere so small that they follow the smooth surface."""
         view = scene.view
         pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * self.light.range[0]
-        return scene.contours is not None and pixel < SMALL[1] * min(self.terrain.grid.spacing)
+        return scene.annotations.contours is not None and pixel < SMALL[1] * min(self.terrain.grid.spacing)

@@ -135,7 +135,7 @@ class Resources:
         a, b, c, d, e, f = self.terrain.grid.samples[:6]
         view = scene.view
         x, y = view.target[:2] if view.projection == "plan" else view.eye[:2]
-        origin = np.array([x - c, y - f, view.eye[2] * scene.exaggeration])
+        origin = np.array([x - c, y - f, view.eye[2] * scene.surface.exaggeration])
         return np.array([[a, b], [d, e]]), origin
 
     def _level_table(self) -> Any:

@@ -77,21 +77,28 @@ class Around:
         self._aside.close()
 
     def _make(self, scene: Scene, mesh: Tessellation | None = None) -> RayField:
-        terrain = self.terrain if mesh is None else surface_of(mesh, self.terrain, scene.max_memory)
-        made = field_of(terrain, scene.view, scene.exaggeration, scene.tolerance or 1.0, self.most, scene.jobs)
+        terrain = self.terrain if mesh is None else surface_of(mesh, self.terrain, scene.budget.max_memory)
+        made = field_of(
+            terrain,
+            scene.view,
+            scene.surface.exaggeration,
+            scene.surface.tolerance or 1.0,
+            self.most,
+            scene.budget.jobs,
+        )
         return made[1]()  # type: ignore[no-any-return]
 
     def _key(self, scene: Scene) -> Any:
         """What the choice of windows depends on; None if there are no rays. Where the camera is counts by steps."""
         rows, cols = self.terrain.grid.shape
-        if scene.light != "raytraced":
+        if scene.lighting.light != "raytraced":
             return None
         if rows * cols <= min(EXACT, samples_in(self.most)):
-            return (scene.exaggeration,)
+            return (scene.surface.exaggeration,)
         view = scene.view
         step = 0.15 * max(view.distance, 1.0)
         where = (tuple(np.floor(np.asarray(p) / step).tolist()) for p in (view.eye, view.target))
-        return scene.exaggeration, scene.tolerance, *where
+        return scene.surface.exaggeration, scene.surface.tolerance, *where
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,14 +128,14 @@ class Share:
         """
         view = scene.view
         left, top, _, _ = view.frame
-        lights = 1 + (1 + len(scene.discs) if scene.shadows else 0)
+        lights = 1 + (1 + len(scene.lighting.discs) if scene.lighting.shadows else 0)
         if samples is not None:
-            rays = max(-(-scene.rays // samples), min(scene.rays, 8))
+            rays = max(-(-scene.lighting.rays // samples), min(scene.lighting.rays, 8))
             return cls(0, rays, rays, samples, lights, (left + shift[0], top + shift[1]))
         most = work_of(device) // max(view.width * view.height * lights, 1)
-        rays = max(min(-(-scene.rays // frames), most), 1)
-        frames = max(frames, -(-scene.rays // rays))
-        return cls(frame * rays % scene.rays, rays, scene.rays, frames, lights, (left, top))
+        rays = max(min(-(-scene.lighting.rays // frames), most), 1)
+        frames = max(frames, -(-scene.lighting.rays // rays))
+        return cls(frame * rays % scene.lighting.rays, rays, scene.lighting.rays, frames, lights, (left, top))
 
 
 def parts_of(device: Device, size: tuple[int, int], rays: int) -> list[tuple[int, int, int, int]]:

@@ -104,22 +104,36 @@ class Meshes:
         self._aside.close()
 
     def _asked(self, scene: Scene, view: View) -> Any:
-        key = scene.engine, scene.exaggeration, scene.metric, scene.tolerance, scene.triangles, view
+        key = (
+            scene.surface.engine,
+            scene.surface.exaggeration,
+            scene.surface.metric,
+            scene.surface.tolerance,
+            scene.surface.triangles,
+            view,
+        )
         if self._wish is None or self._wish[:3] != key[:3]:
             self.failure, self.mesh = "", None
         self._wish = key
         return key
 
     def _refined(self, scene: Scene, view: View, *, smooth: bool) -> Tessellation:
-        assert scene.engine is not None
+        assert scene.surface.engine is not None
         with self._lock:  # an engine does one thing at a time
-            memory = ENGINE_MEMORY if scene.max_memory is None else scene.max_memory // 2
-            known = scene.engine, scene.metric, scene.exaggeration, memory, scene.jobs, smooth
+            memory = ENGINE_MEMORY if scene.budget.max_memory is None else scene.budget.max_memory // 2
+            known = (
+                scene.surface.engine,
+                scene.surface.metric,
+                scene.surface.exaggeration,
+                memory,
+                scene.budget.jobs,
+                smooth,
+            )
             if self._engine[0] != known:
-                options: dict[str, Any] = {"geomorph": True} if smooth and scene.engine in SMOOTH else {}
-                engine = engine_of(scene.engine)(
-                    self.terrain, metric=scene.metric, exaggeration=scene.exaggeration, max_memory=memory,
-                    jobs=scene.jobs, **options,
+                options: dict[str, Any] = {"geomorph": True} if smooth and scene.surface.engine in SMOOTH else {}
+                engine = engine_of(scene.surface.engine)(
+                    self.terrain, metric=scene.surface.metric, exaggeration=scene.surface.exaggeration,
+                    max_memory=memory, jobs=scene.budget.jobs, **options,
                 )  # fmt: skip
                 self._engine = known, engine
             mesh: Tessellation = self._engine[1].refine(view.whole, **goal(scene))

@@ -139,7 +139,7 @@ class TemporalAntialiasing:
         pass_.set_bind_group(1, self._groups[self._turn])
         pass_.draw(3)
         pass_.end()
-        right, up, forward, centre = axes_of(scene.view, scene.exaggeration)
+        right, up, forward, centre = axes_of(scene.view, scene.surface.exaggeration)
         self._last = (*right, *up, *forward, *centre), scene, settings
         return self._views[self._turn]
 
@@ -154,7 +154,7 @@ class TemporalAntialiasing:
             known = 2.0 if fresh else 1.0
             areas = [] if fresh or not len(came) else _from_eye(came, scene).tolist()
             packed = _UNIFORM.pack(
-                *camera[:11], known, a - p, b - q, (c - r) * scene.exaggeration, share, *camera[11:], *shift,
+                *camera[:11], known, a - p, b - q, (c - r) * scene.surface.exaggeration, share, *camera[11:], *shift,
                 len(areas) // 4, 0, 0, 0, *areas, *_ZEROS[len(areas) :],
             )  # fmt: skip
         write(self.device, self._uniform, packed)
