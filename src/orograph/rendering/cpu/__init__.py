@@ -1,0 +1,1 @@
+"""The CPU backend: rays against windows of heights (``rays``), triangles of any mesh (``raster``)."""
