@@ -40,7 +40,7 @@ class GBuffer:
 
     Attributes:
         depth: float64, metres; NaN where nothing is.
-        objects: int32, what was hit, by the surface's own numbers: a mesh's triangle, the window that a ray met; ``NONE``
+        objects: int32, what was hit, by the surface's own numbers: a mesh's triangle, a window for rays; ``NONE``
             where nothing is. Only the surface that wrote it knows what it means (``Surface.grain``).
         marks: uint8, bits of ``Mark``.
         values: float32, a number that the object carries, NaN where it has none; None: no object has any.
