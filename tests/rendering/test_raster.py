@@ -40,7 +40,7 @@ def same(a: GBuffer, b: GBuffer) -> bool:
     return np.array_equal(a.depth, b.depth, equal_nan=True) and np.array_equal(a.objects, b.objects)
 
 
-# ---- cover -------------------------------------------------------------------------------------------------------------
+# ---- cover -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -104,7 +104,7 @@ def test_of_equally_near_triangles_the_first_is_shown() -> None:
     assert np.array_equal(again.objects, np.where(once.objects < 0, -1, len(tri) - 1 - once.objects))
 
 
-# ---- depth -------------------------------------------------------------------------------------------------------------
+# ---- depth -----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", meshes.GRIDS)
@@ -185,7 +185,7 @@ def test_a_plane_below_the_eye_is_whole_up_to_the_horizon() -> None:
     np.testing.assert_allclose(found.depth[150:], np.broadcast_to(t[150:, None], (150, 400)), rtol=1e-9)
 
 
-# ---- areas, tiles, threads, positions ----------------------------------------------------------------------------------
+# ---- areas, tiles, threads, positions --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("projection", ["plan", "perspective"])
@@ -234,7 +234,7 @@ def test_positions_within_pixels_show_what_their_rays_meet() -> None:
     np.testing.assert_allclose(found.depth[certain], t[certain], rtol=1e-11)
 
 
-# ---- broken meshes -----------------------------------------------------------------------------------------------------
+# ---- broken meshes ---------------------------------------------------------------------------------------------------
 
 
 def test_a_missing_triangle_is_a_hole() -> None:
@@ -289,7 +289,7 @@ def test_a_t_junction_that_fits_shows_none() -> None:
     assert np.array_equal(np.isfinite(drawn((vertices, tri), view, g).depth), joined > 0)
 
 
-# ---- what is odd -------------------------------------------------------------------------------------------------------
+# ---- what is odd -----------------------------------------------------------------------------------------------------
 
 
 def test_nothing_is_drawn_of_no_mesh_or_one_without_a_place() -> None:
@@ -298,7 +298,7 @@ def test_nothing_is_drawn_of_no_mesh_or_one_without_a_place() -> None:
     vertices, tri = meshes.scattered(1, 40)
     nowhere = vertices.copy()
     nowhere[:, 2] = np.nan
-    behind = vertices + [0, 200, 0]
+    behind = vertices + np.array([0, 200, 0])
     flat = np.ascontiguousarray(tri[:, [0, 1, 1]])
     for mesh in (
         (vertices[:0], tri[:0]), (vertices, tri[:0]), (nowhere, tri), (behind, tri), (vertices, flat)
