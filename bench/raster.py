@@ -14,18 +14,20 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from affine import Affine
-from embree import fractal, scene
 from numpy.typing import NDArray
 
+from embree import fractal, scene
 from orograph.geo.grid import Grid
 from orograph.parallel import for_each
 from orograph.raycast.caster import Caster
 from orograph.rendering.cpu.raster import MeshSurface
 from orograph.rendering.cpu.rays import RaySurface
+from orograph.rendering.gbuffer import Surface
 from orograph.rendering.projection import Projection
 from orograph.view import View
 
@@ -106,6 +108,10 @@ def edge_positions(depth: Array, side: int) -> list[tuple[Array, Array]]:
     return out
 
 
+def ask(surface: Surface, positions: list[tuple[Array, Array]], jobs: int) -> None:
+    for_each(lambda some: surface.at(*some), positions, jobs)
+
+
 def _pairs(a: Array, axis: int) -> tuple[Array, Array]:
     return (a[:, 1:], a[:, :-1]) if axis == 1 else (a[1:], a[:-1])
 
@@ -126,21 +132,18 @@ def compare(name: str, heights: Heights, spacing: float, repeat: int, jobs: int)
     for view_name, view in views(heights, spacing).items():
         p = Projection.of(view, g)
         mesh, rays = MeshSurface(vertices, tri, p, jobs), RaySurface(caster, p)
-        setup = best(lambda p=p: MeshSurface(vertices, tri, p, jobs), repeat)  # type: ignore[misc]
-        picture, cast = best(lambda m=mesh: m.draw(AREA), repeat), best(lambda r=rays: r.draw(AREA), repeat)  # type: ignore[misc]
+        setup = best(partial(MeshSurface, vertices, tri, p, jobs), repeat)
+        picture, cast = best(partial(mesh.draw, AREA), repeat), best(partial(rays.draw, AREA), repeat)
         theirs = np.nan
         if embree is not None:
             o, d = p.rays(*(a.ravel() + 0.5 for a in np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))))
             o, d = ((v * [spacing, spacing, 1]).astype(np.float32) for v in (o, d))
-            theirs = best(lambda o=o, d=d: embree.run(o, d, query="DISTANCE"), 2)  # type: ignore[misc]
+            theirs = best(partial(embree.run, o, d, query="DISTANCE"), 2)
         mine, other = mesh.draw(AREA).depth, rays.draw(AREA).depth
         same = np.isclose(mine, other, rtol=1e-9, atol=0, equal_nan=True).mean()
         positions = edge_positions(mine, mesh.side)
         count = sum(len(px) for px, _ in positions)
-        edges = [
-            best(lambda s=s, q=positions: for_each(lambda a: s.at(*a), q, jobs), repeat)  # type: ignore[misc]
-            for s in (mesh, rays)
-        ]
+        edges = [best(partial(ask, s, positions, jobs), repeat) for s in (mesh, rays)]
         print(
             f"| {view_name} | {np.isfinite(mine).mean():.0%} | {setup * 1e3:.0f} | {picture * 1e3:.0f} "
             f"| {len(tri) / (setup + picture) / 1e6:.1f} | {cast * 1e3:.0f} | {theirs * 1e3:.0f} "

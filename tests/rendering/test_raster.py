@@ -234,6 +234,13 @@ def test_positions_within_pixels_show_what_their_rays_meet() -> None:
     np.testing.assert_allclose(found.depth[certain], t[certain], rtol=1e-11)
 
 
+def test_a_mesh_shows_nothing_beside_its_picture() -> None:
+    g, mesh = meshes.grid("north up"), meshes.scattered(3, 50)
+    s = surface(mesh, meshes.seen_from(g, *ABOVE, fov_y=9), g)
+    px, py = np.array([[-0.1, 48], [96, 32], [48, 64], [48, -1e9], [np.nan, 3], [95.9, 63.9], [0, 0], [1e12, 5]]).T
+    assert np.isfinite(s.at(px, py).depth).tolist() == [False] * 5 + [True, True, False]
+
+
 # ---- broken meshes ---------------------------------------------------------------------------------------------------
 
 

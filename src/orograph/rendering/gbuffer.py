@@ -77,7 +77,7 @@ class Surface(Protocol):
         ...
 
     def at(self, px: Array, py: Array) -> GBuffer:
-        """What pixel positions (n,) inside the picture show, in the calling thread: arrays (n,), any order."""
+        """What pixel positions (n,) inside the picture show, in any order, in the calling thread: arrays (n,)."""
         ...
 
     def grain(self, objects: NDArray[np.int32]) -> Array:

@@ -8,11 +8,13 @@ camera: areas, tiles and threads change no bit.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.parallel import for_each
+from orograph.parallel import for_each, map_ordered
 from orograph.rendering.cpu.raster_scan import draw_tile, sample_tile
 from orograph.rendering.cpu.raster_setup import (
     GUARD,
@@ -89,11 +91,12 @@ class MeshSurface:
 
     def at(self, px: Array, py: Array) -> GBuffer:
         out, level, cols = GBuffer.empty(px.shape), self._tiling.level, self._tiling.cols
-        tiles = (py.astype(np.int64) >> level) * cols + (px.astype(np.int64) >> level)
+        inside = np.flatnonzero((px >= 0) & (px < self.projection.width) & (py >= 0) & (py < self.projection.height))
+        tiles = (py[inside].astype(np.int64) >> level) * cols + (px[inside].astype(np.int64) >> level)
         order = np.argsort(tiles, kind="stable")
-        first = np.flatnonzero(np.diff(tiles[order], prepend=-1))
-        for which in np.split(order, first[1:]) if len(order) else []:
-            tile = int(tiles[which[0]])
+        inside, tiles = inside[order], tiles[order]
+        first = np.flatnonzero(np.diff(tiles, prepend=-1))
+        for tile, which in zip(tiles[first].tolist(), np.split(inside, first[1:])):
             depth, objects = out.depth[which], out.objects[which]
             sample_tile(
                 self._camera, self._mesh, self._of_tile(tile), level, (tile % cols) << level, (tile // cols) << level,
@@ -114,25 +117,24 @@ class MeshSurface:
     def _projected(self, vertices: Array, triangles: Triangles) -> Mesh:
         """The mesh in the picture, with the pieces of the triangles that must be cut."""
         screen, depth = np.empty((len(vertices), 2), np.int32), np.empty(len(vertices))
-        for_each(lambda span: project(self._camera, vertices, *span, screen, depth), _spans(len(vertices)), self.jobs)
-        pieces, owners = np.empty((0, 3, 2), np.int32), np.empty(0, np.int32)
-        mesh = Mesh(vertices, triangles, screen, depth, pieces, owners)
-        found = np.empty(len(triangles), np.int32)
-        spans = _spans(len(triangles))
-        counts = np.zeros(len(spans), np.int64)
-
-        def find(k: int) -> None:
-            first, last = spans[k]
-            counts[k] = find_unplaced(self._camera, mesh, first, last, found[first:last])
-
-        for_each(find, range(len(spans)), self.jobs)
-        chosen = [found[first : first + n] for (first, _), n in zip(spans, counts) if n]
-        if not chosen:
+        mesh = Mesh(vertices, triangles, screen, depth, np.empty((0, 3, 2), np.int32), np.empty(0, np.int32))
+        counts = self._by_spans(
+            len(vertices), lambda first, last: project(self._camera, vertices, first, last, screen, depth)
+        )
+        if not sum(counts):
             return mesh
-        unplaced = np.concatenate(chosen)
+        found = np.empty(len(triangles), np.int32)
+        counts = self._by_spans(
+            len(triangles), lambda first, last: find_unplaced(self._camera, mesh, first, last, found[first:last])
+        )
+        unplaced = np.concatenate([found[BLOCK * k : BLOCK * k + n] for k, n in enumerate(counts)])
         pieces, owners = np.empty((PIECES * len(unplaced), 3, 2), np.int32), np.empty(PIECES * len(unplaced), np.int32)
         n = cut_triangles(self._camera, mesh, unplaced, pieces, owners)
         return mesh._replace(pieces=pieces[:n].copy(), owners=owners[:n].copy())
+
+    def _by_spans(self, count: int, work: Callable[[int, int], int]) -> list[int]:
+        """What ``work`` makes of each span of so many items, by all threads."""
+        return list(map_ordered(lambda span: work(*span), _spans(count), self.jobs))
 
     def _sorted(self) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """The numbers of triangles and pieces tile by tile, and where each tile's begin (tiles + 1,)."""

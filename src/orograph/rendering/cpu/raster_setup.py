@@ -48,13 +48,16 @@ class Camera(NamedTuple):
     du: NDArray[np.float64]
     dv: NDArray[np.float64]
     perspective: bool
+    width: int
+    height: int
     near: float
     far: float
     clip: float
 
     @classmethod
     def of(cls, p: Projection) -> Camera:
-        return cls(p.matrix(), p.o, p.ou, p.ov, p.d, p.du, p.dv, p.perspective, p.near, p.far, p.clip)
+        size = p.width, p.height
+        return cls(p.matrix(), p.o, p.ou, p.ov, p.d, p.du, p.dv, p.perspective, *size, p.near, p.far, p.clip)
 
 
 class Mesh(NamedTuple):
@@ -84,21 +87,44 @@ class Tiling(NamedTuple):
     cols: int
 
 
+@leaf
+def homogeneous(camera, vertices, i):
+    """(t·x, t·y, t) of a vertex at depth t and pixel position (x, y); in a plan (x, y, t)."""
+    m, o = camera.matrix, camera.o
+    x, y, z = vertices[i, 0] - o[0], vertices[i, 1] - o[1], vertices[i, 2] - o[2]
+    return (
+        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
+        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
+        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
+    )
+
+
 @kernel
 def project(camera, vertices, first, last, screen, depth):
-    """Places of the vertices [first, last) in the picture: ``screen`` and ``depth`` of ``Mesh``."""
-    m, o = camera.matrix, camera.o
+    """Places of the vertices [first, last) in the picture, ``screen`` and ``depth`` of ``Mesh``; how many have none."""
+    unplaced = 0
     for i in range(first, last):
-        x, y, z = vertices[i, 0] - o[0], vertices[i, 1] - o[1], vertices[i, 2] - o[2]
-        w = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z
-        depth[i] = w
-        k = 1.0 / w if camera.perspective else 1.0
-        u = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z) * k
-        v = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z) * k
-        if w >= camera.clip and abs(u) <= GUARD and abs(v) <= GUARD:  # false for NaN
+        x, y, t = homogeneous(camera, vertices, i)
+        depth[i] = t
+        k = 1.0 / t if camera.perspective else 1.0
+        u, v = x * k, y * k
+        if t >= camera.clip and abs(u) <= GUARD and abs(v) <= GUARD:  # false for NaN
             screen[i, 0], screen[i, 1] = np.floor(u * ONE + 0.5), np.floor(v * ONE + 0.5)
         else:
             screen[i, 0], screen[i, 1] = UNPLACED, UNPLACED
+            unplaced += 1
+    return unplaced
+
+
+@leaf
+def outside(camera, vertices, i):
+    """The planes of the picture that a vertex lies outside of, as bits."""
+    x, y, t = homogeneous(camera, vertices, i)
+    w = t if camera.perspective else 1.0
+    bits = 1 if t < camera.clip else 0
+    bits |= 2 if x < 0.0 else 4 if x > camera.width * w else 0
+    bits |= 8 if y < 0.0 else 16 if y > camera.height * w else 0
+    return bits
 
 
 @kernel
@@ -107,10 +133,10 @@ def find_unplaced(camera, mesh, first, last, out):
     n = 0
     for k in range(first, last):
         a, b, c = mesh.triangles[k, 0], mesh.triangles[k, 1], mesh.triangles[k, 2]
-        s = mesh.screen
+        s, v = mesh.screen, mesh.vertices
         if s[a, 0] != UNPLACED and s[b, 0] != UNPLACED and s[c, 0] != UNPLACED:
             continue
-        if max(mesh.depth[a], mesh.depth[b], mesh.depth[c]) >= camera.clip:
+        if outside(camera, v, a) & outside(camera, v, b) & outside(camera, v, c) == 0:
             out[n] = k
             n += 1
     return n
@@ -156,7 +182,6 @@ def cut(camera, plane, polygon, count, out):
 @kernel
 def cut_triangles(camera, mesh, chosen, pieces, owners):
     """Cut the triangles ``chosen`` (k,) into pieces (≥ 6·k, 3, 2) fixed with ``owners``; returns how many."""
-    m, o = camera.matrix, camera.o
     one, other = np.empty((CORNERS + 1, 3)), np.empty((CORNERS + 1, 3))
     fixed = np.empty((CORNERS + 1, 2), np.int32)
     first = 0 if camera.perspective else 1
@@ -164,11 +189,9 @@ def cut_triangles(camera, mesh, chosen, pieces, owners):
     for k in chosen:
         finite = True
         for corner in range(3):
-            v = mesh.vertices[mesh.triangles[k, corner]]
-            x, y, z = v[0] - o[0], v[1] - o[1], v[2] - o[2]
-            for axis in range(3):
-                one[corner, axis] = m[axis, 0] * x + m[axis, 1] * y + m[axis, 2] * z
-                finite &= np.isfinite(one[corner, axis])
+            x, y, t = homogeneous(camera, mesh.vertices, mesh.triangles[k, corner])
+            one[corner, 0], one[corner, 1], one[corner, 2] = x, y, t
+            finite &= np.isfinite(x) and np.isfinite(y) and np.isfinite(t)
         n = 3 if finite else 0
         for plane in range(first, 5):
             n = cut(camera, plane, one, n, other)
