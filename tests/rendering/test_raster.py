@@ -330,15 +330,28 @@ def test_triangles_with_a_vertex_that_is_not_finite_are_left_out() -> None:
         assert np.isnan(left.depth).any()
 
 
-def test_a_wall_seen_edge_on_stays_within_its_corners() -> None:
-    """Its plane passes through the eye, so that it has no depth of its own."""
+def test_slivers_seen_edge_on_stay_within_the_depths_of_their_corners() -> None:
+    """One in each column of pixels, thinner than the lattice: what they are snapped to holds centres, of whose rays the
+    slivers' own planes know nothing."""
+    g, rng = meshes.grid("north up"), np.random.default_rng(3)
+    view = meshes.seen_from(g, *OBLIQUE)
+    p = Projection.of(view, g)
+    px = np.repeat(np.arange(96) + 0.5, 3) + rng.uniform(-0.6, 0.6, 288) / 4096
+    py, t = rng.random(288) * 64, rng.uniform(1000, 3000, 288)
+    found = drawn((p.place(px, py, t), np.arange(288, dtype=np.int32).reshape(-1, 3)), view, g)
+    shown = found.objects >= 0
+    assert shown.sum() > 100
+    corners = t.reshape(-1, 3)[found.objects[shown]]
+    assert (found.depth[shown] >= corners.min(1) * (1 - 1e-9)).all()
+    assert (found.depth[shown] <= corners.max(1) * (1 + 1e-9)).all()
+
+
+def test_a_triangle_that_ends_at_the_eye_is_seen_edge_on() -> None:
     g = meshes.grid("north up")
-    view = meshes.seen_from(g, 41.0, 90.0, 800.0, (41.0, 30.0, 800.0), width=97)
-    vertices = np.array([[41.0, 40, 500], [41.0, 20, 500], [41.0, 30, 1100], [41.0001, 20, 600]])
-    tri = np.array([[0, 1, 2], [0, 3, 2]], np.int32)
-    found = drawn((vertices, tri), view, g)
-    t = found.depth[np.isfinite(found.depth)]
-    assert ((t >= 50 * 30 * (1 - 1e-9)) & (t <= 70 * 30 * (1 + 1e-9))).all()
+    p = Projection.of(meshes.seen_from(g, *OBLIQUE), g)
+    ends = p.place(np.array([60.2, 81.7, 20.3]), np.array([50.1, 33.9, 41.3]), np.array([900.0, 2000.0, 1500.0]))
+    found = MeshSurface(np.vstack([p.o, ends]), np.array([[0, 1, 2], [2, 3, 0]], np.int32), p).draw((0, 64, 0, 96))
+    assert np.isnan(found.depth).all()
 
 
 def test_a_picture_that_is_too_large_is_refused() -> None:
