@@ -2,11 +2,11 @@
 
     python bench/raster.py [--size 1581] [--data ../shared/data] [--repeat 5] [--jobs 2]
 
-Prints one row per view of a fractal with about 5 million triangles, and of the Big Tujunga (resampled to the same, if
-the data are there), at full resolution. Times are
-the best of several: *set-up* projects the mesh and sorts it by tiles, *picture* draws all pixel centres, *16 × edges*
-draws 16 positions in each pixel that lies at a break of depth, tile by tile. The ray caster draws the same pixels from
-its pyramids, and Embree (one thread: its binding holds the GIL) meets the same triangles with rays made beforehand.
+Prints one row per view of a fractal with about 5 million triangles and of the Big Tujunga (resampled to as many, if the
+data are there). Times are the best of several. *Set-up* projects the mesh and sorts it by tiles, *picture* draws all
+pixel centres; the last columns are 16 positions in each pixel at a break of depth, asked tile by tile. The ray caster
+draws the same pixels from its pyramids. Embree (one thread: its binding holds the GIL) meets the same triangles with
+single-precision rays that are made beforehand, its scene built as well.
 """
 
 from __future__ import annotations
