@@ -26,9 +26,9 @@ from orograph.geo.grid import Grid
 from orograph.parallel import for_each
 from orograph.raycast.caster import Caster
 from orograph.rendering.cpu.raster import MeshSurface
-from orograph.rendering.cpu.rays import RaySurface
 from orograph.rendering.gbuffer import Surface
 from orograph.rendering.projection import Projection
+from orograph.rendering.ray_surface import RaySurface
 from orograph.viewpoint import View
 
 WIDTH, HEIGHT, SAMPLES = 1920, 1080, 16

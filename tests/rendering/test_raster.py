@@ -13,9 +13,9 @@ from orograph.geo.grid import Grid
 from orograph.raycast.caster import Caster
 from orograph.rendering.cpu import raster
 from orograph.rendering.cpu.raster import MeshSurface
-from orograph.rendering.cpu.rays import RaySurface
 from orograph.rendering.gbuffer import GBuffer
 from orograph.rendering.projection import Projection
+from orograph.rendering.ray_surface import RaySurface
 from orograph.viewpoint import View
 
 OBLIQUE = (41.0, 90.0, 2500.0, (41.0, 30.0, 800.0))
@@ -359,10 +359,3 @@ def test_a_picture_that_is_too_large_is_refused() -> None:
     view = meshes.seen_from(g, *OBLIQUE, width=200_000, height=2)
     with pytest.raises(UsageError, match="131072"):
         surface(meshes.scattered(1, 10), view, g)
-
-
-def test_the_grain_of_a_triangle_is_its_longest_side_in_the_map() -> None:
-    g = meshes.grid("north up")
-    vertices = np.array([[0, 0, 9], [3, 0, 500], [0, 4, 7], [1, 0, 3]], np.float64)
-    s = surface((vertices, np.array([[0, 1, 2], [0, 3, 2]], np.int32)), meshes.seen_from(g, *OBLIQUE), g)
-    np.testing.assert_allclose(s.grain(np.array([1, 0, 1], np.int32)), [17**0.5, 5, 17**0.5])

@@ -9,10 +9,10 @@ import pytest
 from orograph.geovis.missing import patches
 from orograph.raycast.caster import Caster
 from orograph.rendering.cpu.raster import MeshSurface
-from orograph.rendering.cpu.rays import RaySurface
 from orograph.rendering.gbuffer import GBuffer, Mark, Surface
 from orograph.rendering.layered import Layered
 from orograph.rendering.projection import Projection
+from orograph.rendering.ray_surface import RaySurface
 
 CAMERA = (41.0, 90.0, 2500.0, (41.0, 30.0, 800.0))
 
@@ -71,7 +71,7 @@ def test_a_patch_is_a_second_layer_where_it_is_in_front() -> None:
     assert (one.over.objects[~veiled] == -1).all()
     # The mesh's edges are on the caster's, so only what lies on them can differ.
     assert (np.isfinite(other.over.depth) != veiled).mean() < 1e-3
-    assert rays.side == ground.side and mesh.grain(np.array([0], np.int32)).shape == (1,)
+    assert rays.side == ground.side
 
 
 @pytest.mark.parametrize("name", meshes.GRIDS)
@@ -91,12 +91,3 @@ def test_a_place_is_where_its_pixel_and_depth_are(name: str, kind: str) -> None:
             moved[:, :2] /= moved[:, 2:]
         np.testing.assert_allclose(moved, np.column_stack([pixels, depth]), rtol=0, atol=1e-6)
     assert np.isnan(p.place(pixels[:1, 0], pixels[:1, 1], np.array([np.nan]))).all()
-
-
-def test_the_grain_of_a_window_is_the_spacing_of_its_samples() -> None:
-    from orograph.raycast.stack import Window
-
-    fine = meshes.hills(65, 65)
-    caster = Caster([Window(2, 0, 0, fine[::4, ::4].copy()), Window(0, 16, 16, fine[16:49, 16:49].copy())], (65, 65), 1)
-    grain = RaySurface(caster, projection()).grain(np.array([1, 0, 1], np.int32))
-    assert grain.tolist() == [1.0, 4.0, 1.0]

@@ -41,7 +41,7 @@ class GBuffer:
     Attributes:
         depth: float64, metres; NaN where nothing is.
         objects: int32, what was hit, by the surface's own numbers: a mesh's triangle, a window for rays; ``NONE``
-            where nothing is. Only the surface that wrote it knows what it means (``Surface.grain``).
+            where nothing is. Only the surface that wrote it knows what it means.
         marks: uint8, bits of ``Mark``.
         values: float32, a number that the object carries, NaN where it has none; None: no object has any.
         over: what is transparent and lies in front of this: depth NaN where there is nothing, else less than the depth
@@ -53,6 +53,11 @@ class GBuffer:
     marks: NDArray[np.uint8]
     values: NDArray[np.float32] | None = None
     over: GBuffer | None = None
+
+    @property
+    def void_fill(self) -> Array:
+        """Depth of a patch over missing data in front of this, NaN where there is none."""
+        return np.full(self.depth.shape, np.nan) if self.over is None else self.over.depth
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> GBuffer:
@@ -78,9 +83,4 @@ class Surface(Protocol):
 
     def at(self, px: Array, py: Array) -> GBuffer:
         """What pixel positions (n,) inside the picture show, in any order, in the calling thread: arrays (n,)."""
-        ...
-
-    def grain(self, objects: NDArray[np.int32]) -> Array:
-        """The size of the facets with these numbers (none ``NONE``), float64, in samples of the terrain: within that
-        distance of a point its own facet is all that is known of the ground."""
         ...

@@ -33,9 +33,6 @@ class Layered:
     def at(self, px: Array, py: Array) -> GBuffer:
         return self._joined(self.ground.at(px, py), self.over.at(px, py))
 
-    def grain(self, objects: NDArray[np.int32]) -> Array:
-        return self.ground.grain(objects)
-
     def _joined(self, ground: GBuffer, over: GBuffer) -> GBuffer:
         with np.errstate(invalid="ignore"):
             hidden = np.isnan(over.depth) | (ground.depth <= over.depth)

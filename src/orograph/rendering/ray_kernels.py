@@ -1,4 +1,4 @@
-"""Rays through pixels: where they begin, and where they end on the ground.
+"""Rays through pixels: where they end on the ground.
 
 All arrays run over samples of a picture; one that met no ground has NaN in its depth and position.
 """
@@ -8,18 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import kernel
-
-
-@kernel
-def beginnings(px, py, o0, ou, ov, d0, du, dv, linear, offset, origins, directions):
-    """Rays through pixel positions (n,): ``origins`` and ``directions`` (n, 3) in sample coordinates."""
-    for i in range(len(px)):
-        for k in range(3):
-            o, d = offset[k], 0.0
-            for j in range(3):
-                o += linear[k, j] * (o0[j] + px[i] * ou[j] + py[i] * ov[j])
-                d += linear[k, j] * (d0[j] + px[i] * du[j] + py[i] * dv[j])
-            origins[i, k], directions[i, k] = o, d
 
 
 @kernel

@@ -49,12 +49,12 @@ class Survey:
     @classmethod
     def _met(cls, rays: Rays, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Survey | None:
         px, py = (a.astype(np.float64) + 0.5 for a in (cols, rows))
-        t, window = rays.positions(px, py)
+        t = rays.depths(px, py)
         met = np.isfinite(t)
         if not met.any():
             return None
         t, px, py = t[met], px[met], py[met]
-        return cls(rays.meet(px, py, t, window[met], np.full(len(t), np.nan)), px, py)
+        return cls(rays.meet(px, py, t), px, py)
 
 
 def stride(height: int, width: int) -> int:

@@ -21,11 +21,11 @@ from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.rendering.cpu.ground import LEAST_MEMORY, Ground, fixed_memory
 from orograph.rendering.cpu.shading import Shader
+from orograph.rendering.gbuffer import Area
 from orograph.rendering.jitter import pattern
 from orograph.rendering.lines.silhouettes import Outlines, rim
 from orograph.rendering.memory import check_memory
 from orograph.rendering.picture import Picture, plan_grid
-from orograph.rendering.rays import Area
 from orograph.rendering.survey import Survey
 from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
 from orograph.scene.scene import Scene
@@ -100,7 +100,7 @@ def draw(
             terrain=scene.terrain if scene.surface.wireframe else surface,
         )  # fmt: skip
     with progress.task("Reading heights"):
-        ground = Ground.load(scene, surface, memo, bare)
+        ground = Ground.load(scene, surface, memo, bare, mesh)
         if ground.tolerance > scene.pixel_tolerance:
             progress.warn(
                 f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not "
@@ -122,7 +122,8 @@ def draw(
         survey = Survey.of(ground.rays)
         if survey is None:
             raise NothingInViewError(why_empty(scene), path=scene.terrain.name, remedy=what_to_do(scene))
-        t, window, void_fill = ground.rays.first(area)
+        buffer = ground.rays.surface.draw(area)
+        t, void_fill = buffer.depth, buffer.void_fill
     lap("rays")
     facts["windows"] = [{"level": r.level, "rows": r.row1 - r.row0, "cols": r.col1 - r.col0} for r in ground.windows]
     facts["tolerance_px"] = ground.tolerance
@@ -133,7 +134,7 @@ def draw(
         lap("light")
         wide = area[3] - area[2]
         linear = np.empty((*t.shape, 3), np.float32)
-        flat, ft, fw, fv = linear.reshape(-1, 3), t.ravel(), window.ravel(), void_fill.ravel()
+        flat, ft, fv = linear.reshape(-1, 3), t.ravel(), void_fill.ravel()
         mine = np.zeros(t.shape, bool)
         mine[own] = True
         counted = mine.ravel()
@@ -144,7 +145,7 @@ def draw(
             i = np.arange(start, min(start + BLOCK, len(ft)))
             px, py = (a.astype(np.float64) + 0.5 for a in (area[2] + i % wide, area[0] + i // wide))
             water = shores[i[0] : i[-1] + 1] if shader.smooth else None
-            flat[i] = shader.color(ground.rays.meet(px, py, ft[i], fw[i], fv[i]), px, py, counted[i], water)
+            flat[i] = shader.color(ground.rays.meet(px, py, ft[i], fv[i]), px, py, counted[i], water)
             return len(i)
 
         for n in map_ordered(block, range(0, len(ft), BLOCK), scene.budget.jobs):
@@ -154,7 +155,7 @@ def draw(
             found = find_edges(encode(linear))
             if shader.smooth:
                 found &= find_depth_edges(t, view.whole, wet, np.isfinite(void_fill))
-            edges = np.flatnonzero(found.ravel() & counted)
+            edges = by_squares(np.flatnonzero(found.ravel() & counted), area, ground.rays.surface.side)
             facts["edge_fraction"] = len(edges) / (view.width * view.height)
             offsets = pattern(scene.surface.samples)
             few = max(1, EDGES // scene.surface.samples)
@@ -164,7 +165,8 @@ def draw(
                 px = (area[2] + chosen % wide)[:, None] + offsets[None, :, 0]
                 py = (area[0] + chosen // wide)[:, None] + offsets[None, :, 1]
                 u, v = px.ravel(), py.ravel()
-                colors = shader.color(ground.rays.meet(u, v, *ground.rays.cast(u, v)), u, v)
+                seen = ground.rays.surface.at(u, v)
+                colors = shader.color(ground.rays.meet(u, v, seen.depth, seen.void_fill), u, v)
                 flat[chosen] = colors.reshape(len(chosen), scene.surface.samples, 3).mean(1)
                 return len(chosen)
 
@@ -225,6 +227,13 @@ def frame(scene: Scene) -> Area:
 def _rimmed(area: Area, whole: View, by: int) -> Area:
     top, bottom, left, right = area
     return max(top - by, 0), min(bottom + by, whole.height), max(left - by, 0), min(right + by, whole.width)
+
+
+def by_squares(pixels: NDArray[np.intp], area: Area, side: int) -> NDArray[np.intp]:
+    """Pixels of an area, by their places in it, in the order of squares of ``side`` pixels: so surfaces like them."""
+    row, col = np.divmod(pixels, area[3] - area[2])
+    square = ((row + area[0]) // side) * (area[3] // side + 1) + (col + area[2]) // side
+    return pixels[np.argsort(square, kind="stable")]
 
 
 def encode(linear: Colors) -> NDArray[np.uint8]:

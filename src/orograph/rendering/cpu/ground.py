@@ -7,6 +7,7 @@ since that is what light falls on in the picture; heights stay true.
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -19,11 +20,17 @@ from orograph.memo import Memo
 from orograph.raycast.caster import Caster
 from orograph.raycast.select import Rectangle, load, rectangles
 from orograph.rendering.cpu.kernels import footprints, incidence
+from orograph.rendering.cpu.raster import MeshSurface
+from orograph.rendering.gbuffer import Surface
+from orograph.rendering.layered import Layered
 from orograph.rendering.lines.silhouettes import terrain_ends
 from orograph.rendering.memory import BYTES_PER_PIXEL, band_pixels
+from orograph.rendering.projection import Projection
+from orograph.rendering.ray_surface import RaySurface
 from orograph.rendering.rays import Hits, Rays
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
 
 Array = NDArray[np.float64]
 
@@ -57,7 +64,10 @@ class Ground:
         under: of a mesh with contour lines, the ground of the terrain itself, which those are of; else None.
     """
 
-    def __init__(self, scene: Scene, surface: Terrain, windows: list[Rectangle], tolerance: float, memo: Memo) -> None:
+    def __init__(
+        self, scene: Scene, surface: Terrain, windows: list[Rectangle], tolerance: float, memo: Memo,
+        mesh: Tessellation | None = None,
+    ) -> None:  # fmt: skip
         terrain = scene.terrain
         self.scene, self.tolerance = scene, tolerance
         self.bare = scene
@@ -70,11 +80,9 @@ class Ground:
         means = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, 1.0, by="spacing")
         self.relief = memo("relief", tuple(means), lambda: Relief.load(terrain, means, jobs), terrain)
         self.drawn = self.own = self.relief
-        over = None
-        if terrain.valid_fraction < 1:
-            found = memo("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
-            over = memo("over", jobs, lambda: Caster(found, shape, jobs), found) if found else None
-        self.rays = Rays(scene, self.caster, over)
+        self.single = copy.copy(self.caster)
+        self.single.jobs = 1
+        self.rays = Rays(scene, self._seen(scene, mesh, memo))
         if scene.annotations.silhouettes is not None:
             self.ends = memo("ends", shape, lambda: terrain_ends(terrain), terrain)  # for silhouettes
         grid = terrain.grid
@@ -83,16 +91,36 @@ class Ground:
         self.to_world = np.linalg.inv(linear).T  # gradients per sample → gradients per metre
         self.to_samples = np.linalg.inv(linear)
 
+    def _seen(self, scene: Scene, mesh: Tessellation | None, memo: Memo) -> Surface:
+        """What the camera looks at: a mesh's triangles, or the caster's heights, behind patches over missing data."""
+        view, grid, jobs = scene.view.whole, scene.terrain.grid, scene.budget.jobs
+        projection = Projection.of(view, grid, scene.surface.exaggeration)
+        seen: Surface = RaySurface(self.caster, projection)
+        if mesh is not None:
+            known = view, scene.surface.exaggeration, jobs
+            seen = memo(
+                "triangles", known, lambda: MeshSurface(mesh.vertices, mesh.triangles, projection, jobs), mesh
+            )  # fmt: skip
+        if scene.terrain.valid_fraction < 1:
+            shape = grid.shape
+            found = memo("patches", shape, lambda: patches(self.caster.stack.windows, shape), self.caster)
+            if found:
+                over = memo("over", jobs, lambda: Caster(found, shape, jobs), found)
+                return Layered(seen, RaySurface(over, projection))
+        return seen
+
     @classmethod
     def load(
-        cls, scene: Scene, surface: Terrain | None = None, memo: Memo | None = None, bare: Scene | None = None
-    ) -> Ground:
+        cls, scene: Scene, surface: Terrain | None = None, memo: Memo | None = None, bare: Scene | None = None,
+        mesh: Tessellation | None = None,
+    ) -> Ground:  # fmt: skip
         """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the memory allowed.
 
         Args:
-            surface: what rays meet, if not the terrain itself (on the same grid); light falls on the terrain's slopes.
-            kept: what earlier pictures left.
+            surface: what light meets, if not the terrain itself (on the same grid): the heights of a mesh.
+            memo: what earlier pictures left.
             bare: of a mesh, the scene of the terrain itself, which contour lines are of.
+            mesh: what the camera sees, if not the heights.
         """
         memo = Memo() if memo is None else memo
         if bare is not None:
@@ -102,7 +130,7 @@ class Ground:
                 if both and scene.budget.max_memory
                 else scene.budget.max_memory
             )
-            ground = cls.load(scene.but(contours=None, max_memory=half), surface, memo)
+            ground = cls.load(scene.but(contours=None, max_memory=half), surface, memo, mesh=mesh)
             ground.bare = bare
             if scene.annotations.silhouettes is not None and scene.terrain is not bare.terrain:
                 means = rectangles(bare.terrain, scene.view.whole, scene.surface.exaggeration, 1.0, by="spacing")
@@ -137,14 +165,14 @@ class Ground:
             else max(scene.budget.max_memory - fixed_memory(scene), LEAST_MEMORY)
         )
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
-            return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0, memo)
+            return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0, memo, mesh)
         tolerance = tolerance or 0.05
         while True:
             chosen = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, tolerance, by=by)
             fits = sum(r.samples for r in chosen) * bytes_per_sample <= budget
             # Ground about the eye is wanted exactly at any tolerance; that much is drawn whatever the budget.
             if fits or tolerance > COARSEST or chosen[-1].level == terrain.levels - 1:
-                return cls(scene, terrain, chosen, tolerance, memo)
+                return cls(scene, terrain, chosen, tolerance, memo, mesh)
             tolerance *= 1.25
 
     def incidence(self, hits: Hits, to_sun: Array, strength: float) -> tuple[Array, Array]:
@@ -179,10 +207,14 @@ class Ground:
         a = math.radians(sun.azimuth)
         step = self.to_samples @ [math.sin(a), math.cos(a)]
         x, skip = self.scene.surface.exaggeration, self.skip(hits, which)
-        return self.rays.single.skyline(hits.points[which], (step[0], step[1]), skip, low / x, high / x) * x
+        return self.single.skyline(hits.points[which], (step[0], step[1]), skip, low / x, high / x) * x
 
     def skip(self, hits: Hits, which: NDArray[np.int64]) -> Array:
         """Metres around the hits in ``which`` where their own facet would shade them and the normal decides instead; a
         pixel limits detail as well."""
-        scale = 2.0 ** np.array([w.level for w in self.caster.stack.windows])
-        return np.asarray(np.maximum(scale[hits.window[which]], np.minimum(hits.width[which], 4.0)) * self.rays.spacing)
+        x, y = hits.points[which, 0], hits.points[which, 1]
+        facet = np.ones(len(which))
+        for r in self.windows:  # the last one that holds a point is the finest there
+            inside = (x >= r.col0 << r.level) & (x <= (r.col1 - 1) << r.level)
+            facet[inside & (y >= r.row0 << r.level) & (y <= (r.row1 - 1) << r.level)] = 1 << r.level
+        return np.asarray(np.maximum(facet, np.minimum(hits.width[which], 4.0)) * self.rays.spacing)

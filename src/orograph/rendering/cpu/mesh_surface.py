@@ -17,15 +17,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orograph._numba import kernel
 from orograph.memo import Memo
 from orograph.progress import SILENT, Progress
+from orograph.rendering.cpu.mesh_terrain import MeshTerrain, interpolate
 from orograph.rendering.memory import available
 from orograph.scene.scene import EXACT_SAMPLES, Scene
 from orograph.store.memory import MemoryTerrain
-from orograph.store.terrain import Heights, Terrain
+from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 
 BYTES_PER_SAMPLE = 4 * (1 + 5 / 12) + 4
@@ -97,41 +96,7 @@ def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | N
     needed = int(rows * cols * BYTES_PER_SAMPLE)
     limits = [limit for limit in (max_memory, available()) if limit is not None]
     if rows * cols > EXACT_SAMPLES or (limits and needed > min(limits)):
-        from orograph.rendering.cpu.mesh_terrain import MeshTerrain
-
         return MeshTerrain(tessellation, terrain)
     heights = np.array(terrain.read(0, 0, rows, 0, cols), np.float32)
-    fill_triangles(tessellation.vertices, tessellation.triangles, heights)
+    interpolate(tessellation.vertices, tessellation.triangles, 0, 0, 0, rows, cols, heights)
     return MemoryTerrain(heights, terrain.grid, terrain.name, terrain.vertical)
-
-
-@kernel
-def fill_triangles(vertices: NDArray[np.float64], triangles: NDArray[np.int32], heights: Heights) -> None:
-    """Interpolate triangles at the samples they cover.
-
-    Args:
-        vertices: (n, 3) float64, column, row (whole numbers), height in metres.
-        triangles: (m, 3) int32.
-        heights: (rows, cols) float32, overwritten where a triangle is.
-    """
-    for k in range(len(triangles)):
-        a, b, c = vertices[triangles[k, 0]], vertices[triangles[k, 1]], vertices[triangles[k, 2]]
-        ax, ay, bx, by, cx, cy = int(a[0]), int(a[1]), int(b[0]), int(b[1]), int(c[0]), int(c[1])
-        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if area == 0:
-            continue
-        across = ((b[2] - a[2]) * (cy - ay) - (c[2] - a[2]) * (by - ay)) / area
-        down = ((c[2] - a[2]) * (bx - ax) - (b[2] - a[2]) * (cx - ax)) / area
-        turned = 1 if area > 0 else -1
-        for y in range(min(ay, by, cy), max(ay, by, cy) + 1):
-            for x in range(min(ax, bx, cx), max(ax, bx, cx) + 1):
-                if (
-                    turned * ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) >= 0
-                    and turned * ((cx - bx) * (y - by) - (x - bx) * (cy - by)) >= 0
-                    and turned * ((ax - cx) * (y - cy) - (x - cx) * (ay - cy)) >= 0
-                ):
-                    heights[y, x] = a[2] + across * (x - ax) + down * (y - ay)
-    for k in range(len(triangles)):  # to the bit
-        for corner in range(3):
-            v = vertices[triangles[k, corner]]
-            heights[int(v[1]), int(v[0])] = v[2]

@@ -29,6 +29,9 @@ Corners = NDArray[np.float64]
 STRIP = 1 << 21
 """Samples that are read at a time for means."""
 
+EDGE = 1e-12
+"""Barycentric coordinates that rounding may put a sample on an edge beyond it by."""
+
 QUARTERS = 2
 """Means of level k are made of samples of level k − 2, five each way and weighted as the trapezoid rule has it."""
 
@@ -124,10 +127,10 @@ def interpolate(
     vertices: Corners, triangles: NDArray[np.int32], level: int, row0: int, col0: int, rows: int, cols: int,
     heights: Heights,
 ) -> None:  # fmt: skip
-    """Interpolate triangles at the samples of a window that they cover; at a vertex, its height to the bit.
+    """Interpolate triangles at the samples of a window that they cover; at a vertex on a sample, its height to the bit.
 
     Args:
-        vertices: (n, 3) float64, column, row (whole numbers), height in metres.
+        vertices: (n, 3) float64, column, row, height in metres.
         triangles: (m, 3) int32.
         level: of the window: sample (i, j) is at row min((row0 + i)·2^level, rows − 1), and columns likewise.
         row0, col0: the window's first sample.
@@ -135,46 +138,36 @@ def interpolate(
         heights: (window rows, window cols) float32, overwritten where a triangle is.
     """
     step = 1 << level
-    north, west = row0 << level, col0 << level
-    south, east = north + len(heights) * step, west + heights.shape[1] * step
     for k in range(len(triangles)):
-        p, q, r = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-        ax, ay = int(vertices[p, 0]), int(vertices[p, 1])
-        bx, by = int(vertices[q, 0]), int(vertices[q, 1])
-        cx, cy = int(vertices[r, 0]), int(vertices[r, 1])
-        top, bottom = min(ay, by, cy), max(ay, by, cy)
-        left, right = min(ax, bx, cx), max(ax, bx, cx)
-        if bottom < min(north, rows - 1) or top >= south or right < min(west, cols - 1) or left >= east:
+        a, b, c = vertices[triangles[k, 0]], vertices[triangles[k, 1]], vertices[triangles[k, 2]]
+        abx, aby, acx, acy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
+        area = abx * acy - acx * aby
+        if area == 0.0:
             continue
-        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if area == 0:
-            continue
-        za, zb, zc = vertices[p, 2], vertices[q, 2], vertices[r, 2]
-        across = ((zb - za) * (cy - ay) - (zc - za) * (by - ay)) / area
-        down = ((zc - za) * (bx - ax) - (zb - za) * (cx - ax)) / area
-        turned = 1 if area > 0 else -1
-        first_row, last_row = max(-(-top >> level) - row0, 0), min((bottom >> level) - row0, len(heights) - 1)
-        first_col, last_col = max(-(-left >> level) - col0, 0), min((right >> level) - col0, heights.shape[1] - 1)
-        if bottom == rows - 1:  # the last sample repeats it
-            last_row = len(heights) - 1
-        if right == cols - 1:
-            last_col = heights.shape[1] - 1
+        first_row, last_row = _span(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]), step, row0, rows, len(heights))
+        first_col, last_col = _span(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]), step, col0, cols, heights.shape[1])
         for i in range(first_row, last_row + 1):
-            y = min((row0 + i) * step, rows - 1)
+            y = min((row0 + i) * step, rows - 1) - a[1]
             for j in range(first_col, last_col + 1):
-                x = min((col0 + j) * step, cols - 1)
-                if (
-                    turned * ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) >= 0
-                    and turned * ((cx - bx) * (y - by) - (x - bx) * (cy - by)) >= 0
-                    and turned * ((ax - cx) * (y - cy) - (x - cx) * (ay - cy)) >= 0
-                ):
-                    heights[i, j] = za + across * (x - ax) + down * (y - ay)
+                x = min((col0 + j) * step, cols - 1) - a[0]
+                u, v = (x * acy - acx * y) / area, (abx * y - x * aby) / area  # of b and of c
+                if u >= -EDGE and v >= -EDGE and u + v <= 1.0 + EDGE:
+                    heights[i, j] = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
     for k in range(len(vertices)):  # to the bit
         x, y = int(vertices[k, 0]), int(vertices[k, 1])
+        if x != vertices[k, 0] or y != vertices[k, 1]:
+            continue
         i, j = -(-y >> level) - row0, -(-x >> level) - col0
         shown = (y & (step - 1) == 0 or y == rows - 1) and (x & (step - 1) == 0 or x == cols - 1)
         if shown and 0 <= i < len(heights) and 0 <= j < heights.shape[1]:
             heights[i, j] = vertices[k, 2]
+
+
+@kernel
+def _span(low: float, high: float, step: int, first: int, side: int, count: int) -> tuple[int, int]:
+    """The first and the last place, in a window that begins with sample ``first``, of samples from low to high."""
+    begin, end = max(int(np.ceil(low / step)) - first, 0), min(int(np.floor(high / step)) - first, count - 1)
+    return begin, count - 1 if high >= side - 1 else end  # the last sample repeats the raster's last one
 
 
 @kernel

@@ -105,12 +105,6 @@ class MeshSurface:
             out.depth[which], out.objects[which] = depth, objects
         return out
 
-    def grain(self, objects: NDArray[np.int32]) -> Array:
-        """The longest side of each triangle in the map (see ``Surface``)."""
-        corners = self._mesh.vertices[self._mesh.triangles[objects], :2]
-        sides = np.roll(corners, -1, axis=1) - corners
-        return np.asarray(np.hypot(sides[..., 0], sides[..., 1]).max(-1))
-
     def _of_tile(self, tile: int) -> NDArray[np.int32]:
         return self._numbers[self._starts[tile] : self._starts[tile + 1]]
 

@@ -27,7 +27,8 @@ from orograph.raycast.select import Boxes, Rectangle, distances, in_frustum, loa
 from orograph.rendering.lines.label_kernels import lie, stand
 from orograph.rendering.lines.label_spots import BLOCK, POINTS, Spots, coarsest, shape_of, spots
 from orograph.rendering.lines.label_type import NOTHING, Labels, measured
-from orograph.rendering.rays import Rays
+from orograph.rendering.projection import Projection
+from orograph.rendering.ray_surface import RaySurface
 from orograph.scene.contours import USUAL, Contours
 from orograph.scene.scene import Scene
 from orograph.store.terrain import TILE, Terrain
@@ -204,7 +205,7 @@ class Placer:
         if self._caster[0] != chosen:
             self._caster = chosen, Caster(load(terrain, list(chosen), 1), terrain.grid.shape, 1)
         assert self._caster[1] is not None
-        rays = Rays(scene, self._caster[1], None)
+        surface = RaySurface(self._caster[1], Projection.of(view, terrain.grid, scene.surface.exaggeration))
         middle = lines[:, POINTS // 2]
         tangent = lines[:, POINTS // 2 + 1] - lines[:, POINTS // 2 - 1]
         tangent /= np.maximum(np.linalg.norm(tangent, axis=-1, keepdims=True), 1e-9)
@@ -218,14 +219,14 @@ class Placer:
                 at[:, 2] = np.maximum(at[:, 2], over)
                 at[:, 2] += lift * large * view.pixel_slope * depth / scene.surface.exaggeration
                 pixels, far = view.project(at, scene.surface.exaggeration)
-                t, _ = rays.positions(pixels[:, 0], pixels[:, 1])
+                t = surface.at(pixels[:, 0], pixels[:, 1]).depth
                 seen += ~(t < far * (1 - 1e-6))
         held = np.zeros(len(lines))
         c, s = np.cos(places[:, 2]), np.sin(places[:, 2])
         for u, v in ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)):
             x = places[:, 0] + u * widths * c - v * tall * s
             y = places[:, 1] + u * widths * s + v * tall * c
-            t, _ = rays.positions(x, y)
+            t = surface.at(x, y).depth
             held += np.abs(np.log(np.nan_to_num(t, nan=1e-9) / depth)) < DEEP
         return np.asarray(_ramp(0.55, 0.95, seen / (3 * len(CLEAR))) * _ramp(0.7, 0.95, held / 4))
 

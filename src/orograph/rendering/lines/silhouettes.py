@@ -32,7 +32,7 @@ from orograph.store.terrain import Terrain
 
 if TYPE_CHECKING:
     from orograph.rendering.cpu.ground import Ground
-    from orograph.rendering.rays import Area
+    from orograph.rendering.gbuffer import Area
 
 Array = NDArray[np.float64]
 Colors = NDArray[np.float32]
@@ -105,8 +105,8 @@ class Outlines:
 
             def at(place: Array) -> tuple[Colors, Array]:
                 moved = depth.copy()
-                t, _, void_fill = self.ground.rays.cast(cols + self.area[2] + place[0], rows + self.area[0] + place[1])
-                moved[rows, cols] = np.where(np.isfinite(void_fill), void_fill, t)
+                seen = self.ground.rays.surface.at(cols + self.area[2] + place[0], rows + self.area[0] + place[1])
+                moved[rows, cols] = np.where(np.isfinite(seen.void_fill), seen.void_fill, seen.depth)
                 facing = middle
                 if facing.size:
                     facing = facing.copy()
@@ -126,10 +126,7 @@ class Outlines:
         if air is not None:
             px, py = cols + (self.area[2] + 0.5), rows + (self.area[0] + 0.5)
             t = near[rows, cols]
-            none = np.full(len(t), np.nan)
-            hits = self.ground.rays.meet(
-                px.astype(np.float64), py.astype(np.float64), t, np.zeros(len(t), np.int8), none
-            )
+            hits = self.ground.rays.meet(px.astype(np.float64), py.astype(np.float64), t)
             ink = air.haze(ink, hits.rays, t)
         part = (cover[rows, cols] * np.float32(self.lines.opacity))[:, None]
         linear[rows, cols] += part * (ink - linear[rows, cols])
@@ -140,8 +137,7 @@ class Outlines:
 
         def some(start: int) -> None:
             k = slice(start, start + BLOCK)
-            none = np.full(len(px[k]), np.nan)
-            hits = ground.rays.meet(px[k], py[k], depth[k], np.zeros(len(none), np.int8), none)
+            hits = ground.rays.meet(px[k], py[k], depth[k])
             slope = ground.own.gradient(hits.points, SMOOTH * hits.width) @ ground.to_world.T
             slope *= ground.scene.surface.exaggeration
             toward = (slope * hits.rays[:, :2]).sum(-1) - hits.rays[:, 2]

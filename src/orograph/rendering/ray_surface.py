@@ -69,10 +69,6 @@ class RaySurface:
     def at(self, px: Array, py: Array) -> GBuffer:
         return _buffer(*self._single.cast(*self.projection.rays(px, py), self.projection.near, self._far))
 
-    def grain(self, objects: NDArray[np.int32]) -> Array:
-        """The spacing of each window's samples (see ``Surface``)."""
-        return np.asarray(2.0 ** np.array([w.level for w in self.caster.stack.windows])[objects])
-
 
 def _buffer(t: Array, window: NDArray[np.int8]) -> GBuffer:
     return GBuffer(t, window.astype(np.int32), np.zeros(t.shape, np.uint8))
