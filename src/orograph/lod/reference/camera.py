@@ -1,8 +1,8 @@
 """A view in the numbers that the criteria need: camera coordinates, the vertical in them, the frustum's planes.
 
-Camera coordinates of a point are (x to the right, y up, w the depth), in (stretched) metres; it is drawn f·x/w and f·y/w
-pixels from the middle of the picture, with f = h / (2 tan γ/2) for a picture of h pixels and a field of view γ. The
-lecture calls this f *c*, and λ is f over the tolerance τ.
+Camera coordinates of a point are x to the right, y up and the depth w, in (stretched) metres. It is drawn f·x/w and
+f·y/w pixels from the middle of the picture, with f = h / (2 tan γ/2) for a picture of h pixels and a field of view γ.
+The lecture calls this f *c*, and λ is f over the tolerance τ.
 """
 
 from __future__ import annotations

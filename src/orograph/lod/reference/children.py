@@ -8,10 +8,9 @@ SE, S, SW. Units are samples, x counts columns, y rows, *downwards*. ω is taken
 
 Corrected:
 
-- *Children.* Printed: l + v(L/2, ω + 4) and l + v(L/2, ω + 6). These share at most one corner with the triangle that
-  they should be halves of. Right: l + v(L′, ω + 3) and l + v(L′, ω + 5), with the printed L′ and ω′. For the root
-  ((4, 4), 8, 3) of 8 × 8 cells, which is the north-eastern half, the left child's l is (4, 0), the middle of the
-  northern leg. Printed: (2, 2), on the hypotenuse's diagonal.
+- *Children.* Printed: l + v(L/2, ω + 4) and l + v(L/2, ω + 6). Right: l + v(L′, ω + 3) and l + v(L′, ω + 5), with the
+  printed L′ and ω′. For the root ((4, 4), 8, 3) of 8 × 8 cells, the north-eastern half, the left child's l is (4, 0),
+  the middle of the northern leg. Printed: (6, 2), of which a corner, (10, 2), lies outside the square.
 - *The sibling* is undefined on the border of the square for even ω only. Printed: wherever l has a coordinate 0 or N.
 
 The finest triangles are halves of cells: L = 1, ω odd, and l is the middle of a cell, no sample.

@@ -53,7 +53,7 @@ class Spheres:
 
 @dataclass(frozen=True)
 class Prisms:
-    """The criterion of triangles, by ROAM's bound over the prism between the triangle raised and lowered by its error."""
+    """The criterion of triangles, by ROAM's bound over the prism of a triangle ± its error."""
 
     spheres: Spheres
 

@@ -4,15 +4,15 @@ Duchaineau, Wolinsky, Sigeti, Miller, Aldrich & Mineev-Weinstein 1997, *ROAMing 
 Meshes*, sec. 4 (queues) and 6 (wedgies); lecture, slides *Incremental* and *ROAM 1997*. From one frame to the next the
 camera moves little and so the mesh changes little. Q_s holds the triangles of the mesh by how much they need to be
 split, Q_m its mergeable diamonds by how much they would be missed. Splits and merges alternate until the queues meet:
-no triangle needs a split more than a merge would be missed. Corrected, or made plain:
+no triangle needs a split more than a merge would be missed. What "until the queues meet" leaves open:
 
-- *The loop ends* when "T is not the target size or accuracy, or the largest split priority exceeds the least merge
-  priority" is false. With a tolerance the second half would leave what no camera of this frame asks for: a mesh that is
-  too fine stays. Here merges go on while what is missed is within the tolerance. With a budget the target size cannot
-  be hit exactly, for a forced split brings several triangles: the loop ends when the first split does not fit.
-- *One priority for both queues*, falling from parents to children, is what makes the result a function of the view
-  alone. The paper has it from nested wedgies. With another priority the mesh keeps its tolerance, and has a memory.
-- *Wedgies*: e_T is 0 for the finest triangles. Printed: for leaves.
+- *A tolerance.* Queues that meet say that no swap is worth while; a mesh that is finer than the tolerance asks for
+  would stay. So merges go on as long as what they miss is within the tolerance.
+- *A budget.* The target size is hardly ever hit, for a forced split brings several triangles. The loop ends when the
+  queues have met and the first split does not fit.
+- *A memory.* If priorities never grow from parents to children the mesh is a function of the view alone, however the
+  camera came there. The paper nests its wedgies for that. With other priorities the tolerance is kept as well, but the
+  mesh depends on its past.
 """
 
 from __future__ import annotations
@@ -21,18 +21,7 @@ import heapq
 import math
 from collections.abc import Callable
 
-from orograph.lod.reference.children import (
-    Triangle,
-    Vertex,
-    apex,
-    bottom,
-    children,
-    corners,
-    is_finest,
-    level,
-    roots,
-    top,
-)
+from orograph.lod.reference.children import Triangle, Vertex, apex, bottom, children, is_finest, level, roots, top
 from orograph.lod.reference.terrain import Ground
 from orograph.lod.reference.top_down import PriorityQueue, cost, force_split
 
@@ -46,8 +35,7 @@ def wedgies(ground: Ground) -> dict[Triangle, float]:
     def thickness(t: Triangle) -> float:
         e[t] = 0.0
         if not is_finest(t):
-            _, z0, z1 = (ground[corner].point[2] for corner in corners(t))
-            e[t] = max(thickness(half) for half in children(t)) + abs(ground[t.diamond].point[2] - (z0 + z1) / 2)
+            e[t] = max(thickness(half) for half in children(t)) + ground.miss(t)
         return e[t]
 
     for root in roots(ground.n):

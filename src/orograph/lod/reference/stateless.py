@@ -5,11 +5,12 @@ sec. 4; Pajarola & Gobbetti 2007, sec. 3.3. A criterion is diamond monotonic if 
 parents only. Both top triangles of a diamond ask the diamond, so on both sides of every hypotenuse the answer is the
 same, and the mesh conforms although no triangle knows of any other.
 
-With a priority queue refinement may end at any time, if π(i) < min π(j) for all parents j of i: a child then comes after
-its parents, and the two top triangles of a diamond come one after the other. Corrected:
+With a priority queue refinement may end at any time, if π(i) < min π(j) for all parents j of i: a child then comes
+after its parents, and the two top triangles of a diamond come one after the other. Corrected:
 
 - *Ties.* The strict inequality does not hold for errors in pixels: near the eye many are infinite. Among equals the
-  coarser diamond comes first, and of one level that with the smaller l; so both its top triangles come together.
+  coarser diamond comes first, and of one level the one farther north, then farther west: both top triangles of a
+  diamond come together.
 - *The end.* "Before termination, process the top element in queue if it is long edge neighbor of last processed
   triangle": of a *split* triangle. An accurate one leaves nothing to be closed.
 """
@@ -20,7 +21,7 @@ import heapq
 from collections import deque
 from collections.abc import Callable
 
-from orograph.lod.reference.children import Triangle, Vertex, children, is_finest, level, roots
+from orograph.lod.reference.children import Triangle, Vertex, children, diamond_top_sibling, is_finest, level, roots
 
 
 def refine(n: int, inaccurate: Callable[[Vertex], bool]) -> list[Triangle]:
@@ -53,17 +54,17 @@ def refine_by_priority(
         tolerance: pixels.
     """
 
-    def entry(t: Triangle) -> tuple[float, int, float, float, Triangle]:
+    def entry(t: Triangle) -> tuple[float, int, tuple[float, float], Triangle]:
         pi = -1.0 if is_finest(t) else priority(t.diamond)
-        return -pi, level(t, n), t.x, t.y, t
+        return -pi, level(t, n), (t.y, t.x), t
 
     T: list[Triangle] = []
     F = [entry(t) for t in roots(n)]
     heapq.heapify(F)
     last: Triangle | None = None
     while F:
-        pi, _, _, _, t = F[0]
-        is_neighbour = last is not None and (t.x, t.y) == (last.x, last.y) and t.L == last.L
+        pi, _, _, t = F[0]
+        is_neighbour = last is not None and t == diamond_top_sibling(last, n)
         if not is_neighbour and is_over(len(T) + len(F)):
             break
         heapq.heappop(F)

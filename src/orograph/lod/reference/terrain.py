@@ -110,6 +110,11 @@ class Ground:
         a, b, c = (self[corner].place for corner in corners(t))
         return a, b, c
 
+    def miss(self, t: Triangle) -> float:
+        """|z(v_c) − z_T(v_c)|: how far the vertex that splits a triangle is from the middle of its hypotenuse."""
+        _, a, b = (self[corner].point[2] for corner in corners(t))
+        return abs(self[t.diamond].point[2] - (a + b) / 2)
+
     def has_ground(self, t: Triangle) -> bool:
         """Whether a triangle has area on the raster, and surface under it or under its sibling."""
         (ax, ay), (bx, by), (cx, cy) = self.places(t)
@@ -124,4 +129,3 @@ class Ground:
 def diamond_of(t: Triangle) -> Vertex:
     """The diamond that a triangle is a top of; of a finest one, that which it is a bottom of."""
     return apex(t) if is_finest(t) else t.diamond
-

@@ -7,8 +7,9 @@ bottom up, the spheres nest, and the mesh conforms. The spheres are gathered int
 the eye was outside of all spheres of a cluster and still is, or inside of all and still is, nothing in it is looked at.
 Corrected:
 
-- *The sphere of a diamond* has to hold for all samples of the diamond, not for its point alone: λ·e_i + the radius of the
-  ball that holds them. As printed, a wide flat diamond under the eye with a spike at its rim is accurate.
+- *The sphere of a diamond* has to hold for all samples under its triangles, not for its point alone: its radius is
+  λ·e_i and that of the ball that holds them. As printed, ground may be off by more than τ at the rim of a diamond whose
+  point is far enough away. (The printed 0 of leaves is that of the finest triangles, which are not split.)
 - *λ* is printed c/τ, which holds on the axis of view. In the picture's corner, at angle θ from the axis, the same
   movement is seen 1/cos² θ times as large: λ = c / (τ·cos² θ) + 1 / cos θ, the last term for samples that move towards
   the eye (docs/engines/blow.md).

@@ -17,16 +17,7 @@ import heapq
 from collections.abc import Callable
 from typing import Protocol
 
-from orograph.lod.reference.children import (
-    Triangle,
-    bottom,
-    diamond_top_sibling,
-    is_finest,
-    level,
-    parent,
-    roots,
-    top,
-)
+from orograph.lod.reference.children import Triangle, children, diamond_top_sibling, is_finest, level, parent, roots
 
 
 class Queue(Protocol):
@@ -76,11 +67,13 @@ def force_split(t: Triangle, F: Queue, T: set[Triangle], n: int) -> None:
     t_n = long_side_neighbor(t, T, n)
     if t_n is not None and level(t_n, n) < level(t, n):
         force_split(t_n, F, T, n)
-        assert long_side_neighbor(t, T, n) in T  # a half of t_n: the sibling of t
-    T.difference_update(top(t.diamond, n))
-    for half in bottom(t.diamond, n):
-        T.add(half)
-        F.append(half)
+        t_n = long_side_neighbor(t, T, n)
+    for member in (t, t_n):
+        if member is not None:
+            T.remove(member)
+            for half in children(member):
+                T.add(half)
+                F.append(half)
 
 
 def refine(n: int, inaccurate: Callable[[Triangle], bool]) -> set[Triangle]:
@@ -121,5 +114,6 @@ def refine_by_priority(n: int, priority: Callable[[Triangle], float], triangles:
 def cost(t: Triangle, T: set[Triangle], n: int) -> int:
     """By how many triangles the mesh grows if t is split: one for each top triangle of the diamonds that it forces."""
     t_n = long_side_neighbor(t, T, n)
-    forced = cost(t_n, T, n) if t_n is not None and level(t_n, n) < level(t, n) else 0
-    return forced + len(top(t.diamond, n))
+    if t_n is None:
+        return 1
+    return 2 + (cost(t_n, T, n) if level(t_n, n) < level(t, n) else 0)
