@@ -249,5 +249,15 @@ def triangles_of(tessellation) -> set:
     return _set(v[..., 0], v[..., 1])
 
 
+def front_of(n: int, T) -> fronts.Front:
+    """A reference's triangles as a front, which knows whether it is valid."""
+    return fronts.Front.of(n, *np.array([(int(t.x), int(t.y), t.L, t.omega) for t in T]).T)
+
+
+def drawn(ground, T, criterion) -> set:
+    """The corners (col, row) of those of a reference's triangles that are drawn."""
+    return {frozenset(ground.places(t)) for t in T if criterion.is_drawn(t)}
+
+
 SHAPES = [(17, 17), (33, 33), (20, 31), (33, 18), (9, 30), (2, 2), (3, 5)]
 """Sizes of small rasters, with and without squeezed borders."""

@@ -17,6 +17,7 @@ no triangle needs a split more than a merge would be missed. What "until the que
 
 from __future__ import annotations
 
+import functools
 import heapq
 import math
 from collections.abc import Callable
@@ -80,16 +81,9 @@ class Roam:
 
     def start(self, priority: Priority) -> None:
         """Compute the priorities of all elements of both queues anew."""
-        known: dict[Triangle, float] = {}
-
-        def remembered(t: Triangle) -> float:
-            if t not in known:
-                known[t] = -1.0 if is_finest(t) else priority(t)
-            return known[t]
-
+        self.priority = functools.cache(priority)
+        self.Q_s, self.Q_m = PriorityQueue(self.priority, self.n), []
         self.splits = self.merges = 0
-        self.Q_s, self.Q_m = PriorityQueue(remembered, self.n), []
-        self.priority = remembered
         for t in self.T:
             self.Q_s.append(t)
         for diamond in {apex(t) for t in self.T}:

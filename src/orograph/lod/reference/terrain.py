@@ -58,7 +58,7 @@ def points_of(terrain: Terrain, exaggeration: float) -> tuple[dict[Vertex, Point
         known[x, y] = not math.isnan(z)
         if not known[x, y]:
             z = terrain.height_range[0] if math.isnan(low) else low
-        east, north = terrain.grid.samples * (x, y)
+        east, north = terrain.grid.samples @ (x, y)
         points[x, y] = east, north, z * exaggeration
     return points, known
 

@@ -35,8 +35,9 @@ class PriorityQueue:
         self.heap: list[tuple[float, int, Triangle]] = []
 
     def append(self, t: Triangle) -> None:
-        """Insert a triangle with the priority it has now."""
-        heapq.heappush(self.heap, (-self.priority(t), level(t, self.n), t))
+        """Insert a triangle with the priority it has now; a finest one has none."""
+        pi = -1.0 if is_finest(t) else self.priority(t)
+        heapq.heappush(self.heap, (-pi, level(t, self.n), t))
 
     def extract(self, T: set[Triangle]) -> tuple[float, Triangle] | None:
         """The highest priority and its triangle; what a forced split has taken out of the mesh is dropped."""
