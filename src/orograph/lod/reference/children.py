@@ -19,6 +19,7 @@ The finest triangles are halves of cells: L = 1, ω odd, and l is the middle of 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from typing import NamedTuple
 
 Vertex = tuple[int, int]
@@ -56,6 +57,7 @@ def apex(t: Triangle) -> Vertex:
     return moved(t, t.omega + 4)
 
 
+@cache
 def corners(t: Triangle) -> tuple[Vertex, Vertex, Vertex]:
     """The apex, and the left and right end of the hypotenuse (left and right with the apex on top)."""
     return apex(t), moved(t, t.omega + 2), moved(t, t.omega - 2)
@@ -100,6 +102,7 @@ def parent(t: Triangle, n: int) -> Triangle | None:
     return next((p for p in top(apex(t), n) if t in children(p)), None)
 
 
+@cache
 def top(diamond: Vertex, n: int) -> list[Triangle]:
     """The one or two triangles over a diamond point, which are split together; none for the corners of the square."""
     (x, y), N = diamond, 2**n
