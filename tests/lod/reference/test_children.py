@@ -55,7 +55,7 @@ def test_every_diamond_of_small_squares(n):
         assert {stored(t) for t in hrt.top((x, y), n)} == {t for t in tops if triangles.inside(*t, n)}
         assert all(hrt.apex(t) == (x, y) for t in hrt.bottom((x, y), n))
     for corner in ((0, 0), (0, 2**n), (2**n, 0), (2**n, 2**n)):
-        assert hrt.top(corner, n) == []
+        assert hrt.top(corner, n) == ()
 
 
 def test_children_as_printed_are_no_halves():

@@ -103,11 +103,11 @@ def parent(t: Triangle, n: int) -> Triangle | None:
 
 
 @cache
-def top(diamond: Vertex, n: int) -> list[Triangle]:
+def top(diamond: Vertex, n: int) -> tuple[Triangle, ...]:
     """The one or two triangles over a diamond point, which are split together; none for the corners of the square."""
     (x, y), N = diamond, 2**n
     if x % N == 0 and y % N == 0:
-        return []
+        return ()
     s = (x | y) & -(x | y)  # the largest power of two that divides both
     if x // s % 2 and y // s % 2:  # a square whose diagonal is cut; the cuts of neighbouring squares are mirrored
         L, omega = 2 * s, 3 if x // (2 * s) % 2 == y // (2 * s) % 2 else 1
@@ -116,7 +116,7 @@ def top(diamond: Vertex, n: int) -> list[Triangle]:
     first = Triangle(x, y, L, omega)
     second = diamond_top_sibling(first, n)
     inside = all(0 <= c <= N for c in apex(first))
-    return [first] * inside + ([second] if second else [])
+    return (first,) * inside + ((second,) if second else ())
 
 
 def bottom(diamond: Vertex, n: int) -> list[Triangle]:
