@@ -1,7 +1,7 @@
-"""Refinements without engines: whole arrays, NumPy, fronts of ``orograph.hierarchy``; and small terrains to refine.
+"""Small terrains to refine, cameras to look at them, and whole arrays of what the references say vertex by vertex.
 
-Nothing here is shared with ``orograph.lod`` or ``orograph.error.screen``: the camera is written down from ``View``'s
-axes, criteria from their formulas, and a mesh is made by splitting fronts.
+The meshes that engines are compared with are those of ``orograph.lod.reference``. Arrays are for larger rasters; they
+share nothing with the engines and ``orograph.error.screen``.
 """
 
 from __future__ import annotations
@@ -14,6 +14,10 @@ from affine import Affine
 
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts, triangles
+from orograph.lod.reference import camera as reference
+from orograph.lod.reference import stateless
+from orograph.lod.reference.criterion import Spheres
+from orograph.lod.reference.terrain import Ground
 from orograph.store.memory import MemoryTerrain
 from orograph.viewpoint import View
 
@@ -67,9 +71,10 @@ class Camera:
     exaggeration: float = 1.0
 
     def __post_init__(self):
-        self.axes = np.stack(self.view.axes(self.exaggeration))
-        self.focal = 1.0 / self.view.pixel_slope
+        camera = reference.Camera.of(self.view, self.exaggeration)
+        self.axes, self.focal = np.array(camera.axes), camera.focal
         self.up = self.axes[:, 2] * self.exaggeration  # camera coordinates of a metre of height
+        self.frustum = np.array(camera.planes)
 
     def to_camera(self, points):
         """(…, 3) easting, northing, height → right, up, depth."""
@@ -77,13 +82,7 @@ class Camera:
 
     def planes(self):
         """(n, 4) of the frustum in camera coordinates, unit normals."""
-        ty = math.tan(math.radians(self.view.fov_y) / 2)
-        tx = ty * self.view.width / self.view.height
-        rows = [np.array([a * s, b * s, t]) / math.hypot(1, t) for a, b, t in ((1, 0, tx), (0, 1, ty)) for s in (1, -1)]
-        found = [[*row, 0.0] for row in rows] + [[0, 0, 1, -self.view.near]]
-        if math.isfinite(self.view.far):
-            found.append([0, 0, -1, self.view.far])
-        return np.array(found)
+        return self.frustum
 
     def stretch_of(self, p):
         """|(a·w − c·x, b·w − c·y)| of camera points (…, 3)."""
@@ -179,59 +178,6 @@ class Plain:
             bound = camera.focal * self.e * lean / moved
         return np.where(self.e <= 0, 0.0, np.where(moved > 0, bound, np.inf))
 
-    def judge(self, front: fronts.Front, camera: Camera, cull=True, metric="wedgie"):
-        """(errors in pixels, drawn) of a front's triangles, by corners and prisms, as top-down refinement has it."""
-        rows, cols = self.corners(front)
-        i, j = self.i[rows, cols], self.j[rows, cols]
-        has_area = (j[:, 1] - j[:, 0]) * (i[:, 2] - i[:, 0]) != (j[:, 2] - j[:, 0]) * (i[:, 1] - i[:, 0])
-        r, c = diamonds.of_triangle(*front.arrays)
-        finest = r < 0
-        e = np.where(finest, 0.0, self.e[r, c])
-        seen = has_area & (finest | (self.r[r, c] >= 0))
-        z = self.z[rows, cols]
-        points = np.concatenate([self.at[rows, cols][..., :2], z[..., None]], -1)
-        if cull:
-            safe = np.where(np.isnan(points), 0.0, points)
-            squeezed = (rows >= self.t.grid.rows).any(1) | (cols >= self.t.grid.cols).any(1)
-            seen &= ~self.outside(camera, safe, np.where(np.isnan(z).any(1) | squeezed, np.inf, e))
-            seen &= finest | ~self.spheres_outside(camera)[r, c]
-        if metric == "wedgie":
-            p = camera.to_camera(points)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                nearest = p[..., 2].min(1)
-                moved = nearest - e * abs(camera.up[2])
-                error = camera.focal * e * camera.stretch_of(p).max(1) / (nearest * moved)
-            error = np.where(e <= 0, 0.0, np.where((moved > 0) & (nearest > 0) & np.isfinite(e), error, np.inf))
-        else:
-            error = self.sphere_errors(camera)[r, c]
-        return np.where(seen & ~finest, error, -1.0), seen & ~np.isnan(z).any(1)
-
-    def forced(self, camera: Camera, tolerance: float, **options) -> fronts.Front:
-        """The coarsest valid front whose triangles are all accurate, found by forced splits."""
-        front = fronts.coarsest(self.n)
-        while True:
-            bad = self.judge(front, camera, **options)[0] > tolerance
-            if not bad.any():
-                return front
-            r, c = diamonds.of_triangle(*front.arrays)
-            front = fronts.split(front, r[bad], c[bad])
-
-    def closure_mesh(self, active, out) -> tuple:
-        """(front, drawn): all that active diamonds force; drawn unless out, without surface, or short of a corner."""
-        corners = np.ix_((0, -1), (0, -1))
-        active[corners] = out[corners] = False  # they are no diamonds
-        front = fronts.front_of(diamonds.closure(active))
-        rows, cols = self.corners(front)
-        r, c = diamonds.of_triangle(*front.arrays)
-        x, y = fronts.triangles.apex(*front.arrays)  # a finest triangle goes with the diamond that it is part of
-        drawn = np.where(r < 0, ~out[y, x], ~out[r, c] & (self.r[r, c] >= 0))
-        return front, drawn & ~np.isnan(self.z[rows, cols]).any(1)
-
-    def sphere_mesh(self, camera: Camera, tolerance: float, cull: bool = True) -> tuple:
-        """(front, drawn): diamonds in view whose bound over their sphere exceeds the tolerance."""
-        out = self.spheres_outside(camera) if cull else np.zeros(self.z.shape, bool)
-        return self.closure_mesh((self.sphere_errors(camera) > tolerance) & ~out, out)
-
     def triangle_set(self, front: fronts.Front, drawn) -> set:
         """The squeezed corners (col, row) of the drawn triangles with area."""
         rows, cols = self.corners(front)
@@ -247,6 +193,22 @@ def triangles_of(tessellation) -> set:
     """The corners (col, row) of a tessellation's triangles."""
     v = tessellation.vertices[tessellation.triangles]
     return _set(v[..., 0], v[..., 1])
+
+
+def front_of(n: int, T) -> fronts.Front:
+    """A reference's triangles as a front, which knows whether it is valid."""
+    return fronts.Front.of(n, *np.array([(int(t.x), int(t.y), t.L, t.omega) for t in T]).T)
+
+
+def sphere_mesh(ground: Ground, view: View, tolerance: float, *, cull=True, exaggeration=1.0) -> set:
+    """What is drawn of the state-less reference by the anisotropic bound over spheres."""
+    spheres = Spheres(ground, reference.Camera.of(view, exaggeration), cull=cull)
+    return drawn(ground, stateless.refine(ground.n, lambda i: spheres.priority(i) > tolerance), spheres)
+
+
+def drawn(ground: Ground, T, criterion) -> set:
+    """The corners (col, row) of those of a reference's triangles that are drawn."""
+    return {frozenset(ground.places(t)) for t in T if criterion.is_drawn(t)}
 
 
 SHAPES = [(17, 17), (33, 33), (20, 31), (33, 18), (9, 30), (2, 2), (3, 5)]

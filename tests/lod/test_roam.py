@@ -12,8 +12,11 @@ import rasterio
 
 from orograph import verify
 from orograph.geo.grid import Grid
-from orograph.hierarchy import diamonds, fronts
 from orograph.lod import look_ahead as ahead
+from orograph.lod.reference import roam as reference
+from orograph.lod.reference import top_down
+from orograph.lod.reference.children import corners
+from orograph.lod.reference.terrain import Ground
 from orograph.lod.roam import Roam, bounds, engine, mesh, priorities, queues
 from orograph.store.memory import MemoryTerrain
 from orograph.viewpoint import View
@@ -29,7 +32,7 @@ class Recursion:
     def __init__(self, p: plain.Plain, camera: plain.Camera, tolerance: float, cull: bool, metric: str):
         self.p, self.camera, self.tolerance, self.cull, self.metric = p, camera, tolerance, cull, metric
         side = p.z.shape[0]
-        self.wanted = np.zeros((side, side), bool)
+        self.wanted: set[frozenset] = set()
         self.out: set[tuple] = set()
         self.spheres = p.sphere_errors(camera, loose=True)
         low, high = p.t.height_range
@@ -37,7 +40,7 @@ class Recursion:
         self.pruned = 0
         self.visit((0, 0), (n, n), (0, n), low, high)
         self.visit((n, n), (0, 0), (n, 0), low, high)
-        self.front = fronts.front_of(diamonds.closure(self.wanted))
+        self.T = top_down.refine(p.n, lambda t: frozenset(corners(t)) in self.wanted)
 
     def visit(self, a, b, c, low, high, hidden=False):
         """Whether the triangle is to be split for its own sake or that of one below it."""
@@ -87,8 +90,16 @@ class Recursion:
             near = r > ahead.nearness(self.tolerance) * (self.camera.to_camera(p.at[m])[2] - r)
             wanted = not near or p.displacement(self.camera, (a, b, c)) > self.tolerance
             self.pruned += not wanted
-        self.wanted[m] |= wanted
+        if wanted:
+            self.wanted.add(frozenset(zip(cols.tolist(), rows.tolist())))
         return wanted
+
+    def mesh(self, ground: Ground) -> set:
+        """The corners (col, row) of the triangles that are drawn."""
+        drawn = [t for t in self.T if ground.has_ground(t) and ground.is_known(t)]
+        if self.cull:
+            drawn = [t for t in drawn if tuple(sorted((y, x) for x, y in corners(t))) not in self.out]
+        return {frozenset(ground.places(t)) for t in drawn}
 
 
 def flight(rng: np.random.Generator, t: MemoryTerrain, frames: int, **options):
@@ -128,19 +139,13 @@ def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
         exaggeration, cull = float(rng.choice([1.0, 2.0])), bool(case < 3)
         tolerance, near = float(10 ** rng.uniform(-0.5, 1)), float(rng.choice([0, 50]))
         carried = Roam(t, cull=cull, exaggeration=exaggeration, metric=metric, outside=0.0)
+        ground, both = Ground.of(t), reference.Roam(t.n)
         for view in flight(rng, t, 4, near=near):
             found = carried.refine(view, tolerance=tolerance)
             camera = plain.Camera(view, exaggeration)
             want = Recursion(p, camera, tolerance, cull, metric)
-            rows, cols = p.corners(want.front)
-            i, j = p.i[rows, cols], p.j[rows, cols]
-            drawn = (j[:, 1] - j[:, 0]) * (i[:, 2] - i[:, 0]) != (j[:, 2] - j[:, 0]) * (i[:, 1] - i[:, 0])
-            drawn &= ~np.isnan(p.z[rows, cols]).any(1)
-            r, c = diamonds.of_triangle(*want.front.arrays)
-            drawn &= (r < 0) | (p.r[r, c] >= 0)
-            if cull:
-                drawn &= [tuple(sorted(zip(a, b))) not in want.out for a, b in zip(rows.tolist(), cols.tolist())]
-            assert plain.triangles_of(found) == p.triangle_set(want.front, drawn)
+            assert plain.triangles_of(found) == want.mesh(ground)
+            assert both.frame(lambda t, w=want: float(frozenset(corners(t)) in w.wanted), tolerance=0.5) == want.T
             assert verify.judge(found, t, view, exaggeration=exaggeration).ok(tolerance)
 
 
@@ -152,20 +157,13 @@ def test_looking_ahead_leaves_what_looking_at_every_sample_allows(shape):
     for case in range(16):
         t = plain.terrain(plain.rough(rng, shape, amplitude=60.0, gaps=0.1 * (case % 3 == 2)), angle=30.0 * case)
         p, exaggeration = plain.Plain(t), float(rng.choice([0.5, 1.0, 3.0]))
-        tolerance = float(10 ** rng.uniform(-0.3, 1.7))
+        tolerance, ground = float(10 ** rng.uniform(-0.3, 1.7)), Ground.of(t)
         carried = Roam(t, exaggeration=exaggeration)
         for view in flight(rng, t, 6):
             found = carried.refine(view, tolerance=tolerance)
             camera = plain.Camera(view, exaggeration)
             want = Recursion(p, camera, tolerance, True, "localised")
-            rows, cols = p.corners(want.front)
-            i, j = p.i[rows, cols], p.j[rows, cols]
-            drawn = (j[:, 1] - j[:, 0]) * (i[:, 2] - i[:, 0]) != (j[:, 2] - j[:, 0]) * (i[:, 1] - i[:, 0])
-            drawn &= ~np.isnan(p.z[rows, cols]).any(1)
-            r, c = diamonds.of_triangle(*want.front.arrays)
-            drawn &= (r < 0) | (p.r[r, c] >= 0)
-            drawn &= [tuple(sorted(zip(a, b))) not in want.out for a, b in zip(rows.tolist(), cols.tolist())]
-            assert plain.triangles_of(found) == p.triangle_set(want.front, drawn)
+            assert plain.triangles_of(found) == want.mesh(ground)
             assert verify.judge(found, t, view, exaggeration=exaggeration).ok(tolerance)
             pruned += want.pruned
             plainly = Roam(t, metric="wedgie", exaggeration=exaggeration).refine(view, tolerance=tolerance)

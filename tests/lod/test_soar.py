@@ -1,4 +1,4 @@
-"""SOAR: its mesh is the plain closure of the criterion, whatever the memory, threads and store; strips; geomorphs."""
+"""SOAR: its mesh is the reference's, whatever the memory, threads and store; strips; geomorphs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,15 @@ from orograph._numba import kernel
 from orograph.error import screen
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.hierarchy import diamonds, fronts
+from orograph.hierarchy import diamonds
+from orograph.lod.reference import soar as reference
+from orograph.lod.reference import stateless
+from orograph.lod.reference.camera import Camera
+from orograph.lod.reference.children import Vertex
+from orograph.lod.reference.children import corners as corners_of
+from orograph.lod.reference.criterion import Spheres
+from orograph.lod.reference.screen_error import anisotropic, isotropic
+from orograph.lod.reference.terrain import Ground
 from orograph.lod.soar import Soar
 from orograph.store.build import build
 from orograph.store.memory import MemoryTerrain
@@ -24,41 +32,26 @@ from orograph.tessellation import Tessellation
 from orograph.viewpoint import View
 
 
-def isotropic(p: plain.Plain, camera: plain.Camera):
-    """The conservative bound of a displacement in any direction, over each sphere."""
-    at = camera.to_camera(p.at)
-    r = np.abs(p.r) * max(1.0, camera.exaggeration)
-    e = p.e * camera.exaggeration
-    near = np.maximum(at[..., 2] - r, camera.view.near)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        bound = camera.focal * e * (np.linalg.norm(at, axis=-1) + r) / (near * (near - e))
-    return np.where(e <= 0, 0.0, np.where(near > e, bound, np.inf))
+def expected(ground: Ground, view, tolerance, *, cull=True, bound=anisotropic, exaggeration=1.0, more=None) -> set:
+    """What is drawn of the reference's strip; ``more``: diamonds split if in view (bool, by row and column)."""
+    spheres = Spheres(ground, Camera.of(view, exaggeration), bound, cull)
 
+    def active(i: Vertex) -> bool:
+        return spheres.priority(i) > tolerance or bool(more is not None and more[i[::-1]] and spheres.priority(i) >= 0)
 
-def expected(p: plain.Plain, camera, tolerance, *, cull=True, metric="anisotropic", more=None) -> set:
-    """The triangles of the front of all diamonds that are in view and whose bound exceeds the tolerance."""
-    out = p.spheres_outside(camera) if cull else np.zeros(p.z.shape, bool)
-    bound = p.sphere_errors(camera) if metric == "anisotropic" else isotropic(p, camera)
-    active = (bound > tolerance) if more is None else (bound > tolerance) | more
-    active &= ~out
-    corners = np.ix_((0, -1), (0, -1))
-    active[corners] = out[corners] = False
-    front = fronts.front_of(diamonds.closure(active))
-    rows, cols = p.corners(front)
-    r, c = diamonds.of_triangle(*front.arrays)
-    up = fronts.triangles.apex(*front.arrays)
-    r, c = np.where(r < 0, up[1], r), np.where(r < 0, up[0], c)  # a finest triangle goes with its parent's diamond
-    drawn = ~out[r, c] & (p.r[r, c] >= 0) & ~np.isnan(p.z[rows, cols]).any(1)
-    return p.triangle_set(front, drawn)
+    strip = {frozenset(t) for t in reference.mesh_refine(ground.n, active).triangles()}
+    front = stateless.refine(ground.n, active)
+    assert {frozenset(corners_of(t)) for t in front} == strip
+    return plain.drawn(ground, front, spheres)
 
 
 def south_up(heights) -> MemoryTerrain:
     return MemoryTerrain(heights, Grid(heights.shape, Affine(30, 0, 1e5, 0, 30, 2e6), None), "south up")
 
 
-@pytest.mark.parametrize("metric", ["anisotropic", "isotropic"])
+@pytest.mark.parametrize("metric, bound", [("anisotropic", anisotropic), ("isotropic", isotropic)])
 @pytest.mark.parametrize("shape", plain.SHAPES)
-def test_mesh_is_the_front_of_the_criterion(shape, metric):
+def test_mesh_is_the_front_of_the_criterion(shape, metric, bound):
     rng = np.random.default_rng([*shape, len(metric)])
     for case in range(6):
         z = plain.rough(rng, shape, gaps=0.15 if case % 2 else 0.0)
@@ -67,13 +60,13 @@ def test_mesh_is_the_front_of_the_criterion(shape, metric):
         t = south_up(z) if case > 3 else plain.terrain(z, angle=float(rng.uniform(0, 360)), stretch=1 + case % 3)
         exaggeration = float(rng.choice([0.5, 1.0, 3.0]))
         view = plain.random_view(rng, t)
-        camera = plain.Camera(view, exaggeration)
+        ground = Ground.of(t, exaggeration=exaggeration)
         tolerance = float(10 ** rng.uniform(-1, 1))
         for cull in (True, False):
             found = Soar(t, metric=metric, cull=cull, exaggeration=exaggeration, jobs=1).refine(
                 view, tolerance=tolerance
             )
-            wanted = expected(plain.Plain(t), camera, tolerance, cull=cull, metric=metric)
+            wanted = expected(ground, view, tolerance, cull=cull, bound=bound, exaggeration=exaggeration)
             assert plain.triangles_of(found) == wanted
             assert found.stats["triangles"] == len(wanted)
 
@@ -87,7 +80,7 @@ def test_an_eye_inside_the_terrain():
         target = t.grid.xy(*rng.uniform(0, 32, 2))
         view = View((float(x), float(y), 0.5 * (low + high)), (*map(float, target), low), fov_y=90, width=64, height=48)
         found = Soar(t, metric="anisotropic", jobs=1).refine(view, tolerance=2.0)
-        assert plain.triangles_of(found) == expected(plain.Plain(t), plain.Camera(view), 2.0)
+        assert plain.triangles_of(found) == expected(Ground.of(t), view, 2.0)
         assert verify.judge(found, t, view).ok(2.0)
 
 
@@ -264,7 +257,7 @@ def test_colors_split_what_is_large_enough_to_be_seen():
     z = plain.rough(rng, (33, 33), amplitude=1.0)
     z[3:6, 4:9] = np.nan
     t = plain.terrain(z)
-    p = plain.Plain(t)
+    p, ground = plain.Plain(t), Ground.of(t)
     # A monotonic error: ΔE of 9 where a patch of other colour lies below, and in all that holds a part of it.
     patch = np.zeros((33, 33), bool)
     patch[20:25, 7:12] = True
@@ -283,7 +276,7 @@ def test_colors_split_what_is_large_enough_to_be_seen():
         for gamma in (0.5, 5.0, 10.0):
             engine = Soar(t, metric="anisotropic", color=color, color_tolerance=gamma, jobs=1)
             found = engine.refine(view, tolerance=4.0)
-            assert plain.triangles_of(found) == expected(p, camera, 4.0, more=(table > gamma) & seen)
+            assert plain.triangles_of(found) == expected(ground, view, 4.0, more=(table > gamma) & seen)
             assert verify.judge(found, t, view).ok(4.0)
 
 

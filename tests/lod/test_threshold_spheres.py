@@ -16,28 +16,13 @@ from orograph import verify
 from orograph.error.screen import lens
 from orograph.errors import UsageError
 from orograph.lod import engine_of
+from orograph.lod.reference.camera import Camera
+from orograph.lod.reference.criterion import Spheres
+from orograph.lod.reference.terrain import Ground
+from orograph.lod.reference.threshold_spheres import ThresholdSpheres, threshold
 from orograph.lod.soar import Soar
 from orograph.lod.threshold_spheres import Blow
 from orograph.lod.threshold_spheres_pass import decide
-
-
-def threshold(view, tolerance, exaggeration=1.0):
-    """λ by the picture's corner, in radians."""
-    half = np.tan(np.radians(view.fov_y) / 2)
-    corner = np.arctan(half * np.hypot(1, view.width / view.height))
-    focal = view.height / 2 / half
-    return exaggeration * (focal / (tolerance * np.cos(corner) ** 2) + 1 / np.cos(corner))
-
-
-def plain_mesh(p, camera, tolerance, cull=True):
-    """(front, drawn): diamonds with the eye inside R, and mixed ones in view."""
-    stretch = max(1.0, camera.exaggeration)
-    out = p.spheres_outside(camera) if cull else np.zeros(p.z.shape, bool)
-    gap = np.linalg.norm((p.at - camera.view.eye) * [1, 1, camera.exaggeration], axis=-1)
-    reach = threshold(camera.view, tolerance, camera.exaggeration) * p.e + stretch * np.abs(p.r)
-    # (mixed diamonds out of view are above nothing that is drawn)
-    active = np.where(np.isinf(p.e), ~out, (p.e > 0) & (gap < reach))
-    return p.closure_mesh(active, out)
 
 
 @pytest.mark.parametrize("shape", plain.SHAPES)
@@ -49,20 +34,20 @@ def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
         if np.isnan(z).all():
             continue
         t = plain.terrain(z, angle=float(rng.uniform(0, 360)), stretch=float(rng.choice([1, 2.5])))
-        p = plain.Plain(t)
         exaggeration, tolerance = float(rng.choice([1.0, 2.0])), float(10 ** rng.uniform(-0.5, 1.5))
+        ground, spheres = Ground.of(t, exaggeration=exaggeration), None
         for cull in (True, False):
             options = {"cull": cull, "exaggeration": exaggeration}
             engine, other = (Blow(t, metric=metric, **options) for metric in ("isotropic", "anisotropic"))
             for _ in range(4):  # jumps: everything may change
                 view = plain.random_view(rng, t, fov_y=40.0)
-                camera = plain.Camera(view, exaggeration)
-                front, drawn = plain_mesh(p, camera, tolerance, cull)
+                camera = Camera.of(view, exaggeration)
+                spheres = spheres or ThresholdSpheres(ground, threshold(camera, tolerance))
                 found = engine.refine(view, tolerance=tolerance)
-                assert plain.triangles_of(found) == p.triangle_set(front, drawn)
-                front, drawn = p.sphere_mesh(camera, tolerance, cull)
+                expected = plain.drawn(ground, spheres.update(camera.eye), Spheres(ground, camera, cull=cull))
+                assert plain.triangles_of(found) == expected
                 found = other.refine(view, tolerance=tolerance)
-                assert plain.triangles_of(found) == p.triangle_set(front, drawn)
+                assert plain.triangles_of(found) == plain.sphere_mesh(ground, view, tolerance, **options)
 
 
 def flight(rng, t, frames, step):

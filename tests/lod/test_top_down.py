@@ -1,6 +1,8 @@
-"""Top-down refinement against forced splits of fronts; budgets against validity; the promise against the referee."""
+"""Top-down refinement against the reference; budgets against validity; the promise against the referee."""
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 import plain
@@ -10,6 +12,10 @@ from orograph import verify
 from orograph.errors import UsageError
 from orograph.hierarchy import diamonds, fronts
 from orograph.lod import engine_of
+from orograph.lod.reference import top_down as reference
+from orograph.lod.reference.camera import Camera
+from orograph.lod.reference.criterion import Prisms, Spheres
+from orograph.lod.reference.terrain import Ground
 from orograph.lod.top_down import TopDown
 
 
@@ -22,19 +28,25 @@ def test_mesh_is_that_of_forced_splits(shape, gaps):
         if np.isnan(z).all():
             continue
         t = plain.terrain(z, angle=float(rng.uniform(0, 360)), stretch=float(rng.choice([1, 2.5])))
-        p = plain.Plain(t)
         exaggeration = float(rng.choice([1.0, 2.0]))
+        ground = Ground.of(t, exaggeration=exaggeration)
         view = plain.random_view(rng, t)
         tolerance = float(10 ** rng.uniform(-1, 1))
         for metric in ("wedgie", "anisotropic"):
             for cull in (True, False):
-                camera = plain.Camera(view, exaggeration)
-                front = p.forced(camera, tolerance, cull=cull, metric=metric)
-                expected = p.triangle_set(front, p.judge(front, camera, cull, metric)[1])
+                prisms = Prisms(Spheres(ground, Camera.of(view, exaggeration), cull=cull))
+                T = reference.refine(ground.n, partial(inaccurate, prisms, metric, tolerance))
+                expected = plain.drawn(ground, T, prisms)
                 queue = "fifo" if case % 2 else "priority"
                 engine = TopDown(t, metric=metric, cull=cull, queue=queue, exaggeration=exaggeration)
                 assert plain.triangles_of(engine.refine(view, tolerance=tolerance)) == expected
-                assert engine.refine(view, tolerance=tolerance).stats["front"] == len(front)
+                assert engine.refine(view, tolerance=tolerance).stats["front"] == len(T)
+
+
+def inaccurate(prisms, metric, tolerance, t):
+    """Whether a triangle that is in view exceeds the tolerance, by its own prism or by its diamond's sphere."""
+    pixels = prisms.priority(t)
+    return (pixels if metric == "wedgie" or pixels < 0 else prisms.spheres.priority(t.diamond)) > tolerance
 
 
 def true_errors(p, camera, front, cull=True):
