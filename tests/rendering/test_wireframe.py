@@ -315,3 +315,24 @@ def test_a_wireframe_is_of_an_engine(ground, view):
         orograph.render(ground, view, wireframe=True)
     with pytest.raises(UsageError, match="no engine 'sore'"):
         orograph.render(ground, view, engine="sore")
+
+
+@pytest.mark.parametrize("projection", ["perspective", "plan"])
+def test_what_a_broken_mesh_lacks_is_seen(ground, view, projection):
+    """A triangle taken out leaves a hole in the picture; without one, the picture is that of the whole mesh."""
+    seen = camera.plan(ground, (300, 200)) if projection == "plan" else view
+    whole = Soar(ground).refine(seen, tolerance=4.0)
+    corners = whole.vertices[whole.triangles]
+    (ax, ay), (bx, by) = ((corners[:, k, :2] - corners[:, 0, :2]).T for k in (1, 2))
+    x, y = ground.grid.xy(*corners[..., :2].mean(1).T)
+    pixels, depths = seen.project(np.stack([x, y, corners[..., 2].mean(1)], -1))
+    scene = Scene.of(ground, seen, engine="soar", tolerance=4.0, samples=1)
+    before = cpu.draw(scene, mesh=whole).depth
+    col, row = np.clip(pixels, 0, np.array(before.shape[::-1]) - 1).astype(int).T
+    in_sight = np.abs(before[row, col] - depths) < 0.01 * depths
+    lost = int(np.where(in_sight, np.abs(ax * by - bx * ay), 0).argmax())
+    broken = Tessellation(whole.vertices, np.delete(whole.triangles, lost, axis=0), None, whole.stats)
+    after = cpu.draw(scene, mesh=broken).depth
+    lacking = ~np.isnan(before) & (np.isnan(after) | (after > before))
+    assert lacking[row[lost], col[lost]] and 5 < lacking.sum() < 0.3 * lacking.size
+    assert np.array_equal(before[~lacking], after[~lacking], equal_nan=True)

@@ -100,7 +100,9 @@ def draw(
             terrain=scene.terrain if scene.surface.wireframe else surface,
         )  # fmt: skip
     with progress.task("Reading heights"):
-        ground = Ground.load(scene, surface, memo, bare, mesh)
+        # Edges of a mesh that was made for another camera are drawn over the ground that it leaves out, too.
+        elsewhere = scene.surface.wireframe and scene.surface.mesh_view is not None
+        ground = Ground.load(scene, surface, memo, bare, None if elsewhere else mesh)
         if ground.tolerance > scene.pixel_tolerance:
             progress.warn(
                 f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not "
