@@ -12,6 +12,7 @@ memory, would break any promise about ours.
 from __future__ import annotations
 
 import os
+import re
 import threading
 import warnings
 import zipfile
@@ -38,8 +39,15 @@ def _stamp(location: str) -> tuple[int, int, int] | None:
     return found.st_mtime_ns, found.st_size, found.st_ino
 
 
+def stamped(location: str) -> Key:
+    """A file's name and state: another one once it was written again."""
+    return location, _stamp(location)
+
+
 def _settings() -> dict[str, Any]:
-    return {} if "GDAL_CACHEMAX" in os.environ else {"GDAL_CACHEMAX": CACHE}
+    """What GDAL is told: damaged JPEGs are errors; text is read as doubles, not as what its first lines look like."""
+    settings: dict[str, Any] = {"GDAL_ERROR_ON_LIBJPEG_WARNING": True, "AAIGRID_DATATYPE": "Float64"}
+    return settings if "GDAL_CACHEMAX" in os.environ else settings | {"GDAL_CACHEMAX": CACHE}
 
 
 class Handles:
@@ -58,8 +66,11 @@ class Handles:
             ReadError: the file cannot be opened.
         """
         import rasterio
+        from rasterio._err import CPLE_BaseError
 
-        key = (location, _stamp(location))
+        from orograph.dem.whole import DAMAGED, check_file
+
+        key = stamped(location)
         with rasterio.Env(**_settings()):
             with self._lock:
                 found = next((i for i in reversed(range(len(self._idle))) if self._idle[i][0] == key), None)
@@ -67,7 +78,11 @@ class Handles:
             if dataset is None:
                 dataset = open_dataset(location)
             try:
+                check_file(dataset, location, key)
                 yield dataset
+            except CPLE_BaseError as error:  # of what rasterio asks for a header's parts, which it lets pass
+                dataset.close()
+                raise ReadError(f"GDAL cannot read it: {cause_of(error)}", path=location, remedy=DAMAGED) from None
             except BaseException:
                 dataset.close()
                 raise
@@ -196,6 +211,7 @@ def cause_of(error: BaseException) -> str:
     while inner.__cause__ is not None:
         inner = inner.__cause__
     text = " ".join((getattr(inner, "errmsg", "") or str(inner) or type(inner).__name__).split())
+    text = re.sub(r"\b0x[0-9a-f]{6,}, ?", "", text)  # addresses, which differ from run to run
     return text if text.endswith(".") else text + "."
 
 
