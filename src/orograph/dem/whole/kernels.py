@@ -41,12 +41,11 @@ def scan(data, parting, comma, state):
             the first that might.
 
     Returns:
-        Where the first token that is no number begins, and where it ends; the length of ``data`` twice if there is
-        none.
+        Where the first token that is no number begins, and where it ends; −1 if there is none.
     """
     at, tokens, line, begun, doubtful, certain, doubt_line = state
     size = data.size
-    first = end = 2 * size
+    first = end = -1
     while at < size:
         if _parts(data[at], parting):
             if data[at] == 10:
@@ -76,10 +75,10 @@ def scan(data, parting, comma, state):
 def _number(data, at, comma):
     """Where the number that begins at ``at`` ends, whether it is one, and where its comma is (-1: none)."""
     size, digits, point, comma_at = data.size, 0, False, -1
-    if data[at] == 45 or data[at] == 43:  # - +
-        at += 1
     if at + 2 < size and _nan(data, at):
         return at + 3, True, -1
+    if data[at] == 45 or data[at] == 43:  # - +
+        at += 1
     while at < size:
         c = data[at]
         if 48 <= c <= 57:

@@ -113,7 +113,7 @@ def _first_fault(data: bytes, parting: bytes, comma: bool, state: NDArray[np.int
     state[0] = 0
     while True:
         first, end = scan(view, parting[0] if parting else 0, comma, state)
-        if first > view.size:
+        if first < 0:
             state[3] -= view.size
             return None
         token = data[first:end]
