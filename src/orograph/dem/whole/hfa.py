@@ -1,8 +1,8 @@
 """Erdas Imagine (.img): every block that the file claims to hold lies within it, and runs fill the blocks they make.
 
 Source: the HFA structure as GDAL documents it (frmts/hfa): a tree of entries, of which those of type ``Edms_State``
-list a layer's blocks. A compressed block holds runs: their lengths, each in 1 to 4 bytes, then their values in packed
-bits. A layer in a file of its own (.ige) is GDAL's to notice.
+list a layer's blocks, and those of type ``ImgExternalRaster`` say where they begin in a file beside it (.ige). A
+compressed block holds runs: their lengths, each in 1 to 4 bytes, then their values in packed bits.
 """
 
 from __future__ import annotations
@@ -30,7 +30,14 @@ def fault(dataset: Any, path: str) -> str | None:
     count = -(-dataset.height // high) * -(-dataset.width // wide)
     with Path(path).open("rb") as file:
         try:
-            for at in _states(file):
+            for kind, at in _nodes(file):
+                if kind == b"ImgExternalRaster":
+                    wanted = _spilled_end(file, at, count * high * wide * np.dtype(dataset.dtypes[0]).itemsize)
+                    sizes = [Path(f).stat().st_size for f in dataset.files if f.lower().endswith(".ige")]
+                    if sizes and sizes[0] < wanted:
+                        return f"Its .ige file ends after {sizes[0]:,} of at least {wanted:,} bytes."
+                if kind != b"Edms_State":
+                    continue
                 blocks = _blocks(file, at)
                 end = int((blocks["offset"].astype(np.int64) + blocks["size"])[blocks["valid"] != 0].max(initial=0))
                 if end > size:
@@ -42,8 +49,8 @@ def fault(dataset: Any, path: str) -> str | None:
     return None
 
 
-def _states(file: BinaryIO) -> Iterator[int]:
-    """Where the lists of blocks are, of every layer."""
+def _nodes(file: BinaryIO) -> Iterator[tuple[bytes, int]]:
+    """Type of every entry, and where its data are."""
     (header,) = struct.unpack("<I", _at(file, 16, 4))
     (root,) = struct.unpack("<I", _at(file, header + 8, 4))
     waiting, seen = [root], set[int]()
@@ -55,9 +62,15 @@ def _states(file: BinaryIO) -> Iterator[int]:
         if len(seen) > _MOST_ENTRIES:
             raise ValueError("too many entries")
         following, _, _, child, data, _, _, kind = _ENTRY.unpack(_at(file, place, _ENTRY.size))
-        if kind.partition(b"\0")[0] == b"Edms_State":
-            yield data
+        yield kind.partition(b"\0")[0], data
         waiting += [following, child]
+
+
+def _spilled_end(file: BinaryIO, at: int, layer: int) -> int:
+    """Bytes that a file beside must have at least for one layer of the stack that lies in it."""
+    (name,) = struct.unpack("<I", _at(file, at, 4))
+    _, begin, stack, _ = struct.unpack("<QQII", _at(file, at + 8 + name, 24))
+    return int(begin + layer * stack)
 
 
 def _blocks(file: BinaryIO, at: int) -> Any:
