@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 from orograph.errors import OutputError
@@ -12,6 +13,17 @@ def check_folder(path: Path) -> None:
     """Raise OutputError unless there is a folder to write ``path`` into."""
     if not path.parent.is_dir():
         raise OutputError(f"There is no folder {path.parent} to write to.", path=path, remedy="Make it first.")
+
+
+def check_room(path: Path, size: int) -> None:
+    """Raise OutputError if the disk of ``path`` has less room than ``size`` bytes: before libraries meet its end, which
+    print lines of their own."""
+    free = shutil.disk_usage(path.parent).free
+    if free < size:
+        raise OutputError(
+            f"There is no room for it: {size / 1e6:,.1f} MB are needed on the way, {free / 1e6:,.1f} MB are free.",
+            path=path, remedy="Make room, or write to another disk.",
+        )  # fmt: skip
 
 
 class Beside:

@@ -25,7 +25,8 @@ def written(folder: Path, name: str, text: str) -> Path:
 
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize(
-    "token", ["abc", "--", "NULL", "0x10", "1,234.5", "*", "-", "1e", "1.5.2", "7m", "1_000", "1d3", "-nan", "1;2", "٣", "1\0"]
+    "token",
+    ["abc", "--", "NULL", "0x10", "1,234.5", "*", "-", "1e", "1.5.2", "7m", "1_000", "1d3", "-nan", "1;2", "٣", "1\0"],
 )
 def test_a_token_that_is_no_number(tmp_path: Path, name: str, token: str) -> None:
     path = written(tmp_path, name, FORMATS[name] + f"1 2.5 3\n4 {token} 6\n")
@@ -88,7 +89,7 @@ def test_columns_of_points(tmp_path: Path, parting: str, title: str) -> None:
     lines = [parting.join((str(i % 3), str(1 - i // 3), f"{i}.5")) for i in range(6)]
     text = title.format(parting) + "\n".join(lines) + "\n"
     np.testing.assert_array_equal(read(written(tmp_path, "a.xyz", text)).heights, [[0.5, 1.5, 2.5], [3.5, 4.5, 5.5]])
-    with pytest.raises(ReadError, match="Line (3|4), column|cannot open"):
+    with pytest.raises(ReadError, match=r"Line (3|4), column|cannot open"):
         read(written(tmp_path, "b.xyz", title.format(parting) + "\n".join(lines).replace("2.5", "2.5m")))
 
 

@@ -20,6 +20,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from orograph.dem.raster import Dem
+from orograph.dem.source import HUGE
 from orograph.dem.units import metres_per
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
@@ -76,7 +77,7 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     fill = array.attrs.get("_FillValue", array.encoding.get("_FillValue"))
     if fill is not None and np.isfinite(fill):
         heights[heights == float(fill)] = np.nan
-    heights[~(np.abs(heights) < 1e30)] = np.nan
+    heights[~(np.abs(heights) < HUGE)] = np.nan
     unit = str(array.attrs.get("units", "m")) or "m"
     factor = metres_per(unit)
     if factor is None:
@@ -91,8 +92,8 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     known = _crs_of(array, crs)
     if known is None and _in_degrees(array):
         warnings.warn(
-            f"{called} has no CRS; its coordinates {x_dim}, {y_dim} are taken for degrees of WGS 84 (give crs=… if they "
-            "are others).", stacklevel=2,
+            f"{called} has no CRS; its coordinates {x_dim}, {y_dim} are taken for degrees of WGS 84 (give crs=… if "
+            "they are others).", stacklevel=2,
         )  # fmt: skip
         known = CRS.from_epsg(4326)
     grid = Grid((heights.shape[0], heights.shape[1]), transform, known)
@@ -122,7 +123,7 @@ def _axis(array: xr.DataArray, dim: Any, called: str) -> tuple[float, float]:
 
 
 def _in_degrees(array: xr.DataArray) -> bool:
-    """Whether the coordinates are within the globe's degrees, and called longitude and latitude or said to be degrees."""
+    """Whether the coordinates fit the globe, and are called longitude and latitude or said to be degrees."""
     y_dim, x_dim = array.dims
 
     def says(dim: Any, names: set[str], most: float) -> bool:

@@ -93,7 +93,7 @@ def _quantiles(values: Heights, counts: NDArray[np.int64], *parts: float) -> lis
 
 
 def _steps(parts: list[Heights], value: float) -> tuple[Heights, Heights, float]:
-    """Steps between neighbours that are not ``value``, steps between it and others, and its share of neighbours alike."""
+    """Steps between neighbours that are not ``value``; from it to others; and the share of its pairs that are alike."""
     plain, border, alike, all_pairs = [], [], 0, 0
     for part in parts:
         for a, b in ((part[1:], part[:-1]), (part[:, 1:], part[:, :-1])):

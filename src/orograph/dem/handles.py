@@ -11,6 +11,7 @@ memory, would break any promise about ours.
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import threading
@@ -121,8 +122,10 @@ def locate(path: str | os.PathLike[str]) -> str:
         raise ReadError(
             "This is a directory, not an elevation raster.", path=text, remedy="Name the files in it, e.g. DIR/*.tif."
         )
-    if not file.exists():
-        raise ReadError("There is no such file.", path=text, remedy="Check the spelling of the path.")
+    try:
+        file.stat()
+    except (OSError, ValueError) as error:
+        raise _absent(file, error) from None
     if file.is_file() and file.stat().st_size == 0:
         raise ReadError("The file is empty.", path=text, remedy="Fetch it again, or restore it from a copy.")
     if file.suffix.lower() == ".zip":
@@ -130,6 +133,22 @@ def locate(path: str | os.PathLike[str]) -> str:
     if file.suffix.lower() == ".gz":
         return f"/vsigzip/{file.as_posix()}"
     return text
+
+
+def _absent(file: Path, error: OSError | ValueError) -> ReadError:
+    """What keeps a file from being opened."""
+    code = getattr(error, "errno", None)
+    if code == errno.ELOOP:
+        return ReadError("It is a link that leads back to itself.", path=file, remedy="Name the file itself.")
+    if code == errno.ENOENT and file.is_symlink():
+        return ReadError(
+            f"It is a link to {file.readlink()}, which is not there.", path=file, remedy="Name the file itself."
+        )
+    if code in (errno.ENOENT, errno.ENOTDIR):
+        return ReadError("There is no such file.", path=file, remedy="Check the spelling of the path.")
+    return ReadError(
+        f"It cannot be opened: {getattr(error, 'strerror', error)}.", path=file, remedy="Check the path and its rights."
+    )
 
 
 _SIDECARS = {
@@ -223,6 +242,8 @@ def _remedy(location: str, error: BaseException) -> str:
         return "GDAL knows .hgt files by name and size: it must be called like N44W072.hgt (the south-west corner)."
     if location.lower().endswith(".pmtiles") or location.lower().endswith(".mbtiles"):
         return "Tile archives must be made one raster first (gdal_translate to GeoTIFF)."
+    if location.startswith(("/vsizip/{", "/vsigzip/")):
+        return "Name an archive that holds an elevation raster, or unpack it and name the raster."
     if "://" in location or location.startswith("/vsi"):
         return "Check the address, the network and the credentials."
     return (

@@ -111,6 +111,8 @@ def _about_place(source: Source) -> list[str]:
 
 def _about_heights(source: Source, found: Statistics, windows: int = WINDOWS) -> list[str]:
     said: list[str] = []
+    if min(source.shape) < 2:
+        said.append("It has one row or column of samples; a surface needs at least two of each.")
     low, high = found.low, found.high
     for value in sorted(source.undeclared):
         said.append(f"It holds the number {value:g}, which it does not declare as nodata: treated as missing.")

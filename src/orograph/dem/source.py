@@ -3,7 +3,7 @@
 Whatever the file holds, ``Source.read`` gives metres as float32 with NaN where there is no height:
 
 1. the file's numbers are compared with its nodata value *as stored*, before any scaling (integers exactly, floats by
-   ``is_nodata``); a mask or alpha band counts too; NaN, ±inf and anything of magnitude 1e30 or more (a nodata value
+   ``is_nodata``); a mask or alpha band counts too; NaN, ±inf and anything of magnitude 1e12 or more (a nodata value
    that was not declared: no body is that large) are never heights;
 2. height = (number · scale + offset) · metres per unit, in float64, rounded once to float32. Integers beyond 2^24 and
    float64 thereby keep 24 bits: better than 0.001 m for every height on Earth.
@@ -44,7 +44,7 @@ from orograph.geo.vertical import known_datum
 MAX_READ_BYTES = 2 << 30
 """``read`` holds at most this many bytes of heights (float32: 536 million samples, e.g. 23170²)."""
 
-HUGE = 1e30  # metres; nodata values such as ±3.4e38 and -1e37 lie beyond, heights do not
+HUGE = 1e12  # metres; nodata values such as ±3.4e38 and 1e20 lie beyond, heights of any body do not
 
 _CHUNK = 32 << 20  # bytes of the file's own numbers read at once
 
@@ -69,7 +69,7 @@ class Source:
         description: what the file calls the band, "" if it does not say.
         unit: what the file calls the unit of its numbers, "" if it does not say.
         picture: whether its bands are colours or classes rather than heights.
-        undeclared: stored numbers of magnitude 1e30 or more met so far that the file does not declare as nodata.
+        undeclared: stored numbers of magnitude 1e12 or more met so far that the file does not declare as nodata.
         warnings: what a user should know, full sentences.
     """
 
@@ -307,7 +307,7 @@ class Source:
                 if self._mask != "gdal":  # ISIS's special pixels are such numbers, and known to the mask
                     self._note_undeclared(raw, huge, missing)
         if not plain or raw.dtype.itemsize > 4:
-            heights[~np.isfinite(heights)] = np.nan
+            heights[~(np.abs(heights) < HUGE)] = np.nan
         if missing is not None:
             heights[missing] = np.nan
         return heights

@@ -8,7 +8,7 @@ of a GeoTIFF of Deflate as they are read. Which formats need it was found by cut
 - PNG: a file that ends early is padded with uninitialised memory (``png``).
 - HFA (.img), PCIDSK, PCRaster, ENVI, ILWIS, classic netCDF: blocks beyond the end of the file are uninitialised or 0
   (``sizes``, ``hfa``, ``netcdf``).
-- GeoTIFF of Deflate: a stream that yields more than its block is taken for whole, its checksum never read (``deflate``).
+- GeoTIFF of Deflate: a stream that yields more than its block is taken for whole, its checksum unread (``deflate``).
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
 - MRF of Deflate: a tile that does not decode is uninitialised. It has no checksum that could be compared: refused.
 
@@ -28,6 +28,7 @@ from orograph.dem.whole.files import DAMAGED, archived, local_file, main_file
 from orograph.errors import ReadError
 
 __all__ = ["DAMAGED", "check_blocks", "check_file"]
+
 
 def _refuse_deflate(dataset: Any, path: str) -> None:
     if dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION") == "DEFLATE":

@@ -74,7 +74,7 @@ def check_archived(dataset: Any) -> None:
 
 def deflated(dataset: Any) -> bool:
     """Whether a dataset is a GeoTIFF of Deflate."""
-    return dataset.driver == "GTiff" and dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION") == "DEFLATE"
+    return bool(dataset.driver == "GTiff" and dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION") == "DEFLATE")
 
 
 def _sound_blocks(key: object, count: int) -> bytearray:

@@ -28,7 +28,7 @@ _ARC = re.compile(
 _GRASS = re.compile(rb"\s*(?:(?:north|south|east|west|rows|cols|null|type|multiplier):\s*\S+\s+)+", re.I)
 _SURFER = re.compile(rb"DSAA\s+(?:\S+\s+){8}")
 _TITLES = re.compile(rb"[^\n]*[A-Za-z][^\n]*\n")
-_KNOWN = re.compile(rb"[+-]?(?:inf(?:inity)?|1\.#(?:inf|qnan|snan|ind)0*)\Z", re.I)  # what C libraries write, and GDAL reads
+_KNOWN = re.compile(rb"[+-]?(?:inf(?:inity)?|1\.#(?:inf|qnan|snan|ind)0*)\Z", re.I)  # as C libraries write
 
 
 def arc(dataset: Any, path: str) -> str | None:
@@ -98,7 +98,9 @@ def _scanned(file: BinaryIO, start: int, lines: int, parting: bytes, comma: bool
             return fault, int(state[1])
         rest = data[cut:]
         if len(rest) > _PIECE:
-            return f"Line {state[2] + 1} holds {len(rest):,} bytes without a space: these are no numbers.", int(state[1])
+            return f"Line {state[2] + 1} holds {len(rest):,} bytes without a space: these are no numbers.", int(
+                state[1]
+            )
     fault = _first_fault(rest, parting, comma, state)
     if fault is None and state[4] and not state[5]:
         fault = (
