@@ -146,6 +146,8 @@ cli.main()
 
 def test_a_codec_that_breaks_numcodecs(tmp_path: Path):
     """As zfpy does that was built for another NumPy: stores work, and doctor tells."""
+    (tmp_path / "zfpy-1.0.1.dist-info").mkdir()
+    (tmp_path / "zfpy-1.0.1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: zfpy\nVersion: 1.0.1\n")
     (tmp_path / "zfpy.py").write_text("raise ValueError('numpy.dtype size changed, may indicate incompatibility')\n")
     paths = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
     env = {**os.environ, "PYTHONPATH": paths}
