@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import shutil
 from pathlib import Path
@@ -26,6 +27,16 @@ def check_room(path: Path, size: int) -> None:
         )  # fmt: skip
 
 
+_unfinished: set[Path] = set()
+
+
+def remove_unfinished() -> None:
+    """Remove what is half written, and what lies beside it under its name: the process is about to end."""
+    for part in list(_unfinished):
+        for left in part.parent.glob(f"{glob.escape(part.name)}*"):
+            left.unlink(missing_ok=True)
+
+
 class Beside:
     """A temporary path beside ``out`` that becomes ``out`` on success and vanishes on failure."""
 
@@ -35,9 +46,11 @@ class Beside:
 
     def __enter__(self) -> Path:
         check_folder(self.out)
+        _unfinished.add(self.part)
         return self.part
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        _unfinished.discard(self.part)
         if kind is None:
             try:
                 self.part.replace(self.out)

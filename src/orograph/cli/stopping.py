@@ -79,4 +79,7 @@ def _watch(reading: int) -> None:
         code = CODES.get(signals[0])  # type: ignore[call-overload]
         if code is not None:
             time.sleep(GRACE)
+            output = sys.modules.get("orograph.output")
+            if output is not None:
+                output.remove_unfinished()
             end(code)
