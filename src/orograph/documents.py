@@ -12,6 +12,18 @@ from typing import Any
 from orograph.errors import ReadError, UsageError
 
 
+def parse(text: str) -> Any:
+    """What a JSON text holds.
+
+    Raises:
+        ValueError: it is not JSON, or nested too deeply for any document of ours.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
 def load_object(path: str | Path, what: str, holds: str) -> dict[str, Any]:
     """The JSON object in a file.
 
@@ -23,7 +35,7 @@ def load_object(path: str | Path, what: str, holds: str) -> dict[str, Any]:
         ReadError: the file cannot be read, is not JSON, or no JSON object.
     """
     try:
-        values = json.loads(Path(path).read_text(encoding="utf-8-sig"))
+        values = parse(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ReadError(f"The {what} cannot be read: {error.strerror}.", path=path) from error
     except ValueError as error:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import glob
 import os
+import shutil
 from pathlib import Path
 
 from orograph.errors import OutputError
@@ -14,6 +16,27 @@ def check_folder(path: Path) -> None:
         raise OutputError(f"There is no folder {path.parent} to write to.", path=path, remedy="Make it first.")
 
 
+def check_room(path: Path, size: int) -> None:
+    """Raise OutputError if the disk of ``path`` has less room than ``size`` bytes: before libraries meet its end, which
+    print lines of their own."""
+    free = shutil.disk_usage(path.parent).free
+    if free < size:
+        raise OutputError(
+            f"There is no room for it: {size / 1e6:,.1f} MB are needed on the way, {free / 1e6:,.1f} MB are free.",
+            path=path, remedy="Make room, or write to another disk.",
+        )  # fmt: skip
+
+
+_unfinished: set[Path] = set()
+
+
+def remove_unfinished() -> None:
+    """Remove what is half written, and what lies beside it under its name: the process is about to end."""
+    for part in list(_unfinished):
+        for left in part.parent.glob(f"{glob.escape(part.name)}*"):
+            left.unlink(missing_ok=True)
+
+
 class Beside:
     """A temporary path beside ``out`` that becomes ``out`` on success and vanishes on failure."""
 
@@ -23,9 +46,11 @@ class Beside:
 
     def __enter__(self) -> Path:
         check_folder(self.out)
+        _unfinished.add(self.part)
         return self.part
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        _unfinished.discard(self.part)
         if kind is None:
             try:
                 self.part.replace(self.out)

@@ -63,7 +63,7 @@ class View:
         for name in ("eye", "target", "up"):
             value = tuple(float(v) for v in getattr(self, name))
             if len(value) != 3 or not all(map(math.isfinite, value)):
-                raise UsageError(f"The view's {name} must be three finite numbers, not {getattr(self, name)!r}.")
+                raise UsageError(f"The view's {name} must be three finite numbers, not {value}.")
             object.__setattr__(self, name, value)
         if self.up == (0.0, 0.0, 0.0):
             raise UsageError("The view's up has no direction: all three of its numbers are 0.")

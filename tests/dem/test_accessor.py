@@ -82,3 +82,30 @@ def test_importing_orograph_registers_it_where_xarray_is_in_use() -> None:
             [sys.executable, "-c", program.format(imports)], capture_output=True, text=True, check=True
         )
         assert run.stdout.strip() == says
+
+
+@pytest.mark.parametrize(("y", "x"), [("lat", "lon"), ("latitude", "longitude"), ("a", "b"), ("row", "col")])
+def test_degrees_without_a_crs(y: str, x: str) -> None:
+    """Longitudes and latitudes, and what says that it is in degrees, are no metres; what says neither is metres."""
+    units = {"a": {"units": "degrees_north"}, "b": {"units": "degrees_east"}}
+    array = xr.DataArray(
+        np.full((61, 81), 500.0),
+        coords={y: (y, np.linspace(46.1, 46, 61), units.get(y)), x: (x, np.linspace(7, 7.1, 81), units.get(x))},
+        dims=(y, x), name="hill",
+    )  # fmt: skip
+    if y == "row":
+        assert array.orograph.to_dem().grid.crs is None
+        return
+    with pytest.warns(UserWarning, match=f"hill has no CRS; its coordinates {x}, {y} are taken for degrees of WGS 84"):
+        dem = array.orograph.to_dem()
+    assert dem.grid.crs is not None and dem.grid.crs.to_epsg() == 4326
+    with pytest.warns(UserWarning):
+        assert array.orograph.to_terrain().grid.crs.to_epsg() == 32632
+    assert array.orograph.to_dem(crs="EPSG:4258").grid.crs.to_epsg() == 4258
+
+
+def test_metres_that_are_called_latitude() -> None:
+    array = xr.DataArray(
+        np.zeros((2, 3)), coords={"lat": [4_000_030.0, 4e6], "lon": [5e5, 5e5 + 30, 5e5 + 60]}, dims=("lat", "lon")
+    )
+    assert array.orograph.to_dem().grid.crs is None

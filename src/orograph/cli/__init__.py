@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from orograph.cli import stopping
+
+stopping.guard_imports()  # before anything else is loaded
+
+# ruff: noqa: E402
 import difflib
 import importlib
 import importlib.abc
 import os
-import signal
 import sys
 import traceback
 from pathlib import Path
+from typing import NoReturn
 
 import click
 
@@ -97,9 +102,9 @@ def main(argv: list[str] | None = None) -> None:
     general = [a for a in args if a in ("--debug", "--quiet", "-q")]  # allowed anywhere on the line
     args = [*general, *(a for a in args if a not in general)]
     _spare_imports(args)
-    if argv is None and "view" not in args:
-        signal.signal(signal.SIGTERM, _stop)
     try:
+        if argv is None:
+            stopping.guard(cleaning="view" not in args)
         code = cli.main(args=args, prog_name="orograph", standalone_mode=False)
         code = code if isinstance(code, int) else 0
         if argv is None:
@@ -109,7 +114,17 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(stop.exit_code)
     except (click.exceptions.Abort, KeyboardInterrupt) as error:
         click.echo("\norograph: interrupted", err=True)
-        _leave(143 if isinstance(error.__cause__ or error, Stopped) else 130)
+        _leave(143 if isinstance(error.__cause__ or error, stopping.Stopped) else 130)
+    except Exception as error:
+        if stopping.asked():  # which a library has made an error of its own
+            stopping.end(stopping.asked())
+        _fail(error, debug)
+
+
+def _fail(failure: Exception, debug: bool) -> NoReturn:
+    """Say what failed, and exit with its code."""
+    try:
+        raise failure
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
@@ -132,15 +147,6 @@ def main(argv: list[str] | None = None) -> None:
                 err=True,
             )
         _leave(1)
-
-
-class Stopped(KeyboardInterrupt):
-    """The process was asked to end by the system: a scheduler, a shutdown, ``kill``."""
-
-
-def _stop(signum: int, frame: object) -> None:
-    """End as after Ctrl-C, so that nothing half written is left. (The window's loop ends by itself.)"""
-    raise Stopped
 
 
 def _spare_imports(args: list[str]) -> None:
@@ -173,7 +179,7 @@ def _asked_by(*packages: str) -> bool:
     return frame is not None and frame.f_globals.get("__name__", "").split(".")[0] in packages
 
 
-def _leave(code: int) -> None:
+def _leave(code: int) -> NoReturn:
     """Exit at once, without waiting for worker threads that may still be busy with a cancelled block."""
     sys.stdout.flush()
     sys.stderr.flush()

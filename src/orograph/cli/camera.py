@@ -7,12 +7,13 @@ makes the view once the terrain is known. Verbs that use them have ``exaggeratio
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.options import FILE, F, ParamType
+from orograph.cli.options import FILE, F, Float, FloatRange, ParamType
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
@@ -39,6 +40,8 @@ class Numbers(ParamType):
             numbers = tuple(float(part) for part in str(value).split(","))
         except ValueError:
             numbers = ()
+        if any(map(math.isnan, numbers)):
+            self.fail(f"{value!r} holds nan, which is not a number.", param, ctx)
         if not len(self.names) - self.optional <= len(numbers) <= len(self.names):
             self.fail(f"{value!r} is not {self.name}: numbers separated by commas.", param, ctx)
         return numbers
@@ -65,19 +68,19 @@ def camera_options(function: F) -> F:
             click.option(
                 "--from",
                 "azimuth",
-                type=float,
+                type=Float(),
                 metavar="AZIMUTH",
                 help="Look from this side, degrees clockwise from north.  [default: 180, the south]",
             ),
             click.option(
                 "--pitch",
-                type=float,
+                type=Float(),
                 metavar="DEG",
                 help="Look down by this angle; 90 is straight down.  [default: 42]",
             ),
             click.option(
                 "--distance",
-                type=float,
+                type=Float(),
                 metavar="M",
                 help="Metres from the ground in the terrain's middle.  [default: such that all of it is in view]",
             ),
@@ -102,7 +105,7 @@ def camera_options(function: F) -> F:
             ),
             click.option(
                 "--fov",
-                type=click.FloatRange(0, 180, min_open=True, max_open=True),
+                type=FloatRange(0, 180, min_open=True, max_open=True),
                 metavar="DEG",
                 help="Vertical field of view.  [default: 30; with --lonlat 45; with --view the view's]",
             ),

@@ -17,6 +17,7 @@ from orograph.cli.engines import REFINE, check_colors, color_errors, goal_of, ma
 from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
+    Float,
     ParamType,
     grid_options,
     jobs_option,
@@ -25,6 +26,7 @@ from orograph.cli.options import (
     source_options,
     vertical_options,
 )
+from orograph.documents import parse
 from orograph.errors import OrographError, ReadError, UsageError
 from orograph.lod import ENGINES, engine_of
 
@@ -90,7 +92,7 @@ class Engines(ParamType):
 )
 @refine_options
 @click.option(
-    "--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
+    "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
 )
 @click.option("--size", type=Size(), help="The views' size in pixels.  [default: 1280x720, or the files']")
 @click.option(
@@ -247,7 +249,7 @@ def load_views(path: str, crs: Any = None) -> dict[str, View]:
     from orograph.viewpoint import View
 
     try:
-        values = json.loads(Path(path).read_text(encoding="utf-8"))
+        values = parse(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ReadError(f"The views cannot be read: {error.strerror}.", path=path) from error
     except ValueError as error:

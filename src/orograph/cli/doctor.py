@@ -66,6 +66,8 @@ def command(as_json: bool) -> None:
         click.echo(f"  {name}: {have}")
         if extra["install"]:
             click.echo(f"    for {extra['for']}: {extra['install']}")
+    if facts["numcodecs"]:
+        click.echo(f"  {facts['numcodecs']}")
     click.echo(f"Screen\n  {facts['screen']}")
     click.echo(f"Kept stores\n  {facts['cache']} ({facts['cache_free_gib']} GiB free)")
 
@@ -86,6 +88,7 @@ def examine() -> Facts:
         "processors": cpu_count(),
         "memory_gib": _memory(),
         "extras": {name: _extra(name, libraries) for name, libraries in EXTRAS.items()},
+        "numcodecs": _numcodecs(),
         "screen": _screen(),
         "cache": str(folder),
         "cache_free_gib": round(shutil.disk_usage(place).free / 2**30, 1),
@@ -103,6 +106,20 @@ def _extra(name: str, libraries: tuple[str, ...]) -> Facts:
             versions[library] = None
     missing = None in versions.values()
     return {"libraries": versions, "for": USES[name], "install": f"pip install 'orograph[{name}]'" if missing else None}
+
+
+def _numcodecs() -> str | None:
+    """What is wrong with the library that packs stores; None: nothing."""
+    try:
+        from orograph import _blosc
+    except ImportError as error:
+        return f"numcodecs cannot be imported ({error}): stores can be neither written nor read"
+    if _blosc.broken is None:
+        return None
+    return (
+        f"numcodecs cannot be imported with all its codecs ({_blosc.broken}). Stores need none of those that are "
+        "broken; other programs may: update or remove zfpy."
+    )
 
 
 def _gpu() -> tuple[list[Facts], str]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.options import FILE, F
+from orograph.cli.options import FILE, F, FloatRange
 from orograph.errors import UsageError
 from orograph.lod import ENGINES, engine_of
 
@@ -38,7 +38,7 @@ def refine_options(function: F) -> F:
         [
             click.option(
                 "--tolerance",
-                type=click.FloatRange(min=0),
+                type=FloatRange(min=0),
                 metavar="PX",
                 help="Pixels by which the mesh may be off on the screen.  [default: 1]",
             ),
@@ -59,7 +59,7 @@ def refine_options(function: F) -> F:
             ),
             click.option(
                 "--color-tolerance",
-                type=click.FloatRange(min=0),
+                type=FloatRange(min=0),
                 metavar="ΔE",
                 help="Refine also where coarser triangles would change colours by more (CIELAB; 2.3 is just seen).",
             ),

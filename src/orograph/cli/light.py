@@ -14,6 +14,7 @@ from orograph.cli.camera import Numbers
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
     FILE,
+    Float,
     grid_options,
     jobs_option,
     memory_option,
@@ -70,7 +71,9 @@ AT_ONCE = ("normal", "slope", "aspect", "hillshade")
     help="A light of a hillshade with several, in place of --sun: degrees, and its share in the mean (1 if left out); "
     "give it again for each.",
 )
-@click.option("--exaggeration", type=float, default=1.0, show_default=True, help="Stretch heights, for hillshade only.")
+@click.option(
+    "--exaggeration", type=Float(), default=1.0, show_default=True, help="Stretch heights, for hillshade only."
+)
 @ray_options(
     ["horizon", "rays", "shadow-maps", "cone-tracing"],
     method="Of ambient occlusion, the last two on the GPU; of apertures, the first two.  [default: horizon]",

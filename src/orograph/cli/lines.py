@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.options import ParamType
+from orograph.cli.options import FloatRange, ParamType
 
 if TYPE_CHECKING:
     from orograph.scene.contours import Contours
@@ -55,13 +55,11 @@ LINE_OPTIONS: tuple[Callable[[Any], Any], ...] = (
         show_default=True,
         help="Whether thick contour lines bear their height.",
     ),
-    click.option(
-        "--contour-opacity", type=click.FloatRange(0, 1), default=0.7, show_default=True, help="Of the lines."
-    ),
+    click.option("--contour-opacity", type=FloatRange(0, 1), default=0.7, show_default=True, help="Of the lines."),
     click.option("--silhouettes", is_flag=True, help="Draw lines along ridges and creases."),
     click.option(
         "--silhouette-width",
-        type=click.FloatRange(0.25, 32),
+        type=FloatRange(0.25, 32),
         default=2.0,
         show_default=True,
         metavar="PX",
@@ -69,7 +67,7 @@ LINE_OPTIONS: tuple[Callable[[Any], Any], ...] = (
     ),
     click.option(
         "--creases",
-        type=click.FloatRange(0, 1),
+        type=FloatRange(0, 1),
         default=0.6,
         show_default=True,
         help="How heavy silhouettes are where ground turns away and back but hides nothing; 0: none there.",

@@ -26,6 +26,7 @@ from orograph.cli.measuring import (
 )
 from orograph.cli.options import (
     FILE,
+    Float,
     grid_options,
     jobs_option,
     memory_option,
@@ -91,7 +92,7 @@ def command(ctx: click.Context, /, path: str, max_memory: int, jobs: int | None,
               "left corner.")  # fmt: skip
 @without("lonlat", "look_at")
 @camera_options
-@click.option("--exaggeration", type=float, default=1.0, show_default=True, help="That of the picture.")
+@click.option("--exaggeration", type=Float(), default=1.0, show_default=True, help="That of the picture.")
 @points_option
 @click.pass_context
 def pick(
@@ -138,7 +139,7 @@ def pick(
 @command.command("profile", context_settings=POINTS, short_help="Lengths, climb and descent along a line.")
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT POINT...")
 @click.option("--geojson", type=FILE, metavar="FILE", help="The line in a GeoJSON file, instead of points.")
-@click.option("--every", type=float, metavar="M", help="Rows of the table this far apart.  [default: at every edge]")
+@click.option("--every", type=Float(), metavar="M", help="Rows of the table this far apart.  [default: at every edge]")
 @output_option("A table (.csv) or a plot (.png, .svg, .pdf); may be given several times.")
 @points_option
 @click.pass_context
@@ -188,7 +189,9 @@ def profile(
 @command.command("area", context_settings=POINTS)
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT POINT POINT...")
 @click.option("--geojson", type=FILE, metavar="FILE", help="The polygon in a GeoJSON file; it may have holes.")
-@click.option("--level", type=float, metavar="M", help="Also the volumes of ground above and space below this height.")
+@click.option(
+    "--level", type=Float(), metavar="M", help="Also the volumes of ground above and space below this height."
+)
 @points_option
 @click.pass_context
 def area(
@@ -271,7 +274,9 @@ def los(
 @command.command("viewshed", context_settings=POINTS, short_help="What is seen of the terrain from a point.")
 @click.argument("points", nargs=-1, type=Point(), metavar="POINT")
 @sight_options
-@click.option("--radius", type=float, metavar="M", help="How far to look, true metres.  [default: all of the terrain]")
+@click.option(
+    "--radius", type=Float(), metavar="M", help="How far to look, true metres.  [default: all of the terrain]"
+)
 @click.option("--heights", is_flag=True, help="How high a target must be to be seen, instead of 1 (seen) and 0.")
 @click.option("--output", "-o", type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
 @click.option("--picture", type=FILE, metavar="OUT.png", help="A relief picture with the seen ground painted.")

@@ -13,7 +13,7 @@ from click.core import ParameterSource
 from orograph.cli.camera import Size
 from orograph.cli.files import check_outputs
 from orograph.cli.layers import layer_files
-from orograph.cli.options import FILE, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.options import FILE, Float, jobs_option, memory_option, progress_of, source_options, vertical_options
 from orograph.cli.scenes import DRAWING, check_scene, scene_of, scene_options
 from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
 from orograph.errors import UsageError
@@ -34,9 +34,9 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 @click.option("--tour", "tour_path", type=FILE, metavar="TOUR.json", help="The key frames; see docs/movies.md.")
 @tour_options
 @click.option("--size", type=Size(), help="The frames' size in pixels.  [default: the tour's, or 1280x720]")
-@click.option("--fps", type=float, metavar="N", help="Frames per second.  [default: the tour's, or 30]")
-@click.option("--from", "begin", type=float, metavar="S", help="Begin here in the tour.  [default: 0]")
-@click.option("--to", "end", type=float, metavar="S", help="End here.  [default: the tour's end]")
+@click.option("--fps", type=Float(), metavar="N", help="Frames per second.  [default: the tour's, or 30]")
+@click.option("--from", "begin", type=Float(), metavar="S", help="Begin here in the tour.  [default: 0]")
+@click.option("--to", "end", type=Float(), metavar="S", help="End here.  [default: the tour's end]")
 @click.option(
     "--crf",
     type=click.IntRange(0, 63),

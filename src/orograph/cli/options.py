@@ -27,6 +27,7 @@ FILE = click.Path(dir_okay=False)
 
 DEFAULT_MEMORY = "1GiB"
 LEAST_MEMORY = 64 << 20
+MOST_JOBS = 1024
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _VERTICALS = ("ellipsoidal", "orthometric")  # orograph.dem.undulation.DIRECTIONS
 _ENCODINGS = ("mapbox", "terrarium")  # orograph.dem.encode.ENCODINGS, without importing NumPy for --help
@@ -70,9 +71,29 @@ def grid_options(doing: str) -> Callable[[F], F]:
     """
     crs = click.option("--crs", help=f"Projected CRS to {doing} in.  [default: the file's own, or its UTM zone]")
     resolution = click.option(
-        "--resolution", type=float, metavar="METRES", help="Distance between samples.  [default: the files']"
+        "--resolution", type=Float(), metavar="METRES", help="Distance between samples.  [default: the files']"
     )
     return lambda function: crs(resolution(function))
+
+
+class Float(click.types.FloatParamType):
+    """A number, and not "nan"."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return _number(self, super().convert(value, param, ctx), param, ctx)
+
+
+class FloatRange(click.FloatRange):
+    """A number within limits, and not "nan", which click lets pass."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return _number(self, super().convert(value, param, ctx), param, ctx)
+
+
+def _number(kind: click.ParamType[Any], value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+    if value != value:
+        kind.fail("nan is not a number.", param, ctx)
+    return value
 
 
 class Nodata(ParamType):
@@ -103,7 +124,7 @@ def source_options(function: F) -> F:
             ),
             click.option(
                 "--spacing",
-                type=float,
+                type=Float(),
                 metavar="METRES",
                 help="Distance between samples, for files that do not say where they lie.  [default: 1]",
             ),
@@ -158,7 +179,11 @@ def memory_option(function: F) -> F:
 def jobs_option(function: F) -> F:
     """``--jobs``: threads; None means all processors."""
     return click.option(
-        "--jobs", "-j", type=click.IntRange(min=1), default=None, help="Threads to use.  [default: all processors]"
+        "--jobs",
+        "-j",
+        type=click.IntRange(1, MOST_JOBS),
+        default=None,
+        help="Threads to use.  [default: all processors]",
     )(function)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from orograph.cli.lights import rays_option
-from orograph.cli.options import F
+from orograph.cli.options import F, Float
 
 MORE = ("rho", "method", "cones", "date", "step", "turbidity")
 """Options of single products, of which only those given are passed on."""
@@ -102,14 +102,14 @@ def horizon_options(function: F) -> F:
             help="Directions in which horizons are looked for, evenly spread from north.",
         ),
         click.option(
-            "--radius", type=float, metavar="METRES", help="How far away ground can hide the sky.  [default: any]"
+            "--radius", type=Float(), metavar="METRES", help="How far away ground can hide the sky.  [default: any]"
         ),
         click.option(
             "--curvature", is_flag=True, help="Let the Earth (or another body) be round, and its air refract."
         ),
         click.option(
             "--refraction",
-            type=float,
+            type=Float(),
             help="With --curvature: how much rays bend, relative to the ground.  [default: 0.13; 0 beyond the Earth]",
         ),
     )
@@ -148,11 +148,11 @@ def insolation_options(function: F) -> F:
             help="Of insolation: a day, a month or a year (2026-06-21, 2026-06, 2026), in mean solar time.",
         ),
         click.option(
-            "--step", type=float, metavar="MINUTES", help="Of insolation: time between two suns.  [default: 10]"
+            "--step", type=Float(), metavar="MINUTES", help="Of insolation: time between two suns.  [default: 10]"
         ),
         click.option(
             "--turbidity",
-            type=float,
+            type=Float(),
             help="Of insolation: Linke's, of the air: 2 clean and cold, 5 hazy, 0 none.  [default: 3]",
         ),
     )

@@ -16,7 +16,7 @@ from orograph.cli.engines import engine_option
 from orograph.cli.layers import layers_of_options, layers_option
 from orograph.cli.lights import check_lights, light_options, lights_of
 from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
-from orograph.cli.options import FILE, F, ParamType, grid_options
+from orograph.cli.options import FILE, F, Float, ParamType, grid_options
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def scene_options(function: F) -> F:
             light_options,
             click.option(
                 "--exaggeration",
-                type=float,
+                type=Float(),
                 default=1.0,
                 show_default=True,
                 metavar="X",
@@ -64,7 +64,7 @@ def scene_options(function: F) -> F:
             ),
             click.option(
                 "--relief",
-                type=float,
+                type=Float(),
                 metavar="X",
                 help="Stretch slopes for shading only; 1 is nature.  [default: 1 to 6, more for gentle land]",
             ),
@@ -95,7 +95,7 @@ def scene_options(function: F) -> F:
             ),
             click.option(
                 "--tolerance",
-                type=float,
+                type=Float(),
                 metavar="PX",
                 help="Pixels by which the ground may be displaced; 0 draws every sample.  "
                 "[default: 0 up to 16.8 million samples, else 0.5; with --engine 1]",

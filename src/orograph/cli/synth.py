@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from orograph.cli.files import check_ending
-from orograph.cli.options import jobs_option, progress_of
+from orograph.cli.options import Float, FloatRange, jobs_option, progress_of
 from orograph.errors import UsageError
 
 
@@ -19,16 +19,16 @@ from orograph.errors import UsageError
     "--size", default="1025", show_default=True, metavar="N|ROWSxCOLS", help="Samples: of a side, or rows × columns."
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Which terrain: another number, another world.")
-@click.option("--spacing", type=float, default=30.0, show_default=True, help="Metres between samples.")
+@click.option("--spacing", type=Float(), default=30.0, show_default=True, help="Metres between samples.")
 @click.option("--crs", default="EPSG:32633", show_default=True, help="A projected CRS.")
 @click.option(
     "--relief",
-    type=float,
+    type=Float(),
     help="Metres from the lowest to the highest place.  [default: 6 % of the side, at most 2500]",
 )
 @click.option(
     "--roughness",
-    type=click.FloatRange(0, 3),
+    type=FloatRange(0, 3),
     default=1.0,
     show_default=True,
     help="Depth of the finer furrows: 0 smooth, 1 natural.",

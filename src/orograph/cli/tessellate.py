@@ -24,6 +24,7 @@ from orograph.cli.engines import (
 from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
+    Float,
     grid_options,
     jobs_option,
     memory_option,
@@ -42,12 +43,12 @@ OWN = {*CAMERA, *REFINE, "seconds", "metric", "exaggeration", "geomorph"}
 @click.option("--output", "-o", required=True, type=FILE, help="The mesh: .npz, .ply, .obj or .glb.")
 @engine_option(default="soar", show_default=True, help="The method of refinement.")
 @refine_options
-@click.option("--seconds", type=float, metavar="S", help="Instead: what can be done in so much time.")
+@click.option("--seconds", type=Float(), metavar="S", help="Instead: what can be done in so much time.")
 @click.option("--metric", metavar="NAME", help="How errors become pixels.  [default: the engine's own]")
 @click.option("--geomorph", is_flag=True, help="Let vertices grow out of their edges as they come (soar, batched).")
 @camera_options
 @click.option(
-    "--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
+    "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
 )
 @click.option("--check", is_flag=True, help="Let the referee measure the mesh against every sample in view.")
 @grid_options("triangulate")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.camera import Numbers
-from orograph.cli.options import FILE, F
+from orograph.cli.options import FILE, F, Float, FloatRange
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
@@ -42,33 +42,35 @@ def tour_options(function: F) -> F:
                 metavar="CRS",
                 help="The CRS of --line and --point.  [default: longitude and latitude, EPSG:4326]",
             ),
-            click.option("--seconds", type=float, metavar="S", help="How long it takes.  [default: 12 for once round]"),
             click.option(
-                "--speed", type=float, metavar="M/S", help="Along a line.  [default: one that suits --height]"
+                "--seconds", type=Float(), metavar="S", help="How long it takes.  [default: 12 for once round]"
+            ),
+            click.option(
+                "--speed", type=Float(), metavar="M/S", help="Along a line.  [default: one that suits --height]"
             ),
             click.option(
                 "--height",
-                type=float,
+                type=Float(),
                 metavar="M",
                 help="Above the ground, along a line.  [default: a fifteenth of its length, 50 to 3000]",
             ),
             click.option(
                 "--side",
                 "azimuth",
-                type=float,
+                type=Float(),
                 metavar="AZIMUTH",
                 help="The side an orbit begins from, degrees clockwise from north.  [default: 180, the south]",
             ),
-            click.option("--pitch", type=float, metavar="DEG", help="How far an orbit looks down.  [default: 35]"),
+            click.option("--pitch", type=Float(), metavar="DEG", help="How far an orbit looks down.  [default: 35]"),
             click.option(
                 "--distance",
-                type=float,
+                type=Float(),
                 metavar="M",
                 help="From an orbit to the terrain's middle.  [default: such that all of it is in view]",
             ),
             click.option(
                 "--fov",
-                type=click.FloatRange(0, 180, min_open=True, max_open=True),
+                type=FloatRange(0, 180, min_open=True, max_open=True),
                 metavar="DEG",
                 help="Vertical field of view.  [default: 30, along a line 45]",
             ),

@@ -12,7 +12,17 @@ from orograph.cli.engines import engine_option
 from orograph.cli.layers import layers_of_options, layers_option
 from orograph.cli.lights import check_lights, light_options, lights_of
 from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
-from orograph.cli.options import Bytes, F, grid_options, jobs_option, progress_of, source_options, vertical_options
+from orograph.cli.options import (
+    Bytes,
+    F,
+    Float,
+    FloatRange,
+    grid_options,
+    jobs_option,
+    progress_of,
+    source_options,
+    vertical_options,
+)
 from orograph.cli.scenes import Water
 from orograph.cli.suns import sun_option
 
@@ -37,11 +47,11 @@ def _line_options(function: F) -> F:
 @camera_options
 @sun_option()
 @click.option(
-    "--exaggeration", type=float, default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
+    "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
 )
 @click.option(
     "--tolerance",
-    type=click.FloatRange(min=0, min_open=True),
+    type=FloatRange(min=0, min_open=True),
     metavar="PX",
     help="Pixels by which the ground may be displaced on the screen.  [default: 1]",
 )

@@ -7,6 +7,7 @@ has turned it into NaN already where it decoded the file). Units: the ``units`` 
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from orograph.dem.raster import Dem
+from orograph.dem.source import HUGE
 from orograph.dem.units import metres_per
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
@@ -47,7 +49,8 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     Args:
         array: heights with evenly spaced coordinates along its last two dimensions: rows and columns, or columns and
             rows where they are called so (``axes_of``).
-        crs: the CRS, if the array does not say it.
+        crs: the CRS, if the array does not say it. Without one, coordinates that are called longitude and latitude, or
+            are in degrees, are taken for those of WGS 84, with a warning.
         name: what to call it. Default: the array's own name, else that of its file.
 
     Raises:
@@ -68,7 +71,7 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     fill = array.attrs.get("_FillValue", array.encoding.get("_FillValue"))
     if fill is not None and np.isfinite(fill):
         heights[heights == float(fill)] = np.nan
-    heights[~(np.abs(heights) < 1e30)] = np.nan
+    heights[~(np.abs(heights) < HUGE)] = np.nan
     unit = str(array.attrs.get("units", "m")) or "m"
     factor = metres_per(unit)
     if factor is None:
@@ -80,7 +83,14 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     if dx < 0:
         heights, x0, dx = heights[:, ::-1], x0 + dx * (heights.shape[1] - 1), -dx
     transform = Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2)
-    grid = Grid((heights.shape[0], heights.shape[1]), transform, _crs_of(array, crs))
+    known = _crs_of(array, crs)
+    if known is None and _in_degrees(array):
+        warnings.warn(
+            f"{called} has no CRS; its coordinates {x_dim}, {y_dim} are taken for degrees of WGS 84 (give crs=… if "
+            "they are others).", stacklevel=2,
+        )  # fmt: skip
+        known = CRS.from_epsg(4326)
+    grid = Grid((heights.shape[0], heights.shape[1]), transform, known)
     return Dem(np.ascontiguousarray(heights * factor, dtype=np.float32), grid, None, called)
 
 
@@ -104,6 +114,19 @@ def _axis(array: xr.DataArray, dim: Any, called: str) -> tuple[float, float]:
             f"The coordinates of {called} along {dim!r} are not evenly spaced.", remedy="Resample it first."
         )
     return float(values[0]), step
+
+
+def _in_degrees(array: xr.DataArray) -> bool:
+    """Whether the coordinates fit the globe, and are called longitude and latitude or said to be degrees."""
+    y_dim, x_dim = array.dims
+
+    def says(dim: Any, names: set[str], most: float) -> bool:
+        values, attributes = array.coords[dim], array.coords[dim].attrs
+        called = {str(dim).lower(), str(attributes.get("standard_name", "")).lower()}
+        degrees = str(attributes.get("units", "")).lower().startswith("degree")
+        return bool(np.abs(values).max() <= most and (called & names or degrees))
+
+    return says(x_dim, {"lon", "long", "longitude"}, 360.5) and says(y_dim, {"lat", "latitude"}, 90.5)
 
 
 def _crs_of(array: xr.DataArray, asked: str | CRS | None) -> CRS | None:

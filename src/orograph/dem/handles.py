@@ -11,7 +11,9 @@ memory, would break any promise about ours.
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import threading
 import warnings
 import zipfile
@@ -38,8 +40,15 @@ def _stamp(location: str) -> tuple[int, int, int] | None:
     return found.st_mtime_ns, found.st_size, found.st_ino
 
 
+def stamped(location: str) -> Key:
+    """A file's name and state: another one once it was written again."""
+    return location, _stamp(location)
+
+
 def _settings() -> dict[str, Any]:
-    return {} if "GDAL_CACHEMAX" in os.environ else {"GDAL_CACHEMAX": CACHE}
+    """What GDAL is told: damaged JPEGs are errors; text is read as doubles, not as what its first lines look like."""
+    settings: dict[str, Any] = {"GDAL_ERROR_ON_LIBJPEG_WARNING": True, "AAIGRID_DATATYPE": "Float64"}
+    return settings if "GDAL_CACHEMAX" in os.environ else settings | {"GDAL_CACHEMAX": CACHE}
 
 
 class Handles:
@@ -58,8 +67,11 @@ class Handles:
             ReadError: the file cannot be opened.
         """
         import rasterio
+        from rasterio._err import CPLE_BaseError
 
-        key = (location, _stamp(location))
+        from orograph.dem.whole import DAMAGED, check_file
+
+        key = stamped(location)
         with rasterio.Env(**_settings()):
             with self._lock:
                 found = next((i for i in reversed(range(len(self._idle))) if self._idle[i][0] == key), None)
@@ -67,7 +79,11 @@ class Handles:
             if dataset is None:
                 dataset = open_dataset(location)
             try:
+                check_file(dataset, location, key)
                 yield dataset
+            except CPLE_BaseError as error:  # of what rasterio asks for a header's parts, which it lets pass
+                dataset.close()
+                raise ReadError(f"GDAL cannot read it: {cause_of(error)}", path=location, remedy=DAMAGED) from None
             except BaseException:
                 dataset.close()
                 raise
@@ -106,8 +122,10 @@ def locate(path: str | os.PathLike[str]) -> str:
         raise ReadError(
             "This is a directory, not an elevation raster.", path=text, remedy="Name the files in it, e.g. DIR/*.tif."
         )
-    if not file.exists():
-        raise ReadError("There is no such file.", path=text, remedy="Check the spelling of the path.")
+    try:
+        file.stat()
+    except (OSError, ValueError) as error:
+        raise _absent(file, error) from None
     if file.is_file() and file.stat().st_size == 0:
         raise ReadError("The file is empty.", path=text, remedy="Fetch it again, or restore it from a copy.")
     if file.suffix.lower() == ".zip":
@@ -115,6 +133,22 @@ def locate(path: str | os.PathLike[str]) -> str:
     if file.suffix.lower() == ".gz":
         return f"/vsigzip/{file.as_posix()}"
     return text
+
+
+def _absent(file: Path, error: OSError | ValueError) -> ReadError:
+    """What keeps a file from being opened."""
+    code = getattr(error, "errno", None)
+    if code == errno.ELOOP:
+        return ReadError("It is a link that leads back to itself.", path=file, remedy="Name the file itself.")
+    if code == errno.ENOENT and file.is_symlink():
+        return ReadError(
+            f"It is a link to {file.readlink()}, which is not there.", path=file, remedy="Name the file itself."
+        )
+    if code in (errno.ENOENT, errno.ENOTDIR):
+        return ReadError("There is no such file.", path=file, remedy="Check the spelling of the path.")
+    return ReadError(
+        f"It cannot be opened: {getattr(error, 'strerror', error)}.", path=file, remedy="Check the path and its rights."
+    )
 
 
 _SIDECARS = {
@@ -196,6 +230,7 @@ def cause_of(error: BaseException) -> str:
     while inner.__cause__ is not None:
         inner = inner.__cause__
     text = " ".join((getattr(inner, "errmsg", "") or str(inner) or type(inner).__name__).split())
+    text = re.sub(r"\b0x[0-9a-f]{6,}, ?", "", text)  # addresses, which differ from run to run
     return text if text.endswith(".") else text + "."
 
 
@@ -207,6 +242,8 @@ def _remedy(location: str, error: BaseException) -> str:
         return "GDAL knows .hgt files by name and size: it must be called like N44W072.hgt (the south-west corner)."
     if location.lower().endswith(".pmtiles") or location.lower().endswith(".mbtiles"):
         return "Tile archives must be made one raster first (gdal_translate to GeoTIFF)."
+    if location.startswith(("/vsizip/{", "/vsigzip/")):
+        return "Name an archive that holds an elevation raster, or unpack it and name the raster."
     if "://" in location or location.startswith("/vsi"):
         return "Check the address, the network and the credentials."
     return (

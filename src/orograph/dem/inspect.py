@@ -13,6 +13,7 @@ import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
+from orograph.dem.fills import WINDOWS, suspected_fills
 from orograph.dem.source import Source
 from orograph.dem.statistics import Statistics
 from orograph.geo.ellipsoid import Ellipsoid
@@ -64,9 +65,13 @@ def suspicions(source: Source, found: Statistics) -> list[str]:
     return [*source.warnings, *_about_place(source), *_about_heights(source, found)]
 
 
-def doubtful_heights(source: Source, low: float, high: float) -> list[str]:
-    """``suspicions`` about the heights alone, where only the lowest and the highest are known (metres)."""
-    return _about_heights(source, Statistics(low, high, 1.0, math.nan, True))
+def doubtful_heights(source: Source, low: float, high: float, windows: int = WINDOWS) -> list[str]:
+    """``suspicions`` about the heights alone, where only the lowest and the highest are known (metres).
+
+    Args:
+        windows: of the raster that are read to look for fills; 0: none.
+    """
+    return _about_heights(source, Statistics(low, high, 1.0, math.nan, True), windows)
 
 
 def _about_place(source: Source) -> list[str]:
@@ -104,8 +109,10 @@ def _about_place(source: Source) -> list[str]:
     return said
 
 
-def _about_heights(source: Source, found: Statistics) -> list[str]:
+def _about_heights(source: Source, found: Statistics, windows: int = WINDOWS) -> list[str]:
     said: list[str] = []
+    if min(source.shape) < 2:
+        said.append("It has one row or column of samples; a surface needs at least two of each.")
     low, high = found.low, found.high
     for value in sorted(source.undeclared):
         said.append(f"It holds the number {value:g}, which it does not declare as nodata: treated as missing.")
@@ -130,6 +137,7 @@ def _about_heights(source: Source, found: Statistics) -> list[str]:
         return said
     if not undeclared:
         said.extend(_about_units(source, found))
+        said.extend(suspected_fills(source, _USUAL_NODATA, windows) if windows else [])
     if source.dtype in ("uint8", "int8") and source.encoding is None and source.scale == 1 and source.bands < 3:
         said.append("Its numbers have 8 bits: heights in steps of a metre at best, or shades of a picture.")
     return said

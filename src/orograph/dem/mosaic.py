@@ -154,6 +154,13 @@ class Mosaic:
             for path in names:
                 sources.append(Source.open(path, **options))
                 task.advance()
+        if len(sources) == 1 and min(sources[0].grid.shape) < 2:
+            rows, cols = sources[0].grid.shape
+            raise ReadError(
+                f"The raster has {rows} row(s) and {cols} column(s); a surface needs at least two of each.",
+                path=names[0],
+                remedy="Name files that hold more, or the files beside it as well.",
+            )
         return cls(
             sources,
             crs=crs,

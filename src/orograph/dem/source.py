@@ -3,7 +3,7 @@
 Whatever the file holds, ``Source.read`` gives metres as float32 with NaN where there is no height:
 
 1. the file's numbers are compared with its nodata value *as stored*, before any scaling (integers exactly, floats by
-   ``is_nodata``); a mask or alpha band counts too; NaN, ±inf and anything of magnitude 1e30 or more (a nodata value
+   ``is_nodata``); a mask or alpha band counts too; NaN, ±inf and anything of magnitude 1e12 or more (a nodata value
    that was not declared: no body is that large) are never heights;
 2. height = (number · scale + offset) · metres per unit, in float64, rounded once to float32. Integers beyond 2^24 and
    float64 thereby keep 24 bits: better than 0.001 m for every height on Earth.
@@ -32,10 +32,11 @@ from orograph.dem.bands import (
     is_picture,
 )
 from orograph.dem.encode import decode_rgb
-from orograph.dem.handles import HANDLES, cause_of, locate
+from orograph.dem.handles import HANDLES, cause_of, locate, stamped
 from orograph.dem.header import assumed_vertical, place_of, unit_of, vertical_of
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
+from orograph.dem.whole import DAMAGED, check_blocks
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
 from orograph.geo.vertical import known_datum
@@ -43,7 +44,7 @@ from orograph.geo.vertical import known_datum
 MAX_READ_BYTES = 2 << 30
 """``read`` holds at most this many bytes of heights (float32: 536 million samples, e.g. 23170²)."""
 
-HUGE = 1e30  # metres; nodata values such as ±3.4e38 and -1e37 lie beyond, heights do not
+HUGE = 1e12  # metres; nodata values such as ±3.4e38 and 1e20 lie beyond, heights of any body do not
 
 _CHUNK = 32 << 20  # bytes of the file's own numbers read at once
 
@@ -68,7 +69,7 @@ class Source:
         description: what the file calls the band, "" if it does not say.
         unit: what the file calls the unit of its numbers, "" if it does not say.
         picture: whether its bands are colours or classes rather than heights.
-        undeclared: stored numbers of magnitude 1e30 or more met so far that the file does not declare as nodata.
+        undeclared: stored numbers of magnitude 1e12 or more met so far that the file does not declare as nodata.
         warnings: what a user should know, full sentences.
     """
 
@@ -210,10 +211,13 @@ class Source:
         first_col = cols - 1 - (col0 + (n_cols - 1) * step) if self._flip_cols else col0
         out = np.empty((n_rows, n_cols), np.float32)
         with HANDLES.borrow(self.location) as dataset:
+            key = stamped(self.location)
             for i0, i1, j0, j1 in self._chunks(n_rows, n_cols, step):
                 top, left = first_row + i0 * step, first_col + j0 * step
                 height, width = (i1 - i0 - 1) * step + 1, (j1 - j0 - 1) * step + 1
                 out[i0:i1, j0:j1] = self._decode(dataset, top, left, height, width, step)
+                for band in self._bands_read(dataset):  # (after GDAL has seen that they are there)
+                    check_blocks(dataset, key, band, (top, left, height, width), step)
         if self._flip_rows:
             out = out[::-1]
         if self._flip_cols:
@@ -244,14 +248,18 @@ class Source:
             for j in range(0, n_cols, wide)
         ]
 
+    def _bands_read(self, dataset: Any) -> list[int]:
+        if self.encoding is not None:
+            return list(range(1, min(dataset.count, 4) + 1))
+        return [self.band, self._alpha] if self._mask == "alpha" else [self.band]
+
     def _decode(self, dataset: Any, top: int, left: int, height: int, width: int, step: int) -> NDArray[np.float32]:
+        from rasterio._err import CPLE_BaseError
         from rasterio.errors import RasterioError
         from rasterio.windows import Window
 
         window = Window(left, top, width, height)
-        indexes: int | list[int] = self.band
-        if self.encoding is not None:
-            indexes = list(range(1, min(dataset.count, 4) + 1))
+        indexes = self._bands_read(dataset) if self.encoding is not None else self.band
         try:
             raw = dataset.read(indexes, window=window)[..., ::step, ::step]
             mask = None
@@ -259,11 +267,11 @@ class Source:
                 mask = dataset.read_masks(self.band, window=window)[::step, ::step] == 0
             elif self._mask == "alpha":
                 mask = dataset.read(self._alpha, window=window)[::step, ::step] == 0
-        except (RasterioError, MemoryError) as error:
+        except (RasterioError, CPLE_BaseError, MemoryError) as error:
             raise ReadError(
                 f"{self._where(error, top, left, height, width)} cannot be read: {cause_of(error)}",
                 path=self.path,
-                remedy="The file is damaged or was cut short: fetch it again, or restore it from a copy.",
+                remedy=DAMAGED,
             ) from None
         if self.encoding is not None:
             heights = decode_rgb(raw, self.encoding)
@@ -299,7 +307,7 @@ class Source:
                 if self._mask != "gdal":  # ISIS's special pixels are such numbers, and known to the mask
                     self._note_undeclared(raw, huge, missing)
         if not plain or raw.dtype.itemsize > 4:
-            heights[~np.isfinite(heights)] = np.nan
+            heights[~(np.abs(heights) < HUGE)] = np.nan
         if missing is not None:
             heights[missing] = np.nan
         return heights

@@ -101,6 +101,11 @@ def choose(lattices: Sequence[Lattice], *, crs: CRS | None = None, resolution: f
     bottom, top = math.floor(south / spacing + 1e-6), math.ceil(north / spacing - 1e-6)
     shape = (max(1, top - bottom), max(1, right - left))
     _check_size(shape, spacing)
+    if resolution is not None and min(shape) < 2:
+        raise UsageError(
+            f"A resolution of {spacing:g} m is coarser than the terrain is large ({east - west:.4g} × "
+            f"{north - south:.4g} m).", remedy="Give a finer --resolution.",
+        )  # fmt: skip
     return Target(Grid(shape, Affine(spacing, 0, left * spacing, 0, -spacing, top * spacing), crs), reason, False)
 
 

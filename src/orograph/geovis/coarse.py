@@ -254,7 +254,7 @@ class CoarseLevels:
             raise self._unkept(error) from None
 
     def _keep(self, block: Block, levels: list[Bytes]) -> None:
-        from numcodecs import blosc
+        from orograph._blosc import blosc
 
         packed = [blosc.compress(np.ascontiguousarray(v), b"zstd", 1, blosc.NOSHUFFLE, 0) for v in levels]
         head = np.array(
@@ -277,7 +277,7 @@ class CoarseLevels:
 
     def _level(self, block: Block, k: int) -> Bytes | None:
         """A level of a block, None if it is not there; a damaged one is forgotten."""
-        from numcodecs import blosc
+        from orograph._blosc import blosc
 
         try:
             with self._path(block).open("rb") as file:

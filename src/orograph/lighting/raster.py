@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from orograph.errors import OutputError
 from orograph.geo.grid import Grid
-from orograph.output import Beside, check_folder
+from orograph.output import Beside, check_folder, check_room
 from orograph.parallel import cpu_count
 from orograph.progress import SILENT, Progress
 
@@ -187,6 +187,7 @@ def write(
     out = Path(path)
     check_folder(out)
     rows, cols = grid.shape
+    check_room(out, len(bands) * -(-rows // 256) * -(-cols // 256) * 256 * 256 * (1 if byte else 4))
     profile = {
         "driver": "GTiff", "height": rows, "width": cols, "count": len(bands), "dtype": "uint8" if byte else "float32",
         "nodata": 0 if byte else math.nan, "crs": None if grid.crs is None else grid.crs.to_wkt(),

@@ -6,7 +6,6 @@ coordinate is ignored: heights are measured, not told.
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
 from orograph.geo.transform import transformer
 from orograph.measuring.places import Places
@@ -32,7 +32,7 @@ def read_geojson(path: str | os.PathLike[str], kind: str, places: Places) -> lis
         UsageError: its coordinates cannot be brought to the terrain's CRS.
     """
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        data = parse(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ReadError(f"It cannot be read: {error.strerror}.", path=path) from error
     except ValueError as error:

@@ -103,7 +103,7 @@ class ArraySpec:
 
     def encode(self, block: Array) -> list[bytes]:
         """The bytes of a shard whose samples are ``block`` (smaller than a shard at the array's end)."""
-        from numcodecs import blosc
+        from orograph._blosc import blosc
 
         rows, cols = block.shape
         side = self.shard // self.chunk
@@ -238,7 +238,7 @@ class ShardedArray:
     def _decode(self, i: int, j: int, data: bytes | None) -> Array:
         if data is None:
             return self.blank
-        from numcodecs import blosc
+        from orograph._blosc import blosc
 
         if len(data) < 4 or crc32c(data[:-4]) != int.from_bytes(data[-4:], "little"):
             raise self._damaged(i, j, "it fails its checksum")

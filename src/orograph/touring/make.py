@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
 from orograph.lighting.sun import Placed
 from orograph.scene import camera
@@ -228,7 +228,7 @@ def read_line(path: str | Path, crs: Any, line_crs: Any = None) -> Array:
     except (OSError, UnicodeDecodeError) as error:
         raise ReadError(f"The line cannot be read: {getattr(error, 'strerror', None) or error}.", path=path) from error
     try:
-        lines = _gpx(text) if text.lstrip().startswith("<") else _geojson(json.loads(text))
+        lines = _gpx(text) if text.lstrip().startswith("<") else _geojson(parse(text))
     except (ValueError, ElementTree.ParseError, TypeError, KeyError, IndexError) as error:
         raise ReadError(f"This is neither GPX nor GeoJSON: {error}.", path=path) from error
     lines = [line for line in lines if len(line) > 1]

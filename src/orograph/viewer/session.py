@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from orograph.documents import parse
 from orograph.errors import OrographError, UsageError
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import SunSource
@@ -197,7 +198,7 @@ class Session:
     def paste_view(self, text: str) -> bool:
         """Fly to the view in a text; says what is wrong with it, if something is. Whether it was one."""
         try:
-            values = json.loads(text)
+            values = parse(text)
             if not isinstance(values, dict):
                 raise UsageError("A view is a JSON object with eye and target.")
             view = View.from_dict(values, crs=self.terrain.grid.crs)

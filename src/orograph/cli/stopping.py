@@ -1,0 +1,85 @@
+"""Ctrl-C and SIGTERM: the command line ends with 130 or 143 within a second, whatever it is at.
+
+A signal raises KeyboardInterrupt in the main thread, which cleans up. Libraries may turn that into an error of their
+own, so ``asked`` remembers it; and a compiler or a driver may not let the main thread run for seconds, so a thread that
+the signal wakes ends the process where ``GRACE`` has gone by. Until ``guard`` is called nothing needs to be cleaned up.
+
+This module is the first that the command line imports, and imports little itself.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from typing import NoReturn
+
+GRACE = 0.8  # seconds
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
+_asked: list[int] = []
+
+
+class Stopped(KeyboardInterrupt):
+    """The process was asked to end by the system: a scheduler, a shutdown, ``kill``."""
+
+
+def asked() -> int:
+    """The exit code of the signal that asked the process to end; 0 if none did."""
+    return CODES[signal.Signals(_asked[0])] if _asked else 0
+
+
+def guard_imports() -> None:
+    """End at once on a signal, if this process is the command line: it has only begun to load itself."""
+    main = sys.modules.get("__main__")
+    spec = getattr(main, "__spec__", None)
+    name = os.path.basename(getattr(main, "__file__", None) or "")  # noqa: PTH119 (pathlib is not loaded yet)
+    if (spec is not None and spec.name == "orograph.__main__") or name.partition(".")[0] == "orograph":
+        _handle(lambda signum, frame: end(CODES[signal.Signals(signum)]))
+
+
+def guard(cleaning: bool = True) -> None:
+    """From here on a signal raises KeyboardInterrupt (``Stopped`` for SIGTERM), and ends the process after ``GRACE``.
+
+    Args:
+        cleaning: False: signals do what they do by themselves (the window has a loop of its own).
+    """
+    if not cleaning:
+        _handle(signal.default_int_handler, signal.SIGINT)
+        _handle(signal.SIG_DFL, signal.SIGTERM)
+        return
+    _handle(_raise)
+    if os.name == "posix":
+        reading, writing = os.pipe()
+        os.set_blocking(writing, False)
+        signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+        threading.Thread(target=_watch, args=(reading,), daemon=True).start()
+
+
+def end(code: int) -> NoReturn:
+    """Say so, and end without waiting for anything."""
+    os.write(2, b"\norograph: interrupted\n")
+    os._exit(code)
+
+
+def _handle(handler: signal._HANDLER, *signals: signal.Signals) -> None:
+    for signum in signals or CODES:
+        if signal.getsignal(signum) is not signal.SIG_IGN:  # as for what runs in the background of a shell
+            signal.signal(signum, handler)
+
+
+def _raise(signum: int, frame: object) -> None:
+    _asked.append(signum)
+    raise KeyboardInterrupt if signum == signal.SIGINT else Stopped
+
+
+def _watch(reading: int) -> None:
+    while signals := os.read(reading, 1):
+        code = CODES.get(signals[0])  # type: ignore[call-overload]
+        if code is not None:
+            time.sleep(GRACE)
+            output = sys.modules.get("orograph.output")
+            if output is not None:
+                output.remove_unfinished()
+            end(code)

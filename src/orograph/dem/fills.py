@@ -1,0 +1,116 @@
+"""Values that are no heights though nothing says so: voids filled with a number, and codes of classes.
+
+A *fill* is a value that many samples share, that lies apart from all others, and at whose borders the ground jumps: a
+sea or a lake is as common, but its shores rise from it. 0 and the usual nodata numbers are suspected where the jump is
+steep for this ground; any other value only where it is farther from the rest than half of the rest is spread. *Codes*
+are few small integers in patches, whose neighbours differ by more than one step.
+
+Both are judged by windows spread over the raster. Units: metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.dem.source import Source
+
+WINDOWS = 16
+_SIDE = 256
+_WHOLE = 1 << 20  # samples of a raster that is looked at as a whole
+_SHARE = 0.005  # of the valid samples that a fill has at least
+_LEAST = 5.0  # metres from a fill to nearly all other heights
+_JUMP = 8.0  # times the median step of the ground
+_CODES = 30
+
+Heights = NDArray[np.float32]
+
+
+def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDOWS) -> list[str]:
+    """Sentences about values of a raster that seem to mean "missing", or codes of classes.
+
+    Args:
+        usual: numbers, as stored, that often mean "missing".
+        windows: how many to look at.
+    """
+    parts = [p for p in (source.read(*box) for box in _boxes(source.shape, windows)) if np.isfinite(p).any()]
+    if not parts:
+        return []
+    values = np.concatenate([p[np.isfinite(p)] for p in parts])
+    found, counts = np.unique(values, return_counts=True)
+    if found.size < 2:
+        return []
+    if _codes(found, parts):
+        shown = ", ".join(f"{v:g}" for v in found[:6]) + ("…" if found.size > 6 else "")
+        return [f"Its values are few whole numbers in patches ({shown}): codes of classes (land cover?), not heights."]
+    said = []
+    ordinary = {_height(source, n) for n in (0, 1, -1, *usual)}
+    for i in np.argsort(counts)[::-1][:3]:
+        share = counts[i] / values.size
+        others = np.delete(found, i), np.delete(counts, i)
+        if share < _SHARE or share > 0.995:
+            continue
+        value = float(found[i])
+        gap = float(_quantiles(np.abs(others[0] - value), others[1], 0.005)[0])
+        low, middle, high = _quantiles(*others, 0.25, 0.5, 0.75)
+        steps, jumps, within = _steps(parts, value)
+        wanted = _LEAST if value in ordinary else max(_LEAST, float(high - low), 0.5 * abs(middle - value))
+        if gap < wanted or within < 0.25 or jumps.size == 0:
+            continue
+        if float(np.quantile(jumps, 0.1)) < max(_LEAST, _JUMP * float(np.median(steps)) if steps.size else 0.0):
+            continue
+        number = (value / source.unit_factor - source.offset) / source.scale
+        said.append(
+            f"{share:.1%} of its heights are exactly {value:g} m, in flat patches, with no other within {gap:,.0f} m "
+            + ("." if source.encoding else f"(give --nodata {number:g} if they are missing).")
+        )
+    return said
+
+
+def _boxes(shape: tuple[int, int], windows: int) -> Iterator[tuple[int, int, int, int]]:
+    rows, cols = shape
+    if rows * cols <= _WHOLE:
+        yield 0, rows, 0, cols
+        return
+    down = max(1, min(round(windows**0.5), rows // _SIDE))
+    across = max(1, min(windows // down, cols // _SIDE))
+    for r in np.unique(np.linspace(0, max(0, rows - _SIDE), down + 2).astype(int)[1:-1]):
+        for c in np.unique(np.linspace(0, max(0, cols - _SIDE), across + 2).astype(int)[1:-1]):
+            yield int(r), min(int(r) + _SIDE, rows), int(c), min(int(c) + _SIDE, cols)
+
+
+def _height(source: Source, number: int) -> float:
+    """The height that a stored number means."""
+    return float(np.float32((number * source.scale + source.offset) * source.unit_factor))
+
+
+def _quantiles(values: Heights, counts: NDArray[np.int64], *parts: float) -> list[float]:
+    order = np.argsort(values)
+    upto = np.cumsum(counts[order])
+    return [float(values[order[min(int(np.searchsorted(upto, p * upto[-1])), order.size - 1)]]) for p in parts]
+
+
+def _steps(parts: list[Heights], value: float) -> tuple[Heights, Heights, float]:
+    """Steps between neighbours that are not ``value``; from it to others; and the share of its pairs that are alike."""
+    plain, border, alike, all_pairs = [], [], 0, 0
+    for part in parts:
+        for a, b in ((part[1:], part[:-1]), (part[:, 1:], part[:, :-1])):
+            step = np.abs(a - b)
+            here, there = a == value, b == value
+            plain.append(step[~here & ~there & np.isfinite(step)])
+            border.append(step[(here ^ there) & np.isfinite(step)])
+            alike += int(np.count_nonzero(here & there))
+            all_pairs += int(np.count_nonzero(here | there))
+    return np.concatenate(plain), np.concatenate(border), alike / all_pairs if all_pairs else 0.0
+
+
+def _codes(found: Heights, parts: list[Heights]) -> bool:
+    """Whether values are few small whole numbers, in patches whose neighbours are no neighbours as heights are."""
+    if found.size > _CODES or found.size < 3 or found[0] < -1 or found[-1] > 255 or np.any(found != np.round(found)):
+        return False
+    steps = np.concatenate([np.abs(np.diff(p, axis=axis)).ravel() for p in parts for axis in (0, 1)])
+    steps = steps[np.isfinite(steps)]
+    other = steps[steps > 0]
+    return bool(other.size and other.size < 0.6 * steps.size and np.count_nonzero(other > 1) > 0.5 * other.size)

@@ -1,0 +1,85 @@
+"""Whether a raster's file is whole: what GDAL's drivers read past without a word.
+
+Most drivers notice a file that was cut short or a block that does not decode. Some do not, and give zeros or whatever
+was in memory. ``check_file`` looks at those formats once, when a file is first opened; ``check_blocks`` at the blocks
+of a GeoTIFF of Deflate as they are read. Which formats need it was found by cutting and altering files of every driver
+(``tests/dem/test_mutants.py``):
+
+- PNG: a file that ends early is padded with uninitialised memory (``png``).
+- HFA (.img), PCIDSK, PCRaster, ENVI, ILWIS, classic netCDF: blocks beyond the end of the file are uninitialised or 0
+  (``sizes``, ``hfa``, ``netcdf``).
+- GeoTIFF of Deflate: a stream that yields more than its block is taken for whole, its checksum unread (``deflate``).
+- Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
+- MRF of Deflate: a tile that does not decode is uninitialised. It has no checksum that could be compared: refused.
+
+Formats without checksums (raw samples, LZW…) cannot tell an altered number from a true one.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any
+
+from orograph.dem.whole import hfa, netcdf, png, sizes, text
+from orograph.dem.whole.deflate import check_archived, check_blocks, deflated
+from orograph.dem.whole.files import DAMAGED, archived, local_file, main_file
+from orograph.errors import ReadError
+
+__all__ = ["DAMAGED", "check_blocks", "check_file"]
+
+
+def _refuse_deflate(dataset: Any, path: str) -> None:
+    if dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION") == "DEFLATE":
+        raise ReadError(
+            "It is an MRF of Deflate, whose damage cannot be noticed.", path=path,
+            remedy="Make a GeoTIFF of it where it is known to be whole (gdal_translate).",
+        )  # fmt: skip
+
+
+_CHECKS: dict[str, Callable[[Any, str], str | None]] = {
+    "PNG": png.fault,
+    "HFA": hfa.fault,
+    "netCDF": netcdf.fault,
+    "PCIDSK": sizes.pcidsk,
+    "PCRaster": sizes.pcraster,
+    "ENVI": sizes.envi,
+    "ILWIS": sizes.ilwis,
+    "AAIGrid": text.arc,
+    "GRASSASCIIGrid": text.grass,
+    "GSAG": text.surfer,
+    "XYZ": text.points,
+}
+"""Format → what is wrong with an open dataset of it, given the path of its file on this disk; None: nothing."""
+
+_KNOWN = 1024
+_whole: OrderedDict[object, None] = OrderedDict()
+_lock = threading.Lock()
+
+
+def check_file(dataset: Any, location: str, key: object) -> None:
+    """Raise ReadError if the file of an open dataset is not whole, in a way that its driver would not notice.
+
+    Args:
+        dataset: of rasterio, just opened.
+        location: what GDAL opened, for the message.
+        key: the file's name and state; what was found whole is not looked at again.
+    """
+    with _lock:
+        if key in _whole:
+            return
+    if dataset.driver == "MRF":
+        _refuse_deflate(dataset, location)
+    elif deflated(dataset) and archived(main_file(dataset)):
+        check_archived(dataset)
+    check = _CHECKS.get(dataset.driver)
+    if check is not None:
+        with local_file(dataset) as path:
+            fault = None if path is None else check(dataset, path)
+        if fault is not None:
+            raise ReadError(fault, path=location, remedy=text.REMEDY if check in text.CHECKS else DAMAGED)
+    with _lock:
+        _whole[key] = None
+        while len(_whole) > _KNOWN:
+            _whole.popitem(last=False)

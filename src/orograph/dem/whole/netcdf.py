@@ -1,0 +1,84 @@
+"""Classic netCDF: the file holds all that its header lays out. (netCDF-4 is HDF5, which notices by itself.)
+
+Source: NetCDF Classic Format Specification (Unidata; formats CDF-1, CDF-2 and CDF-5).
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any, BinaryIO
+
+_ITEM = {1: 1, 2: 1, 3: 2, 4: 4, 5: 4, 6: 8, 7: 1, 8: 2, 9: 4, 10: 8, 11: 8}
+_STREAMING = 0xFFFFFFFF
+
+
+def fault(dataset: Any, path: str) -> str | None:
+    """What is wrong with a netCDF file, a sentence; None: nothing."""
+    size = Path(path).stat().st_size
+    with Path(path).open("rb") as file:
+        magic = file.read(4)
+        if magic[:3] != b"CDF" or magic[3] not in (1, 2, 5):
+            return None
+        try:
+            end = _Header(file, magic[3]).end()
+        except (struct.error, KeyError, IndexError):
+            return "Its header is cut short or damaged."
+    if size < end - 3:  # the last variable may lack its padding
+        return f"It ends after {size:,} of the {end:,} bytes that its header promises."
+    return None
+
+
+class _Header:
+    """Reads the header of a classic file from its fifth byte on."""
+
+    def __init__(self, file: BinaryIO, version: int) -> None:
+        self.file = file
+        self.count = ">q" if version == 5 else ">I"
+        self.offset = ">I" if version == 1 else ">q"
+
+    def end(self) -> int:
+        """The byte at which the last variable ends."""
+        records = self._number(self.count)
+        lengths = [self._dimension() for _ in range(self._list_length())]
+        self._attributes()
+        plain, begins = 0, list[tuple[int, int]]()
+        for _ in range(self._list_length()):
+            self._name()
+            shape = [lengths[self._number(self.count)] for _ in range(self._number(self.count))]
+            self._attributes()
+            item = _ITEM[self._number(">I")]
+            self._number(self.count)  # vsize, which overflows for large variables
+            begin = self._number(self.offset)
+            size = item
+            for length in shape[1:] if shape and shape[0] == 0 else shape:
+                size *= length
+            if shape and shape[0] == 0:
+                begins.append((begin, size))
+            else:
+                plain = max(plain, begin + size)
+        if not begins or records in (_STREAMING, -1):
+            return plain
+        per_record = sum(-(-s // 4) * 4 for _, s in begins) if len(begins) > 1 else begins[0][1]
+        last = max(begins)
+        return max(plain, last[0] + (records - 1) * per_record + last[1] if records else plain)
+
+    def _number(self, form: str) -> int:
+        return int(struct.unpack(form, self.file.read(struct.calcsize(form)))[0])
+
+    def _list_length(self) -> int:
+        self._number(">I")  # the list's tag
+        return self._number(self.count)
+
+    def _name(self) -> None:
+        self.file.seek(-(-self._number(self.count) // 4) * 4, 1)
+
+    def _dimension(self) -> int:
+        self._name()
+        return self._number(self.count)
+
+    def _attributes(self) -> None:
+        for _ in range(self._list_length()):
+            self._name()
+            item = _ITEM[self._number(">I")]
+            self.file.seek(-(-self._number(self.count) * item // 4) * 4, 1)

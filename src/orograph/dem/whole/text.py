@@ -1,0 +1,136 @@
+"""Elevation as text: every number is one, and there are as many as the header promises.
+
+GDAL takes for a number what a text begins with: ``abc``, ``--`` and ``0x10`` are 0 to it, ``1,234.5`` is 1.234, and a
+number that is not there is 0. The bytes are gone through once, in pieces, by a compiled pass.
+
+Formats: Arc/Info and GRASS ASCII grids, Surfer ASCII grids (DSAA), columns of x, y and height.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.dem.whole.kernels import scan
+
+REMEDY = "Write it again with plain numbers such as -1234.5, and missing heights as its nodata value."
+
+_PIECE = 8 << 20
+_HEADER = 16384
+_LONGEST = 64  # bytes of a token that are shown
+_ARC = re.compile(
+    rb"\s*(?:(?:ncols|nrows|xllcorner|yllcorner|xllcenter|yllcenter|cellsize|dx|dy|nodata_value)\s+\S+\s+)+", re.I
+)
+_GRASS = re.compile(rb"\s*(?:(?:north|south|east|west|rows|cols|null|type|multiplier):\s*\S+\s+)+", re.I)
+_SURFER = re.compile(rb"DSAA\s+(?:\S+\s+){8}")
+_TITLES = re.compile(rb"[^\n]*[A-Za-z][^\n]*\n")
+_KNOWN = re.compile(rb"[+-]?(?:inf(?:inity)?|1\.#(?:inf|qnan|snan|ind)0*)\Z", re.I)  # as C libraries write
+
+
+def arc(dataset: Any, path: str) -> str | None:
+    """What is wrong with an Arc/Info ASCII grid, a sentence; None: nothing."""
+    return _grid_fault(dataset, path, _ARC, True)
+
+
+def grass(dataset: Any, path: str) -> str | None:
+    """What is wrong with a GRASS ASCII grid, a sentence; None: nothing."""
+    return _grid_fault(dataset, path, _GRASS, True)
+
+
+def surfer(dataset: Any, path: str) -> str | None:
+    """What is wrong with a Surfer ASCII grid, a sentence; None: nothing."""
+    return _grid_fault(dataset, path, _SURFER, False)
+
+
+def points(dataset: Any, path: str) -> str | None:
+    """What is wrong with columns of x, y and height, a sentence; None: nothing."""
+    with Path(path).open("rb") as file:
+        head = file.read(_HEADER)
+    titles = _TITLES.match(head)
+    start = titles.end() if titles else 0
+    line = head[start:].partition(b"\n")[0]
+    parting = b";" if b";" in line else b"," if b", " in line or len(line.split()) < 3 else b""
+    with Path(path).open("rb") as file:
+        return _scanned(file, start, head.count(b"\n", 0, start), parting, True)[0]
+
+
+CHECKS = (arc, grass, surfer, points)
+
+
+def _grid_fault(dataset: Any, path: str, header: re.Pattern[bytes], comma: bool) -> str | None:
+    """What is wrong with the numbers behind a header, which must be as many as the grid's samples."""
+    with Path(path).open("rb") as file:
+        head = file.read(_HEADER)
+        found = header.match(head)
+        if found is None:
+            return "Its header is not understood."
+        start, lines = found.end(), head.count(b"\n", 0, found.end())
+        fault, count = _scanned(file, start, lines, b"", comma)
+        wanted = dataset.width * dataset.height
+        if fault is not None or count == wanted:
+            return fault
+        odd = _odd_line(file, start, lines, dataset.width)
+    return f"It holds {count:,} numbers where its header promises {wanted:,}: {odd}."
+
+
+def _scanned(file: BinaryIO, start: int, lines: int, parting: bytes, comma: bool) -> tuple[str | None, int]:
+    """The first thing from byte ``start`` on that is no number, and how many numbers there are before it.
+
+    Args:
+        lines: before ``start``.
+        parting, comma: as for ``scan``.
+    """
+    state = np.zeros(7, np.int64)
+    state[2] = lines
+    file.seek(max(0, start - _HEADER))
+    before = file.read(start - max(0, start - _HEADER))
+    state[3] = before.rfind(b"\n") + 1 - len(before)
+    rest = b""
+    while piece := file.read(_PIECE):
+        data = rest + piece
+        cut = max(data.rfind(b"\n"), data.rfind(b" ")) + 1
+        fault = _first_fault(data[:cut], parting, comma, state)
+        if fault is not None:
+            return fault, int(state[1])
+        rest = data[cut:]
+        if len(rest) > _PIECE:
+            return f"Line {state[2] + 1} holds {len(rest):,} bytes without a space: these are no numbers.", int(
+                state[1]
+            )
+    fault = _first_fault(rest, parting, comma, state)
+    if fault is None and state[4] and not state[5]:
+        fault = (
+            f"Line {state[6] + 1}: the commas of its numbers may be decimal commas or part thousands, which cannot "
+            "be told."
+        )
+    return fault, int(state[1])
+
+
+def _first_fault(data: bytes, parting: bytes, comma: bool, state: NDArray[np.int64]) -> str | None:
+    view = np.frombuffer(data, np.uint8)
+    state[0] = 0
+    while True:
+        first, end = scan(view, parting[0] if parting else 0, comma, state)
+        if first < 0:
+            state[3] -= view.size
+            return None
+        token = data[first:end]
+        if not _KNOWN.match(token):
+            shown = token[:_LONGEST].decode("utf-8", "replace")
+            return f"Line {state[2] + 1}, column {first - state[3] + 1}: {shown!r} is no number."
+        state[1] += 1
+
+
+def _odd_line(file: BinaryIO, start: int, lines: int, cols: int) -> str:
+    """Where numbers are missing or too many, if every line should be a row of the grid; else where they end."""
+    file.seek(start)
+    number = lines
+    for number, line in enumerate(file, lines + 1):
+        count = len(line.split())
+        if count and count != cols:
+            return f"line {number} has {count:,} of {cols:,}"
+    return f"they end in line {number}"

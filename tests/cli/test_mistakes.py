@@ -1,0 +1,163 @@
+"""What users do wrong is told as theirs: the exit code, the words, and no traceback."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+
+
+@pytest.mark.parametrize("verb", [["render", "-o", "a.png"], ["build", "-o", "a.oro"]])
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--resolution", "1e9"], "coarser than the terrain is large"),
+        (["--resolution", "nan"], "nan is not a number"),
+        (["--jobs", "100000"], "1<=x<=1024"),
+        (["--spacing", "nan"], "nan is not a number"),
+    ],
+)
+def test_numbers_that_make_no_sense(run, hilly, tmp_path, monkeypatch, verb, options, said):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(verb[0], hilly, *verb[1:], *options)
+    assert code == 2 and said in err and "np.float64" not in err, err
+
+
+@pytest.mark.parametrize(
+    "options", [["--fov", "nan"], ["--pitch", "nan"], ["--distance", "nan"], ["--lonlat", "nan,4,5"]]
+)
+def test_cameras_of_nan(run, hilly, tmp_path, options):
+    code, _, err = run("render", hilly, "-o", tmp_path / "a.png", *options)
+    assert code == 2 and "nan" in err and "np.float64" not in err, err
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000])
+def test_json_nested_too_deeply(run, hilly, tmp_path, text):
+    path = tmp_path / "deep.json"
+    path.write_text(text)
+    for options in (["render", hilly, "-o", tmp_path / "a.png", "--view", path],
+                    ["measure", hilly, "area", "--geojson", path]):  # fmt: skip
+        code, _, err = run(*options)
+        assert code == 3 and "nested too deeply" in err and "deep.json" in err, err
+
+
+def test_archives_without_a_raster(run, tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        archive.writestr("readme.txt", "hello")
+    code, _, err = run("info", tmp_path / "a.zip")
+    assert code == 3 and "archive" in err and "network" not in err, err
+
+
+def test_links(run, tmp_path):
+    (tmp_path / "a.tif").symlink_to(tmp_path / "b.tif")
+    (tmp_path / "b.tif").symlink_to(tmp_path / "a.tif")
+    (tmp_path / "c.tif").symlink_to(tmp_path / "gone.tif")
+    assert "leads back to itself" in run("info", tmp_path / "a.tif")[2]
+    assert "gone.tif, which is not there" in run("info", tmp_path / "c.tif")[2]
+    assert "There is no such file" in run("info", tmp_path / "d.tif")[2]
+
+
+def written(path, heights):
+    rows, cols = heights.shape
+    with rasterio.open(path, "w", driver="GTiff", height=rows, width=cols, count=1, dtype="float32", crs="EPSG:32611",
+                       transform=Affine(30, 0, 5e5, 0, -30, 4e6)) as file:  # fmt: skip
+        file.write(heights.astype(np.float32), 1)
+    return path
+
+
+@pytest.mark.parametrize("shape", [(1, 50), (50, 1), (1, 1)])
+def test_one_row_or_column_is_no_surface(run, tmp_path, shape):
+    path = written(tmp_path / "a.tif", np.arange(shape[0] * shape[1]).reshape(shape))
+    for options in (["render", path, "-o", tmp_path / "a.png"], ["build", path, "-o", tmp_path / "a.oro"],
+                    ["light", path, "--product", "slope", "-o", tmp_path / "b.tif"],
+                    ["tessellate", path, "-o", tmp_path / "a.npz"]):  # fmt: skip
+        code, _, err = run(*options)
+        assert code == 3 and "a surface needs at least two of each" in err, (options, err)
+    code, out, _ = run("info", path)
+    assert code == 0 and "a surface needs at least two of each" in out
+
+
+def test_heights_beyond_any_body_are_missing(run, tmp_path):
+    heights = np.full((40, 40), 100.0)
+    heights[3, 3], heights[5, 5] = 1e20, -9e29
+    code, out, err = run("info", written(tmp_path / "a.tif", heights))
+    assert code == 0 and err == "" and "100 to 100 m" in out and "1e+20, which it does not declare" in out
+
+
+def test_no_room_for_a_map(run, hilly, tmp_path, monkeypatch):
+    import shutil
+
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10**9, 10**9 - 1000, 1000))
+    code, _, err = run("light", hilly, "--product", "slope", "-o", tmp_path / "a.tif")
+    assert code == 4 and "There is no room for it" in err and "TIFF" not in err, err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("seed", range(6))
+def test_interrupts_at_any_time(hilly, tmp_path, seed):
+    """From the import of the command line on: 130 (143 for SIGTERM) within a second, and the words for it."""
+    rng = random.Random(seed)
+    code = "import sys, runpy; sys.argv[1:] = sys.argv[1:]; import orograph\n" \
+           "print('now', flush=True); runpy.run_module('orograph', run_name='__main__', alter_sys=True)"  # fmt: skip
+    line = [sys.executable, "-c", code, "render", str(hilly), "-o", str(tmp_path / "a.png"), "--size", "3000x2000"]
+    which = signal.SIGTERM if seed % 3 == 2 else signal.SIGINT
+    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None and child.stdout.readline() == "now\n"
+        time.sleep(0.15 + rng.uniform(0, 2.5))
+        if child.poll() is not None:
+            return
+        begun = time.perf_counter()
+        child.send_signal(which)
+        _, err = child.communicate(timeout=30)
+        assert child.returncode == (143 if which == signal.SIGTERM else 130), (child.returncode, err)
+        assert time.perf_counter() - begun < 2 and "interrupted" in err and "Traceback" not in err
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_an_error_that_an_interrupt_became(monkeypatch, tmp_path):
+    """Libraries turn KeyboardInterrupt into errors of their own; that is no fault of Orograph."""
+    code = """
+import os, signal, sys
+from orograph import cli
+def fail(*args, **kwargs):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        import time; time.sleep(5)
+    except KeyboardInterrupt:
+        raise RuntimeError("compiling failed") from None
+cli.cli.main = fail
+sys.argv = ["orograph", "info", "x"]
+cli.main()
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 130 and "interrupted" in ran.stderr and "fault" not in ran.stderr, ran.stderr
+
+
+def test_a_codec_that_breaks_numcodecs(tmp_path: Path):
+    """As zfpy does that was built for another NumPy: stores work, and doctor tells."""
+    (tmp_path / "zfpy-1.0.1.dist-info").mkdir()
+    (tmp_path / "zfpy-1.0.1.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: zfpy\nVersion: 1.0.1\n")
+    (tmp_path / "zfpy.py").write_text("raise ValueError('numpy.dtype size changed, may indicate incompatibility')\n")
+    paths = os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    env = {**os.environ, "PYTHONPATH": paths}
+    dem = written(tmp_path / "a.tif", np.arange(2500.0).reshape(50, 50))
+
+    def orograph(*args):
+        line = [sys.executable, "-m", "orograph", *map(str, args)]
+        return subprocess.run(line, capture_output=True, text=True, timeout=200, env=env)
+
+    built = orograph("build", dem, "-o", tmp_path / "a.oro")
+    assert built.returncode == 0, built.stderr
+    assert orograph("info", tmp_path / "a.oro").returncode == 0
+    assert "numpy.dtype size changed" in orograph("doctor").stdout
