@@ -5,11 +5,12 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 SOURCES := $(shell find src -name '*.py' 2>/dev/null)
 
-.PHONY: demo test check bench clean help
+.PHONY: demo test test-all check bench clean help
 
 help:
 	@echo 'make demo   install, and render the built-in sample to out/'
 	@echo 'make test   install what the tests need, and run them'
+	@echo 'make test-all  also the long ones: fuzzing, kills, concurrent runs'
 	@echo 'make check  ruff, mypy and the direction of imports'
 	@echo 'make bench  the benchmarks, as tables'
 	@echo 'make clean  remove .venv/ and what was made'
@@ -28,7 +29,10 @@ demo: $(VENV)/.sample
 	@$(BIN)/orograph demo --output out
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
+
+test-all: $(VENV)/.test
+	$(BIN)/python -m pytest -n auto -m '' $(PYTEST_ARGS)
 
 check: $(VENV)/.check $(VENV)/.test
 	$(BIN)/ruff check .
