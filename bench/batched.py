@@ -94,7 +94,7 @@ def triangles(data: Path, count: int) -> None:
                     mesh = engine.refine(view, tolerance=tolerance)
                     made.append(len(mesh.triangles))
                     if label in ("batched", "morphing"):
-                        worst = max(worst, verify.judge(mesh, terrain, view).largest)
+                        worst = max(worst, verify.judge_mesh(mesh, terrain, view).largest)
                 error = f" ({worst / tolerance:.2f})" if worst else ""
                 cells.append(f"{statistics.mean(made):,.0f}{error}")
             print(f"{name:16}{tolerance:6.1f} " + " ".join(f"{cell:>14}" for cell in cells), flush=True)
@@ -117,7 +117,7 @@ def keeps(data: Path, count: int, names: list[str]) -> None:
                 patches = engine.select(view, 1.0, geomorph=geomorph, exact_holes=True)
                 keys, heights = expand(terrain, patches.instances, engine.legs)
                 mesh = Tessellation.from_triangles(terrain.grid, keys, heights, clockwise=False)
-                report = verify.judge(mesh, terrain, view)
+                report = verify.judge_mesh(mesh, terrain, view)
                 defects = set(report.defects) - ({"wrong_heights"} if geomorph else set())
                 found[geomorph].append((report.largest, bool(defects)))
                 if geomorph:

@@ -39,10 +39,10 @@ def test_oracle_is_the_closure_of_the_true_errors():
             found = oracle(t, view, tolerance)
             assert found.stats["active"] == len(np.argwhere(diamonds.closure(errors > tolerance)))
             assert plain.triangles_of(found) <= p.triangle_set(front, np.ones(len(front), bool))
-            assert verify.judge(found, t, view).ok(tolerance)
+            assert verify.judge_mesh(found, t, view).ok(tolerance)
             fewer = oracle(t, view, tolerance, prisms=True)
             assert plain.triangles_of(fewer) <= plain.triangles_of(found)
-            assert verify.judge(fewer, t, view).ok(tolerance)
+            assert verify.judge_mesh(fewer, t, view).ok(tolerance)
 
 
 @pytest.mark.parametrize("shape", [(40, 61), (30, 33)])
@@ -54,7 +54,7 @@ def test_oracle_keeps_the_promise_with_holes_and_squeezed_borders(shape):
             view = plain.random_view(rng, t)
             tolerance = float(10 ** rng.uniform(-0.5, 1))
             for prisms in (False, True):
-                report = verify.judge(oracle(t, view, tolerance, 1.5, prisms=prisms), t, view, exaggeration=1.5)
+                report = verify.judge_mesh(oracle(t, view, tolerance, 1.5, prisms=prisms), t, view, exaggeration=1.5)
                 assert report.ok(tolerance), report
 
 

@@ -115,7 +115,7 @@ def command(
         from orograph import verify
 
         with progress.task("The referee"):
-            report = verify.judge(mesh, terrain, view, exaggeration=options["exaggeration"], jobs=jobs)
+            report = verify.judge_mesh(mesh, terrain, view, exaggeration=options["exaggeration"], jobs=jobs)
         if options["geomorph"]:  # vertices on their way are off the raster's heights, and meant to be
             report = replace(report, wrong_heights=0)
     if as_json:
