@@ -225,6 +225,79 @@ def test_error_of_an_analytic_surface():
     assert judge_mesh(mesh, terrain, view, exaggeration=8.0).largest == pytest.approx(2 * expected, rel=1e-3)
 
 
+def test_the_largest_error_may_lie_between_samples():
+    """Where a mesh's edge crosses a cell, a vertex within one, and inside a side of a piece seen from straight above."""
+    terrain = meshes.terrain_of(np.zeros((9, 9)), Affine(10, 0, -45, 0, -10, 45))
+    side = View((0, -2000, 0), (0, 0, 0), fov_y=4)
+    corners = [(0, 0), (8, 0), (8, 8), (0, 8)]
+    tent = meshes.tessellation_between(
+        [(corners[i], corners[(i + 1) % 4], (4.25, 4.5)) for i in range(4)], terrain, np.random.default_rng(0)
+    )
+    tent.vertices[:, 2] = np.where(tent.vertices[:, 0] == 4.25, 3.0, 0.0)
+    report = judge_mesh(tent, terrain, side)
+    assert report.defects == {} and report.worst == (4.25, 4.5)
+    assert report.largest == pytest.approx(3.0 / (2000 - 5) / side.pixel_slope, rel=1e-9)
+    assert report.largest_at_samples < 0.95 * report.largest
+    # A ridge of one sample, cut by a mesh of two triangles along the other diagonal.
+    heights = np.zeros((2, 2))
+    heights[0, 0] = heights[1, 1] = 6.0
+    saddle = meshes.terrain_of(heights, Affine(10, 0, -10, 0, -10, 10))
+    across = meshes.tessellation([((0, 0), (1, 0), (0, 1)), ((1, 1), (1, 0), (0, 1))], saddle)
+    report = judge_mesh(across, saddle, side)
+    assert report.largest_at_samples == 0 and report.worst == (0.5, 0.5)
+    assert report.largest == pytest.approx(6.0 / 2000 / side.pixel_slope, rel=1e-9)
+    # From above a corner: there the vertical shows as a point, and where it shows the surfaces meet. In between, with
+    # r metres from the corner, z·(1 − r/10)·r is largest at r = 5 (to first order in z over the eye's height).
+    flat = meshes.terrain_of(np.zeros((2, 2)), Affine(10, 0, -5, 0, -10, 5))
+    lifted = meshes.tessellation([((0, 0), (1, 0), (1, 1)), ((0, 0), (0, 1), (1, 1))], flat)
+    lifted.vertices[:, 2] = np.where(lifted.vertices[:, :2].sum(1) == 0, 0.01, 0.0)
+    above = View((0, 0, 1000), (0, 0, 0), fov_y=4)
+    report = judge_mesh(lifted, flat, above, heights="free")
+    assert report.largest_at_samples < 1e-9
+    assert report.worst == pytest.approx((0.5, 0.5), abs=1e-3)
+    expected = 0.01 * 0.5 * math.sqrt(50) / 1000**2 / above.pixel_slope
+    assert report.largest == pytest.approx(expected, rel=1e-4)
+
+
+def test_heights_on_samples_may_be_free(whole):
+    terrain, view, made = whole
+    mesh = meshes.tessellation(made, terrain)
+    mesh.vertices[0, 2] += 1.0
+    assert judge_mesh(mesh, terrain, view).wrong_heights == 1
+    assert judge_mesh(mesh, terrain, view, heights="free").defects == {}
+    morphing = replace(mesh, stats={"geomorph": True})
+    assert judge_mesh(morphing, terrain, view).ok() and judge_mesh(morphing, terrain, view).largest > 0.1
+    mesh.vertices[0, 2] = np.inf
+    assert judge_mesh(mesh, terrain, view, heights="free").wrong_heights == 1
+
+
+def test_blocks_and_threads_change_nothing_between_samples(monkeypatch: pytest.MonkeyPatch):
+    """A large TIN between samples, broken; narrow blocks and one thread, wide ones and three: the same report."""
+    rng = np.random.default_rng(8)
+    terrain = meshes.terrain_of(rng.normal(0, 3, (300, 290)))
+    points = np.vstack([rng.integers(0, 289 * 64 + 1, (800, 2)), 64 * np.array([[0, 0], [289, 0], [0, 299], [289, 299]])])
+    points = np.unique(points, axis=0)
+    made = meshes.Delaunay(points).simplices
+    p = points[made]
+    turned = (p[:, 1, 0] - p[:, 0, 0]) * (p[:, 2, 1] - p[:, 0, 1]) - (p[:, 2, 0] - p[:, 0, 0]) * (p[:, 1, 1] - p[:, 0, 1])
+    made = np.where((turned < 0)[:, None], made, made[:, ::-1])[turned != 0].astype(np.int32)
+    mesh = Tessellation(np.column_stack([points / 64, rng.normal(0, 3, len(points))]), made)
+    x, y = (float(v) for v in terrain.grid.xy(145, 150))
+    view = View((x, y - 3000, 2500), (x, y, 0), fov_y=90)
+    sound = judge_mesh(mesh, terrain, view)
+    assert set(sound.defects) <= {"wrong_heights"} and sound.samples == 300 * 290 and sound.largest > sound.largest_at_samples
+    broken = Tessellation(mesh.vertices, np.delete(np.vstack([made, made[700:701]]), [5, 300], axis=0))
+    reports = []
+    for width, jobs in ((128, 1), (128, 3), (7, 1), (1000, 1)):
+        monkeypatch.setattr("orograph.verify.bands.BLOCK", width)
+        reports.append(judge_mesh(broken, terrain, view, jobs=jobs))
+    assert reports[0] == reports[1] and {"holes", "inner", "overlaps", "crowded"} <= set(reports[0].defects)
+    for other in reports[2:]:
+        assert other.rms == pytest.approx(reports[0].rms, rel=1e-12)
+        assert other.largest == pytest.approx(reports[0].largest, rel=1e-9)
+        assert other.defects == reports[0].defects and other.border == reports[0].border
+
+
 def test_plans_have_no_error(whole):
     terrain, _, made = whole
     plan = View((500045, 3999955, 500), (500045, 3999955, 0), fov_y=60, projection="plan")
