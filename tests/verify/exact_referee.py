@@ -14,8 +14,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from broken_meshes import Corner, Triangle, area, exact, share_area, units
+from scipy.optimize import minimize_scalar
 
 from orograph.store import MemoryTerrain
 from orograph.tessellation import Tessellation
@@ -124,7 +124,10 @@ def largest_on_surface(
             piece = [(float(x), float(y)) for x, y in clip(list(unit), triangles[k])]
             corners = mesh.vertices[mesh.triangles[k]]
             tilt = np.linalg.solve(np.column_stack([corners[:, :2], np.ones(3)]), corners[:, 2])
-            weights = np.linalg.solve(np.vstack([np.transpose(unit).astype(float), np.ones(3)]), np.vstack([np.transpose(piece), np.ones(len(piece))]))
+            weights = np.linalg.solve(
+                np.vstack([np.transpose(unit).astype(float), np.ones(3)]),
+                np.vstack([np.transpose(piece), np.ones(len(piece))]),
+            )
             polygon = [np.array([*p[:2], p[2] * exaggeration, 1.0]) for p in weights.T @ ground]
             polygon = cut_by_planes(polygon, frustum, 0.0)
             if not polygon:
@@ -135,7 +138,9 @@ def largest_on_surface(
                 p = np.asarray(points) / [1.0, 1.0, exaggeration]
                 c, r = inverse * (p[..., 0], p[..., 1])
                 up = np.stack([p[..., 0], p[..., 1], tilt[0] * (c - 0.5) + tilt[1] * (r - 0.5) + tilt[2]], -1)
-                distance = np.hypot(*np.moveaxis(view.project(up, exaggeration)[0] - view.project(p, exaggeration)[0], -1, 0))
+                distance = np.hypot(
+                    *np.moveaxis(view.project(up, exaggeration)[0] - view.project(p, exaggeration)[0], -1, 0)
+                )
                 return np.where(np.isfinite(distance), distance, np.inf)
 
             shape = np.array(polygon)[:, :3]
@@ -234,7 +239,8 @@ def judge(mesh: Tessellation, terrain: MemoryTerrain, view: View, exaggeration: 
         "duplicates": len(used) - len({place[v] for v in used}),
         "wrong_heights": sum(
             mesh.vertices[v, 2] != heights[place[v][1], place[v][0]]
-            for v in used if isinstance(place[v][0], int) and isinstance(place[v][1], int)
+            for v in used
+            if isinstance(place[v][0], int) and isinstance(place[v][1], int)
         ),
         **{k: kinds[k] for k in ("border", "rim_of_missing", "rim_of_culled", "inner")},
     }

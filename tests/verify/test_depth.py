@@ -73,7 +73,9 @@ def test_the_truth_is_that_of_every_ray_with_every_triangle(seed, shape, transfo
         view = view.resized(60, 50).tile(17, 20, 24, 16)
     expected = brute(terrain, view, exaggeration)
     report = judge_depth(nothing(view), terrain, view, exaggeration=exaggeration, jobs=1)
-    np.testing.assert_allclose(np.where(np.isfinite(expected), expected, -1.0), np.nan_to_num(report.truth, nan=-1.0), rtol=1e-7, atol=1e-6)
+    np.testing.assert_allclose(
+        np.where(np.isfinite(expected), expected, -1.0), np.nan_to_num(report.truth, nan=-1.0), rtol=1e-7, atol=1e-6
+    )
     assert report.hits == np.isfinite(expected).sum() == report.mismatches and report.hits + report.misses == 24 * 16
     if report.misses == 0 and report.hits:
         assert report.farthest == math.inf and not report.ok(1e9)
@@ -106,7 +108,11 @@ def test_the_truth_is_embrees():
     view = View((500.0, -1100.0, 90.0), (500.0, -300.0, 0.0), fov_y=50, width=100, height=60)
     origin, direction = rays_of(view)
     flat = np.ascontiguousarray(direction.reshape(-1, 3), np.float32)
-    found = scene.run(np.ascontiguousarray(np.broadcast_to(origin, direction.shape).reshape(-1, 3), np.float32), flat, query="DISTANCE")
+    found = scene.run(
+        np.ascontiguousarray(np.broadcast_to(origin, direction.shape).reshape(-1, 3), np.float32),
+        flat,
+        query="DISTANCE",
+    )
     length = np.where(found < 1e30, found, np.nan).reshape(view.height, view.width)
     truth = judge_depth(nothing(view), terrain, view).truth
     both = np.isfinite(truth) & np.isfinite(length)
@@ -130,7 +136,9 @@ def test_a_plane_and_known_errors():
     terrain, view, truth, direction = level_plain()
     report = judge_depth(truth, terrain, view)
     np.testing.assert_allclose(report.truth, truth, rtol=1e-12)
-    assert report.largest < 1e-9 and report.mismatches == 0 and report.ok(1e-9) and report.hits == view.width * view.height
+    assert (
+        report.largest < 1e-9 and report.mismatches == 0 and report.ok(1e-9) and report.hits == view.width * view.height
+    )
     # One pixel shows a point nearer by a tenth: that floats above the plain, and its foot lies lower on the screen.
     depth = truth.copy()
     depth[22, 31] *= 0.9
@@ -160,7 +168,9 @@ def test_mismatches_are_as_far_as_the_nearest_pixel_that_agrees():
     depth = truth.copy()
     depth[10:15, 20:29] = np.nan  # a hole of 9 × 5 pixels: its middle row is 3 pixels from pixels that agree
     report = judge_depth(depth, terrain, view)
-    assert report.mismatches == 45 and report.farthest == 3.0 and report.farthest_at == (22, 12) and report.largest < 1e-9
+    assert (
+        report.mismatches == 45 and report.farthest == 3.0 and report.farthest_at == (22, 12) and report.largest < 1e-9
+    )
     assert report.ok(3 - math.sqrt(2)) and not report.ok(2.9 - math.sqrt(2)) and "45 pixels" in str(report)
     # Ground beyond the raster, and over a hole in it, is no ground.
     heights = terrain.heights.copy()
@@ -173,7 +183,9 @@ def test_mismatches_are_as_far_as_the_nearest_pixel_that_agrees():
     beyond[20, 30] = 1e5
     assert judge_depth(beyond, terrain, view).mismatches == 1
     empty = judge_depth(nothing(view), terrain, view)
-    assert empty.farthest == math.inf and empty.worst is None and not empty.ok(1e9) and empty.to_dict()["farthest"] is None
+    assert (
+        empty.farthest == math.inf and empty.worst is None and not empty.ok(1e9) and empty.to_dict()["farthest"] is None
+    )
 
 
 def test_farther_ground_behind_an_outline_is_on_the_surface():

@@ -274,18 +274,26 @@ def test_heights_on_samples_may_be_free(whole):
 def test_blocks_and_threads_change_nothing_between_samples(monkeypatch: pytest.MonkeyPatch):
     """A large TIN between samples, broken; narrow blocks and one thread, wide ones and three: the same report."""
     rng = np.random.default_rng(8)
-    terrain = meshes.terrain_of(rng.normal(0, 3, (300, 290)))
-    points = np.vstack([rng.integers(0, 289 * 64 + 1, (800, 2)), 64 * np.array([[0, 0], [289, 0], [0, 299], [289, 299]])])
+    terrain = meshes.terrain_of(rng.normal(0, 0.1, (300, 290)))
+    points = np.vstack(
+        [rng.integers(0, 289 * 64 + 1, (800, 2)), 64 * np.array([[0, 0], [289, 0], [0, 299], [289, 299]])]
+    )
     points = np.unique(points, axis=0)
     made = meshes.Delaunay(points).simplices
     p = points[made]
-    turned = (p[:, 1, 0] - p[:, 0, 0]) * (p[:, 2, 1] - p[:, 0, 1]) - (p[:, 2, 0] - p[:, 0, 0]) * (p[:, 1, 1] - p[:, 0, 1])
+    turned = (p[:, 1, 0] - p[:, 0, 0]) * (p[:, 2, 1] - p[:, 0, 1]) - (p[:, 2, 0] - p[:, 0, 0]) * (
+        p[:, 1, 1] - p[:, 0, 1]
+    )
     made = np.where((turned < 0)[:, None], made, made[:, ::-1])[turned != 0].astype(np.int32)
     mesh = Tessellation(np.column_stack([points / 64, rng.normal(0, 3, len(points))]), made)
     x, y = (float(v) for v in terrain.grid.xy(145, 150))
     view = View((x, y - 3000, 2500), (x, y, 0), fov_y=90)
     sound = judge_mesh(mesh, terrain, view)
-    assert set(sound.defects) <= {"wrong_heights"} and sound.samples == 300 * 290 and sound.largest > sound.largest_at_samples
+    assert (
+        set(sound.defects) <= {"wrong_heights"}
+        and sound.samples == 300 * 290
+        and sound.largest > sound.largest_at_samples
+    )
     broken = Tessellation(mesh.vertices, np.delete(np.vstack([made, made[700:701]]), [5, 300], axis=0))
     reports = []
     for width, jobs in ((128, 1), (128, 3), (7, 1), (1000, 1)):

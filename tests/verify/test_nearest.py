@@ -117,4 +117,4 @@ def test_vertices_between_samples():
     mesh = meshes.tessellation_between(made, level, rng)
     mesh.vertices[:, 2] = np.where(mesh.vertices[:, 0] == 2.5, -1.0, 0.0)
     found = hausdorff(mesh, level)
-    assert found.sample == (3, 3) and found.metres == pytest.approx(15 / math.hypot(1, 15) * 2 / 3, rel=0.02)
+    assert found.sample == (2, 2) and found.metres == pytest.approx(0.8 * 25 / math.hypot(1, 25), rel=1e-12)

@@ -141,8 +141,11 @@ class Band:
         vertices = mesh.vertices[part]
         if shift == 0:
             start = np.searchsorted(mesh.rows[part], np.append(samples, samples[-1] + 1))
-            yield ground, Block(
-                self.first, self.last, self.west, self.east, samples, vertices, start, self.members, interpolating
+            yield (
+                ground,
+                Block(
+                    self.first, self.last, self.west, self.east, samples, vertices, start, self.members, interpolating
+                ),
             )
             return
         at = corners.triangles[self.members]

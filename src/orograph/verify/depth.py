@@ -113,9 +113,7 @@ def judge_depth(
     return aside(partial(_judge, depth, terrain, view, Camera.of(view, terrain.grid, exaggeration), jobs))
 
 
-def _judge(
-    depth: NDArray[np.floating], terrain: Terrain, view: View, camera: Camera, jobs: int | None
-) -> DepthReport:
+def _judge(depth: NDArray[np.floating], terrain: Terrain, view: View, camera: Camera, jobs: int | None) -> DepthReport:
     truth = true_depth(terrain, camera, view, jobs)
     shown = np.isfinite(depth)
     errors = np.zeros(depth.shape)

@@ -133,7 +133,9 @@ def cutting_edges(table, k, shift):
         x0, y0 = (table[k, C1], table[k, R1]) if e == 2 else (table[k, C0], table[k, R0])
         x1, y1 = (table[k, C1], table[k, R1]) if e == 0 else (table[k, C2], table[k, R2])
         along = (x0 == x1 and x0 & mask == 0) or (y0 == y1 and y0 & mask == 0)
-        if abs(x1 - x0) == y1 - y0:  # diagonals run through samples whose columns and rows have even sums, and differences
+        if (
+            abs(x1 - x0) == y1 - y0
+        ):  # diagonals run through samples whose columns and rows have even sums, and differences
             across = x0 - y0 if x1 - x0 == y1 - y0 else x0 + y0
             along = along or across & (2 * mask + 1) == 0
         edges |= 0 if along else 1 << e

@@ -85,7 +85,9 @@ def true_depth(terrain: Terrain, camera: Camera, view: View, jobs: int | None) -
 
     for ground, span in map_ordered(read, tiles(terrain, camera, view), jobs):
         if min(ground.heights.shape) > 1:
-            parts = [span._replace(top=a, bottom=min(a + ROWS, span.bottom)) for a in range(span.top, span.bottom, ROWS)]
+            parts = [
+                span._replace(top=a, bottom=min(a + ROWS, span.bottom)) for a in range(span.top, span.bottom, ROWS)
+            ]
             for_each(partial(walk, ground, rays, best), parts, jobs)
     return np.where(np.isfinite(best), best, np.nan)
 
