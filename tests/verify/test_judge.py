@@ -226,7 +226,7 @@ def test_error_of_an_analytic_surface():
 
 
 def test_the_largest_error_may_lie_between_samples():
-    """Where a mesh's edge crosses a cell, a vertex within one, and inside a side of a piece seen from straight above."""
+    """Where a mesh's edge crosses a cell, a vertex within one, and inside a side of a piece seen from above."""
     terrain = meshes.terrain_of(np.zeros((9, 9)), Affine(10, 0, -45, 0, -10, 45))
     side = View((0, -2000, 0), (0, 0, 0), fov_y=4)
     corners = [(0, 0), (8, 0), (8, 8), (0, 8)]

@@ -66,8 +66,8 @@ def take_apart(tessellation: Tessellation, terrain: Terrain) -> Mesh:
     """Prepare a tessellation of a terrain.
 
     Raises:
-        UsageError: a vertex lies beyond the terrain's samples or at too fine a fraction, or the terrain is too large for
-            exact arithmetic.
+        UsageError: a vertex lies beyond the terrain's samples or at too fine a fraction, or the terrain is too large
+            for exact arithmetic.
     """
     rows, cols = terrain.grid.shape
     shift = ticks(tessellation, terrain)
@@ -98,8 +98,8 @@ def ticks(tessellation: Tessellation, terrain: Terrain) -> int:
     if outside.any():
         first = int(np.argmax(outside))
         raise UsageError(
-            f"Vertex {first} of the tessellation, at column {position[first, 0]:g} and row {position[first, 1]:g}, lies "
-            f"beyond the {rows} × {cols} samples of {terrain.name!r}, so its mesh cannot be judged."
+            f"Vertex {first} of the tessellation, at column {position[first, 0]:g} and row {position[first, 1]:g}, "
+            f"lies beyond the {rows} × {cols} samples of {terrain.name!r}, so its mesh cannot be judged."
         )
     finer = np.arange(len(position))
     for shift in range(finest + 1):
@@ -109,8 +109,8 @@ def ticks(tessellation: Tessellation, terrain: Terrain) -> int:
             return shift
     column, row = position[finer[0]]
     raise UsageError(
-        f"Vertex {finer[0]} of the tessellation, at column {column!r} and row {row!r}, lies at a finer fraction of a cell "
-        f"than the exact arithmetic of the referee holds.",
+        f"Vertex {finer[0]} of the tessellation, at column {column:.17g} and row {row:.17g}, lies at a finer "
+        "fraction of a cell than the exact arithmetic of the referee holds.",
         remedy=f"Round columns and rows to multiples of 2^-{finest}.",
     )
 

@@ -37,8 +37,8 @@ class DepthReport:
             its vertical, over the pixels that agree with the truth on whether there is ground.
         worst: (x, y) of that pixel; None if no pixel shows ground where there is some.
         rms, most: root of the mean square of the same, and its 99.9th percentile.
-        mismatches: pixels that do not agree: ground is shown where nothing is seen, or the other way round, or at a place
-            where the terrain has none.
+        mismatches: pixels that do not agree: ground is shown where nothing is seen, or the other way round, or at a
+            place where the terrain has none.
         farthest: pixels from a mismatch to the nearest pixel that agrees, the largest; infinite if none agrees.
         farthest_at: (x, y) of that mismatch; None if there is none.
         errors: (h, w) float64, pixels: these distances; 0 where nothing is seen, and shown.
@@ -58,8 +58,10 @@ class DepthReport:
     truth: Image = field(repr=False, compare=False)
 
     def ok(self, tolerance: float = math.inf) -> bool:
-        """Whether no pixel shows a point more than ``tolerance`` pixels from the surface, and each mismatch lies so near
-        to one that agrees that an outline displaced by that much explains it: √2 more, for pixels are whole."""
+        """Whether no pixel shows a point more than ``tolerance`` pixels from the surface, and mismatches are near.
+
+        They may be √2 pixels farther from one that agrees: an outline moved by the tolerance changes whole pixels.
+        """
         bound = tolerance * (1 + ROUNDING)
         return self.largest <= bound and (self.mismatches == 0 or self.farthest <= bound + math.sqrt(2))
 
@@ -93,8 +95,8 @@ def judge_depth(
     """Measure a depth image against the full-resolution surface.
 
     Args:
-        depth: (h, w) float32 or float64, metres along the viewing direction at the pixels' centres; NaN (or anything not
-            finite) where nothing is shown.
+        depth: (h, w) float32 or float64, metres along the viewing direction at the pixels' centres; NaN (or anything
+            not finite) where nothing is shown.
         terrain: what it shows; read by tiles.
         view: the camera, of h × w pixels, in the terrain's CRS.
         exaggeration: as it was drawn with.

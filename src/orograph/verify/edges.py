@@ -87,7 +87,8 @@ def classify_edges(triangles, count):
 
 
 def lie_on_others(edges: Ints) -> NDArray[np.bool_]:
-    """Which of the edges (n, 4: column, row of their beginning and end, in ticks) share length with one that runs the other way.
+    """Which of the edges (n, 4: column, row of their beginning and end, in ticks) share length with one that runs the
+    other way.
 
     Edges are sorted by line: primitive direction and offset from the origin; along a line they are intervals of the
     integer parameter p = position · direction. An interval [p, q] meets one of the other set iff among those that begin

@@ -7,9 +7,9 @@ are written as x / (p0 + p1·w), and the sides of what is seen as |x| ≤ a0 + a
 
 This is the definition in ``View.project`` and ``View.frustum`` written down a second time, for kernels.
 
-Between a point of the ground and the one δ metres above it there are f·g pixels, f = |δ| / (w + c·δ), where (a, b, c) is
-what a metre of height adds to (x, y, w), and g = |(a·w − c·x, b·w − c·y)| / (s·w): how fast the vertical there passes
-over the screen. In a plan g is 0.
+Between a point of the ground and the one δ metres above it there are f·g pixels, f = |δ| / (w + c·δ), where (a, b, c)
+is what a metre of height adds to (x, y, w), and g = |(a·w − c·x, b·w − c·y)| / (s·w): how fast the vertical there
+passes over the screen. In a plan g is 0.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ BEFORE = 16
 
 
 class Lens(NamedTuple):
-    """A camera's numbers, for kernels: (3, 4) float64 (column, row, height, 1) → (x, y, w), and see the module's text."""
+    """A camera's numbers, for kernels (see the module's text); ``matrix`` is (3, 4) float64."""
 
     matrix: NDArray[np.float64]
     p0: float
@@ -136,8 +136,8 @@ def side(lens, plane, x, y, w):
 
 @inlined
 def drop_factor(lens, w, drop):
-    """f of the module's text for a point of depth w and the one ``drop`` metres above it; infinite if that one is beside
-    or behind the eye."""
+    """f of the module's text for a point of depth w and the one ``drop`` metres above it; infinite if that one is
+    beside or behind the eye."""
     above = w + lens.matrix[2, 2] * drop if lens.p1 > 0.0 else 1.0
     return abs(drop) / above if above > 0.0 else np.inf
 

@@ -54,8 +54,8 @@ def sweep_strip(table, members, active, n, strip, west, units, missing, codes, i
 
     Args:
         table: of the triangles. active: the n of them that meet the strip, from west to east.
-        west: the window's first column. units, missing: from ``existing_units``; codes[i], codes[i + 1]: the outcodes of
-            the samples above and below.
+        west: the window's first column. units, missing: from ``existing_units``; codes[i], codes[i + 1]: the outcodes
+            of the samples above and below.
     """
     for attempt in range(2):
         disordered = False

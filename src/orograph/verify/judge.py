@@ -45,14 +45,14 @@ def judge_mesh(
         terrain: what it is a mesh of; read by bands of rows.
         view: the camera, in the terrain's CRS.
         exaggeration: heights are stretched by this on the way to the screen.
-        heights: "samples": a vertex on a sample must have the sample's height; "free": it need not. By default "free" for
-            geomorphs (``stats["geomorph"]``), "samples" otherwise.
+        heights: "samples": a vertex on a sample must have the sample's height; "free": it need not. By default "free"
+            for geomorphs (``stats["geomorph"]``), "samples" otherwise.
         jobs: threads; the result does not depend on it.
 
     Raises:
-        UsageError: a vertex lies beyond the raster, or at too fine a fraction of a cell (2^-18 is fine enough for rasters
-            of up to 4097 samples a side, 2^-10 for 2^20); the raster is larger than 2^30 samples a side; the exaggeration
-            is not positive.
+        UsageError: a vertex lies beyond the raster, or at too fine a fraction of a cell (2^-18 is fine enough for
+            rasters of up to 4097 samples a side, 2^-10 for 2^20); the raster is larger than 2^30 samples a side; the
+            exaggeration is not positive.
         DamagedChunkError: as ``terrain.read``.
     """
     check_exaggeration(exaggeration)

@@ -50,7 +50,8 @@ class Measurement:
         mtri_per_s: millions of triangles per second, over all.
         conservative: whether the engine promises the tolerance for every point in view, in every frame.
         tolerance: pixels, the largest that was asked for, or reached under a budget.
-        largest, rms: pixels, by the referee, over all points (rms: samples) in view of the frames judged; None: beyond any bound.
+        largest, rms: pixels, by the referee, over all points (rms: samples) in view of the frames judged; None: beyond
+            any bound.
         judged: how many frames were.
         changes: triangles that a frame and the one before do not share, over the frame's own, both summed over frames.
             None without a flight.

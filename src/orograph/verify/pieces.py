@@ -7,9 +7,9 @@ nadir's image. So, on the screen, ∇(f·g) = 0 only where ∇d points towards t
 direction d stays as it is and g grows: a saddle. The largest value lies on the piece's sides, but not always at its
 corners: on a side, d being linear and g² quadratic, the derivative vanishes where a cubic does (``stationary``).
 
-Nor need every piece be cut out. |δ|, g and 1 / (w + c·δ) are largest at corners of any polygon (δ and w are linear, g is
-convex over a positive linear function), so that the product of their largest values at the corners of a cell bounds f·g
-in it. Only where that exceeds the largest error found so far is anything cut. Bounds below NEGLIGIBLE are let pass.
+Nor need every piece be cut out. |δ|, g and 1 / (w + c·δ) are largest at corners of any polygon (δ and w are linear, g
+is convex over a positive linear function), so that the product of their largest values at the corners of a cell bounds
+f·g in it. Only where that exceeds the largest error found so far is anything cut. Bounds below NEGLIGIBLE are let pass.
 """
 
 from __future__ import annotations
@@ -236,7 +236,8 @@ def judge_piece(ground, table, planes, k, shift, column, row, half, lens, work, 
 
 @leaf
 def clip_to_triangle(table, k, shift, work):
-    """Sutherland & Hodgman's clipping of the polygon (three corners) against triangle k; returns its corners' number."""
+    """Sutherland & Hodgman's clipping of the polygon (three corners) against triangle k; returns its corners'
+    number."""
     polygon, other, count, ticks = work.polygon, work.other, 3, np.float64(1 << shift)
     x0, y0, x1, y1 = table[k, C0] / ticks, table[k, R0] / ticks, table[k, C1] / ticks, table[k, R1] / ticks
     x2, y2 = table[k, C2] / ticks, table[k, R2] / ticks
@@ -311,8 +312,8 @@ def judge_polygon(lens, polygon, count, worst):
 def judge_side(lens, polygon, i, j, worst):
     """Raise ``worst`` to the largest error inside the side from corner i to corner j.
 
-    s goes from 0 to 1 along the side on the screen. There δ/w = d + s·e, and g² = q0 + q1·s + q2·s² but for a factor; the
-    derivative of log(f²·g²) is that of log(d² / (1 + c·d)²) plus that of log g². Times everything below the line it
+    s goes from 0 to 1 along the side on the screen. There δ/w = d + s·e, and g² = q0 + q1·s + q2·s² but for a factor;
+    the derivative of log(f²·g²) is that of log(d² / (1 + c·d)²) plus that of log g². Times everything below the line it
     is a cubic, whose own derivative's roots cut [0, 1] into parts with one root at most.
     """
     c, wi, wj = lens.matrix[2, 2], polygon[i, W], polygon[j, W]

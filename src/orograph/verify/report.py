@@ -26,8 +26,8 @@ class Report:
     Attributes:
         triangles, vertices: of the mesh.
         samples: full-resolution samples in view: inside the frustum, and on at least one unit triangle that exists.
-        largest: the largest distance in pixels between a point of the full-resolution surface in view and the mesh on its
-            vertical.
+        largest: the largest distance in pixels between a point of the full-resolution surface in view and the mesh on
+            its vertical.
         worst: (column, row) of that point; None if nothing in view is covered.
         largest_at_samples, worst_sample: the same over samples alone.
         rms: root of the mean square of the distance, over the samples in view that are covered.
@@ -42,8 +42,8 @@ class Report:
         reversed: triangles that turn clockwise from above in map orientation.
         flat: triangles without area.
         duplicates: vertices at the place of another.
-        wrong_heights: vertices on samples whose height is not exactly the raster's, unless heights are free; and any that
-            are not finite.
+        wrong_heights: vertices on samples whose height is not exactly the raster's, unless heights are free; and any
+            that are not finite.
         border, rim_of_missing, rim_of_culled: open edges (with one triangle) that ought to be there: at the raster's
             border, beside missing ground, beside ground that is out of view.
         inner: the other open edges: ground in view lies beyond them, or another triangle that does not share the edge.

@@ -107,8 +107,8 @@ def sort_west_to_east(table, active, begin, end, y0, y1):
 
 @kernel
 def ordered(corners, members):
-    """The members as a table of triangles (``strips``), and their planes (k, 5) float64: the height at the first corner,
-    its slopes along columns and rows, and the column and row of that corner."""
+    """The members as a table of triangles (``strips``), and their planes (k, 5) float64: the height at the first
+    corner, its slopes along columns and rows, and the column and row of that corner."""
     triangles, x, y, vertices = corners.triangles, corners.x, corners.y, corners.vertices
     count = members.shape[0]
     table, planes = np.empty((count, 7), np.int64), np.empty((count, 5), np.float64)

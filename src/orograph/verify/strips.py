@@ -23,8 +23,8 @@ LONGEST = 1 << 30
 """The most ticks along a side for which the numbers of fractions fit into int64."""
 
 C0, R0, C1, R1, C2, R2, BEND = range(7)
-"""Columns of a table of triangles: corners in ticks, ordered by (row, column), and where the middle one bulges: −1 west,
-1 east of the edge from the first to the last."""
+"""Columns of a table of triangles: corners in ticks, ordered by (row, column), and where the middle one bulges: −1
+west, 1 east of the edge from the first to the last."""
 
 
 class Strip(NamedTuple):
