@@ -147,7 +147,7 @@ class Bench:
                 took = time.process_time() - start
                 same = digest(mesh)
                 if same not in judged:
-                    judged[same] = verify.judge(mesh, self.terrain, view, jobs=1)
+                    judged[same] = verify.judge_mesh(mesh, self.terrain, view, jobs=1)
                 report = judged[same]
                 found.append(
                     {

@@ -1,9 +1,9 @@
-"""What an engine makes of a terrain: ``Tessellation``, a triangle mesh over samples of the full-resolution grid.
+"""What an engine makes of a terrain: ``Tessellation``, a triangle mesh over the full-resolution grid.
 
-A vertex is a sample: (column, row, height in true metres), each once. Triangles turn counter-clockwise seen from above
-in map orientation (east to the right, north up), whichever way the rows of the raster run; none is without area. The
-strip, where an engine makes one, is a generalised triangle strip (Lindstrom & Pascucci 2001, §3.4): indices into the
-vertices, in which repeated ones make triangles without area that turn corners.
+A vertex is (column, row, height in true metres), on a sample or anywhere between samples, each once. Triangles turn
+counter-clockwise seen from above in map orientation (east to the right, north up), whichever way the rows of the raster
+run; none is without area. The strip, where an engine makes one, is a generalised triangle strip (Lindstrom & Pascucci
+2001, §3.4): indices into the vertices, in which repeated ones make triangles without area that turn corners.
 
 Engines work on the padded square of 2^n + 1 samples and hand over keys ``row << 32 | col`` of its vertices
 (``from_triangles``, ``from_strip``); here they are squeezed onto the raster and welded.
@@ -29,7 +29,7 @@ from orograph.output import Beside
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Tessellation:
-    """A triangle mesh over a terrain's samples.
+    """A triangle mesh over a terrain.
 
     Attributes:
         vertices: (n, 3) float64: column, row, height in true metres; columns and rows are those of the full-resolution
@@ -37,7 +37,8 @@ class Tessellation:
         triangles: (m, 3) int32, indices into ``vertices``, counter-clockwise from above in map orientation.
         strip: (k,) int32, a generalised triangle strip of the same triangles whose first one turns as ``triangles`` do;
             None where the engine makes none.
-        stats: what the engine says of itself, as JSON has it: engine, error, metric, tolerance, conservative, …
+        stats: what the engine says of itself, as JSON has it: engine, error, metric, tolerance, conservative, …;
+            geomorph where vertices on samples may be on their way from other heights.
 
     Raises:
         UsageError: an array has another shape or type, or an index points at no vertex.

@@ -45,7 +45,7 @@ def test_promise_and_no_defect(seed):
             tolerance = float(10 ** rng.uniform(-1.5, 1.2))
             for engine in engines:
                 mesh = engine.refine(view, tolerance=tolerance)
-                report = verify.judge(mesh, t, view, exaggeration=exaggeration)
+                report = verify.judge_mesh(mesh, t, view, exaggeration=exaggeration)
                 assert report.ok(tolerance), (engine.name, engine.metric.name, t.grid.shape, report)
 
 
@@ -58,5 +58,5 @@ def test_ground_at_a_squeezed_corner_is_covered(shape):
     view = plain.View((float(x) + 500, float(y) - 500, 3000.0), (float(x) - 2000, float(y) + 2000, 0.0), fov_y=70.0)
     for tolerance in (2.0, 8.0, 32.0, 128.0):
         for engine in (TopDown(t), Stateless(t), Blow(t)):
-            report = verify.judge(engine.refine(view, tolerance=tolerance), t, view)
+            report = verify.judge_mesh(engine.refine(view, tolerance=tolerance), t, view)
             assert report.ok(tolerance), (engine.name, report)

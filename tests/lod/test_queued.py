@@ -24,7 +24,7 @@ def test_budgets_with_holes_and_culling_keep_the_mesh_conforming(make):
     assert 50 < least < 550
     for budget in range(2, 600, 7):
         found = engine.refine(view, triangles=budget)
-        report = verify.judge(found, t, view)
+        report = verify.judge_mesh(found, t, view)
         assert not report.defects
         assert len(found.triangles) <= max(budget, least)
         assert found.stats["within_budget"] is (budget >= least)
@@ -43,7 +43,7 @@ def test_no_budget_stops_before_all_edges_of_missing_ground(shared_data, make):
     for view in (plain.random_view(rng, t), plain.random_view(rng, t, projection="plan")):
         for goal in ({"triangles": 1000}, {"seconds": 1e-6}):
             found = engine.refine(view, **goal)
-            assert not verify.judge(found, t, view).defects
+            assert not verify.judge_mesh(found, t, view).defects
             assert len(found.triangles) > 1000
         assert engine.refine(view, triangles=1000).stats["within_budget"] is False
 
@@ -59,7 +59,7 @@ def test_colors_do_not_exceed_a_budget(make):
 
     found = make(t, color=color, color_tolerance=1.0).refine(view, triangles=300)
     assert len(found.triangles) <= 300 and found.stats["within_budget"] is True
-    assert not found.stats["conservative"] and not verify.judge(found, t, view).defects
+    assert not found.stats["conservative"] and not verify.judge_mesh(found, t, view).defects
 
 
 @ENGINES
@@ -76,7 +76,7 @@ def test_colors_force_splits(make):
     fine = make(t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
     assert len(flat.triangles) == len(coarse.triangles) == 2
     assert len(fine.triangles) > 2
-    assert verify.judge(fine, t, view).ok(0.0)
+    assert verify.judge_mesh(fine, t, view).ok(0.0)
 
 
 @ENGINES
@@ -89,5 +89,5 @@ def test_promise_on_mountains(shared_data, make):
         for _ in range(8):
             view = plain.random_view(rng, t)
             for tolerance in (0.5, 2.0, 8.0):
-                report = verify.judge(engine.refine(view, tolerance=tolerance), t, view)
+                report = verify.judge_mesh(engine.refine(view, tolerance=tolerance), t, view)
                 assert report.ok(tolerance), report

@@ -146,7 +146,7 @@ def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
             want = Recursion(p, camera, tolerance, cull, metric)
             assert plain.triangles_of(found) == want.mesh(ground)
             assert both.frame(lambda t, w=want: float(frozenset(corners(t)) in w.wanted), tolerance=0.5) == want.T
-            assert verify.judge(found, t, view, exaggeration=exaggeration).ok(tolerance)
+            assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance)
 
 
 @pytest.mark.parametrize("shape", [(9, 9), (8, 9), (5, 7)])
@@ -164,7 +164,7 @@ def test_looking_ahead_leaves_what_looking_at_every_sample_allows(shape):
             camera = plain.Camera(view, exaggeration)
             want = Recursion(p, camera, tolerance, True, "localised")
             assert plain.triangles_of(found) == want.mesh(ground)
-            assert verify.judge(found, t, view, exaggeration=exaggeration).ok(tolerance)
+            assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance)
             pruned += want.pruned
             plainly = Roam(t, metric="wedgie", exaggeration=exaggeration).refine(view, tolerance=tolerance)
             fewer += len(plainly.triangles) - len(found.triangles)
@@ -202,7 +202,7 @@ def test_flights_over_real_ground_keep_the_promise_and_depend_on_the_view_alone(
         assert found == keys_of(Roam(t, error=error, metric=metric), view, tolerance=tolerance)
         made = carried.refine(view, tolerance=tolerance)
         assert len(np.unique(made.triangles)) == len(made.vertices)
-        report = verify.judge(made, t, view)
+        report = verify.judge_mesh(made, t, view)
         assert report.ok(tolerance), report
     assert saved > 0
 
@@ -252,7 +252,7 @@ def test_budgets_of_triangles_are_kept_and_used(gaps):
             if len(found.triangles) > budget:  # what holes force, and no more
                 assert gaps > 0 and not found.stats["conservative"]
                 assert queues.lowest(carried._state.occupied, queues.MERGE) >= queues.HOLES
-            report = verify.judge(found, t, view)
+            report = verify.judge_mesh(found, t, view)
             assert not report.defects
             if found.stats["conservative"]:
                 assert report.ok(found.stats["tolerance"])
@@ -338,7 +338,7 @@ def test_a_budget_of_time_ends_in_a_sound_mesh_and_goes_on_in_the_next_frame(mon
     for _ in range(200):
         found = carried.refine(view, seconds=1e-5)
         if len(sizes) % 20 == 0:
-            assert not verify.judge(found, t, view).defects
+            assert not verify.judge_mesh(found, t, view).defects
         sizes.append(len(found.triangles))
         if found.stats["conservative"]:
             break
@@ -363,7 +363,7 @@ def test_a_budget_of_time_leaves_nothing_in_view_out(monkeypatch):
         view = View(tuple(eye), tuple(eye + ahead), fov_y=40 if k % 10 < 8 else 60, width=300, height=200)
         found = carried.refine(view, seconds=10.0 if k % 10 == 0 else 1e-9)
         assert len(found.triangles) > 0
-        report = verify.judge(found, t, view)
+        report = verify.judge_mesh(found, t, view)
         assert not report.defects, (k, report)
         behind += carried._is_behind
     assert behind > 20
@@ -381,7 +381,7 @@ def test_no_budget_bridges_or_leaves_out_ground_at_holes(monkeypatch, goal, opti
     carried = Roam(t, **options)
     for view in flight(rng, t, 8):
         found = carried.refine(view, **goal)
-        assert not verify.judge(found, t, view).defects
+        assert not verify.judge_mesh(found, t, view).defects
         assert len(found.triangles) <= 50 or not found.stats["conservative"]
     assert len(found.triangles) > 50
 
@@ -401,7 +401,7 @@ def test_pages_that_leave_take_nothing_of_the_mesh_with_them(metric, memory):
     for view in across(t, 8):
         assert keys_of(small, view, tolerance=2) == keys_of(large, view, tolerance=2)
     assert small.field.tiles_read > large.field.tiles_read > memory >= len(small.field.pages.used)
-    assert not verify.judge(small.refine(view, tolerance=2), t, view).defects
+    assert not verify.judge_mesh(small.refine(view, tolerance=2), t, view).defects
 
 
 def test_where_memory_is_too_small_to_look_ahead_bounds_decide_alone():
@@ -452,7 +452,7 @@ def test_another_grid_of_the_same_ground_moves_nothing():
     u = MemoryTerrain(np.ascontiguousarray(z[::-1]), Grid(z.shape, flipped), "south-up")
     view = plain.random_view(rng, t)
     for found, terrain in ((Roam(t).refine(view), t), (Roam(u).refine(view), u)):
-        assert verify.judge(found, terrain, view).ok(1.0)
+        assert verify.judge_mesh(found, terrain, view).ok(1.0)
 
 
 def test_strips_kept_strips_rebuilt_and_lists_hold_the_same_triangles():

@@ -71,7 +71,7 @@ def test_lines_of_sight_on_the_mesh_are_those_on_the_surface(shape):
     coarse = Roam(t, cull=False).refine(far_view(t), tolerance=50)
     found = engine.refine(far_view(t), tolerance=50)
     assert 2 <= len(coarse.triangles) < len(found.triangles) < 2 * (shape[0] - 1) * (shape[1] - 1)
-    assert not verify.judge(found, t, far_view(t)).defects
+    assert not verify.judge_mesh(found, t, far_view(t)).defects
     seen, wrong = [], 0
     for p, q in lines:
         col, row, height = crossings(p, q)
@@ -137,7 +137,7 @@ def test_what_is_turned_away_or_hidden_gets_coarser_and_the_rest_stays(term):
     usual = Roam(t, cull=False).refine(view, tolerance=0.1)
     engine = Roam(t, cull=False, **{term: 0.0})
     found = engine.refine(view, tolerance=0.1)
-    assert not verify.judge(found, t, view).defects and not found.stats["conservative"]
+    assert not verify.judge_mesh(found, t, view).defects and not found.stats["conservative"]
 
     def beyond(m):
         return int((m.vertices[m.triangles, 1].max(1) < 60).sum())
@@ -206,7 +206,7 @@ def test_ground_out_of_view_is_coarser_by_the_factor():
             replace(view, eye=(view.eye[0], view.eye[1] + 25, view.eye[2])), tolerance=1
         )
         assert plain.triangles_of(now) == plain.triangles_of(fresh)
-        assert now.stats["conservative"] and verify.judge(
+        assert now.stats["conservative"] and verify.judge_mesh(
             now, t, replace(view, eye=(view.eye[0], view.eye[1] + 25, view.eye[2]))
         ).ok(1.0)
         sizes.append(len(now.triangles))

@@ -47,7 +47,7 @@ def test_every_budget_is_kept_by_a_valid_mesh(shape):
         last = 0
         for budget in range(2, 2 * (shape[0] - 1) * (shape[1] - 1) + 1):
             found = engine.refine(view, triangles=budget)
-            report = verify.judge(found, t, view)
+            report = verify.judge_mesh(found, t, view)
             assert not report.defects
             assert last <= len(found.triangles) <= budget
             assert shape != (17, 17) or len(found.triangles) > budget - 2 or found.stats["tolerance"] == 0.0
@@ -68,7 +68,7 @@ def test_ties_are_closed_at_every_budget():
     counts = set()
     for budget in range(2, 2 * 16 * 16 + 1):
         found = engine.refine(view, triangles=budget)
-        report = verify.judge(found, t, view)
+        report = verify.judge_mesh(found, t, view)
         assert not report.defects, budget
         counts.add(len(found.triangles))
     assert len(counts) > 200
@@ -84,7 +84,7 @@ def test_time_is_kept_and_the_mesh_is_closed():
     for seconds in (0.0005, 0.002, 0.004, 0.008, 0.016):
         found = engine.refine(view, seconds=seconds)
         counts.append(len(found.triangles))
-        assert not verify.judge(found, t, view).defects
+        assert not verify.judge_mesh(found, t, view).defects
         assert found.stats["refine_ms"] < 1e3 * seconds + 60
     assert counts[0] < counts[-1]
 
@@ -98,7 +98,7 @@ def test_little_memory_gives_the_same_mesh():
         found = little.refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == plain.triangles_of(much.refine(view, tolerance=2.0))
         assert little.field.resident <= 6 < much.field.resident
-        assert verify.judge(found, t, view).ok(2.0)
+        assert verify.judge_mesh(found, t, view).ok(2.0)
         if queue == "priority":
             a, b = (e.refine(view, triangles=5000) for e in (much, little))
             assert plain.triangles_of(a) == plain.triangles_of(b)

@@ -187,7 +187,7 @@ def test_spheres_nest_and_bound_away_from_the_axis(shared_data):
         for tolerance in (0.5, 2.0, 8.0):
             for metric, engine in engines.items():
                 found = engine.refine(view, tolerance=tolerance)
-                report = verify.judge(found, t, view)
+                report = verify.judge_mesh(found, t, view)
                 assert report.ok(tolerance), report
                 made[metric] += len(found.triangles)
     assert made["isotropic"] > 1.5 * made["anisotropic"]
@@ -200,7 +200,7 @@ def test_a_turning_flight_keeps_the_tolerance():
     for number, view in enumerate(flight(rng, t, 40, 15.0)):
         found = engine.refine(view, tolerance=1.5)
         if number % 5 == 4:
-            report = verify.judge(found, t, view)
+            report = verify.judge_mesh(found, t, view)
             assert report.ok(1.5), report
 
 
@@ -219,7 +219,7 @@ def test_published_spheres_exceed_the_tolerance_off_the_axis():
         )  # fmt: skip
         for metric in worst:
             found = Blow(t, metric=metric, cull=False).refine(view, tolerance=1.0)
-            worst[metric] = max(worst[metric], verify.judge(found, t, view).largest)
+            worst[metric] = max(worst[metric], verify.judge_mesh(found, t, view).largest)
     assert worst["isotropic"] <= 1.0 < worst["isotropic-published"]
 
 
@@ -234,8 +234,8 @@ def test_budgets():
     for budget in (200, 500, 3000):
         found = engine.refine(view, triangles=budget)
         assert len(found.triangles) <= budget
-        assert verify.judge(found, t, view).ok(found.stats["tolerance"])
-    assert not verify.judge(engine.refine(view, seconds=0.05), t, view).defects
+        assert verify.judge_mesh(found, t, view).ok(found.stats["tolerance"])
+    assert not verify.judge_mesh(engine.refine(view, seconds=0.05), t, view).defects
 
 
 def test_little_memory_gives_the_same_mesh():
@@ -246,7 +246,7 @@ def test_little_memory_gives_the_same_mesh():
         found = little.refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == plain.triangles_of(much.refine(view, tolerance=2.0))
     assert little.field.resident <= 6 < much.field.resident
-    assert verify.judge(found, t, view).ok(2.0)
+    assert verify.judge_mesh(found, t, view).ok(2.0)
 
 
 def test_colors_force_splits():
@@ -262,7 +262,7 @@ def test_colors_force_splits():
     fine = Blow(t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
     assert len(flat.triangles) == len(coarse.triangles) == 2
     assert len(fine.triangles) > 2
-    assert verify.judge(fine, t, view).ok(0.0)
+    assert verify.judge_mesh(fine, t, view).ok(0.0)
 
 
 def test_plans_keep_holes():
@@ -274,7 +274,7 @@ def test_plans_keep_holes():
     for cull in (True, False):
         found = Blow(t, cull=cull).refine(view, tolerance=1.0)
         assert len(found.triangles) > 2
-        assert verify.judge(found, t, view).ok(0.0)
+        assert verify.judge_mesh(found, t, view).ok(0.0)
 
 
 def test_unusable_options_are_refused():

@@ -89,7 +89,7 @@ def test_localised_is_exact_without_a_limit_and_between_with_one():
                 engine = TopDown(t, metric="localised", depth=depth, near=0.0, queue="fifo")
                 found = engine.refine(view, tolerance=tolerance)
                 counts.append(found.stats["front"])
-                assert verify.judge(found, t, view).ok(tolerance)
+                assert verify.judge_mesh(found, t, view).ok(tolerance)
                 if depth == 64:
                     assert counts[0] == len(front)
                     assert plain.triangles_of(found) <= p.triangle_set(front, np.ones(len(front), bool))
@@ -110,7 +110,7 @@ def test_every_budget_is_kept_by_a_valid_mesh(shape, metric):
     last, reached = 0, np.inf
     for budget in range(2, everything + 1):
         found = engine.refine(view, triangles=budget)
-        report = verify.judge(found, t, view)
+        report = verify.judge_mesh(found, t, view)
         assert not report.defects
         assert budget - 2 < len(found.triangles) <= budget or found.stats["tolerance"] == 0.0 or shape != (17, 17)
         assert len(found.triangles) >= last
@@ -127,7 +127,7 @@ def test_fifo_reaches_a_budget_by_tolerance():
     view = plain.random_view(rng, t)
     found = TopDown(t, queue="fifo").refine(view, triangles=500)
     assert 250 < len(found.triangles) <= 500
-    assert verify.judge(found, t, view).ok(found.stats["tolerance"])
+    assert verify.judge_mesh(found, t, view).ok(found.stats["tolerance"])
 
 
 def test_time_is_kept():
@@ -141,7 +141,7 @@ def test_time_is_kept():
     assert counts == sorted(counts) and counts[0] < counts[-1]
     for m, seconds in zip(meshes, (0.002, 0.02, 0.1)):
         assert m.stats["refine_ms"] < 1e3 * seconds + 60
-        assert verify.judge(m, t, view).ok(m.stats["tolerance"] if m.stats["conservative"] else np.inf)
+        assert verify.judge_mesh(m, t, view).ok(m.stats["tolerance"] if m.stats["conservative"] else np.inf)
 
 
 def test_little_memory_gives_the_same_mesh():
@@ -159,7 +159,7 @@ def test_little_memory_gives_the_same_mesh():
             if queue == "priority":
                 a, b = (e.refine(view, triangles=5000) for e in (much, little))
                 assert plain.triangles_of(a) == plain.triangles_of(b)
-    assert verify.judge(found, t, view).ok(2.0)
+    assert verify.judge_mesh(found, t, view).ok(2.0)
 
 
 def test_plans_need_only_holes():
@@ -168,7 +168,7 @@ def test_plans_need_only_holes():
     for t in (whole, holes):
         view = plain.random_view(rng, t, projection="plan", fov_y=170.0)
         found = TopDown(t).refine(view, tolerance=1.0)
-        assert verify.judge(found, t, view).ok(0.0)
+        assert verify.judge_mesh(found, t, view).ok(0.0)
         assert (len(found.triangles) <= 2) == (t is whole)
 
 

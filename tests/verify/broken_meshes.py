@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from affine import Affine
@@ -128,6 +130,39 @@ def delaunay(heights: np.ndarray, rng: np.random.Generator) -> list[Triangle]:
     points = np.array(sorted(places))
     made = [tuple(tuple(map(int, points[i])) for i in s) for s in Delaunay(points).simplices]
     return [t for t in made if area(t)]  # type: ignore[arg-type, misc]
+
+
+def delaunay_between(shape: tuple[int, int], rng: np.random.Generator, fraction: int) -> list[Triangle]:
+    """Over the whole raster, with vertices at multiples of 2^-fraction of a cell; some on samples and grid lines."""
+    rows, cols = shape
+    size = 1 << fraction
+    last = (cols - 1) * size, (rows - 1) * size
+    points = {(0, 0), (last[0], 0), (0, last[1]), last}
+    for _ in range(rows * cols // 3):
+        c, r = (int(rng.integers(side + 1)) for side in last)
+        on = rng.random(2) < 0.2
+        points.add((c // size * size if on[0] else c, r // size * size if on[1] else r))
+    ordered = np.array(sorted(points))
+    made = [tuple(tuple(map(int, ordered[i])) for i in s) for s in Delaunay(ordered).simplices]
+    scaled = [tuple((exact(c / size), exact(r / size)) for c, r in t) for t in made]
+    return [t for t in scaled if area(t)]  # type: ignore[arg-type, misc]
+
+
+def exact(value: float) -> Any:
+    """A float as an int or a fraction."""
+    return int(value) if float(value).is_integer() else Fraction(float(value))
+
+
+def tessellation_between(triangles: list[Triangle], terrain: MemoryTerrain, rng: np.random.Generator) -> Tessellation:
+    """As ``tessellation``; vertices between samples get any height."""
+    whole = {p for t in triangles for p in t if all(isinstance(v, int) for v in p)}
+    places = sorted({p for t in triangles for p in t})
+    index = {p: i for i, p in enumerate(places)}
+    sign = 1 if terrain.grid.transform.determinant > 0 else -1
+    turned = [t if area(t) * sign > 0 else (t[0], t[2], t[1]) for t in triangles]
+    z = [float(terrain.heights[p[1], p[0]]) if p in whole else rng.normal(0, 10) for p in places]
+    vertices = np.array([(float(c), float(r), h) for (c, r), h in zip(places, z)]).reshape(-1, 3)
+    return Tessellation(vertices, np.array([[index[p] for p in t] for t in turned], np.int32).reshape(-1, 3))
 
 
 Break = Callable[[list[Triangle], np.random.Generator, Corner], list[Triangle]]

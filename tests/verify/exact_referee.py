@@ -1,14 +1,21 @@
-"""What the referee should say, the slow way: exact fractions, every pair, the view's own projection and planes."""
+"""What the referee should say, the slow way: exact fractions, every pair, the view's own projection and planes.
+
+The largest error between samples is looked for on every polygon that a triangle, a unit triangle and the frustum share:
+at its corners, at random points of its inside, and along its sides at many points, about the best of which a numerical
+search goes on.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from broken_meshes import Corner, Triangle, area, share_area, units
+from broken_meshes import Corner, Triangle, area, exact, share_area, units
+from scipy.optimize import minimize_scalar
 
 from orograph.store import MemoryTerrain
 from orograph.tessellation import Tessellation
@@ -59,24 +66,29 @@ def in_view(terrain: MemoryTerrain, t: tuple[Corner, ...], view: View, exaggerat
     x, y = terrain.grid.xy([p[0] for p in t], [p[1] for p in t])
     z = [float(terrain.heights[p[1], p[0]]) * exaggeration for p in t]
     polygon = [np.array([*p, 1.0]) for p in zip(x, y, z)]
-    for plane in view.frustum(exaggeration):
+    return bool(cut_by_planes(polygon, view.frustum(exaggeration), 1e-7))
+
+
+def cut_by_planes(polygon: list[Any], planes: Any, margin: float) -> list[Any]:
+    """The part of a convex polygon of points (x, y, z, 1) that is more than a margin inside all planes."""
+    for plane in planes:
         kept = []
         for j, p in enumerate(polygon):
             q = polygon[(j + 1) % len(polygon)]
             sp, sq = plane @ p, plane @ q
-            if sp > 1e-7:
+            if sp > margin:
                 kept.append(p)
-            if (sp > 1e-7) != (sq > 1e-7):
-                kept.append(p + (q - p) * (sp - 1e-7) / (sp - sq))
+            if (sp > margin) != (sq > margin):
+                kept.append(p + (q - p) * (sp - margin) / (sp - sq))
         polygon = kept
         if not polygon:
-            return False
-    return True
+            break
+    return polygon
 
 
 def height(t: Triangle, z: list[float], p: Corner) -> float:
     """The height of a triangle's plane, by exact barycentric weights."""
-    weights = [Fraction(area((p, t[(i + 1) % 3], t[(i + 2) % 3])), area(t)) for i in range(3)]
+    weights = [Fraction(area((p, t[(i + 1) % 3], t[(i + 2) % 3]))) / area(t) for i in range(3)]
     return float(sum(w * Fraction(v) for w, v in zip(weights, z)))
 
 
@@ -85,20 +97,74 @@ def beyond(a: Corner, b: Corner, side: int) -> list[Point]:
     dx, dy = b[0] - a[0], b[1] - a[1]
     cuts = {Fraction(0), Fraction(1)}
     for origin, step in ((a[0], dx), (a[1], dy), (a[0] + a[1], dx + dy), (a[0] - a[1], dx - dy)):
-        for k in range(min(origin, origin + step), max(origin, origin + step) + 1):
+        for k in range(math.ceil(min(origin, origin + step)), math.floor(max(origin, origin + step)) + 1):
             if step:
-                cuts.add(Fraction(k - origin, step))
+                cuts.add(Fraction(k - origin) / step)
     ordered = sorted(cuts)
     tiny = Fraction(side, 10**9)
     return [(a[0] + (s + t) / 2 * dx - tiny * dy, a[1] + (s + t) / 2 * dy + tiny * dx)
             for s, t in pairwise(ordered)]  # fmt: skip
 
 
+def largest_on_surface(
+    mesh: Tessellation, triangles: list[Any], solid: list[int], terrain: MemoryTerrain, view: View, exaggeration: float
+) -> float:
+    """Pixels, the largest over all points of the full-resolution surface in view."""
+    inverse = ~terrain.grid.transform
+    rng = np.random.default_rng(0)
+    frustum = view.frustum(exaggeration)
+    largest = 0.0
+    for unit, exists in units(terrain.heights).values():
+        if not exists:
+            continue
+        ground = np.array([(*terrain.grid.xy(c, r), terrain.heights[r, c]) for c, r in unit], np.float64)
+        for k in solid:
+            if not share_area(unit, triangles[k]):
+                continue
+            piece = [(float(x), float(y)) for x, y in clip(list(unit), triangles[k])]
+            corners = mesh.vertices[mesh.triangles[k]]
+            tilt = np.linalg.solve(np.column_stack([corners[:, :2], np.ones(3)]), corners[:, 2])
+            weights = np.linalg.solve(
+                np.vstack([np.transpose(unit).astype(float), np.ones(3)]),
+                np.vstack([np.transpose(piece), np.ones(len(piece))]),
+            )
+            polygon = [np.array([*p[:2], p[2] * exaggeration, 1.0]) for p in weights.T @ ground]
+            polygon = cut_by_planes(polygon, frustum, 0.0)
+            if not polygon:
+                continue
+
+            def pixels(points: Any, tilt: Any = tilt) -> Any:
+                """Of points (…, 3) of the ground in stretched space."""
+                p = np.asarray(points) / [1.0, 1.0, exaggeration]
+                c, r = inverse * (p[..., 0], p[..., 1])
+                up = np.stack([p[..., 0], p[..., 1], tilt[0] * (c - 0.5) + tilt[1] * (r - 0.5) + tilt[2]], -1)
+                distance = np.hypot(
+                    *np.moveaxis(view.project(up, exaggeration)[0] - view.project(p, exaggeration)[0], -1, 0)
+                )
+                return np.where(np.isfinite(distance), distance, np.inf)
+
+            shape = np.array(polygon)[:, :3]
+            inside = rng.dirichlet(np.ones(len(shape)), 20) @ shape
+            largest = max(largest, float(pixels(shape).max()), float(pixels(inside).max()))
+            steps = np.linspace(0, 1, 33)
+            for p, q in zip(shape, np.roll(shape, -1, 0)):
+                values = pixels(p + steps[:, None] * (q - p))
+                best = int(values.argmax())
+                if np.isfinite(values).all() and 0 < best < 32 and values[best] > 0.9 * largest:
+                    found = minimize_scalar(
+                        lambda s, p=p, q=q: -float(pixels(p + s * (q - p))), method="bounded",
+                        bounds=(steps[best - 1], steps[best + 1]), options={"xatol": 1e-10},
+                    )  # fmt: skip
+                    largest = max(largest, -found.fun)
+                largest = max(largest, float(values.max()))
+    return largest
+
+
 def judge(mesh: Tessellation, terrain: MemoryTerrain, view: View, exaggeration: float = 1.0) -> dict[str, Any]:
     """The numbers of a ``Report``; ``overlapping`` is the set of triangles that overlap."""
     heights = terrain.heights
     rows, cols = heights.shape
-    place = [(int(c), int(r)) for c, r, _ in mesh.vertices]
+    place = [(exact(c), exact(r)) for c, r, _ in mesh.vertices]
     triangles: list[Any] = [tuple(place[i] for i in t) for t in mesh.triangles]
     z = [[float(mesh.vertices[i, 2]) for i in t] for t in mesh.triangles]
     sign = 1 if terrain.grid.transform.determinant > 0 else -1
@@ -159,7 +225,8 @@ def judge(mesh: Tessellation, terrain: MemoryTerrain, view: View, exaggeration: 
                     junctions.add(p)
     return {
         "samples": samples,
-        "largest": max(errors.values(), default=0.0),
+        "largest": largest_on_surface(mesh, triangles, solid, terrain, view, exaggeration),
+        "largest_at_samples": max(errors.values(), default=0.0),
         "rms": float(np.sqrt(np.mean([e * e for e in errors.values()]))) if errors else 0.0,
         "uncovered": uncovered,
         "holes": holes,
@@ -170,6 +237,10 @@ def judge(mesh: Tessellation, terrain: MemoryTerrain, view: View, exaggeration: 
         "reversed": turns.count(-1),
         "flat": turns.count(0),
         "duplicates": len(used) - len({place[v] for v in used}),
-        "wrong_heights": sum(mesh.vertices[v, 2] != heights[place[v][1], place[v][0]] for v in used),
+        "wrong_heights": sum(
+            mesh.vertices[v, 2] != heights[place[v][1], place[v][0]]
+            for v in used
+            if isinstance(place[v][0], int) and isinstance(place[v][1], int)
+        ),
         **{k: kinds[k] for k in ("border", "rim_of_missing", "rim_of_culled", "inner")},
     }

@@ -102,3 +102,19 @@ def test_no_mesh_is_infinitely_far_and_no_ground_not_at_all():
     assert hausdorff(nothing, terrain).metres == math.inf
     empty = meshes.terrain_of(np.full((5, 5), np.nan))
     assert hausdorff(nothing, empty).metres == 0.0 and hausdorff(nothing, empty).sample is None
+
+
+def test_vertices_between_samples():
+    """Against brute force; and a plane with a vertex between samples pulled down by a known amount."""
+    rng = np.random.default_rng(3)
+    for fraction in (1, 10):
+        terrain = meshes.terrain_of(rng.normal(0, 20, (6, 7)))
+        mesh = meshes.tessellation_between(meshes.delaunay_between((6, 7), rng, fraction), terrain, rng)
+        assert hausdorff(mesh, terrain).metres == pytest.approx(brute(mesh, terrain), rel=1e-6)
+    level = meshes.terrain_of(np.zeros((5, 5)), Affine(10, 0, 0, 0, -10, 0))
+    corners = [(0, 0), (4, 0), (4, 4), (0, 4)]
+    made = [(corners[i], corners[(i + 1) % 4], (2.5, 2.5)) for i in range(4)]
+    mesh = meshes.tessellation_between(made, level, rng)
+    mesh.vertices[:, 2] = np.where(mesh.vertices[:, 0] == 2.5, -1.0, 0.0)
+    found = hausdorff(mesh, level)
+    assert found.sample == (2, 2) and found.metres == pytest.approx(0.8 * 25 / math.hypot(1, 25), rel=1e-12)

@@ -285,7 +285,7 @@ def _draw(
         for name, metric in engines:
             engine = make_engine(name, terrain, options, color=color, max_memory=max_memory, jobs=jobs, metric=metric)
             mesh = engine.refine(view, **goal)
-            report = verify.judge(mesh, terrain, view, exaggeration=options["exaggeration"], jobs=jobs)
+            report = verify.judge_mesh(mesh, terrain, view, exaggeration=options["exaggeration"], jobs=jobs)
             lines, alarm = caption(mesh.stats, report.largest)
             panels.append(Panel(f"{name}:{metric}" if metric else name, mesh, lines, alarm))
             task.note(panels[-1].title)

@@ -1,16 +1,18 @@
-"""The referee: what a tessellation is worth, measured against every sample of the full-resolution terrain.
+"""The referee: what a mesh or a picture is worth, measured against every point of the full-resolution terrain.
 
 >>> from orograph import verify
->>> report = verify.judge(tessellation, terrain, view)        # doctest: +SKIP
+>>> report = verify.judge_mesh(tessellation, terrain, view)   # doctest: +SKIP
 >>> print(report)                                             # doctest: +SKIP
 >>> assert report.ok(tolerance=1.0)                           # doctest: +SKIP
+>>> verify.judge_depth(depth, terrain, view).largest          # doctest: +SKIP
 >>> verify.hausdorff(tessellation, terrain).metres            # doctest: +SKIP
 """
 
 from __future__ import annotations
 
-from orograph.verify.judge import judge
+from orograph.verify.depth import DepthReport, judge_depth
+from orograph.verify.judge import judge_mesh
 from orograph.verify.nearest import Distance, hausdorff
 from orograph.verify.report import Report
 
-__all__ = ["Distance", "Report", "hausdorff", "judge"]
+__all__ = ["DepthReport", "Distance", "Report", "hausdorff", "judge_depth", "judge_mesh"]

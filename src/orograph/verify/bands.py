@@ -1,8 +1,9 @@
-"""The bands of rows in which a terrain is judged, and what of it has to be read for each.
+"""The bands of rows in which a terrain is judged, and what of it has to be read for each; blocks of a band.
 
 A band lies within one row of tiles. Of its columns those are read that its triangles reach, and the tiles whose box
 (lowest to highest sample, from the terrain's own tables) reaches into the view: nothing else is in view, and nothing
-else is covered.
+else is covered. A mesh of samples is swept band by band. Where vertices lie between samples there are many more strips
+to a row, so that a band is cut into narrow blocks: few triangles meet a strip of each.
 """
 
 from __future__ import annotations
@@ -14,18 +15,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.store.terrain import TILE, Heights, Terrain
+from orograph.store.terrain import TILE, Terrain
 from orograph.tessellation import Tessellation, turn
 from orograph.verify.edges import survey
 from orograph.verify.frustum import Camera
-from orograph.verify.spans import bucket
+from orograph.verify.ground import Ground
+from orograph.verify.report import Place, place
+from orograph.verify.spans import Corners, bucket
 from orograph.verify.strips import LONGEST
+from orograph.verify.sweep import Block
 
 Ints = NDArray[np.int64]
-Flags = NDArray[np.uint8]
 
 BAND_BYTES = 1 << 25
 """About how much of a very wide terrain is read at once."""
+
+BLOCK = 128
+"""Columns of a block of a mesh with vertices between samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,55 +40,79 @@ class Mesh:
 
     Attributes:
         tessellation: as it came.
-        columns, rows: (n,) int64 of the vertices.
+        corners: its triangles, with vertices in ticks.
         signs: (m,) int8: 1 for triangles that turn as they should, −1 for reversed ones, 0 without area.
-        used: (n,) uint8, 1 for vertices of triangles with area.
-        row_start, by_row: the used vertices by row: row r's are by_row[row_start[r]:row_start[r + 1]].
+        vertices: (v,) int64, those of triangles with area, by row, then column.
+        rows: (v,) int64, their rows in ticks.
         size: rows in a band.
         start, members: the triangles that touch each band, or the row below it.
     """
 
     tessellation: Tessellation
-    columns: Ints
-    rows: Ints
+    corners: Corners
     signs: NDArray[np.int8]
-    used: Flags
-    row_start: Ints
-    by_row: Ints
+    vertices: Ints
+    rows: Ints
     size: int
     start: Ints
     members: Ints
+
+    def place(self, x: float, y: float) -> Place:
+        """(column, row) of a place in ticks."""
+        return place(x / (1 << self.corners.shift), y / (1 << self.corners.shift))
 
 
 def take_apart(tessellation: Tessellation, terrain: Terrain) -> Mesh:
     """Prepare a tessellation of a terrain.
 
     Raises:
-        UsageError: a vertex is no sample of the terrain, or the terrain is too large for exact arithmetic.
+        UsageError: a vertex lies beyond the terrain's samples or at too fine a fraction, or the terrain is too large
+            for exact arithmetic.
     """
     rows, cols = terrain.grid.shape
-    if max(rows, cols) > LONGEST:
-        raise UsageError(f"The referee judges terrains of up to {LONGEST:,} samples a side, not {rows:,} × {cols:,}.")
-    position = tessellation.vertices[:, :2]
-    whole = position.astype(np.int64) if np.isfinite(position).all() else np.full(position.shape, -1)
-    column, row = np.ascontiguousarray(whole[:, 0]), np.ascontiguousarray(whole[:, 1])
-    outside = (whole != position).any(-1) | (whole < 0).any(-1) | (column >= cols) | (row >= rows)
-    if outside.any():
-        first = int(np.argmax(outside))
-        raise UsageError(
-            f"Vertex {first} of the tessellation, at column {position[first, 0]:g} and row {position[first, 1]:g}, is "
-            f"no sample of the {rows} × {cols} of {terrain.name!r}, so its mesh cannot be judged."
-        )
-    signs, used = survey(tessellation.triangles, column, row, turn(terrain.grid))
+    shift = ticks(tessellation, terrain)
+    x, y = (np.ldexp(tessellation.vertices[:, i], shift).astype(np.int64) for i in (0, 1))
+    corners = Corners(tessellation.triangles, tessellation.vertices, x, y, shift)
+    signs, used = survey(corners, turn(terrain.grid))
     size = TILE
     while size > 16 and 4 * size * cols > BAND_BYTES:
         size //= 2
-    bands = -(-rows // size)
-    start, members = bucket(tessellation.triangles, column, row, signs, size, bands)
-    of_use = np.flatnonzero(used)
-    by_row = of_use[np.argsort(row[of_use], kind="stable")]
-    row_start = np.searchsorted(row[by_row], np.arange(rows + 1))
-    return Mesh(tessellation, column, row, signs, used, row_start, by_row, size, start, members)
+    start, members = bucket(corners, signs, size, -(-rows // size))
+    vertices = np.flatnonzero(used)
+    vertices = vertices[np.argsort(y[vertices] << 31 | x[vertices], kind="stable")]
+    return Mesh(tessellation, corners, signs, vertices, y[vertices], size, start, members)
+
+
+def ticks(tessellation: Tessellation, terrain: Terrain) -> int:
+    """The least s for which all vertices lie at multiples of 2^-s of a cell.
+
+    Raises:
+        UsageError: as ``take_apart``.
+    """
+    rows, cols = terrain.grid.shape
+    finest = (LONGEST // max(rows - 1, cols - 1, 1)).bit_length() - 1
+    if finest < 0:
+        raise UsageError(f"The referee judges terrains of up to {LONGEST:,} samples a side, not {rows:,} × {cols:,}.")
+    position = tessellation.vertices[:, :2]
+    outside = ~((position >= 0) & (position <= (cols - 1, rows - 1))).all(-1)
+    if outside.any():
+        first = int(np.argmax(outside))
+        raise UsageError(
+            f"Vertex {first} of the tessellation, at column {position[first, 0]:g} and row {position[first, 1]:g}, "
+            f"lies beyond the {rows} × {cols} samples of {terrain.name!r}, so its mesh cannot be judged."
+        )
+    finer = np.arange(len(position))
+    for shift in range(finest + 1):
+        scaled = np.ldexp(position[finer], shift)
+        finer = finer[(scaled != np.floor(scaled)).any(-1)]
+        if len(finer) == 0:
+            return shift
+    column, row = position[finer[0]]
+    raise UsageError(
+        f"Vertex {finer[0]} of the tessellation, at column {column:.17g} and row {row:.17g}, lies at a finer "
+        "fraction of a cell than the exact arithmetic of the referee holds.",
+        remedy=f"Round columns and rows to multiples of 2^-{finest}.",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,23 +125,60 @@ class Band:
     east: int
     members: Ints
 
-    def read(self, terrain: Terrain) -> tuple[Heights, int]:
-        """The samples of the band and of the rows beside it, and the row they begin with."""
-        top, bottom = max(self.first - 1, 0), min(self.last + 2, terrain.grid.rows)
-        return np.ascontiguousarray(terrain.read(0, top, bottom, self.west, self.east)), top
+    def read(self, terrain: Terrain) -> Ground:
+        """The samples of the band and of the rows beside it."""
+        rows, cols = terrain.grid.shape
+        top, bottom = max(self.first - 1, 0), min(self.last + 3, rows)
+        heights = np.ascontiguousarray(terrain.read(0, top, bottom, self.west, self.east))
+        return Ground(heights, top, self.west, rows, cols)
+
+    def blocks(self, mesh: Mesh, ground: Ground, interpolating: bool) -> Iterator[tuple[Ground, Block]]:
+        """The blocks of the band, from west to east, and their windows."""
+        corners, shift = mesh.corners, mesh.corners.shift
+        bottom = min(self.last + 1, ground.rows - 1)
+        samples = np.arange(self.first, bottom + 1) << shift
+        part = slice(*np.searchsorted(mesh.rows, [self.first << shift, (self.last + 1) << shift]).tolist())
+        vertices = mesh.vertices[part]
+        if shift == 0:
+            start = np.searchsorted(mesh.rows[part], np.append(samples, samples[-1] + 1))
+            yield (
+                ground,
+                Block(
+                    self.first, self.last, self.west, self.east, samples, vertices, start, self.members, interpolating
+                ),
+            )
+            return
+        at = corners.triangles[self.members]
+        members = self.members[np.argsort(corners.y[at].min(1), kind="stable")]
+        at = corners.triangles[members]
+        x, y, column = corners.x[at], corners.y[at], corners.x[vertices] >> shift
+        low, high = x.min(1) >> shift, x.max(1) >> shift
+        for west in range(self.west, self.east, BLOCK):
+            east = min(west + BLOCK, self.east)
+            here = (low <= east) & (high >= west)
+            touched = np.concatenate([samples, y[here].ravel()])
+            rows = np.unique(touched[(touched >= samples[0]) & (touched <= samples[-1])])
+            mine = vertices[(column >= west) & (column < east)]
+            start = np.searchsorted(corners.y[mine], np.append(rows, rows[-1] + 1))
+            left, right = max(west - 1, self.west), min(east + 2, self.east)
+            window = np.ascontiguousarray(ground.heights[:, left - self.west : right - self.west])
+            yield (
+                ground._replace(heights=window, west=left),
+                Block(self.first, self.last, west, east, rows, mine, start, members[here], interpolating),
+            )
 
 
 def bands(mesh: Mesh, terrain: Terrain, camera: Camera | None) -> Iterator[Band]:
     """The bands with something to judge: triangles, or ground in view (without a camera: any ground)."""
     rows, cols = terrain.grid.shape
     reached = tiles_in_view(terrain, camera)
-    triangles = mesh.tessellation.triangles
+    corners = mesh.corners
     for number, first in enumerate(range(0, rows, mesh.size)):
         members = mesh.members[mesh.start[number] : mesh.start[number + 1]]
         seen = np.flatnonzero(reached[min(first // TILE, len(reached) - 1)])
         west, east = cols, 0
         if len(members):
-            at = mesh.columns[triangles[members]]
+            at = corners.x[corners.triangles[members]] >> corners.shift
             west, east = int(at.min()) - 1, int(at.max()) + 2
         if len(seen):
             west, east = min(west, int(seen[0]) * TILE - 1), max(east, (int(seen[-1]) + 1) * TILE + 2)

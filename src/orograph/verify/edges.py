@@ -19,15 +19,15 @@ CROWDED, OPEN = range(2)
 
 
 @kernel
-def survey(triangles, columns, rows, turn):
+def survey(corners, turn):
     """(signs (m,) int8, used (n,) uint8): 1 for triangles that turn as they should, −1 for reversed ones, 0 for those
     without area; 1 for vertices of triangles with area."""
+    triangles, x, y = corners.triangles, corners.x, corners.y
     signs = np.empty(triangles.shape[0], np.int8)
-    used = np.zeros(columns.shape[0], np.uint8)
+    used = np.zeros(x.shape[0], np.uint8)
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        area = (columns[b] - columns[a]) * (rows[c] - rows[a]) - (columns[c] - columns[a]) * (rows[b] - rows[a])
-        area *= turn
+        area = ((x[b] - x[a]) * (y[c] - y[a]) - (x[c] - x[a]) * (y[b] - y[a])) * turn
         signs[t] = 1 if area > 0 else (-1 if area < 0 else 0)
         if area != 0:
             used[a], used[b], used[c] = 1, 1, 1
@@ -87,7 +87,8 @@ def classify_edges(triangles, count):
 
 
 def lie_on_others(edges: Ints) -> NDArray[np.bool_]:
-    """Which of the edges (n, 4: column, row of their beginning and end) share length with one that runs the other way.
+    """Which of the edges (n, 4: column, row of their beginning and end, in ticks) share length with one that runs the
+    other way.
 
     Edges are sorted by line: primitive direction and offset from the origin; along a line they are intervals of the
     integer parameter p = position · direction. An interval [p, q] meets one of the other set iff among those that begin

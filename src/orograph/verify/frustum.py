@@ -6,12 +6,17 @@ position is x / (s·w) pixels right of the centre, with s the view's pixel slope
 are written as x / (p0 + p1·w), and the sides of what is seen as |x| ≤ a0 + a1·w and |y| ≤ b0 + b1·w.
 
 This is the definition in ``View.project`` and ``View.frustum`` written down a second time, for kernels.
+
+Between a point of the ground and the one δ metres above it there are f·g pixels, f = |δ| / (w + c·δ), where (a, b, c)
+is what a metre of height adds to (x, y, w), and g = |(a·w − c·x, b·w − c·y)| / (s·w): how fast the vertical there
+passes over the screen. In a plan g is 0.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,24 +25,33 @@ from orograph._numba import inlined, leaf
 from orograph.geo.grid import Grid
 from orograph.viewpoint import View
 
-P0, P1, A0, A1, B0, B1, NEAR, FAR = range(8)
-"""Entries of a lens."""
-
 BEFORE = 16
 """The outcode of what lies nearer than the near plane, or not in front of the eye."""
 
 
-@dataclass(frozen=True, slots=True)
-class Camera:
-    """A view as kernels take it.
-
-    Attributes:
-        matrix: (3, 4) float64, (column, row, height, 1) → (x, y, w).
-        lens: (8,) float64: p0, p1, a0, a1, b0, b1, near, far.
-    """
+class Lens(NamedTuple):
+    """A camera's numbers, for kernels (see the module's text); ``matrix`` is (3, 4) float64."""
 
     matrix: NDArray[np.float64]
-    lens: NDArray[np.float64]
+    p0: float
+    p1: float
+    a0: float
+    a1: float
+    b0: float
+    b1: float
+    near: float
+    far: float
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A view over a grid.
+
+    Attributes:
+        lens: as kernels take it.
+    """
+
+    lens: Lens
 
     @classmethod
     def of(cls, view: View, grid: Grid, exaggeration: float) -> Camera:
@@ -57,27 +71,27 @@ class Camera:
             aside = scale * (left + view.width / 2 - width / 2), scale * (height / 2 - top - view.height / 2)
             for i in (0, 1):
                 matrix[i] -= np.array([0.0, 0.0, 0.0, aside[i]]) if plan else aside[i] * matrix[2]
+        near, far = float(view.near), float(view.far)
         if plan:
-            lens = [scale, 0.0, half_x, 0.0, half_y, 0.0, view.near, view.far]
-        else:
-            lens = [0.0, scale, 0.0, half_x, 0.0, half_y, max(view.near, math.ulp(0.0)), view.far]
-        return cls(matrix, np.array(lens))
+            return cls(Lens(matrix, scale, 0.0, half_x, 0.0, half_y, 0.0, near, far))
+        return cls(Lens(matrix, 0.0, scale, 0.0, half_x, 0.0, half_y, max(near, math.ulp(0.0)), far))
 
     def misses(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which boxes (…, 3) of column, row, height lie wholly beyond one side of the frustum."""
-        common = np.full(low.shape[:-1], 63, np.uint8)
+        lens, common = self.lens, np.full(low.shape[:-1], 63, np.uint8)
         for corner in range(8):
             pick = np.array([corner & 1, corner & 2, corner & 4], bool)
-            x, y, w = np.moveaxis(np.where(pick, high, low) @ self.matrix[:, :3].T + self.matrix[:, 3], -1, 0)
-            a, b = self.lens[A0] + self.lens[A1] * w, self.lens[B0] + self.lens[B1] * w
-            tests = (x < -a, x > a, y < -b, y > b, w < self.lens[NEAR], w > self.lens[FAR])
+            x, y, w = np.moveaxis(np.where(pick, high, low) @ lens.matrix[:, :3].T + lens.matrix[:, 3], -1, 0)
+            a, b = lens.a0 + lens.a1 * w, lens.b0 + lens.b1 * w
+            tests = (x < -a, x > a, y < -b, y > b, w < lens.near, w > lens.far)
             common &= sum((t.astype(np.uint8) << i for i, t in enumerate(tests)), np.zeros_like(common))
         return np.asarray(common != 0)
 
 
 @inlined
-def place(matrix, column, row, height):
+def place(lens, column, row, height):
     """(x, y, w) of a point."""
+    matrix = lens.matrix
     x = matrix[0, 0] * column + matrix[0, 1] * row + matrix[0, 2] * height + matrix[0, 3]
     y = matrix[1, 0] * column + matrix[1, 1] * row + matrix[1, 2] * height + matrix[1, 3]
     w = matrix[2, 0] * column + matrix[2, 1] * row + matrix[2, 2] * height + matrix[2, 3]
@@ -87,7 +101,7 @@ def place(matrix, column, row, height):
 @inlined
 def outcode(lens, x, y, w):
     """The sides of the frustum beyond which a point lies, a bit each (Cohen & Sutherland); 0: it is in view."""
-    a, b = lens[A0] + lens[A1] * w, lens[B0] + lens[B1] * w
+    a, b = lens.a0 + lens.a1 * w, lens.b0 + lens.b1 * w
     code = 0
     if x < -a:
         code |= 1
@@ -97,9 +111,9 @@ def outcode(lens, x, y, w):
         code |= 4
     if y > b:
         code |= 8
-    if w < lens[NEAR]:
+    if w < lens.near:
         code |= BEFORE
-    if w > lens[FAR]:
+    if w > lens.far:
         code |= 32
     return code
 
@@ -108,16 +122,34 @@ def outcode(lens, x, y, w):
 def side(lens, plane, x, y, w):
     """How far a point lies inside a side of the frustum; linear in the point."""
     if plane == 0:
-        return x + lens[A0] + lens[A1] * w
+        return x + lens.a0 + lens.a1 * w
     if plane == 1:
-        return lens[A0] + lens[A1] * w - x
+        return lens.a0 + lens.a1 * w - x
     if plane == 2:
-        return y + lens[B0] + lens[B1] * w
+        return y + lens.b0 + lens.b1 * w
     if plane == 3:
-        return lens[B0] + lens[B1] * w - y
+        return lens.b0 + lens.b1 * w - y
     if plane == 4:
-        return w - lens[NEAR]
-    return lens[FAR] - w
+        return w - lens.near
+    return lens.far - w
+
+
+@inlined
+def drop_factor(lens, w, drop):
+    """f of the module's text for a point of depth w and the one ``drop`` metres above it; infinite if that one is
+    beside or behind the eye."""
+    above = w + lens.matrix[2, 2] * drop if lens.p1 > 0.0 else 1.0
+    return abs(drop) / above if above > 0.0 else np.inf
+
+
+@inlined
+def pixel_factor(lens, x, y, w):
+    """g of the module's text."""
+    if lens.p1 == 0.0:
+        return 0.0
+    matrix = lens.matrix
+    across, along = matrix[0, 2] * w - matrix[2, 2] * x, matrix[1, 2] * w - matrix[2, 2] * y
+    return math.sqrt(across * across + along * along) / (lens.p1 * w)
 
 
 @leaf
@@ -133,7 +165,7 @@ def polygon_in_view(lens, points, count, scratch):
             scale = max(scale, abs(points[i, j]))
     margin = 1e-9 * scale
     for plane in range(6):
-        if plane == 5 and lens[FAR] == np.inf:
+        if plane == 5 and lens.far == np.inf:
             break
         kept = 0
         for i in range(count):

@@ -1,4 +1,4 @@
-"""Neighbours in the strip below a row: overlaps, gaps between them, and missing ground that they cover.
+"""Neighbours in a strip: overlaps, gaps between them, and missing ground that they cover.
 
 Triangles that overlap nowhere lie each east of its western neighbour at both rows of the strip. Where one does not
 touch it there is a gap, whose existing units are marked; units that do not exist and are covered are bridged.
@@ -8,70 +8,77 @@ from __future__ import annotations
 
 from orograph._numba import leaf
 from orograph.verify.spans import sort_west_to_east
-from orograph.verify.strips import ceiling, meets_unit, sides
+from orograph.verify.strips import ceiling, compare, meets_unit, sides
 
 
 @leaf
-def mark_gap(wn, wdx, wd, en, edx, ed, row, west, units, above, below, marks):
+def mark_gap(wn, wstep, wd, en, estep, ed, strip, west, units, codes, i, marks):
     """Mark the existing units in a gap between triangles, unless all their corners are beyond one side of the view."""
-    first = max(min(wn // wd, (wn + wdx) // wd), west)
-    last = min(max(ceiling(en, ed), ceiling(en + edx, ed)) - 1, west + above.shape[0] - 2)
+    shift = strip.shift
+    first = max(min(wn // wd, (wn + wstep) // wd) >> shift, west)
+    last = min((max(ceiling(en, ed), ceiling(en + estep, ed)) - 1) >> shift, west + codes.shape[1] - 2)
     for c in range(first, last + 1):
         j = c - west
         bits = units[j + 1]
         if bits == 0:
             continue
-        even = (c + row) & 1 == 0
+        even = (c + strip.row) & 1 == 0
         for half in range(2):
             if bits >> half & 1 == 0:
                 continue
             if even:
-                shared = above[j] & below[j + 1] & (above[j + 1] if half == 0 else below[j])
+                shared = codes[i, j] & codes[i + 1, j + 1] & (codes[i, j + 1] if half == 0 else codes[i + 1, j])
             else:
-                shared = above[j + 1] & below[j] & (above[j] if half == 0 else below[j + 1])
-            if shared == 0 and meets_unit(wn, wdx, wd, en, edx, ed, c, row, half):
+                shared = codes[i, j + 1] & codes[i + 1, j] & (codes[i, j] if half == 0 else codes[i + 1, j + 1])
+            if shared == 0 and meets_unit(wn, wstep, wd, en, estep, ed, c, half, strip):
                 marks[j] |= 1 << half
 
 
 @leaf
-def mark_bridge(wn, wdx, wd, en, edx, ed, row, west, units, marks):
+def mark_bridge(wn, wstep, wd, en, estep, ed, strip, west, units, marks):
     """Mark the missing units that a triangle covers, wholly or in part: bits 2 and 3."""
-    first = min(wn // wd, (wn + wdx) // wd)
-    last = max(ceiling(en, ed), ceiling(en + edx, ed)) - 1
+    shift = strip.shift
+    first = max(min(wn // wd, (wn + wstep) // wd) >> shift, west)
+    last = min((max(ceiling(en, ed), ceiling(en + estep, ed)) - 1) >> shift, west + marks.shape[0] - 2)
     for c in range(first, last + 1):
         bits = units[c - west + 1]
         if bits != 3:
             for half in range(2):
-                if bits >> half & 1 == 0 and meets_unit(wn, wdx, wd, en, edx, ed, c, row, half):
+                if bits >> half & 1 == 0 and meets_unit(wn, wstep, wd, en, estep, ed, c, half, strip):
                     marks[c - west] |= 4 << half
 
 
 @leaf
-def sweep_strip(table, members, active, n, row, west, units, missing, above, below, marks, overlapping):
-    """Compare neighbours in the strip below ``row``, mark gaps and bridges in ``marks``, flag overlaps."""
-    columns = above.shape[0]
+def sweep_strip(table, members, active, n, strip, west, units, missing, codes, i, marks, overlapping):
+    """Compare neighbours in a strip, mark gaps and bridges in ``marks``, flag overlaps.
+
+    Args:
+        table: of the triangles. active: the n of them that meet the strip, from west to east.
+        west: the window's first column. units, missing: from ``existing_units``; codes[i], codes[i + 1]: the outcodes
+            of the samples above and below.
+    """
     for attempt in range(2):
         disordered = False
-        pn, pdx, pd, previous = west, 0, 1, -1
-        for i in range(n):
-            k = active[i]
-            wn, wdx, wd, en, edx, ed = sides(table, k, row)
-            upper, lower = pn * wd - wn * pd, (pn + pdx) * wd - (wn + wdx) * pd
-            if previous >= 0 and (upper > 0 or lower > 0):
+        pn, pstep, pd, previous = west << strip.shift, 0, 1, -1
+        for a in range(n):
+            k = active[a]
+            wn, wstep, wd, en, estep, ed = sides(table, k, strip.y0, strip.y1)
+            upper, lower = compare(pn, pd, wn, wd), compare(pn + pstep, pd, wn + wstep, wd)
+            if previous >= 0 and (upper > 0.0 or lower > 0.0):
                 if attempt == 0:
                     disordered = True  # by an overlap further up, perhaps: once more, in order
                     break
                 overlapping[members[k]] = 1
                 overlapping[members[previous]] = 1
-            elif upper < 0 or lower < 0:
-                mark_gap(pn, pdx, pd, wn, wdx, wd, row, west, units, above, below, marks)
+            elif upper < 0.0 or lower < 0.0:
+                mark_gap(pn, pstep, pd, wn, wstep, wd, strip, west, units, codes, i, marks)
             if missing > 0:
-                mark_bridge(wn, wdx, wd, en, edx, ed, row, west, units, marks)
-            if previous < 0 or (2 * en + edx) * pd > (2 * pn + pdx) * ed:
-                pn, pdx, pd, previous = en, edx, ed, k
+                mark_bridge(wn, wstep, wd, en, estep, ed, strip, west, units, marks)
+            if previous < 0 or compare(2 * en + estep, ed, 2 * pn + pstep, pd) > 0.0:
+                pn, pstep, pd, previous = en, estep, ed, k
         if not disordered:
-            end = west + columns - 1
-            if pn < end * pd or pn + pdx < end * pd:
-                mark_gap(pn, pdx, pd, end, 0, 1, row, west, units, above, below, marks)
+            end = (west + codes.shape[1] - 1) << strip.shift
+            if compare(pn, pd, end, 1) < 0.0 or compare(pn + pstep, pd, end, 1) < 0.0:
+                mark_gap(pn, pstep, pd, end, 0, 1, strip, west, units, codes, i, marks)
             return
-        sort_west_to_east(table, active, 0, n, row)
+        sort_west_to_east(table, active, 0, n, strip.y0, strip.y1)

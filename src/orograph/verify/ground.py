@@ -1,23 +1,41 @@
 """The full-resolution surface by rows: which unit triangles exist, which samples lie on one, what of it is in view.
 
 A unit is half a cell; of each cell bit 0 is the upper one and bit 1 the lower one (``strips``). Metres; indices are
-rows and columns of the raster, windows begin at (``top``, ``west``).
+rows and columns of the raster.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, leaf
-from orograph.verify.frustum import outcode, place, polygon_in_view
+from orograph.verify.frustum import place, polygon_in_view
 from orograph.verify.strips import corners
 
 
+class Ground(NamedTuple):
+    """A window of the terrain.
+
+    Attributes:
+        heights: (h, w) float32, the samples [top, top + h) × [west, west + w).
+        rows, columns: of the whole raster.
+    """
+
+    heights: NDArray[np.float32]
+    top: int
+    west: int
+    rows: int
+    columns: int
+
+
 @leaf
-def existing_units(heights, i, row, west, units):
-    """The units that exist in each cell of the strip below row i of ``heights``: bit 0, bit 1; one cell to the right
-    in ``units``, whose first and last entries stay 0. Returns how many are missing."""
-    missing = 0
+def existing_units(ground, row, units):
+    """The units that exist in each cell of the window below a row: bit 0, bit 1; one cell to the right in ``units``,
+    whose first and last entries stay 0. Returns how many are missing."""
+    heights, i, west, missing = ground.heights, row - ground.top, ground.west, 0
     for j in range(heights.shape[1] - 1):
         a, b, c, d = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
         whole = a + b + c + d
@@ -52,23 +70,21 @@ def on_surface(over, under, j, odd):
     return (under[j] | under[j + 1] | over[j] | over[j + 1]) != 0
 
 
-@leaf
-def row_codes(heights, i, row, west, matrix, lens, codes):
-    """The outcodes of a row of samples (255 where missing)."""
-    for j in range(heights.shape[1]):
-        h = heights[i, j]
-        if h != h:
-            codes[j] = 255
-            continue
-        x, y, w = place(matrix, west + j, row, np.float64(h))
-        codes[j] = outcode(lens, x, y, w)
+@inlined
+def exists(ground, column, row, half):
+    """Whether all three corners of a unit triangle do."""
+    c0, r0, c1, r1, c2, r2 = corners(column, row, half)
+    heights, top, west = ground.heights, ground.top, ground.west
+    z = heights[r0 - top, c0 - west] + heights[r1 - top, c1 - west] + heights[r2 - top, c2 - west]
+    return z == z
 
 
 @leaf
-def unit_in_view(heights, top, west, column, row, half, matrix, lens, points, scratch):
+def unit_in_view(ground, column, row, half, lens, points, scratch):
     """Whether an existing unit triangle reaches into the frustum."""
     c0, r0, c1, r1, c2, r2 = corners(column, row, half)
     for k in range(3):
         c, r = (c0, r0) if k == 0 else ((c1, r1) if k == 1 else (c2, r2))
-        points[k, 0], points[k, 1], points[k, 2] = place(matrix, c, r, np.float64(heights[r - top, c - west]))
+        height = np.float64(ground.heights[r - ground.top, c - ground.west])
+        points[k, 0], points[k, 1], points[k, 2] = place(lens, c, r, height)
     return polygon_in_view(lens, points, 3, scratch)

@@ -1,14 +1,15 @@
-"""The referee: one tessellation, one terrain, one view → a ``Report``.
+"""The referee of meshes: one tessellation, one terrain, one view → a ``Report``.
 
 It shares no code with what it judges, and takes nothing on trust but the terrain's samples, the view, and the boxes of
 the terrain's tiles (of tiles out of view nothing is read). What it measures and how is told in docs/verify.md; the work
-is done by the sweep in ``sweep.py``, band by band, and on the open edges (``edges.py``).
+is done by the sweep (``sweep.py``), between samples by ``pieces.py``, and on the open edges (``beyond.py``).
 """
 
 from __future__ import annotations
 
 import math
 from functools import partial
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,13 @@ from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.verify import sweep as kernels
 from orograph.verify.bands import Band, Mesh, bands, take_apart
-from orograph.verify.beyond import OF_HIDDEN, OF_MISSING, OF_SEEN, look_beyond
+from orograph.verify.beyond import OF_HIDDEN, OF_MISSING, OF_SEEN, OpenEdges, look_beyond
 from orograph.verify.edges import classify_edges, lie_on_others
 from orograph.verify.frustum import Camera
-from orograph.verify.report import Report, Sample
+from orograph.verify.ground import Ground
+from orograph.verify.pieces import Worst, largest_on_pieces
+from orograph.verify.report import Place, Report, place
 from orograph.viewpoint import View
-
-Found = tuple[NDArray[np.int64], NDArray[np.int64], float, int, int, float]
 
 COUNTED = {
     "uncovered": kernels.UNCOVERED, "holes": kernels.HOLES, "bridged": kernels.BRIDGED,
@@ -33,83 +34,84 @@ COUNTED = {
 }  # fmt: skip
 
 
-def judge(
-    tessellation: Tessellation, terrain: Terrain, view: View, *, exaggeration: float = 1.0, jobs: int | None = None
-) -> Report:
-    """Measure a tessellation against every full-resolution sample in view, and look for every kind of defect.
+def judge_mesh(
+    tessellation: Tessellation, terrain: Terrain, view: View, *, exaggeration: float = 1.0,
+    heights: Literal["samples", "free"] | None = None, jobs: int | None = None,
+) -> Report:  # fmt: skip
+    """Measure a tessellation against the full-resolution surface in view, and look for every kind of defect.
 
     Args:
-        tessellation: the mesh.
+        tessellation: the mesh; its vertices may lie anywhere on the raster.
         terrain: what it is a mesh of; read by bands of rows.
         view: the camera, in the terrain's CRS.
         exaggeration: heights are stretched by this on the way to the screen.
+        heights: "samples": a vertex on a sample must have the sample's height; "free": it need not. By default "free"
+            for geomorphs (``stats["geomorph"]``), "samples" otherwise.
         jobs: threads; the result does not depend on it.
 
     Raises:
-        UsageError: a vertex is no sample of the terrain, the exaggeration is not positive, or the terrain has more than
-            2^20 samples along a side.
+        UsageError: a vertex lies beyond the raster, or at too fine a fraction of a cell (2^-18 is fine enough for
+            rasters of up to 4097 samples a side, 2^-10 for 2^20); the raster is larger than 2^30 samples a side; the
+            exaggeration is not positive.
         DamagedChunkError: as ``terrain.read``.
     """
+    check_exaggeration(exaggeration)
+    if heights is None:
+        heights = "free" if tessellation.stats.get("geomorph") else "samples"
+    camera = Camera.of(view, terrain.grid, exaggeration)
+    return aside(partial(_judge, tessellation, terrain, camera, heights == "samples", jobs))
+
+
+def check_exaggeration(exaggeration: float) -> None:
+    """Raise UsageError unless it is one."""
     if not (math.isfinite(exaggeration) and exaggeration > 0):
         raise UsageError(f"An exaggeration is a positive number, not {exaggeration}.")
-    return aside(partial(_judge, tessellation, terrain, view, exaggeration, jobs))
 
 
-def _judge(tessellation: Tessellation, terrain: Terrain, view: View, exaggeration: float, jobs: int | None) -> Report:
+def _judge(
+    tessellation: Tessellation, terrain: Terrain, camera: Camera, interpolating: bool, jobs: int | None
+) -> Report:
     mesh = take_apart(tessellation, terrain)
-    camera = Camera.of(view, terrain.grid, exaggeration)
     crowded, alone = classify_edges(tessellation.triangles, len(tessellation.vertices))
     alone = alone[mesh.signs[alone // 3] != 0]
     edges = open_edges(mesh, alone)
-    low, high = np.minimum(edges[:, 1], edges[:, 3]), np.maximum(edges[:, 1], edges[:, 3])
-    findings = np.zeros((len(edges), 3), np.uint8)
+    ends, shift = edges
+    low, high = np.minimum(ends[:, 1], ends[:, 3]) >> shift, np.maximum(ends[:, 1], ends[:, 3]) >> shift
+    findings = np.zeros((len(ends), 3), np.uint8)
     junctions = np.zeros(len(tessellation.vertices), np.uint8)
     overlapping = np.zeros(len(tessellation.triangles), np.uint8)
-    rows, cols = terrain.grid.shape
 
-    def judge_band(band: Band) -> Found:
-        heights, top = band.read(terrain)
+    def judge_band(band: Band) -> list[_Part]:
+        ground = band.read(terrain)
         span = np.array([band.first, band.last])
         beside = np.flatnonzero((low <= band.last + 1) & (high >= band.first))
-        look_beyond(heights, top, band.west, rows, cols, span, edges, beside, camera.matrix, camera.lens, findings)
-        found: Found = kernels.sweep(
-            heights, top, band.west, rows, span, tessellation.triangles, band.members, tessellation.vertices,
-            mesh.columns, mesh.rows, mesh.row_start, mesh.by_row, camera.matrix, camera.lens, junctions, overlapping,
-        )  # fmt: skip
-        return found
+        look_beyond(ground, span, edges, beside, camera.lens, findings)
+        return [
+            judge_block(window, mesh, block, camera, junctions, overlapping)
+            for window, block in band.blocks(mesh, ground, interpolating)
+        ]
 
-    counts = np.zeros(kernels.COUNTS, np.int64)
-    places: dict[str, Sample] = {}
-    largest, worst, total = -1.0, None, 0.0
-    for here, where, error, column, row, squares in map_ordered(judge_band, bands(mesh, terrain, camera), jobs):
-        for name, k in COUNTED.items():
-            if here[k] and name not in places:
-                places[name] = int(where[k, 0]), int(where[k, 1])
-        counts += here
-        total += squares
-        if error > largest:
-            largest, worst = error, (int(column), int(row))
-    inner = lie_on_others(edges[:, :4]) | (findings[:, OF_SEEN] > 0)
+    total = _Total(mesh)
+    for parts in map_ordered(judge_band, bands(mesh, terrain, camera), jobs):
+        for part in parts:
+            total.add(part)
+    inner = lie_on_others(ends[:, :4]) | (findings[:, OF_SEEN] > 0)
     hidden = ~inner & (findings[:, OF_HIDDEN] > 0)
     missing = ~inner & ~hidden & (findings[:, OF_MISSING] > 0)
+    places = total.places
 
     def first(name: str, flags: NDArray[np.bool_], vertex: NDArray[np.integer]) -> int:
         """Note where the first of some flags is, and count them."""
         if flags.any():
             v = int(vertex[np.argmax(flags)])
-            places[name] = int(mesh.columns[v]), int(mesh.rows[v])
+            places[name] = mesh.place(int(mesh.corners.x[v]), int(mesh.corners.y[v]))
         return int(np.count_nonzero(flags))
 
     corner, begins = tessellation.triangles[:, 0], tessellation.triangles.reshape(-1)
-    covered = int(counts[kernels.SAMPLES] - counts[kernels.UNCOVERED])
     return Report(
         triangles=len(tessellation.triangles),
         vertices=len(tessellation.vertices),
-        samples=int(counts[kernels.SAMPLES]),
-        largest=math.sqrt(largest) if covered else 0.0,
-        rms=math.sqrt(total / covered) if covered else 0.0,
-        worst=worst if covered else None,
-        **{name: int(counts[k]) for name, k in COUNTED.items()},
+        **total.figures(),
         t_junctions=first("t_junctions", junctions > 0, np.arange(len(junctions))),
         overlaps=first("overlaps", overlapping > 0, corner),
         crowded=first("crowded", np.ones(len(crowded), bool), begins[crowded]),
@@ -123,14 +125,64 @@ def _judge(tessellation: Tessellation, terrain: Terrain, view: View, exaggeratio
     )
 
 
-def open_edges(mesh: Mesh, alone: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Edges, 3·triangle + corner → (n, 5): columns and rows of both ends, and which side is beyond the triangle.
+_Part = tuple[kernels.Found, Worst]
 
-    The last number is the sign of (end − begin) × (p − begin) for points p on the other side than the triangle.
-    """
-    triangles = mesh.tessellation.triangles
+
+def judge_block(
+    window: Ground, mesh: Mesh, block: kernels.Block, camera: Camera, junctions: NDArray[np.uint8],
+    overlapping: NDArray[np.uint8],
+) -> _Part:  # fmt: skip
+    """Judge a block: what the sweep finds, and the largest error on its pieces (as far as it exceeds the samples')."""
+    shape = block.last - block.first + 2, window.heights.shape[1]
+    screen = kernels.Screen(np.full(shape, kernels.MISSING, np.uint8), *(np.empty(shape) for _ in range(3)))
+    found, table, planes = kernels.sweep(window, mesh.corners, block, camera.lens, screen, junctions, overlapping)
+    found = kernels.Found(*found)
+    worst = Worst(np.maximum(found.pixels[:1], 0.0), found.sample.astype(np.float64))
+    if camera.lens.p1 > 0:  # in a plan there is no error
+        largest_on_pieces(window, block, mesh.corners.shift, table, planes, camera.lens, screen, worst)
+    return found, worst
+
+
+class _Total:
+    """What the blocks find, summed up in order."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        self.counts = np.zeros(kernels.COUNTS, np.int64)
+        self.places: dict[str, Place] = {}
+        self.squares = 0.0
+        self.at_samples: tuple[float, Place | None] = -1.0, None
+        self.largest: tuple[float, Place | None] = 0.0, None
+
+    def add(self, part: _Part) -> None:
+        found, worst = part
+        for name, k in COUNTED.items():
+            if found.counts[k] and name not in self.places:
+                self.places[name] = self.mesh.place(*found.places[k])
+        self.counts += found.counts
+        self.squares += float(found.pixels[1])
+        if found.pixels[0] > self.at_samples[0]:
+            self.at_samples = float(found.pixels[0]), place(*found.sample)
+        if worst.pixels[0] > self.largest[0]:
+            self.largest = float(worst.pixels[0]), place(*worst.place)
+
+    def figures(self) -> dict[str, Any]:
+        """The numbers of a report that are summed up here."""
+        samples, counts = int(self.counts[kernels.SAMPLES]), {name: int(self.counts[k]) for name, k in COUNTED.items()}
+        covered = samples - counts["uncovered"]
+        at_samples, worst_sample = self.at_samples if covered else (0.0, None)
+        largest, worst = self.largest if self.largest[0] > at_samples else (at_samples, worst_sample)
+        return {
+            "samples": samples, "largest": largest, "worst": worst, "largest_at_samples": at_samples,
+            "worst_sample": worst_sample, "rms": math.sqrt(self.squares / covered) if covered else 0.0, **counts,
+        }  # fmt: skip
+
+
+def open_edges(mesh: Mesh, alone: NDArray[np.int64]) -> OpenEdges:
+    """Open edges, given as 3·triangle + corner."""
+    triangles, x, y = mesh.corners.triangles, mesh.corners.x, mesh.corners.y
     t, k = alone // 3, alone % 3
     a, b, c = (triangles[t, (k + i) % 3] for i in range(3))
-    x, y = mesh.columns, mesh.rows
     side = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
-    return np.ascontiguousarray(np.stack([x[a], y[a], x[b], y[b], -np.sign(side)], -1))
+    ends = np.stack([x[a], y[a], x[b], y[b], -np.sign(side)], -1)
+    return OpenEdges(np.ascontiguousarray(ends), mesh.corners.shift)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from orograph.progress import Task
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
-from orograph.verify.judge import judge
+from orograph.verify.judge import judge_mesh
 from orograph.verify.report import ROUNDING, Report
 from orograph.viewpoint import View
 
@@ -48,9 +48,10 @@ class Measurement:
         triangles: of a mesh, the mean.
         ms: to refine, the median; ``ms_worst``: the largest.
         mtri_per_s: millions of triangles per second, over all.
-        conservative: whether the engine promises the tolerance for every sample in view, in every frame.
+        conservative: whether the engine promises the tolerance for every point in view, in every frame.
         tolerance: pixels, the largest that was asked for, or reached under a budget.
-        largest, rms: pixels, by the referee, over all samples in view of the frames judged; None: beyond any bound.
+        largest, rms: pixels, by the referee, over all points (rms: samples) in view of the frames judged; None: beyond
+            any bound.
         judged: how many frames were.
         changes: triangles that a frame and the one before do not share, over the frame's own, both summed over frames.
             None without a flight.
@@ -94,7 +95,7 @@ def measure_views(
     """
     tally = _Tally()
     for view in views:
-        tally.judged(judge(engine.refine(view, **goal), terrain, view, exaggeration=exaggeration, jobs=jobs))
+        tally.judged(judge_mesh(engine.refine(view, **goal), terrain, view, exaggeration=exaggeration, jobs=jobs))
     for view in views:
         meshes = []
         for _ in range(ROUNDS):
@@ -135,7 +136,7 @@ def measure_flight(
             own += len(now)
         before = now
         if k in seen:
-            tally.judged(judge(mesh, terrain, view, exaggeration=exaggeration, jobs=jobs))
+            tally.judged(judge_mesh(mesh, terrain, view, exaggeration=exaggeration, jobs=jobs))
         if task is not None:
             task.advance()
     return tally.result(changed / max(1, own) if len(frames) > 1 else None)

@@ -25,7 +25,7 @@ from orograph.tessellation import Tessellation
 from orograph.verify.bands import bands, take_apart
 from orograph.verify.ground import existing_units, on_surface
 from orograph.verify.spans import ordered, span_row
-from orograph.verify.strips import R0, R2
+from orograph.verify.strips import R0, R2, ceiling
 
 LEAF = 4
 """Triangles in a leaf of the tree."""
@@ -51,7 +51,7 @@ def hausdorff(tessellation: Tessellation, terrain: Terrain) -> Distance:
     Samples that lie on no existing unit triangle are no part of the surface. True metres, no exaggeration, no view.
 
     Raises:
-        UsageError: as ``judge``. DamagedChunkError: as ``terrain.read``.
+        UsageError: as ``judge_mesh``. DamagedChunkError: as ``terrain.read``.
     """
     return aside(partial(_hausdorff, tessellation, terrain))
 
@@ -63,17 +63,13 @@ def _hausdorff(tessellation: Tessellation, terrain: Terrain) -> Distance:
     points = tessellation.vertices.copy()
     points[:, 0], points[:, 1] = a * points[:, 0] + b * points[:, 1], d * points[:, 0] + e * points[:, 1]
     solid = np.ascontiguousarray(tessellation.triangles[mesh.signs != 0])
-    ranks, boxes = build_tree(points, solid, mesh.columns, mesh.rows)
+    ranks, boxes = build_tree(points, solid, mesh.corners)
     squared, column, row = -1.0, -1, -1
     for band in bands(mesh, terrain, None):
-        heights, top = band.read(terrain)
-        span = np.array([band.first, band.last])
-        drops = deviations(
-            heights, top, band.west, terrain.grid.rows, span, tessellation.triangles, band.members,
-            tessellation.vertices, mesh.columns, mesh.rows,
-        )  # fmt: skip
+        ground = band.read(terrain)
+        drops = deviations(ground, np.array([band.first, band.last]), mesh.corners, band.members)
         squared, column, row = farthest(
-            heights, top, band.west, band.first, drops, linear, points, solid, ranks, boxes, squared, column, row
+            ground, band.first, drops, linear, points, solid, ranks, boxes, squared, column, row
         )
     return Distance(math.sqrt(max(squared, 0.0)), None if column < 0 else (int(column), int(row)))
 
@@ -90,7 +86,7 @@ def spread(value):
 
 
 @kernel
-def build_tree(points, triangles, columns, rows):
+def build_tree(points, triangles, corners):
     """A complete binary tree over triangles in Morton order.
 
     Returns:
@@ -99,11 +95,11 @@ def build_tree(points, triangles, columns, rows):
     """
     m = triangles.shape[0]
     codes = np.empty(m, np.uint64)
+    x, y, shift = corners.x, corners.y, corners.shift
     for t in range(m):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        codes[t] = spread((columns[a] + columns[b] + columns[c]) // 3) | (
-            spread((rows[a] + rows[b] + rows[c]) // 3) << np.uint64(1)
-        )
+        column, row = ((x[a] + x[b] + x[c]) // 3) >> shift, ((y[a] + y[b] + y[c]) // 3) >> shift
+        codes[t] = spread(column) | (spread(row) << np.uint64(1))
     ranks = np.argsort(codes)
     leaves = 1
     while leaves * LEAF < m:
@@ -185,25 +181,27 @@ def to_mesh(points, triangles, ranks, boxes, stack, x, y, z, best, enough):
 
 
 @kernel
-def deviations(heights, top, west, rows, band, triangles, members, vertices, columns, lines):
+def deviations(ground, band, corners, members):
     """Distance on the vertical between each sample of a band and the mesh, (rows of the band, columns read) metres.
 
     Infinite where no triangle is, −1 for samples that are no part of the surface. Arguments as for ``sweep``.
     """
+    heights, top, west, shift = ground.heights, ground.top, ground.west, corners.shift
     count, width = band[1] - band[0] + 1, heights.shape[1]
     lowest, highest = np.full((count, width), np.inf), np.full((count, width), -np.inf)
-    table, planes = ordered(triangles, members, columns, lines, vertices)
+    table, planes = ordered(corners, members)
     for k in range(members.shape[0]):
-        for row in range(max(table[k, R0], band[0]), min(table[k, R2], band[1]) + 1):
-            span_row(table, planes, k, row, west, lowest[row - band[0]], highest[row - band[0]])
+        first, last = max(ceiling(table[k, R0], 1 << shift), band[0]), min(table[k, R2] >> shift, band[1])
+        for row in range(first, last + 1):
+            span_row(table, planes, k, row, shift, west, lowest[row - band[0]], highest[row - band[0]])
     over, under = np.zeros(width + 1, np.uint8), np.zeros(width + 1, np.uint8)
     if band[0] > 0:
-        existing_units(heights, band[0] - 1 - top, band[0] - 1, west, over)
+        existing_units(ground, band[0] - 1, over)
     for i in range(count):
         row = band[0] + i
         under[:] = 0
-        if row + 1 < rows:
-            existing_units(heights, row - top, row, west, under)
+        if row + 1 < ground.rows:
+            existing_units(ground, row, under)
         for j in range(width):
             h = np.float64(heights[row - top, j])
             if not on_surface(over, under, j, (row + west + j) & 1):
@@ -217,9 +215,9 @@ def deviations(heights, top, west, rows, band, triangles, members, vertices, col
 
 
 @kernel
-def farthest(heights, top, west, first, drops, linear, points, triangles, ranks, boxes, squared, column, row):
+def farthest(ground, first, drops, linear, points, triangles, ranks, boxes, squared, column, row):
     """Carry on the search for the farthest sample through a band: (squared distance, its column and row)."""
-    stack = np.empty(128, np.int64)
+    heights, top, west, stack = ground.heights, ground.top, ground.west, np.empty(128, np.int64)
     flat = drops.reshape(-1)
     largest = math.sqrt(squared) if squared >= 0.0 else -0.5
     count = 0

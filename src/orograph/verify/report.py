@@ -6,10 +6,17 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-Sample = tuple[int, int]
+Place = tuple[float, float]
+"""(column, row) on the raster; whole numbers are int."""
 
 ROUNDING = 1e-7
 """Relative excess over a tolerance that is put down to rounding: 1e-11 m, a metre before the eye, are 1e-8 pixels."""
+
+
+def place(column: float, row: float) -> Place:
+    """A place, of any kind of numbers."""
+    column, row = float(column), float(row)
+    return int(column) if column.is_integer() else column, int(row) if row.is_integer() else row
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +26,11 @@ class Report:
     Attributes:
         triangles, vertices: of the mesh.
         samples: full-resolution samples in view: inside the frustum, and on at least one unit triangle that exists.
-        largest, rms: distance in pixels between a sample in view and the mesh on its vertical, over those covered.
-        worst: (column, row) of the largest; None if no sample in view is covered.
+        largest: the largest distance in pixels between a point of the full-resolution surface in view and the mesh on
+            its vertical.
+        worst: (column, row) of that point; None if nothing in view is covered.
+        largest_at_samples, worst_sample: the same over samples alone.
+        rms: root of the mean square of the distance, over the samples in view that are covered.
         uncovered: samples in view that lie on no triangle.
         holes: unit triangles of the full-resolution surface, at least partly in view, that the mesh leaves uncovered
             wholly or in part.
@@ -31,8 +41,9 @@ class Report:
         crowded: edges of more than two triangles.
         reversed: triangles that turn clockwise from above in map orientation.
         flat: triangles without area.
-        duplicates: vertices at a sample that another vertex has already.
-        wrong_heights: vertices whose height is not exactly the raster's.
+        duplicates: vertices at the place of another.
+        wrong_heights: vertices on samples whose height is not exactly the raster's, unless heights are free; and any
+            that are not finite.
         border, rim_of_missing, rim_of_culled: open edges (with one triangle) that ought to be there: at the raster's
             border, beside missing ground, beside ground that is out of view.
         inner: the other open edges: ground in view lies beyond them, or another triangle that does not share the edge.
@@ -43,8 +54,10 @@ class Report:
     vertices: int
     samples: int
     largest: float
+    worst: Place | None
+    largest_at_samples: float
+    worst_sample: Place | None
     rms: float
-    worst: Sample | None
     uncovered: int
     holes: int
     bridged: int
@@ -59,7 +72,7 @@ class Report:
     border: int
     rim_of_missing: int
     rim_of_culled: int
-    places: dict[str, Sample] = field(default_factory=dict)
+    places: dict[str, Place] = field(default_factory=dict)
 
     @property
     def defects(self) -> dict[str, int]:
@@ -67,33 +80,38 @@ class Report:
         return {name: getattr(self, name) for name in DEFECTS if getattr(self, name)}
 
     def ok(self, tolerance: float = math.inf) -> bool:
-        """Whether the mesh has no defect, and no sample in view is more than ``tolerance`` pixels from it."""
+        """Whether the mesh has no defect, and no point in view is more than ``tolerance`` pixels from it."""
         return not self.defects and self.largest <= tolerance * (1 + ROUNDING)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as JSON has it; an infinite distance is None."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        for name in ("largest", "rms"):
+        for name in ("largest", "largest_at_samples", "rms"):
             if not math.isfinite(values[name]):
                 values[name] = None
-        values["worst"] = None if self.worst is None else list(self.worst)
+        for name in ("worst", "worst_sample"):
+            values[name] = None if values[name] is None else list(values[name])
         values["places"] = {name: list(place) for name, place in self.places.items()}
         return values
 
     def __str__(self) -> str:
-        at = "" if self.worst is None else f" at column {self.worst[0]}, row {self.worst[1]}"
         lines = [
             f"{self.triangles:,} triangles, {self.vertices:,} vertices; {self.samples:,} samples in view",
-            f"error: {self.largest:.4g} px at most{at}, {self.rms:.4g} px rms",
+            f"error: {self.largest:.4g} px at most{_at(self.worst)}",
+            f"at samples: {self.largest_at_samples:.4g} px at most{_at(self.worst_sample)}, {self.rms:.4g} px rms",
             f"open edges: {self.border:,} at the border, {self.rim_of_missing:,} beside missing ground, "
             f"{self.rim_of_culled:,} beside ground out of view",
         ]
         for name, count in self.defects.items():
-            column, row = self.places[name]
-            lines.append(f"DEFECT: {count:,} {DEFECTS[name]} (the first at column {column}, row {row})")
+            lines.append(f"DEFECT: {count:,} {DEFECTS[name]} (the first{_at(self.places[name])})")
         if not self.defects:
             lines.append("no defects")
         return "\n".join(lines)
+
+
+def _at(where: Place | None) -> str:
+    """In words."""
+    return "" if where is None else f" at column {where[0]:.8g}, row {where[1]:.8g}"
 
 
 DEFECTS = {

@@ -1,56 +1,59 @@
 """Triangles row by row: those of a band, from west to east, and what each spans of a row of samples.
 
 A band's triangles are found by counting, kept as a table of integers (``strips``) with their planes, and sorted by
-where they lie in the strip below a row. Heights are metres, float64; everything else is integers.
+where they lie in a strip. Heights are metres, float64; everything else is integers.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel, leaf
-from orograph.verify.strips import BEND, C0, C1, C2, R0, R1, R2, ceiling, extent, order, sides
+from orograph.verify.strips import BEND, C0, C1, C2, R0, R1, R2, ceiling, compare, extent, order, sides
+
+
+class Corners(NamedTuple):
+    """The triangles of a mesh.
+
+    Attributes:
+        triangles: (m, 3) int32.
+        vertices: (n, 3) float64, column, row, height.
+        x, y: (n,) int64, columns and rows in ticks.
+        shift: 2^shift ticks to a cell.
+    """
+
+    triangles: NDArray[np.int32]
+    vertices: NDArray[np.float64]
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
+    shift: int
 
 
 @kernel
-def bucket(triangles, columns, rows, signs, size, bands):
-    """The triangles with area that touch each band of ``size`` rows or the row below it, by their upper row and column.
+def bucket(corners, signs, size, bands):
+    """The triangles with area that touch each band of ``size`` rows or the row below it.
 
     Returns:
-        (start (bands + 1,), members): band b's are ``members[start[b]:start[b + 1]]``, ordered by the row, then the
-        column of their first corner.
+        (start (bands + 1,), members): band b's are ``members[start[b]:start[b + 1]]``, ordered by the cell of their
+        first corner, by row, then column.
     """
+    triangles, shift = corners.triangles, corners.shift
     m = triangles.shape[0]
     last_row, last_col = 0, 0
-    for i in range(rows.shape[0]):
-        last_row, last_col = max(last_row, rows[i]), max(last_col, columns[i])
+    for i in range(corners.y.shape[0]):
+        last_row, last_col = max(last_row, corners.y[i] >> shift), max(last_col, corners.x[i] >> shift)
     top, left, bottom = np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m, np.int64)
     for t in range(m):
         top[t], left[t], bottom[t] = np.int64(1) << 62, 0, 0
         for k in range(3):
-            v = triangles[t, k]
-            if rows[v] < top[t] or (rows[v] == top[t] and columns[v] < left[t]):
-                top[t], left[t] = rows[v], columns[v]
-            bottom[t] = max(bottom[t], rows[v])
-    by_column = np.empty(m, np.int64)
-    place_at = np.zeros(last_col + 2, np.int64)
-    for t in range(m):
-        place_at[left[t] + 1] += 1
-    for i in range(last_col + 1):
-        place_at[i + 1] += place_at[i]
-    for t in range(m):
-        by_column[place_at[left[t]]] = t
-        place_at[left[t]] += 1
-    by_row = np.empty(m, np.int64)
-    place_at = np.zeros(last_row + 2, np.int64)
-    for t in range(m):
-        place_at[top[t] + 1] += 1
-    for i in range(last_row + 1):
-        place_at[i + 1] += place_at[i]
-    for i in range(m):
-        t = by_column[i]
-        by_row[place_at[top[t]]] = t
-        place_at[top[t]] += 1
+            row, column = corners.y[triangles[t, k]] >> shift, corners.x[triangles[t, k]] >> shift
+            if row < top[t] or (row == top[t] and column < left[t]):
+                top[t], left[t] = row, column
+            bottom[t] = max(bottom[t], row)
+    ordered_by_cell = counted(top, counted(left, np.arange(m), last_col), last_row)
     start = np.zeros(bands + 1, np.int64)
     for t in range(m):
         if signs[t] != 0:
@@ -60,8 +63,7 @@ def bucket(triangles, columns, rows, signs, size, bands):
         start[b + 1] += start[b]
     fill = start.copy()
     members = np.empty(start[bands], np.int64)
-    for i in range(m):
-        t = by_row[i]
+    for t in ordered_by_cell:
         if signs[t] != 0:
             for b in range(max(top[t] - 1, 0) // size, bottom[t] // size + 1):
                 members[fill[b]] = t
@@ -69,54 +71,73 @@ def bucket(triangles, columns, rows, signs, size, bands):
     return start, members
 
 
+@kernel
+def counted(values, indices, last):
+    """``indices`` by the values they point at, 0 … ``last``; those of equal values in the order in which they come."""
+    place_at = np.zeros(last + 2, np.int64)
+    for i in indices:
+        place_at[values[i] + 1] += 1
+    for v in range(last + 1):
+        place_at[v + 1] += place_at[v]
+    result = np.empty(indices.shape[0], np.int64)
+    for i in indices:
+        result[place_at[values[i]]] = i
+        place_at[values[i]] += 1
+    return result
+
+
 @inlined
-def west_of(table, k, j, row):
-    """Whether triangle k's west side lies west of j's in the middle of the strip below ``row``."""
-    kn, kdx, kd, _, _, _ = sides(table, k, row)
-    jn, jdx, jd, _, _, _ = sides(table, j, row)
-    return (2 * kn + kdx) * jd < (2 * jn + jdx) * kd
+def west_of(table, k, j, y0, y1):
+    """Whether triangle k's west side lies west of j's in the middle of the strip [y0, y1]."""
+    kn, kstep, kd, _, _, _ = sides(table, k, y0, y1)
+    jn, jstep, jd, _, _, _ = sides(table, j, y0, y1)
+    return compare(2 * kn + kstep, kd, 2 * jn + jstep, jd) < 0.0
 
 
 @leaf
-def sort_west_to_east(table, active, begin, end, row):
+def sort_west_to_east(table, active, begin, end, y0, y1):
     """Insertion sort of ``active[begin:end]``, exact; quick where the order is nearly right."""
     for i in range(begin + 1, end):
         k, j = active[i], i
-        while j > begin and west_of(table, k, active[j - 1], row):
+        while j > begin and west_of(table, k, active[j - 1], y0, y1):
             active[j] = active[j - 1]
             j -= 1
         active[j] = k
 
 
 @kernel
-def ordered(triangles, members, columns, lines, vertices):
-    """The members as a table of triangles (``strips``), and their planes (k, 3) float64: the height at the first corner
-    and its slopes along columns and rows."""
+def ordered(corners, members):
+    """The members as a table of triangles (``strips``), and their planes (k, 5) float64: the height at the first
+    corner, its slopes along columns and rows, and the column and row of that corner."""
+    triangles, x, y, vertices = corners.triangles, corners.x, corners.y, corners.vertices
     count = members.shape[0]
-    table, planes = np.empty((count, 7), np.int64), np.empty((count, 3), np.float64)
+    table, planes = np.empty((count, 7), np.int64), np.empty((count, 5), np.float64)
     for k in range(count):
         t = members[k]
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        order(columns, lines, a, b, c, table, k)
-        if columns[b] == table[k, C0] and lines[b] == table[k, R0]:
+        order(x, y, a, b, c, table, k)
+        if x[b] == table[k, C0] and y[b] == table[k, R0]:
             a, b = b, a
-        elif columns[c] == table[k, C0] and lines[c] == table[k, R0]:
+        elif x[c] == table[k, C0] and y[c] == table[k, R0]:
             a, c = c, a
-        bx, by, cx, cy = columns[b] - columns[a], lines[b] - lines[a], columns[c] - columns[a], lines[c] - lines[a]
+        bx, by = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
+        cx, cy = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
         bz, cz = vertices[b, 2] - vertices[a, 2], vertices[c, 2] - vertices[a, 2]
-        area = np.float64(bx * cy - cx * by)
+        area = bx * cy - cx * by
         planes[k, 0] = vertices[a, 2]
         planes[k, 1], planes[k, 2] = (bz * cy - cz * by) / area, (cz * bx - bz * cx) / area
+        planes[k, 3], planes[k, 4] = vertices[a, 0], vertices[a, 1]
     return table, planes
 
 
 @leaf
-def span_row(table, planes, k, row, west, lowest, highest):
+def span_row(table, planes, k, row, shift, west, lowest, highest):
     """Lower and raise the mesh's extremes at the samples of a row that triangle k spans."""
-    wn, wd, en, ed = extent(table, k, row)
-    first, last = ceiling(wn, wd), en // ed
-    base = planes[k, 0] + planes[k, 2] * (row - table[k, R0])
-    slope, from_column = planes[k, 1], table[k, C0]
+    wn, wd, en, ed = extent(table, k, row << shift)
+    first = max((ceiling(wn, wd) + (1 << shift) - 1) >> shift, west)
+    last = min((en // ed) >> shift, west + lowest.shape[0] - 1)
+    base = planes[k, 0] + planes[k, 2] * (row - planes[k, 4])
+    slope, from_column = planes[k, 1], planes[k, 3]
     for c in range(first, last + 1):
         z = base + slope * (c - from_column)
         if z < lowest[c - west]:
@@ -126,19 +147,45 @@ def span_row(table, planes, k, row, west, lowest, highest):
 
 
 @leaf
-def find_junctions(table, k, row, west, vertex_at, before, junctions):
-    """Flag the vertices of a row that lie inside an edge of triangle k; ``before`` counts vertices by column."""
+def find_junctions(table, k, y, line, junctions):
+    """Flag the vertices of a row of ticks that lie inside an edge of triangle k."""
     r0, r1, r2 = table[k, R0], table[k, R1], table[k, R2]
-    if r0 < row < r2:
-        wn, wd, en, ed = extent(table, k, row)
-        bend = table[k, BEND] if row == r1 else 0
-        if bend >= 0 and wn % wd == 0 and vertex_at[wn // wd - west] >= 0:
-            junctions[vertex_at[wn // wd - west]] = 1
-        if bend <= 0 and en % ed == 0 and vertex_at[en // ed - west] >= 0:
-            junctions[vertex_at[en // ed - west]] = 1
-    elif r0 == r1 == row or r1 == r2 == row:
-        a, b = (table[k, C0], table[k, C1]) if r0 == r1 else (table[k, C1], table[k, C2])
-        if before[b - west] > before[a + 1 - west]:
-            for c in range(a + 1 - west, b - west):
-                if vertex_at[c] >= 0:
-                    junctions[vertex_at[c]] = 1
+    if r0 < y < r2:
+        wn, wd, en, ed = extent(table, k, y)
+        bend = table[k, BEND] if y == r1 else 0
+        if bend >= 0 and wn % wd == 0:
+            flag_between(line, wn // wd - 1, wn // wd + 1, junctions)
+        if bend <= 0 and en % ed == 0:
+            flag_between(line, en // ed - 1, en // ed + 1, junctions)
+    elif r0 == r1 == y:
+        flag_between(line, table[k, C0], table[k, C1], junctions)
+    elif r1 == r2 == y:
+        flag_between(line, table[k, C1], table[k, C2], junctions)
+
+
+class Line(NamedTuple):
+    """The vertices on a row of ticks.
+
+    Attributes:
+        x: (n,) int64, the columns in ticks of all vertices. order: their indices, from west to east within a row.
+        before: (w + 1,) int64: the row's vertices in the window's cell j are ``order[before[j]:before[j + 1]]``.
+        west: the window's first column.
+        shift: 2^shift ticks to a cell.
+    """
+
+    x: NDArray[np.int64]
+    order: NDArray[np.int64]
+    before: NDArray[np.int64]
+    west: int
+    shift: int
+
+
+@leaf
+def flag_between(line, a, b, flags):
+    """Flag the vertices of a row of ticks between two columns in ticks, these not included."""
+    first = max((a >> line.shift) - line.west, 0)
+    last = min((b >> line.shift) - line.west, line.before.shape[0] - 2)
+    if first <= last:
+        for i in range(line.before[first], line.before[last + 1]):
+            if a < line.x[line.order[i]] < b:
+                flags[line.order[i]] = 1

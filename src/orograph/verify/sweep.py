@@ -1,183 +1,283 @@
-"""One pass over a band of rows: every sample against the mesh, every strip between rows for overlaps and gaps.
+"""One pass over a block of the terrain: every sample against the mesh, every strip for overlaps and gaps.
 
-A sweep (Wylie et al. 1967's scan lines, made exact): going down the rows, the triangles that meet the strip below a row
-are kept from west to east. They overlap nowhere iff each lies east of its western neighbour at both rows of the strip;
-where it does not touch it there is a gap, and the unit triangles of the full-resolution surface in the gap are not
-covered. On the row itself each triangle spans an interval of samples; its height there is compared with theirs on the
-screen. All decisions about overlap, gaps and edges are made with integers (``strips``), heights and pixels are float64.
+A sweep (Wylie et al. 1967's scan lines, made exact): going down the rows of ticks that hold a sample or a vertex, the
+triangles that meet the strip below a row are kept from west to east. They overlap nowhere iff each lies east of its
+western neighbour at both rows of the strip; where it does not touch it there is a gap, and the unit triangles of the
+full-resolution surface in the gap are not covered. On a row of samples each triangle spans an interval of them; its
+height there is compared with theirs on the screen. All decisions about overlap, gaps and edges are made with integers
+(``strips``), heights and pixels are float64.
 
-Bands are independent, so that a terrain larger than memory is judged band by band, in any number of threads.
+Blocks are independent, so that a terrain larger than memory is judged block by block, in any number of threads.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel, leaf
-from orograph.verify.frustum import P0, P1, place
+from orograph.verify.frustum import drop_factor, outcode, pixel_factor, place
 from orograph.verify.gaps import sweep_strip
-from orograph.verify.ground import existing_units, on_surface, row_codes, unit_in_view
-from orograph.verify.spans import find_junctions, ordered, sort_west_to_east, span_row, west_of
-from orograph.verify.strips import R0, R2, sides
+from orograph.verify.ground import existing_units, on_surface, unit_in_view
+from orograph.verify.spans import Line, find_junctions, ordered, sort_west_to_east, span_row, west_of
+from orograph.verify.strips import R0, R2, Strip, sides
 
 SAMPLES, UNCOVERED, HOLES, BRIDGED, DUPLICATES, WRONG_HEIGHTS, COUNTS = range(7)
-"""What a band counts."""
+"""What a block counts."""
+
+MISSING = 255
+"""The outcode of missing samples."""
 
 
-@leaf
-def squared_error(matrix, lens, x, y, w, drop):
-    """Squared pixels between the point at (x, y, w) and the one ``drop`` metres above it, both projected."""
-    far = lens[P0] + lens[P1] * (w + matrix[2, 2] * drop)
-    if far <= 0.0:
-        return np.inf  # the mesh passes beside or behind the eye
-    near = lens[P0] + lens[P1] * w
-    dx = (x + matrix[0, 2] * drop) / far - x / near
-    dy = (y + matrix[1, 2] * drop) / far - y / near
-    return dx * dx + dy * dy
+class Block(NamedTuple):
+    """What of the terrain is judged at once: samples and cells [west, east) of rows first … last, vertices in them.
+
+    Attributes:
+        rows: (r,) int64, the rows of ticks with a sample or a vertex, down to the last of the cells below row ``last``.
+        vertices: (v,) int64, the used vertices here, by row, then column. start: (r + 1,) int64: those of rows[i] are
+            ``vertices[start[i]:start[i + 1]]``.
+        members: (k,) int64, the triangles that touch the block, by row, then roughly by column of their first corner.
+        interpolating: whether vertices on samples must have the samples' heights.
+    """
+
+    first: int
+    last: int
+    west: int
+    east: int
+    rows: NDArray[np.int64]
+    vertices: NDArray[np.int64]
+    start: NDArray[np.int64]
+    members: NDArray[np.int64]
+    interpolating: bool
+
+
+class Screen(NamedTuple):
+    """What the samples of a block are on the screen, arrays of shape (rows of the block + 1, columns of the window).
+
+    Attributes:
+        codes: uint8 outcodes, MISSING where there is no sample.
+        f, g, w: float64, of samples in view: the factors of their error (``frustum``; f the largest, 0 where there is
+            no mesh) and their depth. f is infinite where a sample is out of view.
+    """
+
+    codes: NDArray[np.uint8]
+    f: NDArray[np.float64]
+    g: NDArray[np.float64]
+    w: NDArray[np.float64]
+
+
+class Found(NamedTuple):
+    """What a sweep finds.
+
+    Attributes:
+        counts, places: (COUNTS,) and (COUNTS, 2) int64, places in ticks.
+        pixels: (2,) float64, largest error at a sample, −1 if there is none, and sum of squares; sample: (2,) int64.
+    """
+
+    counts: NDArray[np.int64]
+    places: NDArray[np.int64]
+    pixels: NDArray[np.float64]
+    sample: NDArray[np.int64]
 
 
 @inlined
-def note(counts, places, what, column, row):
+def note(found, what, x, y):
     """Count a finding; the first one's place is kept."""
-    if counts[what] == 0:
-        places[what, 0], places[what, 1] = column, row
-    counts[what] += 1
+    if found.counts[what] == 0:
+        found.places[what, 0], found.places[what, 1] = x, y
+    found.counts[what] += 1
+
+
+@leaf
+def project_row(ground, row, first, lens, screen):
+    """Fill a row of ``screen``, but for the mesh."""
+    i, k = row - ground.top, row - first
+    for j in range(ground.heights.shape[1]):
+        height = ground.heights[i, j]
+        screen.f[k, j] = np.inf
+        if height != height:
+            screen.codes[k, j] = MISSING
+            continue
+        x, y, w = place(lens, ground.west + j, row, np.float64(height))
+        screen.codes[k, j] = outcode(lens, x, y, w)
+        if screen.codes[k, j] == 0:
+            screen.f[k, j], screen.g[k, j], screen.w[k, j] = 0.0, pixel_factor(lens, x, y, w), w
+
+
+@leaf
+def judge_samples(ground, block, row, over, under, lowest, highest, lens, screen, found, shift):
+    """Compare the samples of a row with the mesh's lowest and highest there, which are reset."""
+    i, k = row - ground.top, row - block.first
+    for j in range(ground.heights.shape[1]):
+        if screen.codes[k, j] == 0 and on_surface(over, under, j, (row + ground.west + j) & 1):
+            column = ground.west + j
+            own = row <= block.last and block.west <= column < block.east
+            covered = lowest[j] <= highest[j]
+            if covered:
+                height = np.float64(ground.heights[i, j])
+                f = drop_factor(lens, screen.w[k, j], lowest[j] - height)
+                if highest[j] != lowest[j]:
+                    f = max(f, drop_factor(lens, screen.w[k, j], highest[j] - height))
+                screen.f[k, j] = f
+                error = np.inf if f == np.inf else f * screen.g[k, j]
+                if own:
+                    found.pixels[1] += error * error
+                    if error > found.pixels[0]:
+                        found.pixels[0], found.sample[0], found.sample[1] = error, column, row
+            if own:
+                note(found, SAMPLES, column << shift, row << shift)
+                if not covered:
+                    note(found, UNCOVERED, column << shift, row << shift)
+        lowest[j], highest[j] = np.inf, -np.inf
+
+
+@leaf
+def judge_vertices(ground, corners, block, r, line, found):
+    """Look at the vertices of a row of ticks, and set up their index by cells."""
+    y, shift = block.rows[r], corners.shift
+    at = block.start[r]
+    for j in range(line.before.shape[0] - 1):
+        line.before[j] = at
+        while at < block.start[r + 1] and (corners.x[block.vertices[at]] >> shift) - line.west == j:
+            at += 1
+    line.before[line.before.shape[0] - 1] = at
+    for i in range(block.start[r], block.start[r + 1]):
+        v = block.vertices[i]
+        x, z = corners.x[v], corners.vertices[v, 2]
+        if i > block.start[r] and corners.x[block.vertices[i - 1]] == x:
+            note(found, DUPLICATES, x, y)
+        wrong = not abs(z) < np.inf
+        if block.interpolating and x & ((1 << shift) - 1) == 0 and y & ((1 << shift) - 1) == 0:
+            wrong = wrong or z != np.float64(ground.heights[(y >> shift) - ground.top, (x >> shift) - ground.west])
+        if wrong:
+            note(found, WRONG_HEIGHTS, x, y)
 
 
 @kernel
-def sweep(
-    heights, top, west, rows, band, triangles, members, vertices, columns, lines, row_start, by_row, matrix, lens,
-    junctions, overlapping,
-):  # fmt: skip
-    """Judge a band of the terrain.
-
-    Args:
-        heights: (h, w) float32, the samples [top, top + h) × [west, west + w): the band's, those of the rows beside it,
-            and of all columns that its triangles or the view reach.
-        rows: of the raster. band: (first, last) row; the strips are those below each of them.
-        triangles, members: the mesh, and the indices of the triangles that touch the band, from ``bucket``.
-        vertices, columns, lines: (n, 3) float64; their columns and rows as int64.
-        row_start, by_row: the used vertices by row.
-        matrix, lens: the camera.
-        junctions (n,), overlapping (m,): uint8 flags, set to 1.
-
-    Returns:
-        (counts (COUNTS,), places (COUNTS, 2), worst squared error, its column and row, sum of squared errors)
-    """
-    n_members, width = members.shape[0], heights.shape[1]
-    table, planes = ordered(triangles, members, columns, lines, vertices)
-    counts, places = np.zeros(COUNTS, np.int64), np.zeros((COUNTS, 2), np.int64)
-    worst, worst_column, worst_row, total = -1.0, -1, -1, 0.0
-    active, merged = np.empty(n_members, np.int64), np.empty(n_members, np.int64)
-    n = 0
-    head = 0
-    while head < n_members and table[head, R0] < band[0]:
-        if table[head, R2] > band[0]:
+def begin(table, block, active):
+    """(how many triangles meet the strip below the block's first row, into ``active`` from west to east; the first
+    triangle that begins on or below that row)."""
+    y, n, head = block.rows[0], 0, 0
+    while head < table.shape[0] and table[head, R0] < y:
+        if table[head, R2] > y:
             active[n] = head
             n += 1
         head += 1
     if n > 0:
         middle = np.empty(n, np.float64)
         for i in range(n):
-            wn, wdx, wd, _, _, _ = sides(table, active[i], band[0])
-            middle[i] = (2 * wn + wdx) / (2.0 * wd)
+            wn, wstep, wd, _, _, _ = sides(table, active[i], y, block.rows[1])
+            middle[i] = (2 * wn + wstep) / (2.0 * wd)
         active[:n] = active[:n][np.argsort(middle)]
-        sort_west_to_east(table, active, 0, n, band[0])
-    first_from_above = 0  # those that end on the band's first row
+        sort_west_to_east(table, active, 0, n, y, block.rows[1])
+    return n, head
+
+
+@leaf
+def next_strip(table, active, n, merged, new, head, y0, y1):
+    """Drop the triangles that end at row y0, merge in those that begin there, new … head − 1: into ``merged``, from
+    west to east in the strip [y0, y1]. Returns how many there are."""
+    end = table.shape[0]
+    fresh = end - (head - new)
+    for k in range(new, head):  # at the end of ``merged``, as scratch
+        merged[fresh + k - new] = k
+    sort_west_to_east(table, merged, fresh, end, y0, y1)
+    kept = 0
+    for j in range(n):
+        if table[active[j], R2] > y0:
+            active[kept] = active[j]
+            kept += 1
+    j, f, out = 0, fresh, 0
+    while j < kept or f < end:
+        if f == end or (j < kept and west_of(table, active[j], merged[f], y0, y1)):
+            merged[out] = active[j]
+            j += 1
+        else:
+            merged[out] = merged[f]
+            f += 1
+        out += 1
+    return out
+
+
+@leaf
+def count_marks(ground, block, row, marks, lens, points, scratch, found, shift):
+    """Count the holes and bridges marked in the cells below a row, and take the marks away."""
+    for j in range(marks.shape[0] - 1):
+        column = ground.west + j
+        if marks[j] != 0 and block.west <= column < block.east:
+            for half in range(2):
+                if marks[j] >> half & 1 and unit_in_view(ground, column, row, half, lens, points, scratch):
+                    note(found, HOLES, column << shift, row << shift)
+                if marks[j] >> half & 4:
+                    note(found, BRIDGED, column << shift, row << shift)
+        marks[j] = 0
+
+
+@kernel
+def sweep(ground, corners, block, lens, screen, junctions, overlapping):
+    """Judge a block of the terrain.
+
+    Args:
+        ground: the samples of the block, and those of the rows and columns beside it.
+        corners, block, lens: see there.
+        screen: to be filled.
+        junctions (n,), overlapping (m,): uint8 flags of vertices and triangles, set to 1.
+
+    Returns:
+        (what is found, the table of triangles, their planes)
+    """
+    shift, width, count = corners.shift, ground.heights.shape[1], block.members.shape[0]
+    table, planes = ordered(corners, block.members)
+    found = Found(np.zeros(COUNTS, np.int64), np.zeros((COUNTS, 2), np.int64), np.zeros(2), np.zeros(2, np.int64))
+    found.pixels[0] = -1.0
+    active, merged = np.empty(count, np.int64), np.empty(count, np.int64)
     lowest, highest = np.full(width, np.inf), np.full(width, -np.inf)
-    vertex_at, before = np.full(width, -1, np.int64), np.zeros(width + 1, np.int64)
-    over, under = np.zeros(width + 1, np.uint8), np.zeros(width + 1, np.uint8)
-    above, below = np.zeros(width, np.uint8), np.zeros(width, np.uint8)
-    marks = np.zeros(width, np.uint8)
+    over, under, marks = np.zeros(width + 1, np.uint8), np.zeros(width + 1, np.uint8), np.zeros(width, np.uint8)
     points, scratch = np.empty((16, 3), np.float64), np.empty((16, 3), np.float64)
-    if band[0] > 0:
-        existing_units(heights, band[0] - 1 - top, band[0] - 1, west, over)
-    row_codes(heights, band[0] - top, band[0], west, matrix, lens, above)
-    for row in range(band[0], band[1] + 1):
-        i = row - top
-        missing = 0
-        under[:] = 0
-        if row + 1 < rows:
-            missing = existing_units(heights, i, row, west, under)
-            row_codes(heights, i + 1, row + 1, west, matrix, lens, below)
-        # The vertices of this row.
-        for v in range(row_start[row], row_start[row + 1]):
-            at = columns[by_row[v]] - west
-            if vertex_at[at] >= 0:
-                note(counts, places, DUPLICATES, at + west, row)
-            vertex_at[at] = by_row[v]
-            if vertices[by_row[v], 2] != np.float64(heights[i, at]):
-                note(counts, places, WRONG_HEIGHTS, at + west, row)
-        for j in range(width):
-            before[j + 1] = before[j] + (1 if vertex_at[j] >= 0 else 0)
+    line = Line(corners.x, block.vertices, np.zeros(width + 1, np.int64), ground.west, shift)
+    missing = 0
+    n, head = begin(table, block, active)
+    if block.first > 0:
+        existing_units(ground, block.first - 1, over)
+    project_row(ground, block.first, block.first, lens, screen)
+    for r in range(block.rows.shape[0]):
+        y = block.rows[r]
+        row, on_samples = y >> shift, y & ((1 << shift) - 1) == 0
+        if on_samples:
+            under[:], missing = 0, 0
+            if row + 1 < ground.rows:
+                missing = existing_units(ground, row, under)
+            if row + 1 < ground.rows and row <= block.last:
+                project_row(ground, row + 1, block.first, lens, screen)
         # The triangles that touch this row: those of the strip above, and those that begin here.
         new = head
-        while head < n_members and table[head, R0] == row:
+        while head < count and table[head, R0] == y:
             head += 1
-        if row == band[0]:
-            while first_from_above < new:
-                if table[first_from_above, R2] == row:
-                    span_row(table, planes, first_from_above, row, west, lowest, highest)
-                    find_junctions(table, first_from_above, row, west, vertex_at, before, junctions)
-                first_from_above += 1
-        for j in range(n):
-            span_row(table, planes, active[j], row, west, lowest, highest)
-            find_junctions(table, active[j], row, west, vertex_at, before, junctions)
-        for k in range(new, head):
-            span_row(table, planes, k, row, west, lowest, highest)
-            find_junctions(table, k, row, west, vertex_at, before, junctions)
-        # The samples of this row.
-        for j in range(width):
-            if above[j] == 0 and on_surface(over, under, j, (row + west + j) & 1):
-                note(counts, places, SAMPLES, west + j, row)
-                if not lowest[j] <= highest[j]:
-                    note(counts, places, UNCOVERED, west + j, row)
-                else:
-                    height = np.float64(heights[i, j])
-                    x, y, w = place(matrix, west + j, row, height)
-                    error = squared_error(matrix, lens, x, y, w, lowest[j] - height)
-                    if highest[j] != lowest[j]:
-                        error = max(error, squared_error(matrix, lens, x, y, w, highest[j] - height))
-                    total += error
-                    if error > worst:
-                        worst, worst_column, worst_row = error, west + j, row
-            lowest[j], highest[j] = np.inf, -np.inf
-        for v in range(row_start[row], row_start[row + 1]):
-            vertex_at[columns[by_row[v]] - west] = -1
-        if row + 1 >= rows:
+        with_vertices = row <= block.last and block.start[r + 1] > block.start[r]
+        if with_vertices:
+            judge_vertices(ground, corners, block, r, line, found)
+        if on_samples or with_vertices:
+            touching = n + head - new if r > 0 else head  # on the first row also those that end there
+            for t in range(touching):
+                k = t if r == 0 else active[t] if t < n else new + t - n
+                if table[k, R2] >= y:
+                    if on_samples:
+                        span_row(table, planes, k, row, shift, ground.west, lowest, highest)
+                    if with_vertices:
+                        find_junctions(table, k, y, line, junctions)
+        if on_samples:
+            judge_samples(ground, block, row, over, under, lowest, highest, lens, screen, found, shift)
+            over, under = under, over
+        if r + 1 == block.rows.shape[0]:
             break
-        # The strip below: drop what ended, merge what began.
-        fresh = n_members - (head - new)
-        for k in range(new, head):  # at the end of ``merged``, as scratch
-            merged[fresh + k - new] = k
-        sort_west_to_east(table, merged, fresh, n_members, row)
-        kept = 0
-        for j in range(n):
-            if table[active[j], R2] > row:
-                active[kept] = active[j]
-                kept += 1
-        j, f, out = 0, fresh, 0
-        while j < kept or f < n_members:
-            if f == n_members or (j < kept and west_of(table, active[j], merged[f], row)):
-                merged[out] = active[j]
-                j += 1
-            else:
-                merged[out] = merged[f]
-                f += 1
-            out += 1
-        active, merged, n = merged, active, out
-        sweep_strip(table, members, active, n, row, west, under, missing, above, below, marks, overlapping)
-        for j in range(width - 1):
-            if marks[j] == 0:
-                continue
-            for half in range(2):
-                if marks[j] >> half & 1 and unit_in_view(
-                    heights, top, west, west + j, row, half, matrix, lens, points, scratch
-                ):
-                    note(counts, places, HOLES, west + j, row)
-                if marks[j] >> half & 4:
-                    note(counts, places, BRIDGED, west + j, row)
-            marks[j] = 0
-        over, under = under, over
-        above, below = below, above
-    return counts, places, worst, worst_column, worst_row, total
+        n = next_strip(table, active, n, merged, new, head, y, block.rows[r + 1])
+        active, merged = merged, active
+        strip, k = Strip(row, y, block.rows[r + 1], shift), row - block.first
+        sweep_strip(
+            table, block.members, active, n, strip, ground.west, over, missing, screen.codes, k, marks, overlapping
+        )
+        if strip.y1 == (row + 1) << shift:
+            count_marks(ground, block, row, marks, lens, points, scratch, found, shift)
+    return found, table, planes

@@ -77,4 +77,4 @@ def test_budgets_of_the_engine():
             made = engine.refine(view, triangles=budget)
             T = stateless.refine_by_priority(n, priority, lambda now, made=made: now >= len(made.triangles))
             assert plain.drawn(ground, T, spheres) == plain.triangles_of(made)
-            assert not verify.judge(made, t, view).defects
+            assert not verify.judge_mesh(made, t, view).defects
