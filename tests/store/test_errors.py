@@ -185,7 +185,7 @@ def test_an_older_store_is_to_be_built_again(tmp_path):
     document = json.loads(root.read_text())
     document["attributes"]["orograph"]["format"] = 1
     root.write_text(json.dumps(document))
-    with pytest.raises(StoreError, match=r"format 1.*Build the store again"):
+    with pytest.raises(StoreError, match=r"format 1.*orograph build .* --overwrite"):
         store.open(tmp_path / "s")
 
 

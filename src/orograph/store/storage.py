@@ -71,6 +71,14 @@ class Storage(ABC):
     def size(self) -> int | None:
         """Bytes of all objects together, None where that cannot be told."""
 
+    def stamp(self, key: str) -> tuple[int, ...] | None:
+        """Differs when an object was replaced, at the cost of a look; None if it is not there, or nothing tells."""
+        return None
+
+    def anew(self) -> Storage:
+        """The same place, without anything that was remembered of it."""
+        return self
+
     def close(self) -> None:  # noqa: B027 (only folders hold files open)
         """Let go of open files."""
 
@@ -124,7 +132,7 @@ class FolderStorage(Storage):
             size = os.fstat(file.fd).st_size
             return _pread(file.fd, min(length, size), max(0, size - length))
         except (FileNotFoundError, NotADirectoryError):
-            self._must_stand()
+            self.must_stand()
             return None
         except OSError as error:
             raise self._failed("read", key, error) from error
@@ -136,7 +144,7 @@ class FolderStorage(Storage):
                 file = self._file(key)  # held by name: another thread may drop it from the cache meanwhile
                 found.append(_pread(file.fd, stop - start, start))
             except FileNotFoundError:
-                self._must_stand()
+                self.must_stand()
                 found.append(b"")
             except OSError as error:
                 raise self._failed("read", key, error) from error
@@ -181,6 +189,16 @@ class FolderStorage(Storage):
         with self._lock:
             self._open.clear()
 
+    def stamp(self, key: str) -> tuple[int, ...] | None:
+        try:
+            found = (self.path / key).stat()
+        except OSError:
+            return None
+        return found.st_ino, found.st_mtime_ns, found.st_size
+
+    def anew(self) -> Storage:
+        return FolderStorage(self.path)
+
     def size(self) -> int | None:
         return sum(entry.stat().st_size for entry in self.path.rglob("*") if entry.is_file())
 
@@ -188,7 +206,7 @@ class FolderStorage(Storage):
         with self._lock:
             self._open.clear()
 
-    def _must_stand(self) -> None:
+    def must_stand(self) -> None:
         """A file that is gone is damage, a folder that is gone has been moved or removed."""
         if not self.path.exists():
             raise StoreError(
