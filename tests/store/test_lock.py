@@ -234,3 +234,49 @@ def test_storage_without_folders_has_no_lock():
 
     with alone(RemoteStorage("memory://lock/s"), "x"), alone(RemoteStorage("memory://lock/s"), "x"):
         pass
+
+
+def test_all_who_write_take_the_same_lock(tmp_path):
+    from orograph.geovis.color_store import store_colors
+    from orograph.light.bake import bake
+    from orograph.store.repair import repair
+
+    path = tmp_path / "s"
+    store.build(source(rough((60, 60))), path).close()
+    before = {p: p.stat().st_mtime_ns for p in path.rglob("*")}
+    writers = [
+        lambda: bake(path, ["visible-sky"]),
+        lambda: store_colors(path),
+        lambda: repair(path),
+        lambda: store.build(source(rough((60, 60))), path),
+        lambda: store.build(source(rough((60, 60))), path, resume=True),
+        lambda: store.build(source(rough((60, 60))), path, overwrite=True),
+    ]
+    with alone(FolderStorage(path), "baking into this store"):
+        for write in writers:
+            with pytest.raises(StoreError, match="Another process is baking into this store"):
+                write()
+        with store.open(path) as terrain:  # readers are not kept out
+            assert terrain.check() == []
+    assert {p: p.stat().st_mtime_ns for p in path.rglob("*")} == before
+
+
+def test_a_bake_keeps_what_another_put_in_while_it_waited(tmp_path, monkeypatch):
+    """The record is read under the lock: read before, it would put back what the other had replaced."""
+    from orograph.light import bake as module
+    from orograph.light.products import Options
+
+    path = tmp_path / "s"
+    store.build(source(rough((60, 60))), path, errors=()).close()
+    taken, few = [], Options(azimuths=4)
+
+    def after_another(storage, doing, shared=None):
+        if not taken:
+            taken.append(doing)
+            module.bake(path, ["openness"], few).close()
+        return alone(storage, doing, shared)
+
+    monkeypatch.setattr(module, "alone", after_another)
+    module.bake(path, ["visible-sky"], few).close()
+    with store.open(path) as terrain:
+        assert terrain.layers == ("openness", "visible-sky") and terrain.check() == []

@@ -227,7 +227,8 @@ def _plan_of(record: Record) -> dict[str, Any]:
 
 def _may_replace(final: Storage, storage: Storage) -> None:
     """Raise StoreError if what is there is no store, and was not to become one."""
-    if occupied(final) and not is_store(final) and not begun(final) and (final.remote or not begun(storage)):
+    known = is_store(final) or begun(storage) or final.exists(f"heights/0/height/{ROOT}")  # its root may be damaged
+    if occupied(final) and not known:
         raise StoreError(
             "Something is there that is not an Orograph store, and will not be overwritten.",
             path=final.url,

@@ -55,6 +55,7 @@ class StoredTerrain(Terrain):
         self.storage, self.record, self.watch = storage, record, watch
         self.grid, self.name, self.vertical = record.grid, record.name, record.vertical
         self.remote = storage.remote
+        self._last = self.levels - 1  # found once: reads of small windows would notice
         self.cache = ChunkCache(cache_bytes)
         self._jobs = jobs
         self._arrays: dict[tuple[str, int], ShardedArray] = {}
@@ -88,7 +89,7 @@ class StoredTerrain(Terrain):
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         array = self._array("heights", level)
         self._inside(array.spec.shape, row0, row1, col0, col1)
-        if level < self.levels - 1:
+        if level < self._last:
             return array.read(row0, row1, col0, col1)
         if self.watch is not None:
             self.watch()
@@ -223,6 +224,9 @@ class StoredTerrain(Terrain):
         return _open(self.storage.anew(), self.cache.budget, self._jobs)
 
     def _array(self, kind: str, level: int) -> ShardedArray:
+        found = self._arrays.get((kind, level))
+        if found is not None:
+            return found
         self._check(level)
         at = self.grid.shape, level, self.record.shard, self.record.chunk
         if kind == "heights":

@@ -8,6 +8,7 @@ layers only is no replacement. At a URL there is no such cheap look: there a sha
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -35,12 +36,12 @@ class Watch:
 
     def __init__(self, storage: Storage, record: Record, stamp: Any, read: Callable[[Storage], Record]) -> None:
         self.storage, self.record, self.stamp, self._read = storage, record, stamp, read
-        self._due = 0.0
+        self._due = math.inf if storage.remote else 0.0
 
     def __call__(self) -> None:
         """Raise StoreReplacedError if the store is another by now, StoreError if it is gone."""
         now = time.monotonic()
-        if now < self._due or self.storage.remote:
+        if now < self._due:
             return
         stamp = self.storage.stamp(ROOT)
         if stamp != self.stamp:
