@@ -23,13 +23,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from orograph.errors import StoreError
-
-Range = tuple[str, int, int]
-"""(key, first byte, byte behind the last)."""
+from orograph.store.ranges import Range, cut, merged
 
 OPEN_FILES = 128
-GAP = 32 << 10  # bytes fetched in vain rather than asking twice
-REQUEST = 4 << 20  # bytes asked for at once
 SILENCE = 10.0  # seconds that a web server may let pass without a byte
 AGAIN = (0.25, 1.0)  # seconds after which what failed for the moment is asked for again
 BUSY = frozenset({408, 425, 429, 500, 502, 503, 504})  # HTTP: not now
@@ -323,7 +319,7 @@ class RemoteStorage(Storage):
         for (key, start, stop), part in zip(together, self._read(keys[0], fetch), strict=True):
             data = b"" if isinstance(part, Exception) else self._part(key, bytes(part), stop - start)
             pieces.setdefault(key, []).append((start, data))
-        return [_cut(pieces[key], start, stop) for key, start, stop in wanted]
+        return [cut(pieces[key], start, stop) for key, start, stop in wanted]
 
     def _part(self, key: str, data: bytes, length: int) -> bytes:
         """What was asked for as a part of an object; a server that ignores ranges sends all of it, for each part."""
@@ -370,25 +366,6 @@ def _passing(error: Exception) -> bool:
     return isinstance(error, ConnectionError) or type(error).__name__ in (
         "ServerDisconnectedError", "ClientPayloadError", "ClientOSError",
     )  # fmt: skip
-
-
-def merged(wanted: Sequence[Range]) -> list[Range]:
-    """Neighbouring ranges of one object as one request, as long as little is fetched in vain."""
-    together: list[Range] = []
-    for key, start, stop in sorted(wanted):
-        if together and together[-1][0] == key:
-            first, last = together[-1][1:]
-            if start - last <= GAP and stop - first <= REQUEST:
-                together[-1] = (key, first, max(last, stop))
-                continue
-        together.append((key, start, stop))
-    return together
-
-
-def _cut(pieces: list[tuple[int, bytes]], start: int, stop: int) -> bytes:
-    """What of a range lies in the one piece that begins last before it."""
-    first, data = max((piece for piece in pieces if piece[0] <= start), key=lambda piece: piece[0])
-    return data[start - first : stop - first]
 
 
 def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = None) -> Storage:
