@@ -66,13 +66,16 @@ class DamagedChunkError(StoreError):
 
     def __init__(self, chunk: str, *, path: str | os.PathLike[str] | None = None, cause: str = "") -> None:
         self.chunk = chunk
-        again = "Build the store" if not chunk.startswith("layers/") else "Bake that layer"
-        verb = "build" if not chunk.startswith("layers/") else "bake"
-        super().__init__(
-            f"Chunk {chunk} is damaged{': ' + cause if cause else ''}.",
-            path=path,
-            remedy=f"{again} again (orograph {verb} --overwrite), or restore that file from a copy.",
-        )
+        self.cause = cause
+        if chunk.startswith("layers/"):
+            remedy = "Bake that layer again (orograph bake --overwrite), or restore that file from a copy."
+        else:
+            remedy = "Mend the store from its sources (orograph build --repair), or restore that file from a copy."
+        super().__init__(f"Chunk {chunk} is damaged{': ' + cause if cause else ''}.", path=path, remedy=remedy)
+
+
+class StoreReplacedError(StoreError):
+    """The store that is read was replaced since it was opened; ``reopen()`` opens the one that is there now."""
 
 
 class OutputError(OrographError):

@@ -1,19 +1,51 @@
-"""Files appear whole or not at all: results are written beside their place and moved there when they are finished."""
+"""Files appear whole or not at all: results are written beside their place and moved there when they are finished.
+
+The file beside it is named after the machine and the process: ``.sky.tif.HOST.PID.part``. A process that is killed
+leaves it there; the next one that writes the same result removes it.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import glob
 import os
+import re
 import shutil
 from pathlib import Path
 
 from orograph.errors import OutputError
+from orograph.processes import host, running
 
 
 def check_folder(path: Path) -> None:
     """Raise OutputError unless there is a folder to write ``path`` into."""
     if not path.parent.is_dir():
         raise OutputError(f"There is no folder {path.parent} to write to.", path=path, remedy="Make it first.")
+
+
+def beside(out: Path, ending: str) -> Path:
+    """A name beside ``out`` for a file of this process; what processes left there that have ended is removed.
+
+    Args:
+        ending: "part" or "raw".
+    """
+    # A name without a host is of this machine.
+    ours = re.compile(rf"\.{re.escape(out.name)}\.(?:{re.escape(host())}\.)?(\d+)\.(?:part|raw)(?:\..+)?")
+    for path in _left(out.parent):
+        found = ours.fullmatch(path.name)
+        if found is not None and not running(int(found[1])):
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
+    return out.with_name(f".{out.name}.{host()}.{os.getpid()}.{ending}")
+
+
+@functools.cache
+def _left(folder: Path) -> list[Path]:
+    """What may have been left in a folder when it was first written to."""
+    with contextlib.suppress(OSError):
+        return [path for path in folder.iterdir() if re.fullmatch(r"\..+\.\d+\.(part|raw)(\..+)?", path.name)]
+    return []
 
 
 def check_room(path: Path, size: int) -> None:
@@ -42,10 +74,10 @@ class Beside:
 
     def __init__(self, out: Path) -> None:
         self.out = out
-        self.part = out.with_name(f".{out.name}.{os.getpid()}.part")
 
     def __enter__(self) -> Path:
         check_folder(self.out)
+        self.part = beside(self.out, "part")
         _unfinished.add(self.part)
         return self.part
 

@@ -185,7 +185,7 @@ def test_an_older_store_is_to_be_built_again(tmp_path):
     document = json.loads(root.read_text())
     document["attributes"]["orograph"]["format"] = 1
     root.write_text(json.dumps(document))
-    with pytest.raises(StoreError, match=r"format 1.*Build the store again"):
+    with pytest.raises(StoreError, match=r"format 1.*orograph build .* --overwrite"):
         store.open(tmp_path / "s")
 
 
@@ -207,3 +207,19 @@ def test_zarr_reads_the_codes(built):
             errors = terrain.record.errors["wedgie"].table[array[:]]
             np.testing.assert_array_equal(errors, whole(terrain, "wedgie", level)[0])
             assert array.attrs["code"] == terrain.record.errors["wedgie"].to_json()
+
+
+def test_levels_that_have_no_patches_are_no_damage(built):
+    """Patches of 16 segments a leg begin with octave 4; below there is nothing, stored or not."""
+    from orograph.store.patches import patch_errors, stored_levels
+
+    with store.open(built) as terrain:
+        assert list(stored_levels(HEIGHTS.shape)) == [2] and terrain.check() == []
+        for level in range(terrain.levels):
+            rows, cols = terrain.diamond_shape(level)
+            found = terrain.patch_errors("exact", level, 1, rows, 2, cols)
+            assert found.shape == (rows - 1, cols - 2) and found.dtype == np.float32
+            assert found.any() == (level == 2)
+        np.testing.assert_array_equal(
+            terrain.patch_errors("exact", 2, 0, 257, 0, 257), patch_errors(terrain, "exact", 16)[2]
+        )

@@ -11,7 +11,8 @@ from webserver import serving
 
 from orograph import store
 from orograph.errors import DamagedChunkError, StoreError
-from orograph.store.storage import FolderStorage, RemoteStorage, merged, storage_at
+from orograph.store.ranges import merged
+from orograph.store.storage import FolderStorage, RemoteStorage, storage_at
 
 HEIGHTS = rough((290, 260), 21, hole=True)
 SIZES = {"shard": 128, "chunk": 32}

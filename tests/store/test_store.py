@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from surfaces import grid_of, rough, source
 
 from orograph import store
-from orograph.errors import StoreError
-from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.errors import DamagedChunkError, StoreError
+from orograph.store.arrays import ShardedArray
 from orograph.store.cache import ChunkCache
-from orograph.store.storage import FolderStorage
+from orograph.store.digests import tail_length
+from orograph.store.layout import array_specs
 
 HEIGHTS = rough((700, 530), 2, missing=0.01, hole=True)
 
@@ -79,7 +80,7 @@ def test_chunks_without_valid_samples_are_not_written(tmp_path):
     void[200, 200] = 1
     store.build(source(void), tmp_path / "void", shard=128, chunk=64)
     sizes = {p.name: p.stat().st_size for p in (tmp_path / "void/heights/0/height/c").rglob("0")}
-    index = 4 * 16 + 4
+    index = tail_length("heights/0/height/c/0/0", 4)
     assert sizes["0"] == index
     assert (tmp_path / "void/heights/0/height/c/1/1").stat().st_size > index
 
@@ -130,22 +131,29 @@ def test_xarray_and_rioxarray_know_where_it_is(built, kind, scale):
         assert float(data.height.sel(x=x, y=y)) == HEIGHTS[11, 7]
 
 
-def test_what_zarr_and_tensorstore_write_is_read(tmp_path):
-    """The same layout from other writers, whose shards may hold their chunks in another order."""
+def test_all_that_is_stored_is_read_by_zarr_and_tensorstore(built):
+    """Every array, the labels in its shards notwithstanding."""
     zarr = pytest.importorskip("zarr")
     tensorstore = pytest.importorskip("tensorstore")
-    spec = ArraySpec("a", HEIGHTS.shape, 128, 32)
-    metadata = spec.metadata({})
-    for name in ("zarr", "tensorstore"):
-        (tmp_path / name / "a").mkdir(parents=True)
-        (tmp_path / name / "a/zarr.json").write_text(json.dumps(metadata))
-    zarr.open_array(tmp_path / "zarr/a", mode="r+")[:] = HEIGHTS
-    kvstore = {"driver": "file", "path": str(tmp_path / "tensorstore/a")}
-    array = tensorstore.open({"driver": "zarr3", "kvstore": kvstore}, open=True).result()
-    array.write(HEIGHTS).result()
-    for name in ("zarr", "tensorstore"):
-        ours = ShardedArray(spec, FolderStorage(tmp_path / name), ChunkCache(1 << 20))
-        np.testing.assert_array_equal(ours.read(0, *HEIGHTS.shape[:1], 0, HEIGHTS.shape[1]), HEIGHTS)
+    group = zarr.open_group(built, mode="r")
+    with store.open(built) as terrain:
+        specs = array_specs(terrain.record)
+        assert {spec.path.split("/")[0] for spec in specs} == {"heights", "mean", "tiles", "diamonds", "patches"}
+        for spec in specs:
+            ours = ShardedArray(spec, terrain.storage, terrain.record.digests, ChunkCache(0))
+            values = ours.read(0, spec.shape[0], 0, spec.shape[1])
+            np.testing.assert_array_equal(group[spec.path][:], values)
+            kvstore = {"driver": "file", "path": f"{built}/{spec.path}"}
+            theirs = tensorstore.open({"driver": "zarr3", "kvstore": kvstore}).result().read().result()
+            np.testing.assert_array_equal(theirs, values)
+
+
+def test_what_others_write_into_a_store_is_told_from_its_own(tmp_path):
+    zarr = pytest.importorskip("zarr")
+    store.build(source(HEIGHTS), tmp_path / "s", shard=128, chunk=32).close()
+    zarr.open_array(tmp_path / "s/heights/0/height", mode="r+")[:128, :128] = HEIGHTS[:128, :128]
+    with pytest.raises(DamagedChunkError, match=r"heights/0/height/c/0/0 .*other than Orograph"):
+        store.open(tmp_path / "s").read(0, 0, 9, 0, 9)
 
 
 @pytest.mark.parametrize("open_files", [2, 128])

@@ -39,7 +39,7 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
 
 
 @click.command("build", short_help="Build a terrain store from DEM files.")
-@click.argument("dem", nargs=-1, required=True, type=click.Path())
+@click.argument("dem", nargs=-1, type=click.Path())
 @click.option("--output", "-o", "store", required=True, metavar="STORE", help="Folder or URL (s3://…) of the store.")
 @click.option("--crs", help="Projected CRS of the terrain.  [default: the files' own, or their UTM zone]")
 @click.option("--resolution", type=Float(), metavar="METRES", help="Distance between samples.  [default: as the files]")
@@ -78,6 +78,11 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
     help="Put light into it as well: sky-view-factor,aperture… (see orograph bake --help, which has options for it).",
 )
 @click.option("--resume", is_flag=True, help="Finish an interrupted build of the same files with the same options.")
+@click.option(
+    "--repair",
+    is_flag=True,
+    help="Make again what orograph check finds damaged; DEM may be left out where the store knows its files.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Tell the result as JSON.")
 @click.pass_context
 def command(
@@ -87,6 +92,7 @@ def command(
     store: str,
     overwrite: bool,
     resume: bool,
+    repair: bool,
     max_memory: int,
     jobs: int | None,
     errors: tuple[ErrorKind, ...],
@@ -112,7 +118,13 @@ def command(
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
       orograph build tiles/*.tif -o area.oro --bake sky-view-factor,aperture
       orograph build N44W072.hgt -o area.oro --to-vertical ellipsoidal --geoid egm96_15.gtx
+      orograph build -o area.oro --repair
     """
+    if repair:
+        _repair(ctx, dem, store, max_memory, jobs, as_json, options)
+        return
+    if not dem:
+        raise click.UsageError("Missing argument 'DEM...'.", ctx)
     from orograph.store.build import as_source, build
 
     if drape is not None and not color_errors:
@@ -190,6 +202,33 @@ def command(
         + f"{100 * terrain.valid_fraction:.4g} % valid\n"
         f"built in {result['seconds']:.1f} s, peak memory {megabytes(peak_memory())}"
     )
+
+
+def _repair(
+    ctx: click.Context, dem: tuple[str, ...], store: str, max_memory: int, jobs: int | None, as_json: bool,
+    options: dict[str, Any],
+) -> None:  # fmt: skip
+    """Mend a store, and tell what was."""
+    from orograph.store.build import as_source
+    from orograph.store.repair import repair
+
+    others = {"overwrite", "resume", "products", "errors", "color_errors", "drape", *(() if dem else options)}
+    for option in ctx.command.params:
+        name = str(option.name)
+        if name in others and ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            raise UsageError(
+                f"--repair does not go with {option.opts[0]}.",
+                remedy="It makes the store what it was, of the files and options it was built with.",
+            )
+    progress = progress_of(ctx)
+    source = as_source(dem, progress, **options) if dem else None
+    mended = repair(store, source, max_memory=max_memory, jobs=jobs, progress=progress)
+    if as_json:
+        click.echo(json.dumps({"path": store, "mended": mended}))
+        return
+    for key in mended:
+        click.echo(f"{key}: mended")
+    click.echo(f"{store}: {'nothing was damaged' if not mended else 'sound again'}")
 
 
 def crs_name(crs: CRS | None) -> str | None:

@@ -209,6 +209,18 @@ class Mosaic:
                 said.append(f"{found.st_size} {found.st_mtime_ns}")
         return hashlib.sha256("\n".join(said).encode()).hexdigest()
 
+    def recipe(self) -> tuple[list[str], dict[str, Any]] | None:
+        """Paths and options with which ``open`` makes the same mosaic again; None if a source is no file."""
+        paths = [str(source.path) for source in self.sources if hasattr(source, "path")]
+        if len(paths) < len(self.sources):
+            return None
+        options = {**self._options, "resampling": self.resampling}
+        if options["crs"] is not None:
+            options["crs"] = CRS.from_wkt(options["crs"]).to_string()
+        if self.undulation is not None:
+            options["geoid"] = str(Path(self.undulation.geoid.path).absolute())
+        return paths, options
+
     def _fill(self, layer: LatticeMap, row0: int, row1: int, col0: int, col1: int, out: Heights) -> None:
         """Give the missing samples of ``out`` (that window) the values of one lattice."""
         if layer.offset is not None:

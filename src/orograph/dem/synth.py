@@ -16,7 +16,6 @@ import contextlib
 import math
 import os
 import re
-import tempfile
 import threading
 from pathlib import Path
 
@@ -29,6 +28,7 @@ from orograph.dem.erosion import drainage, stream_power
 from orograph.dem.noise import feature_points, fractal, gullies
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
+from orograph.output import beside
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 
@@ -239,11 +239,8 @@ class Synth:
         tops, lefts = range(0, rows, TILE), range(0, cols, 4 * TILE)
         windows = [(r, min(r + TILE, rows), c, min(c + 4 * TILE, cols)) for r in tops for c in lefts]
         self.prepare(progress)
-        temporary: Path | None = None
+        temporary = Path(f"{beside(goal, 'part')}.tif")
         try:
-            handle, name = tempfile.mkstemp(prefix=f".{goal.name}.", suffix=".tif", dir=goal.parent)
-            os.close(handle)
-            temporary = Path(name)
             with rasterio.open(temporary, "w", **profile) as file:
                 file.update_tags(1, UNITTYPE="m")
                 with progress.task(f"Writing {goal.name}", total=len(windows)) as task:
@@ -251,17 +248,14 @@ class Synth:
                     for (r0, r1, c0, c1), block in zip(windows, blocks):
                         file.write(block, 1, window=Window(c0, r0, c1 - c0, r1 - r0))
                         task.advance()
-            temporary.chmod(0o666 & ~_umask())
             temporary.replace(goal)
-            temporary = None
         except (OSError, RasterioError) as error:
             raise OutputError(
                 f"It cannot be written: {error}", path=goal, remedy="Check the folder, its permissions and free space."
             ) from None
         finally:
-            if temporary is not None:
-                with contextlib.suppress(OSError):
-                    temporary.unlink()
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -274,12 +268,6 @@ def parse_size(text: str) -> tuple[int, int]:
     if found is None or min(int(found[1]), int(found[2] or found[1])) < 2:
         raise UsageError(f"The size must be like 4097 (square) or 2049x4097 (rows × columns), not {text!r}.")
     return int(found[1]), int(found[2] or found[1])
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _smoothstep(low: float, high: float, x: Floats) -> Floats:

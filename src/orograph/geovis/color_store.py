@@ -28,20 +28,21 @@ from orograph.errors import UsageError
 from orograph.geovis.color_errors import SUN, Colors, blank, codes_of, decoded
 from orograph.parallel import cpu_count
 from orograph.progress import SILENT, Progress
-from orograph.store.arrays import Spot
 from orograph.store.diamonds import blank_top, place
-from orograph.store.layout import Record, diamond_spec, dumps, metadata
+from orograph.store.digests import Spot
+from orograph.store.layout import Record, diamond_spec, dumps, publish
+from orograph.store.lock import alone
 from orograph.store.parts import pack, unpack
-from orograph.store.pyramid import Canvas, spans, tasks, write
-from orograph.store.shards import alone, go_through
-from orograph.store.storage import Storage, storage_at
+from orograph.store.pyramid import spans, tasks
+from orograph.store.shards import go_through
+from orograph.store.storage import storage_at
 from orograph.store.stored import StoredTerrain, open, read_record
 from orograph.store.terrain import Terrain, diamond_shape, level_count, level_shape
+from orograph.store.writer import Canvas, ShardWriter
 
 COLOR = "color"
 PARTIAL = "diamonds/.color"
 """Where the plan and the parts of a run are until it is complete."""
-BUSY = "Another process is putting color errors into this store."
 SAMPLE = 160
 """Bytes a task holds for each sample of its block."""
 
@@ -158,30 +159,33 @@ def store_colors(
             remedy="Fetch the image, and name the copy.",
         )
     storage = storage_at(store, storage_options)
-    before = read_record(storage)
-    if overwrite or not before.colors or not same(wanted, before.colors):
-        with alone(storage, "diamonds", BUSY), open(store, jobs=1, storage_options=storage_options) as terrain:
-            if before.colors:
-                before = replace(before, colors={})
-                _publish(storage, before)
-            colors = Colors(terrain, drape=drape, max_memory=max_memory, progress=progress, **options)
-            plan = dumps({**wanted, "step": colors.step, "source": before.source, "shard": before.shard})
-            if overwrite or storage.get(f"{PARTIAL}/plan.json") != plan:
+    read_record(storage)  # a store that is not there is said before anything is written beside it
+    with alone(storage, "putting color errors into this store"):
+        before = read_record(storage)
+        if overwrite or not before.colors or not same(wanted, before.colors):
+            with open(store, jobs=1, storage_options=storage_options) as terrain:
+                if before.colors:
+                    publish(storage, replace(before, colors={}))
+                    before = read_record(storage)
+                colors = Colors(terrain, drape=drape, max_memory=max_memory, progress=progress, **options)
+                plan = dumps({**wanted, "step": colors.step, "source": before.source, "shard": before.shard})
+                if overwrite or storage.get(f"{PARTIAL}/plan.json") != plan:
+                    storage.remove(PARTIAL)
+                    storage.put(f"{PARTIAL}/plan.json", [plan])
+                at_once = max(1, min(jobs or cpu_count(), max_memory // 2 // (SAMPLE * min(BLOCK, before.shard) ** 2)))
+                writer = ShardWriter(storage)
+                _Run(colors, writer, before).all(at_once, progress)
+                publish(storage, replace(before, colors=wanted, digests=before.digests.joined(writer.digests)))
                 storage.remove(PARTIAL)
-                storage.put(f"{PARTIAL}/plan.json", [plan])
-            at_once = max(1, min(jobs or cpu_count(), max_memory // 2 // (SAMPLE * min(BLOCK, before.shard) ** 2)))
-            _Run(colors, storage, before).all(at_once, progress)
-            _publish(storage, replace(before, colors=wanted))
-            storage.remove(PARTIAL)
-    storage.close()
-    return open(store, storage_options=storage_options)
+        storage.close()
+        return open(store, storage_options=storage_options)
 
 
 class _Run:
     """One run over the shards of a store."""
 
-    def __init__(self, colors: Colors, storage: Storage, record: Record) -> None:
-        self.colors, self.storage, self.record = colors, storage, record
+    def __init__(self, colors: Colors, writer: ShardWriter, record: Record) -> None:
+        self.colors, self.writer, self.record = colors, writer, record
         self.shape = shape = record.grid.shape
         self.area = max(record.shard, 32)
         self.top = level_count(shape) - 1
@@ -193,7 +197,7 @@ class _Run:
         ]  # fmt: skip
         self.whole = blank_top(shape, np.uint8, 0)
         self.canvases = {
-            level: Canvas(self._spec(level), storage, spans(shape, self.area, level, diamond_shape(shape, level)))
+            level: Canvas(self._spec(level), writer, spans(shape, self.area, level, diamond_shape(shape, level)))
             for level in range(min(SMALL, self.top))
         }
 
@@ -204,7 +208,7 @@ class _Run:
     def _finish(self) -> None:
         for parts in zip(*(channel.finish() for channel in self.channels), strict=True):
             self._put(parts[0].octave, 0, 0, _coded(parts))
-        write(self.storage, self._spec(self.top), self.whole)
+        self.writer.array(self._spec(self.top), self.whole)
 
     def run(self, spot: Spot) -> None:
         """Do one task, or take over what an interrupted run did of it."""
@@ -221,7 +225,7 @@ class _Run:
         elif octave < SMALL:
             self.canvases[octave].add(i, j, values)
         else:
-            write(self.storage, self._spec(octave), values)
+            self.writer.array(self._spec(octave), values)
 
     def _make(self, spot: Spot) -> tuple[dict[int, Codes], list[list[Rest]]]:
         rows, cols = self.shape
@@ -250,7 +254,7 @@ class _Run:
         for number, block in enumerate(rests):
             for k, rest in enumerate(block):
                 kept.update({f"rest.{number}.{k}.{name}": array for name, array in rest.to_arrays().items()})
-        self.storage.put(_part(spot), [pack(kept)])
+        self.writer.keep(_part(spot), pack(kept))
         return codes, rests
 
     def _gather(self, parts: tuple[Part, ...], row: int, col: int, codes: dict[int, Codes]) -> None:
@@ -268,7 +272,7 @@ class _Run:
 
     def _kept(self, spot: Spot) -> tuple[dict[int, Codes], list[list[Rest]]] | None:
         """What an interrupted run found in an area; None if it did not, or that is damaged."""
-        data = self.storage.get(_part(spot))
+        data = self.writer.storage.get(_part(spot))
         if data is None:
             return None
         codes: dict[int, Codes] = {}
@@ -296,15 +300,6 @@ def _coded(parts: tuple[Part, ...]) -> Codes:
 
 def _part(spot: Spot) -> str:
     return f"{PARTIAL}/{spot[0]}.{spot[1]}.part"
-
-
-def _publish(storage: Storage, record: Record) -> None:
-    """Write the metadata of the record, the root's last."""
-    others, root = metadata(record)
-    for objects in (others, root):
-        for key, data in objects.items():
-            if objects is root or key.startswith("diamonds/"):
-                storage.put(key, [data])
 
 
 __all__ = ["StoredColorErrors", "made_with", "store_colors", "stored"]

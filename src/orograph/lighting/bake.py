@@ -34,21 +34,22 @@ from orograph.lighting.products import Product, product
 from orograph.lighting.raster import trim
 from orograph.lighting.raster_resume import Checkpoint
 from orograph.progress import SILENT, Progress
+from orograph.store.digests import Digests
 from orograph.store.layers import GROUP, Bits, Codes, LayerBand, LayerRecord, layer_spec
-from orograph.store.layout import Record, metadata
+from orograph.store.layout import Record, publish
 from orograph.store.levels import BoxMeans, divide, halve_sums
-from orograph.store.pyramid import Canvas, spans, tasks
-from orograph.store.shards import alone, go_through
+from orograph.store.lock import alone
+from orograph.store.pyramid import spans, tasks
+from orograph.store.shards import go_through
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import StoredTerrain, open, read_record
 from orograph.store.terrain import level_count, mean_shape
+from orograph.store.writer import Canvas, ShardWriter
 
 Averaging = Literal["mean", "cap"]
 
 PARTIAL = f"{GROUP}/.partial"
 """Where a bake is made until it is complete."""
-
-BUSY = "Another process is baking into this store."
 
 _STRIP = 64
 """Rows of a shard that are made at a time: an even number, so that blocks of 2 × 2 lie in one strip."""
@@ -125,34 +126,39 @@ def bake(
     if bits is not None and bits not in get_args(Bits):
         raise UsageError(f"Layers have 8 or 16 bits, not {bits}.")
     storage = storage_at(store, storage_options)
-    before = read_record(storage)
-    made = [_record(p, chosen, bits, before) for p in products]
-    if not overwrite:
-        there = [layer for layer in made if before.layers.get(layer.name) == layer]
-        for layer in there:
-            progress.note(f"{layer.name} is in {storage.url} already, made with the same options.")
-        made = [layer for layer in made if layer not in there]
+    read_record(storage)  # a store that is not there is said before anything is written beside it
     cache = min(64 << 20, max_memory // 16)
-    if made:
-        products = [p for p in products if p.name in {layer.name for layer in made}]
-        trim()  # what building the store has left
-        with (
-            alone(storage, GROUP, BUSY),
-            open(store, cache_bytes=cache, jobs=jobs, storage_options=storage_options) as terrain,
-        ):
-            if isinstance(storage, FolderStorage):
-                kept = _kept(storage, before, made, overwrite)
-            else:
-                kept = None
-                before = _publish(storage, before, [], {layer.name for layer in made})
-            context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
-            for layer, read in zip(made, readers(context, products), strict=True):
-                _write(context, storage, before, layer, read, "" if kept is None else PARTIAL)
-            _publish(storage, before, made, {layer.name for layer in made})
-            if kept is not None:
-                kept.remove()
-    storage.close()
-    return open(store, cache_bytes=cache, jobs=jobs, storage_options=storage_options)
+    with alone(storage, "baking into this store"):
+        before = read_record(storage)
+        made = [_record(p, chosen, bits, before) for p in products]
+        if not overwrite:
+            there = [layer for layer in made if before.layers.get(layer.name) == layer]
+            for layer in there:
+                progress.note(f"{layer.name} is in {storage.url} already, made with the same options.")
+            made = [layer for layer in made if layer not in there]
+        if made:
+            trim()  # what building the store has left
+            with open(store, cache_bytes=cache, jobs=jobs, storage_options=storage_options) as terrain:
+                context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress)
+                _make(context, storage, before, made, overwrite)
+        storage.close()
+        return open(store, cache_bytes=cache, jobs=jobs, storage_options=storage_options)
+
+
+def _make(context: Context, storage: Storage, before: Record, made: list[LayerRecord], overwrite: bool) -> None:
+    """Bake layers, and let them take their places."""
+    writer = ShardWriter(storage)
+    if isinstance(storage, FolderStorage):
+        context.kept = _kept(storage, before, made, overwrite)
+        writer = ShardWriter(FolderStorage(storage.path / PARTIAL))
+    else:
+        before = _publish(storage, before, [], {layer.name for layer in made}, writer.digests)
+    products = [product(layer.name) for layer in made]
+    for layer, read in zip(made, readers(context, products), strict=True):
+        _write(context, writer, before, layer, read)
+    _publish(storage, before, made, {layer.name for layer in made}, writer.digests)
+    if context.kept is not None:
+        context.kept.remove()
 
 
 def check(names: Sequence[str]) -> None:
@@ -204,6 +210,10 @@ def _kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overw
     if overwrite or _finished(storage, record):
         storage.remove(PARTIAL)
     try:
+        (storage.path / GROUP).mkdir(exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"Nothing can be written there: {error.strerror}.", path=storage.url) from error
+    try:
         return Checkpoint(storage.path / PARTIAL, plan)
     except OutputError as error:
         if storage.get(f"{PARTIAL}/plan.json") is None:
@@ -225,7 +235,7 @@ def _finished(storage: FolderStorage, record: Record) -> bool:
 
 
 def _write(
-    context: Context, storage: Storage, record: Record, layer: LayerRecord, read: Callable[[Window], Values], under: str
+    context: Context, writer: ShardWriter, record: Record, layer: LayerRecord, read: Callable[[Window], Values]
 ) -> None:
     """Cut a product into shards, and average it level by level."""
     shape, shard, chunk = record.grid.shape, record.shard, record.chunk
@@ -233,13 +243,9 @@ def _write(
     direct = min(shard.bit_length() - 1, levels - 1)  # the coarsest level that shards make themselves
     cap = BAKED[layer.name].averaging == "cap"
 
-    def moved(spec_of: Any) -> Any:
-        path = f"{under}/{spec_of.path.removeprefix(GROUP + '/')}" if under else spec_of.path
-        return replace(spec_of, path=path)
-
-    specs = [[moved(layer_spec(shape, layer.name, k, b, shard, chunk)) for b in layer.bands] for k in range(levels)]
+    specs = [[layer_spec(shape, layer.name, k, b, shard, chunk) for b in layer.bands] for k in range(levels)]
     coarse = [
-        [Canvas(spec, storage, spans(shape, shard, k, spec.shape)) for spec in specs[k]] for k in range(1, direct + 1)
+        [Canvas(spec, writer, spans(shape, shard, k, spec.shape)) for spec in specs[k]] for k in range(1, direct + 1)
     ]
     rest = [_Rest(mean_shape(shape, direct)) for _ in layer.bands] if direct < levels - 1 else []
     spots = tasks(shape, shard)
@@ -258,7 +264,7 @@ def _write(
 
         codes = _coded(layer.bands, (last - row, right - col), strips())
         for spec in specs[0]:
-            storage.put(spec.key(spot), spec.encode(codes.pop(0)))
+            writer.shard(spec, spot, codes.pop(0))
         for k in range(1, direct + 1):
             means = [s.next() for s in sums]
             parts = (np.stack([m[top : top + _STRIP] for m in means]) for top in range(0, len(means[0]), _STRIP))
@@ -272,10 +278,7 @@ def _write(
         for k in range(direct + 1, levels):
             means = np.stack([part.next(mean_shape(shape, k)) for part in rest])
             for band, spec, plane in zip(layer.bands, specs[k], _caps(means) if cap else means, strict=True):
-                for i in range(spec.shards[0]):
-                    for j in range(spec.shards[1]):
-                        block = plane[i * shard : (i + 1) * shard, j * shard : (j + 1) * shard]
-                        storage.put(spec.key((i, j)), spec.encode(band.encode(block)))
+                writer.array(spec, band.encode(plane))
 
     # Codes, sums and counts of 2 × 2, means, a shard as bytes; the values of a strip and what comes up with them.
     size, n = layer.bands[0].bits // 8, len(layer.bands)
@@ -338,31 +341,24 @@ def _caps(means: Values) -> Values:
     return out
 
 
-def _publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str]) -> Record:
+def _publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str], digests: Digests) -> Record:
     """Let layers take their place: the old ones go first, the record that names the new ones is written last."""
     left = {name: layer for name, layer in before.layers.items() if name not in gone}
     record = replace(before, layers=left)
     if gone & set(before.layers):
-        storage.put(*_root(record))
+        publish(storage, record)
         for name in gone & set(before.layers):
             storage.remove(f"{GROUP}/{name}")
+        record = read_record(storage)
     if isinstance(storage, FolderStorage):
         for layer in made:
             storage.remove(f"{GROUP}/{layer.name}")
-            storage.rename(f"{PARTIAL}/{layer.name}", f"{GROUP}/{layer.name}")
-    record = replace(record, layers=dict(sorted({**left, **{layer.name: layer for layer in made}}.items())))
-    others, _ = metadata(record)
-    for key, data in others.items():
-        if key.startswith(f"{GROUP}/"):
-            storage.put(key, [data])
-    storage.put(*_root(record))
+            storage.rename(f"{PARTIAL}/{GROUP}/{layer.name}", f"{GROUP}/{layer.name}")
+    if made:
+        layers = dict(sorted({**left, **{layer.name: layer for layer in made}}.items()))
+        record = replace(record, layers=layers, digests=record.digests.joined(digests))
+        publish(storage, record)
     return record
-
-
-def _root(record: Record) -> tuple[str, list[bytes]]:
-    _, root = metadata(record)
-    ((key, data),) = root.items()
-    return key, [data]
 
 
 __all__ = ["BAKED", "Baked", "bake"]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.layers import drawn as visible
-from orograph.output import Beside, check_folder
+from orograph.output import Beside, beside, check_folder
 from orograph.parallel import aside
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
@@ -209,7 +209,7 @@ class Scratch:
 
     def __init__(self, out: Path, width: int, height: int) -> None:
         self.out, self.width, self.height = out, width, height
-        self.path = out.with_name(f".{out.name}.{os.getpid()}.raw")
+        self.path = beside(out, "raw")
         self.header = self.path.with_name(self.path.name + ".hdr")
 
     def __enter__(self) -> Scratch:

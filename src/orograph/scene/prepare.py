@@ -7,6 +7,7 @@ the reading options: the next picture of it opens that store at once.
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +45,7 @@ def prepare(
     """
     from orograph import store
     from orograph.store.detect import is_store
+    from orograph.store.layout import FORMAT
 
     if len(paths) == 1 and is_store(paths[0]):
         given = {k: v for k, v in options.items() if v is not None}
@@ -63,7 +65,9 @@ def prepare(
     rows, cols = mosaic.grid.shape
     if rows * cols <= EXACT_SAMPLES and (max_memory is None or rows * cols * 12 <= max_memory):
         return _told(mosaic, store.terrain(mosaic, progress), progress)
-    kept = cache_folder() / f"{mosaic.fingerprint()[:20]}.oro"
+    # Those of another store format have another name: what they left unfinished is not in the way.
+    name = hashlib.sha256(f"{mosaic.fingerprint()} {FORMAT}".encode()).hexdigest()[:20]
+    kept = cache_folder() / f"{name}.oro"
     if kept.exists():
         try:
             terrain = store.open(kept, cache_bytes=cache_bytes(max_memory))

@@ -3,9 +3,10 @@
 Zarr's ``sharding_indexed`` layout is simple enough to keep in one file, and doing so buys what a general library does
 not give: a reader that starts in milliseconds and fetches one chunk with one ``pread``, bytes that depend on nothing
 but the samples, and a checksum failure that knows the name of its chunk. A shard is the chunks that hold anything, one
-after the other in C order, each ``bytes`` (little endian) → ``blosc`` → ``crc32c``; then the index, an (offset, length)
-pair of uint64 per chunk, all ones for a chunk that is all fill value, and the index's own crc32c (Zarr v3,
-sharding-indexed codec v1.0). Every shard of an array is written, even an empty one, so that a lost file is noticed.
+after the other in C order, each ``bytes`` (little endian) → ``blosc`` → ``crc32c``; then its label (``digests``); then
+the index, an (offset, length) pair of uint64 per chunk, all ones for a chunk that is all fill value, and the index's
+own crc32c (Zarr v3, sharding-indexed codec v1.0). Every shard of an array is written, even an empty one, so that a lost
+file is noticed.
 
 Chunks are named by their key: ``heights/0/height/c/3/4[1,7]`` is the inner chunk (1, 7) of that shard.
 """
@@ -16,7 +17,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +25,16 @@ from numpy.typing import NDArray
 from orograph.errors import DamagedChunkError
 from orograph.parallel import cpu_count, map_ordered
 from orograph.store.cache import ChunkCache
+from orograph.store.digests import ABSENT, Digests, Spot, crc32c, sealed, tail_length, unsealed
 from orograph.store.storage import Storage
 
-Array = NDArray[Any]
-Spot = tuple[int, int]
+if TYPE_CHECKING:
+    from orograph.store.watch import Watch
 
-ABSENT = np.uint64(2**64 - 1)
+Array = NDArray[Any]
+Place = tuple[int, int, int]
+"""Of a chunk in its shard: offset, length and crc32c."""
+
 BULK = 16  # windows of more chunks than this are decoded by all processors, and do not push others out of the cache
 BATCH = 64  # chunks fetched together from remote storage
 INDICES = 4096  # shard indices kept
@@ -37,13 +42,6 @@ INDICES = 4096  # shard indices kept
 CODEC = {"cname": "zstd", "clevel": 1, "blocksize": 1 << 18}
 """One blosc block per 256² chunk of float32. Warped SRTM packs 1.8:1 so (integers 5:1) and decodes at 2 GB/s a core.
 lz4 decodes at 4 GB/s but packs 1.6:1 (3:1); smaller blosc blocks lose both ways (docs/store.md has the table)."""
-
-
-def crc32c(data: bytes) -> int:
-    """The checksum of Zarr's crc32c codec."""
-    import google_crc32c
-
-    return int(google_crc32c.value(data))
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +99,23 @@ class ArraySpec:
             "attributes": attributes,
         }
 
-    def encode(self, block: Array) -> list[bytes]:
-        """The bytes of a shard whose samples are ``block`` (smaller than a shard at the array's end)."""
+    @property
+    def chunks(self) -> int:
+        """Chunks of a shard."""
+        return (self.shard // self.chunk) ** 2
+
+    def encode(self, spot: Spot, block: Array) -> tuple[list[bytes], bytes]:
+        """The bytes of a shard, and its digest.
+
+        Args:
+            spot: which shard.
+            block: its samples (smaller than a shard at the array's end).
+        """
         from orograph._blosc import blosc
 
         rows, cols = block.shape
         side = self.shard // self.chunk
-        index = np.full((side * side, 2), ABSENT)
+        index, sums = np.full((side * side, 2), ABSENT), np.zeros(side * side, np.uint32)
         parts: list[bytes] = []
         offset = 0
         for i in range(-(-rows // self.chunk)):
@@ -122,11 +130,13 @@ class ArraySpec:
                 shuffle = blosc.SHUFFLE if view.itemsize > 1 else blosc.NOSHUFFLE
                 samples = np.ascontiguousarray(view, np.dtype(self.dtype).newbyteorder("<"))
                 data = blosc.compress(samples, b"zstd", CODEC["clevel"], shuffle, CODEC["blocksize"])
-                parts += [data, crc32c(data).to_bytes(4, "little")]
+                check = crc32c(data)
+                parts += [data, check.to_bytes(4, "little")]
                 index[i * side + j] = offset, len(data) + 4
+                sums[i * side + j] = check
                 offset += len(data) + 4
-        table = index.astype("<u8").tobytes()
-        return [*parts, table, crc32c(table).to_bytes(4, "little")]
+        end, digest = sealed(self.key(spot), index, sums)
+        return [*parts, end], digest
 
     def _is_fill(self, view: Array) -> bool:
         if np.isnan(self.fill):
@@ -141,24 +151,45 @@ class ShardedArray:
     Args:
         spec: what it is.
         storage: where it lies.
+        digests: what its shards must be.
         cache: for decoded chunks, shared with the store's other arrays.
         jobs: threads for large windows.
+        watch: whether the store is still the same; None: nobody replaces it.
     """
 
-    def __init__(self, spec: ArraySpec, storage: Storage, cache: ChunkCache, jobs: int | None = None) -> None:
-        self.spec, self.storage, self.cache = spec, storage, cache
-        self.jobs = jobs or cpu_count()
+    def __init__(
+        self,
+        spec: ArraySpec,
+        storage: Storage,
+        digests: Digests,
+        cache: ChunkCache,
+        jobs: int | None = None,
+        watch: Watch | None = None,
+    ) -> None:
+        self.spec, self.storage, self.digests, self.cache = spec, storage, digests, cache
+        self.jobs, self.watch = jobs or cpu_count(), watch
         self.blank = np.full((spec.chunk, spec.chunk), spec.fill, spec.dtype)
         self.blank.flags.writeable = False
-        self._indices: OrderedDict[Spot, list[tuple[int, int]]] = OrderedDict()
+        self._indices: OrderedDict[Spot, list[Place]] = OrderedDict()
         self._lock = threading.Lock()
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Array:
         """Samples ``[row0, row1) × [col0, col1)``, which must lie inside the array. A new array.
 
         Raises:
-            DamagedChunkError: a chunk, or its shard's index, fails its checksum, is cut off or is gone.
+            DamagedChunkError: a chunk, or its shard's index, fails its checksum, is cut off, gone or from elsewhere.
+            StoreReplacedError: the store is another by now.
         """
+        if self.watch is None:
+            return self._window(row0, row1, col0, col1)
+        self.watch()
+        try:
+            return self._window(row0, row1, col0, col1)
+        except DamagedChunkError:
+            self.watch.explain(self.spec.path)
+            raise
+
+    def _window(self, row0: int, row1: int, col0: int, col1: int) -> Array:
         out = np.empty((row1 - row0, col1 - col0), self.spec.dtype)
         if out.size == 0:
             return out
@@ -176,8 +207,8 @@ class ShardedArray:
         bulk = len(missing) > BULK
 
         def load(spots: Sequence[Spot]) -> None:
-            for (i, j), data in zip(spots, self._fetch(spots), strict=True):
-                chunk = self._decode(i, j, data)
+            for (i, j), (data, check) in zip(spots, self._fetch(spots), strict=True):
+                chunk = self._decode(i, j, data, check)
                 if not bulk:
                     cache.put((path, i, j), chunk)
                 self._place(out, chunk, i, j, row0, col0)
@@ -197,8 +228,8 @@ class ShardedArray:
         r, c = max(top, 0), max(left, 0)
         out[r : top + size, c : left + size] = chunk[r - top : out.shape[0] - top, c - left : out.shape[1] - left]
 
-    def _fetch(self, spots: Sequence[Spot]) -> list[bytes | None]:
-        """The encoded chunks, None for those that are all fill value."""
+    def _fetch(self, spots: Sequence[Spot]) -> list[tuple[bytes | None, int]]:
+        """The encoded chunks, None for those that are all fill value, and what their checksums must be."""
         side = self.spec.shard // self.spec.chunk
         places = []
         for i, j in spots:
@@ -206,42 +237,43 @@ class ShardedArray:
             places.append(index[i % side * side + j % side])
         wanted = [
             (self.spec.key((i // side, j // side)), start, start + length)
-            for (i, j), (start, length) in zip(spots, places, strict=True)
+            for (i, j), (start, length, _) in zip(spots, places, strict=True)
             if length
         ]
         found = iter(self.storage.ranges(wanted))
-        return [next(found) if length else None for _, length in places]
+        return [(next(found) if length else None, check) for _, length, check in places]
 
-    def _index(self, shard: Spot) -> list[tuple[int, int]]:
-        """(offset, length) of each chunk of a shard; length 0 for those that are not written."""
+    def _index(self, shard: Spot) -> list[Place]:
+        """Where the chunks of a shard lie; length 0 for those that are not written."""
         with self._lock:
             index = self._indices.get(shard)
             if index is not None:
                 self._indices.move_to_end(shard)
                 return index
-        side = self.spec.shard // self.spec.chunk
-        size = side * side * 16 + 4
         key = self.spec.key(shard)
-        data = self.storage.tail(key, size)
-        if data is None:
+        tail = self.storage.tail(key, tail_length(key, self.spec.chunks))
+        if tail is None:
             raise DamagedChunkError(key, path=self.storage.url, cause="the file is not there")
-        if len(data) != size or crc32c(data[:-4]) != int.from_bytes(data[-4:], "little"):
-            raise DamagedChunkError(key, path=self.storage.url, cause="its index fails its checksum")
-        pairs = np.frombuffer(data[:-4], "<u8").reshape(-1, 2)
-        index = [(0, 0) if start == ABSENT else (int(start), int(length)) for start, length in pairs]
+        try:
+            index = unsealed(tail, key, self.spec.chunks, self.digests.get(self.spec.path, self.spec.shards, shard))
+        except ValueError as error:
+            raise DamagedChunkError(key, path=self.storage.url, cause=str(error)) from None
         with self._lock:
             self._indices[shard] = index
             if len(self._indices) > INDICES:
                 self._indices.popitem(last=False)
         return index
 
-    def _decode(self, i: int, j: int, data: bytes | None) -> Array:
+    def _decode(self, i: int, j: int, data: bytes | None, check: int) -> Array:
         if data is None:
             return self.blank
         from orograph._blosc import blosc
 
-        if len(data) < 4 or crc32c(data[:-4]) != int.from_bytes(data[-4:], "little"):
+        said = int.from_bytes(data[-4:], "little")
+        if len(data) < 4 or crc32c(data[:-4]) != said:
             raise self._damaged(i, j, "it fails its checksum")
+        if said != check:
+            raise self._damaged(i, j, "it belongs to another shard")
         chunk = np.empty((self.spec.chunk, self.spec.chunk), np.dtype(self.spec.dtype).newbyteorder("<"))
         try:
             blosc.decompress(data[:-4], chunk)

@@ -3,7 +3,8 @@
 A store in a folder is built beside its place, in ``STORE.partial``, which becomes ``STORE`` by a rename when everything
 is written; an old store is replaced only then. At a URL there is no rename: the store is built in place, and it is the
 root's ``zarr.json``, written last, that makes it one (with ``overwrite`` the old store is gone from the beginning).
-Either way a build that is killed leaves nothing that opens, and ``resume`` finishes it to the same bytes.
+Either way a build that is killed leaves nothing that opens, and ``resume`` finishes it to the same bytes. In a folder
+all of this is done alone (``lock``), from the first look at what is there to the last rename.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,13 +23,18 @@ from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
-from orograph.store.layout import CHUNK, FORMAT, PARTS, PLAN, ROOT, Record, dumps, metadata
+from orograph.store.inputs import inputs_of
+from orograph.store.layout import CHUNK, FORMAT, PARTS, Record, dumps
+from orograph.store.layout import publish as publish_record
+from orograph.store.lock import alone
 from orograph.store.memory import MemoryTerrain, check_metric, is_metric
-from orograph.store.shards import alone, go_through
+from orograph.store.places import PLAN, ROOT, begun, is_store, left_over, missing, occupied, partial, publish
+from orograph.store.shards import go_through
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
-from orograph.store.stored import CACHE_BYTES, StoredTerrain, is_store, open, partial, read_record
+from orograph.store.stored import CACHE_BYTES, StoredTerrain, open, read_record
 from orograph.store.terrain import Shape, TileTable, exponent, level_count, level_shape
+from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:
     from orograph.dem import Dem
@@ -85,10 +90,9 @@ def build(
     raster = as_source(source, progress, **options)
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
-    storage = final if final.remote else FolderStorage(partial(final.url))
-    done = is_store(final)
-    begun = storage.exists(PLAN) or (not final.remote and storage.exists(ROOT))
-    shard, jobs = _sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
+    if isinstance(final, FolderStorage) and final.path.is_symlink():
+        final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link
+    shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
     needed = _memory(raster.grid.shape, shard, jobs, len(kinds))
     if needed > max_memory:
         progress.warn(
@@ -96,45 +100,28 @@ def build(
             f"{needed >> 20} MiB."
         )
     plan = _plan(raster, shard, chunk, kinds)
-
-    if resume and begun:
-        plan = _resumable(storage, plan)
-    elif resume and done:
-        record = read_record(final)
-        if record.source == plan["source"] and list(record.errors) == plan["errors"]:
-            return open(url, storage_options=storage_options)
-        raise StoreError(
-            "A complete store of other sources or options is there.",
-            path=final.url,
-            remedy="Use --overwrite to replace it.",
-        )
-    elif not overwrite and (done or begun or _occupied(final)):
-        raise _there_already(final, done, begun)
-    elif overwrite and not done and not begun and _occupied(final):
-        raise StoreError(
-            "Something is there that is not an Orograph store, and will not be overwritten.",
-            path=final.url,
-            remedy="Remove it, or choose another place.",
-        )
-
-    fresh = not (resume and begun)
-    if fresh and begun and not final.remote:
-        with _locked(storage):
-            pass  # another process may be at work there
-    if fresh and (begun or done or not final.remote):
-        storage.remove(ROOT)  # first, lest what is left look complete
-        storage.remove()
-    if fresh:
-        storage.put(PLAN, [dumps(plan)])
-    with _locked(storage):
+    with alone(final, "building this store"):
+        storage = final if final.remote else FolderStorage(partial(final.url))
+        if overwrite:
+            _may_replace(final, storage)
+        else:
+            plan, complete = _compared(final, storage, plan, resume)
+            if complete:
+                return open(url, storage_options=storage_options)
+        going_on = resume and begun(storage)
+        if not going_on:
+            if not final.remote or begun(storage) or is_store(final):
+                storage.remove(ROOT)  # first, lest what is left look complete
+                storage.remove()
+            storage.put(PLAN, [dumps(plan)])
         if not storage.exists(ROOT):
-            _fill(raster, storage, plan, jobs, resume and begun, progress)
+            _fill(raster, storage, plan, jobs, going_on, progress)
         storage.remove(PARTS)
         storage.remove(PLAN)
-    storage.close()
-    if isinstance(final, FolderStorage):
-        _publish(Path(storage.url), final.path)
-    return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
+        storage.close()
+        if isinstance(final, FolderStorage):
+            publish(Path(storage.url), final.path)
+        return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
 
 
 def terrain(source: HeightSource | Dem, progress: Progress = SILENT) -> MemoryTerrain:
@@ -182,7 +169,7 @@ def as_source(source: HeightSource | Dem | Path_ | Sequence[Path_], progress: Pr
     return Mosaic([array])
 
 
-def _sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None, kinds: int) -> tuple[int, int]:
+def sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None, kinds: int) -> tuple[int, int]:
     """Side of the shards and number of tasks at once that fit the memory allowed."""
     wanted = jobs or cpu_count()
     for side in SHARDS if shard is None else (shard,):
@@ -221,28 +208,97 @@ def _plan(raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, 
     }
 
 
-def _resumable(storage: Storage, plan: dict[str, Any]) -> dict[str, Any]:
-    """The plan of the interrupted build, if this is the same build."""
-    data = storage.get(PLAN)
-    if data is None:  # complete but for its last rename
-        record = read_record(storage)
-        return {**plan, "shard": record.shard, "chunk": record.chunk}
-    try:
-        begun: dict[str, Any] = json.loads(data)
-    except ValueError:
-        begun = {}
-    # The shards' size follows from --max-memory, which may differ: the build goes on as it was begun.
-    plan = {**plan, "shard": begun.get("shard"), "chunk": begun.get("chunk")}
-    differing = [key for key in plan if plan[key] != begun.get(key)]
-    if differing:
-        names = {"source": "sources or options", "format": "store format", "errors": "kinds of errors"}
-        what = ", ".join(names.get(key, key) for key in differing)
+def _plan_of(record: Record) -> dict[str, Any]:
+    """The plan of a complete store."""
+    grid = record.grid
+    return {
+        "format": FORMAT,
+        "source": record.source,
+        "name": record.name,
+        "vertical": record.vertical,
+        "shape": list(grid.shape),
+        "transform": list(grid.transform[:6]),
+        "crs": None if grid.crs is None else grid.crs.to_wkt(),
+        "shard": record.shard,
+        "chunk": record.chunk,
+        "errors": list(record.errors),
+    }
+
+
+def _may_replace(final: Storage, storage: Storage) -> None:
+    """Raise StoreError if what is there is no store, and was not to become one."""
+    known = is_store(final) or begun(storage) or final.exists(f"heights/0/height/{ROOT}")  # its root may be damaged
+    if occupied(final) and not known:
         raise StoreError(
-            f"The interrupted build cannot be resumed: its {what} differ from these.",
-            path=storage.url,
-            remedy="Run it with the same files and options, or start anew with --overwrite.",
+            "Something is there that is not an Orograph store, and will not be overwritten.",
+            path=final.url,
+            remedy="Remove it, or choose another place.",
         )
-    return plan
+
+
+def _compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: bool) -> tuple[dict[str, Any], bool]:
+    """The plan to go on by, and whether there is nothing left to do.
+
+    Raises:
+        StoreError: something is there that this build does not go on from.
+    """
+    if resume and begun(storage):
+        data = storage.get(PLAN)
+        if data is None:  # complete but for its last rename
+            before = _plan_of(read_record(storage))
+        else:
+            try:
+                before = json.loads(data)
+            except ValueError:
+                before = {}
+        # The shards' size follows from --max-memory, which may differ: the build goes on as it was begun.
+        plan = {**plan, "shard": before.get("shard"), "chunk": before.get("chunk")}
+        differing = _differing(plan, before)
+        if differing:
+            raise StoreError(
+                f"The interrupted build cannot be resumed: its {differing} differ from these.",
+                path=storage.url,
+                remedy="Run it with the same files and options, or start anew with --overwrite.",
+            )
+        return plan, False
+    if is_store(final):
+        if not resume:
+            if begun(storage) and not final.remote:
+                raise _interrupted(final)
+            raise StoreError("A store is there already.", path=final.url, remedy="Use --overwrite to replace it.")
+        before = _plan_of(read_record(final))
+        differing = _differing({**plan, "shard": before["shard"], "chunk": before["chunk"]}, before)
+        if differing:
+            raise StoreError(
+                f"A complete store of other sources or options is there: its {differing} differ from these.",
+                path=final.url,
+                remedy="Use --overwrite to replace it.",
+            )
+        return plan, True
+    if isinstance(final, FolderStorage) and left_over(final.path):
+        complete = is_store(storage) or not begun(storage)
+        raise missing(final) if complete else _interrupted(final)
+    if begun(storage):
+        raise _interrupted(final)
+    if occupied(final):
+        raise StoreError(
+            "Something is there that is not an Orograph store.", path=final.url, remedy="Choose another place."
+        )
+    return plan, False
+
+
+def _differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
+    """What of a plan is not as before, in words; empty if all is."""
+    names = {"source": "sources or options", "format": "store format", "errors": "kinds of errors"}
+    return ", ".join(names.get(key, key) for key in plan if plan[key] != before.get(key))
+
+
+def _interrupted(final: Storage) -> StoreError:
+    return StoreError(
+        "An interrupted build of this store is there.",
+        path=final.url,
+        remedy="Finish it with --resume, or start anew with --overwrite.",
+    )
 
 
 def _fill(
@@ -252,13 +308,14 @@ def _fill(
     from orograph.store.pyramid import Pyramid, tasks
 
     kinds = tuple(plan["errors"])
-    pyramid = Pyramid(raster, storage, plan["shard"], plan["chunk"], resume)
+    writer = ShardWriter(storage)
+    pyramid = Pyramid(raster, writer, plan["shard"], plan["chunk"], resume)
     spots = tasks(raster.grid.shape, plan["shard"])
     go_through("Resuming the store" if resume else "Building the store", spots, pyramid.run, jobs, progress)
     first = pyramid.finish()
     valid_samples = pyramid.valid_samples
     del pyramid
-    survey = _survey(raster.grid, storage, plan, first, jobs, resume, progress) if kinds else None
+    survey = _survey(raster.grid, writer, plan, first, jobs, resume, progress) if kinds else None
     seen = bool(first.valid.any())
     record = Record(
         grid=raster.grid,
@@ -271,34 +328,32 @@ def _fill(
         source=plan["source"],
         errors={} if survey is None else survey.codes,
         radius=None if survey is None else survey.radius,
+        inputs=inputs_of(raster),
+        digests=writer.digests,
     )
     if kinds and seen:
-        record = _patches(record, storage, jobs, progress)
-    others, root = metadata(record)
-    for objects in (others, root):
-        for key, data in objects.items():
-            storage.put(key, [data])
+        record = patches(record, writer, jobs, progress)
+    publish_record(storage, record)
 
 
-def _patches(record: Record, storage: Storage, jobs: int, progress: Progress) -> Record:
+def patches(record: Record, writer: ShardWriter, jobs: int, progress: Progress) -> Record:
     """The errors of patches, from those of diamonds that are there by now; the record with them."""
     from orograph.store.patches import KAPPA, LEGS, patch_errors, spec, stored_levels
-    from orograph.store.pyramid import write
 
     shape = record.grid.shape
     if 1 << exponent(shape) <= LEGS:
         return record
-    terrain = StoredTerrain(storage, record, CACHE_BYTES, 1)
+    terrain = StoredTerrain(writer.storage, record, CACHE_BYTES, 1)
     for kind in record.errors:
         found = patch_errors(terrain, kind, LEGS, jobs=jobs, progress=progress)
         for level in stored_levels(shape):
-            write(storage, spec(shape, level, kind, record.shard, record.chunk), found[level])
+            writer.array(spec(shape, level, kind, record.shard, record.chunk), found[level])
     return replace(record, patches={"legs": LEGS, "kappa": KAPPA})
 
 
 def _survey(
     grid: Grid,
-    storage: Storage,
+    writer: ShardWriter,
     plan: dict[str, Any],
     first: TileTable,
     jobs: int,
@@ -308,50 +363,6 @@ def _survey(
     """The errors of all diamonds, from the heights that are there by now."""
     from orograph.store.survey import Errors
 
-    survey = Errors(grid, storage, plan["shard"], plan["chunk"], first, tuple(plan["errors"]), resume)
+    survey = Errors(grid, writer, plan["shard"], plan["chunk"], first, tuple(plan["errors"]), resume)
     go_through("Finding errors", survey.tasks(), survey.run, jobs, progress, survey.finish)
     return survey
-
-
-def _occupied(final: Storage) -> bool:
-    """Whether something that is no store lies where a folder is to be."""
-    if not isinstance(final, FolderStorage):
-        return final.exists(ROOT)
-    path = final.path
-    return path.exists() and (not path.is_dir() or any(path.iterdir()))
-
-
-def _there_already(final: Storage, done: bool, begun: bool) -> StoreError:
-    if begun:
-        return StoreError(
-            "An interrupted build of this store is there.",
-            path=final.url,
-            remedy="Finish it with --resume, or start anew with --overwrite.",
-        )
-    if done:
-        return StoreError("A store is there already.", path=final.url, remedy="Use --overwrite to replace it.")
-    return StoreError(
-        "Something is there that is not an Orograph store.", path=final.url, remedy="Choose another place."
-    )
-
-
-def _publish(built: Path, final: Path) -> None:
-    """Let the finished store take its place; an old one goes away only after that."""
-    old = final.with_name(final.name + ".replaced")
-    try:
-        FolderStorage(old).remove()
-        if final.exists():
-            final.rename(old)
-        built.rename(final)
-    except OSError as error:
-        raise StoreError(
-            f"The finished store could not take its place: {error.strerror or error}.",
-            path=final,
-            remedy=f"It lies complete at {built}.",
-        ) from error
-    FolderStorage(old).remove()
-
-
-def _locked(storage: Storage) -> AbstractContextManager[None]:
-    """Keep a second process from building the same store."""
-    return alone(storage, PLAN, "Another process is building this store.") if storage.exists(PLAN) else nullcontext()

@@ -13,7 +13,7 @@ from affine import Affine
 from numpy.typing import NDArray
 
 from orograph.geo.grid import Grid, compose
-from orograph.store.arrays import crc32c
+from orograph.store.digests import crc32c
 from orograph.store.terrain import level_count, level_shape
 
 _RAW = "https://raw.githubusercontent.com/{}/refs/tags/v1/schema.json"

@@ -6,13 +6,11 @@ import os
 from pathlib import Path
 
 from orograph.errors import ReadError
-
-BEGUN = "build.json"
-"""What an unfinished build has in its folder (``layout.PLAN``)."""
+from orograph.store.places import PLAN, ROOT, left_over
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Whether a folder or URL holds a Zarr group, or the beginnings of a store (which ``store.open`` refuses).
+    """Whether a folder or URL holds a Zarr group, or what builds left of one (which ``store.open`` refuses).
 
     Raises:
         ReadError: a URL that could be a store cannot be looked at.
@@ -20,9 +18,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
     text = os.fspath(path)
     if "://" not in text:
         folder = Path(text)
-        if (folder / "zarr.json").is_file() or (folder / BEGUN).is_file():
-            return True
-        return not folder.exists() and Path(f"{text.rstrip('/')}.partial", BEGUN).is_file()
+        return (folder / ROOT).is_file() or (folder / PLAN).is_file() or left_over(folder)
     last = text.rstrip("/").rpartition("/")[2].partition("?")[0]
     if Path(last).suffix not in ("", ".oro", ".zarr"):
         return False

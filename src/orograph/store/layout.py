@@ -22,7 +22,8 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, field
+import shlex
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from affine import Affine
@@ -32,7 +33,7 @@ from orograph.error import ErrorKind
 from orograph.error.quantise import ErrorCode, RadiusCode, nominal_radii
 from orograph.errors import StoreError
 from orograph.geo.grid import Grid
-from orograph.store.arrays import ArraySpec, crc32c
+from orograph.store.arrays import ArraySpec
 from orograph.store.conventions import (
     consolidated,
     group,
@@ -42,15 +43,20 @@ from orograph.store.conventions import (
     spatial_attributes,
 )
 from orograph.store.diamonds import metric
+from orograph.store.digests import Digests, crc32c, digest_of
+from orograph.store.inputs import command_line
 from orograph.store.layers import GROUP, LayerRecord, layer_spec
+from orograph.store.places import ROOT
+from orograph.store.storage import Storage
 from orograph.store.terrain import Shape, diamond_shape, exponent, level_count, level_shape, mean_shape, tile_shape
 
-FORMAT = 2
+FORMAT = 3
 """The version of this layout; a reader refuses others."""
 
+KNOWN: frozenset[str] = frozenset()
+"""What else a store may need of its reader (``Record.needs``)."""
+
 CHUNK = 256
-ROOT = "zarr.json"
-PLAN = "build.json"
 PARTS = "parts"
 TABLES = {"minimum": ("float32", math.nan), "maximum": ("float32", math.nan), "error": ("float32", 0.0)}
 TABLES_AND_VALID = {**TABLES, "valid": ("uint8", 0.0)}
@@ -94,6 +100,8 @@ class Record:
         layers: by name.
         patches: of which patches it has the errors: legs and kappa (``store.patches``); empty if of none.
         colors: of which colours it has the errors (``geovis.color_store``); empty if of none.
+        inputs: the files and options it was built with (``store.inputs``); None if from no files.
+        digests: of all its objects but the root.
     """
 
     grid: Grid
@@ -109,13 +117,20 @@ class Record:
     layers: dict[str, LayerRecord] = field(default_factory=dict)
     patches: dict[str, float] = field(default_factory=dict)
     colors: dict[str, Any] = field(default_factory=dict)
+    inputs: dict[str, Any] | None = None
+    digests: Digests = field(default_factory=Digests, compare=False)
+
+    @property
+    def shard_count(self) -> int:
+        """Shards of all its arrays."""
+        return sum(spec.shards[0] * spec.shards[1] for spec in array_specs(self))
 
     def to_json(self) -> dict[str, Any]:
         crs = self.grid.crs
         low, high = self.height_range
         record: dict[str, Any] = {
             "format": FORMAT,
-            "complete": True,
+            "needs": [],
             "name": self.name,
             "vertical": self.vertical,
             "shape": list(self.grid.shape),
@@ -127,6 +142,7 @@ class Record:
             "height_range": None if math.isnan(low) else [low, high],
             "valid_fraction": self.valid_fraction,
             "source": self.source,
+            "inputs": self.inputs,
             "errors": {kind: code.to_json() for kind, code in self.errors.items()},
             "radius": None if self.radius is None else self.radius.to_json(),
         }
@@ -136,6 +152,7 @@ class Record:
             record["patches"] = self.patches
         if self.colors:
             record["colors"] = self.colors
+        record["digests"] = self.digests.to_json()
         return {**record, "checksum": _checksum(record)}
 
     @classmethod
@@ -145,22 +162,11 @@ class Record:
         Raises:
             StoreError: it has another format than this reader, or it fails its checksum.
         """
-        number = record.get("format")
-        if number != FORMAT:
-            older = isinstance(number, int) and number < FORMAT
-            raise StoreError(
-                f"It has store format {number}, and this version reads format {FORMAT}.",
-                path=url,
-                remedy="Build the store again (orograph build --overwrite)."
-                if older
-                else "Update Orograph (pip install -U orograph).",
-            )
+        _understood(record, url)
         said = record.get("checksum")
         if said != _checksum({key: value for key, value in record.items() if key != "checksum"}):
             raise StoreError(
-                "The record of the store in zarr.json fails its checksum.",
-                path=url,
-                remedy="Build the store again (orograph build --overwrite).",
+                "The record of the store in zarr.json fails its checksum.", path=url, remedy=rebuild(record, url)
             )
         crs = None if record["crs"] is None else CRS.from_wkt(record["crs"])
         rows, cols = record["shape"]
@@ -181,7 +187,34 @@ class Record:
             {name: LayerRecord.from_json(name, layer) for name, layer in record.get("layers", {}).items()},
             record.get("patches", {}),
             record.get("colors", {}),
+            record["inputs"],
+            Digests.from_json(record["digests"]),
         )
+
+
+def _understood(record: dict[str, Any], url: str) -> None:
+    """Raise StoreError unless this reader knows the store's format and all that it needs."""
+    number = record.get("format")
+    update = "Update Orograph (pip install -U orograph)."
+    if number != FORMAT:
+        older = isinstance(number, int) and number < FORMAT
+        raise StoreError(
+            f"It has store format {number}, and this version reads format {FORMAT}.",
+            path=url,
+            remedy=rebuild(record, url) if older else update,
+        )
+    unknown = [need for need in record.get("needs", ()) if need not in KNOWN]
+    if unknown:
+        raise StoreError(f"It needs a reader that knows {', '.join(unknown)}.", path=url, remedy=update)
+
+
+def rebuild(record: dict[str, Any], url: str) -> str:
+    """The command that builds a store again, as far as its record tells."""
+    inputs = record.get("inputs")
+    files = "DEM..."
+    if isinstance(inputs, dict):
+        files = command_line(inputs)
+    return f"Build it again: orograph build {files} -o {shlex.quote(url)} --overwrite"
 
 
 def _checksum(record: dict[str, Any]) -> str:
@@ -191,6 +224,26 @@ def _checksum(record: dict[str, Any]) -> str:
 def dumps(document: dict[str, Any]) -> bytes:
     """JSON as it is written: the same bytes for the same document."""
     return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+
+
+def array_specs(record: Record) -> list[ArraySpec]:
+    """Every array of a store that lies in shards."""
+    from orograph.store.patches import spec as patch_spec
+    from orograph.store.patches import stored_levels
+
+    shape, sizes = record.grid.shape, (record.shard, record.chunk)
+    diamonds = [*record.errors, *(["radius"] if record.radius else []), *(["color"] if record.colors else [])]
+    found = []
+    for level in range(level_count(shape)):
+        found.append(heights_spec(shape, level, *sizes))
+        if level:
+            found.append(mean_spec(shape, level, *sizes))
+        found += [table_spec(shape, level, name, *sizes) for name in TABLES_AND_VALID]
+        found += [diamond_spec(shape, level, name, *sizes) for name in diamonds]
+        if record.patches and level in stored_levels(shape, int(record.patches["legs"])):
+            found += [patch_spec(shape, level, kind, *sizes) for kind in record.errors]
+        found += [layer_spec(shape, x.name, level, band, *sizes) for x in record.layers.values() for band in x.bands]
+    return found
 
 
 def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
@@ -256,16 +309,38 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
         nodes.setdefault(GROUP, group())
         _layer(record, layer, nodes, data)
     for path in [path for path, node in nodes.items() if node["node_type"] == "group"]:
+        if path == GROUP or path.split("/")[0] == "diamonds":
+            continue  # what comes later must not change them
         below = {p[len(path) + 1 :]: node for p, node in nodes.items() if p.startswith(path + "/")}
         nodes[path] = {**nodes[path], "consolidated_metadata": consolidated(below)}
+    data.update({f"{path}/{ROOT}": dumps(node) for path, node in nodes.items()})
     root = {
-        **group({**root_attributes(record.grid), "orograph": record.to_json()}),
+        **group(root_attributes(record.grid)),
         "consolidated_metadata": consolidated(
             {path: {k: v for k, v in node.items() if k != "consolidated_metadata"} for path, node in nodes.items()}
         ),
     }
-    data.update({f"{path}/{ROOT}": dumps(node) for path, node in nodes.items()})
+    digests = Digests(record.digests.of(nodes))  # of the shards of what is still in the store
+    digests.listed.update({key: bytearray(digest_of(content)) for key, content in data.items()})
+    digests.listed[ROOT] = bytearray(root_digest(root))
+    root["attributes"]["orograph"] = replace(record, digests=digests).to_json()
     return data, {ROOT: dumps(root)}
+
+
+def root_digest(root: dict[str, Any]) -> bytes:
+    """The digest of the root's document without Orograph's record."""
+    attributes = {key: value for key, value in root["attributes"].items() if key != "orograph"}
+    return digest_of(json.dumps({**root, "attributes": attributes}, sort_keys=True).encode())
+
+
+def publish(storage: Storage, record: Record) -> None:
+    """Write all small objects that differ from what ``record.digests`` lists; the root last, which makes them count."""
+    others, root = metadata(record)
+    for key, content in others.items():
+        if bytes(record.digests.listed.get(key, b"")) != digest_of(content):
+            storage.put(key, [content])
+    for key, content in root.items():
+        storage.put(key, [content])
 
 
 def _layer(record: Record, layer: LayerRecord, nodes: dict[str, dict[str, Any]], data: dict[str, bytes]) -> None:

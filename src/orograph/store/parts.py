@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.store.arrays import crc32c
+from orograph.store.digests import crc32c
 
 
 def pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:

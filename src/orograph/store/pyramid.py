@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.diamonds import halve
-from orograph.errors import DamagedChunkError, OrographError
-from orograph.store.arrays import ArraySpec, ShardedArray, Spot
+from orograph.errors import DamagedChunkError
+from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
+from orograph.store.digests import Spot
 from orograph.store.layout import PARTS, TABLES_AND_VALID, heights_spec, mean_spec, table_spec
 from orograph.store.levels import (
     BoxMeans,
@@ -37,8 +38,8 @@ from orograph.store.levels import (
 )
 from orograph.store.parts import pack, unpack
 from orograph.store.source import HeightSource
-from orograph.store.storage import Storage
 from orograph.store.terrain import TILE, Heights, Shape, TileTable, level_count, level_shape, mean_shape, tile_shape
+from orograph.store.writer import Canvas, ShardWriter
 
 Facts = dict[str, NDArray[Any]]
 Kind = Callable[[Shape, int, int, int], ArraySpec]
@@ -55,61 +56,18 @@ def _spread(value: int) -> int:
     return sum((value >> bit & 1) << (2 * bit) for bit in range(value.bit_length()))
 
 
-class Canvas:
-    """A coarse array that is put together from parts, each of its shards written when it is complete.
-
-    Args:
-        spec: the array.
-        storage: where its shards go.
-        spans: for each axis the half-open extents, in its samples, of the parts that will come.
-    """
-
-    def __init__(self, spec: ArraySpec, storage: Storage, spans: tuple[list[Spot], list[Spot]]) -> None:
-        self.spec, self.storage = spec, storage
-        self._lock = threading.Lock()
-        self._open: dict[Spot, NDArray[Any]] = {}
-        rows, cols = (
-            [sum(a < (s + 1) * spec.shard and b > s * spec.shard for a, b in axis) for s in range(count)]
-            for axis, count in zip(spans, spec.shards, strict=True)
-        )
-        self._awaited = {(i, j): rows[i] * cols[j] for i in range(len(rows)) for j in range(len(cols))}
-
-    def add(self, row: int, col: int, part: NDArray[Any]) -> None:
-        """Put a part in its place, and write the shards it completes."""
-        size, shape = self.spec.shard, self.spec.shape
-        for i in range(row // size, (row + part.shape[0] - 1) // size + 1):
-            for j in range(col // size, (col + part.shape[1] - 1) // size + 1):
-                with self._lock:
-                    block = self._open.get((i, j))
-                    if block is None:
-                        side = min(size, shape[0] - i * size), min(size, shape[1] - j * size)
-                        block = self._open[i, j] = np.full(side, self.spec.fill, self.spec.dtype)
-                top, left = row - i * size, col - j * size
-                r, c = max(top, 0), max(left, 0)
-                piece = part[r - top : block.shape[0] - top, c - left : block.shape[1] - left]
-                block[r : r + piece.shape[0], c : c + piece.shape[1]] = piece
-                with self._lock:
-                    self._awaited[i, j] -= 1
-                    done = self._awaited[i, j] == 0
-                    if done:
-                        del self._open[i, j]
-                if done:
-                    key = self.spec.key((i, j))
-                    self.storage.put(key, self.spec.encode(block))
-
-
 class Pyramid:
     """All arrays of a store under construction.
 
     Args:
         source: the heights.
-        storage: where the store is built.
+        writer: of its shards.
         shard, chunk: samples along their sides; powers of two.
         resume: use what an interrupted build left.
     """
 
-    def __init__(self, source: HeightSource, storage: Storage, shard: int, chunk: int, resume: bool) -> None:
-        self.source, self.storage, self.shard, self.chunk, self.resume = source, storage, shard, chunk, resume
+    def __init__(self, source: HeightSource, writer: ShardWriter, shard: int, chunk: int, resume: bool) -> None:
+        self.source, self.writer, self.shard, self.chunk, self.resume = source, writer, shard, chunk, resume
         self.shape = shape = source.grid.shape
         self.levels = level_count(shape)
         self.direct = min(shard.bit_length() - 1, self.levels - 1)  # the coarsest level that tasks make themselves
@@ -129,7 +87,7 @@ class Pyramid:
 
     def _canvas(self, kind: Kind, level: int) -> Canvas:
         spec = kind(self.shape, level, self.shard, self.chunk)
-        return Canvas(spec, self.storage, spans(self.shape, self.shard, level, spec.shape))
+        return Canvas(spec, self.writer, spans(self.shape, self.shard, level, spec.shape))
 
     def run(self, spot: Spot) -> None:
         """Do one task, or take over what an interrupted build did of it."""
@@ -157,9 +115,9 @@ class Pyramid:
         heights = self.source.read(row, min(row + size + 1, rows), col, min(col + size + 1, cols))
         heights = np.ascontiguousarray(heights, np.float32)
         own = heights[:size, :size]
-        self.storage.put(self.finest.key(spot), self.finest.encode(own))
+        digest = self.writer.shard(self.finest, spot, own)
         low, high, valid = extrema(heights)
-        facts: Facts = {"low": low, "high": high, "valid": valid}
+        facts: Facts = {"low": low, "high": high, "valid": valid, "digest": np.frombuffer(digest, np.uint8)}
         facts["samples"] = np.array(own.size - np.count_nonzero(np.isnan(own)))
         empty = not valid.any()
         for level in range(1, self.direct + 1):
@@ -167,18 +125,19 @@ class Pyramid:
                 facts[f"worst{level}"] = np.zeros((1, 1))
             else:
                 facts[f"worst{level}"] = tile_errors(heights, level, (row, col))
-        self.storage.put(_part(spot), [pack(facts)])
+        self.writer.keep(_part(spot), pack(facts))
         return own, facts
 
     def _finished(self, spot: Spot) -> tuple[Heights, Facts] | None:
         """The samples and facts of a task an interrupted build finished; None if it did not, or they are damaged."""
-        data = self.storage.get(_part(spot))
+        data = self.writer.storage.get(_part(spot))
         if data is None:
             return None
         row, col = spot[0] * self.shard, spot[1] * self.shard
-        array = ShardedArray(self.finest, self.storage, ChunkCache(0), 1)
+        array = ShardedArray(self.finest, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
         try:
             facts = unpack(data)
+            self.writer.take(self.finest, spot, facts["digest"].tobytes())
             rows, cols = min(row + self.shard, self.shape[0]), min(col + self.shard, self.shape[1])
             return array.read(row, rows, col, cols), facts
         except (DamagedChunkError, ValueError):
@@ -236,10 +195,10 @@ class Pyramid:
     def _write_tables(self, level: int, table: TileTable) -> None:
         for name in TABLES_AND_VALID:
             spec = table_spec(self.shape, level, name, self.shard, self.chunk)
-            write(self.storage, spec, getattr(table, name))
+            self.writer.array(spec, getattr(table, name))
 
     def _write_whole(self, kind: Kind, level: int, values: Heights) -> None:
-        write(self.storage, kind(self.shape, level, self.shard, self.chunk), values)
+        self.writer.array(kind(self.shape, level, self.shard, self.chunk), values)
 
 
 def spans(shape: Shape, area: int, level: int, samples: Shape) -> tuple[list[Spot], list[Spot]]:
@@ -253,17 +212,6 @@ def spans(shape: Shape, area: int, level: int, samples: Shape) -> tuple[list[Spo
         for starts, last in (([b * area >> level for b in range(-(-s // area))], n) for s, n in zip(shape, samples))
     )
     return rows, cols
-
-
-def write(storage: Storage, spec: ArraySpec, values: NDArray[Any]) -> None:
-    """Write a whole array."""
-    if values.shape != spec.shape:
-        raise OrographError(f"{spec.path} should be {spec.shape}, not {values.shape}.")
-    size = spec.shard
-    for i in range(spec.shards[0]):
-        for j in range(spec.shards[1]):
-            block = values[i * size : (i + 1) * size, j * size : (j + 1) * size]
-            storage.put(spec.key((i, j)), spec.encode(block))
 
 
 def _part(spot: Spot) -> str:

@@ -23,13 +23,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from orograph.errors import StoreError
-
-Range = tuple[str, int, int]
-"""(key, first byte, byte behind the last)."""
+from orograph.store.ranges import Range, cut, merged
 
 OPEN_FILES = 128
-GAP = 32 << 10  # bytes fetched in vain rather than asking twice
-REQUEST = 4 << 20  # bytes asked for at once
 SILENCE = 10.0  # seconds that a web server may let pass without a byte
 AGAIN = (0.25, 1.0)  # seconds after which what failed for the moment is asked for again
 BUSY = frozenset({408, 425, 429, 500, 502, 503, 504})  # HTTP: not now
@@ -70,6 +66,14 @@ class Storage(ABC):
     @abstractmethod
     def size(self) -> int | None:
         """Bytes of all objects together, None where that cannot be told."""
+
+    def stamp(self, key: str) -> tuple[int, ...] | None:
+        """Differs when an object was replaced, at the cost of a look; None if it is not there, or nothing tells."""
+        return None
+
+    def anew(self) -> Storage:
+        """The same place, without anything that was remembered of it."""
+        return self
 
     def close(self) -> None:  # noqa: B027 (only folders hold files open)
         """Let go of open files."""
@@ -124,7 +128,7 @@ class FolderStorage(Storage):
             size = os.fstat(file.fd).st_size
             return _pread(file.fd, min(length, size), max(0, size - length))
         except (FileNotFoundError, NotADirectoryError):
-            self._must_stand()
+            self.must_stand()
             return None
         except OSError as error:
             raise self._failed("read", key, error) from error
@@ -136,7 +140,7 @@ class FolderStorage(Storage):
                 file = self._file(key)  # held by name: another thread may drop it from the cache meanwhile
                 found.append(_pread(file.fd, stop - start, start))
             except FileNotFoundError:
-                self._must_stand()
+                self.must_stand()
                 found.append(b"")
             except OSError as error:
                 raise self._failed("read", key, error) from error
@@ -181,6 +185,16 @@ class FolderStorage(Storage):
         with self._lock:
             self._open.clear()
 
+    def stamp(self, key: str) -> tuple[int, ...] | None:
+        try:
+            found = (self.path / key).stat()
+        except OSError:
+            return None
+        return found.st_ino, found.st_mtime_ns, found.st_size
+
+    def anew(self) -> Storage:
+        return FolderStorage(self.path)
+
     def size(self) -> int | None:
         return sum(entry.stat().st_size for entry in self.path.rglob("*") if entry.is_file())
 
@@ -188,7 +202,7 @@ class FolderStorage(Storage):
         with self._lock:
             self._open.clear()
 
-    def _must_stand(self) -> None:
+    def must_stand(self) -> None:
         """A file that is gone is damage, a folder that is gone has been moved or removed."""
         if not self.path.exists():
             raise StoreError(
@@ -305,7 +319,7 @@ class RemoteStorage(Storage):
         for (key, start, stop), part in zip(together, self._read(keys[0], fetch), strict=True):
             data = b"" if isinstance(part, Exception) else self._part(key, bytes(part), stop - start)
             pieces.setdefault(key, []).append((start, data))
-        return [_cut(pieces[key], start, stop) for key, start, stop in wanted]
+        return [cut(pieces[key], start, stop) for key, start, stop in wanted]
 
     def _part(self, key: str, data: bytes, length: int) -> bytes:
         """What was asked for as a part of an object; a server that ignores ranges sends all of it, for each part."""
@@ -352,25 +366,6 @@ def _passing(error: Exception) -> bool:
     return isinstance(error, ConnectionError) or type(error).__name__ in (
         "ServerDisconnectedError", "ClientPayloadError", "ClientOSError",
     )  # fmt: skip
-
-
-def merged(wanted: Sequence[Range]) -> list[Range]:
-    """Neighbouring ranges of one object as one request, as long as little is fetched in vain."""
-    together: list[Range] = []
-    for key, start, stop in sorted(wanted):
-        if together and together[-1][0] == key:
-            first, last = together[-1][1:]
-            if start - last <= GAP and stop - first <= REQUEST:
-                together[-1] = (key, first, max(last, stop))
-                continue
-        together.append((key, start, stop))
-    return together
-
-
-def _cut(pieces: list[tuple[int, bytes]], start: int, stop: int) -> bytes:
-    """What of a range lies in the one piece that begins last before it."""
-    first, data = max((piece for piece in pieces if piece[0] <= start), key=lambda piece: piece[0])
-    return data[start - first : stop - first]
 
 
 def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = None) -> Storage:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import threading
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,25 +12,27 @@ from numpy.typing import NDArray
 
 from orograph.error import KINDS, ErrorKind
 from orograph.error.quantise import RadiusCode
-from orograph.errors import DamagedChunkError, StoreError, UsageError
-from orograph.store.arrays import ShardedArray
+from orograph.errors import StoreError, UsageError
+from orograph.progress import SILENT, Progress
+from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.diamonds import place
 from orograph.store.layers import LayerBand, LayerRecord, StoredLayer, layer_spec
 from orograph.store.layout import (
-    PLAN,
-    ROOT,
     TABLES_AND_VALID,
     Record,
     diamond_spec,
     heights_spec,
     mean_spec,
+    rebuild,
     table_spec,
 )
 from orograph.store.patches import KAPPA, stored_levels
 from orograph.store.patches import spec as patch_spec
-from orograph.store.storage import FolderStorage, Storage, storage_at
+from orograph.store.places import ROOT, missing
+from orograph.store.storage import Storage, storage_at
 from orograph.store.terrain import Heights, Terrain, TileTable
+from orograph.store.watch import Watch
 
 CACHE_BYTES = 256 << 20
 """Decoded chunks a terrain keeps unless told otherwise."""
@@ -44,15 +46,18 @@ class StoredTerrain(Terrain):
         record: what it says of itself.
         cache_bytes: budget of decoded chunks.
         jobs: threads for large windows.
+        watch: whether the store is still the same; None: nobody replaces it.
     """
 
-    def __init__(self, storage: Storage, record: Record, cache_bytes: int, jobs: int | None) -> None:
-        self.storage, self.record = storage, record
+    def __init__(
+        self, storage: Storage, record: Record, cache_bytes: int, jobs: int | None, watch: Watch | None = None
+    ) -> None:
+        self.storage, self.record, self.watch = storage, record, watch
         self.grid, self.name, self.vertical = record.grid, record.name, record.vertical
         self.remote = storage.remote
+        self._last = self.levels - 1  # found once: reads of small windows would notice
         self.cache = ChunkCache(cache_bytes)
         self._jobs = jobs
-        self._lock = threading.Lock()
         self._arrays: dict[tuple[str, int], ShardedArray] = {}
         self._tables: dict[int, TileTable] = {}
         self._top: Heights | None = None
@@ -84,8 +89,10 @@ class StoredTerrain(Terrain):
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         array = self._array("heights", level)
         self._inside(array.spec.shape, row0, row1, col0, col1)
-        if level < self.levels - 1:
+        if level < self._last:
             return array.read(row0, row1, col0, col1)
+        if self.watch is not None:
+            self.watch()
         # The coarsest level is small, and what frames ask for on the spot (the range of a tint): it stays.
         if self._coarsest is None:
             self._coarsest = array.read(0, array.spec.shape[0], 0, array.spec.shape[1])
@@ -98,6 +105,8 @@ class StoredTerrain(Terrain):
 
     def tiles(self, level: int) -> TileTable:
         self._check(level)
+        if self.watch is not None:
+            self.watch()
         table = self._tables.get(level)
         if table is None:
             once = ChunkCache(0)  # tables are kept whole, not by chunks
@@ -105,7 +114,8 @@ class StoredTerrain(Terrain):
             columns: dict[str, Any] = {}
             for name in TABLES_AND_VALID:
                 spec = table_spec(shape, level, name, record.shard, record.chunk)
-                values = ShardedArray(spec, self.storage, once, 1).read(0, spec.shape[0], 0, spec.shape[1])
+                array = ShardedArray(spec, self.storage, record.digests, once, 1, self.watch)
+                values = array.read(0, spec.shape[0], 0, spec.shape[1])
                 values.flags.writeable = False
                 columns[name] = values
             table = self._tables[level] = TileTable(**columns)
@@ -153,16 +163,11 @@ class StoredTerrain(Terrain):
         if not self.record.patches or kind not in self.record.errors:
             return super().patch_errors(kind, level, row0, row1, col0, col1)
         self._inside(self.diamond_shape(level), row0, row1, col0, col1)
-        return self._patches(kind, level).read(row0, row1, col0, col1)
-
-    def _patches(self, kind: ErrorKind, level: int) -> ShardedArray:
-        key = f"patches/{kind}", level
-        found = self._arrays.get(key)
-        if found is None:
-            spec = patch_spec(self.grid.shape, level, kind, self.record.shard, self.record.chunk)
-            with self._lock:
-                found = self._arrays.setdefault(key, ShardedArray(spec, self.storage, self.cache, self._jobs))
-        return found
+        if level not in stored_levels(self.grid.shape, int(self.record.patches["legs"])):
+            return np.zeros((row1 - row0, col1 - col0), np.float32)  # finer than patches are
+        sizes = self.record.shard, self.record.chunk
+        array = self._opened(f"patches/{kind}", level, lambda: patch_spec(self.grid.shape, level, kind, *sizes))
+        return array.read(row0, row1, col0, col1)
 
     def _top_radii(self, radius: RadiusCode) -> Heights:
         """The decoded radii of the top level, several octaves."""
@@ -201,59 +206,48 @@ class StoredTerrain(Terrain):
         return StoredLayer(record, self.grid.shape, lambda band, level: self._coded(record, band, level))
 
     def _coded(self, record: LayerRecord, band: LayerBand, level: int) -> ShardedArray:
-        key = f"{record.name}/{band.name}", level
-        found = self._arrays.get(key)
-        if found is None:
-            spec = layer_spec(self.grid.shape, record.name, level, band, self.record.shard, self.record.chunk)
-            with self._lock:
-                found = self._arrays.setdefault(key, ShardedArray(spec, self.storage, self.cache, self._jobs))
-        return found
+        sizes = self.record.shard, self.record.chunk
+        return self._opened(
+            f"{record.name}/{band.name}", level, lambda: layer_spec(self.grid.shape, record.name, level, band, *sizes)
+        )
 
     def close(self) -> None:
         self.cache.clear()
         self.storage.close()
 
+    def reopen(self) -> StoredTerrain:
+        """Open the store that is there now, after a ``StoreReplacedError`` say; this terrain stays what it was.
+
+        Raises:
+            StoreError: as ``open``.
+        """
+        return _open(self.storage.anew(), self.cache.budget, self._jobs)
+
     def _array(self, kind: str, level: int) -> ShardedArray:
         found = self._arrays.get((kind, level))
+        if found is not None:
+            return found
+        self._check(level)
+        at = self.grid.shape, level, self.record.shard, self.record.chunk
+        if kind == "heights":
+            return self._opened(kind, level, lambda: heights_spec(*at))
+        if kind == "mean":
+            return self._opened(kind, level, lambda: mean_spec(*at))
+        return self._opened(kind, level, lambda: diamond_spec(*at[:2], kind, *at[2:]))
+
+    def _opened(self, name: str, level: int, spec: Callable[[], ArraySpec]) -> ShardedArray:
+        """An array, the same one each time."""
+        found = self._arrays.get((name, level))
         if found is None:
-            self._check(level)
-            at = self.grid.shape, level
-            sizes = self.record.shard, self.record.chunk
-            if kind == "heights":
-                spec = heights_spec(*at, *sizes)
-            elif kind == "mean":
-                spec = mean_spec(*at, *sizes)
-            else:
-                spec = diamond_spec(*at, kind, *sizes)
-            with self._lock:
-                found = self._arrays.setdefault((kind, level), ShardedArray(spec, self.storage, self.cache, self._jobs))
+            found = ShardedArray(spec(), self.storage, self.record.digests, self.cache, self._jobs, self.watch)
+            found = self._arrays.setdefault((name, level), found)
         return found
 
-    def check(self) -> list[str]:
-        """Read every chunk and return the keys of the damaged ones."""
-        damaged: list[str] = []
-        kinds = ["heights", "mean", *self.record.errors, *(["radius"] if self.record.radius else []),
-                 *(["color"] if self.record.colors else [])]  # fmt: skip
-        for level in range(self.levels):
-            arrays = [self._array(kind, level) for kind in kinds if level or kind != "mean"]
-            arrays += [self._coded(layer, b, level) for layer in self.record.layers.values() for b in layer.bands]
-            if self.record.patches and level in stored_levels(self.grid.shape, int(self.record.patches["legs"])):
-                arrays += [self._patches(kind, level) for kind in self.record.errors]
-            for spec in (array.spec for array in arrays):
-                array = ShardedArray(spec, self.storage, ChunkCache(0), self._jobs)
-                for row in range(0, spec.shape[0], spec.chunk):
-                    for col in range(0, spec.shape[1], spec.chunk):
-                        rows, cols = min(row + spec.chunk, spec.shape[0]), min(col + spec.chunk, spec.shape[1])
-                        try:
-                            array.read(row, rows, col, cols)
-                        except DamagedChunkError as error:
-                            if error.chunk not in damaged:
-                                damaged.append(error.chunk)
-            try:
-                self.tiles(level)
-            except DamagedChunkError as error:
-                damaged.append(error.chunk)
-        return damaged
+    def check(self, progress: Progress = SILENT) -> list[str]:
+        """Read everything, and return the keys of what is damaged (``checking.check`` says why, too)."""
+        from orograph.store.checking import check
+
+        return [found.key for found in check(self, jobs=self._jobs, progress=progress)]
 
 
 def _said(value: Any) -> str:
@@ -279,13 +273,13 @@ def open(
         StoreError: there is no store, its build is not finished, it has another format than this reader, or its
             metadata is damaged.
     """
-    storage = storage_at(url, storage_options)
-    return StoredTerrain(storage, read_record(storage), cache_bytes, jobs)
+    return _open(storage_at(url, storage_options), cache_bytes, jobs)
 
 
-def partial(path: str | os.PathLike[str]) -> str:
-    """The folder in which a store is built until it is complete."""
-    return os.fspath(path).rstrip("/\\") + ".partial"
+def _open(storage: Storage, cache_bytes: int, jobs: int | None) -> StoredTerrain:
+    stamp = storage.stamp(ROOT)  # before the record: if it is replaced in between, the first read notices
+    record = read_record(storage)
+    return StoredTerrain(storage, record, cache_bytes, jobs, Watch(storage, record, stamp, read_record))
 
 
 def read_record(storage: Storage) -> Record:
@@ -297,21 +291,7 @@ def read_record(storage: Storage) -> Record:
     url = storage.url
     data = storage.get(ROOT)
     if data is None:
-        begun = storage.exists(PLAN)
-        if not begun and isinstance(storage, FolderStorage):
-            begun = FolderStorage(partial(storage.path)).exists(PLAN)
-        if begun:
-            raise StoreError(
-                "This store is incomplete: its build was interrupted.",
-                path=url,
-                remedy="Finish it by running the same orograph build with --resume.",
-            )
-        missing = isinstance(storage, FolderStorage) and not storage.path.exists()
-        raise StoreError(
-            "There is no such store." if missing else "This is not an Orograph store (it has no zarr.json).",
-            path=url,
-            remedy="Build one with orograph build DEM... -o STORE.",
-        )
+        raise missing(storage)
     try:
         document = json.loads(data)
         record = document["attributes"].get("orograph") if document.get("node_type") == "group" else None
@@ -319,7 +299,7 @@ def read_record(storage: Storage) -> Record:
         raise StoreError(
             f"The store's zarr.json is damaged: {error}.",
             path=url,
-            remedy="Build the store again (orograph build --overwrite).",
+            remedy=rebuild({}, url),
         ) from error
     if not isinstance(record, dict):
         raise StoreError(
@@ -328,12 +308,3 @@ def read_record(storage: Storage) -> Record:
             remedy="Build one from the DEM with orograph build DEM... -o STORE.",
         )
     return Record.from_json(record, url)
-
-
-def is_store(storage: Storage) -> bool:
-    """Whether a complete store of any format lies there."""
-    data = storage.get(ROOT)
-    try:
-        return data is not None and isinstance(json.loads(data)["attributes"]["orograph"], dict)
-    except (ValueError, KeyError, TypeError):
-        return False

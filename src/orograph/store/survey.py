@@ -19,15 +19,16 @@ from orograph.error.encode import Encoder
 from orograph.error.quantise import EMPTY, ErrorCode, RadiusCode
 from orograph.errors import DamagedChunkError
 from orograph.geo.grid import Grid
-from orograph.store.arrays import ArraySpec, ShardedArray, Spot
+from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.diamonds import NESTED, blank_top, metric, place, surface
+from orograph.store.digests import Spot
 from orograph.store.layout import PARTS, diamond_spec, heights_spec
 from orograph.store.levels import subsample
 from orograph.store.parts import pack, unpack
-from orograph.store.pyramid import Canvas, spans, tasks, write
-from orograph.store.storage import Storage
+from orograph.store.pyramid import spans, tasks
 from orograph.store.terrain import Heights, Shape, TileTable, diamond_shape, exponent, level_count, level_shape
+from orograph.store.writer import Canvas, ShardWriter
 
 Codes = dict[tuple[int, str], NDArray[np.uint8]]
 """By octave and name (a kind of errors, or "radius")."""
@@ -38,7 +39,7 @@ class Errors:
 
     Args:
         grid: of the heights.
-        storage: where the store is built; all heights are there.
+        writer: of its shards; all heights are written.
         shard, chunk: samples along their sides; powers of two.
         first: the tile table of level 0.
         kinds: which errors.
@@ -48,14 +49,14 @@ class Errors:
     def __init__(
         self,
         grid: Grid,
-        storage: Storage,
+        writer: ShardWriter,
         shard: int,
         chunk: int,
         first: TileTable,
         kinds: tuple[ErrorKind, ...],
         resume: bool,
     ) -> None:
-        self.shape, self.storage, self.sizes, self.resume = grid.shape, storage, (shard, chunk), resume
+        self.shape, self.writer, self.sizes, self.resume = grid.shape, writer, (shard, chunk), resume
         self.top, n = level_count(grid.shape) - 1, exponent(grid.shape)
         self.area = max(shard, 32)
         low, high = _range(first)
@@ -74,7 +75,7 @@ class Errors:
         self.canvases = {
             (level, name): Canvas(
                 self._spec(level, name),
-                storage,
+                writer,
                 spans(grid.shape, self.area, level, diamond_shape(grid.shape, level)),
             )
             for level in range(min(SMALL, self.top))
@@ -121,15 +122,19 @@ class Errors:
                     self._encode(part, row, col, codes)
                 if rest is not None:
                     rests.append(rest)
-        if self.top:
-            for name in self.names:
-                self.canvases[0, name].add(row, col, codes[0, name])
         kept: dict[str, NDArray[Any]] = {
             f"codes.{octave}.{name}": values for (octave, name), values in codes.items() if octave or not self.top
         }
+        if self.top:
+            for name in self.names:
+                self.canvases[0, name].add(row, col, codes[0, name])
+                spec = self._spec(0, name)
+                for number, shard in enumerate(self._shards(spot, spec)):
+                    digest = self.writer.digests.get(spec.path, spec.shards, shard)
+                    kept[f"digest.{number}.{name}"] = np.frombuffer(digest, np.uint8)
         for index, rest in enumerate(rests):
             kept.update({f"rest.{index}.{name}": array for name, array in rest.to_arrays().items()})
-        self.storage.put(_part(spot), [pack(kept)])
+        self.writer.keep(_part(spot), pack(kept))
         return codes, rests
 
     def _encode(self, part: Part, row: int, col: int, codes: Codes) -> None:
@@ -156,50 +161,65 @@ class Errors:
 
     def _finished(self, spot: Spot) -> tuple[Codes, list[Rest]] | None:
         """What an interrupted build found in an area; None if it did not, or that is damaged."""
-        data = self.storage.get(_part(spot))
+        data = self.writer.storage.get(_part(spot))
         if data is None:
             return None
         codes: Codes = {}
         kept: dict[int, dict[str, NDArray[Any]]] = {}
+        digests: dict[str, list[bytes]] = {name: [] for name in self.names}
         try:
             for key, array in unpack(data).items():
                 what, number, name = key.split(".", 2)
                 if what == "codes":
                     codes[int(number), name] = array
+                elif what == "digest":
+                    digests[name].append(array.tobytes())
                 else:
                     kept.setdefault(int(number), {})[name] = array
             rests = [Rest.from_arrays(arrays) for _, arrays in sorted(kept.items())]
             if self.top:
-                self._prove(spot)
+                self._prove(spot, digests)
         except (DamagedChunkError, ValueError):
             return None
         return codes, rests
 
-    def _prove(self, spot: Spot) -> None:
+    def _prove(self, spot: Spot, digests: dict[str, list[bytes]]) -> None:
         """Read an area's shards of octave 0, which checks them."""
         rows, cols = diamond_shape(self.shape, 0)
         row, col = spot[0] * self.area, spot[1] * self.area
         for name in self.names:
-            array = ShardedArray(self._spec(0, name), self.storage, ChunkCache(0), 1)
+            spec = self._spec(0, name)
+            for shard, digest in zip(self._shards(spot, spec), digests[name], strict=True):
+                self.writer.take(spec, shard, digest)
+            array = ShardedArray(spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
             array.read(row, min(row + self.area, rows), col, min(col + self.area, cols))
+
+    def _shards(self, spot: Spot, spec: ArraySpec) -> list[Spot]:
+        """The shards of octave 0 in an area."""
+        rows, cols = (
+            range(at * self.area // spec.shard, min((at + 1) * self.area // spec.shard, count))
+            for at, count in zip(spot, spec.shards, strict=True)
+        )
+        return [(i, j) for i in rows for j in cols]
 
     def finish(self) -> None:
         """Write what no task could make."""
         for part in self.survey.finish():
             for name, values in self._coded(part).items():
                 if part.octave < self.top:
-                    write(self.storage, self._spec(part.octave, name), values)
+                    self.writer.array(self._spec(part.octave, name), values)
                 else:
                     place(self.tops[name], values, part.octave, 0, 0, self.top)
         for name, values in self.tops.items():
-            write(self.storage, self._spec(self.top, name), values)
+            self.writer.array(self._spec(self.top, name), values)
 
     def _spec(self, level: int, name: str) -> ArraySpec:
         return diamond_spec(self.shape, level, name, *self.sizes)
 
     def _heights(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         spec = heights_spec(self.shape, level, *self.sizes)
-        heights: Heights = ShardedArray(spec, self.storage, ChunkCache(0), 1).read(row0, row1, col0, col1)
+        array = ShardedArray(spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
+        heights: Heights = array.read(row0, row1, col0, col1)
         return heights
 
     def _nested(self) -> Heights:

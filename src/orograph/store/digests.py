@@ -1,0 +1,141 @@
+"""What binds a shard to its store and its place: a label within it, whose digest the store's root lists.
+
+The checksum of a chunk proves what it holds, not that it belongs where it lies. Between its last chunk and its index a
+shard has a *label* (``docs/store.md`` has the layout): the checksums of its chunks, and its key. The digest of label
+and index is listed in the root, so a shard that was swapped with another, or comes from another store, is noticed when
+its index is first read, and a chunk of another shard when it is. Neither paths nor times are in it: equal samples make
+equal bytes.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+Spot = tuple[int, int]
+
+SIZE = 12
+"""Bytes of a digest: 16 characters of base64."""
+
+MAGIC = b"oro\x03"
+ABSENT = np.uint64(2**64 - 1)
+UNKNOWN = bytes(SIZE)
+ENTRY = 16
+CRC = 4
+
+
+def crc32c(data: bytes) -> int:
+    """The checksum of Zarr's crc32c codec."""
+    import google_crc32c
+
+    return int(google_crc32c.value(data))
+
+
+def digest_of(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=SIZE).digest()
+
+
+def sealed(key: str, index: NDArray[np.uint64], sums: NDArray[np.uint32]) -> tuple[bytes, bytes]:
+    """The end of a shard, from behind its last chunk; and the shard's digest.
+
+    Args:
+        key: of the shard.
+        index: (chunks, 2) offset and length of each chunk, ``ABSENT`` where it is not written.
+        sums: (chunks,) their checksums, 0 where they are not written.
+    """
+    table = index.astype("<u8").tobytes()
+    name = key.encode()
+    label = sums.astype("<u4").tobytes() + name + len(name).to_bytes(2, "little") + MAGIC
+    check = crc32c(label + table).to_bytes(CRC, "little")
+    end = b"".join([label, check, table, crc32c(table).to_bytes(CRC, "little")])
+    return end, digest_of(end)
+
+
+def tail_length(key: str, chunks: int) -> int:
+    """Bytes of a shard behind its last chunk."""
+    return CRC * chunks + len(key.encode()) + 2 + len(MAGIC) + CRC + ENTRY * chunks + CRC
+
+
+def unsealed(tail: bytes, key: str, chunks: int, listed: bytes) -> list[tuple[int, int, int]]:
+    """(offset, length, crc32c) of each chunk of a shard in C order, length 0 for those that are not written.
+
+    Args:
+        tail: the last ``tail_length`` bytes of the shard.
+        key: the place where it lies.
+        chunks: in a shard.
+        listed: the digest that the root lists for that place.
+
+    Raises:
+        ValueError: it is damaged, or does not belong there; the message says which.
+    """
+    if digest_of(tail) != listed:
+        raise ValueError(_cause(tail, key, chunks))
+    sums = np.frombuffer(tail, "<u4", chunks).tolist()
+    pairs = np.frombuffer(tail, "<u8", 2 * chunks, len(tail) - ENTRY * chunks - CRC).reshape(-1, 2).tolist()
+    absent = int(ABSENT)
+    return [(0, 0, 0) if at == absent else (at, size, check) for (at, size), check in zip(pairs, sums, strict=True)]
+
+
+def _cause(tail: bytes, key: str, chunks: int) -> str:
+    """Why the end of a shard is not what the root lists."""
+    split = len(tail) - ENTRY * chunks - CRC
+    if split < 0 or crc32c(tail[split:-CRC]) != int.from_bytes(tail[-CRC:], "little"):
+        return "its index fails its checksum"
+    end = split - CRC - len(MAGIC)
+    if end < 2 or tail[end : end + len(MAGIC)] != MAGIC:
+        return "it has no label, so something other than Orograph has written it"
+    length = int.from_bytes(tail[end - 2 : end], "little")
+    start = end - 2 - length - CRC * chunks
+    name = tail[max(end - 2 - length, 0) : end - 2].decode(errors="replace")
+    whole = tail[start : split - CRC] + tail[split:-CRC]
+    if start >= 0 and crc32c(whole) != int.from_bytes(tail[split - CRC : split], "little"):
+        return "its label fails its checksum, or is that of another shard"
+    if name != key:
+        return f"it is the shard {name}, of this store or another"
+    return "it belongs to another store, or to another state of this one"
+
+
+class Digests:
+    """What every object of a store must be: the digests of an array's shards, or of an object that is no shard.
+
+    Written to from any number of threads, each for other shards.
+
+    Args:
+        listed: path of an array → digests of its shards in C order; key of another object → its digest.
+    """
+
+    def __init__(self, listed: Mapping[str, bytes] | None = None) -> None:
+        self.listed: dict[str, bytearray] = {path: bytearray(data) for path, data in (listed or {}).items()}
+
+    def put(self, path: str, shards: Spot, spot: Spot, digest: bytes) -> None:
+        """Note the digest of a shard of an array that has ``shards`` each way."""
+        whole = self.listed.setdefault(path, bytearray(SIZE * shards[0] * shards[1]))
+        at = SIZE * (spot[0] * shards[1] + spot[1])
+        whole[at : at + SIZE] = digest
+
+    def get(self, path: str, shards: Spot, spot: Spot) -> bytes:
+        """The digest of a shard; zeros, which no shard has, if it is not listed."""
+        whole = self.listed.get(path, b"")
+        at = SIZE * (spot[0] * shards[1] + spot[1])
+        return bytes(whole[at : at + SIZE]) or UNKNOWN
+
+    def of(self, paths: Iterable[str]) -> dict[str, bytes]:
+        """What is listed of these arrays and objects."""
+        return {path: bytes(self.listed[path]) for path in paths if path in self.listed}
+
+    def joined(self, others: Digests) -> Digests:
+        """These, and others that take their place."""
+        both = Digests()
+        both.listed = {**self.listed, **others.listed}
+        return both
+
+    def to_json(self) -> dict[str, str]:
+        return {path: base64.b64encode(data).decode() for path, data in self.listed.items()}
+
+    @classmethod
+    def from_json(cls, listed: Mapping[str, str]) -> Digests:
+        return cls({path: base64.b64decode(data) for path, data in listed.items()})

@@ -1,0 +1,252 @@
+"""One writer at a time: a lock on a name beside the store, which no build ever renames or replaces.
+
+Whoever writes to the store ``area.oro`` (a build, a bake, a repair) holds ``.area.oro.lock`` from before it looks at
+what is there until after its last rename. The lock is ``flock``: the system lets go of it when its process ends, in
+whatever way, so a lock file that was left behind locks nothing. The file is removed by whoever holds it alone, and a
+lock counts only if the name still means the locked file; so there is never a second lock under the same name.
+
+Parts of one build share it: ``shared`` says what they have in common, and others are refused.
+
+On a network file system this relies on ``flock`` reaching all machines: NFS from version 3 with its lock manager or 4,
+SMB, CephFS, GPFS, and Lustre mounted with ``-o flock`` do that. Where the system says that it has no such locks, a file
+``.area.oro.owner`` that only one process can create takes their place. It names its process; it is taken over when that
+one has ended on this machine. Object storage has neither: there nobody keeps two builds apart.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from orograph.errors import StoreError
+from orograph.processes import host, running
+from orograph.store.storage import FolderStorage, Storage
+
+TRIES = 100
+"""How often a lock may turn out to be on a file that was just removed, or to change hands among those who share."""
+
+PAUSE = 0.02
+"""Seconds between such tries."""
+
+BUSY = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES})
+UNSUPPORTED = frozenset({errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL})
+
+
+@contextmanager
+def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[None]:
+    """Keep every other process, and every other thread, from writing to a store in a folder.
+
+    Args:
+        storage: of the store, not of the folder in which it is made.
+        doing: what those who come later are told: "building this store".
+        shared: what those have in common who may work at the same time (a digest of their plan); None: nobody may.
+
+    Raises:
+        StoreError: another process is at work, or no lock can be made there.
+    """
+    if not isinstance(storage, FolderStorage):
+        yield
+        return
+    real = Path(os.path.realpath(storage.path))
+    path = real.with_name(f".{real.name}.lock")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = _take(path, storage.url, doing, shared)
+    except OSError as error:
+        raise StoreError(
+            f"Nothing can be written beside it: {error.strerror or error}.", path=storage.url,
+            remedy=f"A lock {path.name} is kept there while it is written.",
+        ) from error  # fmt: skip
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+class _Flock:
+    """A lock that is held."""
+
+    def __init__(self, path: Path, fd: int, shared: bool) -> None:
+        self.path, self.fd, self.shared = path, fd, shared
+
+    def release(self) -> None:
+        import fcntl
+
+        try:
+            with contextlib.suppress(OSError):
+                if self.shared:  # others may hold it, too; only the last one may remove the file
+                    fcntl.flock(self.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if _named(self.path, self.fd):
+                    self.path.unlink()
+            with contextlib.suppress(OSError):
+                fcntl.flock(self.fd, fcntl.LOCK_UN)  # for the sake of children that were forked meanwhile
+        finally:
+            os.close(self.fd)
+
+
+class _Owner:
+    """The file that takes a lock's place where there are none."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def release(self) -> None:
+        with contextlib.suppress(OSError):
+            self.path.unlink()
+
+
+def _take(path: Path, url: str, doing: str, shared: str | None) -> _Flock | _Owner:
+    try:
+        import fcntl  # noqa: F401
+    except ImportError:
+        return _own(path.with_suffix(".owner"), url, doing, shared)
+    for _ in range(TRIES):
+        fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        lock = None
+        try:
+            lock = _try(path, fd, url, doing, shared)
+        except OSError as error:
+            if error.errno not in UNSUPPORTED:
+                raise
+            path.unlink(missing_ok=True)
+            return _own(path.with_suffix(".owner"), url, doing, shared)
+        finally:
+            if lock is None:
+                os.close(fd)
+        if lock is not None:
+            return lock
+    raise _busy(url, {})
+
+
+def _try(path: Path, fd: int, url: str, doing: str, shared: str | None) -> _Flock | None:
+    """Lock an open file; None if it should be tried again.
+
+    Raises:
+        StoreError: somebody else holds it.
+    """
+    import fcntl
+
+    if _locked(fd, fcntl.LOCK_EX):
+        if not _named(path, fd):
+            return None
+        _write(fd, doing, shared)
+        if shared is None:
+            return _Flock(path, fd, False)
+    elif shared is None:
+        raise _busy(url, _read(fd))
+    # Going over from a lock of one's own to a shared one lets go for a moment: somebody else may come in between.
+    locked = _locked(fd, fcntl.LOCK_SH)
+    said = _read(fd)
+    if said.get("shared", shared) != shared:
+        raise _busy(url, said, "Its plan is another.")
+    if locked and _named(path, fd):
+        return _Flock(path, fd, True)
+    time.sleep(PAUSE)  # one of ours holds it alone while it begins or ends
+    return None
+
+
+def _locked(fd: int, how: int) -> bool:
+    """Lock the file at once, or not at all."""
+    import fcntl
+
+    try:
+        fcntl.flock(fd, how | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in BUSY:
+            return False
+        raise
+    return True
+
+
+def _named(path: Path, fd: int) -> bool:
+    """Whether the name still means this file."""
+    try:
+        there = path.stat()
+    except FileNotFoundError:
+        return False
+    mine = os.fstat(fd)
+    return (there.st_ino, there.st_dev) == (mine.st_ino, mine.st_dev)
+
+
+def _said(doing: str, shared: str | None) -> bytes:
+    return json.dumps({"doing": doing, "host": host(), "pid": os.getpid(), "shared": shared}).encode()
+
+
+def _write(fd: int, doing: str, shared: str | None) -> None:
+    os.ftruncate(fd, 0)
+    os.pwrite(fd, _said(doing, shared), 0)
+
+
+def _read(fd: int) -> dict[str, Any]:
+    """What the holder wrote; empty if it is not there yet."""
+    try:
+        said = json.loads(os.pread(fd, 4096, 0))
+    except ValueError:
+        return {}
+    return said if isinstance(said, dict) else {}
+
+
+def _busy(url: str, said: dict[str, Any], why: str = "", remedy: str = "") -> StoreError:
+    doing = said.get("doing", "at work on this store")
+    who = f" (process {said['pid']} on {said['host']})" if "pid" in said and "host" in said else ""
+    what = f"Another process is {doing}{who}. {why}".strip()
+    return StoreError(what, path=url, remedy=f"Wait until it is done. {remedy}".strip())
+
+
+def _own(path: Path, url: str, doing: str, shared: str | None) -> _Owner:
+    """A lock by a name that only one process can create."""
+    if shared is not None:
+        raise StoreError(
+            "This file system has no locks, which the parts of one build share.", path=url,
+            remedy="Build on another file system (or mount Lustre with -o flock), or without --part.",
+        )  # fmt: skip
+    for _ in range(2):
+        try:
+            fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        except FileExistsError:
+            if _given_up(path):
+                continue
+            ended = f"If that process has ended, remove {path.name} beside the store."
+            raise _busy(url, _owner(path), remedy=ended) from None
+        with os.fdopen(fd, "wb") as file:
+            file.write(_said(doing, None))
+        return _Owner(path)
+    raise _busy(url, _owner(path))
+
+
+def _owner(path: Path) -> dict[str, Any]:
+    try:
+        said = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return said if isinstance(said, dict) else {}
+
+
+def _given_up(path: Path) -> bool:
+    """Whether the owner has ended; its file is gone then. Only one process at a time may come to that conclusion."""
+
+    def ended() -> bool:
+        said = _owner(path)
+        return said.get("host") == host() and isinstance(said.get("pid"), int) and not running(said["pid"])
+
+    if not ended():
+        return False
+    guard = path.with_suffix(".taking")
+    try:
+        os.close(os.open(guard, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+    except FileExistsError:
+        return False
+    try:
+        if ended():  # nobody else took it over since
+            path.unlink()
+            return True
+        return False
+    finally:
+        guard.unlink()

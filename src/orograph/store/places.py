@@ -1,0 +1,121 @@
+"""The folders of one store: STORE, STORE.partial in which it is made, and STORE.replaced while it takes another's
+place.
+
+A build ends with two renames, STORE to STORE.replaced and STORE.partial to STORE. Whatever it leaves when it is killed
+between them is complete, and nothing is lost: whoever comes next is told which folder holds what, and how to go on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from orograph.errors import StoreError
+from orograph.store.storage import FolderStorage, Storage
+
+ROOT = "zarr.json"
+PLAN = "build.json"
+
+
+def partial(path: str | os.PathLike[str]) -> str:
+    """The folder in which a store is built until it is complete."""
+    return os.fspath(path).rstrip("/\\") + ".partial"
+
+
+def replaced(path: str | os.PathLike[str]) -> str:
+    """The folder to which an old store is moved while the new one takes its place."""
+    return os.fspath(path).rstrip("/\\") + ".replaced"
+
+
+def is_store(storage: Storage) -> bool:
+    """Whether a complete store of any format lies there."""
+    data = storage.get(ROOT)
+    try:
+        return data is not None and isinstance(json.loads(data)["attributes"]["orograph"], dict)
+    except (ValueError, KeyError, TypeError):
+        return False
+
+
+def begun(storage: Storage) -> bool:
+    """Whether a build has begun in this storage (of the folder in which it is made, or of a URL)."""
+    return storage.exists(PLAN) or (not storage.remote and storage.exists(ROOT))
+
+
+def left_over(path: str | os.PathLike[str]) -> bool:
+    """Whether builds left folders of a store that is not there itself."""
+    if Path(path).exists():
+        return False
+    made, old = Path(partial(path)), Path(replaced(path))
+    return (made / PLAN).is_file() or (made / ROOT).is_file() or (old / ROOT).is_file()
+
+
+def missing(storage: Storage) -> StoreError:
+    """Why there is no store, which of its folders are there, and what to do."""
+    if not isinstance(storage, FolderStorage):
+        return _unfinished(storage.url) if storage.exists(PLAN) else _none(storage.url)
+    path = storage.path
+    made, old = FolderStorage(partial(path)), FolderStorage(replaced(path))
+    complete, kept = is_store(made), is_store(old)
+    if path.exists() and (storage.exists(PLAN) or not (complete or kept)):
+        return _unfinished(storage.url) if storage.exists(PLAN) or begun(made) else _none(storage.url)
+    there = []
+    if complete:
+        there.append(f"{made.path.name} holds the new store, complete")
+    elif begun(made):
+        there.append(f"{made.path.name} holds an unfinished one")
+    if kept:
+        there.append(f"{old.path.name} holds the store that was there before, complete")
+    if not complete and not kept:
+        if begun(made):
+            return _unfinished(storage.url, f" It is made in {made.path.name}.")
+        return StoreError("There is no such store.", path=path, remedy=_BUILD)
+    ways = []
+    if begun(made):
+        ways.append("run the same orograph build with --resume to finish")
+    if complete or kept:
+        ways.append(f"rename the folder that you want to {path.name}")
+    return StoreError(
+        f"The store is not there: a build was cut off while it took its place. {'; '.join(there)}.",
+        path=storage.url,
+        remedy=f"{' or '.join(ways).capitalize()}.",
+    )
+
+
+_BUILD = "Build one with orograph build DEM... -o STORE."
+
+
+def _unfinished(url: str, where: str = "") -> StoreError:
+    return StoreError(
+        f"This store is incomplete: its build was interrupted.{where}", path=url,
+        remedy="Finish it by running the same orograph build with --resume.",
+    )  # fmt: skip
+
+
+def _none(url: str) -> StoreError:
+    return StoreError("This is not an Orograph store (it has no zarr.json).", path=url, remedy=_BUILD)
+
+
+def occupied(final: Storage) -> bool:
+    """Whether something lies where a store is to be."""
+    if not isinstance(final, FolderStorage):
+        return final.exists(ROOT)
+    path = final.path
+    return path.exists() and (not path.is_dir() or any(path.iterdir()))
+
+
+def publish(built: Path, final: Path) -> None:
+    """Let the finished store take its place; an old one goes away only after that."""
+    old = Path(replaced(final))
+    try:
+        if final.exists():
+            FolderStorage(old).remove()
+            final.rename(old)
+        built.rename(final)
+    except OSError as error:
+        raise StoreError(
+            f"The finished store could not take its place: {error.strerror or error}.",
+            path=final,
+            remedy=f"It lies complete at {built}.",
+        ) from error
+    FolderStorage(old).remove()

@@ -1,0 +1,259 @@
+"""Mending a store: what is damaged is made again, from its sources or from what of the store is sound.
+
+Only shards of level 0 need the sources; all others follow from them. What is made takes a damaged shard's place only if
+its digest is the one that the root lists, so a mended store is the store that was built, to the byte, and a source that
+was changed meanwhile cannot creep in. Readers may be at work all the time.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import OrographError, StoreError
+from orograph.parallel import map_ordered
+from orograph.progress import SILENT, Progress
+from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.build import MEMORY, patches, sizes
+from orograph.store.cache import ChunkCache
+from orograph.store.checking import Damage, check, check_shard
+from orograph.store.digests import Digests, Spot, digest_of
+from orograph.store.inputs import changes, reopened
+from orograph.store.layout import Record, array_specs, heights_spec, metadata, rebuild
+from orograph.store.lock import alone
+from orograph.store.places import ROOT
+from orograph.store.pyramid import Pyramid, tasks
+from orograph.store.shards import go_through
+from orograph.store.source import HeightSource
+from orograph.store.storage import Storage, storage_at
+from orograph.store.stored import StoredTerrain, open
+from orograph.store.terrain import Heights
+from orograph.store.writer import ShardWriter
+
+
+def repair(
+    url: str | os.PathLike[str],
+    source: HeightSource | None = None,
+    *,
+    max_memory: int = MEMORY,
+    jobs: int | None = None,
+    progress: Progress = SILENT,
+    storage_options: dict[str, Any] | None = None,
+) -> list[str]:
+    """Make again what is damaged of a store; returns the keys of what was.
+
+    Args:
+        url: of the store.
+        source: the heights it was built from; None: the files that its record names.
+        max_memory: bytes the process should stay within.
+        jobs: threads (default: all processors).
+
+    Raises:
+        StoreError: something could not be mended; the message says what, why, and what to do. The rest was.
+    """
+    storage = storage_at(url, storage_options)
+    open(url, storage_options=storage_options).close()  # what is no store is said before anything is written beside it
+    with alone(storage, "mending this store"), open(url, jobs=jobs, storage_options=storage_options) as terrain:
+        found = check(terrain, jobs=jobs, progress=progress)
+        if found:
+            _Repair(terrain, found, source, max_memory, jobs, progress).run()
+        return [damage.key for damage in found]
+
+
+class _Mender(ShardWriter):
+    """Writes the shards that are damaged, if they are what they were; no others.
+
+    Args:
+        storage: of the store.
+        digests: what its shards must be.
+        damaged: keys of shards.
+    """
+
+    def __init__(self, storage: Storage, digests: Digests, damaged: set[str]) -> None:
+        super().__init__(storage)
+        self.digests, self.damaged = digests, damaged
+        self.differing: set[str] = set()
+
+    def shard(self, spec: ArraySpec, spot: Spot, block: NDArray[Any]) -> bytes:
+        listed = self.digests.get(spec.path, spec.shards, spot)
+        key = spec.key(spot)
+        if key in self.damaged:
+            parts, digest = spec.encode(spot, block)
+            if digest == listed:
+                self.storage.put(key, parts)
+                self.damaged.discard(key)
+            else:
+                self.differing.add(key)
+        return listed
+
+    def keep(self, key: str, data: bytes) -> None:
+        """Nothing is kept: what is sound is there."""
+
+
+class _StoredHeights:
+    """Level 0 of a store as a source."""
+
+    def __init__(self, terrain: StoredTerrain) -> None:
+        self.grid, self.name, self.vertical = terrain.grid, terrain.name, terrain.vertical
+        record = terrain.record
+        spec = heights_spec(terrain.grid.shape, 0, record.shard, record.chunk)
+        self._array = ShardedArray(spec, terrain.storage, record.digests, ChunkCache(0), 1)
+        self._source = record.source
+
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        heights: Heights = self._array.read(row0, row1, col0, col1)
+        return heights
+
+    def fingerprint(self) -> str:
+        return self._source
+
+
+class _Repair:
+    """The mending of one store."""
+
+    def __init__(
+        self, terrain: StoredTerrain, found: list[Damage], source: HeightSource | None, max_memory: int,
+        jobs: int | None, progress: Progress,
+    ) -> None:  # fmt: skip
+        self.terrain, self.record, self.found, self.source = terrain, terrain.record, found, source
+        self.progress = progress
+        record = self.record
+        _, self.jobs = sizes(record.grid.shape, max_memory, jobs, record.shard, len(record.errors))
+        self.mender = _Mender(terrain.storage, record.digests, {damage.object for damage in found})
+        self.why = ""
+
+    def run(self) -> None:
+        """Mend, in the order in which things follow from each other.
+
+        Raises:
+            StoreError: something could not be mended.
+        """
+        self._small()
+        if self._any("heights/0/height/c/"):
+            self._finest()
+        if self._any("heights/0/height/c/"):
+            raise self._left()
+        if self._any("heights/", "mean/", "tiles/"):
+            self._coarse()
+        if self._any(*(f"diamonds/{k}/{name}/c/" for k in range(self.terrain.levels) for name in self._diamonds())):
+            self._errors()
+        if self._any("patches/"):
+            patches(self.record, self.mender, self.jobs, self.progress)
+        self._prove()
+        if self.mender.damaged:
+            raise self._left()
+
+    def _any(self, *beginnings: str) -> bool:
+        """Whether there is damage left below these keys."""
+        return any(key.startswith(beginnings) for key in self.mender.damaged)
+
+    def _diamonds(self) -> list[str]:
+        return [*self.record.errors, "radius"]
+
+    def _small(self) -> None:
+        """Coordinates and metadata, from the record."""
+        others, root = metadata(self.record)
+        listed = self.record.digests.listed
+        for key in sorted(self.mender.damaged & {*others, ROOT}):
+            content = root[ROOT] if key == ROOT else others[key]
+            if key == ROOT or digest_of(content) == listed[key]:
+                self.terrain.storage.put(key, [content])
+                self.mender.damaged.discard(key)
+            else:
+                self.mender.differing.add(key)
+
+    def _finest(self) -> None:
+        """Shards of level 0, from the source."""
+        source = self.source
+        if source is None:
+            source = self._opened()
+            if source is None:
+                return
+        record = self.record
+        if source.grid.shape != record.grid.shape:
+            self.why = f"{source.name} has {source.grid.shape} samples and the store {record.grid.shape}."
+            return
+        spec = heights_spec(record.grid.shape, 0, record.shard, record.chunk)
+
+        def make(spot: Spot) -> None:
+            row, col = (at * record.shard for at in spot)
+            end = min(row + record.shard, spec.shape[0]), min(col + record.shard, spec.shape[1])
+            self.mender.shard(spec, spot, np.ascontiguousarray(source.read(row, end[0], col, end[1]), np.float32))
+
+        spots = [spot for spot in tasks(record.grid.shape, record.shard) if spec.key(spot) in self.mender.damaged]
+        go_through("Mending heights", spots, make, self.jobs, self.progress)
+
+    def _opened(self) -> HeightSource | None:
+        """The source that the record names; None if it cannot be opened, and ``why`` says so."""
+        inputs = self.record.inputs
+        if inputs is None:
+            self.why = "It was built from heights in memory: give them again."
+            return None
+        self.why = " ".join(changes(inputs))
+        try:
+            return reopened(inputs, self.progress)
+        except OrographError as error:
+            self.why = self.why or str(error)
+            return None
+
+    def _coarse(self) -> None:
+        """Coarser levels, means and tables, from level 0."""
+        record = self.record
+        pyramid = Pyramid(_StoredHeights(self.terrain), self.mender, record.shard, record.chunk, resume=False)
+        spots = tasks(record.grid.shape, record.shard)
+        go_through("Mending levels", spots, pyramid.run, self.jobs, self.progress, pyramid.finish)
+
+    def _errors(self) -> None:
+        """Errors and spheres of diamonds, from the heights."""
+        from orograph.store.survey import Errors
+
+        record = self.record
+        kinds = tuple(record.errors)
+        first = self.terrain.tiles(0)
+        survey = Errors(record.grid, self.mender, record.shard, record.chunk, first, kinds, resume=False)
+        go_through("Mending errors", survey.tasks(), survey.run, self.jobs, self.progress, survey.finish)
+
+    def _prove(self) -> None:
+        """Read back what was written."""
+        mended = {damage.object for damage in self.found} - self.mender.damaged
+        shards = [
+            (spec, (i, j))
+            for spec in array_specs(self.record)
+            for i in range(spec.shards[0])
+            for j in range(spec.shards[1])
+            if spec.key((i, j)) in mended
+        ]
+        storage, digests = self.terrain.storage.anew(), self.record.digests
+        for damage in map_ordered(lambda what: list(check_shard(storage, digests, *what)), shards, self.jobs):
+            self.mender.damaged |= {each.object for each in damage}
+
+    def _left(self) -> StoreError:
+        """What could not be mended, and what to do about it."""
+        left = sorted(self.mender.damaged)
+        names = ", ".join(left[:3]) + (f" and {len(left) - 3} more" if len(left) > 3 else "")
+        differing = "What is made of its sources now is not what was in it." if self.mender.differing else ""
+        remedies = _remedies(left, self.record, self.terrain.url)
+        return StoreError(
+            " ".join(filter(None, [f"{names} could not be mended.", self.why, differing])),
+            path=self.terrain.url,
+            remedy=" ".join(remedies),
+        )
+
+
+def _remedies(left: Iterable[str], record: Record, url: str) -> list[str]:
+    """Commands that make what cannot be mended."""
+    layers = sorted({key.split("/")[1] for key in left if key.startswith("layers/") and key.count("/") > 1})
+    colors = any(key.startswith("diamonds/") and key.split("/")[2:3] == ["color"] for key in left)
+    told = []
+    if layers:
+        told.append(f"Bake again: orograph bake {url} --products {','.join(layers)} --overwrite")
+    if colors:
+        told.append("Make its color errors again (geovis.color_store.store_colors with overwrite=True).")
+    if any(not key.startswith("layers/") and "/color/" not in key for key in left):
+        told.append(f"Give the files it was built from, as they were, or restore those files from a copy. "
+                    f"{rebuild(record.to_json(), url)}")  # fmt: skip
+    return told

@@ -1,0 +1,84 @@
+"""Whether the store that is read is still the one that was opened.
+
+A store may be replaced while a reader has it open. What the reader gets is always of the store that it opened: the
+digests in that store's record see to it (``digests``). The watch tells it soon: before a read, but not oftener than
+every ``EVERY`` seconds, it looks whether the root is still the same file, and reads it if not. A bake that changes
+layers only is no replacement. At a URL there is no such cheap look: there a shard that is not what it was tells.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+from orograph.errors import StoreError, StoreReplacedError
+from orograph.store.layout import Record
+from orograph.store.places import ROOT, left_over, missing
+from orograph.store.storage import FolderStorage, Storage
+
+EVERY = 0.02
+
+COMES_LATER = ("layers/", "diamonds/")
+"""What may be put into a store without replacing it lies below these."""
+
+
+class Watch:
+    """Called before a read.
+
+    Args:
+        storage: of the store.
+        record: as it was when the store was opened.
+        stamp: of the root, from before the record was read.
+        read: reads the record.
+    """
+
+    def __init__(self, storage: Storage, record: Record, stamp: Any, read: Callable[[Storage], Record]) -> None:
+        self.storage, self.record, self.stamp, self._read = storage, record, stamp, read
+        self._due = math.inf if storage.remote else 0.0
+
+    def __call__(self) -> None:
+        """Raise StoreReplacedError if the store is another by now, StoreError if it is gone."""
+        now = time.monotonic()
+        if now < self._due:
+            return
+        stamp = self.storage.stamp(ROOT)
+        if stamp != self.stamp:
+            self._look()
+            self.stamp = stamp
+        self._due = now + EVERY
+
+    def _look(self) -> None:
+        if isinstance(self.storage, FolderStorage) and not self.storage.path.exists():
+            if left_over(self.storage.path):
+                raise missing(self.storage)
+            self.storage.must_stand()
+        if _ground(self._read(self.storage)) != _ground(self.record):
+            raise self._replaced()
+
+    def explain(self, path: str) -> None:
+        """Raise StoreReplacedError if an array is not what it was because the store, or the layer, was replaced."""
+        try:
+            now = self._read(self.storage)
+        except StoreError as error:
+            raise self._replaced() from error
+        if now.digests.listed.get(path) != self.record.digests.listed.get(path):
+            raise self._replaced()
+
+    def _replaced(self) -> StoreReplacedError:
+        return StoreReplacedError(
+            "The store was replaced since it was opened.", path=self.storage.url,
+            remedy="Open it again (in Python: terrain.reopen()).",
+        )  # fmt: skip
+
+
+def _ground(record: Record) -> dict[str, Any]:
+    """What does not change as long as it is the same terrain."""
+    said = record.to_json()
+    digests = {
+        path: digest
+        for path, digest in said["digests"].items()
+        if not path.startswith(COMES_LATER) and not path.endswith("zarr.json")
+    }
+    return {**said, "digests": digests, "layers": None, "colors": None, "checksum": None}

@@ -1,0 +1,76 @@
+"""Results appear whole; what killed runs leave beside them is removed by the next run that writes there."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from orograph.output import Beside, _left
+from orograph.processes import host
+
+
+@pytest.fixture(autouse=True)
+def anew():
+    """As in a new process: nothing is known of the folders."""
+    _left.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def ended():
+    """The number of a process that is gone."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+def test_leftovers_of_ended_processes_go(tmp_path, ended):
+    gone = [f".sky.tif.{host()}.{ended}.part.tif", f".sky.tif.{host()}.{ended}.raw", f".sky.tif.{ended}.part.tif",
+            f".sky.tif.{host()}.{ended}.raw.hdr"]  # fmt: skip
+    stay = [f".sky.tif.{host()}.{os.getpid()}.part.tif", f".other.tif.{host()}.{ended}.part", ".sky.tif.part",
+            f".sky.tif.elsewhere.{ended}.part", f".sky.tif.{host()}.{ended}.txt", "sky.tif.1.part"]  # fmt: skip
+    for name in (*gone, *stay):
+        (tmp_path / name).write_text("x")
+    with Beside(tmp_path / "sky.tif") as part:
+        part.write_text("whole")
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*stay, "sky.tif"])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there a process cannot be asked whether it runs")
+@pytest.mark.parametrize("how", ["light", "picture", "synth"])
+def test_a_killed_run_leaves_nothing_for_long(tmp_path, how):
+    """Killed in the midst of writing; then the same is written again."""
+    code = {
+        "light": "with Beside(out) as part: part.with_name(part.name + '.tif').write_text('x'); end()",
+        "picture": "from orograph.rendering.large import Scratch\nwith Scratch(out, 4, 4) as scratch: end()",
+        "synth": "import rasterio; rasterio.open = lambda path, *a, **k: (open(path, 'w'), end())\n"
+        "from orograph.dem.synth import Synth\nSynth((17, 17)).write(out)",
+    }[how]
+    head = f"""
+import os, signal
+from pathlib import Path
+from orograph.output import Beside
+out = Path({str(tmp_path / "sky.tif")!r})
+end = lambda: os.kill(os.getpid(), signal.SIGKILL)
+"""
+    ran = subprocess.run([sys.executable, "-c", head + code], capture_output=True, text=True)
+    assert ran.returncode == -signal.SIGKILL, ran.stderr
+    assert any(f".{host()}." in p.name for p in tmp_path.iterdir())
+    with Beside(tmp_path / "sky.tif") as part:
+        np.zeros(3).tofile(part)
+    assert [p.name for p in tmp_path.iterdir()] == ["sky.tif"]
+
+
+def test_many_results_look_through_their_folder_once(tmp_path, monkeypatch):
+    from pathlib import Path
+
+    looks, iterdir = [], Path.iterdir
+    monkeypatch.setattr(Path, "iterdir", lambda self: looks.append(self) or iterdir(self))
+    for number in range(20):
+        with Beside(tmp_path / f"{number}.png") as part:
+            part.write_text("x")
+    assert len(looks) == 1
