@@ -42,7 +42,7 @@ def pixels(data: bytes) -> np.ndarray:
 
 
 def test_a_cell_holds_the_widget_and_a_still(terrain, device, front_end):
-    widget = orograph.viewpoint(terrain, size=(400, 300), sun="2026-06-21T12:00Z", exaggeration=2.0)
+    widget = orograph.view(terrain, size=(400, 300), sun="2026-06-21T12:00Z", exaggeration=2.0)
     assert isinstance(widget, Widget)
     data, _ = widget._repr_mimebundle_()
     assert "application/vnd.jupyter.widget-view+json" in data
@@ -69,7 +69,7 @@ def test_a_cell_holds_the_widget_and_a_still(terrain, device, front_end):
 
 def test_a_still_where_the_extra_is_missing(terrain, monkeypatch):
     monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", None)
-    still = orograph.viewpoint(terrain, size=(200, 150))
+    still = orograph.view(terrain, size=(200, 150))
     assert isinstance(still, Still)
     assert "orograph[notebook]" in still.why
     assert pixels(still._repr_png_()).shape == (150, 200, 3)
@@ -77,7 +77,7 @@ def test_a_still_where_the_extra_is_missing(terrain, monkeypatch):
 
 def test_a_still_where_there_is_no_gpu(terrain, front_end, monkeypatch):
     monkeypatch.setenv("OROGRAPH_ADAPTER", "nonsuch")
-    still = orograph.viewpoint(terrain, size=(200, 150))
+    still = orograph.view(terrain, size=(200, 150))
     assert isinstance(still, Still)
     assert "nonsuch" in still.why
     assert pixels(still._repr_png_()).std() > 10
