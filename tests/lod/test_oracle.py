@@ -62,8 +62,8 @@ def test_engines_are_no_coarser_and_not_much_finer(shared_data):
     with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
         t = plain.terrain(file.read(1)[:513, :513].astype(np.float32))
     rng = np.random.default_rng(22)
-    soar, ahead = Soar(t, metric="anisotropic"), Soar(t)
-    top_down = TopDown(t, metric="localised", depth=64, near=0.0)
+    soar, ahead = plain.refiner(Soar, t, metric="anisotropic"), plain.refiner(Soar, t)
+    top_down = plain.refiner(TopDown, t, metric="localised", depth=64, near=0.0)
     counts = np.zeros(5)
     for _ in range(6):
         view = plain.random_view(rng, t, width=960, height=600)

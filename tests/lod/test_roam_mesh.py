@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import plain
 import pytest
 from affine import Affine
 
@@ -16,7 +17,7 @@ from orograph.viewpoint import View
 def make(n: int, seed: int = 0) -> Roam:
     heights = np.random.default_rng(seed).normal(size=((1 << n) + 1,) * 2).astype(np.float32)
     terrain = MemoryTerrain(heights, Grid(heights.shape, Affine(10, 0, 0, 0, -10, 0)), "random")
-    engine = Roam(terrain, cull=False, strips=None)
+    engine = plain.refiner(Roam, terrain, cull=False, strips=None)
     engine.mesh(View((80.0, -80.0, 5e4), (80.0, -80.0, 0.0)), tolerance=1e6)  # reads the pages
     return engine
 

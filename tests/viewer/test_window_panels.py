@@ -1,4 +1,4 @@
-"""Panels, plan, measuring, tours and engines of the window on an off-screen canvas, used as a person would."""
+"""Panels, plan, measuring, tours and methods of the window on an off-screen canvas, used as a person would."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ pytest.importorskip("rendercanvas")
 from hand import ground_pixel
 from imgui_bundle import imgui
 
+from orograph.lod.registry import names
 from orograph.scene.contours import Contours
 from orograph.viewer import panels
 from orograph.viewer.panels import layers, statistics
-from orograph.viewer.panels.detail import METHODS
 
 PLAIN = 500.0
 
@@ -212,18 +212,18 @@ def test_a_played_day_moves_the_sun(window, hand):
     assert light.sun(window.session.terrain).altitude > -90
 
 
-@pytest.mark.parametrize("engine", [name for name, _ in METHODS if name])
-def test_every_engine_draws_the_ground_and_says_what_it_made(window, hand, engine):
+@pytest.mark.parametrize("method", names("triangles"))
+def test_every_method_draws_the_ground_and_says_what_it_made(window, hand, method):
     settings = window.session.settings
     settings.tolerance = 2.0
     hand.rest()
     before = hand.frames(1)
-    settings.engine = engine
+    settings.method = method
     made = lambda: window.drawing.renderer.mesh is not None and window.drawing.renderer.resting  # noqa: E731
     hand.until(made, 300)  # its kernels may have to be compiled
     assert window.drawing.stats.triangles == len(window.drawing.renderer.mesh.triangles) > 2
     rows = dict(statistics.rows(window))
-    assert rows[engine].endswith(" ms")
+    assert rows[method].endswith(" ms")
     after = hand.frames(1)
     ground = np.s_[250:560, 20:560]
     assert np.abs(after[ground].astype(int) - before[ground]).mean() < 6  # the same ground in the same light
@@ -237,7 +237,7 @@ def test_every_engine_draws_the_ground_and_says_what_it_made(window, hand, engin
     hand.key("f")
     hand.rest()
     assert window.drawing.renderer.mesh is not made
-    settings.engine = None
+    settings.method = "auto"
     hand.until(lambda: window.drawing.renderer.mesh is None)
     assert not [m.text for m in window.session.messages.shown if m.error]
 

@@ -60,7 +60,7 @@ def command(
       orograph render tiles/*.tif -o area.png --from 225 --pitch 30 --sky
       orograph render dem.tif -o map.png --projection plan --furniture --size 2000x2000
       orograph render dem.tif -o summit.png --lonlat -71.3,44.2,2500 --look-at -71.303,44.270
-      orograph render dem.tif -o mesh.png --engine soar --wireframe --tolerance 2
+      orograph render dem.tif -o mesh.png --method soar --wireframe --tolerance 2
     """
     began = time.perf_counter()
     progress = progress_of(ctx)
@@ -145,5 +145,5 @@ def command(
         click.echo(json.dumps(told, allow_nan=False))
     else:
         stats = facts.get("mesh")
-        mesh = f"  {stats['engine']}: {stats['triangles']:,} triangles" if stats else ""
+        mesh = f"  {stats['method']}: {stats['triangles']:,} triangles" if stats else ""
         click.echo(f"{output}  {view.width} × {view.height}{mesh}  {seconds:.1f} s")

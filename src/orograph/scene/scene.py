@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 from orograph.errors import ReadError, UsageError
 from orograph.geovis.layers import Layer, check_count
 from orograph.lighting.sun import Sun
+from orograph.lod.registry import AUTO
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
@@ -56,10 +57,10 @@ class Scene:
         relief: factor on slopes for shading only; None strengthens small scales and gentle land, 1 is nature.
         samples: rays per pixel where the picture has edges (1: no antialiasing).
         tolerance: pixels; 0 demands the exact surface, None decides by size (``EXACT_SAMPLES``, ``DEFAULT_TOLERANCE``).
-        engine: draw the mesh that this engine makes within ``tolerance`` (None: 1 pixel), with light on its faces; None
-            draws the terrain itself. ``triangles``: instead of a tolerance, at most so many; ``metric``: how errors
-            become pixels, None: the engine's own. ``wireframe``: draw its edges, over the terrain's own relief.
-            ``mesh_view``: the camera the mesh is made for, if not ``view``: to look at it from elsewhere.
+        method: ``NAME[,key=value…]``: draw the mesh that this method makes within ``tolerance`` (None: 1 pixel), with
+            light on its faces; "auto", or what that is (``lod.registry.AUTO``), draws the terrain itself.
+            ``triangles``: instead of a tolerance, at most so many. ``wireframe``: draw its edges, over the terrain's
+            own relief. ``mesh_view``: the camera the mesh is made for, if not ``view``: to look at it from elsewhere.
         furniture: title, colour bar, north arrow, scale bar; ``title``: None takes the terrain's name.
         depths: metres of depth of the nearest and the farthest ground, between which haze grows; None: of the ground in
             view. A movie gives them, so that haze does not flicker as a summit comes into view.
@@ -89,9 +90,8 @@ class Scene:
     relief: float | None = None
     samples: int = 4
     tolerance: float | None = None
-    engine: str | None = None
+    method: str = "auto"
     triangles: int | None = None
-    metric: str | None = None
     wireframe: bool = False
     mesh_view: View | None = None
     furniture: bool = False
@@ -122,14 +122,15 @@ class Scene:
             )
         if self.depths is not None and not 0 <= self.depths[0] <= self.depths[1] < math.inf:
             raise UsageError(f"depths are those of the nearest and the farthest ground in metres, not {self.depths}.")
-        if self.mesh_view is not None and self.engine is None:
-            raise UsageError("A mesh is made for a view by an engine.", remedy="Choose an engine, such as soar.")
-        if self.engine is None and (self.triangles is not None or self.metric is not None):
-            raise UsageError("Triangles and metrics are an engine's.", remedy="Choose an engine, such as soar.")
+        if self.method.partition(",")[0] in ("auto", AUTO["cpu"]) and (
+            self.mesh_view is not None or self.triangles is not None or self.wireframe
+        ):
+            raise UsageError(
+                "A mesh, its triangles, its wireframe and the view it is made for are a method's.",
+                remedy="Choose a method, such as soar.",
+            )
         if self.triangles is not None and (self.triangles < 2 or self.tolerance is not None):
             raise UsageError("A mesh has a tolerance, or a number of triangles from 2.", remedy="Give one of them.")
-        if self.wireframe and self.engine is None:
-            raise UsageError("A wireframe shows what an engine made.", remedy="Choose an engine, such as soar.")
         if min(self.terrain.grid.shape) < 2:
             raise ReadError(
                 f"The raster has {self.terrain.grid.rows} row(s) and {self.terrain.grid.cols} column(s); a surface "

@@ -179,4 +179,4 @@ def _preview(scene: Scene) -> Scene:
     view = scene.view
     scale = min(1.0, math.sqrt(PREVIEW[0] * PREVIEW[1] / (view.width * view.height)))
     small = view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
-    return replace(scene, view=small, engine=None, wireframe=False, mesh_view=None, water=None, furniture=False)
+    return replace(scene, view=small, method="auto", wireframe=False, mesh_view=None, water=None, furniture=False)

@@ -1,32 +1,41 @@
-"""What engines share: arguments and their errors, goals, statistics, search for a budget."""
+"""What methods on right triangles share: options and their errors, goals, statistics, search for a budget."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 
 import numpy as np
 import plain
 import pytest
 
 from orograph.errors import UsageError
-from orograph.lod import ENGINES, engine_of
-from orograph.lod.engine import Engine, Mesh, by_tolerance
+from orograph.lod.method import Goal, MethodInfo
+from orograph.lod.options import option
+from orograph.lod.registry import method_of, names
+from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
 from orograph.viewpoint import View
 
+MESHES = names("triangles", "patches")
 FLAT = plain.terrain(np.zeros((9, 9), np.float32))
 VIEW = View((5e5, 4e6, 900.0), (5e5 + 100, 4e6 - 100, 0.0))
 
 
-class Powers(Engine):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PowersOptions(MeshOptions):
+    metric: str | None = option(None, "", choices=("anisotropic",))
+
+
+class Powers(RightTriangleMeshes):
     """As many triangles as a power law of the tolerance says."""
 
-    name = "powers"
-    metrics = ("anisotropic",)
+    info = MethodInfo("powers", "", "", "triangles", PowersOptions, lambda options: options.conservative)
     most = 5e6
 
-    def _refine(self, view, tolerance, triangles, seconds):
+    def _refine(self, camera, goal):
+        tolerance = goal.tolerance
         if tolerance is None:
-            return by_tolerance(self, view, triangles, seconds)
+            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
         self.asked = [*getattr(self, "asked", []), tolerance]
         count = int(min(self.most, 4 + 3000 * tolerance**-1.3)) if tolerance else int(self.most)
         self.keys = np.array([count]), np.zeros(1, np.float32)  # its own, used again
@@ -35,7 +44,7 @@ class Powers(Engine):
 
 @pytest.mark.parametrize("budget", [20, 999, 30_000, 2_000_000])
 def test_search_ends_close_below_the_budget(budget):
-    engine = Powers(FLAT)
+    engine = plain.refiner(Powers, FLAT)
     mesh, _ = engine.mesh(VIEW, triangles=budget)
     assert 0.98 * budget < mesh.triangles <= budget or budget == 20
     assert mesh.triangles <= budget and mesh.keys[0] == mesh.triangles
@@ -44,8 +53,8 @@ def test_search_ends_close_below_the_budget(budget):
 
 
 def test_search_ends_where_no_tolerance_reaches_the_budget():
-    engine = Powers(FLAT)
-    engine.most = 1000
+    engine = plain.refiner(Powers, FLAT)
+    engine.method.most = 1000
     mesh, _ = engine.mesh(VIEW, triangles=5000)
     assert mesh.triangles == 1000 and len(engine.asked) < 30
     mesh, _ = engine.mesh(VIEW, triangles=3)
@@ -53,7 +62,7 @@ def test_search_ends_where_no_tolerance_reaches_the_budget():
 
 
 def test_time_is_spent_on_halving_the_tolerance():
-    engine = Powers(FLAT)
+    engine = plain.refiner(Powers, FLAT)
     mesh, _ = engine.mesh(VIEW, seconds=5.0)
     assert mesh.tolerance == 1 / 64 and engine.asked == [1024 / 2**k for k in range(17)]
 
@@ -62,12 +71,14 @@ def test_time_is_spent_on_halving_the_tolerance():
     ("options", "message"),
     [
         ({"error": "hausdorff"}, "no error"),
-        ({"metric": "isotropic"}, "cannot use"),
+        ({"metric": "isotropic"}, "no metric"),
         ({"metric": "nearest"}, "no metric"),
         ({"exaggeration": 0.0}, "exaggeration"),
         ({"exaggeration": float("nan")}, "exaggeration"),
         ({"color_tolerance": 2.0}, "needs colours"),
         ({"color_tolerance": -1.0}, "ΔE"),
+        ({"metric": "localised", "error": "midpoint"}, "no metric"),
+        ({"colour": 1}, "no option 'colour'; it has error, metric"),
         ({"exaggeration": "2"}, "exaggeration"),
         ({"color_tolerance": "2"}, "ΔE"),
         ({"jobs": -3}, "from 1, not -3"),
@@ -77,7 +88,7 @@ def test_time_is_spent_on_halving_the_tolerance():
 )
 def test_options_that_make_no_sense(options, message):
     with pytest.raises(UsageError, match=message):
-        Powers(FLAT, **options)
+        plain.refiner(Powers, FLAT, **options).refine(VIEW)
 
 
 @pytest.mark.parametrize(
@@ -99,11 +110,11 @@ def test_options_that_make_no_sense(options, message):
 )
 def test_goals_that_make_no_sense(goal, message):
     with pytest.raises(UsageError, match=message):
-        Powers(FLAT).mesh(VIEW, **goal)
+        plain.refiner(Powers, FLAT).mesh(VIEW, **goal)
 
 
 def test_numbers_may_be_numpys():
-    engine = Powers(FLAT, jobs=np.int64(2), exaggeration=np.float32(2))
+    engine = plain.refiner(Powers, FLAT, jobs=np.int64(2), exaggeration=np.float32(2))
     assert engine.jobs == 2
     assert engine.mesh(VIEW, triangles=np.int32(999))[0].triangles <= 999
     assert engine.mesh(VIEW, tolerance=np.float32(1))[0].triangles == 3004
@@ -111,31 +122,31 @@ def test_numbers_may_be_numpys():
 
 def fewest(name):
     """Triangles and vertices of the coarsest mesh of the plain: two triangles, or two patches of 8 segments a leg."""
-    return (128, 81) if name == "batched" else (2, 4)
+    return (128, 81) if name == "triangle-patches" else (2, 4)
 
 
 def test_a_budget_that_cannot_be_kept_is_recorded():
     plain_, rough = FLAT, plain.terrain(np.where(np.arange(81).reshape(9, 9) == 40, np.nan, 0).astype(np.float32))
-    for name in ENGINES:
-        assert engine_of(name)(plain_).refine(VIEW, triangles=fewest(name)[0]).stats["within_budget"] is True
-        assert "within_budget" not in engine_of(name)(plain_).refine(VIEW, tolerance=1).stats
-        stats = engine_of(name)(rough, cull=False).refine(VIEW, triangles=5).stats
+    for name in MESHES:
+        assert plain.refiner(name, plain_).refine(VIEW, triangles=fewest(name)[0]).stats["within_budget"] is True
+        assert "within_budget" not in plain.refiner(name, plain_).refine(VIEW, tolerance=1).stats
+        stats = plain.refiner(name, rough, cull=False).refine(VIEW, triangles=5).stats
         assert stats["triangles"] > 5 and stats["within_budget"] is False and not stats["conservative"]
 
 
 def test_only_bounds_are_a_promise():
-    assert Powers(FLAT).conservative and Powers(FLAT, error="wedgie").conservative
-    assert not Powers(FLAT, error="midpoint").conservative
-    assert not engine_of("soar")(FLAT, metric="isotropic-published").conservative
-    with pytest.raises(UsageError, match="no engine"):
-        engine_of("progressive")
+    assert plain.refiner(Powers, FLAT).conservative and plain.refiner(Powers, FLAT, error="wedgie").conservative
+    assert not plain.refiner(Powers, FLAT, error="midpoint").conservative
+    assert not plain.refiner("soar", FLAT, metric="isotropic-published").conservative
+    with pytest.raises(UsageError, match="no method"):
+        method_of("progressive")
 
 
-@pytest.mark.parametrize("name", ENGINES)
-def test_engines_say_the_same_of_a_plain(name):
-    t = engine_of(name)(FLAT).refine(VIEW, tolerance=0.5)
+@pytest.mark.parametrize("name", MESHES)
+def test_methods_say_the_same_of_a_plain(name):
+    t = plain.refiner(name, FLAT).refine(VIEW, tolerance=0.5)
     triangles, vertices = fewest(name)
     assert len(t.triangles) == triangles and len(t.vertices) == vertices
-    wanted = {"engine": name, "error": "exact", "tolerance": 0.5, "conservative": True, "triangles": triangles}
+    wanted = {"method": name, "error": "exact", "tolerance": 0.5, "conservative": True, "triangles": triangles}
     assert wanted.items() <= t.stats.items()
     json.dumps(t.stats, allow_nan=False)
