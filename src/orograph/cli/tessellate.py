@@ -134,9 +134,9 @@ def command(
             click.echo(str(report))
     if report is not None:
         promised = selection.bound
-        if report.defects and promised is None and goal.tolerance is None:
-            progress.warn("The mesh is not sound (see the report): nothing is promised for this budget.")
-        elif report.defects or (promised is not None and not report.ok(promised)):
+        if report.defects and promised is None:
+            progress.warn("The mesh is not sound (see the report), and nothing was promised.")
+        elif promised is not None and not report.ok(promised):
             raise OrographError(
                 "The mesh is not sound (see the report)." if report.defects else
                 f"The mesh is off by {report.largest:.4g} pixels, and {choice} promised {promised:g}.",
