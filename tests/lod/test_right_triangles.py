@@ -150,3 +150,34 @@ def test_methods_say_the_same_of_a_plain(name):
     wanted = {"method": name, "error": "exact", "tolerance": 0.5, "conservative": True, "triangles": triangles}
     assert wanted.items() <= t.stats.items()
     json.dumps(t.stats, allow_nan=False)
+
+
+def test_what_a_store_lacks_is_made_and_said(tmp_path):
+    from orograph.dem.raster import Dem
+    from orograph.lod.method import Resources
+    from orograph.lod.registry import chosen
+    from orograph.progress import Progress
+    from orograph.store.build import build
+    from orograph.viewpoint import Camera
+
+    class Heard(Progress):
+        def __init__(self):
+            self.notes = []
+
+        def note(self, text):
+            self.notes.append(text)
+
+    t = plain.terrain(plain.rough(np.random.default_rng(3), (40, 61)))
+    view, heard = plain.random_view(np.random.default_rng(4), t), Heard()
+    with build(Dem(t.heights, t.grid), tmp_path / "t.oro", errors=()) as store:
+        for text in ("soar", "soar,error=wedgie", "triangle-patches,legs=4", "soar"):
+            camera, goal = Camera.over(t.grid, view), Goal(1.0)
+            found = chosen(text).make(store, Resources(progress=heard)).select(camera, goal).tessellation()
+            wanted = chosen(text).make(t).select(camera, goal).tessellation()
+            assert np.array_equal(found.vertices, wanted.vertices)
+        assert [note.split(":")[0] for note in heard.notes] == [
+            "the store has no exact errors", "the store has no wedgie errors",
+            "the store has no errors of such patches",
+        ]  # fmt: skip
+        with pytest.raises(UsageError, match="no midpoint errors, and to make them in memory"):
+            chosen("soar,error=midpoint").make(store, Resources(max_memory=1000))

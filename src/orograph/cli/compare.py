@@ -27,6 +27,7 @@ from orograph.cli.refining import (
     REFINE,
     check_colors,
     choice_of,
+    error_kinds,
     goal_of,
     goal_options,
     make_method,
@@ -141,7 +142,9 @@ def command(
         picture_format(Path(picture))
     for file in filter(None, (json_file, picture)):
         check_folder(Path(file))
-    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    terrain = prepare(
+        list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=error_kinds(choices), **source
+    )
     check_surface(terrain)
     views = _views(terrain, views_path, flight_path, size, options["exaggeration"])
 

@@ -17,6 +17,7 @@ from orograph.errors import UsageError
 from orograph.lod.registry import METHODS
 
 if TYPE_CHECKING:
+    from orograph.error import ErrorKind
     from orograph.lod.method import Goal, Method
     from orograph.lod.registry import Backend, Choice
     from orograph.progress import Progress
@@ -105,6 +106,13 @@ def choice_of(text: str, conservative: bool, backend: Backend = "cpu") -> Choice
             remedy=f"See orograph methods {choice.info.name}.",
         )
     return choice
+
+
+def error_kinds(choices: Sequence[Choice]) -> tuple[ErrorKind, ...]:
+    """The kinds of errors of diamonds that methods need, for ``scene.prepare``."""
+    from orograph.lod.needs import kinds_of
+
+    return kinds_of(need for choice in choices for need in choice.method.needs(choice.options))
 
 
 def not_enough(budget: int, method: str, made: int) -> str:

@@ -65,7 +65,7 @@ def command(
     began = time.perf_counter()
     progress = progress_of(ctx)
     check_camera(options)
-    check_scene(options, progress)
+    errors = check_scene(options, progress)
     check_outputs(
         {"--output": output, "--depth": depth, "--save-view": save_view},
         {"the input": paths, "a layer of --drape": layer_files(options), "the camera of --view": [options["view_path"]],
@@ -105,7 +105,7 @@ def command(
 
     if options["size"] is not None:
         by_bands(options["size"])
-    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
     view = camera_view(terrain, options)
     large = by_bands((view.width, view.height))
     scene = scene_of(terrain, view, options, max_memory, jobs)

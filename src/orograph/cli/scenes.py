@@ -16,10 +16,11 @@ from orograph.cli.layers import layers_of_options, layers_option
 from orograph.cli.lights import check_lights, light_options, lights_of
 from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
 from orograph.cli.options import FILE, F, ParamType, grid_options
-from orograph.cli.refining import choice_of, method_option
+from orograph.cli.refining import choice_of, error_kinds, method_option
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
+    from orograph.error import ErrorKind
     from orograph.progress import Progress
     from orograph.scene.scene import Scene
     from orograph.store.terrain import Terrain
@@ -136,8 +137,11 @@ def scene_options(function: F) -> F:
     return function
 
 
-def check_scene(options: Mapping[str, Any], progress: Progress) -> None:
-    """Raise UsageError where what is said of a scene contradicts itself; warn of what has no effect."""
+def check_scene(options: Mapping[str, Any], progress: Progress) -> tuple[ErrorKind, ...]:
+    """Raise UsageError where what is said of a scene contradicts itself; warn of what has no effect.
+
+    Returns: the kinds of errors of diamonds that its method needs, for ``scene.prepare``.
+    """
     from orograph.errors import UsageError
     from orograph.geovis.color import color_table
 
@@ -160,6 +164,7 @@ def check_scene(options: Mapping[str, Any], progress: Progress) -> None:
     check_lights(options)
     if options["title"] is not None and not options["furniture"]:
         progress.warn("--title is drawn with --furniture only.")
+    return () if choice is None else error_kinds([choice])
 
 
 def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memory: int, jobs: int | None) -> Scene:

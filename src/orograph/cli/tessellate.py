@@ -25,6 +25,7 @@ from orograph.cli.refining import (
     REFINE,
     check_colors,
     choice_of,
+    error_kinds,
     goal_of,
     goal_options,
     make_method,
@@ -98,7 +99,9 @@ def command(
     mesh_format(output)
     check_folder(Path(output))
     check_exaggeration(options["exaggeration"])
-    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    terrain = prepare(
+        list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=error_kinds([choice]), **source
+    )
     view = camera_view(terrain, options)
     with progress.task("Errors of the terrain"):
         selects = make_method(choice, terrain, options, max_memory, jobs, progress)

@@ -12,7 +12,7 @@ from orograph.cli.layers import layers_of_options, layers_option
 from orograph.cli.lights import check_lights, light_options, lights_of
 from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
 from orograph.cli.options import Bytes, F, grid_options, jobs_option, progress_of, source_options, vertical_options
-from orograph.cli.refining import choice_of, method_option
+from orograph.cli.refining import choice_of, error_kinds, method_option
 from orograph.cli.scenes import Water
 from orograph.cli.suns import sun_option
 
@@ -113,7 +113,7 @@ def command(
 
     # What is wrong with the command line is said before any work is done.
     warm.device()
-    choice_of(options["method"], options["conservative"], "gpu")
+    choice = choice_of(options["method"], options["conservative"], "gpu")
     mesh_choice(options["method"], "gpu")
     check_exaggeration(options["exaggeration"])
     color_table(options["colormap"])
@@ -133,7 +133,9 @@ def command(
     size = options["size"] or WINDOW
     if len(paths) > 1 or not is_store(paths[0]):
         settle()  # what is built may take long, and is held to a budget of memory
-    terrain = prepare(list(paths), max_memory=memory, jobs=jobs, progress=progress, **source)
+    terrain = prepare(
+        list(paths), max_memory=memory, jobs=jobs, progress=progress, errors=error_kinds([choice]), **source
+    )
     more["lamps"], more["discs"] = lights_of(terrain, options)
     with progress.task("Looking at the terrain"):
         session = Session(
