@@ -102,7 +102,7 @@ def triangles(data: Path, count: int) -> None:
                 for view in views:
                     mesh = method.select(Camera.over(terrain.grid, view), Goal(tolerance)).tessellation()
                     made.append(len(mesh.triangles))
-                    if label in ("batched", "morphing"):
+                    if label in ("settled", "morphing"):
                         worst = max(worst, verify.judge(mesh, terrain, view).largest)
                 error = f" ({worst / tolerance:.2f})" if worst else ""
                 cells.append(f"{statistics.mean(made):,.0f}{error}")

@@ -1,4 +1,4 @@
-"""Refinements without engines: whole arrays, NumPy, fronts of ``orograph.hierarchy``; and small terrains to refine.
+"""Refinements without methods: whole arrays, NumPy, fronts of ``orograph.hierarchy``; and small terrains to refine.
 
 Nothing here is shared with ``orograph.lod`` or ``orograph.error.screen``: the camera is written down from ``View``'s
 axes, criteria from their formulas, and a mesh is made by splitting fronts.

@@ -1,4 +1,4 @@
-"""Looking ahead: what is pruned is what brute force allows, closed over the diamonds; engines agree, promises hold."""
+"""Looking ahead: what is pruned is what brute force allows, closed over the diamonds; methods agree, promises hold."""
 
 from __future__ import annotations
 
@@ -100,13 +100,13 @@ def test_engines_agree_and_keep_the_tolerance(shape):
     for case in range(8):
         t = plain.terrain(plain.rough(rng, shape, amplitude=120.0, gaps=0.15 * (case % 2)))
         exaggeration = float(rng.choice([0.5, 1.0, 2.0]))
-        engines = [plain.refiner(name, t, exaggeration=exaggeration, cull=case != 5) for name in METHODS]
+        methods = [plain.refiner(name, t, exaggeration=exaggeration, cull=case != 5) for name in METHODS]
         stateless = plain.refiner("stateless", t, exaggeration=exaggeration, cull=case != 5, queue="fifo")
         plainly = plain.refiner(Soar, t, metric="anisotropic", exaggeration=exaggeration, cull=case != 5)
         for _ in range(3):
             view = plain.random_view(rng, t)
             tolerance = float(10 ** rng.uniform(-0.5, 1.3))
-            meshes = [e.refine(view, tolerance=tolerance) for e in (*engines, stateless)]
+            meshes = [e.refine(view, tolerance=tolerance) for e in (*methods, stateless)]
             first = plain.triangles_of(meshes[0])
             assert all(plain.triangles_of(m) == first for m in meshes[1:])
             assert all(m.stats["metric"] == "localised" and m.stats["conservative"] for m in meshes)
@@ -193,8 +193,8 @@ def test_colors_are_split_whatever_the_errors_say():
         return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
 
     view = plain.random_view(rng, t, fov_y=60)
-    engines = [plain.refiner(name, t, color=color, color_tolerance=1.0) for name in METHODS]
-    meshes = [plain.triangles_of(e.refine(view, tolerance=30.0)) for e in engines]
+    methods = [plain.refiner(name, t, color=color, color_tolerance=1.0) for name in METHODS]
+    meshes = [plain.triangles_of(e.refine(view, tolerance=30.0)) for e in methods]
     assert meshes[0] == meshes[1] == meshes[2]
     assert len(meshes[0]) > len(plain.refiner(Soar, t).refine(view, tolerance=30.0).triangles)
 
@@ -216,10 +216,10 @@ def test_a_view_seen_twice_is_not_searched_twice(monkeypatch):
     searches = []
     collect = ahead.collect
     monkeypatch.setattr(ahead, "collect", lambda *a: searches.append(round(a[1][TOLERANCE], 6)) or collect(*a))
-    engine, view = plain.refiner(Soar, t), plain.random_view(rng, t)
+    method, view = plain.refiner(Soar, t), plain.random_view(rng, t)
     for tolerance in (2.0, 2.0, 3.0):
-        engine.refine(view, tolerance=tolerance)
+        method.refine(view, tolerance=tolerance)
     assert sorted(set(searches)) == [2.0, 3.0]
     again = len(searches)
-    engine.refine(view, tolerance=3.0)
+    method.refine(view, tolerance=3.0)
     assert len(searches) == again

@@ -1,4 +1,4 @@
-"""The oracle against brute force over all diamonds, and as what conservative engines cannot beat by much."""
+"""The oracle against brute force over all diamonds, and as what conservative methods cannot beat by much."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_engines_are_no_coarser_and_not_much_finer(shared_data):
     for _ in range(6):
         view = plain.random_view(rng, t, width=960, height=600)
         fewest, fewest_prisms = (len(oracle(t, view, 1.0, prisms=prisms).triangles) for prisms in (False, True))
-        spheres, exact = (len(engine.refine(view, tolerance=1.0).triangles) for engine in (soar, top_down))
+        spheres, exact = (len(method.refine(view, tolerance=1.0).triangles) for method in (soar, top_down))
         assert fewest <= spheres
         # Forced splits do not look below accurate triangles, the closure does.
         assert exact <= fewest_prisms

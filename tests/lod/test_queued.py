@@ -19,11 +19,11 @@ def test_budgets_with_holes_and_culling_keep_the_mesh_conforming(make):
     rng = np.random.default_rng(8)
     t = plain.terrain(plain.rough(rng, (33, 29), gaps=0.1))
     view = plain.random_view(rng, t)
-    engine = plain.refiner(make, t)
-    least = len(engine.refine(view, triangles=2).triangles)
+    method = plain.refiner(make, t)
+    least = len(method.refine(view, triangles=2).triangles)
     assert 50 < least < 550
     for budget in range(2, 600, 7):
-        found = engine.refine(view, triangles=budget)
+        found = method.refine(view, triangles=budget)
         report = verify.judge(found, t, view)
         assert not report.defects
         assert len(found.triangles) <= max(budget, least)
@@ -39,13 +39,13 @@ def test_no_budget_stops_before_all_edges_of_missing_ground(shared_data, make):
         z = file.read(1)[300:700, 300:700].astype(np.float32)
         t = plain.terrain(np.where(z == file.nodata, np.nan, z), cell=90)
     rng = np.random.default_rng(15)
-    engine = plain.refiner(make, t, cull=False)
+    method = plain.refiner(make, t, cull=False)
     for view in (plain.random_view(rng, t), plain.random_view(rng, t, projection="plan")):
         for goal in ({"triangles": 1000}, {"seconds": 1e-6}):
-            found = engine.refine(view, **goal)
+            found = method.refine(view, **goal)
             assert not verify.judge(found, t, view).defects
             assert len(found.triangles) > 1000
-        assert engine.refine(view, triangles=1000).stats["within_budget"] is False
+        assert method.refine(view, triangles=1000).stats["within_budget"] is False
 
 
 @METHODS
@@ -85,9 +85,9 @@ def test_promise_on_mountains(shared_data, make):
         t = plain.terrain(file.read(1)[:500, :700].astype(np.float32))
     rng = np.random.default_rng(13)
     for metric in {Stateless: ("anisotropic", "isotropic"), TopDown: ("wedgie", "localised")}[make]:
-        engine = plain.refiner(make, t, metric=metric)
+        method = plain.refiner(make, t, metric=metric)
         for _ in range(8):
             view = plain.random_view(rng, t)
             for tolerance in (0.5, 2.0, 8.0):
-                report = verify.judge(engine.refine(view, tolerance=tolerance), t, view)
+                report = verify.judge(method.refine(view, tolerance=tolerance), t, view)
                 assert report.ok(tolerance), report

@@ -44,27 +44,27 @@ class Powers(RightTriangleMeshes):
 
 @pytest.mark.parametrize("budget", [20, 999, 30_000, 2_000_000])
 def test_search_ends_close_below_the_budget(budget):
-    engine = plain.refiner(Powers, FLAT)
-    mesh, _ = engine.mesh(VIEW, triangles=budget)
+    method = plain.refiner(Powers, FLAT)
+    mesh, _ = method.mesh(VIEW, triangles=budget)
     assert 0.98 * budget < mesh.triangles <= budget or budget == 20
     assert mesh.triangles <= budget and mesh.keys[0] == mesh.triangles
-    assert len(engine.asked) < 12
+    assert len(method.asked) < 12
     assert mesh.triangles == int(4 + 3000 * mesh.tolerance**-1.3)
 
 
 def test_search_ends_where_no_tolerance_reaches_the_budget():
-    engine = plain.refiner(Powers, FLAT)
-    engine.method.most = 1000
-    mesh, _ = engine.mesh(VIEW, triangles=5000)
-    assert mesh.triangles == 1000 and len(engine.asked) < 30
-    mesh, _ = engine.mesh(VIEW, triangles=3)
+    method = plain.refiner(Powers, FLAT)
+    method.method.most = 1000
+    mesh, _ = method.mesh(VIEW, triangles=5000)
+    assert mesh.triangles == 1000 and len(method.asked) < 30
+    mesh, _ = method.mesh(VIEW, triangles=3)
     assert mesh.triangles > 3 and not mesh.within
 
 
 def test_time_is_spent_on_halving_the_tolerance():
-    engine = plain.refiner(Powers, FLAT)
-    mesh, _ = engine.mesh(VIEW, seconds=5.0)
-    assert mesh.tolerance == 1 / 64 and engine.asked == [1024 / 2**k for k in range(17)]
+    method = plain.refiner(Powers, FLAT)
+    mesh, _ = method.mesh(VIEW, seconds=5.0)
+    assert mesh.tolerance == 1 / 64 and method.asked == [1024 / 2**k for k in range(17)]
 
 
 @pytest.mark.parametrize(
@@ -114,10 +114,10 @@ def test_goals_that_make_no_sense(goal, message):
 
 
 def test_numbers_may_be_numpys():
-    engine = plain.refiner(Powers, FLAT, jobs=np.int64(2), exaggeration=np.float32(2))
-    assert engine.jobs == 2
-    assert engine.mesh(VIEW, triangles=np.int32(999))[0].triangles <= 999
-    assert engine.mesh(VIEW, tolerance=np.float32(1))[0].triangles == 3004
+    method = plain.refiner(Powers, FLAT, jobs=np.int64(2), exaggeration=np.float32(2))
+    assert method.jobs == 2
+    assert method.mesh(VIEW, triangles=np.int32(999))[0].triangles <= 999
+    assert method.mesh(VIEW, tolerance=np.float32(1))[0].triangles == 3004
 
 
 def fewest(name):

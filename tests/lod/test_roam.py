@@ -105,8 +105,8 @@ def flight(rng: np.random.Generator, t: MemoryTerrain, frames: int, **options):
         ahead = np.array([*(turn @ ahead[:2]), ahead[2] * (1 + rng.normal() * 0.02)])
 
 
-def keys_of(engine: Roam, view: View, **goal) -> set:
-    m, _ = engine.mesh(view, **goal)
+def keys_of(made: Roam, view: View, **goal) -> set:
+    m, _ = made.mesh(view, **goal)
     keys = np.stack([m.keys[:-2], m.keys[1:-1], m.keys[2:]], 1) if m.is_strip else m.keys
     keys = np.sort(keys, 1)
     keys = keys[(keys[:, 0] != keys[:, 1]) & (keys[:, 1] != keys[:, 2])]
@@ -467,10 +467,10 @@ def test_another_grid_of_the_same_ground_moves_nothing():
 def test_strips_kept_strips_rebuilt_and_lists_hold_the_same_triangles():
     rng = np.random.default_rng(14)
     t = plain.terrain(plain.rough(rng, (129, 100), gaps=0.05))
-    engines = [plain.refiner(Roam, t, strips=kind) for kind in ("kept", "rebuilt", None)]
+    both = [plain.refiner(Roam, t, strips=kind) for kind in ("kept", "rebuilt", None)]
     for _ in range(3):
         for view in flight(rng, t, 8):
-            kept, rebuilt, listed = (keys_of(e, view, tolerance=1.0) for e in engines)
+            kept, rebuilt, listed = (keys_of(e, view, tolerance=1.0) for e in both)
             assert kept == rebuilt == listed
-    m = engines[0].mesh(view, tolerance=1.0)[0]
+    m = both[0].mesh(view, tolerance=1.0)[0]
     assert m.is_strip and len(m.keys) < 4.5 * m.triangles + 500

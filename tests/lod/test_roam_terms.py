@@ -67,9 +67,9 @@ def test_lines_of_sight_on_the_mesh_are_those_on_the_surface(shape):
         ends = rng.uniform(0, 1, (2, 2)) * (shape[1] - 1, shape[0] - 1)
         heights = surface(z, ends[:, 0], ends[:, 1]) + rng.choice([1.0, 5.0, 15.0])
         lines.append(tuple((float(c), float(r), float(h)) for (c, r), h in zip(ends, heights)))
-    engine = plain.refiner(Roam, t, line_of_sight=lines, cull=False)
+    method = plain.refiner(Roam, t, line_of_sight=lines, cull=False)
     coarse = plain.refiner(Roam, t, cull=False).refine(far_view(t), tolerance=50)
-    found = engine.refine(far_view(t), tolerance=50)
+    found = method.refine(far_view(t), tolerance=50)
     assert 2 <= len(coarse.triangles) < len(found.triangles) < 2 * (shape[0] - 1) * (shape[1] - 1)
     assert not verify.judge(found, t, far_view(t)).defects
     seen, wrong = [], 0
@@ -137,8 +137,8 @@ def ridge() -> tuple:
 def test_what_is_turned_away_or_hidden_gets_coarser_and_the_rest_stays(term):
     t, view = ridge()
     usual = plain.refiner(Roam, t, cull=False).refine(view, tolerance=0.1)
-    engine = plain.refiner(Roam, t, cull=False, **{term: 0.0})
-    found = engine.refine(view, tolerance=0.1)
+    method = plain.refiner(Roam, t, cull=False, **{term: 0.0})
+    found = method.refine(view, tolerance=0.1)
     assert not verify.judge(found, t, view).defects and not found.stats["conservative"]
 
     def beyond(m):

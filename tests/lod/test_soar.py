@@ -201,11 +201,11 @@ def test_the_bound_without_a_root_decides_as_the_bound():
 def test_a_cold_start_takes_two_rounds_per_level_of_pages_at_most():
     rng = np.random.default_rng(3)
     t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=1000.0))
-    engine = plain.refiner(Soar, t)
+    method = plain.refiner(Soar, t)
     view = around(t, 1.0, 9e3, 3000.0)
-    first = engine.refine(view, tolerance=0.5)
+    first = method.refine(view, tolerance=0.5)
     assert 1 < first.stats["rounds"] <= 2 * t.levels + 1  # a diamond and its child of the same level, in two pages
-    assert engine.refine(view, tolerance=0.5).stats["rounds"] == 1
+    assert method.refine(view, tolerance=0.5).stats["rounds"] == 1
 
 
 class Quantised(MemoryTerrain):
@@ -237,24 +237,24 @@ def test_a_store_gives_the_mesh_of_its_quantised_errors(tmp_path, large):
 
 
 def test_budgets_of_triangles(large):
-    engine = plain.refiner(Soar, large)
+    method = plain.refiner(Soar, large)
     view = around(large, 1.0, 9e3, 2500.0)
     for budget in (3000, 20_000, 60_000):
-        found = engine.refine(view, triangles=budget)
+        found = method.refine(view, triangles=budget)
         assert len(found.triangles) <= budget
         report = verify.judge(found, large, view)
         assert not report.defects
         assert found.stats["conservative"] and report.ok(found.stats["tolerance"])
         assert len(found.triangles) > 0.9 * budget
-    over = engine.refine(view, triangles=2)  # holes are kept, at any price
+    over = method.refine(view, triangles=2)  # holes are kept, at any price
     assert len(over.triangles) > 2 and not over.stats["conservative"]
 
 
 def test_budget_of_time_ends_in_a_kept_tolerance(large):
     view = around(large, 1.0, 9e3, 2500.0)
-    engine = plain.refiner(Soar, large)
-    engine.refine(view, tolerance=0.2)  # compiled, pages read
-    quick, slow = engine.refine(view, seconds=0.004), engine.refine(view, seconds=0.3)
+    method = plain.refiner(Soar, large)
+    method.refine(view, tolerance=0.2)  # compiled, pages read
+    quick, slow = method.refine(view, seconds=0.004), method.refine(view, seconds=0.3)
     assert len(quick.triangles) <= len(slow.triangles)
     assert verify.judge(slow, large, view).ok(slow.stats["tolerance"])
 
@@ -281,8 +281,8 @@ def test_colors_split_what_is_large_enough_to_be_seen():
         at, r = camera.to_camera(p.at), np.abs(p.r)
         seen = r * camera.focal > at[..., 2] - r
         for gamma in (0.5, 5.0, 10.0):
-            engine = plain.refiner(Soar, t, metric="anisotropic", color=color, color_tolerance=gamma, jobs=1)
-            found = engine.refine(view, tolerance=4.0)
+            method = plain.refiner(Soar, t, metric="anisotropic", color=color, color_tolerance=gamma, jobs=1)
+            found = method.refine(view, tolerance=4.0)
             assert plain.triangles_of(found) == expected(p, camera, 4.0, more=(table > gamma) & seen)
             assert verify.judge(found, t, view).ok(4.0)
 
@@ -313,11 +313,11 @@ def test_a_morphed_surface_is_the_mean_of_the_meshes_of_all_tolerances():
     for view in (around(t, 1.0, 900.0, 400.0, near=1.0), around(t, 4.0, 1800.0, 900.0)):
         tau, steps = 4.0, 40
         morphed = plain.refiner(Soar, t, geomorph=True, cull=False, jobs=1).refine(view, tolerance=tau)
-        engine, mean = plain.refiner(Soar, t, metric="anisotropic", cull=False, jobs=1), np.zeros(t.grid.shape)
+        method, mean = plain.refiner(Soar, t, metric="anisotropic", cull=False, jobs=1), np.zeros(t.grid.shape)
         for k in range(steps):
-            mean += surface(engine.refine(view, tolerance=tau * (0.5 + (k + 0.5) / (2 * steps))), t.grid.shape) / steps
+            mean += surface(method.refine(view, tolerance=tau * (0.5 + (k + 0.5) / (2 * steps))), t.grid.shape) / steps
         difference = np.abs(surface(morphed, t.grid.shape) - mean).max()
-        unmorphed = np.abs(surface(engine.refine(view, tolerance=tau / 2), t.grid.shape) - mean).max()
+        unmorphed = np.abs(surface(method.refine(view, tolerance=tau / 2), t.grid.shape) - mean).max()
         assert difference < 0.05 * unmorphed
 
 
@@ -345,8 +345,8 @@ def test_vertices_do_not_jump_along_a_flight():
     before: dict = {}
     for step in range(40):
         view = around(t, 1.0, 1600.0 - 1.0 * step, 500.0)
-        for name, engine in (("morphing", morphing), ("plainly", plainly)):
-            now = surface(engine.refine(view, tolerance=4.0), t.grid.shape)
+        for name, method in (("morphing", morphing), ("plainly", plainly)):
+            now = surface(method.refine(view, tolerance=4.0), t.grid.shape)
             if step:
                 jumps[name] = max(jumps[name], float(np.abs(now - before[name]).max()))
             before[name] = now
@@ -374,12 +374,12 @@ def test_the_referee_finds_the_promise_kept(shared_data, name):
         z[~(file.read_masks(1, window=((0, z.shape[0]), (0, z.shape[1]))) > 0)] = np.nan
     t = plain.terrain(z)
     rng = np.random.default_rng(2)
-    engines = [plain.refiner(Soar, t, metric=metric) for metric in ("anisotropic", "isotropic")]
+    methods = [plain.refiner(Soar, t, metric=metric) for metric in ("anisotropic", "isotropic")]
     for k in range(12):
         view = plain.random_view(rng, t)
         if k == 0:
             view = replace(view, target=(view.eye[0], view.eye[1], 0.0))  # straight down
         tolerance = float(rng.choice([0.5, 1, 2, 8]))
-        for engine in engines:
-            report = verify.judge(engine.refine(view, tolerance=tolerance), t, view)
-            assert report.ok(tolerance), f"{engine.metric.name}, {view}: {report}"
+        for method in methods:
+            report = verify.judge(method.refine(view, tolerance=tolerance), t, view)
+            assert report.ok(tolerance), f"{method.metric.name}, {view}: {report}"

@@ -30,10 +30,10 @@ def test_mesh_is_the_closure_of_the_criterion(shape, gaps):
         for cull in (True, False):
             front, drawn = p.sphere_mesh(camera, tolerance, cull)
             queue = "fifo" if case % 2 else "priority"
-            engine = plain.refiner(
+            method = plain.refiner(
                 Stateless, t, metric="anisotropic", cull=cull, queue=queue, exaggeration=exaggeration
             )
-            found = engine.refine(view, tolerance=tolerance)
+            found = method.refine(view, tolerance=tolerance)
             assert plain.triangles_of(found) == p.triangle_set(front, drawn)
             if t.n > 0:
                 soar = plain.refiner(Soar, t, metric="anisotropic", cull=cull, exaggeration=exaggeration, jobs=1)
@@ -45,10 +45,10 @@ def test_every_budget_is_kept_by_a_valid_mesh(shape):
     rng = np.random.default_rng(shape)
     t = plain.terrain(plain.rough(rng, shape))
     for view in (plain.random_view(rng, t), plain.random_view(rng, t)):
-        engine = plain.refiner(Stateless, t, cull=False)
+        method = plain.refiner(Stateless, t, cull=False)
         last = 0
         for budget in range(2, 2 * (shape[0] - 1) * (shape[1] - 1) + 1):
-            found = engine.refine(view, triangles=budget)
+            found = method.refine(view, triangles=budget)
             report = verify.judge(found, t, view)
             assert not report.defects
             assert last <= len(found.triangles) <= budget
@@ -66,10 +66,10 @@ def test_ties_are_closed_at_every_budget():
     t = plain.terrain(np.where((x + y) % 2 == 0, 10.0, 0.0).astype(np.float32), cell=1.0)
     cx, cy = t.grid.xy(8, 8)
     view = plain.View((cx, cy, 400.0), (cx, cy, 0.0), fov_y=20.0, width=100, height=100)
-    engine = plain.refiner(Stateless, t, cull=False)
+    method = plain.refiner(Stateless, t, cull=False)
     counts = set()
     for budget in range(2, 2 * 16 * 16 + 1):
-        found = engine.refine(view, triangles=budget)
+        found = method.refine(view, triangles=budget)
         report = verify.judge(found, t, view)
         assert not report.defects, budget
         counts.add(len(found.triangles))
@@ -80,11 +80,11 @@ def test_time_is_kept_and_the_mesh_is_closed():
     rng = np.random.default_rng(10)
     t = plain.terrain(plain.rough(rng, (513, 513), amplitude=400))
     view = plain.random_view(rng, t, fov_y=60.0)
-    engine = plain.refiner(Stateless, t, cull=False)
-    engine.refine(view, tolerance=0.05)
+    method = plain.refiner(Stateless, t, cull=False)
+    method.refine(view, tolerance=0.05)
     counts = []
     for seconds in (0.0005, 0.002, 0.004, 0.008, 0.016):
-        found = engine.refine(view, seconds=seconds)
+        found = method.refine(view, seconds=seconds)
         counts.append(len(found.triangles))
         assert not verify.judge(found, t, view).defects
         assert found.stats["refine_ms"] < 1e3 * seconds + 60

@@ -53,14 +53,14 @@ def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
         exaggeration, tolerance = float(rng.choice([1.0, 2.0])), float(10 ** rng.uniform(-0.5, 1.5))
         for cull in (True, False):
             options = {"cull": cull, "exaggeration": exaggeration}
-            engine, other = (
+            method, other = (
                 plain.refiner(ThresholdSpheres, t, metric=metric, **options) for metric in ("isotropic", "anisotropic")
             )
             for _ in range(4):  # jumps: everything may change
                 view = plain.random_view(rng, t, fov_y=40.0)
                 camera = plain.Camera(view, exaggeration)
                 front, drawn = plain_mesh(p, camera, tolerance, cull)
-                found = engine.refine(view, tolerance=tolerance)
+                found = method.refine(view, tolerance=tolerance)
                 assert plain.triangles_of(found) == p.triangle_set(front, drawn)
                 front, drawn = p.sphere_mesh(camera, tolerance, cull)
                 found = other.refine(view, tolerance=tolerance)
@@ -86,9 +86,9 @@ def flight(rng, t, frames, step):
 def test_random_flights_equal_fresh_starts(metric, seed, gaps, step, cull):
     rng = np.random.default_rng(seed)
     t = plain.terrain(plain.rough(rng, (129, 100), amplitude=300, gaps=gaps))
-    engine = plain.refiner(ThresholdSpheres, t, metric=metric, cull=cull)
+    method = plain.refiner(ThresholdSpheres, t, metric=metric, cull=cull)
     for view in flight(rng, t, 12, step):
-        found = engine.refine(view, tolerance=2.0)
+        found = method.refine(view, tolerance=2.0)
         fresh = plain.refiner(ThresholdSpheres, t, metric=metric, cull=cull).refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == plain.triangles_of(fresh)
     same = plain.refiner(Soar, t, metric=metric, cull=cull).refine(view, tolerance=2.0)
@@ -168,27 +168,27 @@ def rotation(axis, angle):
 def test_a_frame_costs_what_changes():
     rng = np.random.default_rng(3)
     t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=1500))
-    engine = plain.refiner(ThresholdSpheres, t, metric="isotropic", cull=False)
+    method = plain.refiner(ThresholdSpheres, t, metric="isotropic", cull=False)
     views = list(flight(rng, t, 30, 5.0))
-    first = engine.refine(views[0], tolerance=0.5).stats
+    first = method.refine(views[0], tolerance=0.5).stats
     assert first["splits"] > 10_000
     for view in views[1:]:
-        stats = engine.refine(view, tolerance=0.5).stats
+        stats = method.refine(view, tolerance=0.5).stats
         assert stats["splits"] + stats["merges"] < 0.03 * stats["front"]
         assert stats["visits"] < 0.1 * stats["front"]
     turned = replace(views[-1], target=tuple(2 * np.array(views[-1].eye) - views[-1].target))
-    stats = engine.refine(turned, tolerance=0.5).stats
+    stats = method.refine(turned, tolerance=0.5).stats
     assert stats["visits"] == stats["splits"] == stats["merges"] == 0
     # Where the axis matters, turning is work, but a camera at rest is none.
-    engine = plain.refiner(ThresholdSpheres, t)
-    engine.refine(views[0], tolerance=0.5)
-    at_rest = engine.refine(views[0], tolerance=0.5).stats
+    method = plain.refiner(ThresholdSpheres, t)
+    method.refine(views[0], tolerance=0.5)
+    at_rest = method.refine(views[0], tolerance=0.5).stats
     assert at_rest["visits"] == at_rest["splits"] == at_rest["merges"] == 0
     eye, target = np.array(views[0].eye), np.array(views[0].target)
     for number in range(1, 20):
         away = eye + rotation(np.array([0.0, 0.0, 1.0]), np.radians(0.02 * number)) @ (target - eye)
         view = replace(views[0], eye=tuple(eye + number * (target - eye) / 20_000), target=tuple(away))
-        stats = engine.refine(view, tolerance=0.5).stats
+        stats = method.refine(view, tolerance=0.5).stats
         assert 0 < stats["visits"] < 0.1 * stats["front"]
         assert stats["splits"] + stats["merges"] < 0.03 * stats["front"]
 
@@ -197,13 +197,13 @@ def test_spheres_nest_and_bound_away_from_the_axis(shared_data):
     with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
         t = plain.terrain(file.read(1)[:500, :700].astype(np.float32))
     rng = np.random.default_rng(13)
-    engines = {metric: plain.refiner(ThresholdSpheres, t, metric=metric) for metric in ("anisotropic", "isotropic")}
-    made = dict.fromkeys(engines, 0)
+    methods = {metric: plain.refiner(ThresholdSpheres, t, metric=metric) for metric in ("anisotropic", "isotropic")}
+    made = dict.fromkeys(methods, 0)
     for _ in range(8):
         view = plain.random_view(rng, t)
         for tolerance in (0.5, 2.0, 8.0):
-            for metric, engine in engines.items():
-                found = engine.refine(view, tolerance=tolerance)
+            for metric, method in methods.items():
+                found = method.refine(view, tolerance=tolerance)
                 report = verify.judge(found, t, view)
                 assert report.ok(tolerance), report
                 made[metric] += len(found.triangles)
@@ -213,9 +213,9 @@ def test_spheres_nest_and_bound_away_from_the_axis(shared_data):
 def test_a_turning_flight_keeps_the_tolerance():
     rng = np.random.default_rng(17)
     t = plain.terrain(plain.rough(rng, (257, 257), amplitude=900))
-    engine = plain.refiner(ThresholdSpheres, t)
+    method = plain.refiner(ThresholdSpheres, t)
     for number, view in enumerate(flight(rng, t, 40, 15.0)):
-        found = engine.refine(view, tolerance=1.5)
+        found = method.refine(view, tolerance=1.5)
         if number % 5 == 4:
             report = verify.judge(found, t, view)
             assert report.ok(1.5), report
@@ -244,15 +244,15 @@ def test_budgets():
     rng = np.random.default_rng(9)
     t = plain.terrain(plain.rough(rng, (129, 129)))
     view = plain.random_view(rng, t)
-    engine = plain.refiner(ThresholdSpheres, t)
+    method = plain.refiner(ThresholdSpheres, t)
     # (Whatever the tolerance, diamonds are split while the eye is inside their nested sphere.)
-    coarsest = len(engine.refine(view, tolerance=1e9).triangles)
+    coarsest = len(method.refine(view, tolerance=1e9).triangles)
     assert coarsest < 200
     for budget in (200, 500, 3000):
-        found = engine.refine(view, triangles=budget)
+        found = method.refine(view, triangles=budget)
         assert len(found.triangles) <= budget
         assert verify.judge(found, t, view).ok(found.stats["tolerance"])
-    assert not verify.judge(engine.refine(view, seconds=0.05), t, view).defects
+    assert not verify.judge(method.refine(view, seconds=0.05), t, view).defects
 
 
 def test_little_memory_gives_the_same_mesh():

@@ -32,9 +32,9 @@ def test_mesh_is_that_of_forced_splits(shape, gaps):
                 front = p.forced(camera, tolerance, cull=cull, metric=metric)
                 expected = p.triangle_set(front, p.judge(front, camera, cull, metric)[1])
                 queue = "fifo" if case % 2 else "priority"
-                engine = plain.refiner(TopDown, t, metric=metric, cull=cull, queue=queue, exaggeration=exaggeration)
-                assert plain.triangles_of(engine.refine(view, tolerance=tolerance)) == expected
-                assert engine.refine(view, tolerance=tolerance).stats["front"] == len(front)
+                method = plain.refiner(TopDown, t, metric=metric, cull=cull, queue=queue, exaggeration=exaggeration)
+                assert plain.triangles_of(method.refine(view, tolerance=tolerance)) == expected
+                assert method.refine(view, tolerance=tolerance).stats["front"] == len(front)
 
 
 def true_errors(p, camera, front, cull=True):
@@ -74,8 +74,8 @@ def test_localised_is_exact_without_a_limit_and_between_with_one():
                 front = fronts.split(front, r[bad], c[bad])
             counts = []
             for depth in (64, 4, 1, 0):
-                engine = plain.refiner(TopDown, t, metric="localised", depth=depth, near=0.0, queue="fifo")
-                found = engine.refine(view, tolerance=tolerance)
+                method = plain.refiner(TopDown, t, metric="localised", depth=depth, near=0.0, queue="fifo")
+                found = method.refine(view, tolerance=tolerance)
                 counts.append(found.stats["front"])
                 assert verify.judge(found, t, view).ok(tolerance)
                 if depth == 64:
@@ -98,10 +98,10 @@ def test_every_budget_is_kept_by_a_valid_mesh(shape, metric):
     view = plain.random_view(rng, t)
     rows, cols = shape
     everything = 2 * (rows - 1) * (cols - 1)
-    engine = plain.refiner(TopDown, t, metric=metric, cull=False)
+    method = plain.refiner(TopDown, t, metric=metric, cull=False)
     last, reached = 0, np.inf
     for budget in range(2, everything + 1):
-        found = engine.refine(view, triangles=budget)
+        found = method.refine(view, triangles=budget)
         report = verify.judge(found, t, view)
         assert not report.defects
         assert budget - 2 < len(found.triangles) <= budget or found.stats["tolerance"] == 0.0 or shape != (17, 17)
@@ -126,9 +126,9 @@ def test_time_is_kept():
     rng = np.random.default_rng(10)
     t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=800))
     view = plain.random_view(rng, t, fov_y=60.0)
-    engine = plain.refiner(TopDown, t)
-    engine.refine(view, tolerance=0.01)  # compiled, and everything in memory
-    meshes = [engine.refine(view, seconds=s) for s in (0.002, 0.02, 0.1)]
+    method = plain.refiner(TopDown, t)
+    method.refine(view, tolerance=0.01)  # compiled, and everything in memory
+    meshes = [method.refine(view, seconds=s) for s in (0.002, 0.02, 0.1)]
     counts = [len(m.triangles) for m in meshes]
     assert counts == sorted(counts) and counts[0] < counts[-1]
     for m, seconds in zip(meshes, (0.002, 0.02, 0.1)):
