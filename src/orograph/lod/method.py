@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
 from typing import Any, ClassVar, Literal
 
@@ -152,7 +152,7 @@ class Method(ABC):
 
     Args:
         terrain: what is drawn.
-        options: of ``info.options``; None: made of those ``given`` by name, the defaults for all others.
+        options: of ``info.options``; None: the defaults. ``given``: some of them by name.
         resources: memory, threads, progress.
 
     Raises:
@@ -165,7 +165,7 @@ class Method(ABC):
         self, terrain: Terrain, options: Any = None, resources: Resources | None = None, **given: Any
     ) -> None:  # fmt: skip
         self.terrain = terrain
-        self.options = make(self.info.options, given, self.info.name) if options is None else options
+        self.options = make(self.info.options, given, self.info.name) if options is None else replace(options, **given)
         self.resources = Resources() if resources is None else resources
 
     @classmethod
