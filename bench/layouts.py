@@ -22,8 +22,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.lod.method import Goal
 from orograph.lod.soar import Soar
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 from synthetic import synthetic
 
 Index = NDArray[np.int64]
@@ -72,7 +73,7 @@ def main() -> None:
     given = parser.parse_args()
     terrain = synthetic(given.size, given.seed)
     grid, heights = terrain.grid, terrain.heights
-    engine = Soar(terrain)
+    method = Soar(terrain)
     orders = {"rows": rows_of(terrain.side), "tiles": tiles_of, "hierarchical": hierarchical(terrain.levels - 1)}
     sizes = {"tiles": 256, "blocks": 16}
     touched: dict[tuple[str, str], list[int]] = {(o, s): [] for o in orders for s in sizes}
@@ -84,7 +85,7 @@ def main() -> None:
         ahead = col + 200.0, row - 100.0
         eye = (*map(float, grid.xy(col, row)), float(heights[round(row), round(col)]) + 300.0)
         view = View(eye, (*map(float, grid.xy(*ahead)), eye[2] - 800.0), fov_y=60, width=1280, height=720)
-        mesh, _ = engine.mesh(view, tolerance=given.tolerance)
+        mesh, _ = method.mesh(Camera.over(terrain.grid, view), Goal(given.tolerance))
         r, c = looked_at(mesh.keys, terrain.n)
         triangles.append(mesh.triangles)
         vertices.append(len(r))

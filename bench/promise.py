@@ -1,14 +1,14 @@
-"""The promise, measured: the largest error in pixels of every engine, and its triangles beside those of an oracle.
+"""The promise, measured: the largest error in pixels of every method, and its triangles beside those of an oracle.
 
 On each terrain 20 random views (grazing, straight down, close by, wide angle, far away), each at five tolerances. The
 referee (``orograph.verify``) looks at every full-resolution sample in view and for every defect of the mesh. The oracle
 (``orograph.lod.oracle``) is the same refinement with the largest true displacement of any sample in view in place of a
 bound; it leaves out every triangle whose own prism is out of view, which top-down and roam do, too, and the others, who
-cull by spheres, do not quite. Engines that promise nothing are measured for comparison.
+cull by spheres, do not quite. Methods that promise nothing are measured for comparison.
 
 Run: ``python bench/promise.py [--quick] [--data FOLDER] [--json OUT.json]``; FOLDER holds the open DEMs by the names in
 ``TERRAINS`` (default: ../shared/data beside the checkout); those that are absent are left out. Processes share the
-views; each keeps its engines from view to view. Engines that make the same mesh are judged together, once.
+views; each keeps its methods from view to view. Methods that make the same mesh are judged together, once.
 """
 
 from __future__ import annotations
@@ -30,14 +30,15 @@ import numpy as np
 
 from orograph import verify
 from orograph.errors import OrographError
-from orograph.lod import engine_of
 from orograph.lod.field import Field
+from orograph.lod.method import Goal, Resources
 from orograph.lod.oracle import oracles
+from orograph.lod.registry import chosen
 from orograph.parallel import cpu_count
 from orograph.store import Terrain
 from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 TERRAINS = {
     "bigtujunga": "bigtujunga-srtm30m-utm/srtm_bigtujunga30m_utm11.tif",
@@ -48,20 +49,11 @@ TERRAINS = {
 }
 TOLERANCES = (0.5, 1.0, 2.0, 4.0, 8.0)
 
-ENGINES: dict[str, tuple[str, dict[str, Any]]] = {
-    "top-down": ("top-down", {}),
-    "top-down wedgie": ("top-down", {"metric": "wedgie"}),
-    "stateless": ("stateless", {"queue": "fifo"}),
-    "soar": ("soar", {}),
-    "soar anisotropic": ("soar", {"metric": "anisotropic"}),
-    "blow": ("blow", {}),
-    "blow isotropic": ("blow", {"metric": "isotropic"}),
-    "roam": ("roam", {}),
-    "roam wedgie": ("roam", {"metric": "wedgie"}),
-    "soar midpoint": ("soar", {"error": "midpoint"}),
-    "soar isotropic-published": ("soar", {"metric": "isotropic-published"}),
-    "top-down anisotropic-published": ("top-down", {"metric": "anisotropic-published"}),
-}
+METHODS = (
+    "top-down", "top-down,metric=wedgie", "stateless,queue=fifo", "soar", "soar,metric=anisotropic",
+    "threshold-spheres", "threshold-spheres,metric=isotropic", "roam", "roam,metric=wedgie", "soar,error=midpoint",
+    "soar,metric=isotropic-published", "top-down,metric=anisotropic-published",
+)  # fmt: skip
 FEW = 200
 """Views in which the oracle has fewer triangles do not count as the worst: one triangle is half a per cent of them."""
 
@@ -120,30 +112,32 @@ def views(terrain: Terrain, count: int, seed: int) -> Iterator[tuple[str, View]]
 
 
 class Bench:
-    """A terrain with its engines, in one process."""
+    """A terrain with its methods, in one process."""
 
     def __init__(self, name: str, terrain: MemoryTerrain, labels: list[str], options: argparse.Namespace) -> None:
         self.name, self.terrain = name, terrain
         self.exact = Field(terrain, max_memory=1 << 40)
         self.views = list(views(terrain, options.views, options.seed))
-        self.engines = {}
+        self.methods = {}
         for label in labels:
-            kind, given = ENGINES[label]
-            self.engines[label] = engine_of(kind)(terrain, max_memory=1 << 33, jobs=1, **given)
-            if given.get("error", "exact") == "exact" and kind != "roam":  # (ROAM's nodes know their own pages)
-                self.engines[label].field = self.exact
+            choice = chosen(label)
+            method: Any = choice.make(terrain, Resources(1 << 33, 1))
+            self.methods[label] = method
+            if method.error == "exact" and choice.info.name != "roam":  # (ROAM's nodes know their own pages)
+                method.field = self.exact
 
     def measure(self, number: int) -> list[dict[str, Any]]:
-        """One record for each tolerance and engine."""
+        """One record for each tolerance and method."""
         kind, view = self.views[number]
         found = []
         goals = oracles(self.terrain, view, TOLERANCES, prisms=(True,), field=self.exact, jobs=1)
         for tolerance, meshes in zip(TOLERANCES, goals, strict=True):
             fewest = len(meshes[0].triangles)
             judged: dict[bytes, verify.Report] = {}
-            for label, engine in self.engines.items():
+            camera = Camera.over(self.terrain.grid, view)
+            for label, method in self.methods.items():
                 start = time.process_time()
-                mesh = engine.refine(view, tolerance=tolerance)
+                mesh = method.select(camera, Goal(tolerance)).tessellation()
                 took = time.process_time() - start
                 same = digest(mesh)
                 if same not in judged:
@@ -151,11 +145,11 @@ class Bench:
                 report = judged[same]
                 found.append(
                     {
-                        "terrain": self.name, "view": number, "kind": kind, "engine": label, "tolerance": tolerance,
-                        "conservative": engine.conservative, "triangles": len(mesh.triangles),
+                        "terrain": self.name, "view": number, "kind": kind, "method": label, "tolerance": tolerance,
+                        "conservative": method.conservative, "triangles": len(mesh.triangles),
                         "oracle": fewest, "largest": report.largest, "rms": report.rms,
                         "defects": report.defects, "ms": 1e3 * took,
-                        "kept": bool(report.ok(tolerance) or not engine.conservative),
+                        "kept": bool(report.ok(tolerance) or not method.conservative),
                     }
                 )  # fmt: skip
         return found
@@ -182,8 +176,8 @@ def tables(found: list[dict[str, Any]]) -> str:
     head = "".join(f"{f'τ = {t:g}':>9}" for t in TOLERANCES)
     for terrain, records in groups.items():
         lines += ["", terrain, f"{'':32}{head}{'all':>8}{'worst':>8}   error / τ   broken   defects"]
-        for label in ENGINES:
-            mine = [r for r in records if r["engine"] == label]
+        for label in METHODS:
+            mine = [r for r in records if r["method"] == label]
             if not mine:
                 continue
             cells = []
@@ -200,7 +194,7 @@ def tables(found: list[dict[str, Any]]) -> str:
         "",
         f"Triangles over the oracle's (worst: one view, of {FEW} triangles at least); the largest error in units of",
     ]
-    lines += ["the tolerance; meshes of conservative engines that break the promise; meshes with any defect."]
+    lines += ["the tolerance; meshes of conservative methods that break the promise; meshes with any defect."]
     return "\n".join(lines)
 
 
@@ -220,7 +214,7 @@ def records_of(task: tuple[str, int], options: argparse.Namespace) -> tuple[list
             if terrain is None:
                 print(f"{name}: not at {options.data}", file=sys.stderr)
             else:
-                _bench[name] = Bench(name, terrain, options.engine or list(ENGINES), options)
+                _bench[name] = Bench(name, terrain, options.method or list(METHODS), options)
         except OrographError as error:
             print(f"{name}: {error}", file=sys.stderr)
     bench = _bench[name]
@@ -234,7 +228,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=20, help="how many of each terrain")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--terrain", action="append", choices=list(TERRAINS), help="only these")
-    parser.add_argument("--engine", action="append", choices=list(ENGINES), help="only these")
+    parser.add_argument("--method", action="append", choices=list(METHODS), help="only these")
     parser.add_argument("--jobs", type=int, default=cpu_count(), help="processes")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()

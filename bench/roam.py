@@ -3,7 +3,7 @@
     python bench/roam.py [HEIGHTS.npy | DEM] [--cell 30] [--frames 60] [--speed 100] [--queues]
 
 The eye flies 300 m above the ground at ``--speed`` m/s, 60 frames a second, turning by some degrees a second. Times are
-of the engine (``Engine.mesh``), in milliseconds of the thread's own processor time, so that other work on the machine
+of the method (``Roam.mesh``), in milliseconds of the thread's own processor time, so that other work on the machine
 counts little; the first frames, which compile and build the mesh, are left out. Make the synthetic terrain with
 ``orograph synth --size 4097 --seed 7``.
 """
@@ -20,10 +20,11 @@ import numpy as np
 from affine import Affine
 
 from orograph.geo.grid import Grid
+from orograph.lod.method import Goal
 from orograph.lod.queues import heap_pop, heap_push
 from orograph.lod.roam import Roam, mesh, queues
 from orograph.store.memory import MemoryTerrain
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 RATE = 60.0
 TURN = 2.0
@@ -64,14 +65,14 @@ def flight(t: MemoryTerrain, frames: int, speed: float, turn: float = TURN) -> l
     return views
 
 
-def fly(engine: Roam, views: list[View], scratch: bool = False, **goal: Any) -> dict[str, float]:
+def fly(method: Roam, views: list[View], scratch: bool = False, **goal: Any) -> dict[str, float]:
     """Means over the frames but the first three; of the times the median."""
     found: dict[str, list[float]] = {}
     for k, view in enumerate(views):
         if scratch:
-            engine.restart()
+            method.restart()
         began = time.thread_time()
-        made, _ = engine.mesh(view, **goal)
+        made, _ = method.mesh(Camera.over(method.terrain.grid, view), Goal(**goal))
         ms = (time.thread_time() - began) * 1e3
         if k < 3:
             continue

@@ -30,9 +30,11 @@ from numpy.typing import NDArray
 
 from machine import before_all
 from orograph._numba import kernel
+from orograph.lod.method import Goal, Resources
 from orograph.lod.soar import Soar
 from orograph.scene import camera
 from orograph.store.memory import MemoryTerrain
+from orograph.viewpoint import Camera
 from synthetic import synthetic
 
 WORK = 4_000_000
@@ -70,7 +72,7 @@ def compiled(folder: Path) -> ctypes.CDLL:
 
 
 def page_aligned(*shape: int) -> NDArray[np.float32]:
-    """float32 that begins at a page of memory, with huge pages where there are any, as the engine's own has."""
+    """float32 that begins at a page of memory, with huge pages where there are any, as the method's own has."""
     size = int(np.prod(shape))
     room = np.empty(size + 1024, np.float32)
     skip = -room.ctypes.data % 4096 // 4
@@ -109,14 +111,15 @@ def main() -> None:
     terrain = synthetic(given.size, given.seed)
     view = camera.around(terrain, (1280, 720), azimuth=180, pitch=30, distance=None)
 
-    one, two = (Soar(terrain, metric="anisotropic", jobs=jobs) for jobs in (1, 2))
-    ahead = Soar(terrain, jobs=1)
+    one, two = (Soar(terrain, resources=Resources(jobs=jobs), metric="anisotropic") for jobs in (1, 2))
+    ahead = Soar(terrain, resources=Resources(jobs=1))
+    seen, goal = Camera.over(terrain.grid, view), Goal(given.tolerance)
     two.field = ahead.field = one.field
     began = time.perf_counter()
-    mesh, _ = one.mesh(view, tolerance=given.tolerance)
+    mesh, _ = one.mesh(seen, goal)
     cold = time.perf_counter() - began
     rounds, count = mesh.stats["rounds"], mesh.triangles
-    lens = one._lens(view, given.tolerance)
+    lens = one._lens(seen, given.tolerance)
     entries, pages, n = row_major(terrain), one.field.pages, terrain.n
     corners = np.ascontiguousarray(one.field.corners)
     keys, zs = np.empty(4 * count + 1024, np.int64), np.empty(4 * count + 1024, np.float32)
@@ -136,17 +139,17 @@ def main() -> None:
             library.soar_pages(*map(pointer, tables), terrain.levels - 1, prefetches, *rest)
             return int(counts[1])
 
-        fewer = ahead.mesh(view, tolerance=given.tolerance)[0].triangles
+        fewer = ahead.mesh(seen, goal)[0].triangles
 
         def looking() -> int:
-            """As ``one``, with the look-ahead made anew (an engine keeps that of the last view)."""
+            """As ``one``, with the look-ahead made anew (a method keeps that of the last view)."""
             ahead._ahead = None
-            made = ahead.mesh(view, tolerance=given.tolerance)[0].triangles
+            made = ahead.mesh(seen, goal)[0].triangles
             return count if made == fewer else made
 
         runs: dict[str, Callable[[], int]] = {
-            "Soar.mesh, 1 thread": lambda: one.mesh(view, tolerance=given.tolerance)[0].triangles,
-            "Soar.mesh, 2 threads": lambda: two.mesh(view, tolerance=given.tolerance)[0].triangles,
+            "Soar.mesh, 1 thread": lambda: one.mesh(seen, goal)[0].triangles,
+            "Soar.mesh, 2 threads": lambda: two.mesh(seen, goal)[0].triangles,
             "Soar.mesh, looking ahead": looking,
             "C++, row-major": rows,
             "C++, our pages": lambda: paged(0),

@@ -118,9 +118,9 @@ def frozen(m: Maker) -> None:
     m.raise_panel("Detail")
 
 
-def engine(m: Maker) -> None:
+def method(m: Maker) -> None:
     m.evening()
-    m.session.settings.engine, m.session.settings.tolerance = "roam", 4.0
+    m.session.settings.method, m.session.settings.tolerance = "roam", 4.0
     m.session.settings.wireframe = True
     m.look(306_980.4, 4_895_256.8, 2_750.0, 44.2, -6.8, 35.0)
     m.frames(20)
@@ -164,7 +164,7 @@ def viewshed(m: Maker) -> None:
 
 
 PICTURES = {
-    "viewer": viewer, "viewer-frozen": frozen, "viewer-engine": engine, "viewer-plan": plan, "viewer-tour": tour,
+    "viewer": viewer, "viewer-frozen": frozen, "viewer-method": method, "viewer-plan": plan, "viewer-tour": tour,
     "viewer-profile": profile, "viewer-viewshed": viewshed,
 }  # fmt: skip
 

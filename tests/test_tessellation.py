@@ -153,7 +153,7 @@ def small() -> tuple[Tessellation, Grid]:
     k = cells(8)
     made = Tessellation.from_triangles(grid, k, heights_of(k, 9, 9), clockwise=True)
     return Tessellation(
-        made.vertices, made.triangles, np.arange(5, dtype=np.int32), {"engine": "test", "ms": 1.5}
+        made.vertices, made.triangles, np.arange(5, dtype=np.int32), {"method": "test", "ms": 1.5}
     ), grid
 
 
@@ -166,7 +166,7 @@ def test_files_hold_everything(tmp_path: Path):
     assert again.stats == mesh.stats and where == grid
     with np.load(tmp_path / "mesh.npz") as file:  # as others read it
         assert file["vertices"].dtype == np.float64 and file["triangles"].dtype == np.int32
-        assert json.loads(str(file["stats"]))["engine"] == "test"
+        assert json.loads(str(file["stats"]))["method"] == "test"
         assert CRS.from_wkt(str(file["crs"])).to_epsg() == 32633
     bare = Tessellation(mesh.vertices, mesh.triangles)
     bare.save(tmp_path / "bare.npz", Grid((9, 9), NORTH_UP))

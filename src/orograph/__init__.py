@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from orograph.lighting import make as light
     from orograph.lighting.bake import bake
     from orograph.lighting.sun import Sun
+    from orograph.lod.describe import methods
     from orograph.rendering.api import render
     from orograph.rendering.picture import Picture
     from orograph.scene import camera
@@ -47,6 +48,7 @@ __all__ = [
     "build",
     "camera",
     "light",
+    "methods",
     "open",
     "read",
     "render",
@@ -68,6 +70,7 @@ _HOMES = {
     "build": "orograph.store",
     "camera": "orograph.scene",
     "light": "orograph.lighting:make",
+    "methods": "orograph.lod.describe",
     "open": "orograph.store",
     "read": "orograph.dem",
     "render": "orograph.rendering.api",

@@ -1,4 +1,4 @@
-"""From corners to vertices: an engine's triangles name their corners by grid position; here each position becomes one
+"""From corners to vertices: a method's triangles name their corners by grid position; here each position becomes one
 vertex, as fast as the corners can be read.
 
 Positions are int64 keys ``row << 32 | col`` of the padded square of 2^n + 1 samples, squeezed onto the raster on the

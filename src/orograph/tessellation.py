@@ -1,12 +1,12 @@
-"""What an engine makes of a terrain: ``Tessellation``, a triangle mesh over the full-resolution grid.
+"""What a method makes of a terrain: ``Tessellation``, a triangle mesh over the full-resolution grid.
 
 A vertex is (column, row, height in true metres), on a sample or anywhere between samples, each once. Triangles turn
 counter-clockwise seen from above in map orientation (east to the right, north up), whichever way the rows of the raster
-run; none is without area. The strip, where an engine makes one, is a generalised triangle strip (Lindstrom & Pascucci
+run; none is without area. The strip, where a method makes one, is a generalised triangle strip (Lindstrom & Pascucci
 2001, §3.4): indices into the vertices, in which repeated ones make triangles without area that turn corners.
 
-Engines work on the padded square of 2^n + 1 samples and hand over keys ``row << 32 | col`` of its vertices
-(``from_triangles``, ``from_strip``); here they are squeezed onto the raster and welded.
+Methods on right triangles work on the padded square of 2^n + 1 samples and hand over keys ``row << 32 | col`` of its
+vertices (``from_triangles``, ``from_strip``); here they are squeezed onto the raster and welded.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Tessellation:
             grid, sample centres at integers.
         triangles: (m, 3) int32, indices into ``vertices``, counter-clockwise from above in map orientation.
         strip: (k,) int32, a generalised triangle strip of the same triangles whose first one turns as ``triangles`` do;
-            None where the engine makes none.
-        stats: what the engine says of itself, as JSON has it: engine, error, metric, tolerance, conservative, …;
+            None where the method makes none.
+        stats: what the method says of itself, as JSON has it: method, error, metric, tolerance, conservative, …;
             geomorph where vertices on samples may be on their way from other heights.
 
     Raises:
@@ -59,10 +59,10 @@ class Tessellation:
 
     def __repr__(self) -> str:
         strip = "" if self.strip is None else f", a strip of {len(self.strip)}"
-        engine = f"{self.stats['engine']}: " if "engine" in self.stats else ""
-        return f"<Tessellation {engine}{len(self.triangles)} triangles, {len(self.vertices)} vertices{strip}>"
+        method = f"{self.stats['method']}: " if "method" in self.stats else ""
+        return f"<Tessellation {method}{len(self.triangles)} triangles, {len(self.vertices)} vertices{strip}>"
 
-    # ---- from engines ----------------------------------------------------------------------------------------------
+    # ---- from methods ----------------------------------------------------------------------------------------------
 
     @classmethod
     def from_triangles(

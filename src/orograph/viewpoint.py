@@ -17,6 +17,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -25,7 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.documents import load_object, naming
 from orograph.errors import UsageError
-from orograph.geo.chart import Chart
+from orograph.geo.chart import AffineChart, Chart
+from orograph.geo.grid import Grid
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -379,5 +381,11 @@ class Camera:
     exaggeration: float = 1.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.exaggeration < math.inf:
-            raise UsageError(f"The exaggeration is a factor greater than 0, not {self.exaggeration}.")
+        factor: Any = self.exaggeration
+        if not (isinstance(factor, Real) and 0 < float(factor) < math.inf):
+            raise UsageError(f"The exaggeration is a factor greater than 0, not {factor!r}.")
+
+    @classmethod
+    def over(cls, grid: Grid, view: View, exaggeration: float = 1.0) -> Self:
+        """The camera of a view over flat terrain."""
+        return cls(view, AffineChart(grid), exaggeration)

@@ -17,7 +17,6 @@ from click.testing import CliRunner
 
 from orograph import store
 from orograph.cli.build import command
-from orograph.progress import SILENT
 
 
 def write(path, heights, crs="EPSG:32611", **profile):
@@ -143,9 +142,29 @@ def test_kinds_of_errors(tmp_path):
     assert ran.exit_code == 2 and "'best' is none of exact, wedgie, midpoint, none" in ran.output
 
 
+def test_what_methods_need_is_stored_ahead(tmp_path):
+    dem = write(tmp_path / "dem.tif", HEIGHTS)
+    given = [
+        str(dem),
+        "-o",
+        str(tmp_path / "a"),
+        "--for",
+        "roam,error=wedgie",
+        "--for",
+        "soar,error=midpoint",
+        "--json",
+    ]
+    ran = CliRunner().invoke(command, given, obj={"quiet": True})
+    assert json.loads(ran.stdout)["errors"] == ["exact", "wedgie", "midpoint"]
+    ran = CliRunner().invoke(command, [*given[:3], "--for", "sore", "--overwrite"], obj={"quiet": True})
+    assert ran.exit_code != 0 and "no method 'sore'" in str(ran.exception)
+
+
 def test_color_errors_are_stored_and_used(tmp_path, monkeypatch):
-    from orograph.cli.engines import color_errors
     from orograph.geovis.color_store import StoredColorErrors
+    from orograph.lod.method import Resources
+    from orograph.lod.registry import chosen
+    from orograph.scene.methods import made
 
     dem = write(tmp_path / "dem.tif", HEIGHTS)
     drape = tmp_path / "ortho.tif"
@@ -162,7 +181,8 @@ def test_color_errors_are_stored_and_used(tmp_path, monkeypatch):
     assert ran.exit_code == 0, ran.output
     assert json.loads(ran.stdout)["color_errors"]["drape"]["name"] == "ortho.tif"
     with store.open(path) as terrain:
-        options = {"color_tolerance": 5.0, "drape": str(drape)}
-        assert isinstance(color_errors(terrain, options, 1 << 28, 1, SILENT), StoredColorErrors)
-        options["drape"] = None  # other colours are computed
-        assert not isinstance(color_errors(terrain, options, 1 << 28, 1, SILENT), StoredColorErrors)
+        choice = chosen("soar,color-tolerance=5")
+        kept = made(choice, terrain, Resources(1 << 28, 1), str(drape)).resources.color
+        assert isinstance(kept, StoredColorErrors)
+        computed = made(choice, terrain, Resources(1 << 28, 1)).resources.color  # other colours
+        assert computed is not None and not isinstance(computed, StoredColorErrors)

@@ -12,7 +12,7 @@ from PIL import Image
 
 from orograph.cli.compare import load_views
 from orograph.errors import ReadError, UsageError
-from orograph.lod import ENGINES
+from orograph.lod.registry import METHODS
 from orograph.rendering.comparison import Panel, columns, panel_view, sheet, usual_views
 from orograph.scene.prepare import prepare
 
@@ -20,46 +20,54 @@ SMALL = ("--size", "240x160", "--quiet")
 EYE = {"eye": [500_900, 3_997_500, 1400], "target": [501_000, 3_999_000, 500], "width": 240, "height": 160}
 
 
+def of(*methods):
+    """The options that choose methods."""
+    return tuple(word for method in methods for word in ("--method", method))
+
+
 def test_the_table_and_its_json(run, hilly, tmp_path):
     out = tmp_path / "table.json"
-    engines = "soar,soar:isotropic,soar:isotropic-published,top-down"
-    code, said, err = run("compare", hilly, "--engines", engines, "--json", out, *SMALL)
+    methods = ["soar", "soar,metric=isotropic", "soar,metric=isotropic-published", "top-down", "raycast"]
+    code, said, err = run("compare", hilly, *of(*methods), "--json", out, *SMALL)
     assert code == 0 and err == ""
     told = json.loads(out.read_text())
-    assert list(told["engines"]) == engines.split(",")
+    assert list(told["methods"]) == methods
     assert list(told["views"]) == ["overview", "low oblique", "straight down"] and told["tolerance"] == 1
-    for label, m in told["engines"].items():
+    rays = told["methods"].pop("raycast")
+    assert rays["triangles"] is rays["largest"] is rays["kept"] is None and rays["ms"] > 0
+    assert "yes, not judged" in said
+    for label, m in told["methods"].items():
         assert m["frames"] == m["judged"] == 3 and m["triangles"] > 100 and m["ms"] > 0 and m["mtri_per_s"] > 0
         assert m["defects"] == {} and m["changes"] is None and m["tiles_read"] > 0
-        assert m["conservative"] is (label != "soar:isotropic-published")
-        assert m["kept"] is (None if label == "soar:isotropic-published" else True)
+        assert m["conservative"] is (label != "soar,metric=isotropic-published")
+        assert m["kept"] is (None if label == "soar,metric=isotropic-published" else True)
         assert 0.1 < m["rms"] < m["largest"] and (m["largest"] <= 1) == (m["kept"] is True)
         line = next(line for line in said.splitlines() if line.startswith(label + " "))
         for shown in (f"{m['triangles']:,.0f}", f"{m['largest']:.3f}", f"{m['rms']:.3f}"):
             assert shown in line
         assert line.split()[-1] == ("yes" if m["conservative"] else "no")
-    assert told["engines"]["soar"]["triangles"] < told["engines"]["soar:isotropic"]["triangles"]
+    assert told["methods"]["soar"]["triangles"] < told["methods"]["soar,metric=isotropic"]["triangles"]
     assert "\x1b" not in said  # no colours on a pipe
 
 
-def test_every_engine_keeps_its_promise(run, hilly):
+def test_every_method_keeps_its_promise(run, hilly):
     code, said, _ = run("compare", hilly, "--tolerance", 2, "--json", "-", *SMALL)
     told = json.loads(said)
-    assert code == 0 and list(told["engines"]) == list(ENGINES)
-    for m in told["engines"].values():
-        assert m["conservative"] and m["kept"] and m["largest"] <= 2
+    assert code == 0 and list(told["methods"]) == list(METHODS)
+    for name, m in told["methods"].items():
+        assert m["conservative"] and (name == "raycast" or (m["kept"] and m["largest"] <= 2))
 
 
 def test_a_budget(run, hilly):
-    code, said, _ = run("compare", hilly, "--engines", "soar,top-down", "--triangles", 700, "--json", "-", *SMALL)
+    code, said, _ = run("compare", hilly, *of("soar", "top-down"), "--triangles", 700, "--json", "-", *SMALL)
     told = json.loads(said)
     assert code == 0 and told["triangles"] == 700 and "tolerance" not in told
-    for m in told["engines"].values():
+    for m in told["methods"].values():
         assert 500 < m["triangles"] <= 700 and m["largest"] <= m["tolerance"]
 
 
 def test_a_budget_that_is_not_enough(run, hilly):
-    code, said, err = run("compare", hilly, "--engines", "soar,stateless", "--triangles", 5, *SMALL[:2])
+    code, said, err = run("compare", hilly, *of("soar", "stateless"), "--triangles", 5, *SMALL[:2])
     assert code == 0 and "promised" not in err and said.count(" no") >= 2
     for name in ("soar", "stateless"):
         assert f"5 triangles are not enough for a sound mesh of this view by {name}: it has " in err
@@ -67,27 +75,35 @@ def test_a_budget_that_is_not_enough(run, hilly):
 
 def test_no_promise_is_broken_by_a_budget_without_one(run, hilly, monkeypatch):
     monkeypatch.setattr("orograph.verify.report.Report.defects", {"holes": 3})
-    arguments = ("compare", hilly, "--engines", "soar", *SMALL)
+    arguments = ("compare", hilly, *of("soar"), *SMALL)
     code, said, err = run(*arguments, "--triangles", 5)
     assert code == 0 and "BROKEN" not in said and "soar: 9 holes" in said and err == ""
     assert run(*arguments)[0] == 1
+
+
+def test_all_that_can_reach_a_budget(run, hilly):
+    code, said, err = run("compare", hilly, "--methods", "all", *of("soar,error=wedgie"), "--triangles", 900,
+                          "--json", "-", *SMALL[:2])  # fmt: skip
+    told = json.loads(said)
+    assert code == 0 and list(told["methods"]) == [*(n for n in METHODS if n != "raycast"), "soar,error=wedgie"]
+    assert "raycast cannot aim at triangles and is left out" in err
 
 
 def test_a_flight(run, hilly, tmp_path):
     path = tmp_path / "flight.json"
     slow = {"time": 0.5, **EYE, "eye": [500_930, 3_997_560, 1390]}
     path.write_text(json.dumps({"fps": 20, "keys": [{"time": 0, **EYE}, slow]}))
-    code, said, _ = run("compare", hilly, "--flight", path, "--engines", "soar", "--judged", 3, "--json", "-", "-q")
-    m = json.loads(said)["engines"]["soar"]
+    code, said, _ = run("compare", hilly, "--flight", path, *of("soar"), "--judged", 3, "--json", "-", "-q")
+    m = json.loads(said)["methods"]["soar"]
     assert code == 0 and m["frames"] == 10 and m["judged"] == 3 and 0 < m["changes"] < 0.2
     path.write_text(json.dumps({"fps": 20, "seconds": 0.3, "keys": [{"time": 0, **EYE}]}))
-    code, said, _ = run("compare", hilly, "--flight", path, "--engines", "soar", "-q")
+    code, said, _ = run("compare", hilly, "--flight", path, *of("soar"), "-q")
     assert code == 0 and "change/frame" in said and "0.00 %" in said and "errors over 6 of 6 frames" in said
 
 
 def test_the_sheet(run, hilly, tmp_path):
     out = tmp_path / "sheet.png"
-    code, _, _ = run("compare", hilly, "--engines", "soar,top-down,soar:isotropic", "--picture", out, *SMALL)
+    code, _, _ = run("compare", hilly, *of("soar", "top-down", "soar,metric=isotropic"), "--picture", out, *SMALL)
     assert code == 0
     with Image.open(out) as image:
         assert image.width == 1600 and 400 < image.height < 800
@@ -130,7 +146,7 @@ def test_views_from_a_file(run, hilly, tmp_path):
     path = tmp_path / "views.json"
     path.write_text(json.dumps([{"name": "near", **EYE}, EYE]))
     assert list(load_views(str(path))) == ["near", "2"]
-    code, said, _ = run("compare", hilly, "--views", path, "--engines", "soar", "-q")
+    code, said, _ = run("compare", hilly, "--views", path, *of("soar"), "-q")
     assert code == 0 and "near, 2" in said
     path.write_text(json.dumps([EYE, {"eye": [1, 2, 3]}]))
     with pytest.raises(UsageError, match=r"View 2: .*target"):
@@ -145,17 +161,19 @@ def test_views_from_a_file(run, hilly, tmp_path):
 
 
 def test_a_broken_promise_is_said_loudly(run, hilly, monkeypatch):
-    monkeypatch.setattr("orograph.lod.engine.Engine.conservative", True)
-    code, said, err = run("compare", hilly, "--engines", "soar:isotropic-published", *SMALL)
-    assert code == 1 and "BROKEN" in said and "soar:isotropic-published" in err
+    monkeypatch.setattr("orograph.lod.method.Method.conservative", True)
+    code, said, err = run("compare", hilly, *of("soar,metric=isotropic-published"), *SMALL)
+    assert code == 1 and "BROKEN" in said and "soar,metric=isotropic-published" in err
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (("--engines", "sore"), 2, ("sore", "soar")),
-        (("--engines", "soar:euclid"), 2, ("euclid",)),
-        (("--engines", "soar,blow:wedgie", "--views", "none.json"), 2, ("blow cannot use",)),
+        (of("sore"), 2, ("sore", "soar")),
+        (of("soar,metric=euclid"), 2, ("euclid",)),
+        ((*of("soar", "threshold-spheres,metric=wedgie"), "--views", "none.json"), 2, ("no metric 'wedgie'",)),
+        ((*of("raycast"), "--triangles", 9), 2, ("cannot aim at triangles", "tolerance")),
+        ((*of("soar,error=midpoint"), "--conservative"), 2, ("no promise", "orograph methods soar")),
         (("--views", "a.json", "--flight", "b.json"), 2, ("not both",)),
         (("--judged", 3), 2, ("--flight",)),
         (("--flight", "none.json"), 3, ("none.json",)),

@@ -81,7 +81,7 @@ def test_a_file_says_what_its_products_depend_on_and_nothing_else(run, hilly, tm
             {**swept, "date": "2026-06", "step": "60 minutes", "turbidity": "4"},
         ),
         (
-            ("ambient-occlusion", "--azimuths", 5, "--radius", 200, "--rho", "linear", "--method", "rays", "--rays", 9),
+            ("ambient-occlusion", "--azimuths", 5, "--radius", 200, "--rho", "linear", "--by", "rays", "--rays", 9),
             {**swept, "method": "rays", "rays": "9", "rho": "linear"},
         ),
     ):  # fmt: skip
@@ -215,8 +215,8 @@ def test_memory_jobs_and_a_store_change_no_bit(run, hilly, tmp_path):
         (("--product", "insolation", "--date", "2026", "--turbidity", "nan"), "turbidity"),
         (("--product", "insolation", "--date", "2026", "--step", "0"), "step"),
         (("--product", "ambient-occlusion", "--rho", "linear"), "radius"),
-        (("--product", "ambient-occlusion", "--method", "rays", "--curvature"), "curvature"),
-        (("--product", "aperture", "--method", "cone-tracing"), "method"),
+        (("--product", "ambient-occlusion", "--by", "rays", "--curvature"), "curvature"),
+        (("--product", "aperture", "--by", "cone-tracing"), "method"),
         (("--product", "hillshade", "--light", "315,45,-1"), "weights"),
         (("--product", "hillshade", "--light", "315,45,0"), "weights"),
         (("--product", "slope", "--azimuths", "2"), "azimuths"),

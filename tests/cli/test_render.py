@@ -293,7 +293,7 @@ def test_pictures_that_do_not_fit_into_memory(run, dem, tmp_path):
     for size, words in (("100000x100000", "466 GiB of memory"), ("3000000x30000", "4.093 TiB of memory")):
         refused(run("render", dem, "-o", tmp_path / "a.png", "--size", size, "--quiet"), 2, words)
     allowed = ("--size", "2000x2000", "--max-memory", "150MiB", "--quiet")
-    wires = ("--engine", "soar", "--wireframe")
+    wires = ("--method", "soar", "--wireframe")
     refused(run("render", dem, "-o", tmp_path / "a.png", *allowed, *wires), 2, "191 MiB", "--max-memory")
     code, said, _ = run("render", dem, "-o", tmp_path / "large.png", "--size", "1300x1200", *allowed[2:])
     assert code == 0 and "1300 × 1200" in said  # by bands

@@ -35,7 +35,7 @@ def test_an_npz_holds_samples_and_triangles(run, hilly, tmp_path):
     assert (area < 0).all()
     assert 0.97 * 89 * 69 < -area.sum() / 2 < 89 * 69  # all of it but the hole
     assert len(triangles) == stats["triangles"] and f"{len(triangles):,} triangles" in said and str(out) in said
-    assert stats["engine"] == "soar" and stats["tolerance"] == 3 and stats["conservative"] is True
+    assert stats["method"] == "soar" and stats["tolerance"] == 3 and stats["conservative"] is True
     of_strip = {frozenset(t) for t in zip(strip, strip[1:], strip[2:]) if len(set(t)) == 3}
     assert of_strip == {frozenset(t) for t in triangles.tolist()}
     assert not list(tmp_path.glob(".*"))
@@ -62,7 +62,17 @@ def test_the_referee_is_asked(run, hilly, tmp_path):
 
 
 def test_the_referee_does_not_mind_morphs(run, hilly, tmp_path):
-    arguments = ("-o", tmp_path / "a.npz", "--check", "--tolerance", 2, "--geomorph", "--json", "--quiet")
+    arguments = (
+        "-o",
+        tmp_path / "a.npz",
+        "--check",
+        "--tolerance",
+        2,
+        "--method",
+        "soar,geomorph=yes",
+        "--json",
+        "--quiet",
+    )
     code, said, err = run("tessellate", hilly, *arguments)
     report = json.loads(said)["report"]
     assert code == 0 and not err and report["largest"] <= 2 and report["wrong_heights"] == 0
@@ -74,40 +84,42 @@ def test_the_referee_does_not_mind_morphs(run, hilly, tmp_path):
 
 
 def test_a_broken_promise_is_a_fault(run, hilly, tmp_path, monkeypatch):
-    """Half-way errors bound nothing; an engine that swore by them is found out, and the exit code says so."""
-    arguments = ("tessellate", hilly, "-o", tmp_path / "a.npz", "--check", "--error", "midpoint", "--metric",
-                 "isotropic-published", "--tolerance", 1.5, "--from", 200, "--pitch", 10, "--distance", 1800,
-                 "--fov", 70, "--quiet")  # fmt: skip
+    """Half-way errors bound nothing; a method that swore by them is found out, and the exit code says so."""
+    arguments = ("tessellate", hilly, "-o", tmp_path / "a.npz", "--check", "--method",
+                 "soar,error=midpoint,metric=isotropic-published", "--tolerance", 1.5, "--from", 200, "--pitch", 10,
+                 "--distance", 1800, "--fov", 70, "--quiet")  # fmt: skip
     code, said, _ = run(*arguments)
     assert code == 0 and "error:" in said
-    monkeypatch.setattr("orograph.lod.engine.Engine.conservative", True)
+    monkeypatch.setattr("orograph.lod.method.Method.conservative", True)
     code, said, err = run(*arguments)
     assert code == 1 and "promised 1.5" in err and "error:" in said and (tmp_path / "a.npz").exists()
 
 
 def test_a_budget_that_is_not_enough(run, hilly, tmp_path, monkeypatch):
-    for engine in ("soar", "top-down"):
-        arguments = ("tessellate", hilly, "-o", tmp_path / "a.npz", "--triangles", 5, "--engine", engine, "--check")
+    for method in ("soar", "top-down"):
+        arguments = ("tessellate", hilly, "-o", tmp_path / "a.npz", "--triangles", 5, "--method", method, "--check")
         code, said, err = run(*arguments)
         made = Tessellation.load(tmp_path / "a.npz")[0].stats
         assert code == 0 and "no defects" in said and made["within_budget"] is False and made["triangles"] > 5
-        words = f"5 triangles are not enough for a sound mesh of this view by {engine}: it has {made['triangles']:,}."
+        words = f"5 triangles are not enough for a sound mesh of this view by {method}: it has {made['triangles']:,}."
         assert words in err and err.count("warning") == 1
     monkeypatch.setattr("orograph.verify.report.Report.defects", {"holes": 3})
     code, _, err = run(*arguments, "--json")
     assert code == 0 and "not sound" in err and "fault" not in err
 
 
-def test_cameras_and_engines(run, hilly, tmp_path):
+def test_cameras_and_methods(run, hilly, tmp_path):
     view = tmp_path / "view.json"
     assert run("render", hilly, "-o", tmp_path / "a.png", "--from", 45, "--pitch", 12, "--size", "320x200",
                "--save-view", view, "--quiet")[0] == 0  # fmt: skip
     sizes = {}
     for name, more in {
         "by file": ("--view", view), "by options": ("--from", 45, "--pitch", 12, "--size", "320x200"),
-        "other": ("--from", 45, "--pitch", 60, "--size", "320x200"), "wedgie": ("--view", view, "--error", "wedgie"),
-        "isotropic": ("--view", view, "--metric", "isotropic"), "tall": ("--view", view, "--exaggeration", 3),
-        "colors": ("--view", view, "--color-tolerance", 2),
+        "other": ("--from", 45, "--pitch", 60, "--size", "320x200"),
+        "wedgie": ("--view", view, "--method", "soar,error=wedgie"),
+        "isotropic": ("--view", view, "--method", "soar,metric=isotropic"),
+        "tall": ("--view", view, "--exaggeration", 3),
+        "colors": ("--view", view, "--method", "soar,color-tolerance=2"),
     }.items():  # fmt: skip
         out = tmp_path / "mesh.npz"
         assert run("tessellate", hilly, "-o", out, *more, "--quiet")[0] == 0
@@ -122,7 +134,7 @@ def test_culling(run, hilly, tmp_path):
     view.write_text('{"eye": [501000, 3998600, 900], "target": [501000, 3999500, 600], "fov_y": 20, "width": 300, '
                     '"height": 200}')  # fmt: skip
     counts = []
-    for more in ((), ("--no-cull",), ("--geomorph",)):
+    for more in ((), ("--method", "soar,cull=no"), ("--method", "soar,geomorph=yes")):
         assert run("tessellate", hilly, "-o", tmp_path / "m.npz", "--view", view, *more, "--quiet")[0] == 0
         counts.append(len(Tessellation.load(tmp_path / "m.npz")[0].triangles))
     assert counts[0] < counts[1] and counts[0] < counts[2]
@@ -144,9 +156,11 @@ def test_a_store_gives_the_same_mesh(run, hilly, tmp_path):
         (("-o", "m.npz", "--tolerance", 1, "--triangles", 5), 2, ("one goal", "--triangles")),
         (("-o", "m.stl"), 2, (".npz", ".glb")),
         (("-o", "no/m.npz"), 4, ("folder",)),
-        (("-o", "m.npz", "--engine", "top-down", "--geomorph"), 2, ("geomorphs", "soar")),
-        (("-o", "m.npz", "--drape", "a.png"), 2, ("--color-tolerance",)),
-        (("-o", "m.npz", "--metric", "euclid"), 2, ("euclid", "anisotropic")),
+        (("-o", "m.npz", "--method", "top-down,geomorph=yes"), 2, ("no option 'geomorph'", "queue")),
+        (("-o", "m.npz", "--method", "raycast"), 2, ("makes no triangles", "soar")),
+        (("-o", "m.npz", "--method", "soar,error=midpoint", "--conservative"), 2, ("no promise",)),
+        (("-o", "m.npz", "--drape", "a.png"), 2, ("color-tolerance",)),
+        (("-o", "m.npz", "--method", "soar,metric=euclid"), 2, ("euclid", "anisotropic")),
         (("-o", "m.npz", "--view", "none.json"), 3, ("none.json",)),
         (("-o", "m.npz", "--exaggeration", 0), 2, ("exaggeration",)),
         (("-o", "m.npz", "--from", 3, "--lonlat", "1,2,3"), 2, ("one camera",)),

@@ -12,13 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from affine import Affine
 
+from orograph import viewpoint
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts, triangles
+from orograph.lod.method import Goal, Method, Ready, Resources
 from orograph.lod.reference import camera as reference
 from orograph.lod.reference import stateless
 from orograph.lod.reference.criterion import Spheres
 from orograph.lod.reference.terrain import Ground
+from orograph.lod.registry import method_of
+from orograph.lod.right_triangles import Mesh
 from orograph.store.memory import MemoryTerrain
+from orograph.tessellation import Tessellation
 from orograph.viewpoint import View
 
 
@@ -48,6 +53,44 @@ def terrain(heights, cell=30.0, angle=0.0, stretch=1.0) -> MemoryTerrain:
     """Heights on a grid of that cell size (stretched from west to east), turned by ``angle`` degrees."""
     transform = Affine.translation(5e5, 4e6) @ Affine.rotation(angle) @ Affine.scale(cell * stretch, -cell)
     return MemoryTerrain(np.ascontiguousarray(heights), Grid(heights.shape, transform, None), "test")
+
+
+class Refiner:
+    """A method that is asked for meshes of views, at one exaggeration; it has the method's attributes, too."""
+
+    def __init__(self, method: Method, exaggeration: float) -> None:
+        self.method, self.exaggeration = method, exaggeration
+
+    def __getattr__(self, name):
+        return getattr(self.method, name)
+
+    def camera(self, view: View, exaggeration: float | None = None) -> viewpoint.Camera:
+        return viewpoint.Camera.over(
+            self.method.terrain.grid, view, self.exaggeration if exaggeration is None else exaggeration
+        )
+
+    def refine(self, view: View, **goal) -> Tessellation:
+        return self.method.select(self.camera(view), Goal(**goal or {"tolerance": 1.0})).tessellation()
+
+    def mesh(self, view: View, **goal) -> tuple[Mesh, float]:
+        return self.method.mesh(self.camera(view), Goal(**goal))
+
+
+class Patcher(Refiner):
+    """A ``TrianglePatches`` that is asked for the patches of views; ``resident``: the tiles there, level by level."""
+
+    def patches(self, view: View, tolerance: float, *, exaggeration=None, resident=None, wait=True, rim=1.0, **more):
+        tiles = None if resident is None else np.concatenate([np.ravel(level) for level in resident])
+        ready = Ready(tiles, wait=wait)
+        return self.method.patches(self.camera(view, exaggeration), tolerance, ready, rim=rim, **more)
+
+
+def refiner(method, t, *, exaggeration=1.0, max_memory=1 << 30, jobs=None, color=None, **options) -> Refiner:
+    """A method, by its class or its name, with options, for a terrain."""
+    made = (method_of(method) if isinstance(method, str) else method)(
+        t, resources=Resources(max_memory, jobs, color=color), **options
+    )
+    return (Patcher if made.info.kind == "patches" else Refiner)(made, exaggeration)
 
 
 def random_view(rng: np.random.Generator, t: MemoryTerrain, **options) -> View:

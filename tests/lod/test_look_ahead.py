@@ -1,4 +1,4 @@
-"""Looking ahead: what is pruned is what brute force allows, closed over the diamonds; engines agree, promises hold."""
+"""Looking ahead: what is pruned is what brute force allows, closed over the diamonds; methods agree, promises hold."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from orograph.error.screen import ANISOTROPIC, TOLERANCE
 from orograph.error.screen import lens as lens_of
 from orograph.errors import UsageError
 from orograph.hierarchy import diamonds
-from orograph.lod import engine_of
 from orograph.lod import look_ahead as ahead
 from orograph.lod.field import Field
 from orograph.lod.soar import Soar
 from orograph.store.build import build
 
-ENGINES = ("soar", "stateless", "blow")
+METHODS = ("soar", "stateless", "threshold-spheres")
 
 
 def pruned_of(t, view, tolerance: float, *, cull=True, exaggeration=1.0, field=None) -> dict[tuple[int, int], bool]:
@@ -101,13 +100,13 @@ def test_engines_agree_and_keep_the_tolerance(shape):
     for case in range(8):
         t = plain.terrain(plain.rough(rng, shape, amplitude=120.0, gaps=0.15 * (case % 2)))
         exaggeration = float(rng.choice([0.5, 1.0, 2.0]))
-        engines = [engine_of(name)(t, exaggeration=exaggeration, cull=case != 5) for name in ENGINES]
-        stateless = engine_of("stateless")(t, exaggeration=exaggeration, cull=case != 5, queue="fifo")
-        plainly = Soar(t, metric="anisotropic", exaggeration=exaggeration, cull=case != 5)
+        methods = [plain.refiner(name, t, exaggeration=exaggeration, cull=case != 5) for name in METHODS]
+        stateless = plain.refiner("stateless", t, exaggeration=exaggeration, cull=case != 5, queue="fifo")
+        plainly = plain.refiner(Soar, t, metric="anisotropic", exaggeration=exaggeration, cull=case != 5)
         for _ in range(3):
             view = plain.random_view(rng, t)
             tolerance = float(10 ** rng.uniform(-0.5, 1.3))
-            meshes = [e.refine(view, tolerance=tolerance) for e in (*engines, stateless)]
+            meshes = [e.refine(view, tolerance=tolerance) for e in (*methods, stateless)]
             first = plain.triangles_of(meshes[0])
             assert all(plain.triangles_of(m) == first for m in meshes[1:])
             assert all(m.stats["metric"] == "localised" and m.stats["conservative"] for m in meshes)
@@ -124,7 +123,7 @@ def test_hard_views(where):
     rng = np.random.default_rng(len(where))
     t = plain.terrain(plain.rough(rng, (129, 129), amplitude=400.0, gaps=0.05))
     low, high = t.height_range
-    soar, blow = Soar(t), engine_of("blow")(t)
+    soar, blow = plain.refiner(Soar, t), plain.refiner("threshold-spheres", t)
     for _ in range(8):
         x, y = (float(v) for v in t.grid.xy(*rng.uniform(10, 118, 2)))
         target = (*map(float, t.grid.xy(*rng.uniform(0, 128, 2))), float(low))
@@ -144,14 +143,14 @@ def test_pages_that_are_missing_are_read_first(tmp_path):
     rng = np.random.default_rng(12)
     t = plain.terrain(plain.rough(rng, (1025, 900), amplitude=900.0, gaps=0.01))
     with build(Dem(t.heights, t.grid), tmp_path / "t.zarr", errors=("exact",)) as store:
-        warm = Soar(store)
+        warm = plain.refiner(Soar, store)
         for k in range(3):
             target = tuple(float(v) for v in t.grid.xy(200 + 200 * k, 700 - 200 * k))
             eye = target[0] - 2000, target[1] - 500, 2500.0
             view = plain.View(eye, (*target, 0.0), fov_y=50.0, width=640, height=400)
             for _ in range(2):
                 wanted = warm.refine(view, tolerance=4.0)
-            cold = [engine_of(name)(store).refine(view, tolerance=4.0) for name in ENGINES]
+            cold = [plain.refiner(name, store).refine(view, tolerance=4.0) for name in METHODS]
             assert {len(m.triangles) for m in cold} == {len(wanted.triangles)}
             assert all(plain.triangles_of(m) == plain.triangles_of(wanted) for m in cold)
             pruned = pruned_of(store, view, 4.0)
@@ -176,13 +175,13 @@ def test_budgets_and_plans():
     rng = np.random.default_rng(4)
     t = plain.terrain(plain.rough(rng, (65, 65), amplitude=100.0))
     view = plain.random_view(rng, t)
-    for name in ENGINES:
-        mesh = engine_of(name)(t).refine(view, triangles=200)
+    for name in METHODS:
+        mesh = plain.refiner(name, t).refine(view, triangles=200)
         assert len(mesh.triangles) <= 200
         assert verify.judge_mesh(mesh, t, view).ok(mesh.stats["tolerance"])
     x, y = (float(v) for v in t.grid.xy(32, 32))
     plan = plain.View((x, y, 5e3), (x, y, 0.0), projection="plan", fov_y=40, width=400, height=400)
-    assert {len(engine_of(name)(t).refine(plan).triangles) for name in ENGINES} == {2}
+    assert {len(plain.refiner(name, t).refine(plan).triangles) for name in METHODS} == {2}
     assert not pruned_of(t, view, 0.0)
 
 
@@ -194,21 +193,21 @@ def test_colors_are_split_whatever_the_errors_say():
         return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
 
     view = plain.random_view(rng, t, fov_y=60)
-    engines = [engine_of(name)(t, color=color, color_tolerance=1.0) for name in ENGINES]
-    meshes = [plain.triangles_of(e.refine(view, tolerance=30.0)) for e in engines]
+    methods = [plain.refiner(name, t, color=color, color_tolerance=1.0) for name in METHODS]
+    meshes = [plain.triangles_of(e.refine(view, tolerance=30.0)) for e in methods]
     assert meshes[0] == meshes[1] == meshes[2]
-    assert len(meshes[0]) > len(Soar(t).refine(view, tolerance=30.0).triangles)
+    assert len(meshes[0]) > len(plain.refiner(Soar, t).refine(view, tolerance=30.0).triangles)
 
 
 def test_metrics_by_error():
     t = plain.terrain(np.zeros((9, 9), np.float32))
-    assert Soar(t).metric.name == "localised" and Soar(t).spheres == ANISOTROPIC
-    assert Soar(t, error="midpoint").metric.name == "anisotropic"
-    assert Soar(t, geomorph=True).metric.name == "anisotropic"
+    assert plain.refiner(Soar, t).metric.name == "localised" and plain.refiner(Soar, t).spheres == ANISOTROPIC
+    assert plain.refiner(Soar, t, error="midpoint").metric.name == "anisotropic"
+    assert plain.refiner(Soar, t, geomorph=True).metric.name == "anisotropic"
     with pytest.raises(UsageError, match="a bound"):
-        Soar(t, error="midpoint", metric="localised")
+        plain.refiner(Soar, t, error="midpoint", metric="localised")
     with pytest.raises(UsageError, match="Geomorphs"):
-        Soar(t, geomorph=True, metric="localised")
+        plain.refiner(Soar, t, geomorph=True, metric="localised")
 
 
 def test_a_view_seen_twice_is_not_searched_twice(monkeypatch):
@@ -217,10 +216,10 @@ def test_a_view_seen_twice_is_not_searched_twice(monkeypatch):
     searches = []
     collect = ahead.collect
     monkeypatch.setattr(ahead, "collect", lambda *a: searches.append(round(a[1][TOLERANCE], 6)) or collect(*a))
-    engine, view = Soar(t), plain.random_view(rng, t)
+    method, view = plain.refiner(Soar, t), plain.random_view(rng, t)
     for tolerance in (2.0, 2.0, 3.0):
-        engine.refine(view, tolerance=tolerance)
+        method.refine(view, tolerance=tolerance)
     assert sorted(set(searches)) == [2.0, 3.0]
     again = len(searches)
-    engine.refine(view, tolerance=3.0)
+    method.refine(view, tolerance=3.0)
     assert len(searches) == again

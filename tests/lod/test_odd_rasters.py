@@ -1,4 +1,4 @@
-"""Odd rasters in odd views: every engine's mesh is without defects and keeps its tolerance, whatever the shape."""
+"""Odd rasters in odd views: every method's mesh is without defects and keeps its tolerance, whatever the shape."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from orograph import verify
 from orograph.lod.stateless import Stateless
-from orograph.lod.threshold_spheres import Blow
+from orograph.lod.threshold_spheres import ThresholdSpheres
 from orograph.lod.top_down import TopDown
 
 
@@ -31,11 +31,11 @@ def test_promise_and_no_defect(seed):
     for _ in range(15):
         t = odd_terrain(rng)
         exaggeration = float(rng.choice([0.5, 1, 3]))
-        engines = [
-            TopDown(t, exaggeration=exaggeration),
-            TopDown(t, exaggeration=exaggeration, metric="localised", depth=int(rng.integers(9))),
-            Stateless(t, exaggeration=exaggeration, cull=bool(rng.integers(2))),
-            Blow(t, exaggeration=exaggeration),
+        methods = [
+            plain.refiner(TopDown, t, exaggeration=exaggeration),
+            plain.refiner(TopDown, t, exaggeration=exaggeration, metric="localised", depth=int(rng.integers(9))),
+            plain.refiner(Stateless, t, exaggeration=exaggeration, cull=bool(rng.integers(2))),
+            plain.refiner(ThresholdSpheres, t, exaggeration=exaggeration),
         ]
         for _ in range(2):
             near, far = float(rng.choice([0, 0, 50])), float(rng.choice([np.inf, np.inf, 3000]))
@@ -43,10 +43,10 @@ def test_promise_and_no_defect(seed):
             if rng.random() < 0.3:  # a tile of the picture: its frustum lies to one side
                 view = view.tile(int(rng.integers(0, 200)), int(rng.integers(0, 120)), 100, 70)
             tolerance = float(10 ** rng.uniform(-1.5, 1.2))
-            for engine in engines:
-                mesh = engine.refine(view, tolerance=tolerance)
+            for method in methods:
+                mesh = method.refine(view, tolerance=tolerance)
                 report = verify.judge_mesh(mesh, t, view, exaggeration=exaggeration)
-                assert report.ok(tolerance), (engine.name, engine.metric.name, t.grid.shape, report)
+                assert report.ok(tolerance), (method.info.name, method.metric.name, t.grid.shape, report)
 
 
 @pytest.mark.parametrize("shape", [(643, 1197), (68, 41), (67, 90)])
@@ -57,6 +57,6 @@ def test_ground_at_a_squeezed_corner_is_covered(shape):
     x, y = t.grid.xy(shape[1] - 1, shape[0] - 1)
     view = plain.View((float(x) + 500, float(y) - 500, 3000.0), (float(x) - 2000, float(y) + 2000, 0.0), fov_y=70.0)
     for tolerance in (2.0, 8.0, 32.0, 128.0):
-        for engine in (TopDown(t), Stateless(t), Blow(t)):
-            report = verify.judge_mesh(engine.refine(view, tolerance=tolerance), t, view)
-            assert report.ok(tolerance), (engine.name, report)
+        for method in (plain.refiner(TopDown, t), plain.refiner(Stateless, t), plain.refiner(ThresholdSpheres, t)):
+            report = verify.judge_mesh(method.refine(view, tolerance=tolerance), t, view)
+            assert report.ok(tolerance), (method.info.name, report)

@@ -1,4 +1,4 @@
-"""The oracle against brute force over all diamonds, and as what conservative engines cannot beat by much."""
+"""The oracle against brute force over all diamonds, and as what conservative methods cannot beat by much."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ def test_engines_are_no_coarser_and_not_much_finer(shared_data):
     with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
         t = plain.terrain(file.read(1)[:513, :513].astype(np.float32))
     rng = np.random.default_rng(22)
-    soar, ahead = Soar(t, metric="anisotropic"), Soar(t)
-    top_down = TopDown(t, metric="localised", depth=64, near=0.0)
+    soar, ahead = plain.refiner(Soar, t, metric="anisotropic"), plain.refiner(Soar, t)
+    top_down = plain.refiner(TopDown, t, metric="localised", depth=64, near=0.0)
     counts = np.zeros(5)
     for _ in range(6):
         view = plain.random_view(rng, t, width=960, height=600)
         fewest, fewest_prisms = (len(oracle(t, view, 1.0, prisms=prisms).triangles) for prisms in (False, True))
-        spheres, exact = (len(engine.refine(view, tolerance=1.0).triangles) for engine in (soar, top_down))
+        spheres, exact = (len(method.refine(view, tolerance=1.0).triangles) for method in (soar, top_down))
         assert fewest <= spheres
         # Forced splits do not look below accurate triangles, the closure does.
         assert exact <= fewest_prisms

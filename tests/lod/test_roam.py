@@ -17,7 +17,7 @@ from orograph.lod.reference import roam as reference
 from orograph.lod.reference import top_down
 from orograph.lod.reference.children import corners
 from orograph.lod.reference.terrain import Ground
-from orograph.lod.roam import Roam, bounds, engine, mesh, priorities, queues
+from orograph.lod.roam import Roam, bounds, mesh, method, priorities, queues
 from orograph.store.memory import MemoryTerrain
 from orograph.viewpoint import View
 
@@ -116,8 +116,8 @@ def flight(rng: np.random.Generator, t: MemoryTerrain, frames: int, **options):
         ahead = np.array([*(turn @ ahead[:2]), ahead[2] * (1 + rng.normal() * 0.02)])
 
 
-def keys_of(engine: Roam, view: View, **goal) -> set:
-    m, _ = engine.mesh(view, **goal)
+def keys_of(made: Roam, view: View, **goal) -> set:
+    m, _ = made.mesh(view, **goal)
     keys = np.stack([m.keys[:-2], m.keys[1:-1], m.keys[2:]], 1) if m.is_strip else m.keys
     keys = np.sort(keys, 1)
     keys = keys[(keys[:, 0] != keys[:, 1]) & (keys[:, 1] != keys[:, 2])]
@@ -138,7 +138,7 @@ def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
         p = plain.Plain(t)
         exaggeration, cull = float(rng.choice([1.0, 2.0])), bool(case < 3)
         tolerance, near = float(10 ** rng.uniform(-0.5, 1)), float(rng.choice([0, 50]))
-        carried = Roam(t, cull=cull, exaggeration=exaggeration, metric=metric, outside=0.0)
+        carried = plain.refiner(Roam, t, cull=cull, exaggeration=exaggeration, metric=metric, outside=0.0)
         ground, both = Ground.of(t), reference.Roam(t.n)
         for view in flight(rng, t, 4, near=near):
             found = carried.refine(view, tolerance=tolerance)
@@ -158,7 +158,7 @@ def test_looking_ahead_leaves_what_looking_at_every_sample_allows(shape):
         t = plain.terrain(plain.rough(rng, shape, amplitude=60.0, gaps=0.1 * (case % 3 == 2)), angle=30.0 * case)
         p, exaggeration = plain.Plain(t), float(rng.choice([0.5, 1.0, 3.0]))
         tolerance, ground = float(10 ** rng.uniform(-0.3, 1.7)), Ground.of(t)
-        carried = Roam(t, exaggeration=exaggeration)
+        carried = plain.refiner(Roam, t, exaggeration=exaggeration)
         for view in flight(rng, t, 6):
             found = carried.refine(view, tolerance=tolerance)
             camera = plain.Camera(view, exaggeration)
@@ -166,7 +166,9 @@ def test_looking_ahead_leaves_what_looking_at_every_sample_allows(shape):
             assert plain.triangles_of(found) == want.mesh(ground)
             assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance)
             pruned += want.pruned
-            plainly = Roam(t, metric="wedgie", exaggeration=exaggeration).refine(view, tolerance=tolerance)
+            plainly = plain.refiner(Roam, t, metric="wedgie", exaggeration=exaggeration).refine(
+                view, tolerance=tolerance
+            )
             fewer += len(plainly.triangles) - len(found.triangles)
     assert min(pruned, fewer) > 50
 
@@ -189,7 +191,7 @@ def real(shared_data, name: str) -> MemoryTerrain:
 def test_flights_over_real_ground_keep_the_promise_and_depend_on_the_view_alone(shared_data, name, error, metric):
     t = real(shared_data, name)
     rng = np.random.default_rng(len(name) + len(error) * 10 + len(metric))
-    carried, eager = (Roam(t, error=error, metric=metric, deferral=d) for d in (True, False))
+    carried, eager = (plain.refiner(Roam, t, error=error, metric=metric, deferral=d) for d in (True, False))
     saved = 0
     for _ in range(4):
         tolerance = float(rng.choice([0.7, 1.5, 4.0]))
@@ -199,7 +201,7 @@ def test_flights_over_real_ground_keep_the_promise_and_depend_on_the_view_alone(
             stats, all_of_it = carried.mesh(view, tolerance=tolerance)[0].stats, eager._state.counts[mesh.COMPUTED]
             assert stats["splits"] == stats["merges"] == stats["changed"] == stats["recomputed"] == 0  # a still camera
             saved += int(all_of_it)
-        assert found == keys_of(Roam(t, error=error, metric=metric), view, tolerance=tolerance)
+        assert found == keys_of(plain.refiner(Roam, t, error=error, metric=metric), view, tolerance=tolerance)
         made = carried.refine(view, tolerance=tolerance)
         assert len(np.unique(made.triangles)) == len(made.vertices)
         report = verify.judge_mesh(made, t, view)
@@ -215,11 +217,11 @@ def test_a_mesh_on_a_narrow_raster_forgets_what_it_was(shape, cull):
     for seed in (0, 3):
         rng = np.random.default_rng([seed, *shape])
         t = plain.terrain(plain.rough(rng, shape))
-        carried, tolerance = Roam(t, cull=cull), float(rng.choice([0.7, 1.5, 4.0]))
+        carried, tolerance = plain.refiner(Roam, t, cull=cull), float(rng.choice([0.7, 1.5, 4.0]))
         for k, view in enumerate(flight(rng, t, 24)):
             found = keys_of(carried, view, tolerance=tolerance)
             if k % 4 == 2:
-                assert found == keys_of(Roam(t, cull=cull), view, tolerance=tolerance), (seed, k)
+                assert found == keys_of(plain.refiner(Roam, t, cull=cull), view, tolerance=tolerance), (seed, k)
                 split = max(split, len(found))
     assert split > 50
 
@@ -227,7 +229,7 @@ def test_a_mesh_on_a_narrow_raster_forgets_what_it_was(shape, cull):
 def test_what_cannot_have_crossed_the_threshold_is_not_computed_again():
     rng = np.random.default_rng(5)
     t = plain.terrain(plain.rough(rng, (257, 257), amplitude=60))
-    carried, eager = Roam(t), Roam(t, deferral=False)
+    carried, eager = plain.refiner(Roam, t), plain.refiner(Roam, t, deferral=False)
     x, y = t.grid.xy(128, 250)
     counts = []
     for k in range(40):
@@ -245,7 +247,7 @@ def test_what_cannot_have_crossed_the_threshold_is_not_computed_again():
 def test_budgets_of_triangles_are_kept_and_used(gaps):
     rng = np.random.default_rng(int(gaps * 10))
     t = plain.terrain(plain.rough(rng, (200, 257), gaps=gaps))
-    carried = Roam(t)
+    carried = plain.refiner(Roam, t)
     for budget in (2, 50, 1000, 1000, 3000):
         for view in flight(rng, t, 6):
             found = carried.refine(view, triangles=budget)
@@ -258,9 +260,9 @@ def test_budgets_of_triangles_are_kept_and_used(gaps):
                 assert report.ok(found.stats["tolerance"])
         # The best of its size: scratch needs about as much for the tolerance that was reached.
         if gaps == 0 and found.stats["tolerance"]:
-            fresh = Roam(t, metric="wedgie").mesh(view, tolerance=found.stats["tolerance"])[0]
+            fresh = plain.refiner(Roam, t, metric="wedgie").mesh(view, tolerance=found.stats["tolerance"])[0]
             assert fresh.triangles <= budget
-            finer = Roam(t, metric="wedgie").mesh(view, tolerance=found.stats["tolerance"] / 1.2)[0]
+            finer = plain.refiner(Roam, t, metric="wedgie").mesh(view, tolerance=found.stats["tolerance"] / 1.2)[0]
             assert finer.triangles >= min(budget, len(found.triangles)) * 0.98
 
 
@@ -268,7 +270,7 @@ def test_with_a_budget_priorities_are_known_to_a_bucket_where_the_queues_cross()
     """Those between the thresholds are at most ``STALE`` off; the others are on their side of them, to that."""
     rng = np.random.default_rng(5)
     t = plain.terrain(plain.rough(rng, (257, 257)))
-    roam = Roam(t)
+    roam = plain.refiner(Roam, t)
     compared, swept, off = 0, 0, []
     first, second = list(flight(rng, t, 2))
     step = 0.3 * (np.array(second.eye) - first.eye)
@@ -317,7 +319,7 @@ def test_the_second_frame_of_a_budget_costs_no_more_than_those_after_it():
     t = plain.terrain(plain.rough(rng, (257, 257)))
     first, second = list(flight(rng, t, 2))
     step = 0.1 * (np.array(second.eye) - first.eye)
-    roam, computed = Roam(t), []
+    roam, computed = plain.refiner(Roam, t), []
     for frame in range(12):
         view = replace(first, eye=tuple(first.eye + frame * step), target=tuple(first.target + frame * step))
         made = roam.mesh(view, triangles=3000)[0]
@@ -327,10 +329,10 @@ def test_the_second_frame_of_a_budget_costs_no_more_than_those_after_it():
 
 
 def test_a_budget_of_time_ends_in_a_sound_mesh_and_goes_on_in_the_next_frame(monkeypatch):
-    monkeypatch.setattr(engine, "STEPS", 20)
+    monkeypatch.setattr(method, "STEPS", 20)
     rng = np.random.default_rng(3)
     t = plain.terrain(plain.rough(rng, (257, 257)))
-    carried = Roam(t)
+    carried = plain.refiner(Roam, t)
     view = plain.random_view(rng, t)
     carried.refine(view, tolerance=50)
     carried.restart()
@@ -343,18 +345,18 @@ def test_a_budget_of_time_ends_in_a_sound_mesh_and_goes_on_in_the_next_frame(mon
         if found.stats["conservative"]:
             break
     assert len(sizes) > 3 and sizes[-1] > sizes[1]
-    assert found.stats["conservative"] and found.stats["tolerance"] == engine.FINEST
-    assert keys_of(carried, view, seconds=10.0) == keys_of(Roam(t), view, tolerance=engine.FINEST)
+    assert found.stats["conservative"] and found.stats["tolerance"] == method.FINEST
+    assert keys_of(carried, view, seconds=10.0) == keys_of(plain.refiner(Roam, t), view, tolerance=method.FINEST)
 
 
 def test_a_budget_of_time_leaves_nothing_in_view_out(monkeypatch):
     """However late it is: what comes into view by a move, a turn or another lens is drawn, if coarsely."""
-    monkeypatch.setattr(engine, "STEPS", 5)
+    monkeypatch.setattr(method, "STEPS", 5)
     rng = np.random.default_rng(12)
     t = plain.terrain(plain.rough(rng, (200, 257)))
     x, y = t.grid.xy(128, 100)
     eye, angle = np.array([float(x), float(y), t.height_range[1] + 20]), 0.0
-    carried = Roam(t)
+    carried = plain.refiner(Roam, t)
     behind = 0
     for k in range(40):
         angle += 0.25
@@ -372,13 +374,13 @@ def test_a_budget_of_time_leaves_nothing_in_view_out(monkeypatch):
 @pytest.mark.parametrize("goal", [{"triangles": 50}, {"seconds": 1e-9}])
 @pytest.mark.parametrize("options", [{}, {"cull": False}, {"back_facing": 0.0, "occluded": 0.0}])
 def test_no_budget_bridges_or_leaves_out_ground_at_holes(monkeypatch, goal, options):
-    monkeypatch.setattr(engine, "STEPS", 5)
+    monkeypatch.setattr(method, "STEPS", 5)
     rng = np.random.default_rng(21)
     z = plain.rough(rng, (150, 180))
     for row, col in rng.integers(10, 130, (5, 2)):
         z[row : row + 7, col : col + 9] = np.nan
     t = plain.terrain(z)
-    carried = Roam(t, **options)
+    carried = plain.refiner(Roam, t, **options)
     for view in flight(rng, t, 8):
         found = carried.refine(view, **goal)
         assert not verify.judge_mesh(found, t, view).defects
@@ -390,14 +392,17 @@ def test_what_is_not_culled_is_refined_out_of_view():
     t = plain.terrain(plain.rough(np.random.default_rng(22), (129, 129)))
     x, y = t.grid.xy(64, 128)
     view = View((float(x), float(y), t.height_range[1] + 20), (float(x), float(y) - 100, 0.0), width=300, height=200)
-    sizes = [len(Roam(t, cull=False, **o).refine(view).triangles) for o in ({}, {"outside": 1.0}, {"outside": 0.0})]
+    sizes = [
+        len(plain.refiner(Roam, t, cull=False, **o).refine(view).triangles)
+        for o in ({}, {"outside": 1.0}, {"outside": 0.0})
+    ]
     assert sizes[0] == sizes[1] > 4 * sizes[2]
 
 
 @pytest.mark.parametrize("metric, memory", [("wedgie", 5), ("localised", 8)])
 def test_pages_that_leave_take_nothing_of_the_mesh_with_them(metric, memory):
     t = plain.terrain(plain.rough(np.random.default_rng(11), (1025, 1025), amplitude=3000), cell=30)
-    small, large = Roam(t, metric=metric, max_memory=memory << 20), Roam(t, metric=metric)
+    small, large = plain.refiner(Roam, t, metric=metric, max_memory=memory << 20), plain.refiner(Roam, t, metric=metric)
     for view in across(t, 8):
         assert keys_of(small, view, tolerance=2) == keys_of(large, view, tolerance=2)
     assert small.field.tiles_read > large.field.tiles_read > memory >= len(small.field.pages.used)
@@ -406,11 +411,13 @@ def test_pages_that_leave_take_nothing_of_the_mesh_with_them(metric, memory):
 
 def test_where_memory_is_too_small_to_look_ahead_bounds_decide_alone():
     t = plain.terrain(plain.rough(np.random.default_rng(11), (1025, 1025), amplitude=3000), cell=30)
-    small, plainly = Roam(t, max_memory=5 << 20), Roam(t, metric="wedgie")
+    small, plainly = plain.refiner(Roam, t, max_memory=5 << 20), plain.refiner(Roam, t, metric="wedgie")
     for view in across(t, 4):
         found = keys_of(small, view, tolerance=2)
     assert small._blind and found == keys_of(plainly, view, tolerance=2)
-    assert keys_of(small, view, tolerance=40) == keys_of(Roam(t), view, tolerance=40) and not small._blind
+    assert (
+        keys_of(small, view, tolerance=40) == keys_of(plain.refiner(Roam, t), view, tolerance=40) and not small._blind
+    )
 
 
 def across(t: MemoryTerrain, frames: int):
@@ -433,10 +440,10 @@ def test_colors_split_what_heights_do_not():
 
     x, y = t.grid.xy(32, 32)
     view = View((float(x), float(y), 3000.0), (float(x), float(y), 0.0), up=(0.0, 1.0, 0.0), fov_y=45)
-    flat = Roam(t).refine(view)
-    left = Roam(t, color=color, color_tolerance=5.0).refine(view)
+    flat = plain.refiner(Roam, t).refine(view)
+    left = plain.refiner(Roam, t, color=color, color_tolerance=5.0).refine(view)
     assert len(flat.triangles) == 2
-    assert len(Roam(t, color=color, color_tolerance=11.0).refine(view).triangles) == 2
+    assert len(plain.refiner(Roam, t, color=color, color_tolerance=11.0).refine(view).triangles) == 2
     p, q, r = (left.vertices[left.triangles[:, k], :2] for k in range(3))
     sizes = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
     middle = ((p + q + r) / 3)[:, 0]
@@ -451,17 +458,17 @@ def test_another_grid_of_the_same_ground_moves_nothing():
     flipped = t.grid.transform @ type(t.grid.transform)(1, 0, 0, 0, -1, 33)
     u = MemoryTerrain(np.ascontiguousarray(z[::-1]), Grid(z.shape, flipped), "south-up")
     view = plain.random_view(rng, t)
-    for found, terrain in ((Roam(t).refine(view), t), (Roam(u).refine(view), u)):
+    for found, terrain in ((plain.refiner(Roam, t).refine(view), t), (plain.refiner(Roam, u).refine(view), u)):
         assert verify.judge_mesh(found, terrain, view).ok(1.0)
 
 
 def test_strips_kept_strips_rebuilt_and_lists_hold_the_same_triangles():
     rng = np.random.default_rng(14)
     t = plain.terrain(plain.rough(rng, (129, 100), gaps=0.05))
-    engines = [Roam(t, strips=kind) for kind in ("kept", "rebuilt", None)]
+    both = [plain.refiner(Roam, t, strips=kind) for kind in ("kept", "rebuilt", None)]
     for _ in range(3):
         for view in flight(rng, t, 8):
-            kept, rebuilt, listed = (keys_of(e, view, tolerance=1.0) for e in engines)
+            kept, rebuilt, listed = (keys_of(e, view, tolerance=1.0) for e in both)
             assert kept == rebuilt == listed
-    m = engines[0].mesh(view, tolerance=1.0)[0]
+    m = both[0].mesh(view, tolerance=1.0)[0]
     assert m.is_strip and len(m.keys) < 4.5 * m.triangles + 500

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import plain
 import pytest
 from affine import Affine
 
@@ -16,18 +17,18 @@ from orograph.viewpoint import View
 def make(n: int, seed: int = 0) -> Roam:
     heights = np.random.default_rng(seed).normal(size=((1 << n) + 1,) * 2).astype(np.float32)
     terrain = MemoryTerrain(heights, Grid(heights.shape, Affine(10, 0, 0, 0, -10, 0)), "random")
-    engine = Roam(terrain, cull=False, strips=None)
-    engine.mesh(View((80.0, -80.0, 5e4), (80.0, -80.0, 0.0)), tolerance=1e6)  # reads the pages
-    return engine
+    method = plain.refiner(Roam, terrain, cull=False, strips=None)
+    method.mesh(View((80.0, -80.0, 5e4), (80.0, -80.0, 0.0)), tolerance=1e6)  # reads the pages
+    return method
 
 
 def corners(nodes: np.ndarray, i: int) -> list[tuple[int, int]]:
     return [(int(nodes[i][f"r{k}"]), int(nodes[i][f"c{k}"])) for k in range(3)]
 
 
-def check(engine: Roam) -> None:
+def check(method: Roam) -> None:
     """Every invariant of the mesh and of its queues, from the nodes' places alone."""
-    s = engine._state
+    s = method._state
     nodes = s.nodes[: s.counts[mesh.TOP]]
     leaves = np.flatnonzero(nodes["state"] == mesh.LEAF)
     assert len(leaves) == s.counts[mesh.LEAVES]
@@ -45,11 +46,11 @@ def check(engine: Roam) -> None:
         twice_area += area
         neighbours = [across.get((q, p), -1), across.get((p, r), -1), across.get((r, q), -1)]
         assert [int(nodes[i][name]) for name in ("base", "left", "right")] == neighbours
-        size = 1 << engine.field.n
+        size = 1 << method.field.n
         for (a, b), there in zip(((p, q), (r, p), (q, r)), neighbours):
             on_border = any(a[k] == b[k] and a[k] in (0, size) for k in range(2))
             assert (there < 0) == on_border  # conforming: an inner edge is shared as a whole
-    assert twice_area == 2 * 4**engine.field.n
+    assert twice_area == 2 * 4**method.field.n
     inner = np.flatnonzero(nodes["state"] == mesh.INNER)
     mergeable = set()
     for i in inner:
@@ -82,12 +83,12 @@ def check(engine: Roam) -> None:
 
 @pytest.mark.parametrize("n", [1, 3, 5])
 def test_random_splits_and_merges_keep_the_mesh_sound_and_follow_fronts(n: int) -> None:
-    engine = make(n)
+    method = make(n)
     rng = np.random.default_rng(n)
     front = fronts.coarsest(n)
-    check(engine)
+    check(method)
     for step in range(120):
-        s = engine._state
+        s = method._state
         nodes = s.nodes[: s.counts[mesh.TOP]]
         mergeable = np.flatnonzero((nodes["flags"] & mesh.MERGEABLE) > 0)
         leaves = np.flatnonzero((nodes["state"] == mesh.LEAF) & (nodes["level"] < 2 * n))
@@ -101,7 +102,7 @@ def test_random_splits_and_merges_keep_the_mesh_sound_and_follow_fronts(n: int) 
             frame.merge_diamond(s, i)
             front = fronts.merge(front, row, col)
         if step % 10 == 0 or n < 5:
-            check(engine)
+            check(method)
         nodes = s.nodes[: s.counts[mesh.TOP]]
         leaves = np.flatnonzero(nodes["state"] == mesh.LEAF)
         assert len(leaves) == len(front)
@@ -110,7 +111,7 @@ def test_random_splits_and_merges_keep_the_mesh_sound_and_follow_fronts(n: int) 
         assert {v for j in leaves for v in corners(nodes, j)} == set(zip(rows.tolist(), cols.tolist()))
         drawn = int(s.counts[mesh.DRAWN])
         assert drawn == len(leaves) and len(np.unique(s.members[:drawn])) == drawn
-    check(engine)
+    check(method)
 
 
 def test_buckets_order_priorities_and_one_lies_at_the_edge() -> None:

@@ -67,9 +67,9 @@ def test_lines_of_sight_on_the_mesh_are_those_on_the_surface(shape):
         ends = rng.uniform(0, 1, (2, 2)) * (shape[1] - 1, shape[0] - 1)
         heights = surface(z, ends[:, 0], ends[:, 1]) + rng.choice([1.0, 5.0, 15.0])
         lines.append(tuple((float(c), float(r), float(h)) for (c, r), h in zip(ends, heights)))
-    engine = Roam(t, line_of_sight=lines, cull=False)
-    coarse = Roam(t, cull=False).refine(far_view(t), tolerance=50)
-    found = engine.refine(far_view(t), tolerance=50)
+    method = plain.refiner(Roam, t, line_of_sight=lines, cull=False)
+    coarse = plain.refiner(Roam, t, cull=False).refine(far_view(t), tolerance=50)
+    found = method.refine(far_view(t), tolerance=50)
     assert 2 <= len(coarse.triangles) < len(found.triangles) < 2 * (shape[0] - 1) * (shape[1] - 1)
     assert not verify.judge_mesh(found, t, far_view(t)).defects
     seen, wrong = [], 0
@@ -89,8 +89,10 @@ def test_the_ground_beneath_objects_is_exact(metres):
     t = plain.terrain(z)
     col, row, radius = 20.3, 41.0, 4.5
     view = far_view(t)
-    plainly = Roam(t, cull=False).refine(view, tolerance=100)
-    found = Roam(t, cull=False, objects=[(col, row, radius)], object_tolerance=metres).refine(view, tolerance=100)
+    plainly = plain.refiner(Roam, t, cull=False).refine(view, tolerance=100)
+    found = plain.refiner(Roam, t, cull=False, objects=[(col, row, radius)], object_tolerance=metres).refine(
+        view, tolerance=100
+    )
     at, turn = np.sqrt(rng.uniform(0, 1, 800)) * radius, rng.uniform(0, 2 * np.pi, 800)
     c, r = col + at * np.cos(turn), row + at * np.sin(turn)
     assert np.abs(on_mesh(found, c, r) - surface(z, c, r)).max() <= metres + 1e-4
@@ -134,9 +136,9 @@ def ridge() -> tuple:
 @pytest.mark.parametrize("term", ["back_facing", "occluded"])
 def test_what_is_turned_away_or_hidden_gets_coarser_and_the_rest_stays(term):
     t, view = ridge()
-    usual = Roam(t, cull=False).refine(view, tolerance=0.1)
-    engine = Roam(t, cull=False, **{term: 0.0})
-    found = engine.refine(view, tolerance=0.1)
+    usual = plain.refiner(Roam, t, cull=False).refine(view, tolerance=0.1)
+    method = plain.refiner(Roam, t, cull=False, **{term: 0.0})
+    found = method.refine(view, tolerance=0.1)
     assert not verify.judge_mesh(found, t, view).defects and not found.stats["conservative"]
 
     def beyond(m):
@@ -145,11 +147,11 @@ def test_what_is_turned_away_or_hidden_gets_coarser_and_the_rest_stays(term):
     assert beyond(found) < 0.6 * beyond(usual)
     near = {c for c in plain.triangles_of(usual) if min(r for _, r in c) > 70}
     assert len(near) > 100 and near <= plain.triangles_of(found)
-    carried = Roam(t, cull=False, **{term: 0.0})
+    carried = plain.refiner(Roam, t, cull=False, **{term: 0.0})
     for k in range(20):
         moved = replace(view, eye=(view.eye[0] + 4 * k, view.eye[1] + 170 * k, view.eye[2] + 150 * k))
         now = carried.refine(moved, tolerance=0.1)
-    fresh = Roam(t, cull=False, deferral=False, **{term: 0.0}).refine(moved, tolerance=0.1)
+    fresh = plain.refiner(Roam, t, cull=False, deferral=False, **{term: 0.0}).refine(moved, tolerance=0.1)
     assert plain.triangles_of(now) == plain.triangles_of(fresh)
     assert beyond(now) > 2 * beyond(found)  # from higher up the far flank is seen
 
@@ -157,8 +159,8 @@ def test_what_is_turned_away_or_hidden_gets_coarser_and_the_rest_stays(term):
 def test_only_what_is_hidden_is_taken_for_hidden():
     """By rays against the surface: no sample of a triangle that stayed coarse for being hidden is seen."""
     t, view = ridge()
-    usual = Roam(t).refine(view, tolerance=0.1)
-    found = Roam(t, occluded=0.0).refine(view, tolerance=0.1)
+    usual = plain.refiner(Roam, t).refine(view, tolerance=0.1)
+    found = plain.refiner(Roam, t, occluded=0.0).refine(view, tolerance=0.1)
     z = t.heights.astype(float)
     col, row = (float(v) for v in t.grid.index(*view.eye[:2]))
     known = plain.triangles_of(usual)
@@ -181,9 +183,9 @@ def test_silhouettes_get_finer_and_only_where_they_can_run():
     rows, cols = np.mgrid[:129, :129]
     z = 900 * np.exp(-((rows - 64) ** 2 + (cols - 64) ** 2) / 900) + 0.5 * rng.normal(size=(129, 129))
     t, view = plain.terrain(z.astype(np.float32)), ridge()[1]
-    usual = Roam(t, cull=False).refine(view, tolerance=0.4)
-    found = Roam(t, cull=False, silhouette=8.0).refine(view, tolerance=0.4)
-    finer = Roam(t, cull=False).refine(view, tolerance=0.4 / 8)
+    usual = plain.refiner(Roam, t, cull=False).refine(view, tolerance=0.4)
+    found = plain.refiner(Roam, t, cull=False, silhouette=8.0).refine(view, tolerance=0.4)
+    finer = plain.refiner(Roam, t, cull=False).refine(view, tolerance=0.4 / 8)
     assert found.stats["conservative"]
     assert len(usual.triangles) < len(found.triangles) < len(finer.triangles)
     # Along a silhouette some ground faces the eye and some does not: there the mesh is as fine as eight times finer.
@@ -199,10 +201,10 @@ def test_ground_out_of_view_is_coarser_by_the_factor():
     view = plain.random_view(rng, t)
     sizes = []
     for factor in (0.0, 0.5, 1.0):
-        carried = Roam(t, cull=False, outside=factor)
+        carried = plain.refiner(Roam, t, cull=False, outside=factor)
         for k in range(6):
             now = carried.refine(replace(view, eye=(view.eye[0], view.eye[1] + 5 * k, view.eye[2])), tolerance=1)
-        fresh = Roam(t, cull=False, outside=factor, deferral=False).refine(
+        fresh = plain.refiner(Roam, t, cull=False, outside=factor, deferral=False).refine(
             replace(view, eye=(view.eye[0], view.eye[1] + 25, view.eye[2])), tolerance=1
         )
         assert plain.triangles_of(now) == plain.triangles_of(fresh)
@@ -217,6 +219,6 @@ def test_options_that_make_no_sense_are_refused():
     t = plain.terrain(np.zeros((5, 5), np.float32))
     for options in ({"back_facing": 2.0}, {"occluded": -1}, {"silhouette": 0.5}, {"object_tolerance": -1.0}):
         with pytest.raises(UsageError):
-            Roam(t, **options)
+            plain.refiner(Roam, t, **options)
     with pytest.raises(UsageError, match="bound"):
-        Roam(t, error="midpoint", objects=[(1, 1, 1)])
+        plain.refiner(Roam, t, error="midpoint", objects=[(1, 1, 1)])

@@ -63,7 +63,7 @@ def test_mesh_is_the_front_of_the_criterion(shape, metric, bound):
         ground = Ground.of(t, exaggeration=exaggeration)
         tolerance = float(10 ** rng.uniform(-1, 1))
         for cull in (True, False):
-            found = Soar(t, metric=metric, cull=cull, exaggeration=exaggeration, jobs=1).refine(
+            found = plain.refiner(Soar, t, metric=metric, cull=cull, exaggeration=exaggeration, jobs=1).refine(
                 view, tolerance=tolerance
             )
             wanted = expected(ground, view, tolerance, cull=cull, bound=bound, exaggeration=exaggeration)
@@ -79,7 +79,7 @@ def test_an_eye_inside_the_terrain():
     for _ in range(5):
         target = t.grid.xy(*rng.uniform(0, 32, 2))
         view = View((float(x), float(y), 0.5 * (low + high)), (*map(float, target), low), fov_y=90, width=64, height=48)
-        found = Soar(t, metric="anisotropic", jobs=1).refine(view, tolerance=2.0)
+        found = plain.refiner(Soar, t, metric="anisotropic", jobs=1).refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == expected(Ground.of(t), view, 2.0)
         assert verify.judge_mesh(found, t, view).ok(2.0)
 
@@ -93,10 +93,10 @@ def test_a_plan_shows_two_triangles_but_keeps_holes():
     view = View(
         (float(x), float(y), 5e3), (float(x), float(y), 0.0), projection="plan", fov_y=40, width=400, height=400
     )
-    report = verify.judge_mesh(Soar(t, jobs=1).refine(view), t, view)
+    report = verify.judge_mesh(plain.refiner(Soar, t, jobs=1).refine(view), t, view)
     assert report.ok(0.0) and report.triangles > 2 and report.samples > 800
     flat = plain.terrain(plain.rough(rng, (33, 33)))
-    assert len(Soar(flat, jobs=1).refine(view).triangles) == 2
+    assert len(plain.refiner(Soar, flat, jobs=1).refine(view).triangles) == 2
 
 
 def strip_triangles(t: Tessellation) -> set:
@@ -127,12 +127,12 @@ def around(t, azimuth: float, far: float, above: float, **options) -> View:
 def test_strip_says_the_triangles_and_not_the_threads(large):
     for azimuth, tolerance in ((0.3, 0.5), (2.0, 3.0), (4.0, 40.0)):
         view = around(large, azimuth, 9e3, 2500.0)
-        first = Soar(large, jobs=1).refine(view, tolerance=tolerance)
+        first = plain.refiner(Soar, large, jobs=1).refine(view, tolerance=tolerance)
         triangles = {tuple(np.roll(v, -int(np.argmin(v))).tolist()) for v in first.triangles}
         assert strip_triangles(first) == triangles and len(triangles) == len(first.triangles)
         assert len(first.strip) < 1.7 * len(first.triangles) + 6 * 512  # 512 subtrees begin anew at most
         for jobs in (2, 3, 5):
-            other = Soar(large, jobs=jobs).refine(view, tolerance=tolerance)
+            other = plain.refiner(Soar, large, jobs=jobs).refine(view, tolerance=tolerance)
             assert np.array_equal(first.strip, other.strip) and np.array_equal(first.vertices, other.vertices)
 
 
@@ -140,7 +140,7 @@ def test_strip_says_the_triangles_and_not_the_threads(large):
 def test_what_threads_found_before_does_not_count(shape):
     """Subtrees are shared out by what the last pass found in each: also after one that found nothing."""
     t = plain.terrain(np.random.default_rng(5).normal(0, 20, shape).astype(np.float32))
-    one, many = Soar(t, cull=False, jobs=1), Soar(t, cull=False, jobs=2)
+    one, many = plain.refiner(Soar, t, cull=False, jobs=1), plain.refiner(Soar, t, cull=False, jobs=2)
     view = around(t, 1.0, 3e3, 900.0)
     for tolerance in (0.0, 500.0, 0.0, 2.0, 0.0):
         ours, theirs = one.refine(view, tolerance=tolerance), many.refine(view, tolerance=tolerance)
@@ -153,7 +153,7 @@ def test_what_threads_found_before_does_not_count(shape):
 def test_memory_changes_what_is_read_but_not_the_mesh():
     rng = np.random.default_rng(12)
     t = plain.terrain(plain.rough(rng, (1025, 900), amplitude=900.0, gaps=0.01))
-    free, tight = Soar(t, jobs=2), Soar(t, jobs=2, max_memory=13 << 20)
+    free, tight = plain.refiner(Soar, t, jobs=2), plain.refiner(Soar, t, jobs=2, max_memory=13 << 20)
     for k in (*range(8), 0):
         target = tuple(float(v) for v in t.grid.xy(100 + 100 * k, 900 - 100 * k))
         view = View((target[0] - 3000, target[1] - 1000, 4000.0), (*target, 0.0), fov_y=20.0, width=640, height=400)
@@ -194,11 +194,11 @@ def test_the_bound_without_a_root_decides_as_the_bound():
 def test_a_cold_start_takes_two_rounds_per_level_of_pages_at_most():
     rng = np.random.default_rng(3)
     t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=1000.0))
-    engine = Soar(t)
+    method = plain.refiner(Soar, t)
     view = around(t, 1.0, 9e3, 3000.0)
-    first = engine.refine(view, tolerance=0.5)
+    first = method.refine(view, tolerance=0.5)
     assert 1 < first.stats["rounds"] <= 2 * t.levels + 1  # a diamond and its child of the same level, in two pages
-    assert engine.refine(view, tolerance=0.5).stats["rounds"] == 1
+    assert method.refine(view, tolerance=0.5).stats["rounds"] == 1
 
 
 class Quantised(MemoryTerrain):
@@ -218,9 +218,9 @@ def test_a_store_gives_the_mesh_of_its_quantised_errors(tmp_path, large):
     dem = Dem(large.heights, large.grid)
     with build(dem, tmp_path / "t.zarr", errors=("exact",)) as store:
         view = around(large, 2.5, 8e3, 1500.0)
-        stored = Soar(store).refine(view, tolerance=0.7)
-        same = Soar(Quantised(large.heights, large.grid, store)).refine(view, tolerance=0.7)
-        exact = Soar(large).refine(view, tolerance=0.7)
+        stored = plain.refiner(Soar, store).refine(view, tolerance=0.7)
+        same = plain.refiner(Soar, Quantised(large.heights, large.grid, store)).refine(view, tolerance=0.7)
+        exact = plain.refiner(Soar, large).refine(view, tolerance=0.7)
         assert np.array_equal(stored.vertices, same.vertices) and np.array_equal(stored.strip, same.strip)
         assert len(exact.triangles) <= len(stored.triangles) <= 1.1 * len(exact.triangles)
         assert verify.judge_mesh(stored, store, view).ok(0.7)
@@ -230,24 +230,24 @@ def test_a_store_gives_the_mesh_of_its_quantised_errors(tmp_path, large):
 
 
 def test_budgets_of_triangles(large):
-    engine = Soar(large)
+    method = plain.refiner(Soar, large)
     view = around(large, 1.0, 9e3, 2500.0)
     for budget in (3000, 20_000, 60_000):
-        found = engine.refine(view, triangles=budget)
+        found = method.refine(view, triangles=budget)
         assert len(found.triangles) <= budget
         report = verify.judge_mesh(found, large, view)
         assert not report.defects
         assert found.stats["conservative"] and report.ok(found.stats["tolerance"])
         assert len(found.triangles) > 0.9 * budget
-    over = engine.refine(view, triangles=2)  # holes are kept, at any price
+    over = method.refine(view, triangles=2)  # holes are kept, at any price
     assert len(over.triangles) > 2 and not over.stats["conservative"]
 
 
 def test_budget_of_time_ends_in_a_kept_tolerance(large):
     view = around(large, 1.0, 9e3, 2500.0)
-    engine = Soar(large)
-    engine.refine(view, tolerance=0.2)  # compiled, pages read
-    quick, slow = engine.refine(view, seconds=0.004), engine.refine(view, seconds=0.3)
+    method = plain.refiner(Soar, large)
+    method.refine(view, tolerance=0.2)  # compiled, pages read
+    quick, slow = method.refine(view, seconds=0.004), method.refine(view, seconds=0.3)
     assert len(quick.triangles) <= len(slow.triangles)
     assert verify.judge_mesh(slow, large, view).ok(slow.stats["tolerance"])
 
@@ -274,8 +274,8 @@ def test_colors_split_what_is_large_enough_to_be_seen():
         at, r = camera.to_camera(p.at), np.abs(p.r)
         seen = r * camera.focal > at[..., 2] - r
         for gamma in (0.5, 5.0, 10.0):
-            engine = Soar(t, metric="anisotropic", color=color, color_tolerance=gamma, jobs=1)
-            found = engine.refine(view, tolerance=4.0)
+            method = plain.refiner(Soar, t, metric="anisotropic", color=color, color_tolerance=gamma, jobs=1)
+            found = method.refine(view, tolerance=4.0)
             assert plain.triangles_of(found) == expected(ground, view, 4.0, more=(table > gamma) & seen)
             assert verify.judge_mesh(found, t, view).ok(4.0)
 
@@ -305,12 +305,12 @@ def test_a_morphed_surface_is_the_mean_of_the_meshes_of_all_tolerances():
     t = plain.terrain(plain.rough(rng, (33, 33), amplitude=200.0))
     for view in (around(t, 1.0, 900.0, 400.0, near=1.0), around(t, 4.0, 1800.0, 900.0)):
         tau, steps = 4.0, 40
-        morphed = Soar(t, geomorph=True, cull=False, jobs=1).refine(view, tolerance=tau)
-        engine, mean = Soar(t, metric="anisotropic", cull=False, jobs=1), np.zeros(t.grid.shape)
+        morphed = plain.refiner(Soar, t, geomorph=True, cull=False, jobs=1).refine(view, tolerance=tau)
+        method, mean = plain.refiner(Soar, t, metric="anisotropic", cull=False, jobs=1), np.zeros(t.grid.shape)
         for k in range(steps):
-            mean += surface(engine.refine(view, tolerance=tau * (0.5 + (k + 0.5) / (2 * steps))), t.grid.shape) / steps
+            mean += surface(method.refine(view, tolerance=tau * (0.5 + (k + 0.5) / (2 * steps))), t.grid.shape) / steps
         difference = np.abs(surface(morphed, t.grid.shape) - mean).max()
-        unmorphed = np.abs(surface(engine.refine(view, tolerance=tau / 2), t.grid.shape) - mean).max()
+        unmorphed = np.abs(surface(method.refine(view, tolerance=tau / 2), t.grid.shape) - mean).max()
         assert difference < 0.05 * unmorphed
 
 
@@ -321,7 +321,7 @@ def test_morphed_meshes_keep_the_tolerance(shape):
     moved = 0
     for _ in range(25):
         view = plain.random_view(rng, t)
-        found = Soar(t, geomorph=True, jobs=1).refine(view, tolerance=3.0)
+        found = plain.refiner(Soar, t, geomorph=True, jobs=1).refine(view, tolerance=3.0)
         assert verify.judge_mesh(found, t, view).ok(3.0)
         moved += verify.judge_mesh(found, t, view, heights="samples").wrong_heights
     assert moved > 200
@@ -330,14 +330,14 @@ def test_morphed_meshes_keep_the_tolerance(shape):
 def test_vertices_do_not_jump_along_a_flight():
     rng = np.random.default_rng(4)
     t = plain.terrain(plain.rough(rng, (33, 33), amplitude=300.0))
-    morphing = Soar(t, geomorph=True, cull=False, jobs=1)
-    plainly = Soar(t, metric="anisotropic", cull=False, jobs=1)
+    morphing = plain.refiner(Soar, t, geomorph=True, cull=False, jobs=1)
+    plainly = plain.refiner(Soar, t, metric="anisotropic", cull=False, jobs=1)
     jumps = {"morphing": 0.0, "plainly": 0.0}
     before: dict = {}
     for step in range(40):
         view = around(t, 1.0, 1600.0 - 1.0 * step, 500.0)
-        for name, engine in (("morphing", morphing), ("plainly", plainly)):
-            now = surface(engine.refine(view, tolerance=4.0), t.grid.shape)
+        for name, method in (("morphing", morphing), ("plainly", plainly)):
+            now = surface(method.refine(view, tolerance=4.0), t.grid.shape)
             if step:
                 jumps[name] = max(jumps[name], float(np.abs(now - before[name]).max()))
             before[name] = now
@@ -365,12 +365,12 @@ def test_the_referee_finds_the_promise_kept(shared_data, name):
         z[~(file.read_masks(1, window=((0, z.shape[0]), (0, z.shape[1]))) > 0)] = np.nan
     t = plain.terrain(z)
     rng = np.random.default_rng(2)
-    engines = [Soar(t, metric=metric) for metric in ("anisotropic", "isotropic")]
+    methods = [plain.refiner(Soar, t, metric=metric) for metric in ("anisotropic", "isotropic")]
     for k in range(12):
         view = plain.random_view(rng, t)
         if k == 0:
             view = replace(view, target=(view.eye[0], view.eye[1], 0.0))  # straight down
         tolerance = float(rng.choice([0.5, 1, 2, 8]))
-        for engine in engines:
-            report = verify.judge_mesh(engine.refine(view, tolerance=tolerance), t, view)
-            assert report.ok(tolerance), f"{engine.metric.name}, {view}: {report}"
+        for method in methods:
+            report = verify.judge_mesh(method.refine(view, tolerance=tolerance), t, view)
+            assert report.ok(tolerance), f"{method.metric.name}, {view}: {report}"

@@ -8,8 +8,8 @@ import pytest
 
 from orograph import verify
 from orograph.errors import UsageError
-from orograph.lod import engine_of
 from orograph.lod.reference.terrain import Ground
+from orograph.lod.registry import method_of
 from orograph.lod.soar import Soar
 from orograph.lod.stateless import Stateless
 
@@ -30,11 +30,13 @@ def test_mesh_is_the_reference_s(shape, gaps):
         for cull in (True, False):
             expected = plain.sphere_mesh(ground, view, tolerance, cull=cull, exaggeration=exaggeration)
             queue = "fifo" if case % 2 else "priority"
-            engine = Stateless(t, metric="anisotropic", cull=cull, queue=queue, exaggeration=exaggeration)
-            found = engine.refine(view, tolerance=tolerance)
+            method = plain.refiner(
+                Stateless, t, metric="anisotropic", cull=cull, queue=queue, exaggeration=exaggeration
+            )
+            found = method.refine(view, tolerance=tolerance)
             assert plain.triangles_of(found) == expected
             if t.n > 0:
-                soar = Soar(t, metric="anisotropic", cull=cull, exaggeration=exaggeration, jobs=1)
+                soar = plain.refiner(Soar, t, metric="anisotropic", cull=cull, exaggeration=exaggeration, jobs=1)
                 assert plain.triangles_of(found) == plain.triangles_of(soar.refine(view, tolerance=tolerance))
 
 
@@ -43,10 +45,10 @@ def test_every_budget_is_kept_by_a_valid_mesh(shape):
     rng = np.random.default_rng(shape)
     t = plain.terrain(plain.rough(rng, shape))
     for view in (plain.random_view(rng, t), plain.random_view(rng, t)):
-        engine = Stateless(t, cull=False)
+        method = plain.refiner(Stateless, t, cull=False)
         last = 0
         for budget in range(2, 2 * (shape[0] - 1) * (shape[1] - 1) + 1):
-            found = engine.refine(view, triangles=budget)
+            found = method.refine(view, triangles=budget)
             report = verify.judge_mesh(found, t, view)
             assert not report.defects
             assert last <= len(found.triangles) <= budget
@@ -64,10 +66,10 @@ def test_ties_are_closed_at_every_budget():
     t = plain.terrain(np.where((x + y) % 2 == 0, 10.0, 0.0).astype(np.float32), cell=1.0)
     cx, cy = t.grid.xy(8, 8)
     view = plain.View((cx, cy, 400.0), (cx, cy, 0.0), fov_y=20.0, width=100, height=100)
-    engine = Stateless(t, cull=False)
+    method = plain.refiner(Stateless, t, cull=False)
     counts = set()
     for budget in range(2, 2 * 16 * 16 + 1):
-        found = engine.refine(view, triangles=budget)
+        found = method.refine(view, triangles=budget)
         report = verify.judge_mesh(found, t, view)
         assert not report.defects, budget
         counts.add(len(found.triangles))
@@ -78,11 +80,11 @@ def test_time_is_kept_and_the_mesh_is_closed():
     rng = np.random.default_rng(10)
     t = plain.terrain(plain.rough(rng, (513, 513), amplitude=400))
     view = plain.random_view(rng, t, fov_y=60.0)
-    engine = Stateless(t, cull=False)
-    engine.refine(view, tolerance=0.05)
+    method = plain.refiner(Stateless, t, cull=False)
+    method.refine(view, tolerance=0.05)
     counts = []
     for seconds in (0.0005, 0.002, 0.004, 0.008, 0.016):
-        found = engine.refine(view, seconds=seconds)
+        found = method.refine(view, seconds=seconds)
         counts.append(len(found.triangles))
         assert not verify.judge_mesh(found, t, view).defects
         assert found.stats["refine_ms"] < 1e3 * seconds + 60
@@ -94,7 +96,10 @@ def test_little_memory_gives_the_same_mesh():
     t = plain.terrain(plain.rough(rng, (1500, 1100), amplitude=800, gaps=0.02), cell=10)
     view = plain.random_view(rng, t, fov_y=60.0)
     for queue in ("fifo", "priority"):
-        much, little = Stateless(t, queue=queue), Stateless(t, queue=queue, max_memory=6 << 20)
+        much, little = (
+            plain.refiner(Stateless, t, queue=queue),
+            plain.refiner(Stateless, t, queue=queue, max_memory=6 << 20),
+        )
         found = little.refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == plain.triangles_of(much.refine(view, tolerance=2.0))
         assert little.field.resident <= 6 < much.field.resident
@@ -106,7 +111,7 @@ def test_little_memory_gives_the_same_mesh():
 
 def test_unusable_options_are_refused():
     t = plain.terrain(np.zeros((5, 5), np.float32))
-    assert engine_of("stateless") is Stateless
+    assert method_of("stateless") is Stateless
     for options in ({"queue": "lifo"}, {"metric": "wedgie"}):
         with pytest.raises(UsageError):
-            Stateless(t, **options)
+            plain.refiner(Stateless, t, **options)

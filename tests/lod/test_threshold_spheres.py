@@ -1,4 +1,4 @@
-"""Blow's thresholds: what they promise, whether they nest, and whether a flight ends where a fresh start does."""
+"""Threshold spheres: what they promise, whether they nest, and whether a flight ends where a fresh start does."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from hypothesis import strategies as st
 from orograph import verify
 from orograph.error.screen import lens
 from orograph.errors import UsageError
-from orograph.lod import engine_of
 from orograph.lod.reference.camera import Camera
 from orograph.lod.reference.criterion import Spheres
 from orograph.lod.reference.terrain import Ground
-from orograph.lod.reference.threshold_spheres import ThresholdSpheres, threshold
+from orograph.lod.reference.threshold_spheres import ThresholdSpheres as Reference
+from orograph.lod.reference.threshold_spheres import threshold
+from orograph.lod.registry import method_of
 from orograph.lod.soar import Soar
-from orograph.lod.threshold_spheres import Blow
+from orograph.lod.threshold_spheres import ThresholdSpheres
 from orograph.lod.threshold_spheres_pass import decide
 
 
@@ -38,12 +39,14 @@ def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
         ground, spheres = Ground.of(t, exaggeration=exaggeration), None
         for cull in (True, False):
             options = {"cull": cull, "exaggeration": exaggeration}
-            engine, other = (Blow(t, metric=metric, **options) for metric in ("isotropic", "anisotropic"))
+            method, other = (
+                plain.refiner(ThresholdSpheres, t, metric=metric, **options) for metric in ("isotropic", "anisotropic")
+            )
             for _ in range(4):  # jumps: everything may change
                 view = plain.random_view(rng, t, fov_y=40.0)
                 camera = Camera.of(view, exaggeration)
-                spheres = spheres or ThresholdSpheres(ground, threshold(camera, tolerance))
-                found = engine.refine(view, tolerance=tolerance)
+                spheres = spheres or Reference(ground, threshold(camera, tolerance))
+                found = method.refine(view, tolerance=tolerance)
                 expected = plain.drawn(ground, spheres.update(camera.eye), Spheres(ground, camera, cull=cull))
                 assert plain.triangles_of(found) == expected
                 found = other.refine(view, tolerance=tolerance)
@@ -69,12 +72,12 @@ def flight(rng, t, frames, step):
 def test_random_flights_equal_fresh_starts(metric, seed, gaps, step, cull):
     rng = np.random.default_rng(seed)
     t = plain.terrain(plain.rough(rng, (129, 100), amplitude=300, gaps=gaps))
-    engine = Blow(t, metric=metric, cull=cull)
+    method = plain.refiner(ThresholdSpheres, t, metric=metric, cull=cull)
     for view in flight(rng, t, 12, step):
-        found = engine.refine(view, tolerance=2.0)
-        fresh = Blow(t, metric=metric, cull=cull).refine(view, tolerance=2.0)
+        found = method.refine(view, tolerance=2.0)
+        fresh = plain.refiner(ThresholdSpheres, t, metric=metric, cull=cull).refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == plain.triangles_of(fresh)
-    same = Soar(t, metric=metric, cull=cull).refine(view, tolerance=2.0)
+    same = plain.refiner(Soar, t, metric=metric, cull=cull).refine(view, tolerance=2.0)
     if metric == "anisotropic":
         assert plain.triangles_of(found) == plain.triangles_of(same)
 
@@ -151,27 +154,27 @@ def rotation(axis, angle):
 def test_a_frame_costs_what_changes():
     rng = np.random.default_rng(3)
     t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=1500))
-    engine = Blow(t, metric="isotropic", cull=False)
+    method = plain.refiner(ThresholdSpheres, t, metric="isotropic", cull=False)
     views = list(flight(rng, t, 30, 5.0))
-    first = engine.refine(views[0], tolerance=0.5).stats
+    first = method.refine(views[0], tolerance=0.5).stats
     assert first["splits"] > 10_000
     for view in views[1:]:
-        stats = engine.refine(view, tolerance=0.5).stats
+        stats = method.refine(view, tolerance=0.5).stats
         assert stats["splits"] + stats["merges"] < 0.03 * stats["front"]
         assert stats["visits"] < 0.1 * stats["front"]
     turned = replace(views[-1], target=tuple(2 * np.array(views[-1].eye) - views[-1].target))
-    stats = engine.refine(turned, tolerance=0.5).stats
+    stats = method.refine(turned, tolerance=0.5).stats
     assert stats["visits"] == stats["splits"] == stats["merges"] == 0
     # Where the axis matters, turning is work, but a camera at rest is none.
-    engine = Blow(t)
-    engine.refine(views[0], tolerance=0.5)
-    at_rest = engine.refine(views[0], tolerance=0.5).stats
+    method = plain.refiner(ThresholdSpheres, t)
+    method.refine(views[0], tolerance=0.5)
+    at_rest = method.refine(views[0], tolerance=0.5).stats
     assert at_rest["visits"] == at_rest["splits"] == at_rest["merges"] == 0
     eye, target = np.array(views[0].eye), np.array(views[0].target)
     for number in range(1, 20):
         away = eye + rotation(np.array([0.0, 0.0, 1.0]), np.radians(0.02 * number)) @ (target - eye)
         view = replace(views[0], eye=tuple(eye + number * (target - eye) / 20_000), target=tuple(away))
-        stats = engine.refine(view, tolerance=0.5).stats
+        stats = method.refine(view, tolerance=0.5).stats
         assert 0 < stats["visits"] < 0.1 * stats["front"]
         assert stats["splits"] + stats["merges"] < 0.03 * stats["front"]
 
@@ -180,13 +183,13 @@ def test_spheres_nest_and_bound_away_from_the_axis(shared_data):
     with rasterio.open(shared_data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif") as file:
         t = plain.terrain(file.read(1)[:500, :700].astype(np.float32))
     rng = np.random.default_rng(13)
-    engines = {metric: Blow(t, metric=metric) for metric in ("anisotropic", "isotropic")}
-    made = dict.fromkeys(engines, 0)
+    methods = {metric: plain.refiner(ThresholdSpheres, t, metric=metric) for metric in ("anisotropic", "isotropic")}
+    made = dict.fromkeys(methods, 0)
     for _ in range(8):
         view = plain.random_view(rng, t)
         for tolerance in (0.5, 2.0, 8.0):
-            for metric, engine in engines.items():
-                found = engine.refine(view, tolerance=tolerance)
+            for metric, method in methods.items():
+                found = method.refine(view, tolerance=tolerance)
                 report = verify.judge_mesh(found, t, view)
                 assert report.ok(tolerance), report
                 made[metric] += len(found.triangles)
@@ -196,9 +199,9 @@ def test_spheres_nest_and_bound_away_from_the_axis(shared_data):
 def test_a_turning_flight_keeps_the_tolerance():
     rng = np.random.default_rng(17)
     t = plain.terrain(plain.rough(rng, (257, 257), amplitude=900))
-    engine = Blow(t)
+    method = plain.refiner(ThresholdSpheres, t)
     for number, view in enumerate(flight(rng, t, 40, 15.0)):
-        found = engine.refine(view, tolerance=1.5)
+        found = method.refine(view, tolerance=1.5)
         if number % 5 == 4:
             report = verify.judge_mesh(found, t, view)
             assert report.ok(1.5), report
@@ -218,7 +221,7 @@ def test_published_spheres_exceed_the_tolerance_off_the_axis():
             fov_y=100.0, width=600, height=100,
         )  # fmt: skip
         for metric in worst:
-            found = Blow(t, metric=metric, cull=False).refine(view, tolerance=1.0)
+            found = plain.refiner(ThresholdSpheres, t, metric=metric, cull=False).refine(view, tolerance=1.0)
             worst[metric] = max(worst[metric], verify.judge_mesh(found, t, view).largest)
     assert worst["isotropic"] <= 1.0 < worst["isotropic-published"]
 
@@ -227,21 +230,21 @@ def test_budgets():
     rng = np.random.default_rng(9)
     t = plain.terrain(plain.rough(rng, (129, 129)))
     view = plain.random_view(rng, t)
-    engine = Blow(t)
+    method = plain.refiner(ThresholdSpheres, t)
     # (Whatever the tolerance, diamonds are split while the eye is inside their nested sphere.)
-    coarsest = len(engine.refine(view, tolerance=1e9).triangles)
+    coarsest = len(method.refine(view, tolerance=1e9).triangles)
     assert coarsest < 200
     for budget in (200, 500, 3000):
-        found = engine.refine(view, triangles=budget)
+        found = method.refine(view, triangles=budget)
         assert len(found.triangles) <= budget
         assert verify.judge_mesh(found, t, view).ok(found.stats["tolerance"])
-    assert not verify.judge_mesh(engine.refine(view, seconds=0.05), t, view).defects
+    assert not verify.judge_mesh(method.refine(view, seconds=0.05), t, view).defects
 
 
 def test_little_memory_gives_the_same_mesh():
     rng = np.random.default_rng(11)
     t = plain.terrain(plain.rough(rng, (1500, 1100), amplitude=800, gaps=0.02), cell=10)
-    much, little = Blow(t), Blow(t, max_memory=6 << 20)
+    much, little = plain.refiner(ThresholdSpheres, t), plain.refiner(ThresholdSpheres, t, max_memory=6 << 20)
     for view in flight(rng, t, 5, 200.0):
         found = little.refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == plain.triangles_of(much.refine(view, tolerance=2.0))
@@ -257,9 +260,9 @@ def test_colors_force_splits():
     def color(level, row0, row1, col0, col1):
         return np.full((row1 - row0, col1 - col0), 5.0, np.float32)
 
-    flat = Blow(t).refine(view, tolerance=1.0)
-    coarse = Blow(t, color=color, color_tolerance=6.0).refine(view, tolerance=1.0)
-    fine = Blow(t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
+    flat = plain.refiner(ThresholdSpheres, t).refine(view, tolerance=1.0)
+    coarse = plain.refiner(ThresholdSpheres, t, color=color, color_tolerance=6.0).refine(view, tolerance=1.0)
+    fine = plain.refiner(ThresholdSpheres, t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
     assert len(flat.triangles) == len(coarse.triangles) == 2
     assert len(fine.triangles) > 2
     assert verify.judge_mesh(fine, t, view).ok(0.0)
@@ -272,13 +275,13 @@ def test_plans_keep_holes():
     x, y = (float(v) for v in t.grid.xy(22, 30))
     view = plain.View((x, y, 9000.0), (x, y, 0.0), projection="plan")
     for cull in (True, False):
-        found = Blow(t, cull=cull).refine(view, tolerance=1.0)
+        found = plain.refiner(ThresholdSpheres, t, cull=cull).refine(view, tolerance=1.0)
         assert len(found.triangles) > 2
         assert verify.judge_mesh(found, t, view).ok(0.0)
 
 
 def test_unusable_options_are_refused():
     t = plain.terrain(np.zeros((5, 5), np.float32))
-    assert engine_of("blow") is Blow
+    assert method_of("threshold-spheres") is ThresholdSpheres
     with pytest.raises(UsageError):
-        Blow(t, metric="wedgie")
+        plain.refiner(ThresholdSpheres, t, metric="wedgie")

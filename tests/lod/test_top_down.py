@@ -11,11 +11,11 @@ import pytest
 from orograph import verify
 from orograph.errors import UsageError
 from orograph.hierarchy import diamonds, fronts
-from orograph.lod import engine_of
 from orograph.lod.reference import top_down as reference
 from orograph.lod.reference.camera import Camera
 from orograph.lod.reference.criterion import Prisms, Spheres
 from orograph.lod.reference.terrain import Ground
+from orograph.lod.registry import method_of
 from orograph.lod.top_down import TopDown
 
 
@@ -38,9 +38,9 @@ def test_mesh_is_that_of_forced_splits(shape, gaps):
                 T = reference.refine(ground.n, partial(inaccurate, prisms, metric, tolerance))
                 expected = plain.drawn(ground, T, prisms)
                 queue = "fifo" if case % 2 else "priority"
-                engine = TopDown(t, metric=metric, cull=cull, queue=queue, exaggeration=exaggeration)
-                assert plain.triangles_of(engine.refine(view, tolerance=tolerance)) == expected
-                assert engine.refine(view, tolerance=tolerance).stats["front"] == len(T)
+                method = plain.refiner(TopDown, t, metric=metric, cull=cull, queue=queue, exaggeration=exaggeration)
+                assert plain.triangles_of(method.refine(view, tolerance=tolerance)) == expected
+                assert method.refine(view, tolerance=tolerance).stats["front"] == len(T)
 
 
 def inaccurate(prisms, metric, tolerance, t):
@@ -86,14 +86,18 @@ def test_localised_is_exact_without_a_limit_and_between_with_one():
                 front = fronts.split(front, r[bad], c[bad])
             counts = []
             for depth in (64, 4, 1, 0):
-                engine = TopDown(t, metric="localised", depth=depth, near=0.0, queue="fifo")
-                found = engine.refine(view, tolerance=tolerance)
+                method = plain.refiner(TopDown, t, metric="localised", depth=depth, near=0.0, queue="fifo")
+                found = method.refine(view, tolerance=tolerance)
                 counts.append(found.stats["front"])
                 assert verify.judge_mesh(found, t, view).ok(tolerance)
                 if depth == 64:
                     assert counts[0] == len(front)
                     assert plain.triangles_of(found) <= p.triangle_set(front, np.ones(len(front), bool))
-            wedgie = TopDown(t, metric="wedgie", queue="fifo").refine(view, tolerance=tolerance).stats["front"]
+            wedgie = (
+                plain.refiner(TopDown, t, metric="wedgie", queue="fifo")
+                .refine(view, tolerance=tolerance)
+                .stats["front"]
+            )
             assert counts == sorted(counts)
             assert counts[-1] <= wedgie
 
@@ -106,10 +110,10 @@ def test_every_budget_is_kept_by_a_valid_mesh(shape, metric):
     view = plain.random_view(rng, t)
     rows, cols = shape
     everything = 2 * (rows - 1) * (cols - 1)
-    engine = TopDown(t, metric=metric, cull=False)
+    method = plain.refiner(TopDown, t, metric=metric, cull=False)
     last, reached = 0, np.inf
     for budget in range(2, everything + 1):
-        found = engine.refine(view, triangles=budget)
+        found = method.refine(view, triangles=budget)
         report = verify.judge_mesh(found, t, view)
         assert not report.defects
         assert budget - 2 < len(found.triangles) <= budget or found.stats["tolerance"] == 0.0 or shape != (17, 17)
@@ -125,7 +129,7 @@ def test_fifo_reaches_a_budget_by_tolerance():
     rng = np.random.default_rng(9)
     t = plain.terrain(plain.rough(rng, (65, 65)))
     view = plain.random_view(rng, t)
-    found = TopDown(t, queue="fifo").refine(view, triangles=500)
+    found = plain.refiner(TopDown, t, queue="fifo").refine(view, triangles=500)
     assert 250 < len(found.triangles) <= 500
     assert verify.judge_mesh(found, t, view).ok(found.stats["tolerance"])
 
@@ -134,9 +138,9 @@ def test_time_is_kept():
     rng = np.random.default_rng(10)
     t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=800))
     view = plain.random_view(rng, t, fov_y=60.0)
-    engine = TopDown(t)
-    engine.refine(view, tolerance=0.01)  # compiled, and everything in memory
-    meshes = [engine.refine(view, seconds=s) for s in (0.002, 0.02, 0.1)]
+    method = plain.refiner(TopDown, t)
+    method.refine(view, tolerance=0.01)  # compiled, and everything in memory
+    meshes = [method.refine(view, seconds=s) for s in (0.002, 0.02, 0.1)]
     counts = [len(m.triangles) for m in meshes]
     assert counts == sorted(counts) and counts[0] < counts[-1]
     for m, seconds in zip(meshes, (0.002, 0.02, 0.1)):
@@ -150,8 +154,8 @@ def test_little_memory_gives_the_same_mesh():
     view = plain.random_view(rng, t, fov_y=60.0)
     for queue in ("fifo", "priority"):
         for metric in ("wedgie", "localised"):
-            much = TopDown(t, queue=queue, metric=metric)
-            little = TopDown(t, queue=queue, metric=metric, max_memory=6 << 20)
+            much = plain.refiner(TopDown, t, queue=queue, metric=metric)
+            little = plain.refiner(TopDown, t, queue=queue, metric=metric, max_memory=6 << 20)
             expected = much.refine(view, tolerance=2.0)
             found = little.refine(view, tolerance=2.0)
             assert plain.triangles_of(found) == plain.triangles_of(expected)
@@ -167,14 +171,14 @@ def test_plans_need_only_holes():
     whole, holes = (plain.terrain(plain.rough(rng, (65, 65), gaps=g)) for g in (0.0, 0.1))
     for t in (whole, holes):
         view = plain.random_view(rng, t, projection="plan", fov_y=170.0)
-        found = TopDown(t).refine(view, tolerance=1.0)
+        found = plain.refiner(TopDown, t).refine(view, tolerance=1.0)
         assert verify.judge_mesh(found, t, view).ok(0.0)
         assert (len(found.triangles) <= 2) == (t is whole)
 
 
 def test_unusable_options_are_refused():
     t = plain.terrain(np.zeros((5, 5), np.float32))
-    assert engine_of("top-down") is TopDown
+    assert method_of("top-down") is TopDown
     for options in (
         {"queue": "lifo"},
         {"depth": -1},
@@ -183,4 +187,4 @@ def test_unusable_options_are_refused():
         {"metric": "localised", "error": "midpoint"},
     ):
         with pytest.raises(UsageError):
-            TopDown(t, **options)
+            plain.refiner(TopDown, t, **options)

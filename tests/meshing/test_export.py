@@ -34,7 +34,7 @@ def mesh() -> Tessellation:
     n = len(rim)
     # Clockwise as drawn with rows downwards is wrong here: this grid is mirrored, so the map's turn is the other one.
     fan = np.array([[0, 1 + (i + 1) % n, 1 + i] for i in range(n)], np.int32)
-    return Tessellation(np.column_stack([places, heights.astype(np.float64)]), fan, None, {"engine": "fan"})
+    return Tessellation(np.column_stack([places, heights.astype(np.float64)]), fan, None, {"method": "fan"})
 
 
 COLORS = np.random.default_rng(1).integers(0, 256, (60, 3)).astype(np.uint8)
@@ -173,7 +173,7 @@ def test_glb_is_precise_about_its_origin(tmp_path: Path, mesh: Tessellation, col
 
 def test_npz_is_the_tessellation(tmp_path: Path, mesh: Tessellation):
     again, grid = Tessellation.load(write(mesh, GRID, tmp_path / "m.npz"))
-    assert np.array_equal(again.vertices, mesh.vertices) and again.stats == {"engine": "fan"} and grid == GRID
+    assert np.array_equal(again.vertices, mesh.vertices) and again.stats == {"method": "fan"} and grid == GRID
 
 
 def test_a_grid_without_crs_and_a_mesh_without_triangles(tmp_path: Path, mesh: Tessellation):

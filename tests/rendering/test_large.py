@@ -111,7 +111,7 @@ def test_what_cannot_be_drawn_by_bands(tmp_path, monkeypatch):
     land = ground()
     scene = Scene.of(land, camera.whole(land, SIZE))
     with pytest.raises(UsageError, match="wireframe"):
-        draw_large(scene.but(engine="soar", wireframe=True), tmp_path / "a.png")
+        draw_large(scene.but(method="soar", wireframe=True), tmp_path / "a.png")
     wide = scene.but(view=camera.whole(land, (20_000, 100)))
     with pytest.raises(UsageError, match="16383"):
         draw_large(wide, tmp_path / "a.webp")

@@ -46,7 +46,7 @@ def scenes(tmp_path):
         "plan": Scene.of(land, camera.plan(land, SIZE, azimuth=150), samples=3),
         "coarse": Scene.of(land, oblique, tolerance=3.0),
         "plain": Scene.of(land, oblique, samples=1, shadows=False, water=None),
-        "mesh": Scene.of(land, oblique, engine="soar", tolerance=2.0),
+        "mesh": Scene.of(land, oblique, method="soar", tolerance=2.0),
     }  # fmt: skip
 
 
@@ -80,7 +80,7 @@ def test_what_a_tile_cannot_have():
     with pytest.raises(UsageError, match="furniture"):
         draw(Scene.of(land, view.tile(0, 0, 10, 10), furniture=True))
     with pytest.raises(UsageError, match="wireframe"):
-        draw(Scene.of(land, view.tile(0, 0, 10, 10), engine="soar", wireframe=True))
+        draw(Scene.of(land, view.tile(0, 0, 10, 10), method="soar", wireframe=True))
     # A tile of nothing but paper is part of a picture; a picture of nothing is none.
     assert not np.isfinite(draw(Scene.of(land, view.tile(0, 0, 10, 10))).depth).any()
     away = camera.View((500_000.0, 4_100_000.0, 900.0), (500_000.0, 4_200_000.0, 900.0), width=333, height=190)

@@ -159,7 +159,7 @@ def test_lines_over_a_coarse_mesh_in_plan_are_those_without_one() -> None:
     view = View((x, y, 5000.0), (x, y, 0.0), up=(0, 1, 0), projection="plan", fov_y=30, width=200, height=160)
     scene = plain(terrain, view, Contours(50.0))
     camera = View((x, y - 9000.0, 4000.0), (x, y, 0.0), width=64, height=48)
-    bare, over = cover(scene), cover(scene.but(engine="soar", tolerance=None, mesh_view=camera))
+    bare, over = cover(scene), cover(scene.but(method="soar", tolerance=None, mesh_view=camera))
     assert bare.max() > 0.95
     np.testing.assert_allclose(over, bare, atol=0.02)
 
@@ -170,7 +170,7 @@ def test_lines_over_a_coarse_mesh_lie_where_the_terrain_has_their_height(wirefra
     terrain, (x, y) = cone()
     view = View((x, y - 5200.0, 3300.0), (x, y - 300.0, 700.0), fov_y=35, width=240, height=180)
     scene = plain(terrain, view, Contours(100.0, 0, labels=False, color=(0.0, 0.0, 0.0), opacity=1.0, width=2.0))
-    scene = scene.but(engine="soar", tolerance=6.0, wireframe=wireframe)
+    scene = scene.but(method="soar", tolerance=6.0, wireframe=wireframe)
     without, with_ = (draw(scene.but(contours=c)) for c in (None, scene.annotations.contours))
     assert with_.facts["mesh"]["triangles"] < 400
     light = without.pixels.astype(int).sum(-1)

@@ -1,14 +1,18 @@
-"""Measuring engines: what is counted, by engines that are made up."""
+"""Measuring methods: what is counted, by methods that are made up."""
 
 from __future__ import annotations
 
 import itertools
 
 import numpy as np
+import plain
 import pytest
 from affine import Affine
 
 from orograph.geo.grid import Grid
+from orograph.lod.method import Goal
+from orograph.lod.raycast import RayCast
+from orograph.lod.selection import TriangleMesh
 from orograph.lod.soar import Soar
 from orograph.store import MemoryTerrain
 from orograph.tessellation import Tessellation
@@ -27,50 +31,50 @@ def ground():
 
 
 class Scripted:
-    """An engine whose every mesh and time are known beforehand: the finest ones by turns, or the coarsest."""
+    """A method whose every mesh and time are known beforehand: the finest ones by turns, or the coarsest."""
 
     def __init__(self, terrain, *, slow=(1.0,), promises=True, tolerance=1.0, pattern=(0.0,)):
-        self.engine = Soar(terrain, cull=False)
+        self.method = plain.refiner(Soar, terrain, cull=False)
         self.times, self.pattern = itertools.cycle(slow), itertools.cycle(pattern)
         self.promises, self.tolerance = promises, tolerance
         self.seen = []
 
-    def refine(self, view, *, tolerance=None, triangles=None):
-        self.seen.append(view)
-        mesh = self.engine.refine(VIEW, tolerance=next(self.pattern))
-        stats = {"refine_ms": next(self.times), "tiles_read": len(self.seen), "conservative": self.promises,
-                 "tolerance": self.tolerance}  # fmt: skip
-        return Tessellation(mesh.vertices, mesh.triangles, None, stats)
+    def select(self, camera, goal):
+        self.seen.append(camera.view)
+        mesh = self.method.refine(VIEW, tolerance=next(self.pattern))
+        stats = {"refine_ms": next(self.times), "tiles_read": len(self.seen), "tolerance": self.tolerance}
+        bound = self.tolerance if self.promises else None
+        return TriangleMesh(method="scripted", bound=bound, stats=stats, mesh=mesh)
 
 
 def test_views(ground):
     rounds = [[5.0, 2.0, 3.0], [4.0, 6.0, 7.0], [9.0, 9.5, 20.0]]
-    engine = Scripted(ground, slow=[1000, 1000, 1000, *(t for r in rounds for ms in r for t in (0.1, ms))])
-    m = measure_views(engine, ground, [VIEW, VIEW, VIEW], {"tolerance": 1.0})
+    method = Scripted(ground, slow=[1000, 1000, 1000, *(t for r in rounds for ms in r for t in (0.1, ms))])
+    m = measure_views(method, ground, [VIEW, VIEW, VIEW], Goal(1.0))
     # Three for the referee, and three times three for the clock, the eye taken away before each.
-    assert engine.seen == [VIEW] * 3 + [elsewhere(VIEW), VIEW] * 9
+    assert method.seen == [VIEW] * 3 + [elsewhere(VIEW), VIEW] * 9
     assert (m.ms, m.ms_worst, m.frames, m.judged) == (4.0, 9.0, 3, 3)
-    assert m.triangles == len(engine.refine(VIEW).triangles) > 500
+    assert m.triangles == len(method.method.refine(VIEW, tolerance=0.0).triangles) > 500
     assert m.mtri_per_s == pytest.approx(3 * m.triangles / 15e-3 / 1e6)
     assert m.largest == pytest.approx(0, abs=1e-9) and m.changes is None and m.kept is True and not m.defects
     assert m.tiles_read == 21
 
 
 def test_promises(ground):
-    assert measure_views(Scripted(ground, pattern=[30.0]), ground, [VIEW], {}).kept is False
-    assert measure_views(Scripted(ground, pattern=[30.0], promises=False), ground, [VIEW], {}).kept is None
-    within = measure_views(Scripted(ground, pattern=[30.0], tolerance=30.0), ground, [VIEW], {})
+    assert measure_views(Scripted(ground, pattern=[30.0]), ground, [VIEW], Goal(1.0)).kept is False
+    assert measure_views(Scripted(ground, pattern=[30.0], promises=False), ground, [VIEW], Goal(1.0)).kept is None
+    within = measure_views(Scripted(ground, pattern=[30.0], tolerance=30.0), ground, [VIEW], Goal(1.0))
     assert within.kept is True and 1 < within.largest <= 30 and 0 < within.rms < within.largest
 
 
 def test_a_flight_counts_what_changes(ground):
     """Against sets of triangles: fine and coarse meshes by turns, and the same one again."""
     pattern = [0.0, 4.0, 0.0, 0.0, 4.0, 4.0, 12.0]  # the first three warm up
-    engine = Scripted(ground, pattern=pattern)
-    m = measure_flight(engine, ground, [VIEW] * 4, {"tolerance": 1.0}, judged=2)
+    method = Scripted(ground, pattern=pattern)
+    m = measure_flight(method, ground, [VIEW] * 4, Goal(1.0), judged=2)
     sets = []
     for tolerance in pattern[3:]:
-        mesh = Soar(ground, cull=False).refine(VIEW, tolerance=tolerance)
+        mesh = plain.refiner(Soar, ground, cull=False).refine(VIEW, tolerance=tolerance)
         sets.append({frozenset(map(tuple, mesh.vertices[t, :2].tolist())) for t in mesh.triangles})
     truth = [(len(a ^ b), len(b)) for a, b in itertools.pairwise(sets)]
     assert truth[1][0] == 0 and truth[0][0] > 0.3 * truth[0][1]
@@ -80,8 +84,17 @@ def test_a_flight_counts_what_changes(ground):
     assert m.triangles == np.mean([len(s) for s in sets])
 
 
+def test_rays_are_timed_and_not_judged(ground):
+    for m in (
+        measure_views(RayCast(ground), ground, [VIEW], Goal(1.0)),
+        measure_flight(RayCast(ground), ground, [VIEW] * 3, Goal(1.0)),
+    ):
+        assert m.triangles is m.mtri_per_s is m.largest is m.rms is m.changes is m.kept is None
+        assert m.ms > 0 and m.conservative and m.tolerance == 1.0 and m.judged == 0
+
+
 def test_fingerprints_are_of_samples_not_of_numbers(ground):
-    mesh = Soar(ground).refine(VIEW, tolerance=0.5)
+    mesh = plain.refiner(Soar, ground).refine(VIEW, tolerance=0.5)
     order = np.random.default_rng(1).permutation(len(mesh.vertices))
     place = np.argsort(order)
     turned_over = np.roll(place[mesh.triangles][::-1], 1, axis=1).astype(np.int32)
@@ -96,4 +109,4 @@ def test_elsewhere_is_far_and_sees_nothing(ground):
     here, there = VIEW.axes()[2], elsewhere(VIEW).axes()[2]
     np.testing.assert_allclose(here, -there, atol=1e-12)
     assert np.isnan(elsewhere(VIEW).project((*ground.grid.xy(8, 8), 0.0))[0]).all()
-    assert len(Soar(ground).refine(elsewhere(VIEW), tolerance=1.0).triangles) <= 2
+    assert len(plain.refiner(Soar, ground).refine(elsewhere(VIEW), tolerance=1.0).triangles) <= 2

@@ -180,7 +180,7 @@ def test_a_store_that_vanishes_is_said_and_survived(person, dem, tmp_path):
     assert someone.close() == 0
 
 
-LOOKS = "--contours auto --silhouettes --engine soar --light aperture --water none --no-shadows"
+LOOKS = "--contours auto --silhouettes --method soar --light aperture --water none --no-shadows"
 
 
 @pytest.mark.parametrize(("frames", "looks"), [("1", ""), ("100000", ""), ("1", LOOKS)])

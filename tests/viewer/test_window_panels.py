@@ -1,4 +1,4 @@
-"""Panels, plan, measuring, tours and engines of the window on an off-screen canvas, used as a person would."""
+"""Panels, plan, measuring, tours and methods of the window on an off-screen canvas, used as a person would."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rasterio
+import toy
 from affine import Affine
 
 pytest.importorskip("imgui_bundle")
@@ -17,10 +18,10 @@ pytest.importorskip("rendercanvas")
 from hand import ground_pixel
 from imgui_bundle import imgui
 
+from orograph.lod.registry import names
 from orograph.scene.contours import Contours
 from orograph.viewer import panels
-from orograph.viewer.panels import layers, statistics
-from orograph.viewer.panels.detail import METHODS
+from orograph.viewer.panels import detail, layers, statistics
 
 PLAIN = 500.0
 
@@ -212,18 +213,18 @@ def test_a_played_day_moves_the_sun(window, hand):
     assert light.sun(window.session.terrain).altitude > -90
 
 
-@pytest.mark.parametrize("engine", [name for name, _ in METHODS if name])
-def test_every_engine_draws_the_ground_and_says_what_it_made(window, hand, engine):
+@pytest.mark.parametrize("method", names("triangles"))
+def test_every_method_draws_the_ground_and_says_what_it_made(window, hand, method):
     settings = window.session.settings
     settings.tolerance = 2.0
     hand.rest()
     before = hand.frames(1)
-    settings.engine = engine
+    settings.method = method
     made = lambda: window.drawing.renderer.mesh is not None and window.drawing.renderer.resting  # noqa: E731
     hand.until(made, 300)  # its kernels may have to be compiled
     assert window.drawing.stats.triangles == len(window.drawing.renderer.mesh.triangles) > 2
     rows = dict(statistics.rows(window))
-    assert rows[engine].endswith(" ms")
+    assert rows[method].endswith(" ms")
     after = hand.frames(1)
     ground = np.s_[250:560, 20:560]
     assert np.abs(after[ground].astype(int) - before[ground]).mean() < 6  # the same ground in the same light
@@ -237,9 +238,42 @@ def test_every_engine_draws_the_ground_and_says_what_it_made(window, hand, engin
     hand.key("f")
     hand.rest()
     assert window.drawing.renderer.mesh is not made
-    settings.engine = None
+    settings.method = "auto"
     hand.until(lambda: window.drawing.renderer.mesh is None)
     assert not [m.text for m in window.session.messages.shown if m.error]
+
+
+def test_a_method_that_is_added_is_in_the_panel(window, hand, monkeypatch, tmp_path):
+    settings, seen = window.session.settings, {}
+
+    def spy(kind, original):
+        def call(label, value, *more):
+            seen[label] = kind, more
+            moved, value = original(label, value, *more)
+            return (True, 12.0) if label == "ratio" else (moved, value)
+
+        return call
+
+    for kind in ("combo", "slider_float", "slider_int", "checkbox"):
+        monkeypatch.setattr(imgui, kind, spy(kind, getattr(imgui, kind)))
+    opened = imgui.TreeNodeFlags_.default_open
+    monkeypatch.setattr(imgui, "tree_node", lambda label: imgui.tree_node_ex(label, opened))
+    monkeypatch.setattr(panels, "PANELS", tuple((name, detail.draw, place) for name, _, place in panels.PANELS))
+    with toy.added(tmp_path):
+        settings.method = toy.NAME
+        hand.until(lambda: window.drawing.renderer.mesh is not None and window.drawing.renderer.resting, 120)
+        hand.frames(2)
+        assert toy.NAME in seen["method"][1][0] and "soar" in seen["method"][1][0]
+        assert seen["ratio"][0] == "slider_float" and seen["coarsest"][0] == "slider_int"
+        assert settings.method == f"{toy.NAME},ratio=12"
+        assert window.drawing.renderer.mesh.stats["method"] == toy.NAME
+        settings.method = "roam"
+        hand.frames(2)
+        assert seen["deferral"][0] == "checkbox" and seen["strips"] == ("combo", (["none", "kept", "rebuilt"],))
+        settings.method = "auto"
+        hand.until(lambda: window.drawing.renderer.mesh is None)
+        hand.frames(2)
+        assert seen["legs"][0] == "combo" and not [m.text for m in window.session.messages.shown if m.error]
 
 
 def test_normals_are_chosen(window, hand):

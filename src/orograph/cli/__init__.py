@@ -33,7 +33,8 @@ VERBS = {
     "light": "Make maps of light: slope, hillshade, horizons, sky, openness…",
     "measure": "Measure heights, lengths, areas and what is seen.",
     "tessellate": "Triangulate a DEM or a store for a view.",
-    "compare": "Measure the engines side by side.",
+    "compare": "Measure methods side by side.",
+    "methods": "Tell which methods there are, and what their options mean.",
     "doctor": "Tell what this machine offers for drawing, and what to install.",
     "synth": "Make a fractal terrain of any size.",
 }

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 @ray_options(
     ["horizon", "rays"],
     method="Of ambient occlusion and apertures.  [default: horizon]",
-    rays="With --method rays: rays per sample.",
+    rays="With --by rays: rays per sample.",
 )
 @insolation_options
 @click.option(
@@ -62,7 +62,7 @@ def command(
 
     \b
     sky-view-factor, sky-view-horizontal, visible-sky   what is seen of the sky
-    ambient-occlusion    share of ambient light (--radius, --rho, --method)
+    ambient-occlusion    share of ambient light (--radius, --rho, --by)
     aperture             the sky that is seen as one cap
     openness, openness-negative, horizon, insolation (--date)
 

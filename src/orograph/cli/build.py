@@ -14,9 +14,12 @@ from orograph.cli.products import Names
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pyproj import CRS
 
     from orograph.error import ErrorKind
+    from orograph.progress import Progress
 
 
 class ErrorKinds(click.ParamType[tuple[str, ...]]):
@@ -58,6 +61,13 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
     help="Which errors of its diamonds are stored: some of exact,wedgie,midpoint, or none.",
 )
 @click.option(
+    "--for",
+    "methods",
+    multiple=True,
+    metavar="NAME[,key=value…]",
+    help="Store also what a method needs with these options (see orograph methods); can be given several times.",
+)
+@click.option(
     "--color-errors",
     is_flag=True,
     help="Store also how much coarser triangles change colours (for --color-tolerance), of --drape or the tint, lit.",
@@ -96,6 +106,7 @@ def command(
     max_memory: int,
     jobs: int | None,
     errors: tuple[ErrorKind, ...],
+    methods: tuple[str, ...],
     color_errors: bool,
     drape: str | None,
     products: tuple[str, ...] | None,
@@ -115,6 +126,7 @@ def command(
       orograph build dem.tif -o area.oro
       orograph build tiles/*.tif -o area.oro --resolution 10 --max-memory 2GiB
       orograph build tiles/*.tif -o area.oro --resume
+      orograph build dem.tif -o area.oro --for roam,error=wedgie --for soar
       orograph build dem.tif -o area.oro --color-errors --drape ortho.tif
       orograph build tiles/*.tif -o area.oro --bake sky-view-factor,aperture
       orograph build N44W072.hgt -o area.oro --to-vertical ellipsoidal --geoid egm96_15.gtx
@@ -134,6 +146,7 @@ def command(
 
         check(products)
     progress = progress_of(ctx)
+    errors = (*errors, *(kind for kind in _needed(methods, progress) if kind not in errors))
     started = time.perf_counter()
     source = as_source(dem, progress, **options)
     for warning in getattr(source, "warnings", ()):
@@ -229,6 +242,30 @@ def _repair(
     for key in mended:
         click.echo(f"{key}: mended")
     click.echo(f"{store}: {'nothing was damaged' if not mended else 'sound again'}")
+
+
+def _needed(methods: Sequence[str], progress: Progress) -> tuple[ErrorKind, ...]:
+    """The kinds of errors that methods need.
+
+    Raises:
+        UsageError: one of them is no method.
+    """
+    if not methods:
+        return ()
+    from orograph.lod.needs import kinds_of
+    from orograph.lod.registry import chosen
+    from orograph.store.patches import LEGS
+
+    found: dict[ErrorKind, None] = {}
+    for text in methods:
+        choice = chosen(text)
+        needs = choice.method.needs(choice.options)
+        found.update(dict.fromkeys(kinds_of(needs)))
+        if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
+            progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
+        if getattr(choice.options, "color_tolerance", None) is not None:
+            progress.note(f"{choice}: errors of colours are stored with --color-errors.")
+    return tuple(found)
 
 
 def crs_name(crs: CRS | None) -> str | None:

@@ -1,4 +1,4 @@
-"""``orograph compare``: every engine on the same views or the same flight, measured by the same referee."""
+"""``orograph compare``: every method on the same views or the same flight, measured by the same referee."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.camera import Size
-from orograph.cli.engines import REFINE, check_colors, color_errors, goal_of, make_engine, not_enough, refine_options
 from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
     Float,
-    ParamType,
     grid_options,
     jobs_option,
     memory_option,
@@ -26,11 +24,24 @@ from orograph.cli.options import (
     source_options,
     vertical_options,
 )
+from orograph.cli.refining import (
+    REFINE,
+    check_colors,
+    choice_of,
+    error_kinds,
+    goal_of,
+    goal_options,
+    make_method,
+    method_option,
+    not_enough,
+)
 from orograph.documents import parse
 from orograph.errors import OrographError, ReadError, UsageError
-from orograph.lod import ENGINES, engine_of
+from orograph.lod.registry import METHODS
 
 if TYPE_CHECKING:
+    from orograph.lod.method import Goal
+    from orograph.lod.registry import Choice
     from orograph.progress import Progress
     from orograph.store.terrain import Terrain
     from orograph.verify.measure import Measurement
@@ -41,28 +52,6 @@ OWN = {*REFINE, "exaggeration"}
 
 JUDGED = 12
 """Frames of a flight that the referee sees unless more are asked for."""
-
-Contender = tuple[str, str | None]
-
-
-class Engines(ParamType):
-    """all, or names separated by commas, each with a metric behind a colon if it is not to be the engine's own."""
-
-    name = "all|NAME,NAME:METRIC…"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[Contender]:
-        if isinstance(value, list):
-            return value
-        if value == "all":
-            return [(name, None) for name in ENGINES]
-        found: list[Contender] = []
-        for part in str(value).split(","):
-            name, _, metric = part.strip().partition(":")
-            if name not in ENGINES:
-                self.fail(f"there is no engine {name!r}; there are {', '.join(ENGINES)}.", param, ctx)
-            if (name, metric or None) not in found:
-                found.append((name, metric or None))
-        return found
 
 
 @click.command("compare")
@@ -82,15 +71,11 @@ class Engines(ParamType):
     metavar="FILE",
     help='Frame by frame instead: {"fps": 60, "seconds": 5, "keys": [{"time": 0, "eye": …, "target": …}, …]}.',
 )
+@method_option("Which; can be given several times.", multiple=True)
 @click.option(
-    "--engines",
-    type=Engines(),
-    default="all",
-    show_default=True,
-    metavar="NAMES",
-    help="Which, separated by commas; NAME:METRIC for another metric than its own.",
+    "--methods", "every", type=click.Choice(["all"]), help="All methods, besides those of --method.  [default]"
 )
-@refine_options
+@goal_options
 @click.option(
     "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
 )
@@ -113,20 +98,21 @@ class Engines(ParamType):
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], views_path: str | None, flight_path: str | None,
-    engines: list[Contender], size: tuple[int, int] | None, judged: int | None, json_path: str | None,
+    method: tuple[str, ...], every: str | None, size: tuple[int, int] | None, judged: int | None, json_path: str | None,
     picture: str | None, max_memory: int, jobs: int | None, **options: Any,
 ) -> None:  # fmt: skip
-    """Measure the engines side by side on a DEM (one file or many) or a store.
+    """Measure methods side by side on a DEM (one file or many) or a store.
 
-    For each: triangles, milliseconds to refine (the median), millions of triangles per second, the largest and the rms
-    error in pixels over every full-resolution sample in view, as the referee finds them, tiles read, and whether the
-    tolerance is a promise; on a flight also the part of the mesh that changes from frame to frame.
+    For each: triangles, milliseconds to select them (the median), millions of triangles per second, the largest and the
+    rms error in pixels over every full-resolution sample in view, as the referee finds them, tiles read, and whether
+    the tolerance is a promise; on a flight also the part of the mesh that changes from frame to frame.
 
     \b
     Examples:
       orograph compare dem.tif
-      orograph compare area.oro --flight flight.json --engines roam,soar --json -
-      orograph compare dem.tif --engines roam,soar,soar:isotropic --triangles 5000 --picture a.png
+      orograph compare area.oro --flight flight.json --method roam --method soar --json -
+      orograph compare dem.tif --method soar --method soar,metric=isotropic --triangles 5000 --picture a.png
+      orograph compare dem.tif --methods all --method soar,error=wedgie
     """
     began = time.perf_counter()
     progress = progress_of(ctx)
@@ -134,8 +120,6 @@ def command(
         raise UsageError("Give --views or --flight, not both.")
     if judged is not None and flight_path is None:
         raise UsageError("--judged is about the frames of a --flight; separate views are all judged.")
-    check_colors(options)
-    goal = goal_of(options, "tolerance", "triangles")
     json_file = None if json_path in (None, "-") else json_path
     check_outputs(
         {"--json": json_file, "--picture": picture},
@@ -152,57 +136,45 @@ def command(
         from orograph.scene.parts import check_exaggeration
         from orograph.scene.prepare import prepare
 
-        for name, metric in engines:
-            engine_of(name).usable_metric(metric)
+        goal = goal_of(options, "tolerance", "triangles")
+        choices = _contenders(method, every is not None, options["conservative"], goal, progress)
+        check_colors(options, choices)
     check_exaggeration(options["exaggeration"])
     if picture is not None:
         picture_format(Path(picture))
     for file in filter(None, (json_file, picture)):
         check_folder(Path(file))
-    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    terrain = prepare(
+        list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=error_kinds(choices), **source
+    )
     check_surface(terrain)
     views = _views(terrain, views_path, flight_path, size, options["exaggeration"])
-    color = color_errors(terrain, options, max_memory, jobs, progress)
-    if color is not None and {name for name, _ in engines} == set(ENGINES):
-        for name in [name for name in ENGINES if not engine_of(name).takes_colors]:
-            progress.note(f"{name} heeds no colours and is left out.")
-            engines = [contender for contender in engines if contender[0] != name]
 
     from orograph.verify.measure import measure_flight, measure_views
 
     found: dict[str, Measurement] = {}
-    for name, metric in engines:
-        label = f"{name}:{metric}" if metric else name
-        with progress.task(label, total=len(views)) as task:
-            engine = make_engine(name, terrain, options, color=color, max_memory=max_memory, jobs=jobs, metric=metric)
+    for choice in choices:
+        with progress.task(str(choice), total=len(views)) as task:
+            made = make_method(choice, terrain, options, max_memory, jobs, progress)
             about: dict[str, Any] = {"exaggeration": options["exaggeration"], "jobs": jobs, "task": task}
             if flight_path is None:
-                found[label] = measure_views(engine, terrain, list(views.values()), goal, **about)
+                found[str(choice)] = measure_views(made, terrain, list(views.values()), goal, **about)
             else:
-                found[label] = measure_flight(
-                    engine, terrain, list(views.values()), goal, judged=judged or JUDGED, **about
+                found[str(choice)] = measure_flight(
+                    made, terrain, list(views.values()), goal, judged=judged or JUDGED, **about
                 )
+            made.close()
     for label, m in found.items():
-        if m.beyond is not None:
-            progress.warn(not_enough(goal["triangles"], label, m.beyond))
+        if m.beyond is not None and goal.triangles is not None:
+            progress.warn(not_enough(goal.triangles, label, m.beyond))
     if picture is not None:
-        _draw(
-            Path(picture),
-            terrain,
-            next(iter(views.values())),
-            engines,
-            goal,
-            options,
-            color,
-            max_memory,
-            jobs,
-            progress,
-        )
+        drawn = [choice for choice in choices if choice.info.kind != "rays"]
+        _draw(Path(picture), terrain, next(iter(views.values())), drawn, goal, options, max_memory, jobs, progress)
     told = {
-        "terrain": terrain.name, "shape": list(terrain.grid.shape), **goal, "error": options["error"],
+        "terrain": terrain.name, "shape": list(terrain.grid.shape), goal.name: getattr(goal, goal.name),
         "exaggeration": options["exaggeration"], "flight": flight_path, "frames": len(views),
         "views": {} if flight_path else {k: v.to_dict() for k, v in views.items()},
-        "engines": {k: {**asdict(m), "kept": m.kept} for k, m in found.items()}, "picture": picture,
+        "methods": {k: {**asdict(m), "kept": m.kept} for k, m in found.items()}, "picture": picture,
         "seconds_in_all": round(time.perf_counter() - began, 3),
     }  # fmt: skip
     if json_file is not None:
@@ -212,13 +184,36 @@ def command(
         click.echo(json.dumps(told, allow_nan=False))
     else:
         _table(told, found)
-    # Under a budget without a bound nothing was promised; what is wrong with such a mesh is in the table.
-    broken = [k for k, m in found.items() if m.kept is False or (m.defects and "tolerance" in goal)]
+    # Where nothing was promised, what is wrong with a mesh is in the table.
+    broken = [k for k, m in found.items() if m.kept is False]
     if broken:
         raise OrographError(
             f"What {' and '.join(broken)} promised does not hold.",
             remedy="This is a fault of Orograph: please report it, with the terrain and the views.",
         )
+
+
+def _contenders(
+    given: Sequence[str], every: bool, conservative: bool, goal: Goal, progress: Progress
+) -> list[Choice]:  # fmt: skip
+    """The methods to measure, each once; of all, those that can reach the goal.
+
+    Raises:
+        UsageError: one that is given cannot, or is refused.
+    """
+    found: dict[str, Choice] = {}
+    if every or not given:
+        for name in METHODS:
+            choice = choice_of(name, conservative)
+            if goal.name in choice.info.goals:
+                found[str(choice)] = choice
+            else:
+                progress.note(f"{name} cannot aim at {goal.name} and is left out.")
+    for text in given:
+        choice = choice_of(text, conservative)
+        choice.info.check_goal(goal.name)
+        found[str(choice)] = choice
+    return list(found.values())
 
 
 def _views(
@@ -269,27 +264,32 @@ def load_views(path: str, crs: Any = None) -> dict[str, View]:
 
 
 def _draw(
-    out: Path, terrain: Terrain, view: View, engines: Sequence[Contender], goal: dict[str, Any],
-    options: dict[str, Any], color: Any, max_memory: int, jobs: int | None, progress: Progress,
+    out: Path, terrain: Terrain, view: View, choices: Sequence[Choice], goal: Goal, options: dict[str, Any],
+    max_memory: int, jobs: int | None, progress: Progress,
 ) -> None:  # fmt: skip
-    """Refine for the panels of one sheet, judge, draw and write it."""
+    """Select for the panels of one sheet, judge, draw and write it."""
     import numpy as np
 
     from orograph import verify
     from orograph.rendering.comparison import Panel, caption, panel_view, sheet
     from orograph.rendering.picture import Picture
+    from orograph.viewpoint import Camera
 
-    view = panel_view(view, len(engines))
+    view = panel_view(view, len(choices))
     panels = []
     with progress.task("Drawing the meshes") as task:
-        for name, metric in engines:
-            engine = make_engine(name, terrain, options, color=color, max_memory=max_memory, jobs=jobs, metric=metric)
-            mesh = engine.refine(view, **goal)
+        for choice in choices:
+            selection = make_method(choice, terrain, options, max_memory, jobs, progress).select(
+                Camera.over(terrain.grid, view, options["exaggeration"]), goal
+            )
+            mesh = selection.tessellation()
             report = verify.judge_mesh(mesh, terrain, view, exaggeration=options["exaggeration"], jobs=jobs)
-            lines, alarm = caption(mesh.stats, report.largest)
-            panels.append(Panel(f"{name}:{metric}" if metric else name, mesh, lines, alarm))
+            lines, alarm = caption(
+                len(mesh.triangles), selection.bound, selection.stats.get("tolerance"), report.largest
+            )
+            panels.append(Panel(str(choice), mesh, lines, alarm))
             task.note(panels[-1].title)
-        asked = f"tolerance {goal['tolerance']:g} px" if "tolerance" in goal else f"{goal['triangles']:,} triangles"
+        asked = f"{goal.triangles:,} triangles" if goal.triangles is not None else f"tolerance {goal.tolerance:g} px"
         rows, cols = terrain.grid.shape
         note = (
             f"{terrain.name}, {cols} × {rows} samples. Each mesh is refined for its panel of {view.width} × "
@@ -318,20 +318,23 @@ def _table(told: dict[str, Any], found: dict[str, Measurement]) -> None:
     rows, cols = told["shape"]
     asked = f"tolerance {told['tolerance']:g} px" if "tolerance" in told else f"at most {told['triangles']:,} triangles"
     what = f"{told['frames']} frames" if flight else ", ".join(told["views"])
-    console.print(f"{told['terrain']}, {cols} × {rows} samples; {asked}, {told['error']} error; {what}", soft_wrap=True)
+    console.print(f"{told['terrain']}, {cols} × {rows} samples; {asked}; {what}", soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
-    table.add_column("engine", no_wrap=True)
+    table.add_column("method", no_wrap=True)
     heads = ["triangles", "ms", "Mtri/s", "largest px", "rms px"] + ["change/frame"] * flight + ["tiles"]
     for head in heads:
         table.add_column(head, justify="right", no_wrap=True)
     table.add_column("conservative", no_wrap=True)
     for label, m in found.items():
-        cells = [f"{m.triangles:,.0f}", f"{m.ms:,.1f}", f"{m.mtri_per_s:,.1f}", _px(m.largest), _px(m.rms)]
+        many = "-" if m.triangles is None else f"{m.triangles:,.0f}"
+        pace = "-" if m.mtri_per_s is None else f"{m.mtri_per_s:,.1f}"
+        errors = [_px(m.largest), _px(m.rms)] if m.judged else ["-", "-"]
+        cells = [many, f"{m.ms:,.1f}", pace, *errors]
         cells += [f"{100 * m.changes:.2f} %" if m.changes is not None else "-"] * flight + [f"{m.tiles_read:,}"]
         table.add_row(label, *cells, Text(*_promise(m)))
     console.print(table)
     if flight:
-        judged = next(iter(found.values())).judged
+        judged = max(m.judged for m in found.values())
         console.print(f"errors over {judged} of {told['frames']} frames", soft_wrap=True)
     for label, m in found.items():
         for defect, n in m.defects.items():
@@ -343,7 +346,9 @@ def _px(value: float | None) -> str:
 
 
 def _promise(m: Measurement) -> tuple[str, str]:
-    """What the last column says of an engine, and its style."""
+    """What the last column says of a method, and its style."""
+    if m.conservative and not m.judged:
+        return "yes, not judged", "default"
     if m.kept is None:
         return "no", "yellow"
     return ("yes", "green") if m.kept else (f"BROKEN, promised {m.tolerance:g} px", "bold red")

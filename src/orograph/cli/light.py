@@ -110,7 +110,7 @@ def command(
     visible-sky          share of the hemisphere's solid angle that is sky
     openness             mean zenith angle of the horizon (Yokoyama et al. 2002)
     openness-negative    mean nadir angle, under the ground
-    ambient-occlusion    share of ambient light that reaches the ground (--radius, --rho, --method)
+    ambient-occlusion    share of ambient light that reaches the ground (--radius, --rho, --by)
     aperture             the sky that is seen as one cap: its direction (east, north, up) and radius
     shadow               the part of the sun's disc that is seen (--sun), and a code
     insolation           energy of sun and sky, Wh/m² (--date)

@@ -70,7 +70,7 @@ def command(
     began = time.perf_counter()
     progress = progress_of(ctx)
     check_tour(options)
-    check_scene(options, progress)
+    errors = check_scene(options, progress)
     if (tour_path is not None) == bool(chosen(options)):
         raise UsageError(
             "Give a --tour or a kind of one (--orbit, --turntable, --line, --point), and not both.",
@@ -99,7 +99,7 @@ def command(
         progress.warn("--overwrite is about pictures: a film takes the place of what was there, when it is whole.")
     if tour_path is not None:
         Tour.readable(tour_path)
-    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
     said = {name for name in options if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT}
     sun = options["sun"].over(terrain.grid)
     if tour_path is not None:

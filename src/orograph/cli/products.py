@@ -132,7 +132,7 @@ def ray_options(methods: Sequence[str], method: str, rays: str) -> Callable[[F],
                 help="Of ambient occlusion: what ground at a distance below --radius lets through: nothing (light of "
                 "the sky), or distance / radius (light that fills the air).  [default: step]",
             ),
-            click.option("--method", type=click.Choice(methods), help=method),
+            click.option("--by", "method", type=click.Choice(methods), help=method),
         )
 
     return give

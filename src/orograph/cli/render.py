@@ -60,12 +60,12 @@ def command(
       orograph render tiles/*.tif -o area.png --from 225 --pitch 30 --sky
       orograph render dem.tif -o map.png --projection plan --furniture --size 2000x2000
       orograph render dem.tif -o summit.png --lonlat -71.3,44.2,2500 --look-at -71.303,44.270
-      orograph render dem.tif -o mesh.png --engine soar --wireframe --tolerance 2
+      orograph render dem.tif -o mesh.png --method soar --wireframe --tolerance 2
     """
     began = time.perf_counter()
     progress = progress_of(ctx)
     check_camera(options)
-    check_scene(options, progress)
+    errors = check_scene(options, progress)
     check_outputs(
         {"--output": output, "--depth": depth, "--save-view": save_view},
         {"the input": paths, "a layer of --drape": layer_files(options), "the camera of --view": [options["view_path"]],
@@ -105,7 +105,7 @@ def command(
 
     if options["size"] is not None:
         by_bands(options["size"])
-    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
+    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
     view = camera_view(terrain, options)
     large = by_bands((view.width, view.height))
     scene = scene_of(terrain, view, options, max_memory, jobs)
@@ -145,5 +145,5 @@ def command(
         click.echo(json.dumps(told, allow_nan=False))
     else:
         stats = facts.get("mesh")
-        mesh = f"  {stats['engine']}: {stats['triangles']:,} triangles" if stats else ""
+        mesh = f"  {stats['method']}: {stats['triangles']:,} triangles" if stats else ""
         click.echo(f"{output}  {view.width} × {view.height}{mesh}  {seconds:.1f} s")

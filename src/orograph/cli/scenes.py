@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.engines import engine_option
 from orograph.cli.layers import layers_of_options, layers_option
 from orograph.cli.lights import check_lights, light_options, lights_of
 from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
 from orograph.cli.options import FILE, F, Float, ParamType, grid_options
+from orograph.cli.refining import choice_of, error_kinds, method_option
 from orograph.cli.suns import sun_option
 
 if TYPE_CHECKING:
+    from orograph.error import ErrorKind
     from orograph.progress import Progress
     from orograph.scene.scene import Scene
     from orograph.store.terrain import Terrain
@@ -41,10 +42,10 @@ class Water(ParamType):
 
 
 SCENE = ("shadows", "light", "rays", "exaggeration", "colormap", "sky", "relief", "samples", "tolerance",
-         "engine", "triangles", "metric", "wireframe", "furniture", "title")  # fmt: skip
+         "method", "triangles", "wireframe", "furniture", "title")  # fmt: skip
 """Options that are a scene's attributes of the same name."""
 
-DRAWING = {*SCENE, *LINES, "layers", "sun", "water", "lamps", "discs", "mesh_view", "backend"}
+DRAWING = {*SCENE, *LINES, "layers", "sun", "water", "lamps", "discs", "mesh_view", "backend", "conservative"}
 """All of them that are not about reading."""
 
 
@@ -98,21 +99,28 @@ def scene_options(function: F) -> F:
                 type=Float(),
                 metavar="PX",
                 help="Pixels by which the ground may be displaced; 0 draws every sample.  "
-                "[default: 0 up to 16.8 million samples, else 0.5; with --engine 1]",
+                "[default: 0 up to 16.8 million samples, else 0.5; with a --method 1]",
             ),
-            engine_option(help="Draw the mesh that this engine makes within --tolerance, with light on its faces."),
+            method_option(
+                "Draw the mesh that this method makes within --tolerance, with light on its faces; auto: the terrain "
+                "itself, by rays on the CPU, by patches on the GPU.",
+                default="auto",
+                show_default=True,
+            ),
             click.option(
-                "--triangles", type=click.IntRange(min=2), metavar="N", help="With --engine, instead: at most so many."
+                "--triangles",
+                type=click.IntRange(min=2),
+                metavar="N",
+                help="With a --method, instead: at most so many.",
             ),
             click.option(
-                "--metric", metavar="NAME", help="With --engine: how errors become pixels.  [default: the engine's own]"
+                "--wireframe", is_flag=True, help="With a --method: draw its triangles' edges over the relief."
             ),
-            click.option("--wireframe", is_flag=True, help="With --engine: draw its triangles' edges over the relief."),
             click.option(
                 "--mesh-view",
                 type=FILE,
                 metavar="VIEW.json",
-                help="With --engine: the camera to refine for, to look at the mesh from elsewhere.  "
+                help="With a --method: the camera to select for, to look at the mesh from elsewhere.  "
                 "[default: the picture's]",
             ),
             grid_options("draw"),
@@ -129,29 +137,34 @@ def scene_options(function: F) -> F:
     return function
 
 
-def check_scene(options: Mapping[str, Any], progress: Progress) -> None:
-    """Raise UsageError where what is said of a scene contradicts itself; warn of what has no effect."""
+def check_scene(options: Mapping[str, Any], progress: Progress) -> tuple[ErrorKind, ...]:
+    """Raise UsageError where what is said of a scene contradicts itself; warn of what has no effect.
+
+    Returns: the kinds of errors of diamonds that its method needs, for ``scene.prepare``.
+    """
     from orograph.errors import UsageError
     from orograph.geovis.color import color_table
 
-    for name in ("triangles", "metric"):
-        if options[name] is not None and options["engine"] is None:
-            raise UsageError(f"--{name} is an engine's.", remedy="Choose one, such as --engine soar.")
+    choice = None
+    if options["method"] != "auto":
+        choice = choice_of(options["method"], options["conservative"], options["backend"])
+    if choice is None or choice.info.kind == "rays":
+        for name in ("triangles", "wireframe", "mesh_view"):
+            if options[name]:
+                raise UsageError(
+                    f"--{name.replace('_', '-')} is about the mesh that a method makes.",
+                    remedy="Choose one, such as --method soar.",
+                )
+    else:
+        choice.info.check_goal("tolerance" if options["triangles"] is None else "triangles")
     if options["triangles"] is not None and options["tolerance"] is not None:
         raise UsageError("Give one goal: --tolerance or --triangles.")
-    if options["metric"] is not None:
-        from orograph.lod import engine_of
-
-        engine_of(options["engine"]).usable_metric(options["metric"])
-    if options["wireframe"] and options["engine"] is None:
-        raise UsageError("--wireframe shows what an engine made.", remedy="Choose one, such as --engine soar.")
-    if options["mesh_view"] is not None and options["engine"] is None:
-        raise UsageError("--mesh-view is what an engine refines for.", remedy="Choose one, such as --engine soar.")
     color_table(options["colormap"])
     layers_of_options(options)
     check_lights(options)
     if options["title"] is not None and not options["furniture"]:
         progress.warn("--title is drawn with --furniture only.")
+    return () if choice is None else error_kinds([choice])
 
 
 def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memory: int, jobs: int | None) -> Scene:

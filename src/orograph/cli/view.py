@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
-from orograph.cli.engines import engine_option
 from orograph.cli.layers import layers_of_options, layers_option
 from orograph.cli.lights import check_lights, light_options, lights_of
 from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
@@ -23,6 +22,7 @@ from orograph.cli.options import (
     source_options,
     vertical_options,
 )
+from orograph.cli.refining import choice_of, error_kinds, method_option
 from orograph.cli.scenes import Water
 from orograph.cli.suns import sun_option
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 WINDOW = (1280, 800)
 OWN = {*CAMERA, *LINES, "sun", "exaggeration", "tolerance", "colormap", "layers", "adapter", "light", "shadows",
-       "rays", "lamps", "discs", "water", "engine"}  # fmt: skip
+       "rays", "lamps", "discs", "water", "method", "conservative"}  # fmt: skip
 """What is said about the window; all other options are about reading."""
 
 
@@ -62,7 +62,7 @@ def _line_options(function: F) -> F:
     "--water", type=Water(), metavar="auto|none|METRES", default="auto", show_default=True, help="See render."
 )
 @_line_options
-@engine_option(help="The method that makes the mesh.  [default: batched]")
+@method_option("What makes the mesh.", default="auto", show_default=True)
 @click.option("--gpu-memory", type=Bytes(), default="512MiB", show_default=True, help="GPU memory for tiles.")
 @click.option("--memory", type=Bytes(), default="1GiB", show_default=True, help="Memory for tables and caches.")
 @click.option(
@@ -115,6 +115,7 @@ def command(
         from orograph.errors import UsageError
         from orograph.geovis.color import color_table
         from orograph.output import check_folder
+        from orograph.scene.methods import mesh_choice
         from orograph.scene.parts import check_exaggeration
         from orograph.scene.prepare import prepare
         from orograph.store.detect import is_store
@@ -122,13 +123,15 @@ def command(
 
     # What is wrong with the command line is said before any work is done.
     warm.device()
+    choice = choice_of(options["method"], options["conservative"], "gpu")
+    mesh_choice(options["method"], "gpu")
     check_exaggeration(options["exaggeration"])
     color_table(options["colormap"])
     layers = layers_of_options(options)
     more = {
         "way": options["light"], "shadows": options["shadows"], "contours": contours_of(options),
         "silhouettes": silhouettes_of(options), "water": None if options["water"] == "none" else options["water"],
-        "engine": None if options["engine"] == "batched" else options["engine"], "rays": options["rays"],
+        "method": options["method"], "rays": options["rays"],
     }  # fmt: skip
     if screenshot is not None:
         if Path(screenshot).suffix.lower() != ".png":
@@ -140,7 +143,9 @@ def command(
     size = options["size"] or WINDOW
     if len(paths) > 1 or not is_store(paths[0]):
         settle()  # what is built may take long, and is held to a budget of memory
-    terrain = prepare(list(paths), max_memory=memory, jobs=jobs, progress=progress, **source)
+    terrain = prepare(
+        list(paths), max_memory=memory, jobs=jobs, progress=progress, errors=error_kinds([choice]), **source
+    )
     more["lamps"], more["discs"] = lights_of(terrain, options)
     with progress.task("Looking at the terrain"):
         session = Session(

@@ -1,4 +1,4 @@
-"""How much coarser triangles change colours: a bound in ΔE for every diamond, for engines' γ.
+"""How much coarser triangles change colours: a bound in ΔE for every diamond, for methods' γ.
 
 A mesh that carries colours at its vertices (a drape, a tint, light on the slopes) shows between them what it
 interpolates. The error of a diamond is a bound of the largest distance, in CIELAB (ΔE*ab, CIE 1976), between the colour
@@ -165,7 +165,7 @@ def blank(terrain: Terrain) -> Surface:
 
 
 class ColorErrors(Colors):
-    """Color errors of a terrain's diamonds, called as engines want them: ``(level, row0, row1, col0, col1) → float32``.
+    """Color errors of a terrain's diamonds, called as methods want them: ``(level, row0, row1, col0, col1) → float32``.
 
     Computed at once and kept in memory; see ``color_store`` for those kept with the terrain.
 

@@ -95,7 +95,7 @@ def same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 class StoredColorErrors:
-    """Color errors of a store, called as engines want them: ``(level, row0, row1, col0, col1) → float32``, ΔE."""
+    """Color errors of a store, called as methods want them: ``(level, row0, row1, col0, col1) → float32``, ΔE."""
 
     def __init__(self, terrain: StoredTerrain) -> None:
         self.terrain = terrain

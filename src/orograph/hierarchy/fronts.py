@@ -6,7 +6,7 @@ an edge (a T-junction; a *crack* opens where its height differs from the edge's)
 splits and merges of diamonds (Duchaineau et al. 1997, *ROAMing terrain*; lecture, *Conditions for valid
 triangulation*); ``steps`` says which.
 
-This is the model that engines are tested against: whole arrays, every step a new ``Front``, nothing incremental. Its
+This is the model that methods are tested against: whole arrays, every step a new ``Front``, nothing incremental. Its
 cost is of the order of the front's size for each step. Coordinates are samples, heights metres; see ``triangles`` and
 ``diamonds`` for the names.
 """

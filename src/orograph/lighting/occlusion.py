@@ -176,7 +176,7 @@ def flat_only(of: Context | Options) -> None:
     if options.curvature:
         raise UsageError(
             "Rays and walks go over flat ground; only swept horizons know the curvature of the Earth.",
-            remedy="Leave out --curvature, or sweep horizons: --method horizon, without a radius.",
+            remedy="Leave out --curvature, or sweep horizons: --by horizon, without a radius.",
         )
 
 

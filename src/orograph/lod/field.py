@@ -1,9 +1,9 @@
-"""What engines refine: the vertices of the hierarchy with their diamonds' errors and spheres, in pages, out of core.
+"""What methods refine: the vertices of the hierarchy with their diamonds' errors and spheres, in pages, out of core.
 
 A vertex (row, col) of octave k lives in one page of level min(k, top): a square of 256 × 256 entries of four float32,
 (height, error, radius, color error), so that one look-up brings all that decides about its diamond, and a coarse vertex
 shares its page with its like (the hierarchical layout of Lindstrom & Pascucci 2002, by tiles). Kernels look pages up in
-a table; one that is not resident is noted as a *miss* and its diamonds pass for accurate, and the engine reads the
+a table; one that is not resident is noted as a *miss* and its diamonds pass for accurate, and the method reads the
 pages and refines again until nothing is missed. Memory is bounded: pages not used last leave first.
 
 In a page: height is filled where the sample is missing (spheres need one); error as in ``Terrain.diamonds`` (+inf

@@ -10,18 +10,23 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
+from orograph.lod.options import make
 from orograph.lod.selection import Kind, Selection
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import Camera
+
+GoalName = Literal["tolerance", "triangles", "seconds"]
+
+GOALS: tuple[GoalName, ...] = ("tolerance", "triangles", "seconds")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +45,9 @@ class Goal:
     seconds: float | None = None
 
     def __post_init__(self) -> None:
-        given = [name for name in ("tolerance", "triangles", "seconds") if getattr(self, name) is not None]
+        given = [name for name in GOALS if getattr(self, name) is not None]
         if len(given) != 1:
-            raise UsageError(f"Give one goal: {' or '.join(given or ('tolerance', 'triangles', 'seconds'))}.")
+            raise UsageError(f"Give one goal: {' or '.join(given or GOALS)}.")
         # (They come from users: what their types promise is what is checked.)
         tolerance: Any = self.tolerance
         triangles: Any = self.triangles
@@ -53,6 +58,11 @@ class Goal:
             raise UsageError(f"A budget is a whole number of triangles, at least 2, not {triangles!r}.")
         if seconds is not None and not (isinstance(seconds, Real) and float(seconds) > 0):
             raise UsageError(f"The time allowed is in seconds, more than 0, not {seconds!r}.")
+
+    @property
+    def name(self) -> GoalName:
+        """Which of the three it is."""
+        return next(name for name in GOALS if getattr(self, name) is not None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +90,8 @@ class Need:
     """Derived data that a method needs of a store.
 
     Attributes:
-        name: of the derived data ("diamonds", "patches"…). options: what it must have been made with.
+        name: of the derived data: "diamonds" (of an ``error``), or "patches" (of an ``error``, with ``legs``).
+        options: what it must have been made with.
     """
 
     name: str
@@ -94,12 +105,20 @@ class Resources:
     Attributes:
         max_memory: bytes of tiles in memory. jobs: threads; None: all processors.
         progress: hears of what takes long. color: colour errors, for methods that refine by colour (``lod.field``).
+
+    Raises:
+        UsageError: the number of threads makes no sense.
     """
 
     max_memory: int = 1 << 30
     jobs: int | None = None
     progress: Progress = SILENT
     color: Any = None
+
+    def __post_init__(self) -> None:
+        jobs: Any = self.jobs
+        if jobs is not None and not (isinstance(jobs, Integral) and int(jobs) >= 1):
+            raise UsageError(f"Jobs are threads, a whole number from 1, not {jobs!r}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +129,7 @@ class MethodInfo:
         name: as on the command line. title: one line that says what it is.
         paper: the source, with its section. kind: of its selections. options: the dataclass of its options.
         conservative: whether its bound is a promise with these options.
-        incremental: whether a frame goes on from the one before.
+        incremental: whether a frame goes on from the one before. goals: those that it can reach.
     """
 
     name: str
@@ -120,6 +139,12 @@ class MethodInfo:
     options: type
     conservative: Callable[[Any], bool]
     incremental: bool = False
+    goals: tuple[GoalName, ...] = GOALS
+
+    def check_goal(self, goal: GoalName) -> None:
+        """Raise UsageError if the method cannot reach such a goal."""
+        if goal not in self.goals:
+            raise UsageError(f"{self.name} cannot aim at {goal}.", remedy=f"Give it {' or '.join(self.goals)}.")
 
 
 class Method(ABC):
@@ -127,15 +152,20 @@ class Method(ABC):
 
     Args:
         terrain: what is drawn.
-        options: of ``info.options``; None: the defaults.
+        options: of ``info.options``; None: the defaults. ``given``: some of them by name.
         resources: memory, threads, progress.
+
+    Raises:
+        UsageError: an option makes no sense.
     """
 
     info: ClassVar[MethodInfo]
 
-    def __init__(self, terrain: Terrain, options: Any = None, resources: Resources | None = None) -> None:
+    def __init__(
+        self, terrain: Terrain, options: Any = None, resources: Resources | None = None, **given: Any
+    ) -> None:  # fmt: skip
         self.terrain = terrain
-        self.options = self.info.options() if options is None else options
+        self.options = make(self.info.options, given, self.info.name) if options is None else replace(options, **given)
         self.resources = Resources() if resources is None else resources
 
     @classmethod

@@ -1,34 +1,36 @@
 """Options of methods: each a field of the method's own dataclass, with its help, its unit and what it may be.
 
-They are declared once. ``parse`` reads them as the command line has them, ``NAME[,key=value…]``; the window's panel,
-``help()``, the table of the manual and ``compare`` show ``described``.
+They are declared once. ``split`` and ``parse`` read them as the command line has them, ``NAME[,key=value…]``; the
+window's panel, ``orograph methods``, the table of the manual and ``compare`` show ``described``.
 """
 
 from __future__ import annotations
 
 import types
-from collections.abc import Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from numbers import Integral, Real
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from orograph.errors import UsageError
 
 
 def option(
-    default: Any, help: str, *, unit: str = "", choices: Sequence[str] = (), least: float | None = None,
-    most: float | None = None,
+    default: Any, help: str, *, unit: str = "", choices: Sequence[Any] = (), least: float | None = None,
+    most: float | None = None, read: Callable[[str], Any] | None = None,
 ) -> Any:  # fmt: skip
     """A field of an options dataclass.
 
     Args:
         help: what it does, a sentence.
         unit: of a number ("pixels", "metres"…).
-        choices: what a word may be; none: anything.
+        choices: what it may be; none: anything.
         least, most: the range of a number, ends included.
+        read: makes the value of a text, where the option is no yes or no, number or word; it raises ValueError with
+            what is wrong.
     """
-    return field(
-        default=default, metadata={"help": help, "unit": unit, "choices": choices, "least": least, "most": most}
-    )
+    about = {"help": help, "unit": unit, "choices": choices, "least": least, "most": most, "read": read}
+    return field(default=default, metadata=about)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +39,8 @@ class Described:
 
     Attributes:
         name: with underscores, as in Python. key: with hyphens, as on the command line.
-        kind: bool, int, float or str; ``optional``: whether it may be None.
-        default, help, unit, choices, least, most: see ``option``.
+        kind: bool, int, float, str, or of another (``read``) tuple; ``optional``: whether it may be None.
+        default, help, unit, choices, least, most, read: see ``option``.
     """
 
     name: str
@@ -47,13 +49,39 @@ class Described:
     default: Any
     help: str
     unit: str
-    choices: tuple[str, ...]
+    choices: tuple[Any, ...]
     least: float | None
     most: float | None
+    read: Callable[[str], Any] | None
 
     @property
     def key(self) -> str:
         return self.name.replace("_", "-")
+
+    @property
+    def span(self) -> str:
+        """What a value may be, in words."""
+        if self.kind is bool:
+            return "yes or no"
+        if self.choices:
+            return ", ".join(map(str, self.choices)) + (", none" if self.optional else "")
+        words = {int: "a whole number", float: "a number", str: "a word"}.get(self.kind, "see its help")
+        if self.least is not None and self.most is not None:
+            words += f" from {self.least:g} to {self.most:g}"
+        elif self.least is not None:
+            words += f", {self.least:g} or more"
+        elif self.most is not None:
+            words += f", {self.most:g} or less"
+        words += f" ({self.unit})" if self.unit else ""
+        return words + (", or none" if self.optional else "")
+
+    def text(self, value: Any) -> str:
+        """A value as the command line has it."""
+        if value is None or value == ():
+            return "none"
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        return f"{value:g}" if isinstance(value, float) else str(value)
 
     def value(self, text: str) -> Any:
         """What a word on the command line means.
@@ -71,46 +99,48 @@ class Described:
         if self.kind is str:
             return text
         try:
-            return self.kind(text)
-        except ValueError:
-            what = "a whole number" if self.kind is int else "a number"
-            raise UsageError(f"{self.key} is {what}, not {text!r}.") from None
+            return self.kind(text) if self.read is None else self.read(text)
+        except ValueError as error:
+            raise UsageError(f"{self.key} is {self.span}, not {text!r}." if self.read is None else str(error)) from None
 
     def check(self, value: Any) -> None:
         """Raise UsageError unless the option may have that value."""
         if value is None and self.optional:
             return
-        if self.choices and value not in self.choices:
-            raise UsageError(f"There is no {self.key} {value!r}; there are {', '.join(self.choices)}.")
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if self.kind in (int, float) and not number:
-            raise UsageError(f"{self.key} is a number, not {value!r}.")
-        low = self.least is not None and number and not value >= self.least
-        high = self.most is not None and number and not value <= self.most
-        if low or high:
-            span = f"from {self.least:g}" if self.least is not None else ""
-            span += f" to {self.most:g}" if self.most is not None else ""
-            raise UsageError(
-                f"{self.key} is a number {span.strip()}{f' {self.unit}' if self.unit else ''}, not {value}."
-            )
+        if self.choices:
+            if value not in self.choices:
+                raise UsageError(f"There is no {self.key} {value!r}; there are {', '.join(map(str, self.choices))}.")
+            return
+        wanted = {bool: bool, int: Integral, float: Real, str: str}.get(self.kind, object)
+        fits = isinstance(value, wanted) and (self.kind is bool or not isinstance(value, bool))
+        if fits and self.kind in (int, float):
+            # (Comparisons with NaN are false.)
+            fits = (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
+            fits = fits and value == value and abs(value) != float("inf")
+        if not fits:
+            raise UsageError(f"{self.key} is {self.span}, not {value!r}.")
 
 
 def described(options: type) -> tuple[Described, ...]:
     """The options that a dataclass declares."""
+    if options not in _DESCRIBED:
+        _DESCRIBED[options] = tuple(_described(options))
+    return _DESCRIBED[options]
+
+
+_DESCRIBED: dict[type, tuple[Described, ...]] = {}
+
+
+def _described(options: type) -> Iterator[Described]:
     hints = get_type_hints(options)
-    found = []
     for f in fields(options):
         hint, optional = hints[f.name], False
         if get_origin(hint) in (Union, types.UnionType):
             parts = [part for part in get_args(hint) if part is not type(None)]
             hint, optional = parts[0], True
-        kind = hint if hint in (bool, int, float) else str
-        default = None if f.default is MISSING else f.default
-        m = f.metadata
-        found.append(Described(
-            f.name, kind, optional, default, m["help"], m["unit"], tuple(m["choices"]), m["least"], m["most"]
-        ))  # fmt: skip
-    return tuple(found)
+        kind = hint if hint in (bool, int, float, str) else tuple
+        m = {**f.metadata, "choices": tuple(f.metadata["choices"])}
+        yield Described(f.name, kind, optional, f.default, **m)
 
 
 def check(options: Any) -> None:
@@ -119,24 +149,29 @@ def check(options: Any) -> None:
         one.check(getattr(options, one.name))
 
 
-def make(options: type, given: dict[str, str], method: str) -> Any:
-    """Options of a method from words.
+def make(options: type, given: Mapping[str, Any], method: str) -> Any:
+    """Options of a method.
 
     Args:
-        given: by key, with hyphens or underscores.
+        given: values by name.
+        method: its name, for errors.
 
     Raises:
         UsageError: there is no such option, or it cannot have that value.
     """
     known = {one.name: one for one in described(options)}
-    values = {}
-    for key, text in given.items():
-        name = key.replace("-", "_")
+    for name in given:
         if name not in known:
             there = ", ".join(one.key for one in known.values()) or "none"
-            raise UsageError(f"{method} has no option {key!r}; it has {there}.")
-        values[name] = known[name].value(text)
-    return options(**values)
+            raise UsageError(f"{method} has no option {name.replace('_', '-')!r}; it has {there}.")
+    return options(**given)
+
+
+def parse(options: type, given: Mapping[str, str], method: str) -> Any:
+    """``make`` from words, by key (``split``)."""
+    known = {one.key: one for one in described(options)}
+    values = {key: known[key].value(text) if key in known else text for key, text in given.items()}
+    return make(options, {key.replace("-", "_"): value for key, value in values.items()}, method)
 
 
 def split(text: str) -> tuple[str, dict[str, str]]:
@@ -151,7 +186,14 @@ def split(text: str) -> tuple[str, dict[str, str]]:
     given: dict[str, str] = {}
     for part in parts:
         key, _, value = part.partition("=")
-        if not key.strip() or key.strip() in given:
+        key = key.strip().replace("_", "-")
+        if not key or key in given:
             raise UsageError(f"Each option of a method is given once, as key=value: {text!r}.")
-        given[key.strip()] = value.strip()
+        given[key] = value.strip()
     return name, given
+
+
+def told(options: Any) -> dict[str, str]:
+    """The options that differ from the defaults, by key, as the command line has them."""
+    every = ((one, getattr(options, one.name)) for one in described(type(options)))
+    return {one.key: one.text(value) for one, value in every if value != one.default}

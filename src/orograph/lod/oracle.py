@@ -1,10 +1,10 @@
-"""The mesh that a refinement would make if it knew every sample: what the bounds of an engine cost in triangles.
+"""The mesh that a refinement would make if it knew every sample: what the bounds of a method cost in triangles.
 
-Engines judge a diamond by an upper bound of what its two coarse triangles displace on the screen. The *oracle* looks:
+Methods judge a diamond by an upper bound of what its two coarse triangles displace on the screen. The *oracle* looks:
 it projects every full-resolution sample under the two triangles and takes the largest displacement of one in view. A
 diamond is inaccurate if that exceeds the tolerance, or if it is mixed (part surface, part hole) and in view; it is
 split if it or any descendant is inaccurate: the same closure over the diamond DAG, with the error itself in place of a
-bound. An engine's triangles over the oracle's are the price of its bounds (bench/promise.py; DESIGN's figure is 1.2).
+bound. A method's triangles over the oracle's are the price of its bounds (bench/promise.py; DESIGN's figure is 1.2).
 
 Only diamonds that the conservative sphere metric splits are looked at: the others hold no displacement beyond the
 tolerance, nor do their descendants. Each of those is brute force, row by row, until the first sample that is too far
@@ -253,7 +253,7 @@ def oracle(
         tolerance: pixels, more than 0.
         exaggeration: factor on heights on the way to the screen.
         prisms: leave out triangles that are out of view by their own corners (as top-down refinement does), instead of
-            by their diamonds' nested spheres (as the other engines do).
+            by their diamonds' nested spheres (as the other methods do).
         field: of the terrain, with ``exact`` errors and room for all it reads, to be used again.
         jobs: threads.
 
@@ -307,7 +307,7 @@ def oracles(
             pass
         active = int(close(marks, found, inaccurate, count, n))
         stats = {
-            "engine": "oracle", "tolerance": tolerance, "exaggeration": exaggeration, "candidates": count,
+            "method": "oracle", "tolerance": tolerance, "exaggeration": exaggeration, "candidates": count,
             "active": active, "look_ms": round((time.perf_counter() - began) * 1e3, 3),
         }  # fmt: skip
         yield [_drawn(terrain, field, lens, z, marks, p, active, stats) for p in prisms]

@@ -23,17 +23,16 @@ LARGEST_N = 26
 """The largest n for which a diamond's place fits into a code."""
 
 
-def usable_queue(queue: str, engine: str, terrain: Terrain) -> str:
-    """The kind of queue, fifo or priority, that an engine was asked to use.
+ORDERS = ("priority", "fifo")
+"""Kinds of queues."""
 
-    Raises:
-        UsageError: there is none of that name, or the terrain is too large for its codes.
-    """
-    if queue not in ("fifo", "priority"):
-        raise UsageError(f"There is no queue {queue!r}; there are fifo and priority.")
+QUEUE = "How triangles wait; budgets of a fifo are reached by bisecting the tolerance"
+
+
+def check_size(method: str, terrain: Terrain) -> None:
+    """Raise UsageError if a terrain is too large for codes."""
     if terrain.n > LARGEST_N:
-        raise UsageError(f"{engine} takes up to 2^{LARGEST_N} samples a side; {terrain.name} has more.")
-    return queue
+        raise UsageError(f"{method} takes up to 2^{LARGEST_N} samples a side; {terrain.name} has more.")
 
 
 @inlined

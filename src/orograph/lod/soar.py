@@ -9,7 +9,7 @@ through the leaves in the order of a Sierpinski curve, in which each shares an e
 What differs from the papers: both children are weighed when their parent is split, so that leaves, half of all
 triangles, are never visited (and two look-ups are under way at once). Leaves can be missing: subtrees out of view and
 holes are left out, and the strip is taken up again behind them. The metric holds away from the image centre. Geomorphs
-(2002, sec. 5.3) are those of ``lod.geomorph``, which keep the tolerance. See docs/engines/soar.md.
+(2002, sec. 5.3) are those of ``lod.geomorph``, which keep the tolerance. See docs/methods/soar.md.
 
 The pass begins with a *frontier* of subtrees of one level in view (``soar_pass.frontier``), which threads share
 (``lod.work_sharing``): one takes them from the front and writes the strip where it belongs, the others from the back,
@@ -18,19 +18,22 @@ until they meet; what these made is put behind. What comes out does not depend o
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import FOCAL
+from orograph.error.screen import FOCAL, Metric, metric_of
 from orograph.errors import UsageError
 from orograph.lod import work_sharing as sharing
-from orograph.lod.engine import Engine, Mesh, by_tolerance
+from orograph.lod.method import Goal, MethodInfo
+from orograph.lod.options import option
+from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
 from orograph.lod.soar_join import lay_out, put
 from orograph.lod.soar_pass import frontier, refine_subtrees
 from orograph.parallel import Crew
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera
 
 Strip = tuple[NDArray[np.int64], NDArray[np.float32]]
 """Keys and heights of a strip's vertices."""
@@ -46,28 +49,46 @@ def _buffer(*shape: int) -> Strip:
     return np.empty(shape, np.int64), np.empty(shape, np.float32)
 
 
-class Soar(Engine):
-    """SOAR. See ``Engine`` for the arguments; besides:
-
-    Args:
-        geomorph: vertices morph between half the tolerance and the whole (errors stay within the tolerance). The
-            metric is then ``anisotropic``, if none is given.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SoarOptions(MeshOptions):
+    """Options of ``soar``. See ``MeshOptions``; besides:
 
     Raises:
         UsageError: geomorphs with the metric ``localised``.
     """
 
-    name = "soar"
-    metrics = ("localised", "anisotropic", "isotropic", "isotropic-published")
+    geomorph: bool = option(
+        False, "Vertices grow out of their edges between half the tolerance and the whole, which the mesh keeps all "
+        "the time; the metric is then anisotropic, unless another is given.",
+    )  # fmt: skip
 
-    def __init__(self, *args: Any, geomorph: bool = False, metric: str | None = None, **options: Any) -> None:
-        if geomorph and metric == "localised":
+    def __post_init__(self) -> None:
+        super(SoarOptions, self).__post_init__()  # (super() alone fails in a dataclass with slots)
+        if self.geomorph and self.metric == "localised":
             raise UsageError(
                 "Geomorphs need the bounds themselves, and 'localised' knows only yes or no.",
                 remedy="Use the metric anisotropic.",
             )
-        super().__init__(*args, metric=metric or ("anisotropic" if geomorph else None), **options)
-        self.geomorph = geomorph
+
+    @property
+    def metric_used(self) -> Metric:
+        """As ``MeshOptions.metric_used``; with geomorphs one of spheres."""
+        if self.geomorph and self.metric is None:
+            return metric_of("anisotropic")
+        return super(SoarOptions, self).metric_used
+
+
+class Soar(RightTriangleMeshes):
+    """SOAR. See ``RightTriangles`` for the arguments."""
+
+    info = MethodInfo(
+        "soar", "nested errors and spheres, refined in one recursive pass, which leaves a triangle strip",
+        "Lindstrom & Pascucci 2001 and 2002", "triangles", SoarOptions, lambda options: options.conservative,
+    )  # fmt: skip
+
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        self.geomorph: bool = self.options.geomorph
         self._cut = max(0, min(CUT, 2 * self.field.n - 1))
         size = 2 << self._cut
         self._frontier = np.empty((size, 4), np.int64), np.empty((size, 4), np.float32), np.empty((size, 3), np.int64)
@@ -80,10 +101,10 @@ class Soar(Engine):
         self._places = np.zeros((size, 4), np.int64)
         self._crew = Crew(self.jobs - 1)
 
-    def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
-        if tolerance is None:
-            return by_tolerance(self, view, triangles, seconds)
-        lens = self._lens(view, tolerance * (0.5 if self.geomorph else 1.0))
+    def _refine(self, camera: Camera, goal: Goal) -> Mesh:
+        if goal.tolerance is None:
+            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
+        lens = self._lens(camera, goal.tolerance * (0.5 if self.geomorph else 1.0))
         pruned = self._pruned(lens)
         rounds = 0
         while True:

@@ -13,7 +13,7 @@ the last processed triangle" closes that last one. The order here: larger bounds
 levels first, within a level by the diamond's place. A bound counts (1 + 1e-9 · levels below it) times, so that
 roundings cannot put a child before its parent. By induction: when a diamond's first top triangle is taken, everything
 before the diamond has been taken, its parents among it; so the other one is in the queue, and next.
-(docs/engines/stateless.md)
+(docs/methods/stateless.md)
 
 Diamonds that ground and missing ground share come before all others, as their parents do, and are split whatever the
 budget or the time: no mesh that keeps one is sound.
@@ -24,6 +24,7 @@ Every triangle is judged when it is made. Keys: ``row << 32 | col`` of the padde
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,12 +32,14 @@ from numpy.typing import NDArray
 
 from orograph._numba import leaf
 from orograph.error.screen import color_exceeds, outside, sphere_bound, sphere_exceeds, to_camera
-from orograph.lod.engine import UNBOUNDED, Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.look_ahead import foresee
+from orograph.lod.method import Goal, MethodInfo
+from orograph.lod.options import option
 from orograph.lod.pages import BEYOND
-from orograph.lod.queues import code_of, heap_pop, heap_push, usable_queue
-from orograph.viewpoint import View
+from orograph.lod.queues import ORDERS, QUEUE, check_size, code_of, heap_pop, heap_push
+from orograph.lod.right_triangles import UNBOUNDED, Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
+from orograph.viewpoint import Camera
 
 DONE, MISSED, GROW, PAUSED, FULL = 0, 1, 2, 3, 4
 """Why the kernel returns: the queue is empty; pages are missing; no room; enough for now; budget used up."""
@@ -212,8 +215,8 @@ def refine_queue(
 class _Work:
     """Queue and output of one refinement."""
 
-    def __init__(self, engine: Stateless, capacity: int) -> None:
-        n = engine.field.n
+    def __init__(self, method: Stateless, capacity: int) -> None:
+        n = method.field.n
         self.places: tuple[NDArray[Any], ...] = (
             np.empty((capacity, 3), np.int64), np.empty((capacity, 4), np.float32), np.empty(capacity, np.uint8),
             np.empty(capacity, np.int64), np.arange(capacity - 1, -1, -1),
@@ -226,7 +229,7 @@ class _Work:
         self.counts[FREE], self.counts[LAST] = capacity, -1
         size = 1 << n
         nw, ne, sw, se = 0, size, size << 32, size << 32 | size
-        z = engine.field.corners
+        z = method.field.corners
         fresh, fresh_z = np.zeros((2, 3), np.int64), np.zeros((2, 4), np.float32)
         fresh[:] = (nw, se, ne), (se, nw, sw)
         fresh_z[:, :3] = (z[0, 0], z[1, 1], z[0, 1]), (z[1, 1], z[0, 0], z[1, 0])
@@ -257,32 +260,43 @@ class _Work:
         return drawn
 
 
-class Stateless(Engine):
-    """Refinement with nothing but a queue. See ``Engine`` for the arguments; besides:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatelessOptions(MeshOptions):
+    """Options of ``stateless``. See ``MeshOptions``."""
 
-    Args:
-        queue: "fifo" or "priority". Budgets of a FIFO are reached by bisecting the tolerance. A tolerance needs no
-            order and is always reached by the FIFO; budgets of the priority queue are spent by the bounds over spheres.
+    queue: str = option("priority", QUEUE + "; budgets of the priority queue are spent by the bounds over spheres.",
+                        choices=ORDERS)  # fmt: skip
+
+
+class Stateless(RightTriangleMeshes):
+    """Refinement with nothing but a queue.
+
+    A tolerance needs no order and is always reached by the FIFO. See ``RightTriangles`` for the arguments.
 
     Raises:
-        UsageError: there is no such queue, or the terrain is beyond 2^26 samples a side.
+        UsageError: the terrain is beyond 2^26 samples a side.
     """
 
-    name = "stateless"
-    metrics = ("localised", "anisotropic", "isotropic", "isotropic-published")
+    info = MethodInfo(
+        "stateless", "errors made monotonic: every parent is split when its child is; a queue and no mesh",
+        "Lindstrom & Pascucci 2002, sec. 4, by a queue; Pajarola & Gobbetti 2007, sec. 3.3", "triangles",
+        StatelessOptions, lambda options: options.conservative,
+    )  # fmt: skip
 
-    def __init__(self, *args: Any, queue: str = "priority", **options: Any) -> None:
-        super().__init__(*args, **options)
-        self.queue = usable_queue(queue, self.name, self.terrain)
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        check_size(self.info.name, self.terrain)
+        self.queue: str = self.options.queue
         self._capacity = 1 << 12
 
-    def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
+    def _refine(self, camera: Camera, goal: Goal) -> Mesh:
+        tolerance, triangles, seconds = goal.tolerance, goal.triangles, goal.seconds
         ordered = tolerance is None and self.queue == "priority"
         if tolerance is None and not ordered:
-            return by_tolerance(self, view, triangles, seconds)
+            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
         began = time.perf_counter()
         work = _Work(self, self._capacity)
-        lens = self._lens(view, tolerance or 0.0)
+        lens = self._lens(camera, tolerance or 0.0)
         pruned = self._pruned(lens)
         no_limit = 1 << 62
         limit, closing = no_limit if seconds is None else 1024, False

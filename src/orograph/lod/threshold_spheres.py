@@ -1,4 +1,4 @@
-"""Blow's thresholds: what the camera's place decides is looked at again when it can have crossed a boundary.
+"""Threshold spheres: what the camera's place decides is looked at again when it can have crossed a boundary.
 
 Blow, *Terrain Rendering at High Levels of Detail* (GDC 2000). With an isotropic error the tolerance is a distance:
 around each diamond lies a sphere, and the diamond is split while the eye is inside. The spheres nest, so the meshes are
@@ -18,11 +18,11 @@ the numerator is the length of a cross product), so by at most τ if
 
 and for all samples under diamond i, which its nested sphere of radius r_i holds, if the eye is R_i = λ·e_i + r_i from
 its vertex. Errors are monotonic and spheres nested: R_i ≥ |p_i − p_j| + R_j for each child j, for every λ and without a
-pass over the terrain; Blow closes λ·e_i bottom-up for one λ instead (docs/engines/blow.md compares). 10⁻⁹ of the
-terrain's size per level makes the nesting strict, so that roundings cannot undo it. ``isotropic-published`` has λ = f /
-τ. A diamond whose colours are off by more than γ is also split while its sphere can look larger than a texel. Turning
-the head changes nothing; mixed diamonds (e = ∞) are split when they come into view; what is out of view stays refined
-and is skipped when triangles are put out.
+pass over the terrain; Blow closes λ·e_i bottom-up for one λ instead (docs/methods/threshold-spheres.md compares).
+10⁻⁹ of the terrain's size per level makes the nesting strict, so that roundings cannot undo it. ``isotropic-published``
+has λ = f / τ. A diamond whose colours are off by more than γ is also split while its sphere can look larger than a
+texel. Turning the head changes nothing; mixed diamonds (e = ∞) are split when they come into view; what is out of view
+stays refined and is skipped when triangles are put out.
 
 *Waiting.* The front is kept as two binary trees of triangles. A leaf waits to be split, a node with two leaves below it
 to be merged; radix heaps of ways and of turns (``waiting``) say when.
@@ -32,15 +32,17 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.screen import ANISOTROPIC, STRETCH, TEXEL
-from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.lod.field import Field
+from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.radix_heap import AFTER, BEFORE, LISTS, WHERE, WORK, advance
+from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
 from orograph.lod.threshold_spheres_pass import (
     FREE,
     GROW,
@@ -55,7 +57,7 @@ from orograph.lod.threshold_spheres_pass import (
     put_out,
     update,
 )  # fmt: skip
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera
 
 
 class _State:
@@ -99,19 +101,27 @@ class _State:
         self.counts[FREE] += more // 2
 
 
-class Blow(Engine):
-    """Threshold spheres, looked at again when the eye can have crossed them. See ``Engine`` for the arguments.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThresholdSpheresOptions(MeshOptions):
+    """Options of ``threshold-spheres``. See ``MeshOptions``."""
 
-    The engine remembers its trees from view to view; a view costs what changes by it, and putting out what is in view.
+
+class ThresholdSpheres(RightTriangleMeshes):
+    """Threshold spheres, looked at again when the eye can have crossed them. See ``RightTriangles`` for the arguments.
+
+    The method remembers its trees from view to view; a view costs what changes by it, and putting out what is in view.
     Another tolerance, field of view or size of the picture changes all boundaries and starts anew. Budgets do that
     often.
     """
 
-    name = "blow"
-    metrics = ("localised", "anisotropic", "isotropic", "isotropic-published")
+    info = MethodInfo(
+        "threshold-spheres",
+        "each error has a boundary in the space of cameras, at its simplest a sphere around its sample: within, split",
+        "Blow 2000", "triangles", ThresholdSpheresOptions, lambda options: options.conservative, incremental=True,
+    )  # fmt: skip
 
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
         self._state: _State | None = None
         self._spheres: tuple[Any, ...] = ()
         self._capacity = 1 << 12
@@ -120,35 +130,37 @@ class Blow(Engine):
         """Forget the last view."""
         self._state = None
 
-    def _lambda(self, view: View, tolerance: float) -> float:
+    def _lambda(self, camera: Camera, tolerance: float) -> float:
         """Radius of threshold spheres per metre of (unstretched) error; 0 in a plan, where nothing is displaced."""
+        view = camera.view
         if view.projection == "plan":
             return 0.0
         focal = 1.0 / view.pixel_slope
         ratio = focal / tolerance if tolerance > 0 else math.inf
         if not self.metric.conservative:
-            return self.exaggeration * ratio
+            return camera.exaggeration * ratio
         cosine = 1.0 / math.hypot(1.0, *(view.pixel_slope * pixels / 2 for pixels in view.frame[2:]))
-        return self.exaggeration * (ratio / cosine**2 + 1.0 / cosine)
+        return camera.exaggeration * (ratio / cosine**2 + 1.0 / cosine)
 
-    def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
-        if tolerance is None:
-            return by_tolerance(self, view, triangles, seconds)
+    def _refine(self, camera: Camera, goal: Goal) -> Mesh:
+        if goal.tolerance is None:
+            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
         began = time.perf_counter()
-        grid, lens = self.terrain.grid, self._lens(view, tolerance)
+        view, exaggeration, tolerance = camera.view, camera.exaggeration, goal.tolerance
+        grid, lens = self.terrain.grid, self._lens(camera, tolerance)
         a, b, c, d, e, f = grid.samples[:6]
         size = math.hypot((abs(a) + abs(b)) * grid.cols, (abs(d) + abs(e)) * grid.rows) * lens[STRETCH]
         cosine = 1.0 / math.hypot(1.0, *(view.pixel_slope * pixels / 2 for pixels in view.frame[2:]))
         colored = math.inf if view.projection == "plan" else (1.0 + 1.0 / lens[TEXEL]) / cosine
         isotropic = self.spheres != ANISOTROPIC
         plan = view.projection == "plan"
-        spheres: tuple[Any, ...] = (self._lambda(view, tolerance), colored, view.part)
+        spheres: tuple[Any, ...] = (self._lambda(camera, tolerance), colored, view.part, exaggeration)
         if not isotropic:
-            spheres = (tolerance, view.pixel_slope, view.near, view.far, *view.frame[2:], plan, view.part)
+            spheres = (tolerance, view.pixel_slope, view.near, view.far, *view.frame[2:], plan, view.part, exaggeration)
         if self._state is None or spheres != self._spheres or (plan and not isotropic):
             self._state, self._spheres = _State(self.field), spheres
         state = self._state
-        eye, axes = np.array(view.eye) * [1.0, 1.0, self.exaggeration], np.stack(view.axes(self.exaggeration))
+        eye, axes = np.array(view.eye) * [1.0, 1.0, exaggeration], np.stack(view.axes(exaggeration))
         unit = size * 2.0**-32
         moved = turned = 0.0
         if state.eye is not None and state.axes is not None:
@@ -160,7 +172,7 @@ class Blow(Engine):
         state.eye, state.axes = eye, axes
         way = np.array(
             [*eye, 0.0 if not isotropic else spheres[0], unit, state.way, self.color_tolerance, colored, 1e-9 * size,
-             c, f, self.exaggeration, a, b, d, e, state.turn, moved, turned, 1.0 / cosine]
+             c, f, exaggeration, a, b, d, e, state.turn, moved, turned, 1.0 / cosine]
         )  # fmt: skip
         state.counts[VISITS : MERGES + 1] = 0
         for clock, (links, heads, now) in enumerate(
@@ -182,7 +194,7 @@ class Blow(Engine):
             else:
                 break
         updated = time.perf_counter()
-        keys, zs = self._triangles(state, lens, self._pruned(lens))
+        keys, zs = self._triangles(state, lens, self._pruned(lens), exaggeration)
         visits, splits, merges = (int(v) for v in state.counts[VISITS : MERGES + 1])
         nodes = len(state.due) - 2 * int(state.counts[FREE])
         return Mesh(
@@ -195,13 +207,13 @@ class Blow(Engine):
         )  # fmt: skip
 
     def _triangles(
-        self, state: _State, lens: NDArray[np.float64], pruned: NDArray[np.int64]
+        self, state: _State, lens: NDArray[np.float64], pruned: NDArray[np.int64], exaggeration: float
     ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         stack = np.empty((2 * self.field.n + 4, 2), np.int64)
         while True:
             keys, zs = np.empty((self._capacity, 3), np.int64), np.empty((self._capacity, 3), np.float32)
             count = put_out(
-                lens, self.cull, pruned, self.field.pages.edge, self.exaggeration, state.corners, state.heights,
+                lens, self.cull, pruned, self.field.pages.edge, exaggeration, state.corners, state.heights,
                 state.numbers, state.shown, state.links, stack, keys, zs,
             )  # fmt: skip
             if count >= 0:

@@ -20,6 +20,7 @@ pixels.
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,13 +29,23 @@ from numpy.typing import NDArray
 from orograph._numba import leaf
 from orograph.error.screen import color_exceeds, outside, sphere_bound, to_camera, triangle_bound
 from orograph.errors import UsageError
-from orograph.lod.engine import UNBOUNDED, Engine, Mesh, by_tolerance
 from orograph.lod.field import find
 from orograph.lod.localise import STACK, localised_bound, prism_outside
 from orograph.lod.look_ahead import DEPTH, NEAR
+from orograph.lod.method import Goal, MethodInfo
+from orograph.lod.options import option
 from orograph.lod.pages import BEYOND
-from orograph.lod.queues import LEVEL_SHIFT, code_of, heap_pop, heap_push, usable_queue
-from orograph.viewpoint import View
+from orograph.lod.queues import LEVEL_SHIFT, ORDERS, QUEUE, check_size, code_of, heap_pop, heap_push
+from orograph.lod.right_triangles import (
+    EVERY,
+    METRIC,
+    UNBOUNDED,
+    Mesh,
+    MeshOptions,
+    RightTriangleMeshes,
+    by_tolerance,
+)
+from orograph.viewpoint import Camera
 
 DONE, MISSED, GROW, PAUSED, FULL = 0, 1, 2, 3, 4
 """Why the kernel returns: nothing is left to split; pages are missing; no room; enough for now; budget used up."""
@@ -256,8 +267,8 @@ def refine_triangles(
 class _State:
     """The mesh of one refinement, and its queue."""
 
-    def __init__(self, engine: TopDown, capacity: int) -> None:
-        n = engine.field.n
+    def __init__(self, method: TopDown, capacity: int) -> None:
+        n = method.field.n
         self.corners, self.heights = np.empty((capacity, 3), np.int64), np.empty((capacity, 4), np.float32)
         self.links, self.drawn = np.empty((capacity, 4), np.int32), np.zeros(capacity, np.uint8)
         self.queue: tuple[NDArray[Any], ...] = (
@@ -266,13 +277,13 @@ class _State:
         self.counts = np.zeros(6, np.int64)
         size = 1 << n
         nw, ne, sw, se = 0, size, size << 32, size << 32 | size
-        z = engine.field.corners
+        z = method.field.corners
         fresh, fresh_z = np.zeros((4, 3), np.int64), np.zeros((4, 4), np.float32)
         fresh[:2] = (nw, se, ne), (se, nw, sw)
         fresh_z[:2, :3] = (z[0, 0], z[1, 1], z[0, 1]), (z[1, 1], z[0, 0], z[1, 0])
         self.scratch: tuple[NDArray[Any], ...] = (
             np.empty(2 * n + 2, np.int64), fresh, fresh_z, np.empty(4), np.empty(4, np.uint8),
-            np.empty((engine.depth + 2, STACK)),
+            np.empty((method.depth + 2, STACK)),
         )  # fmt: skip
 
     def grow(self, ordered: bool) -> None:
@@ -289,40 +300,48 @@ class _State:
             self.counts[HEAD], self.counts[TAIL] = 0, tail - head
 
 
-class TopDown(Engine):
-    """Top-down refinement with forced splits. See ``Engine`` for the arguments; besides:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopDownOptions(MeshOptions):
+    """Options of ``top-down``. See ``MeshOptions``."""
 
-    Args:
-        queue: "fifo" or "priority". Budgets of a FIFO are reached by bisecting the tolerance. A tolerance needs no
-            order and is always reached by the FIFO.
-        depth: halvings that the metric ``localised`` looks ahead.
-        near: where it does: where the nested sphere's radius is more than this of its least depth.
+    metric: str | None = option(None, METRIC, choices=EVERY)
+    queue: str = option("priority", QUEUE + ".", choices=ORDERS)
+    depth: int = option(DEPTH, "How often the metric localised halves a triangle to see where it errs.",
+                        unit="halvings", least=0, most=64)  # fmt: skip
+    near: float = option(NEAR, "Where it does: where a sphere's radius is more than this of its least depth.", least=0)
+
+
+class TopDown(RightTriangleMeshes):
+    """Top-down refinement with forced splits.
+
+    A tolerance needs no order and is always reached by the FIFO. See ``RightTriangles`` for the arguments.
 
     Raises:
-        UsageError: there is no such queue, or the depth makes no sense.
+        UsageError: the terrain is beyond 2^26 samples a side.
     """
 
-    name = "top-down"
-    metrics = ("localised", "wedgie", "anisotropic", "isotropic", "isotropic-published", "anisotropic-published")
+    info = MethodInfo(
+        "top-down", "split what exceeds the tolerance, and first whatever must be split so that no crack opens",
+        "Duchaineau et al. 1997 (ROAM), sec. 4 and 5: forced splits", "triangles", TopDownOptions,
+        lambda options: options.conservative,
+    )  # fmt: skip
 
-    def __init__(
-        self, *args: Any, queue: str = "priority", depth: int = DEPTH, near: float = NEAR, **options: Any
-    ) -> None:
-        super().__init__(*args, **options)
-        if not near >= 0:
-            raise UsageError(f"Spheres are near from a ratio of 0 or more on, not {near}.")
-        if not 0 <= depth <= 64:
-            raise UsageError(f"The metric can look 0 to 64 halvings ahead, not {depth}.")
-        self.queue, self.depth, self.near = usable_queue(queue, self.name, self.terrain), depth, near
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        check_size(self.info.name, self.terrain)
+        self.queue: str = self.options.queue
+        self.depth: int = self.options.depth
+        self.near: float = self.options.near
         self._capacity = 1 << 12
 
-    def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
+    def _refine(self, camera: Camera, goal: Goal) -> Mesh:
+        tolerance, triangles, seconds = goal.tolerance, goal.triangles, goal.seconds
         ordered = tolerance is None and self.queue == "priority"
         if tolerance is None and not ordered:
-            return by_tolerance(self, view, triangles, seconds)
+            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
         began = time.perf_counter()
         state = _State(self, self._capacity)
-        lens = self._lens(view, tolerance or 0.0)
+        lens = self._lens(camera, tolerance or 0.0)
         stalls = before = 0
         while True:
             self.field.begin()

@@ -1,12 +1,13 @@
-"""Batched right triangles: the hierarchy of right triangles with *patches* in place of triangles, for the GPU.
+"""Triangle patches: the hierarchy of right triangles with *patches* in place of triangles, for the GPU.
 
 A patch is a right triangle of the hierarchy, regularly divided into L² small ones (``patches.shape``); every patch has
 the same triangles, so that a picture is one instanced draw, and the CPU decides about a few thousand patches instead of
-half a million triangles: batched dynamic adaptive meshes (Cignoni et al. 2003, BDAM; Levenberg 2002, *CABTT*). As all
-patches have L segments on each side, they conform by the rule that triangles conform by: a diamond is split if the
-bound of its error exceeds the tolerance and both its parents are split. No skirts, no stitching.
+half a million triangles. (Levenberg 2002, *CABTT*, puts cached aggregates in the place of triangles in this way; these
+patches are regular and share one topology.) As all patches have L segments on each side,
+they conform by the rule that triangles conform by: a diamond is split if the bound of its error exceeds the tolerance
+and both its parents are split. No skirts, no stitching.
 
-The promise is that of the other engines: P(D), the largest ``exact`` error among the triangles of D's patches
+The promise is that of the other methods: P(D), the largest ``exact`` error among the triangles of D's patches
 (``patches.tables``), projected by the conservative metric over D's nested sphere. Where ground and missing ground meet,
 the mesh is refined until the edges of its triangles are shorter than the tolerance on the screen, or to the samples.
 
@@ -19,33 +20,34 @@ on a patch's legs belong to one diamond alone, and everybody agrees about them. 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+import time
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.screen import FOCAL, PLANES
-from orograph.error.screen import lens as lens_of
 from orograph.errors import UsageError
-from orograph.lod.engine import Engine, Mesh, by_tolerance
+from orograph.lod.field import check_surface
+from orograph.lod.method import EVERYTHING, Goal, MethodInfo, Need, Ready
+from orograph.lod.options import option
 from orograph.lod.patches.expand import expand
 from orograph.lod.patches.pager import Pager
 from orograph.lod.patches.selection import ABSENT, BLOCKED, NODES, PATCHES, SPLIT, TOUCHED, select_patches
-from orograph.lod.patches.shape import INSTANCE, check_legs, patch_indices, patch_vertices
+from orograph.lod.patches.shape import ALL_LEGS, INSTANCE, patch_indices, patch_vertices
 from orograph.lod.patches.tables import PatchTerrain, cell_size
-from orograph.progress import SILENT, Progress
+from orograph.lod.right_triangles import METRIC, RightTriangleOptions, RightTriangles, by_tolerance
+from orograph.lod.selection import WANTED, PatchSet, Topology
 from orograph.store.patches import KAPPA, LEGS
 from orograph.store.terrain import tile_shape
-from orograph.viewpoint import View
+from orograph.tessellation import Tessellation
+from orograph.viewpoint import Camera
 
-__all__ = ["INSTANCE", "LEGS", "WANTED", "Batched", "Patches", "patch_indices", "patch_vertices"]
+__all__ = ["INSTANCE", "LEGS", "Patches", "TrianglePatches", "patch_indices", "patch_vertices"]
 
 NOWHERE: NDArray[np.uint32] = np.zeros(0, np.uint32)
-
-WANTED = np.dtype([("level", "<i4"), ("row", "<i4"), ("col", "<i4"), ("pixels", "<f4")])
-"""A tile that a view needs: where it is, and the largest error in pixels that patches out of it take away."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +68,13 @@ class Tiling:
         row, col = np.divmod(tiles - self.bases[level], self.widths[level])
         return level, row, col
 
+    def places(self, wanted: NDArray[Any]) -> NDArray[np.int64]:
+        """Where the tiles of an array of ``WANTED`` are in the row."""
+        level = wanted["level"].astype(np.int64)
+        return np.asarray(self.bases[level] + wanted["row"] * self.widths[level] + wanted["col"])
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(slots=True)
 class Patches:
     """What a view needs.
 
@@ -77,6 +84,7 @@ class Patches:
             pixels: float32 (t,), the errors that patches out of them take away.
         stats: patches, triangles, split, nodes, blocked (diamonds that wait for tiles), pixels (the largest bound of a
             patch's error).
+        within, tolerance: as of a ``right_triangles.Mesh``.
     """
 
     instances: NDArray[Any]
@@ -84,6 +92,17 @@ class Patches:
     pixels: NDArray[np.float32]
     tiling: Tiling
     stats: dict[str, Any] = field(default_factory=dict)
+    within: bool = True
+    tolerance: float | None = None
+
+    @property
+    def triangles(self) -> int:
+        """Of all patches."""
+        return int(self.stats["triangles"])
+
+    def kept(self) -> Self:
+        """A copy that is good after the next selection."""
+        return replace(self, instances=self.instances.copy())
 
     @property
     def wanted(self) -> NDArray[Any]:
@@ -98,37 +117,36 @@ class Patches:
         return found
 
 
-class Batched(Engine):
-    """Batched right triangles. See ``Engine`` for the arguments; besides:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrianglePatchesOptions(RightTriangleOptions):
+    """Options of ``triangle-patches``. See ``RightTriangleOptions``."""
 
-    Args:
-        legs: segments along a patch's leg, L: 2, 4, 8, 16, 32 or 64 (less where the raster is smaller than a patch).
-        geomorph: meshes are drawn as the GPU would draw them, vertices on their way included; else diamonds are split
-            at the tolerance itself.
-        rim: how much of a triangle's longest edge counts as the error where ground ends: 1 where triangles with a
-            missing corner are left out, 0.5 for a renderer that fills corners whose surroundings are half there.
-        progress: is told how the errors of patches come along, where they must be made (seconds for large terrains).
+    metric: str | None = option(None, METRIC, choices=("anisotropic", "isotropic"))
+    legs: int = option(LEGS, "Segments along a patch's leg; fewer where the raster is smaller than a patch.",
+                       choices=ALL_LEGS)  # fmt: skip
+    geomorph: bool = option(
+        False, "Vertices grow out of their edges, as a GPU draws them; else patches are split at the tolerance itself."
+    )
+
+
+class TrianglePatches(RightTriangles):
+    """Triangle patches. See ``RightTriangles`` for the arguments.
 
     Attributes:
         legs: L.
     """
 
-    name = "batched"
-    metrics = ("anisotropic", "isotropic")
-    takes_colors = False
+    info = MethodInfo(
+        "triangle-patches", "regular patches of 256 triangles in place of triangles, instanced by the GPU; geomorphs",
+        "Orograph's own; patches in place of triangles as in Levenberg 2002 (CABTT)", "patches", TrianglePatchesOptions,
+        lambda options: options.conservative,
+    )  # fmt: skip
 
-    def __init__(
-        self, *args: Any, legs: int = LEGS, geomorph: bool = False, rim: float = 1.0, progress: Progress = SILENT,
-        **options: Any,
-    ) -> None:  # fmt: skip
-        if options.get("color_tolerance") is not None:
-            raise UsageError("Patches take their colours from textures: batched has no color tolerance.")
-        super().__init__(*args, **options)
-        n = self.field.n
-        self.legs, self.geomorph = min(check_legs(legs), 1 << n), geomorph
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        self.geomorph: bool = self.options.geomorph
         self._q = self.legs.bit_length() - 1
-        ground: Any = PatchTerrain(self.terrain, self.field.kind, self.legs, jobs=self.jobs, progress=progress)
-        self.field: Pager = Pager(ground, self.error, max_memory=options.get("max_memory", 1 << 30), jobs=self.jobs)
+        self.field: Pager
         shapes = [tile_shape(self.terrain.grid.shape, level) for level in range(self.field.top + 1)]
         ends = np.cumsum([rows * cols for rows, cols in shapes])
         self.tiling = Tiling(
@@ -138,12 +156,22 @@ class Batched(Engine):
         self._all = np.ones(int(ends[-1]), np.uint8)
         self._priorities = np.zeros(int(ends[-1]), np.float32)
         self._touched = np.zeros(int(ends[-1]), np.int64)
-        self._shapes = shapes
-        size = cell_size(self.terrain)
-        levels = np.arange(2 * n + 1)
-        self._holes = rim * size * np.sqrt(2.0) ** (2.0 * (n - self._q) - levels + 1.0)
+        size, n = cell_size(self.terrain), self.field.n
+        self._holes = size * np.sqrt(2.0) ** (2.0 * (n - self._q) - np.arange(2 * n + 1) + 1.0)
         self._unbounded = np.full(2 * n + 1, np.inf)
         self._room(1 << 12)
+
+    def _pages(self) -> Pager:
+        self.legs: int = min(self.options.legs, 1 << self.terrain.n)
+        check_surface(self.terrain)
+        ground: Any = PatchTerrain(
+            self.terrain, self.options.error, self.legs, jobs=self.jobs, progress=self.resources.progress
+        )
+        return Pager(ground, self.error, max_memory=self.resources.max_memory, jobs=self.jobs)
+
+    @classmethod
+    def needs(cls, options: Any) -> tuple[Need, ...]:
+        return *super().needs(options), Need("patches", {"error": options.error, "legs": options.legs})
 
     def _room(self, size: int) -> None:
         self._table = np.empty(4 * size, np.int32)
@@ -155,90 +183,112 @@ class Batched(Engine):
         raw = self._instances.view(np.int32).reshape(-1, 8)
         self._words, self._floats = raw, raw.view(np.float32)
 
-    def residency(self) -> list[NDArray[np.uint8]]:
-        """For each level an array (tile rows, tile cols) of zeros, to be set where tiles are there (``select``)."""
-        whole = np.zeros(len(self._all), np.uint8)
-        return [
-            whole[base : base + rows * cols].reshape(rows, cols)
-            for base, (rows, cols) in zip(self.tiling.bases, self._shapes, strict=True)
-        ]
+    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> PatchSet:
+        """The patches of a view; edges of missing ground are kept to the sample.
 
-    def select(
+        Raises:
+            UsageError: more pages are needed than memory allows.
+        """
+        began = time.perf_counter()
+
+        def at(tolerance: float) -> Patches:
+            return self.patches(camera, tolerance, ready, geomorph=self.geomorph)
+
+        patches = at(goal.tolerance) if goal.tolerance is not None else by_tolerance(at, goal)
+        tolerance = goal.tolerance if goal.tolerance is not None else patches.tolerance
+        promised = self.conservative and patches.within
+        stats: dict[str, Any] = {
+            "method": self.info.name, "error": self.error, "metric": self.metric.name, "tolerance": tolerance,
+            "conservative": promised, "exaggeration": camera.exaggeration,
+            "refine_ms": round((time.perf_counter() - began) * 1e3, 3), "tiles_read": self.field.tiles_read,
+            "tiles_resident": self.field.resident, "geomorph": self.geomorph,
+            **{name: patches.stats[name] for name in ("patches", "triangles", "split", "nodes")},
+        }  # fmt: skip
+        if goal.triangles is not None:
+            stats["within_budget"] = patches.within
+        wanted = patches.wanted
+        lacking = wanted[:0]
+        if ready.tiles is not None:
+            lacking = wanted[ready.tiles[self.tiling.places(wanted)] == 0]
+            promised = promised and not (len(lacking) or patches.stats["absent"])
+        return PatchSet(
+            method=self.info.name, bound=tolerance if promised else None, lacking=lacking, stats=stats,
+            topologies=(_topology(self.legs),),
+            instances=patches.instances.copy(), shapes=np.zeros(len(patches.instances), np.uint8), expand=self._expand,
+        )  # fmt: skip
+
+    def _expand(self, selection: PatchSet) -> Tessellation:
+        keys, heights = expand(self.terrain, selection.instances, self.legs)
+        stats = dict(selection.stats)
+        made = Tessellation.from_triangles(self.terrain.grid, keys, heights, clockwise=False, stats=stats)
+        stats["triangles"] = len(made.triangles)
+        return made
+
+    def patches(
         self,
-        view: View,
-        tolerance: float = 1.0,
+        camera: Camera,
+        tolerance: float,
+        ready: Ready = EVERYTHING,
         *,
-        resident: Sequence[NDArray[np.uint8]] | NDArray[np.uint8] | None = None,
-        slots: NDArray[np.uint32] | None = None,
         cull: bool | None = None,
         frustum: NDArray[np.float64] | None = None,
-        exaggeration: float | None = None,
         geomorph: bool = True,
-        exact_holes: bool = False,
-        wait: bool = True,
+        rim: float | None = None,
     ) -> Patches:
-        """The patches of a view.
+        """The patches of a view, for renderers and benches.
 
         Args:
-            view: the camera whose errors count.
+            camera: whose errors count.
             tolerance: pixels.
-            resident: for each level a uint8 array (tile rows, tile cols), or for all tiles in the order of ``tiling``
-                one, not 0 where a tile is there; a diamond is split only if all tiles its children need are (default:
-                all are). The tile of the coarsest level that holds the roots is taken to be there.
-            slots: for all tiles in that order 1 + what is to be put into the patches' ``slot``.
-            cull: leave out what is outside the frustum (default: as the engine does).
+            ready: a diamond is split only if all tiles its children need are there (the tile of the coarsest level that
+                holds the roots is taken to be), in the order of ``tiling``. ``slots`` go into the patches' ``slot``.
+                Without ``wait`` the patches are those that can be told without the pages of errors that are lacking;
+                ``stats["absent"]`` is not 0 while more will come.
+            cull: leave out what is outside the frustum (default: as the method does).
             frustum: (m, 4), at most 6 planes to cull with instead of the view's (``View.frustum``: stretched space,
                 positive inside), a light's for example. What the eye does not see is judged by its distance.
-            exaggeration: factor on heights (default: the engine's).
             geomorph: split at τ/κ already, and let new points grow until τ.
-            exact_holes: keep edges of missing ground to the sample, instead of to the tolerance on the screen.
-            wait: read the pages of errors that are lacking. Else threads do, and the patches are those that can be told
-                without them; ``stats["absent"]`` is not 0 while more will come.
+            rim: how much of a triangle's longest edge counts as the error where ground ends: 1 where triangles with a
+                missing corner are left out, 0.5 for a renderer that fills corners whose surroundings are half there;
+                None: edges of missing ground are kept to the sample.
 
         Raises:
             UsageError: an argument makes no sense, or more pages are needed than memory allows.
         """
         if not 0 <= tolerance < math.inf:
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance!r}.")
-        stretch = self.exaggeration if exaggeration is None else exaggeration
-        if not 0 < stretch < math.inf:
-            raise UsageError(f"The exaggeration is a factor greater than 0, not {exaggeration}.")
-        lens = lens_of(view, self.terrain.grid, exaggeration=stretch, tolerance=tolerance)
+        view, lens = camera.view, self._lens(camera, tolerance)
         eye = np.zeros(0)
         if frustum is not None:
             eye = lens.copy()
-            lens[PLANES : PLANES + 24] = self._planes(frustum, stretch)
+            lens[PLANES : PLANES + 24] = self._planes(frustum, camera.exaggeration)
         plan = 1.0 / view.pixel_metres if lens[FOCAL] == 0.0 else 0.0
         tolerances = np.array([tolerance / KAPPA if geomorph else tolerance, tolerance, plan])
-        there = self._all
-        if isinstance(resident, np.ndarray):
-            there = resident
-        elif resident is not None:
-            there = np.concatenate([np.ravel(level) for level in resident])
+        there = self._all if ready.tiles is None else ready.tiles
         if there.shape != self._all.shape or there.dtype != np.uint8:
-            raise UsageError("Residency is a uint8 array (tile rows, tile cols) for each level of the terrain.")
+            raise UsageError("Which tiles are ready is a uint8 array over all tiles of all levels of the terrain.")
         counts = np.zeros(6, np.int64)
-        if wait:
+        if ready.wait:
             self.field.finish()
         self.field.enter()
         while True:
             self.field.begin()
             full = select_patches(
                 self.field.pages, lens, eye, self.metric.number, self.cull if cull is None else cull, self.field.n,
-                self._q, tolerances, self._unbounded if exact_holes else self._holes, there,
-                NOWHERE if slots is None else slots, self.tiling.bases, self.tiling.widths, self._priorities,
-                self._touched, self._table, *self._queue, self._words, self._floats, counts,
+                self._q, tolerances, self._unbounded if rim is None else rim * self._holes, there,
+                NOWHERE if ready.slots is None else ready.slots, self.tiling.bases, self.tiling.widths,
+                self._priorities, self._touched, self._table, *self._queue, self._words, self._floats, counts,
             )  # fmt: skip
             tiles = self._touched[: counts[TOUCHED]].copy()
             pixels = self._priorities[tiles]
             self._priorities[tiles] = 0.0  # as it was before
             if full:
                 self._room(2 * len(self._queue[0]))
-            elif wait and self.field.fetch():
+            elif ready.wait and self.field.fetch():
                 continue
             else:
                 break
-        if not wait:
+        if not ready.wait:
             self.field.fetch_later()
         made = self._instances[: counts[PATCHES]]
         stats = {
@@ -261,10 +311,7 @@ class Batched(Engine):
         flat: NDArray[np.float64] = table.ravel()
         return flat
 
-    def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
-        if tolerance is None:
-            return by_tolerance(self, view, triangles, seconds)
-        patches = self.select(view, tolerance, geomorph=self.geomorph, exact_holes=True)
-        keys, heights = expand(self.terrain, patches.instances, self.legs)
-        stats = {name: patches.stats[name] for name in ("patches", "split", "nodes")} | {"geomorph": self.geomorph}
-        return Mesh(keys, heights, is_strip=False, clockwise=False, triangles=len(keys), stats=stats)
+
+@lru_cache(maxsize=8)
+def _topology(legs: int) -> Topology:
+    return Topology(patch_vertices(legs).astype(np.int32), patch_indices(legs).astype(np.int32))

@@ -56,9 +56,8 @@ def render(
     depths: tuple[float, float] | None = None,
     samples: int = 4,
     tolerance: float | None = None,
-    engine: str | None = None,
+    method: str = "auto",
     triangles: int | None = None,
-    metric: str | None = None,
     wireframe: bool = False,
     mesh_view: View | None = None,
     max_memory: int | None = None,
@@ -102,13 +101,12 @@ def render(
             those of the ground in view.
         samples: rays per pixel where the picture has edges; 1 leaves them jagged. Default 4.
         tolerance: pixels by which the ground may be displaced; 0 draws every sample. Default None: 0 up to 16.8 million
-            samples, else 0.5. With an engine: what that is to keep. Default None: 1.
-        engine: draw the mesh that this engine makes, with light on its faces: soar, roam, … (see ``orograph.lod``).
-            Default None: the terrain itself.
-        triangles: with an engine: at most so many, instead of a tolerance. Default None.
-        metric: with an engine: how errors become pixels (see ``orograph.lod``). Default None: the engine's own.
-        wireframe: with an engine, draw its triangles' edges over the relief. Default False.
-        mesh_view: the camera that the engine refines for, to look at its mesh from elsewhere. Default None: ``view``.
+            samples, else 0.5. With a method: what that is to keep. Default None: 1.
+        method: draw the mesh that this method makes, with light on its faces: "soar", "roam,error=wedgie"…
+            (``orograph.methods()`` tells all and their options). Default "auto": the terrain itself.
+        triangles: with a method: at most so many, instead of a tolerance. Default None.
+        wireframe: with a method, draw its triangles' edges over the relief. Default False.
+        mesh_view: the camera that the method selects for, to look at its mesh from elsewhere. Default None: ``view``.
         max_memory: bytes to keep within. Default None: no limit.
         jobs: threads. Default None: all processors.
         backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU where
@@ -146,7 +144,7 @@ def render(
         discs=tuple(discs), exaggeration=exaggeration, colormap=colormap, layers=layers_of(layers), sky=sky,
         water=water, contours=lines_of(contours),
         silhouettes=Silhouettes() if silhouettes is True else silhouettes or None, relief=relief, samples=samples,
-        tolerance=tolerance, engine=engine, triangles=triangles, metric=metric, wireframe=wireframe,
+        tolerance=tolerance, method=method, triangles=triangles, wireframe=wireframe,
         mesh_view=mesh_view, furniture=furniture, title=title, depths=depths, max_memory=max_memory, jobs=jobs,
     )  # fmt: skip
     return draw(scene, progress, backend=backend)

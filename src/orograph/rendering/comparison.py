@@ -1,7 +1,7 @@
-"""One sheet that shows what several engines made of the same terrain from the same camera: their meshes side by side.
+"""One sheet that shows what several methods made of the same terrain from the same camera: their meshes side by side.
 
 Each panel is a picture of its own: the mesh, refined for the panel's pixels, under light relief, its edges as thin
-lines; above it the engine's name and what the referee found. The panels of a row are as wide as the sheet allows and
+lines; above it the method's name and what the referee found. The panels of a row are as wide as the sheet allows and
 have the view's proportions. Units: pixels.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +39,10 @@ LOW, ASIDE = 9.0, 215.0
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One engine's part of the sheet.
+    """One method's part of the sheet.
 
     Attributes:
-        title: the engine's name. mesh: for the panel's view; None shows the terrain itself.
+        title: the method, as ``--method`` has it. mesh: for the panel's view; None shows the terrain itself.
         lines: what is said of it, each a line. alarm: whether the last of them says that something is wrong.
     """
 
@@ -54,7 +53,7 @@ class Panel:
 
 
 def usual_views(terrain: Terrain, size: tuple[int, int] = (1280, 720), exaggeration: float = 1.0) -> dict[str, View]:
-    """Views that show what engines differ in, by name: all of the terrain; low over it; straight down onto its middle.
+    """Views that show what methods differ in, by name: all of the terrain; low over it; straight down onto its middle.
 
     Args:
         size: (width, height) in pixels. exaggeration: heights are stretched by this on the screen.
@@ -147,7 +146,7 @@ def sheet(
             color = ALARM if panel.alarm and i == len(panel.lines) - 1 else GREY
             words = cut(style.text(line), small, view.width, style)
             set_type(page, (x, y + 20 + lead * (i + 1)), words, small, color, "ls")
-        picture = Image.fromarray(_picture(terrain, view, panel.mesh, exaggeration, jobs))
+        picture = Image.fromarray(_picture(terrain, view, panel, exaggeration, jobs))
         page.paste(HAIR, (x - 1, y + caption - 1, x + view.width + 1, y + caption + view.height + 1))
         page.paste(picture, (x, y + caption))
     words = style.text(note)
@@ -156,26 +155,26 @@ def sheet(
     return np.asarray(page, np.uint8).copy()
 
 
-def _picture(terrain: Terrain, view: View, mesh: Tessellation | None, exaggeration: float, jobs: int | None) -> Pixels:
-    """A mesh with its edges over the terrain's relief, or the terrain alone."""
+def _picture(terrain: Terrain, view: View, panel: Panel, exaggeration: float, jobs: int | None) -> Pixels:
+    """A panel's mesh with its edges over the terrain's relief, or the terrain alone."""
     scene = Scene.of(
         terrain, view, sun=Sun(315.0, 50.0), shadows=False, exaggeration=exaggeration, jobs=jobs,
-        engine=None if mesh is None else mesh.stats["engine"], wireframe=mesh is not None,
+        method="auto" if panel.mesh is None else panel.title, wireframe=panel.mesh is not None,
     )  # fmt: skip
-    return draw(scene, mesh=mesh).pixels
+    return draw(scene, mesh=panel.mesh).pixels
 
 
-def caption(stats: dict[str, Any], largest: float) -> tuple[tuple[str, ...], bool]:
-    """What is said of a mesh, and whether it is an alarm: size and metric, then the error and the promise.
+def caption(triangles: int, bound: float | None, aimed: float | None, largest: float) -> tuple[tuple[str, ...], bool]:
+    """What is said of a mesh, and whether it is an alarm: its size, then the error and the promise.
 
     Args:
-        stats: the tessellation's. largest: pixels, by the referee.
+        bound: pixels promised; None: nothing is. aimed: pixels asked for or reached, if that is known.
+        largest: pixels, by the referee.
     """
-    first = f"{stats['triangles']:,} triangles · {stats['error']} error · {stats['metric']} metric"
+    first = f"{triangles:,} triangles"
     reached = f"largest error {largest:.2f} px" if math.isfinite(largest) else "error beyond any bound"
-    promised = stats["tolerance"]
-    if not stats["conservative"] or promised is None:
-        return (first, f"{reached} · promises nothing"), promised is not None and largest > promised
-    if largest <= promised * (1 + 1e-9):
-        return (first, f"{reached} · within the promised {promised:.3g} px"), False
-    return (first, f"{reached} · promised {promised:.3g} px"), True
+    if bound is None:
+        return (first, f"{reached} · promises nothing"), aimed is not None and largest > aimed
+    if largest <= bound * (1 + 1e-9):
+        return (first, f"{reached} · within the promised {bound:.3g} px"), False
+    return (first, f"{reached} · promised {bound:.3g} px"), True

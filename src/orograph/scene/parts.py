@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from orograph.errors import UsageError
 from orograph.geovis.layers import Layer, check_count
 from orograph.lighting.sun import Sun
+from orograph.lod.registry import AUTO
 from orograph.viewpoint import View
 
 if TYPE_CHECKING:
@@ -43,8 +44,11 @@ class Surface:
         UsageError: a number is out of its range, or options contradict each other.
     """
 
-    engine: str | None = told(None, "The method whose mesh is drawn; None: the terrain itself.")
-    metric: str | None = told(None, "How errors become pixels; None: the method's own.")
+    method: str = told(
+        "auto",
+        "NAME[,key=value…]: the method whose mesh is drawn, with light on its faces; auto, or what that is: the "
+        "terrain itself.",
+    )
     tolerance: float | None = told(
         None,
         "Pixels by which the surface may be displaced; 0 draws every sample; None: 0 up to 16.8 million samples, "
@@ -66,14 +70,12 @@ class Surface:
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {self.tolerance:g}.")
         if self.triangles is not None and (self.triangles < 2 or self.tolerance is not None):
             raise UsageError("A mesh has a tolerance, or a number of triangles from 2.", remedy="Give one of them.")
-        if self.engine is not None:
-            return
-        if self.mesh_view is not None:
-            raise UsageError("A mesh is made for a view by an engine.", remedy="Choose an engine, such as soar.")
-        if self.triangles is not None or self.metric is not None:
-            raise UsageError("Triangles and metrics are an engine's.", remedy="Choose an engine, such as soar.")
-        if self.wireframe:
-            raise UsageError("A wireframe shows what an engine made.", remedy="Choose an engine, such as soar.")
+        meshed = self.mesh_view is not None or self.triangles is not None or self.wireframe
+        if meshed and self.method.partition(",")[0] in ("auto", AUTO["cpu"]):
+            raise UsageError(
+                "A mesh, its triangles, its wireframe and the view it is made for are a method's.",
+                remedy="Choose a method, such as soar.",
+            )
 
 
 @dataclass(frozen=True, slots=True)

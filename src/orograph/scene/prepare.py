@@ -1,14 +1,15 @@
 """From paths to a terrain that can be drawn: opened, read into memory, or built once into a store that is kept.
 
 A raster that is small enough is read into memory and forgotten. A larger one is built into a store in the user's cache
-folder (``$OROGRAPH_CACHE``, or the platform's own place), under a name made from its files, their sizes and times and
-the reading options: the next picture of it opens that store at once.
+folder (``$OROGRAPH_CACHE``, or the platform's own place), under a name made from its files, their sizes and times, the
+reading options and the errors that it holds: the next picture of it opens that store at once.
 """
 
 from __future__ import annotations
 
 import hashlib
 import shutil
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 from orograph.errors import OrographError, StoreError, UsageError
@@ -19,6 +20,7 @@ from orograph.store.terrain import Terrain
 
 if TYPE_CHECKING:
     from orograph.dem.mosaic import Mosaic
+    from orograph.error import ErrorKind
 
 
 def cache_bytes(max_memory: int | None) -> int:
@@ -32,12 +34,14 @@ def prepare(
     max_memory: int | None = None,
     jobs: int | None = None,
     progress: Progress = SILENT,
+    errors: Collection[ErrorKind] = (),
     **options: Any,
 ) -> Terrain:
     """The terrain of a store, of one DEM or of many.
 
     Args:
         paths: one store, or DEM files.
+        errors: kinds of errors of diamonds that a store made and kept is to have, besides exact ones.
         options: for ``Mosaic.open``.
 
     Raises:
@@ -67,7 +71,8 @@ def prepare(
         return _told(mosaic, store.terrain(mosaic, progress), progress)
     # Those of another store format have another name: what they left unfinished is not in the way.
     name = hashlib.sha256(f"{mosaic.fingerprint()} {FORMAT}".encode()).hexdigest()[:20]
-    kept = cache_folder() / f"{name}.oro"
+    more: list[ErrorKind] = sorted(kind for kind in errors if kind != "exact")
+    kept = cache_folder() / f"{'-'.join([name, *more])}.oro"
     if kept.exists():
         try:
             terrain = store.open(kept, cache_bytes=cache_bytes(max_memory))
@@ -86,7 +91,8 @@ def prepare(
             remedy="Set OROGRAPH_CACHE to a folder with room, or use orograph build and render the store.",
         ) from error  # fmt: skip
     memory: dict[str, Any] = {} if max_memory is None else {"max_memory": max_memory}
-    terrain = store.build(mosaic, kept, resume=True, jobs=jobs, progress=progress, **memory)
+    kinds: tuple[ErrorKind, ...] = ("exact", *more)
+    terrain = store.build(mosaic, kept, resume=True, errors=kinds, jobs=jobs, progress=progress, **memory)
     size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())
     progress.note(f"the store made of it is kept at {kept} ({size / 1e6:.0f} MB); the next picture starts from there")
     return _told(mosaic, terrain, progress)

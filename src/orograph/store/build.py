@@ -72,7 +72,7 @@ def build(
         resume: finish an interrupted build of the same sources and options; begins one if there is none.
         max_memory: bytes the process should stay within; decides the size of shards and how many tasks run at once.
         jobs: threads (default: all processors). The store's bytes do not depend on it.
-        errors: of which kinds the errors of all diamonds are stored (with their spheres), for engines that refine by
+        errors: of which kinds the errors of all diamonds are stored (with their spheres), for methods that refine by
             them; none for ().
         storage_options: for the fsspec file system.
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).

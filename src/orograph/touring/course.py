@@ -182,4 +182,4 @@ def _preview(scene: Scene) -> Scene:
     view = scene.view
     scale = min(1.0, math.sqrt(PREVIEW[0] * PREVIEW[1] / (view.width * view.height)))
     small = view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
-    return scene.but(view=small, engine=None, wireframe=False, mesh_view=None, water=None, furniture=False)
+    return scene.but(view=small, method="auto", wireframe=False, mesh_view=None, water=None, furniture=False)

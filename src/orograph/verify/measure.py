@@ -1,11 +1,12 @@
-"""Engines measured alike: time, triangles, change from frame to frame, tiles read, and the error the referee finds.
+"""Methods measured alike: time, triangles, change from frame to frame, tiles read, and the error the referee finds.
 
-Of an engine nothing is known here but that it refines (``Refiner``). *Views* are taken one by one, twice: first for the
+Of a method nothing is known here but that it selects (``Selector``). *Views* are taken one by one, twice: first for the
 referee, which also compiles kernels and reads tiles; then for the clock, three times each, of which the fastest counts.
-Before each of these the engine is taken far away and looks the other way, so that one that keeps its mesh between views
-has to come back from little. A *flight*
-is taken frame by frame, and the clock runs for each: what an engine saves from frame to frame, it saves here. Tiles are
-counted from the engine's making.
+Before each of these the method is taken far away and looks the other way, so that one that keeps its mesh between views
+has to come back from little. A *flight* is taken frame by frame, and the clock runs for each: what a method saves from
+frame to frame, it saves here. Tiles are counted from the method's making.
+
+A selection that makes no triangles (rays) is timed, and that is all.
 
 Units: milliseconds; pixels; fractions of a mesh.
 """
@@ -13,45 +14,51 @@ Units: milliseconds; pixels; fractions of a mesh.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.lod.method import Goal
+from orograph.lod.selection import RayWindows, Selection
 from orograph.progress import Task
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.verify.judge import judge_mesh
 from orograph.verify.report import ROUNDING, Report
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 ROUNDS = 3
 """How often the clock is run for a view."""
 
 
-class Refiner(Protocol):
-    """What can be measured."""
+class Selector(Protocol):
+    """What can be measured: a ``lod.method.Method``."""
 
-    def refine(self, view: View, *, tolerance: float | None = None, triangles: int | None = None) -> Tessellation:
-        """The mesh for a view; ``stats`` hold refine_ms, tiles_read and conservative."""
+    def select(self, camera: Camera, goal: Goal) -> Selection:
+        """What a camera is to see.
+
+        ``stats`` may have ``refine_ms``, where not all of the time counts, ``tiles_read`` and ``within_budget``.
+        """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What an engine does on some views or a flight.
+    """What a method does on some views or a flight.
 
     Attributes:
-        frames: views or frames refined.
-        triangles: of a mesh, the mean.
-        ms: to refine, the median; ``ms_worst``: the largest.
-        mtri_per_s: millions of triangles per second, over all.
-        conservative: whether the engine promises the tolerance for every point in view, in every frame.
+        frames: views or frames selected for.
+        triangles: of a mesh, the mean; None where none are made.
+        ms: to select, the median; ``ms_worst``: the largest.
+        mtri_per_s: millions of triangles per second, over all; None where none are made.
+        conservative: whether the method promises the tolerance for every sample in view, in every frame.
         tolerance: pixels, the largest that was asked for, or reached under a budget.
-        largest, rms: pixels, by the referee, over all points (rms: samples) in view of the frames judged; None: beyond
-            any bound.
+        largest, rms: pixels, by the referee, over all samples in view of the frames judged; None: beyond any
+            bound, or none was judged.
         judged: how many frames were.
         changes: triangles that a frame and the one before do not share, over the frame's own, both summed over frames.
             None without a flight.
@@ -61,10 +68,10 @@ class Measurement:
     """
 
     frames: int
-    triangles: float
+    triangles: float | None
     ms: float
     ms_worst: float
-    mtri_per_s: float
+    mtri_per_s: float | None
     conservative: bool
     tolerance: float | None
     largest: float | None
@@ -77,89 +84,112 @@ class Measurement:
 
     @property
     def kept(self) -> bool | None:
-        """Whether what was promised holds; None if nothing was promised."""
-        if not self.conservative or self.tolerance is None:
+        """Whether what was promised holds; None if nothing was promised, or nothing was judged."""
+        if not self.conservative or self.tolerance is None or not self.judged:
             return None
         return self.largest is not None and self.largest <= self.tolerance * (1 + ROUNDING) and not self.defects
 
 
 def measure_views(
-    engine: Refiner, terrain: Terrain, views: Sequence[View], goal: dict[str, Any], *, exaggeration: float = 1.0,
+    method: Selector, terrain: Terrain, views: Sequence[View], goal: Goal, *, exaggeration: float = 1.0,
     jobs: int | None = None, task: Task | None = None,
 ) -> Measurement:  # fmt: skip
-    """Measure an engine on separate views (see the module's text).
+    """Measure a method on separate views (see the module's text).
 
     Args:
-        goal: keyword arguments of ``refine``: tolerance or triangles.
+        goal: tolerance or triangles.
         task: is advanced by one for each view.
     """
-    tally = _Tally()
+    tally = _Tally(terrain, exaggeration, jobs)
     for view in views:
-        tally.judged(judge_mesh(engine.refine(view, **goal), terrain, view, exaggeration=exaggeration, jobs=jobs))
+        tally.judge(_selected(method, terrain, view, goal, exaggeration)[0], view)
     for view in views:
-        meshes = []
+        found = []
         for _ in range(ROUNDS):
-            engine.refine(elsewhere(view), **goal)
-            meshes.append(engine.refine(view, **goal))
-        tally.timed(min(meshes, key=lambda mesh: float(mesh.stats["refine_ms"])))
-        tally.tiles = int(meshes[-1].stats["tiles_read"])
+            _selected(method, terrain, elsewhere(view), goal, exaggeration)
+            found.append(_selected(method, terrain, view, goal, exaggeration))
+        tally.timed(*min(found, key=lambda one: one[1]))
+        tally.tiles = int(found[-1][0].stats.get("tiles_read", 0))
         if task is not None:
             task.advance()
     return tally.result(None)
 
 
 def measure_flight(
-    engine: Refiner, terrain: Terrain, frames: Sequence[View], goal: dict[str, Any], *, judged: int | None = None,
+    method: Selector, terrain: Terrain, frames: Sequence[View], goal: Goal, *, judged: int | None = None,
     exaggeration: float = 1.0, jobs: int | None = None, task: Task | None = None,
 ) -> Measurement:  # fmt: skip
-    """Measure an engine on the frames of a flight (see the module's text).
+    """Measure a method on the frames of a flight (see the module's text).
 
     Args:
-        goal: keyword arguments of ``refine``: tolerance or triangles.
+        goal: tolerance or triangles.
         judged: how many frames the referee sees, evenly spread (default: all).
         task: is advanced by one for each frame.
     """
     count = len(frames) if judged is None else min(judged, len(frames))
     seen = set(np.linspace(0, len(frames) - 1, count).round().astype(int).tolist())
-    tally = _Tally()
+    tally = _Tally(terrain, exaggeration, jobs)
     for view in [*frames[:2], frames[0]]:  # whatever the first moves compile
-        engine.refine(view, **goal)
+        _selected(method, terrain, view, goal, exaggeration)
     before: NDArray[np.uint64] | None = None
     changed = own = 0
     for k, view in enumerate(frames):
-        mesh = engine.refine(view, **goal)
-        tally.timed(mesh)
-        now = fingerprints(mesh)
-        if before is not None:
-            shared = len(np.intersect1d(before, now, assume_unique=True))
-            changed += len(before) + len(now) - 2 * shared
-            own += len(now)
-        before = now
+        selection, ms = _selected(method, terrain, view, goal, exaggeration)
+        mesh = tally.timed(selection, ms)
+        if mesh is not None:
+            now = fingerprints(mesh)
+            if before is not None:
+                shared = len(np.intersect1d(before, now, assume_unique=True))
+                changed += len(before) + len(now) - 2 * shared
+                own += len(now)
+            before = now
         if k in seen:
-            tally.judged(judge_mesh(mesh, terrain, view, exaggeration=exaggeration, jobs=jobs))
+            tally.judge(selection, view)
         if task is not None:
             task.advance()
-    return tally.result(changed / max(1, own) if len(frames) > 1 else None)
+    return tally.result(changed / max(1, own) if len(frames) > 1 and before is not None else None)
+
+
+def _selected(
+    method: Selector, terrain: Terrain, view: View, goal: Goal, exaggeration: float
+) -> tuple[Selection, float]:  # fmt: skip
+    """A selection, and the milliseconds it took."""
+    began = time.perf_counter()
+    selection = method.select(Camera.over(terrain.grid, view, exaggeration), goal)
+    took = (time.perf_counter() - began) * 1e3
+    return selection, float(selection.stats.get("refine_ms", took))
 
 
 class _Tally:
     """What is summed up over frames."""
 
-    def __init__(self) -> None:
+    def __init__(self, terrain: Terrain, exaggeration: float, jobs: int | None) -> None:
+        self.terrain, self.exaggeration, self.jobs = terrain, exaggeration, jobs
         self.triangles: list[int] = []
         self.ms: list[float] = []
-        self.stats: list[dict[str, Any]] = []
+        self.bounds: list[float | None] = []
+        self.within: list[bool] = []
+        self.reached: list[float | None] = []
         self.reports: list[Report] = []
         self.tiles = 0
 
-    def timed(self, mesh: Tessellation) -> None:
-        self.triangles.append(len(mesh.triangles))
-        self.ms.append(float(mesh.stats["refine_ms"]))
-        self.stats.append(mesh.stats)
-        self.tiles = int(mesh.stats["tiles_read"])
+    def timed(self, selection: Selection, ms: float) -> Tessellation | None:
+        """Note a selection; its triangles, if it makes any."""
+        mesh = None if isinstance(selection, RayWindows) else selection.tessellation()
+        if mesh is not None:
+            self.triangles.append(len(mesh.triangles))
+            self.within.append(selection.stats.get("within_budget") is not False)
+        self.ms.append(ms)
+        self.bounds.append(selection.bound)
+        self.reached.append(selection.stats.get("tolerance", selection.bound))
+        self.tiles = int(selection.stats.get("tiles_read", 0))
+        return mesh
 
-    def judged(self, report: Report) -> None:
-        self.reports.append(report)
+    def judge(self, selection: Selection, view: View) -> None:
+        """Have the referee look at a selection, if it makes triangles."""
+        if not isinstance(selection, RayWindows):
+            mesh = selection.tessellation()
+            self.reports.append(judge_mesh(mesh, self.terrain, view, exaggeration=self.exaggeration, jobs=self.jobs))
 
     def result(self, changes: float | None) -> Measurement:
         covered = [r.samples - r.uncovered for r in self.reports]
@@ -170,24 +200,22 @@ class _Tally:
         for report in self.reports:
             for name, n in report.defects.items():
                 defects[name] = defects.get(name, 0) + n
-        tolerances = [s["tolerance"] for s in self.stats]
+        tolerances = [t for t in self.reached if t is not None]
         return Measurement(
             frames=len(self.ms),
-            triangles=float(np.mean(self.triangles)),
+            triangles=float(np.mean(self.triangles)) if self.triangles else None,
             ms=float(np.median(self.ms)),
             ms_worst=max(self.ms),
-            mtri_per_s=sum(self.triangles) / max(sum(self.ms), 1e-9) / 1e3,
-            conservative=all(s["conservative"] for s in self.stats),
-            tolerance=None if None in tolerances else max(tolerances),
-            largest=largest if math.isfinite(largest) else None,
-            rms=rms if math.isfinite(rms) else None,
+            mtri_per_s=sum(self.triangles) / max(sum(self.ms), 1e-9) / 1e3 if self.triangles else None,
+            conservative=None not in self.bounds,
+            tolerance=None if len(tolerances) < len(self.reached) else max(tolerances),
+            largest=largest if math.isfinite(largest) and self.reports else None,
+            rms=rms if math.isfinite(rms) and self.reports else None,
             judged=len(self.reports),
             changes=changes,
             tiles_read=self.tiles,
             defects=defects,
-            beyond=max(
-                (n for n, s in zip(self.triangles, self.stats) if s.get("within_budget") is False), default=None
-            ),
+            beyond=max((n for n, within in zip(self.triangles, self.within) if not within), default=None),
         )
 
 

@@ -18,6 +18,7 @@ from orograph.lighting.aperture import Lamp
 from orograph.lighting.sun import Moment, Placed, Sun, SunSource, place
 from orograph.rendering.gpu.frame import Normals
 from orograph.scene.contours import Contours
+from orograph.scene.methods import mesh_choice
 from orograph.scene.parts import Light as Way
 from orograph.scene.scene import Scene
 from orograph.scene.silhouettes import Silhouettes
@@ -132,7 +133,7 @@ class Settings:
         way: how light falls, as ``Scene.light``. rays, lamps, discs: as in ``Scene``; the last two shine where ``way``
             knows them. occlusion: strength of what screen space darkens.
         budget: triangles to keep near instead of a tolerance, or None.
-        engine: as in ``Scene``: which method makes the mesh; None: batched patches, the window's own.
+        method: as in ``Scene``; "auto": patches, the window's own.
         normals: as in ``rendering.gpu.frame.Overlay``.
         frozen: the view that the mesh is made for while one flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
@@ -158,7 +159,7 @@ class Settings:
     lamps: tuple[Lamp, ...] = ()
     discs: tuple[tuple[Sun, tuple[float, float, float]], ...] = ()
     occlusion: float = 0.0
-    engine: str | None = None
+    method: str = "auto"
     normals: Normals = "computed"
     frozen: View | None = None
     panels: bool = True
@@ -178,10 +179,15 @@ class Settings:
             terrain, view, sun=self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
             colormap=self.colormap, layers=self.stack, sky=self.sky, water=self.water,
             contours=self.contours and replace(self.contours, fading=True), silhouettes=self.silhouettes,
-            relief=self.relief, tolerance=self.tolerance, light=self.way, engine=self.engine,
+            relief=self.relief, tolerance=self.tolerance, light=self.way, method=self.method,
             rays=self.rays, lamps=self.lamps if shining else (), discs=self.discs if shining else (),
             depths=(near, near + HAZE * math.hypot(east - west, north - south)),
         )  # fmt: skip
+
+    @property
+    def streams(self) -> bool:
+        """Whether patches are drawn that the renderer streams, instead of a mesh."""
+        return mesh_choice(self.method, "gpu") is None
 
     @property
     def stack(self) -> tuple[Layer, ...]:
@@ -193,7 +199,7 @@ class Settings:
         from orograph.rendering.gpu.frame import Overlay
 
         return Overlay(
-            self.wireframe, self.levels and self.engine is None, occlusion=self.occlusion, normals=self.normals,
+            self.wireframe, self.levels and self.streams, occlusion=self.occlusion, normals=self.normals,
         )  # fmt: skip
 
     def balance(self, triangles: int) -> bool:

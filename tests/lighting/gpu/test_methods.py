@@ -29,7 +29,7 @@ def dem(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("method", ["shadow-maps", "cone-tracing"])
 def test_by_command_and_by_call(device: object, dem: Path, tmp_path: Path, method: str):
     out = tmp_path / "ao.tif"
-    words = ["light", str(dem), "--product", "ambient-occlusion", "--radius", "200", "--method", method]
+    words = ["light", str(dem), "--product", "ambient-occlusion", "--radius", "200", "--by", method]
     done = CliRunner().invoke(cli, [*words, "--rays", "64", "--cones", "24", "-o", str(out)])
     assert done.exit_code == 0, done.output
     with rasterio.open(out) as file:
@@ -43,7 +43,7 @@ def test_by_command_and_by_call(device: object, dem: Path, tmp_path: Path, metho
 @pytest.mark.parametrize("method", ["shadow-maps", "cone-tracing"])
 def test_without_an_adapter_the_remedy_is_said(dem: Path, tmp_path: Path, method: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("orograph.gpu.device.adapters", list)
-    words = ["light", str(dem), "--product", "ambient-occlusion", "--method", method, "-o", str(tmp_path / "x.tif")]
+    words = ["light", str(dem), "--product", "ambient-occlusion", "--by", method, "-o", str(tmp_path / "x.tif")]
     done = CliRunner().invoke(cli, words)
     assert isinstance(done.exception, NoAdapterError) or done.exit_code == NoAdapterError.exit_code
     assert not (tmp_path / "x.tif").exists()

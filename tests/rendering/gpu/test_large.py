@@ -44,7 +44,7 @@ def land():
         {"silhouettes": Silhouettes(width=4.0), "sky": True},
         {"light": "none", "exaggeration": 2.5},
         {"light": "raytraced", "rays": 16},
-        {"engine": "soar", "tolerance": 2.0},
+        {"method": "soar", "tolerance": 2.0},
     ],
     ids=lambda o: "-".join(o) or "plain",
 )

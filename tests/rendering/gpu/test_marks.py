@@ -64,18 +64,18 @@ def test_both_backends_draw_the_same_lines_and_labels(device: Device, terrain: T
     assert marked.mean() > 0.03 and apart[marked].mean() < 3.0, apart[marked].mean()
 
 
-@pytest.mark.parametrize("engine", [None, "soar"])
-def test_both_backends_draw_the_same_silhouettes(device: Device, terrain: Terrain, engine: str | None) -> None:
+@pytest.mark.parametrize("method", ["auto", "soar"])
+def test_both_backends_draw_the_same_silhouettes(device: Device, terrain: Terrain, method: str) -> None:
     """On a mesh, too, whose creases are those of the terrain."""
     scene = scenes(terrain)["slanted"]
     low = replace(scene.view, eye=(scene.view.eye[0], scene.view.eye[1], 1500.0))
-    scene = scene.but(view=low, contours=None, silhouettes=Silhouettes(2.5, creases=1.0), engine=engine)
-    if engine is not None:
+    scene = scene.but(view=low, contours=None, silhouettes=Silhouettes(2.5, creases=1.0), method=method)
+    if method != "auto":
         scene = scene.but(tolerance=6.0, light="none")
     cpu, gpu, bare = draw_cpu(scene), draw_gpu(scene, device=device), draw_cpu(scene.but(silhouettes=None))
     apart = np.linalg.norm(lab(cpu.pixels) - lab(gpu.pixels), axis=-1)
     assert apart.mean() < 1.0 and np.quantile(apart, 0.95) < 3.0, (apart.mean(), np.quantile(apart, 0.95))
-    if engine is not None:
+    if method != "auto":
         assert (apart > 8).mean() < 5e-4, (apart > 8).mean()
     lines = np.linalg.norm(lab(bare.pixels) - lab(cpu.pixels), axis=-1) > 8
     assert lines.mean() > 0.002 and apart[lines].mean() < 5.0, (lines.mean(), apart[lines].mean())
@@ -129,7 +129,8 @@ def test_both_backends_draw_the_terrains_lines_over_a_coarse_mesh(
     device: Device, terrain: Terrain, wireframe: bool
 ) -> None:
     """They are those of the terrain: where the mesh is pixels off, they are where they are without it."""
-    scene = scenes(terrain)["slanted"].but(engine="soar", tolerance=8.0, wireframe=wireframe, sky=False,
+    scene = replace(
+        scenes(terrain)["slanted"], method="soar", tolerance=8.0, wireframe=wireframe, sky=False,
         contours=Contours(20.0, labels=wireframe),
     )  # fmt: skip
     cpu, gpu = draw_cpu(scene), draw_gpu(scene, device=device)
@@ -147,7 +148,7 @@ def test_both_backends_draw_the_terrains_lines_over_a_coarse_mesh(
 @pytest.mark.parametrize("slow", [False, True])
 def test_labels_stand_on_the_mesh_that_is_drawn(device: Device, terrain: Terrain, slow: bool) -> None:
     """However far off the mesh is: where a ray through a label's middle meets it, the terrain has that height."""
-    scene = scenes(terrain)["slanted"].but(engine="soar", tolerance=25.0, sky=False, samples=1)
+    scene = replace(scenes(terrain)["slanted"], method="soar", tolerance=25.0, sky=False, samples=1)
     placed = []
     place = Placer.place
 

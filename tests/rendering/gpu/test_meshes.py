@@ -1,4 +1,4 @@
-"""Meshes of other engines on the GPU: the same surface as the CPU's cast of the same mesh, wherever the eye stands."""
+"""Meshes of other methods on the GPU: the same surface as the CPU's cast of the same mesh, wherever the eye stands."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def views() -> dict[str, View]:
     }
 
 
-@pytest.mark.parametrize("engine", ["soar", "roam", "top-down", "stateless", "blow", "batched"])
-def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: Terrain, engine: str) -> None:
+@pytest.mark.parametrize("method", ["soar", "roam", "top-down", "stateless", "threshold-spheres", "triangle-patches"])
+def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: Terrain, method: str) -> None:
     for name, view in views().items():
-        scene = Scene.of(terrain, view, engine=engine, tolerance=3.0, samples=1)
+        scene = Scene.of(terrain, view, method=method, tolerance=3.0, samples=1)
         drawn = draw_gpu(scene, device=device)
         cast = draw_cpu(scene)
         assert drawn.facts["mesh"]["triangles"] == cast.facts["mesh"]["triangles"], name
@@ -64,13 +64,13 @@ def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: 
 
 def test_a_mesh_for_another_camera_and_its_edges(device: Device, terrain: Terrain) -> None:
     """Refined for the near view, seen from afar: coarse where that did not look, edges drawn."""
-    scene = Scene.of(terrain, views()["slanted"], engine="soar", tolerance=2.0, mesh_view=views()["near"], samples=1)
+    scene = Scene.of(terrain, views()["slanted"], method="soar", tolerance=2.0, mesh_view=views()["near"], samples=1)
     from_near, own = draw_gpu(scene, device=device), draw_gpu(scene.but(mesh_view=None), device=device)
     assert from_near.facts["mesh"]["triangles"] != own.facts["mesh"]["triangles"]
     # As much ink as on the CPU: edges of triangles of a few pixels are fainter.
     for tolerance in (0.3, 2.0, 8.0):
         framed = scene.but(mesh_view=None, wireframe=True, tolerance=tolerance)
-        plain = draw_gpu(scene.but(engine=None, mesh_view=None), device=device).pixels.astype(int)
+        plain = draw_gpu(scene.but(method="auto", mesh_view=None), device=device).pixels.astype(int)
         edges, theirs = draw_gpu(framed, device=device).pixels.astype(int), draw_cpu(framed).pixels.astype(int)
         ink, ours = float((plain - theirs).mean()), float((plain - edges).mean())
         assert ink > 2.0 and 0.7 < ours / ink < 1.4, (tolerance, ours, ink)
@@ -78,19 +78,19 @@ def test_a_mesh_for_another_camera_and_its_edges(device: Device, terrain: Terrai
 
 def test_faces_are_flat_and_lit_as_the_cpu_lights_them(device: Device, terrain: Terrain) -> None:
     scene = Scene.of(
-        terrain, views()["near"], engine="soar", tolerance=8.0, samples=1, shadows=False, colormap="grey", water=None,
+        terrain, views()["near"], method="soar", tolerance=8.0, samples=1, shadows=False, colormap="grey", water=None,
         relief=1.0,
     )  # fmt: skip
     drawn, cast = draw_gpu(scene, device=device).pixels.astype(int), draw_cpu(scene).pixels.astype(int)
     assert np.quantile(np.abs(drawn - cast).max(-1), 0.75) <= 8
 
 
-def test_frames_do_not_wait_for_the_engine(device: Device, terrain: Terrain) -> None:
+def test_frames_do_not_wait_for_the_method(device: Device, terrain: Terrain) -> None:
     """Patches stand in at first; then the mesh follows the camera, and what is drawn says whether it has caught up."""
     renderer = Renderer(device, terrain)
     texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
     target = texture.create_view()
-    scene = Scene.of(terrain, views()["slanted"], engine="roam", tolerance=2.0)
+    scene = Scene.of(terrain, views()["slanted"], method="roam", tolerance=2.0)
     try:
         first = renderer.draw(target, "rgba8unorm", scene)
         assert first.patches > 0 and not first.current and renderer.busy
@@ -107,16 +107,16 @@ def test_frames_do_not_wait_for_the_engine(device: Device, terrain: Terrain) -> 
         assert counts[0] != counts[1]
         frozen = renderer.draw(target, "rgba8unorm", scene, freeze=views()["near"])
         assert frozen.current and frozen.triangles == counts[1]
-        assert renderer.draw(target, "rgba8unorm", scene.but(engine=None)).patches > 0
+        assert renderer.draw(target, "rgba8unorm", scene.but(method="auto")).patches > 0
     finally:
         renderer.close()
 
 
-def test_an_engine_that_cannot_says_why_and_patches_stay(device: Device, terrain: Terrain) -> None:
+def test_a_method_that_cannot_says_why_and_patches_stay(device: Device, terrain: Terrain) -> None:
     renderer = Renderer(device, terrain)
     texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
-    scene = Scene.of(terrain, views()["slanted"], engine="soar", tolerance=2.0, exaggeration=1.0)
-    object.__setattr__(scene, "engine", "unheard-of")
+    scene = Scene.of(terrain, views()["slanted"], method="soar", tolerance=2.0, exaggeration=1.0)
+    object.__setattr__(scene, "method", "unheard-of")
     try:
         end = time.perf_counter() + 30
         stats = renderer.draw(texture.create_view(), "rgba8unorm", scene)

@@ -72,8 +72,11 @@ def flown(device: Device, terrain: Terrain, monkeypatch: pytest.MonkeyPatch, loo
     monkeypatch.setattr(residency.time, "monotonic", lambda: clock[0])
     # How fast this machine is must not matter: no upload is put off, and pages of errors are there at once.
     monkeypatch.setattr(residency, "UPLOADING", float("inf"))
-    select = tiles.engine.select
-    monkeypatch.setattr(tiles.engine, "select", lambda *given, **named: select(*given, **{**named, "wait": True}))
+    select = tiles.method.patches
+    monkeypatch.setattr(
+        tiles.method, "patches",
+        lambda camera, tolerance, ready, **more: select(camera, tolerance, replace(ready, wait=True), **more),
+    )  # fmt: skip
     x, y = (float(v) for v in terrain.grid.xy(300, 450))
     view = View((x, y, 150.0), (x + 600, y, 0.0), width=640, height=360)
     lacking = 0

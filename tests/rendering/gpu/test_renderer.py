@@ -213,7 +213,7 @@ def test_the_picture_at_rest_is_smooth_and_stops(bench) -> None:
     assert smooth < rough
 
 
-def test_overlays_show_the_engine(bench) -> None:
+def test_overlays_show_the_patches(bench) -> None:
     terrain = make(hills(400, 400))
     b = bench(terrain)
     scene = Scene.of(terrain, above(terrain), tolerance=2.0, colormap="grey", water=None)

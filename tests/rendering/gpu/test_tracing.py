@@ -146,10 +146,10 @@ def test_rays_meet_the_mesh_that_a_picture_shows(device: Device) -> None:
     """As the CPU's do: at 20 pixels a mesh leaves out the ridges whose shadows the terrain casts."""
     from orograph.rendering.cpu.draw import draw as on_cpu
 
-    scene = seen(ground(), rays=16).but(engine="soar", tolerance=20.0)
+    scene = replace(seen(ground(), rays=16), method="soar", tolerance=20.0)
     theirs = on_cpu(scene).pixels.astype(int)
     ours = draw(scene, device=device).pixels.astype(int)
-    on_patches = draw(scene.but(engine=None), device=device).pixels.astype(int)
+    on_patches = draw(scene.but(method="auto"), device=device).pixels.astype(int)
     d = np.abs(ours - theirs)
     assert d.mean() < 1.0 and np.percentile(d, 95) < 4
     assert np.abs(on_patches - theirs).mean() > 6.0

@@ -1,4 +1,4 @@
-// A mesh that an engine made: vertices are samples of the raster, as those of the patches are, and so equal to the bit
+// A mesh that a method made: vertices are samples of the raster, as those of the patches are, and so equal to the bit
 // where meshes and patches share them. Corners are pulled by number, so that each triangle knows all three of its own.
 // include: camera.wgsl
 // include: drawn.wgsl

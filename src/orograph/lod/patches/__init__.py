@@ -1,4 +1,4 @@
-"""What the engine ``batched`` is made of.
+"""What the method ``triangle-patches`` is made of.
 
 shape      a patch: its lattice, its triangles, and the row of numbers that says where one lies
 tables     what decides about patches: errors over whole patches, saturated so that geomorphs follow each other

@@ -15,12 +15,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import UsageError
 from orograph.store.patches import LEGS
 
 Point = tuple[int, int]
 
-LARGEST_LEGS = 64
+ALL_LEGS = (1, 2, 4, 8, 16, 32, 64)
+"""What L can be: segments along a leg."""
 
 INSTANCE = np.dtype(
     [
@@ -50,17 +50,6 @@ STEPS: NDArray[np.int8] = np.array(
     np.int8,
 )  # fmt: skip
 """(8, 2, 2): by omega, e1 and e2 as (row, col), for s = 0."""
-
-
-def check_legs(legs: int) -> int:
-    """``legs`` if a patch can have so many segments along a leg.
-
-    Raises:
-        UsageError: it cannot.
-    """
-    if legs not in (1, 2, 4, 8, 16, 32, LARGEST_LEGS):
-        raise UsageError(f"A patch has 1, 2, 4, 8, 16, 32 or {LARGEST_LEGS} segments along a leg, not {legs!r}.")
-    return int(legs)
 
 
 def patch_vertices(legs: int = LEGS) -> NDArray[np.uint8]:

@@ -28,6 +28,7 @@ from orograph.rendering.memory import check_memory
 from orograph.rendering.picture import Picture, plan_grid
 from orograph.rendering.survey import Survey
 from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
+from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
 from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
@@ -57,7 +58,7 @@ def draw(
     Args:
         scene: what is drawn.
         progress: hears of it.
-        mesh: a tessellation of the scene's terrain to draw, instead of having the scene's engine make one.
+        mesh: a tessellation of the scene's terrain to draw, instead of having the scene's method make one.
         kept: what earlier pictures left: give the same for all frames of a movie and all tiles of a picture.
 
     Raises:
@@ -68,7 +69,7 @@ def draw(
     """
     clock = [time.perf_counter()]
     facts: dict[str, Any] = {}
-    engines = memo  # of a single picture, the engine's tiles need not stay
+    methods = memo  # of a single picture, the method's tiles need not stay
     memo = Memo() if memo is None else memo
 
     def lap(name: str) -> None:
@@ -84,16 +85,16 @@ def draw(
     for warning in facts["warnings"]:
         progress.warn(warning)
     surface = bare = None
-    if scene.surface.engine is not None or mesh is not None:
+    if mesh is not None or mesh_choice(scene.surface.method, "cpu") is not None:
         from orograph.rendering.cpu.mesh_surface import WINDOWS, refined, surface_of
 
         if mesh is None:
-            mesh = memo(
-                "mesh", (scene.surface, scene.view.whole), lambda: refined(scene, progress, engines), scene.terrain
-            )
+            asked = scene.surface, view.whole
+            mesh = memo("mesh", asked, lambda: refined(scene, progress, methods), scene.terrain)
         made, terrain = mesh, scene.terrain
-        bare = scene.but(tolerance=None, engine=None, triangles=None, metric=None, mesh_view=None, wireframe=False)
-        facts["mesh"] = mesh.stats
+        bare = scene.but(tolerance=None, method="auto", triangles=None, mesh_view=None, wireframe=False
+        )  # fmt: skip
+        facts["mesh"] = {"method": scene.surface.method, "triangles": len(mesh.triangles), **mesh.stats}
         surface = memo("surface", id(terrain), lambda: surface_of(made, terrain, scene.budget.max_memory), mesh)
         lap("mesh")
         scene = scene.but(tolerance=0.0 if isinstance(surface, MemoryTerrain) else WINDOWS, triangles=None,

@@ -1,4 +1,4 @@
-"""What is drawn on the ground besides its colour: contour lines and their labels (``scene.contours``).
+"""What is drawn on the ground besides its colour: contour lines and their labels (``scene.annotations.contours``).
 
 Lines and labels lie on the ground: haze comes before them, and ground before them hides them. On a mesh of the terrain
 they are the terrain's own, laid over the mesh: its heights' would be as coarse as it is.

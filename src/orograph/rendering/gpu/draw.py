@@ -26,6 +26,7 @@ from orograph.rendering.gpu.overview import rimmed
 from orograph.rendering.gpu.renderer import Renderer
 from orograph.rendering.picture import Picture, plan_grid
 from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
+from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
 
 TOLERANCE = 1.0
@@ -52,7 +53,7 @@ def draw(
     Raises:
         NoAdapterError: there is no GPU.
         NothingInViewError: no ground is in view.
-        UsageError: the picture is larger than the device can draw, or the scene's engine is unknown.
+        UsageError: the picture is larger than the device can draw, or the scene's method is unknown.
     """
     begun = time.perf_counter()
     device = device or open_device()
@@ -69,7 +70,7 @@ def draw(
         )
     if scene.surface.tolerance is None and scene.surface.triangles is None:
         scene = scene.but(tolerance=TOLERANCE)
-    if scene.surface.engine is not None and not scene.surface.wireframe:
+    if mesh_choice(scene.surface.method, "gpu", scene.surface.triangles) is not None and not scene.surface.wireframe:
         overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh
     warnings = diagnose(scene) if around.frame[:2] == (0, 0) else []  # of tiles, the first
     for warning in warnings:
@@ -123,7 +124,8 @@ def draw(
         "seconds": {"all": round(time.perf_counter() - begun, 4)},
     }  # fmt: skip
     if renderer.mesh is not None:
-        facts["mesh"] = renderer.mesh.stats
+        mesh = renderer.mesh
+        facts["mesh"] = {"method": scene.surface.method, "triangles": len(mesh.triangles), **mesh.stats}
     place = plan_grid(view, scene.terrain.grid.crs)
     return Picture(pixels, depth, view, facts, place, veiled if veiled.any() else None, tint=renderer.tint)
 

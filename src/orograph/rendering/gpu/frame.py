@@ -11,7 +11,7 @@ Normals = Literal["computed", "stored", "derivatives", "faces"]
 
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """What is drawn over the ground to look at the engine.
+    """What is drawn over the ground to look at the mesh.
 
     Attributes:
         wireframe: edges of triangles. levels: a colour for every size of patches.
@@ -19,7 +19,7 @@ class Overlay:
         ``reach``, metres;
             None: a twelfth of the distance to the target.
         normals: "computed" for every pixel from heights, finer than the mesh and prefiltered; "stored" at the vertices
-            of patches (other engines' meshes show their faces); "derivatives": of the position on the screen; "faces":
+            of patches (other methods' meshes show their faces); "derivatives": of the position on the screen; "faces":
             of the triangles drawn (of patches: by derivatives, too).
     """
 
@@ -45,7 +45,7 @@ class FrameStats:
         tiles_loaded, bytes_uploaded: in this frame. tiles_resident, tiles_wanted: of all kinds; wanted: not there yet.
         samples: how many are averaged in the picture.
         failed: a tile that could not be read, or a mesh that could not be made, and why, or "".
-        current: whether the mesh of another engine is that of this camera and tolerance; patches always are.
+        current: whether the mesh of another method is that of this camera and tolerance; patches always are.
         notes: what a user should know of layers that were opened, full sentences; each is told once.
         making: what is made aside of layers, and how far it is, a full sentence, or "": a later frame shows more.
     """

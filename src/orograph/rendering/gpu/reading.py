@@ -75,7 +75,7 @@ class Reading:
 
     @property
     def mesh(self) -> Tessellation | None:
-        """The mesh of the scene's engine that the last frame drew; None: patches."""
+        """The mesh of the scene's method that the last frame drew; None: patches."""
         return self._meshes.mesh
 
     @property

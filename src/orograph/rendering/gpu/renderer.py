@@ -1,6 +1,6 @@
 """The terrain renderer: a scene becomes a frame, out of core, at the rate of the screen.
 
-A frame: tiles that were read meanwhile are brought to the atlases; the engine ``batched`` selects patches among those
+A frame: tiles that were read meanwhile are brought to the atlases; ``triangle-patches`` selects patches among those
 whose tiles are there (coarser ones stand in, so there is neither hole nor crack nor waiting); one instanced draw leaves
 depth and marks; one pass gives every pixel its light. What the frame would have liked to have goes to the streamer,
 largest error first. Maps of light follow the camera from a thread of their own. When nothing changes any more, further
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.errors import UsageError
 from orograph.gpu.device import Device
 from orograph.gpu.recording import write
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
@@ -46,6 +47,7 @@ from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.gpu.temporal.antialiasing import NONE, TemporalAntialiasing
 from orograph.rendering.gpu.temporal.jitter import SAMPLES, Jitter
+from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -81,7 +83,7 @@ class Renderer(Reading):
         device: where.
         terrain: what; it is read from several threads.
         gpu_memory: bytes of the atlases, a quarter of it for layers, if there are any.
-        memory: bytes of the engine's tables.
+        memory: bytes of the method's tables.
         jobs: threads that read tiles.
     """
 
@@ -98,9 +100,9 @@ class Renderer(Reading):
         self.memo = Memo()
         self.tiles = Residency(device, terrain, 3 * (gpu_memory // 4), memory, jobs)
         self.imagery = Imagery(device, terrain, gpu_memory // 4, jobs)
-        self.heights, self.slopes, self.engine = self.tiles.heights, self.tiles.slopes, self.tiles.engine
+        self.heights, self.slopes, self.method = self.tiles.heights, self.tiles.slopes, self.tiles.method
         self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
-        legs = self.engine.legs
+        legs = self.method.legs
         self._resources = Resources(device, terrain, self.heights, self.slopes, self.imagery, self.memo)
         self._patches = PatchPass(
             device, self._camera, self.heights.texture, self._resources.stored_slopes, patch_vertices(legs),
@@ -251,7 +253,9 @@ class Renderer(Reading):
         tolerance = scene.surface.tolerance or 1.0
         if scene.annotations.contours is not None:
             tolerance *= scene.annotations.contours.finer(self.terrain, view, self.memo)
-        chosen = self.tiles.choose(freeze or view, tolerance, scene.surface.exaggeration, wait=wait, later=True)
+        chosen = self.tiles.choose(
+            freeze or scene.surface.mesh_view or view, tolerance, scene.surface.exaggeration, wait=wait, later=True
+        )
         layers = self.imagery.prepare(scene.data.layers, view, scene.surface.exaggeration, wait=wait)
         self._missing = chosen.missing + self.imagery.missing
         loaded = chosen.loaded + self.imagery.loaded
@@ -321,7 +325,7 @@ class Renderer(Reading):
             (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,
             self.tiles.count + self.imagery.count, self._missing,
             self._samples.gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
-            current=scene.surface.engine is None or self._meshes.current, notes=tuple(self.imagery.told()),
+            current=_streamed(scene) or self._meshes.current, notes=tuple(self.imagery.told()),
             submit_ms=to_submit * 1e3, making=self.imagery.making,
         )  # fmt: skip
 
@@ -357,7 +361,7 @@ class Renderer(Reading):
     def _ground(
         self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False, slopes: Slopes = ""
     ) -> None:
-        """Depth and marks of the ground: the engine's mesh, or patches."""
+        """Depth and marks of the ground: the method's mesh, or patches."""
         if self._meshes.mesh is None:
             self._patches.draw(encoder, targets, instances, edges=edges, slopes=slopes)
         else:
@@ -365,8 +369,8 @@ class Renderer(Reading):
             self._triangles.draw(encoder, targets, mesh, edges=edges, given=given, field=self._field)
 
     def _mesh_for(self, scene: Scene, freeze: View | None, *, wait: bool) -> None:
-        """Have the mesh of the scene's engine: at once if ``wait``, else aside while the old one serves."""
-        if scene.surface.engine is None:
+        """Have the mesh of the scene's method: at once if ``wait``, else aside while the old one serves."""
+        if _streamed(scene):
             self._meshes.none()
             return
         (self._meshes.at_once if wait else self._meshes.aside)(scene, freeze or scene.surface.mesh_view or scene.view)
@@ -401,3 +405,11 @@ class Renderer(Reading):
         self._ground(encoder, targets, instances)
         self.device.queue.submit([encoder.finish()])
         self._light.at_once(scene, lambda: self._seen(scene))
+
+
+def _streamed(scene: Scene) -> bool:
+    """Whether patches are drawn, and no mesh."""
+    try:
+        return mesh_choice(scene.surface.method, "gpu", scene.surface.triangles) is None
+    except UsageError:  # ``Meshes`` says why
+        return False

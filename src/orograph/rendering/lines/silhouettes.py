@@ -13,7 +13,7 @@ direction to the eye, falls towards 0 where ground turns away, and rises again w
 screen are the image-space form of suggestive contours (DeCarlo et al. 2003, section 5). They are drawn fainter, where
 they are deep (``silhouette_kernels.PROMINENT``) and near 0 (``GRAZING``); slopes are means over ``SMOOTH`` pixels, so
 that relief finer than that gives no lines that come and go. Within some pixels of a break there is no crease beside it.
-On an engine's mesh creases are the terrain's own, as contour lines are: a mesh has one at every edge.
+On a method's mesh creases are the terrain's own, as contour lines are: a mesh has one at every edge.
 
 A map seen from straight above has no silhouettes. Units: pixels; metres of depth; colours are sRGB from 0 to 1.
 """

@@ -3,25 +3,19 @@ mesh that stands still while one flies around it; and where the normals come fro
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from imgui_bundle import imgui
 
+from orograph.errors import UsageError
+from orograph.lod.options import Described, described
+from orograph.lod.registry import AUTO, Choice, chosen, method_of, names
 from orograph.rendering.gpu.frame import Normals
 from orograph.viewer.panels.tips import tip
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
-
-METHODS: tuple[tuple[str | None, str], ...] = (
-    (None, "batched: patches of triangles on the GPU, tiles streamed (the window's own)"),
-    ("soar", "soar: a nested error, refined anew for every view, one strip (Lindstrom & Pascucci)"),
-    ("roam", "roam: carried on from frame to frame by splits and merges (Duchaineau)"),
-    ("top-down", "top-down: the smallest conforming mesh within the tolerance"),
-    ("stateless", "stateless: no memory of earlier frames, nothing stored (soar's mesh)"),
-    ("blow", "blow: nested spheres and a front that moves (Blow)"),
-)
-"""Engines and what they are."""
 
 NORMALS: tuple[tuple[Normals, str, str], ...] = (
     ("computed", "from heights", "for every pixel from the heights: finer than the mesh, and filtered"),
@@ -35,12 +29,7 @@ NORMALS: tuple[tuple[Normals, str, str], ...] = (
 def draw(window: Window) -> None:
     """The content of the panel."""
     session, settings = window.session, window.session.settings
-    names = [name or "batched" for name, _ in METHODS]
-    at = next(k for k, (name, _) in enumerate(METHODS) if name == settings.engine)
-    moved, at = imgui.combo("engine", at, names)
-    tip(METHODS[at][1])
-    if moved:
-        settings.engine = METHODS[at][0]
+    _method(window)
     flags = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
     by_budget = settings.budget is not None
     if imgui.radio_button("tolerance", not by_budget):
@@ -58,10 +47,10 @@ def draw(window: Window) -> None:
     _, settings.wireframe = imgui.checkbox("wireframe", settings.wireframe)
     tip("Key: X")
     imgui.same_line()
-    imgui.begin_disabled(settings.engine is not None)
+    imgui.begin_disabled(not settings.streams)
     _, settings.levels = imgui.checkbox("colours of levels", settings.levels)
     imgui.end_disabled()
-    tip("A colour for every size of patches; other engines have none.")
+    tip("A colour for every size of patches; meshes of other methods have none.")
     moved, frozen = imgui.checkbox("freeze the mesh, fly around it", settings.frozen is not None)
     tip("Key: F")
     if moved:
@@ -71,3 +60,73 @@ def draw(window: Window) -> None:
     tip(NORMALS[at][2])
     if moved:
         settings.normals = NORMALS[at][0]
+
+
+def drawable() -> tuple[str, ...]:
+    """The methods that the window can draw, its own first."""
+    found = names("triangles", "patches", "batches", "rings")
+    return (AUTO["gpu"], *(name for name in found if name != AUTO["gpu"]))
+
+
+def _method(window: Window) -> None:
+    """The method, and its options."""
+    settings = window.session.settings
+    choice = chosen(settings.method, "gpu")
+    every = drawable()
+    moved, at = imgui.combo("method", every.index(choice.info.name), list(every))
+    tip(f"{choice.info.title}. {choice.info.paper}.")
+    if moved and every[at] != choice.info.name:
+        kind = method_of(every[at])
+        choice = Choice(kind, kind.info.options())
+        settings.method = str(choice)
+    options = [one for one in described(choice.info.options) if one.read is None]
+    if not options or not imgui.tree_node("its options"):
+        return
+    for one in options:
+        moved, value = _widget(one, getattr(choice.options, one.name))
+        tip(f"{one.help} ({one.span})")
+        if moved:
+            try:
+                choice = replace_option(choice, one.name, value)
+            except UsageError as error:  # it does not go with another option
+                window.session.messages.say(str(error))
+            else:
+                settings.method = str(choice)
+    imgui.tree_pop()
+
+
+def replace_option(choice: Choice, name: str, value: Any) -> Choice:
+    """A choice with another value of an option.
+
+    Raises:
+        UsageError: the option cannot have it.
+    """
+    return replace(choice, options=replace(choice.options, **{name: value}))
+
+
+def _widget(one: Described, value: Any) -> tuple[bool, Any]:
+    """An option by its kind: (whether it was changed, its value)."""
+    flags = imgui.SliderFlags_.always_clamp
+    label = one.key
+    if one.kind is bool:
+        return imgui.checkbox(label, value)
+    if one.choices:
+        values = [*([None] if one.optional else []), *one.choices]
+        moved, at = imgui.combo(label, values.index(value), [one.text(v) for v in values])
+        return moved, values[at]
+    if one.kind is str:
+        return imgui.input_text(label, value or "", imgui.InputTextFlags_.enter_returns_true)
+    if one.optional:
+        given = value is not None
+        moved, given = imgui.checkbox(f"##{label}", given)
+        if moved:
+            return True, (one.kind(max(one.least or 0, min(1, one.most or 1))) if given else None)
+        imgui.same_line()
+        if value is None:
+            imgui.text_disabled(label)
+            return False, None
+    least = one.least if one.least is not None else 0
+    most = one.most if one.most is not None else max(10, 4 * least, 2 * value)
+    if one.kind is int:
+        return imgui.slider_int(label, value, int(least), int(most), f"%d {one.unit}", flags)
+    return imgui.slider_float(label, value, float(least), float(most), f"%.3f {one.unit}".rstrip(), flags)

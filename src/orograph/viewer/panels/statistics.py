@@ -39,12 +39,12 @@ def rows(window: Window) -> list[tuple[str, str]]:
 
 
 def _mesh(window: Window) -> list[tuple[str, str]]:
-    """What another engine says of the mesh that it made: how long that took, and what it changed of the one before."""
+    """What another method says of the mesh that it made: how long that took, and what it changed of the one before."""
     mesh = getattr(window.drawing.renderer, "mesh", None)
     if mesh is None:
         return []
     stats = mesh.stats
-    found = [(f"{window.session.settings.engine or 'engine'}", f"{stats.get('refine_ms', 0.0):.1f} ms")]
+    found = [(str(stats.get("method", "mesh")), f"{stats.get('refine_ms', 0.0):.1f} ms")]
     if "splits" in stats and "merges" in stats:
         counts = (f"{stats[name]:,}".replace(",", " ") for name in ("splits", "merges"))
         found.append(("split, merged", ", ".join(counts)))

@@ -1,4 +1,4 @@
-"""Which patches a frame draws, and the tiles they are drawn from: the engine, the atlases and the streamer together.
+"""Which patches a frame draws, and the tiles they are drawn from: the method, the atlases and the streamer together.
 
 A frame asks for the patches of its view among those whose tiles are there; what it lacks is asked for, largest error in
 pixels first, and comes when it comes. While the camera moves, so is what it will lack in a moment (``prediction``): a
@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from orograph.errors import StoreError
 from orograph.gpu.device import Device
-from orograph.lod.triangle_patches import Batched, Patches
+from orograph.lod.method import Ready, Resources
+from orograph.lod.triangle_patches import Patches, TrianglePatches
 from orograph.rendering.gpu.stream.prediction import Prediction
 from orograph.rendering.gpu.stream.streamer import Streamer
 from orograph.rendering.gpu.stream.tiles import Atlas, Key, Kind, height_tile, make_tile, slope_tile
 from orograph.rendering.gpu.stream.wanted import SlopeTiles
 from orograph.store.terrain import TILE, Terrain
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 Array = NDArray[np.float64]
 
@@ -36,6 +37,10 @@ UPLOADING = 0.002
 
 AHEAD = 0.5
 """What a pixel of error counts that will be missing in a moment; one that is missing now counts 1."""
+
+RIM = 0.5
+"""Of a triangle's longest edge, what counts as the error where ground ends: corners whose surroundings are half there
+are filled (``surface.void_fill``)."""
 
 ASK = 64
 """Tiles of a kind that a frame asks for, at most: until they are read it will be another frame that asks."""
@@ -65,17 +70,17 @@ class Residency:
     """The tiles of a terrain on a device.
 
     Args:
-        gpu_memory: bytes of the atlases. memory: bytes of the engine's tables. jobs: threads that read.
+        gpu_memory: bytes of the atlases. memory: bytes of the method's tables. jobs: threads that read.
 
     Attributes:
-        heights, slopes: the atlases. engine: selects patches.
+        heights, slopes: the atlases. method: selects patches.
         look_ahead: whether tiles are read for where the camera will be.
         came: levels, rows and columns of the tiles that came for the last frame.
     """
 
     def __init__(self, device: Device, terrain: Terrain, gpu_memory: int, memory: int, jobs: int | None) -> None:
         self.terrain = terrain
-        self.engine = Batched(terrain, max_memory=memory, jobs=jobs, rim=0.5)
+        self.method = TrianglePatches(terrain, resources=Resources(memory, jobs))
         self.heights = Atlas(device, terrain, "heights", gpu_memory // 2)
         self.slopes = Atlas(device, terrain, "slopes", gpu_memory // 2)
         self._atlases: dict[Kind, Atlas] = {"heights": self.heights, "slopes": self.slopes}
@@ -157,7 +162,7 @@ class Residency:
         """What this view lacks because it could not be read, and why; "" if there is nothing."""
         for kind, key in self._asked.keys() & self.streamer.failed.keys():
             return f"{kind} of tile {key}: {self.streamer.failed[kind, key][1]}"
-        error = self.engine.field.failure
+        error = self.method.field.failure
         return "" if error is None else str(error)
 
     def close(self) -> None:
@@ -168,14 +173,19 @@ class Residency:
         """The patches to draw, how many tiles are missing that can be read, and the seconds that took."""
         begun = time.perf_counter()
         judged, frustum = _judged(view, exaggeration)
-        patches = self.engine.select(
-            judged, tolerance, resident=self.heights.resident, slots=self.heights.pages, exaggeration=exaggeration,
-            frustum=frustum, wait=wait,
-        )  # fmt: skip
+        patches = self._patches(
+            judged, tolerance, exaggeration, frustum, Ready(self.heights.resident, self.heights.pages, wait)
+        )
         seconds = time.perf_counter() - begun
         wanted, missing = self._lacking(view, patches, exaggeration, self._frame)
         self._asked = {(kind, key): p for p, kind, key in wanted}
         return patches, missing - len(self._asked.keys() & self.streamer.failed.keys()), seconds
+
+    def _patches(
+        self, view: View, tolerance: float, exaggeration: float, frustum: Array | None, ready: Ready
+    ) -> Patches:  # fmt: skip
+        camera = Camera.over(self.terrain.grid, view, exaggeration)
+        return self.method.patches(camera, tolerance, ready, frustum=frustum, rim=RIM)
 
     def _ask(self) -> None:
         """Have what is lacking read, now and in a moment."""
@@ -207,9 +217,7 @@ class Residency:
         if ahead is None:
             return
         judged, frustum = _judged(ahead, exaggeration)
-        patches = self.engine.select(
-            judged, tolerance, resident=self.heights.resident, exaggeration=exaggeration, frustum=frustum, wait=False
-        )
+        patches = self._patches(judged, tolerance, exaggeration, frustum, Ready(self.heights.resident, wait=False))
         # What is there already stays, if this frame and the last leave it room.
         self._ahead[self._prediction.turn], _ = self._lacking(ahead, patches, exaggeration, self._frame - 2)
 

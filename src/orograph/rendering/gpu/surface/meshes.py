@@ -1,8 +1,8 @@
-"""Meshes of any engine, drawn in place of the patches: refined on the CPU, drawn and lit as patches are.
+"""Meshes of any method, drawn in place of the patches: selected on the CPU, drawn and lit as patches are.
 
-An engine refines in a thread of its own while the mesh there is serves (its vertices are samples of the ground, so it
-is drawn right from everywhere, only finer or coarser than asked for); engines are kept, so that those which go on from
-frame to frame (``roam``) do. Until the first mesh is there, patches stand in.
+A method selects in a thread of its own while the mesh there is serves (its vertices are samples of the ground, so it
+is drawn right from everywhere, only finer or coarser than asked for); methods are kept, so that those which go on
+from frame to frame do. Until the first mesh is there, patches stand in.
 
 Vertices reach the GPU as whole rows and columns and a height; differences to the eye's cell are taken in integers
 (``shaders/mesh.wgsl``), so their precision is the patches'.
@@ -10,29 +10,30 @@ Vertices reach the GPU as whole rows and columns and a height; differences to th
 
 from __future__ import annotations
 
+import contextlib
 import threading
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import OrographError
+from orograph.errors import OrographError, UsageError
 from orograph.gpu.background import BackgroundTask
 from orograph.gpu.binding import bind, layout
 from orograph.gpu.device import Device
-from orograph.lod import engine_of
-from orograph.rendering.cpu.mesh_surface import ENGINE_MEMORY, goal
+from orograph.lod.method import Method, Resources
+from orograph.lod.options import described
+from orograph.lod.registry import Choice
 from orograph.rendering.gpu.targets import DEPTH, FIELD, GIVEN, MARKS, Targets
+from orograph.scene.methods import MEMORY, goal_of, made, mesh_choice
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 SAMPLE = np.dtype([("row", "<i4"), ("col", "<i4"), ("height", "<f4"), ("pad", "<u4")])
 """A vertex: ``Sample`` of ``shaders/mesh.wgsl``."""
-
-SMOOTH = ("soar",)
-"""Engines whose vertices may move to their places by degrees (``geomorph=True``)."""
 
 
 def packed(mesh: Tessellation) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
@@ -43,11 +44,11 @@ def packed(mesh: Tessellation) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
 
 
 class Meshes:
-    """The engine of a scene, and what it made last.
+    """The method of a scene, and what it made last.
 
     Attributes:
         mesh: to be drawn; None until one is there. current: whether it is the one that the last scene asked for.
-        failure: why the engine made none, or "".
+        failure: why the method made none, or "".
     """
 
     def __init__(self, terrain: Terrain) -> None:
@@ -57,7 +58,7 @@ class Meshes:
         self.failure = ""
         self._aside = BackgroundTask()
         self._wish: Any = None
-        self._engine: tuple[Any, Any] = (None, None)
+        self._method: tuple[Any, Method | None] = (None, None)
         self._lock = threading.Lock()
 
     @property
@@ -69,7 +70,7 @@ class Meshes:
         """Have the mesh of a scene for a camera.
 
         Raises:
-            UsageError: there is no such engine. StoreError: the store was built without errors of diamonds.
+            UsageError: there is no such method. StoreError: the store was built without errors of diamonds.
         """
         key = self._asked(scene, view)
         if self.mesh is None or self._aside.done != key:
@@ -96,48 +97,42 @@ class Meshes:
             self._aside.start(key, make)
 
     def none(self) -> None:
-        """No engine is wanted: forget the mesh."""
+        """No method is wanted: forget the mesh."""
         self.mesh, self._wish, self.failure = None, None, ""
-        self._engine = None, None
+        self._method = None, None
 
     def close(self) -> None:
         self._aside.close()
 
     def _asked(self, scene: Scene, view: View) -> Any:
-        key = (
-            scene.surface.engine,
-            scene.surface.exaggeration,
-            scene.surface.metric,
-            scene.surface.tolerance,
-            scene.surface.triangles,
-            view,
-        )
-        if self._wish is None or self._wish[:3] != key[:3]:
+        key = scene.surface.method, scene.surface.exaggeration, scene.surface.tolerance, scene.surface.triangles, view
+        if self._wish is None or self._wish[:2] != key[:2]:
             self.failure, self.mesh = "", None
         self._wish = key
         return key
 
     def _refined(self, scene: Scene, view: View, *, smooth: bool) -> Tessellation:
-        assert scene.surface.engine is not None
-        with self._lock:  # an engine does one thing at a time
-            memory = ENGINE_MEMORY if scene.budget.max_memory is None else scene.budget.max_memory // 2
-            known = (
-                scene.surface.engine,
-                scene.surface.metric,
-                scene.surface.exaggeration,
-                memory,
-                scene.budget.jobs,
-                smooth,
-            )
-            if self._engine[0] != known:
-                options: dict[str, Any] = {"geomorph": True} if smooth and scene.surface.engine in SMOOTH else {}
-                engine = engine_of(scene.surface.engine)(
-                    self.terrain, metric=scene.surface.metric, exaggeration=scene.surface.exaggeration,
-                    max_memory=memory, jobs=scene.budget.jobs, **options,
-                )  # fmt: skip
-                self._engine = known, engine
-            mesh: Tessellation = self._engine[1].refine(view.whole, **goal(scene))
-            return mesh
+        choice = mesh_choice(scene.surface.method, "gpu", scene.surface.triangles)
+        assert choice is not None
+        if smooth:
+            choice = _grown(choice)
+        with self._lock:  # a method does one thing at a time
+            memory = MEMORY if scene.budget.max_memory is None else scene.budget.max_memory // 2
+            known, method = self._method
+            if method is None or known != (str(choice), memory, scene.budget.jobs):
+                method = made(choice, self.terrain, Resources(memory, scene.budget.jobs))
+                self._method = (str(choice), memory, scene.budget.jobs), method
+            camera = Camera.over(self.terrain.grid, view.whole, scene.surface.exaggeration)
+            return method.select(camera, goal_of(scene.surface.tolerance, scene.surface.triangles)).tessellation()
+
+
+def _grown(choice: Choice) -> Choice:
+    """The same with vertices that grow to their places, if the method lets them and its metric allows it: while a
+    camera moves, that is quieter."""
+    if choice.info.kind == "triangles" and any(one.name == "geomorph" for one in described(choice.info.options)):
+        with contextlib.suppress(UsageError):
+            return replace(choice, options=replace(choice.options, geomorph=True))
+    return choice
 
 
 class MeshPass:

@@ -1,19 +1,19 @@
-"""Batched triangles, measured: the time to select patches, triangles beside other engines', a flight over a store.
+"""Triangle patches, measured: the time to select them, triangles beside other methods', a flight over a store.
 
-    python bench/batched.py [--data FOLDER] [--store STORE.oro] [--frames 200] [--part select|triangles|promise|flight]
+    python bench/triangle_patches.py [--data FOLDER] [--store STORE.oro] [--frames 200] [--part PART]
 
-*select*: ``Batched.select`` alone, all pages there, on views of a 4097² synthetic terrain that make about so many
-patches (medians of 25, and what one diamond looked at costs).
+*select*: ``TrianglePatches.patches`` alone, all pages there, on views of a 4097² synthetic terrain that make about so
+many patches (medians of 25, and what one diamond looked at costs).
 
-*triangles*: how many triangles ``batched`` draws beside ``soar`` and ``top-down`` (triangle by triangle, the same
-promise), over views of ``bench/promise.py``; with geomorphs and without; and how far the worst sample really is.
+*triangles*: how many triangles ``triangle-patches`` draws beside ``soar`` and ``top-down`` (triangle by triangle, the
+same promise), over views of ``bench/promise.py``; with geomorphs and without; and how far the worst sample really is.
 
 *promise*: the referee on 20 views of each terrain of ``bench/promise.py`` at 1 pixel: patches as they are drawn, points
 on their way included (their heights are no samples: that is not counted among the defects), with and without geomorphs.
 
 *flight*: a straight flight over a store (default: built of ``california-3s-tiles`` into a temporary folder), at 60
-frames a second, pages of errors read in the background (``wait=False``): ms of Python a frame, patches, tiles wanted
-that the frame before did not want, frames until nothing is lacking.
+frames a second, pages of errors read in the background (``Ready(wait=False)``): ms of Python a frame, patches, tiles
+wanted that the frame before did not want, frames until nothing is lacking.
 """
 
 from __future__ import annotations
@@ -29,17 +29,23 @@ import numpy as np
 
 import promise
 from orograph import store, verify
-from orograph.lod import engine_of
+from orograph.lod.method import Goal, Ready, Resources
 from orograph.lod.patches.expand import expand
-from orograph.lod.triangle_patches import Batched
+from orograph.lod.registry import chosen
+from orograph.lod.triangle_patches import Patches, TrianglePatches
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 
 PARTS = ("select", "triangles", "promise", "flight")
 
 SPEED = 2000.0
 """Metres a second of the flight (some 7,000 km/h: a frame of 1/60 s is 33 m)."""
+
+
+def patches_of(method: TrianglePatches, view: View, tolerance: float, wait: bool = True) -> Patches:
+    """As a renderer selects them."""
+    return method.patches(Camera.over(method.terrain.grid, view), tolerance, Ready(wait=wait), rim=1.0)
 
 
 def select(data: Path) -> None:
@@ -48,13 +54,13 @@ def select(data: Path) -> None:
     assert terrain is not None
     print("\nselect: 4097² synthetic, one thread")
     print(f"{'patches':>8} {'diamonds':>9} {'τ px':>6} {'ms':>7} {'worst':>7} {'ns a diamond':>13}")
-    engine = Batched(terrain)
+    method = TrianglePatches(terrain)
     views = [view for kind, view in promise.views(terrain, 20, 1) if kind in ("grazing", "wide angle", "far away")]
     for wanted in (250, 500, 1000, 2000, 4000, 8000):
         best = None
         for view in views:
             for tolerance in 2.0 ** np.arange(-3, 5, 0.5):
-                count = len(engine.select(view, float(tolerance)).instances)
+                count = len(patches_of(method, view, float(tolerance)).instances)
                 if best is None or abs(count - wanted) < abs(best[0] - wanted):
                     best = count, view, float(tolerance)
         assert best is not None
@@ -62,7 +68,7 @@ def select(data: Path) -> None:
         times = []
         for _ in range(25):
             begin = time.perf_counter()
-            made = engine.select(view, tolerance)
+            made = patches_of(method, view, tolerance)
             times.append(1e3 * (time.perf_counter() - begin))
         nodes, ms = made.stats["nodes"], statistics.median(times)
         print(
@@ -71,9 +77,9 @@ def select(data: Path) -> None:
 
 
 def triangles(data: Path, count: int) -> None:
-    """Triangles beside other engines'."""
+    """Triangles beside other methods'."""
     print(f"\ntriangles: mean of {count} views; in brackets the largest error of all over the tolerance")
-    labels = ("batched", "morphing", "L = 8", "L = 32", "soar", "top-down")
+    labels = ("settled", "morphing", "L = 8", "L = 32", "soar", "top-down")
     print(f"{'':16}{'τ px':>6} " + " ".join(f"{label:>14}" for label in labels))
     for name in ("bigtujunga", "synthetic 4097"):
         terrain = promise.terrain_of(name, data)
@@ -81,19 +87,22 @@ def triangles(data: Path, count: int) -> None:
             print(f"{name}: not at {data}")
             continue
         views = [view for _, view in promise.views(terrain, count, 1)]
-        engines = {
-            "batched": Batched(terrain), "morphing": Batched(terrain, geomorph=True), "L = 8": Batched(terrain, legs=8),
-            "L = 32": Batched(terrain, legs=32), "soar": engine_of("soar")(terrain),
-            "top-down": engine_of("top-down")(terrain),
+        methods = {
+            label: chosen(text).make(terrain)
+            for label, text in zip(
+                labels,
+                ("triangle-patches", "triangle-patches,geomorph=yes", "triangle-patches,legs=8",
+                 "triangle-patches,legs=32", "soar", "top-down"),
+            )
         }  # fmt: skip
         for tolerance in (0.5, 1.0, 2.0, 4.0, 8.0):
             cells = []
-            for label, engine in engines.items():
+            for label, method in methods.items():
                 made, worst = [], 0.0
                 for view in views:
-                    mesh = engine.refine(view, tolerance=tolerance)
+                    mesh = method.select(Camera.over(terrain.grid, view), Goal(tolerance)).tessellation()
                     made.append(len(mesh.triangles))
-                    if label in ("batched", "morphing"):
+                    if label in ("settled", "morphing"):
                         worst = max(worst, verify.judge_mesh(mesh, terrain, view).largest)
                 error = f" ({worst / tolerance:.2f})" if worst else ""
                 cells.append(f"{statistics.mean(made):,.0f}{error}")
@@ -109,13 +118,13 @@ def keeps(data: Path, count: int, names: list[str]) -> None:
         if terrain is None:
             print(f"{name}: not at {data}")
             continue
-        engine = Batched(terrain, max_memory=1 << 33)
+        method = TrianglePatches(terrain, resources=Resources(1 << 33))
         found: dict[bool, list[tuple[float, bool]]] = {False: [], True: []}
         made, moving = [], []
         for _, view in promise.views(terrain, count, 1):
             for geomorph in (False, True):
-                patches = engine.select(view, 1.0, geomorph=geomorph, exact_holes=True)
-                keys, heights = expand(terrain, patches.instances, engine.legs)
+                patches = method.patches(Camera.over(terrain.grid, view), 1.0, geomorph=geomorph)
+                keys, heights = expand(terrain, patches.instances, method.legs)
                 mesh = Tessellation.from_triangles(terrain.grid, keys, heights, clockwise=False)
                 report = verify.judge_mesh(mesh, terrain, view, heights="free" if geomorph else "samples")
                 found[geomorph].append((report.largest, bool(report.defects)))
@@ -146,14 +155,14 @@ def path_of(terrain: Terrain, seconds: float) -> View:
 
 def flight(terrain: Terrain, frames: int, tolerance: float) -> None:
     """A flight over a store."""
-    engine = Batched(terrain)
-    warm = Batched(terrain)
-    for k in range(3):  # compiled, but with cold pages: another engine's
-        warm.select(path_of(terrain, k), tolerance, wait=False)
+    method = TrianglePatches(terrain)
+    warm = TrianglePatches(terrain)
+    for k in range(3):  # compiled, but with cold pages: another method's
+        patches_of(warm, path_of(terrain, k), tolerance, wait=False)
     times, counts, fresh, lacking, seen = [], [], [], [], set()
     for frame in range(frames):
         begin = time.perf_counter()
-        made = engine.select(path_of(terrain, frame / 60), tolerance, wait=False)
+        made = patches_of(method, path_of(terrain, frame / 60), tolerance, wait=False)
         took = time.perf_counter() - begin
         times.append(1e3 * took)
         counts.append(len(made.instances))

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 from orograph.error.screen import FOCAL, LENGTH, LOCALISED, NEAR, WEDGIE
 from orograph.errors import UsageError
 from orograph.lod import look_ahead as ahead
-from orograph.lod.engine import BOUNDS, Engine, Mesh
 from orograph.lod.localise import STACK
+from orograph.lod.method import Goal, MethodInfo
+from orograph.lod.options import option
+from orograph.lod.right_triangles import BOUNDS, EVERY, METRIC, Mesh, MeshOptions, RightTriangleMeshes
 from orograph.lod.roam import bounds, frame, mesh, queues, terms
 from orograph.lod.roam import strips as stripping
-from orograph.viewpoint import Point, View
+from orograph.viewpoint import Camera, Point
 
 FINEST = 0.25
 """Pixels to which a budget of time refines at most: finer is not seen, and would fill the memory of a still camera."""
@@ -41,81 +43,102 @@ LEARNT = 1000
 """Triangles that come in a frame, from which on it tells how long the strips of a triangle take."""
 
 
-class Roam(Engine):
-    """ROAM. See ``Engine`` for the arguments; ``refine`` goes on from the mesh of the last view. Besides:
+def _places(text: str) -> tuple[Point, ...]:
+    """Places ``COL:ROW:NUMBER`` with + between them."""
+    found = tuple(tuple(float(part) for part in place.split(":")) for place in text.split("+"))
+    if not all(len(place) == 3 and all(map(math.isfinite, place)) for place in found):
+        raise ValueError(f"Places are COL:ROW:NUMBER, with + between them, not {text!r}.")
+    return found  # type: ignore[return-value]
 
-    Args:
-        deferral: compute priorities again only where they can have crossed the threshold (sec. 5.3); the mesh is the
-            same without.
-        strips: "kept" from frame to frame (sec. 5.2), "rebuilt" in each (to compare), or None: a list of triangles.
 
-        back_facing: factor, 0 to 1, on priorities of ground that faces away from the eye.
-        silhouette: factor, 1 or more, where a silhouette can run.
-        occluded: factor, 0 to 1, on ground hidden behind other ground.
-        outside: factor, 0 to 1, on ground out of view (default: 0, with ``cull=False`` 1); what is in view counts for
-            no less.
-        line_of_sight: pairs of points (column, row, height in metres) between which the view is free on the mesh iff it
-            is on the full-resolution surface; what of them is out of view is in the mesh with ``cull=False``.
-        objects: (column, row, radius in cells) of what stands on the ground, which is there exact to
-        object_tolerance: metres.
+def _lines(text: str) -> tuple[tuple[Point, Point], ...]:
+    """Lines ``COL:ROW:METRES/COL:ROW:METRES`` with + between them."""
+    found = tuple(tuple(_places(end)[0] for end in line.split("/")) for line in text.split("+"))
+    if not all(len(line) == 2 for line in found):
+        raise ValueError(f"Lines of sight are COL:ROW:METRES/COL:ROW:METRES, with + between them, not {text!r}.")
+    return found  # type: ignore[return-value]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoamOptions(MeshOptions):
+    """Options of ``roam``. See ``MeshOptions``; besides:
 
     Raises:
-        UsageError: as ``Engine``; a factor is out of its range; a demand with an error that is no bound.
-
-    The arrays in the ``Mesh`` that ``mesh`` returns are the engine's own: they change with the next view.
+        UsageError: objects or lines of sight with an error that is no bound.
     """
 
-    name = "roam"
-    metrics = ("localised", "wedgie", "anisotropic", "isotropic", "isotropic-published", "anisotropic-published")
+    metric: str | None = option(None, METRIC, choices=EVERY)
+    deferral: bool = option(
+        True, "Compute priorities again only where they can have crossed the threshold (sec. 5.3); the mesh is the "
+        "same without.",
+    )  # fmt: skip
+    strips: str | None = option(
+        "kept", "Triangle strips: kept from frame to frame (sec. 5.2), rebuilt in each, or none: a list of triangles.",
+        choices=("kept", "rebuilt"),
+    )  # fmt: skip
+    back_facing: float = option(1.0, "Factor on priorities of ground that faces away from the eye.", least=0, most=1)
+    silhouette: float = option(1.0, "Factor on priorities where a silhouette can run.", least=1)
+    occluded: float = option(1.0, "Factor on priorities of ground hidden behind other ground.", least=0, most=1)
+    outside: float | None = option(
+        None, "Factor on priorities of ground out of view; what is in view counts for no less. None: 0, without "
+        "culling 1.", least=0, most=1,
+    )  # fmt: skip
+    objects: tuple[Point, ...] = option(
+        (), "What stands on the ground, which is there exact to object-tolerance: COL:ROW:RADIUS in cells, with + "
+        "between them.", read=_places,
+    )  # fmt: skip
+    object_tolerance: float = option(0.0, "Exactness of the ground under objects.", unit="metres", least=0)
+    line_of_sight: tuple[tuple[Point, Point], ...] = option(
+        (), "Lines that are free on the mesh if and only if they are on the full-resolution surface; what of them is "
+        "out of view is in the mesh with cull=no. COL:ROW:METRES/COL:ROW:METRES, with + between them.", read=_lines,
+    )  # fmt: skip
 
-    def __init__(
-        self,
-        *args: Any,
-        deferral: bool = True,
-        strips: Literal["kept", "rebuilt"] | None = "kept",
-        back_facing: float = 1.0,
-        silhouette: float = 1.0,
-        occluded: float = 1.0,
-        outside: float | None = None,
-        line_of_sight: Sequence[tuple[Point, Point]] = (),
-        objects: Sequence[Point] = (),
-        object_tolerance: float = 0.0,
-        **options: Any,
-    ) -> None:
-        super().__init__(*args, **options)
+    def __post_init__(self) -> None:
+        super(RoamOptions, self).__post_init__()  # (super() alone fails in a dataclass with slots)
+        if (len(self.objects) or len(self.line_of_sight)) and self.error not in BOUNDS:
+            raise UsageError(f"Lines of sight and objects need an error that is a bound, not {self.error!r}.")
+
+    @property
+    def conservative(self) -> bool:
+        """As ``MeshOptions.conservative``; what is turned away or hidden is not held to the tolerance if it counts
+        less."""
+        return super(RoamOptions, self).conservative and min(self.back_facing, self.occluded) == 1.0
+
+
+class Roam(RightTriangleMeshes):
+    """ROAM. See ``RightTriangles`` for the arguments; ``select`` goes on from the mesh of the last view.
+
+    The arrays in the ``Mesh`` that ``mesh`` returns are the method's own: they change with the next view.
+    """
+
+    info = MethodInfo(
+        "roam", "two queues, of splits and of merges, that meet at the tolerance or the budget",
+        "Duchaineau et al. 1997", "triangles", RoamOptions, lambda options: options.conservative, incremental=True,
+    )  # fmt: skip
+
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        o: RoamOptions = self.options
+        self.deferral, self.strips = o.deferral, o.strips
+        outside = o.outside
         if outside is None:
             outside = 0.0 if self.cull else 1.0
-        for name, factor in (("back_facing", back_facing), ("occluded", occluded), ("outside", outside)):
-            if not 0 <= factor <= 1:
-                raise UsageError(f"{name} is a factor on priorities from 0 to 1, not {factor}.")
-        if not 1 <= silhouette < math.inf:
-            raise UsageError(f"silhouette is a factor on priorities, 1 or more, not {silhouette}.")
-        if not object_tolerance >= 0:
-            raise UsageError(f"The tolerance under objects is in metres, 0 or more, not {object_tolerance}.")
-        self.deferral, self.strips = deferral, strips
-        demands = [[terms.OBJECT, *place, object_tolerance, 0.0, 0.0] for place in objects]
-        demands += [[terms.LINE, *p, *q] for p, q in line_of_sight]
-        if demands and self.error not in BOUNDS:
-            raise UsageError(f"Lines of sight and objects need an error that is a bound, not {self.error!r}.")
+        demands = [[terms.OBJECT, *place, o.object_tolerance, 0.0, 0.0] for place in o.objects]
+        demands += [[terms.LINE, *p, *q] for p, q in o.line_of_sight]
         a, b, _, d, e, _ = self.terrain.grid.samples[:6]
         inverse = np.linalg.inv([[a, b], [d, e]])
         self._terms = terms.Terms(
             np.array(demands, np.float64).reshape(-1, 7), np.zeros((1, 6), np.float32), np.zeros(1, np.int64),
             np.ones(1, np.int64), np.zeros((terms.SECTORS, terms.RINGS), np.float32),
-            np.array([back_facing, silhouette, occluded, outside]),
-            np.array([0, 0, 0, np.abs(inverse).max() * math.sqrt(2), 1 / self.exaggeration,
+            np.array([o.back_facing, o.silhouette, o.occluded, outside]),
+            np.array([0, 0, 0, np.abs(inverse).max() * math.sqrt(2), 1.0,
                       (1 << terms.SHIFT) * max(self.terrain.grid.spacing)]),
             np.array([a, b, d, e]),
         )  # fmt: skip
-        if back_facing < 1 or silhouette > 1 or occluded < 1:
+        if o.back_facing < 1 or o.silhouette > 1 or o.occluded < 1:
             blocks, base, width = terms.blocks_of(self.terrain)
             self._terms = self._terms._replace(blocks=blocks, base=base, width=width)
         self.restart()
-
-    @property
-    def conservative(self) -> bool:
-        """As ``Engine.conservative``; what is turned away or hidden is not held to the tolerance if it counts less."""
-        return super().conservative and min(self._terms.factors[0], self._terms.factors[2]) == 1.0
 
     def restart(self) -> None:
         """Forget the mesh: the next view begins from two triangles."""
@@ -163,9 +186,10 @@ class Roam(Engine):
 
     # ---- a frame -----------------------------------------------------------------------------------------------------
 
-    def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
+    def _refine(self, camera: Camera, goal: Goal) -> Mesh:
         began = time.perf_counter()
-        self._look(view, tolerance, triangles, seconds)
+        tolerance, triangles, seconds = goal.tolerance, goal.triangles, goal.seconds
+        self._look(camera, goal)
         c = self._state.counts
         c[[mesh.SPLITS, mesh.MERGES, mesh.COMPUTED, mesh.SHOWN, mesh.LABELS]] = 0
         c[mesh.FRAME] = (c[mesh.FRAME] + 1) % (1 << 31)
@@ -207,15 +231,18 @@ class Roam(Engine):
                 self._grow()
             self.field.fetch(resumes=True)
 
-    def _look(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> None:
+    def _look(self, camera: Camera, wanted: Goal) -> None:
         """Set the lens and the thresholds, and let the clocks run by what the camera has moved since the last view."""
-        s = self._state
-        goal = tolerance if tolerance is not None else 1.0 if triangles is not None else FINEST
-        lens = self._lens(view, goal)
-        axes = np.stack(view.axes(self.exaggeration))
-        eye = np.array(view.eye) * [1.0, 1.0, self.exaggeration]
+        s, view, triangles = self._state, camera.view, wanted.triangles
+        goal = wanted.tolerance if wanted.tolerance is not None else 1.0 if triangles is not None else FINEST
+        lens = self._lens(camera, goal)
+        axes = np.stack(view.axes(camera.exaggeration))
+        eye = np.array(view.eye) * [1.0, 1.0, camera.exaggeration]
         mode = "triangles" if triangles is not None else "tolerance"
-        seen = (mode, goal, lens[FOCAL], lens[NEAR], view.far, view.width, view.height, view.part, view.projection)
+        seen = (
+            mode, goal, lens[FOCAL], lens[NEAR], view.far, view.width, view.height, view.part, view.projection,
+            camera.exaggeration,
+        )  # fmt: skip
         renew = seen != self._seen or self._pose is None or view.projection == "plan"
         moved = turned = 0.0
         if self._pose is not None and not renew:
@@ -225,7 +252,7 @@ class Roam(Engine):
         self._seen, self._pose = seen, (axes, eye)
         s.lens[:] = lens
         s.terms.eye[:2] = np.ravel(self.terrain.grid.index(*view.eye[:2]))
-        s.terms.eye[2] = view.eye[2]
+        s.terms.eye[2], s.terms.eye[4] = view.eye[2], 1.0 / camera.exaggeration
         if s.terms.factors[2] < 1:
             terms.hide_behind(s.terms, s.pages.edge)
         s.options[mesh.TOLERANCE] = s.options[mesh.RATE] = goal

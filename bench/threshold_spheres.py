@@ -1,6 +1,6 @@
-"""Blow on a smooth flight: how much of the front is looked at again in a frame, and what that costs.
+"""Threshold spheres on a smooth flight: how much of the front is looked at again in a frame, and what that costs.
 
-    python bench/blow.py [HEIGHTS.npy | DEM] [--cell 30] [--frames 60] [--tolerance 1]
+    python bench/threshold_spheres.py [HEIGHTS.npy | DEM] [--cell 30] [--frames 60] [--tolerance 1]
 
 The eye flies 300 m above the ground (the flight of ``bench/roam.py``) at several speeds, straight on or turning, with
 each metric. Medians over frames; the first one builds the mesh and is told apart.
@@ -17,9 +17,10 @@ from affine import Affine
 
 from orograph.dem.synth import Synth
 from orograph.geo.grid import Grid
-from orograph.lod.threshold_spheres import Blow
+from orograph.lod.method import Goal
+from orograph.lod.threshold_spheres import ThresholdSpheres
 from orograph.store.memory import MemoryTerrain
-from orograph.viewpoint import View
+from orograph.viewpoint import Camera, View
 from roam import RATE, flight, load
 
 
@@ -47,9 +48,9 @@ def main() -> None:
     print(f"{'metric':12}{'m/frame':>8}{'°/frame':>8}{'front':>9}{'drawn':>9}{'looked at':>10}{'changed':>9}"
           f"{'of front':>9}{'update':>8}{'put out':>9}{'first':>8}")  # fmt: skip
     for metric in ("anisotropic", "isotropic"):
-        engine = Blow(t, metric=metric)
+        method = ThresholdSpheres(t, metric=metric)
         for step, turn in ((1.0, 0.0), (3.0, 0.0), (10.0, 0.0), (30.0, 0.0), (3.0, 0.03), (3.0, 0.3), (0.0, 0.3)):
-            engine.reset()
+            method.reset()
             rows = []
             views = flight(t, given.frames, step * RATE)
             start = views[0]
@@ -61,7 +62,7 @@ def main() -> None:
                 far = np.hypot(x, y)
                 eye = (start.eye[0] + way * x / far, start.eye[1] + way * y / far, view.eye[2])
                 straight = replace(view, eye=eye, target=(eye[0] + x, eye[1] + y, eye[2] - 400), width=1280, height=720)
-                mesh, _ = engine.mesh(turned(straight, turn * number), tolerance=given.tolerance)
+                mesh, _ = method.mesh(Camera.over(t.grid, turned(straight, turn * number)), Goal(given.tolerance))
                 s = mesh.stats
                 rows.append([s["front"], mesh.triangles, s["visits"], s["splits"] + s["merges"], s["update_ms"],
                              s["output_ms"]])  # fmt: skip

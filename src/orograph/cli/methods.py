@@ -1,0 +1,23 @@
+"""``orograph methods``: which methods there are, and what their options mean."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command("methods")
+@click.argument("name", required=False)
+def command(name: str | None) -> None:
+    """Tell which methods there are, or a method's options with their units and defaults.
+
+    A method decides what is drawn of a terrain for a camera. Verbs take it as --method NAME[,key=value…].
+
+    \b
+    Examples:
+      orograph methods
+      orograph methods soar
+      orograph tessellate dem.tif -o mesh.npz --method soar,error=wedgie,geomorph=yes
+    """
+    from orograph.lod.describe import about, about_all
+
+    click.echo(about_all() if name is None else about(name))

@@ -1,0 +1,144 @@
+"""Methods on the command line: ``--method NAME[,key=value…]``, what it is to reach, and the method they describe.
+
+``@method_option(…)`` gives a verb ``method`` and ``conservative``; ``@goal_options`` gives ``tolerance``, ``triangles``
+and ``drape`` (``REFINE``). ``choice_of`` reads a method once options are checked; ``make_method`` makes it once the
+terrain is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from orograph.cli.options import FILE, F, ParamType
+from orograph.errors import UsageError
+from orograph.lod.registry import METHODS
+
+if TYPE_CHECKING:
+    from orograph.error import ErrorKind
+    from orograph.lod.method import Goal, Method
+    from orograph.lod.registry import Backend, Choice
+    from orograph.progress import Progress
+    from orograph.store.terrain import Terrain
+
+REFINE = ("tolerance", "triangles", "drape", "conservative")
+"""What ``goal_options`` and ``method_option`` give besides the method."""
+
+
+class MethodText(ParamType):
+    """NAME[,key=value…]: the name is looked at at once, the options when the method is loaded."""
+
+    name = "NAME[,key=value…]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        name = str(value).partition(",")[0].strip()
+        if name != "auto" and name not in METHODS:
+            self.fail(f"There is no method {name!r}; there are {', '.join(METHODS)}.", param, ctx)
+        return str(value)
+
+
+def method_option(help: str, **settings: Any) -> Callable[[F], F]:
+    """``--method`` and ``--conservative``; ``settings`` are click's (default, multiple…)."""
+
+    def add(function: F) -> F:
+        function = click.option(
+            "--conservative", is_flag=True,
+            help="Refuse a method with which the tolerance is no promise for every sample in view.",
+        )(function)  # fmt: skip
+        more = " The methods and their options: orograph methods."
+        return click.option("--method", type=MethodText(), help=help + more, **settings)(function)
+
+    return add
+
+
+def goal_options(function: F) -> F:
+    """Give a verb the options that say how fine a mesh is to be, and whose colours count."""
+    for option in reversed(
+        [
+            click.option(
+                "--tolerance",
+                type=click.FloatRange(min=0),
+                metavar="PX",
+                help="Pixels by which the mesh may be off on the screen.  [default: 1]",
+            ),
+            click.option("--triangles", type=click.IntRange(min=2), metavar="N", help="Instead: at most so many."),
+            click.option(
+                "--drape",
+                type=FILE,
+                metavar="IMAGE",
+                help="The image whose colours a method's color-tolerance looks at, in any CRS.  "
+                "[default: the tint of heights]",
+            ),
+        ]
+    ):
+        function = option(function)
+    return function
+
+
+def goal_of(options: Mapping[str, Any], *names: str) -> Goal:
+    """The one of the options ``names`` that is given; else a tolerance of 1 pixel.
+
+    Raises:
+        UsageError: more than one is.
+    """
+    from orograph.lod.method import Goal
+
+    given = {name: options[name] for name in names if options[name] is not None}
+    if len(given) > 1:
+        raise UsageError(f"Give one goal: {' or '.join(f'--{name}' for name in given)}.")
+    return Goal(**(given or {"tolerance": 1.0}))
+
+
+def choice_of(text: str, conservative: bool, backend: Backend = "cpu") -> Choice:
+    """The method that a ``--method`` describes.
+
+    Raises:
+        UsageError: it is none; or, with ``--conservative``, a tolerance is no promise with its options.
+    """
+    from orograph.lod.registry import chosen
+
+    choice = chosen(text, backend)
+    if conservative and not choice.conservative:
+        raise UsageError(
+            f"With {choice} a tolerance is no promise, which --conservative asks for.",
+            remedy=f"See orograph methods {choice.info.name}.",
+        )
+    return choice
+
+
+def error_kinds(choices: Sequence[Choice]) -> tuple[ErrorKind, ...]:
+    """The kinds of errors of diamonds that methods need, for ``scene.prepare``."""
+    from orograph.lod.needs import kinds_of
+
+    return kinds_of(need for choice in choices for need in choice.method.needs(choice.options))
+
+
+def not_enough(budget: int, method: str, made: int) -> str:
+    """The warning about a mesh with more triangles than asked for."""
+    return f"{budget:,} triangles are not enough for a sound mesh of this view by {method}: it has {made:,}."
+
+
+def check_colors(options: Mapping[str, Any], choices: Sequence[Choice]) -> None:
+    """Raise UsageError where an image is given of which nothing is asked."""
+    asked = any(getattr(choice.options, "color_tolerance", None) is not None for choice in choices)
+    if options["drape"] is not None and not asked:
+        raise UsageError(
+            "--drape is looked at for a method's color-tolerance.",
+            remedy="Say how much colours may change (ΔE): --method soar,color-tolerance=2.3.",
+        )
+
+
+def make_method(
+    choice: Choice, terrain: Terrain, options: Mapping[str, Any], max_memory: int, jobs: int | None, progress: Progress
+) -> Method:  # fmt: skip
+    """The method for a terrain.
+
+    Raises:
+        UsageError, StoreError, ReadError: as ``scene.methods.made``.
+    """
+    from orograph.lod.method import Resources
+    from orograph.scene.methods import made
+
+    return made(choice, terrain, Resources(max_memory // 2, jobs, progress), options["drape"])

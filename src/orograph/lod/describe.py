@@ -1,0 +1,100 @@
+"""What the methods say of themselves, as text: for ``orograph methods``, ``orograph.methods()`` and the manual.
+
+All of it is made of ``info`` and the options' fields, so a new method is described as soon as it is registered.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+
+from orograph.lod.method import MethodInfo
+from orograph.lod.options import described
+from orograph.lod.registry import AUTO, METHODS, method_of
+
+WIDTH = 100
+
+KINDS = {
+    "triangles": "a mesh of triangles", "patches": "patches of triangles", "batches": "batches of triangles",
+    "rings": "nested rings", "rays": "windows for rays: no triangles",
+}  # fmt: skip
+"""What selections are, by their kind."""
+
+PAGE = Path(__file__).parents[3] / "docs/methods/README.md"
+"""The manual's page, in a checkout."""
+
+BEGIN, END = "<!-- methods: written by python -m orograph.lod.describe -->\n", "\n<!-- end of methods -->"
+"""Around the table there."""
+
+
+def methods(name: str | None = None) -> None:
+    """Print which methods there are, or a method's options with their help and units.
+
+    Raises:
+        UsageError: there is no method of that name.
+    """
+    print(about_all() if name is None else about(name))
+
+
+def about_all() -> str:
+    """A paragraph on each method."""
+    parts = [f"{info.name}\n{_filled(f'{info.title}. {info.paper}.')}" for info in _infos()]
+    auto = ", ".join(f"{name} on the {backend.upper()}" for backend, name in AUTO.items())
+    return "\n".join([*parts, "", _filled(f"auto is {auto}. Options: orograph methods NAME.", "")])
+
+
+def about(name: str) -> str:
+    """A method's paper and promise, and its options.
+
+    Raises:
+        UsageError: there is no method of that name.
+    """
+    info = method_of(name).info
+    lines = [
+        f"{info.name}: {info.title}.", f"Source: {info.paper}.", f"It selects {KINDS[info.kind]}.", _promise(info),
+        "It goes on from the frame before." if info.incremental else "Every frame begins anew.",
+        f"It can aim at: {', '.join(info.goals)}.",
+    ]  # fmt: skip
+    text = "\n".join(_filled(line, "") for line in lines)
+    options = described(info.options)
+    if not options:
+        return f"{text}\n\nIt has no options."
+    text += f"\n\nOptions, as --method {info.name},key=value:"
+    for one in options:
+        head = f"{one.key}: {one.span}  [default: {one.text(one.default)}]"
+        text += f"\n  {head}\n{_filled(one.help)}"
+    return text
+
+
+def markdown() -> str:
+    """The manual's table, which ``PAGE`` has between ``BEGIN`` and ``END``."""
+    rows = [
+        "| method | the idea | selects | from one frame to the next | promise | source |",
+        "|---|---|---|---|---|---|",
+    ]
+    for info in _infos():
+        rows.append(
+            f"| [`{info.name}`]({info.name}.md) | {info.title} | {info.kind} | "
+            f"{'goes on' if info.incremental else 'begins anew'} | "
+            f"{'yes' if info.conservative(info.options()) else 'no'} | {info.paper} |"
+        )
+    return "\n".join(rows)
+
+
+def _infos() -> list[MethodInfo]:
+    return [method_of(name).info for name in METHODS]
+
+
+def _promise(info: MethodInfo) -> str:
+    if info.conservative(info.options()):
+        return "With its own options a tolerance is a promise for every sample in view."
+    return "A tolerance is no promise with its own options."
+
+
+def _filled(text: str, indent: str = "    ") -> str:
+    return textwrap.fill(text, WIDTH, initial_indent=indent, subsequent_indent=indent)
+
+
+if __name__ == "__main__":
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    PAGE.write_text(before + BEGIN + markdown() + END + rest.partition(END)[2], encoding="utf-8")

@@ -1,0 +1,65 @@
+"""What methods need of a store beside heights: what of it is lacking is made in memory, and said.
+
+``orograph build --for METHOD`` puts it into the store ahead. A need of a new kind is a function in ``SUPPLIERS``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from orograph.error import ErrorKind
+from orograph.errors import UsageError
+from orograph.lod.method import Need, Resources
+from orograph.store.stored import StoredTerrain
+from orograph.store.terrain import Terrain
+
+BYTES_PER_SAMPLE = 4 + 8 * 4 / 3 + 4
+"""Of heights, errors and radii of diamonds, and what is held while they are made."""
+
+
+def supply(terrain: Terrain, needs: Iterable[Need], resources: Resources) -> None:
+    """Make what a terrain lacks of ``needs``.
+
+    Raises:
+        UsageError: nothing makes such data, or it does not fit into memory.
+    """
+    for need in needs:
+        if need.name not in SUPPLIERS:
+            raise UsageError(f"Nothing makes {need.name!r}; there are {', '.join(SUPPLIERS)}.")
+        SUPPLIERS[need.name](terrain, need.options, resources)
+
+
+def kinds_of(needs: Iterable[Need]) -> tuple[ErrorKind, ...]:
+    """The kinds of errors that a store must have been built with."""
+    return tuple(dict.fromkeys(need.options["error"] for need in needs if need.name == "diamonds"))
+
+
+def _diamonds(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
+    kind = options["error"]
+    if not isinstance(terrain, StoredTerrain) or kind in terrain.errors or kind in terrain.supplied:
+        return
+    needed = int(terrain.grid.rows * terrain.grid.cols * BYTES_PER_SAMPLE)
+    if needed > resources.max_memory:
+        raise UsageError(
+            f"The store has no {kind} errors, and to make them in memory takes {needed >> 20} MiB.", path=terrain.name,
+            remedy=f"Build it with them (orograph build --errors {','.join([*terrain.errors, kind])} --overwrite).",
+        )  # fmt: skip
+    resources.progress.note(
+        f"the store has no {kind} errors: they are made in memory (orograph build --for keeps them)"
+    )
+    with resources.progress.task(f"Finding {kind} errors"):
+        terrain.supply(kind)
+
+
+def _patches(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
+    if isinstance(terrain, StoredTerrain) and not terrain.has_patch_errors(options["error"], options["legs"]):
+        resources.progress.note("the store has no errors of such patches: they are made in memory")
+    # (The method's own table makes them: ``lod.patches.tables``.)
+
+
+SUPPLIERS: dict[str, Callable[[Terrain, Mapping[str, Any], Resources], None]] = {
+    "diamonds": _diamonds,
+    "patches": _patches,
+}
+"""By name of a need, what makes it; the options are the need's."""

@@ -1,0 +1,46 @@
+"""Ray casting as a method: it selects the windows of levels at which rays are cast, and makes no triangles.
+
+A tile in view is drawn at a level whose stored error, projected, keeps the tolerance, and windows nest
+(``raycast.select``); rays are marched through maximum mipmaps (``raycast.traverse``; Tevs, Ihrke & Seidel 2008, §3).
+Pixels, samples.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Ready
+from orograph.lod.selection import RayWindows
+from orograph.raycast.select import rectangles
+from orograph.viewpoint import Camera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RayCastOptions:
+    """It has none."""
+
+
+class RayCast(Method):
+    """Windows for rays. See ``Method`` for the arguments."""
+
+    info = MethodInfo(
+        "raycast", "no mesh: rays against the samples of nested windows, each as coarse as the tolerance allows",
+        "Tevs, Ihrke & Seidel 2008, sec. 3: maximum mipmaps", "rays", RayCastOptions, lambda _: True,
+        goals=("tolerance",),
+    )  # fmt: skip
+
+    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> RayWindows:
+        """The windows of a view."""
+        self.info.check_goal(goal.name)
+        tolerance = goal.tolerance
+        assert tolerance is not None
+        began = time.perf_counter()
+        windows = rectangles(self.terrain, camera.view, camera.exaggeration, tolerance)
+        took = time.perf_counter() - began
+        stats = {
+            "method": self.info.name, "tolerance": float(tolerance), "conservative": True,
+            "exaggeration": camera.exaggeration, "refine_ms": round(took * 1e3, 3), "windows": len(windows),
+            "samples": sum(window.samples for window in windows),
+        }  # fmt: skip
+        return RayWindows(method=self.info.name, bound=float(tolerance), stats=stats, windows=windows)
