@@ -72,8 +72,8 @@ def test_the_gpu_streams_patches_unless_they_are_asked_for_otherwise(device: Dev
     named = draw_gpu(replace(scene, method="triangle-patches"), device=device)
     assert "mesh" not in named.facts and named.facts["patches"] == own.facts["patches"] > 0
     np.testing.assert_array_equal(own.pixels, named.pixels)
-    few = draw_gpu(replace(scene, method="triangle-patches", tolerance=None, triangles=20_000), device=device)
-    assert 0 < few.facts["mesh"]["triangles"] <= 20_000
+    few = draw_gpu(replace(scene, method="triangle-patches", tolerance=None, triangles=100_000), device=device)
+    assert 50_000 < few.facts["mesh"]["triangles"] <= 100_000
     with pytest.raises(UsageError, match="raycast cannot be drawn"):
         draw_gpu(replace(scene, method="raycast"), device=device)
 
