@@ -10,6 +10,7 @@ from affine import Affine
 from pyproj import CRS
 
 from orograph.dem.raster import Dem
+from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.gpu.device import Device
 from orograph.rendering.cpu.draw import draw as draw_cpu
@@ -48,7 +49,9 @@ def views() -> dict[str, View]:
     }
 
 
-@pytest.mark.parametrize("method", ["soar", "roam", "top-down", "stateless", "threshold-spheres", "triangle-patches"])
+@pytest.mark.parametrize(
+    "method", ["soar", "roam", "top-down", "stateless", "threshold-spheres", "triangle-patches,legs=8"]
+)
 def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: Terrain, method: str) -> None:
     for name, view in views().items():
         scene = Scene.of(terrain, view, method=method, tolerance=3.0, samples=1)
@@ -60,6 +63,18 @@ def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: 
         off = np.abs(drawn.depth - cast.depth)[both] / cast.depth[both]
         # Beside a ridge the two may see either side of it: such pixels are few.
         assert np.quantile(off, 0.99) < 1e-4 and np.median(off) < 2e-6, (name, np.quantile(off, 0.99))
+
+
+def test_the_gpu_streams_patches_unless_they_are_asked_for_otherwise(device: Device, terrain: Terrain) -> None:
+    scene = Scene(terrain, views()["slanted"], tolerance=3.0, samples=1)
+    own = draw_gpu(scene, device=device)
+    named = draw_gpu(replace(scene, method="triangle-patches"), device=device)
+    assert "mesh" not in named.facts and named.facts["patches"] == own.facts["patches"] > 0
+    np.testing.assert_array_equal(own.pixels, named.pixels)
+    few = draw_gpu(replace(scene, method="triangle-patches", tolerance=None, triangles=100_000), device=device)
+    assert 50_000 < few.facts["mesh"]["triangles"] <= 100_000
+    with pytest.raises(UsageError, match="raycast cannot be drawn"):
+        draw_gpu(replace(scene, method="raycast"), device=device)
 
 
 def test_a_mesh_for_another_camera_and_its_edges(device: Device, terrain: Terrain) -> None:
