@@ -12,10 +12,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import ANISOTROPIC, LOCALISED, Metric, lens, metric_of
+from orograph.error.screen import ANISOTROPIC, LOCALISED, CameraParameters, Metric, camera_parameters, metric_of
 from orograph.errors import UsageError
+from orograph.lod.criterion import NOTHING
 from orograph.lod.field import ColorErrors, Field
-from orograph.lod.look_ahead import NOTHING, Ahead
+from orograph.lod.look_ahead import Ahead
 from orograph.parallel import cpu_count
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
@@ -23,10 +24,6 @@ from orograph.viewpoint import View
 
 BOUNDS = ("exact", "wedgie")
 """Object-space errors that bound every sample's."""
-
-UNBOUNDED = float(np.finfo(np.float64).max)
-"""Priority of a triangle that may be off by any number of pixels. Only one that ground and missing ground share comes
-before it, with infinity: it is split whatever the budget, for no mesh with it is sound."""
 
 
 @dataclass(slots=True)
@@ -138,7 +135,7 @@ class Engine(ABC):
         """Number of the metric of diamonds' spheres: the one within whose bounds ``localised`` looks, or its own."""
         return ANISOTROPIC if self.metric.number == LOCALISED else self.metric.number
 
-    def _pruned(self, lens: NDArray[np.float64]) -> NDArray[np.int64]:
+    def _pruned(self, lens: CameraParameters) -> NDArray[np.int64]:
         """The table of diamonds that ``localised`` does not split (``lod.look_ahead``); pages may be read for it."""
         if self.metric.number != LOCALISED:
             return NOTHING
@@ -216,8 +213,8 @@ class Engine(ABC):
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
         """Refine until one of the three goals (exactly one is given)."""
 
-    def _lens(self, view: View, tolerance: float) -> NDArray[np.float64]:
-        return lens(
+    def _lens(self, view: View, tolerance: float) -> CameraParameters:
+        return camera_parameters(
             view, self.terrain.grid, exaggeration=self.exaggeration, tolerance=tolerance,
             color_tolerance=self.color_tolerance,
         )  # fmt: skip

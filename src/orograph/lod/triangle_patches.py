@@ -26,13 +26,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import FOCAL, PLANES
-from orograph.error.screen import lens as lens_of
+from orograph.error.screen import camera_parameters
 from orograph.errors import UsageError
 from orograph.lod.engine import Engine, Mesh, by_tolerance
 from orograph.lod.patches.expand import expand
 from orograph.lod.patches.pager import Pager
-from orograph.lod.patches.selection import ABSENT, BLOCKED, NODES, PATCHES, SPLIT, TOUCHED, select_patches
+from orograph.lod.patches.selection import (
+    ABSENT,
+    BLOCKED,
+    NODES,
+    PATCHES,
+    SPLIT,
+    TOUCHED,
+    Bounds,
+    Front,
+    Instances,
+    Tiles,
+    select_patches,
+)
 from orograph.lod.patches.shape import INSTANCE, check_legs, patch_indices, patch_vertices
 from orograph.lod.patches.tables import PatchTerrain, cell_size
 from orograph.progress import SILENT, Progress
@@ -203,13 +214,16 @@ class Batched(Engine):
         stretch = self.exaggeration if exaggeration is None else exaggeration
         if not 0 < stretch < math.inf:
             raise UsageError(f"The exaggeration is a factor greater than 0, not {exaggeration}.")
-        lens = lens_of(view, self.terrain.grid, exaggeration=stretch, tolerance=tolerance)
-        eye = np.zeros(0)
+        lens = camera_parameters(view, self.terrain.grid, exaggeration=stretch, tolerance=tolerance)
+        eye = lens
         if frustum is not None:
-            eye = lens.copy()
-            lens[PLANES : PLANES + 24] = self._planes(frustum, stretch)
-        plan = 1.0 / view.pixel_metres if lens[FOCAL] == 0.0 else 0.0
-        tolerances = np.array([tolerance / KAPPA if geomorph else tolerance, tolerance, plan])
+            lens = lens._replace(planes=self._planes(frustum, stretch))
+        plan = 1.0 / view.pixel_metres if lens.focal == 0.0 else 0.0
+        bounds = Bounds(
+            lens, eye, frustum is not None, self.metric.number, bool(self.cull if cull is None else cull),
+            float(tolerance / KAPPA if geomorph else tolerance), float(tolerance), plan,
+            self._unbounded if exact_holes else self._holes,
+        )  # fmt: skip
         there = self._all
         if isinstance(resident, np.ndarray):
             there = resident
@@ -217,6 +231,10 @@ class Batched(Engine):
             there = np.concatenate([np.ravel(level) for level in resident])
         if there.shape != self._all.shape or there.dtype != np.uint8:
             raise UsageError("Residency is a uint8 array (tile rows, tile cols) for each level of the terrain.")
+        tiling = Tiles(
+            self.tiling.bases, self.tiling.widths, there, NOWHERE if slots is None else slots, self._priorities,
+            self._touched,
+        )  # fmt: skip
         counts = np.zeros(6, np.int64)
         if wait:
             self.field.finish()
@@ -224,10 +242,8 @@ class Batched(Engine):
         while True:
             self.field.begin()
             full = select_patches(
-                self.field.pages, lens, eye, self.metric.number, self.cull if cull is None else cull, self.field.n,
-                self._q, tolerances, self._unbounded if exact_holes else self._holes, there,
-                NOWHERE if slots is None else slots, self.tiling.bases, self.tiling.widths, self._priorities,
-                self._touched, self._table, *self._queue, self._words, self._floats, counts,
+                self.field.pages, bounds, self.field.n, self._q, tiling, Front(self._table, *self._queue),
+                Instances(self._words, self._floats), counts,
             )  # fmt: skip
             tiles = self._touched[: counts[TOUCHED]].copy()
             pixels = self._priorities[tiles]
@@ -249,7 +265,7 @@ class Batched(Engine):
         return Patches(made, tiles, pixels, self.tiling, stats)
 
     def _planes(self, frustum: NDArray[np.float64], stretch: float) -> NDArray[np.float64]:
-        """Planes in stretched space as a lens has them: (24,), over column, row and height."""
+        """Planes in stretched space as kernels see them: (6, 4), over column, row and height."""
         planes = np.asarray(frustum, np.float64)
         if planes.ndim != 2 or planes.shape[1] != 4 or len(planes) > 6:
             raise UsageError(f"A frustum is at most 6 planes (m, 4), not an array of {planes.shape}.")
@@ -258,8 +274,7 @@ class Batched(Engine):
         table = np.zeros((6, 4))
         table[:, 3] = np.inf
         table[: len(planes)] = planes @ whole
-        flat: NDArray[np.float64] = table.ravel()
-        return flat
+        return table
 
     def _refine(self, view: View, tolerance: float | None, triangles: int | None, seconds: float | None) -> Mesh:
         if tolerance is None:

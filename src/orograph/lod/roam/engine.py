@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import FOCAL, LENGTH, LOCALISED, NEAR, WEDGIE
+from orograph.error.screen import LOCALISED, WEDGIE
 from orograph.errors import UsageError
 from orograph.lod import look_ahead as ahead
 from orograph.lod.engine import BOUNDS, Engine, Mesh
@@ -115,7 +115,7 @@ class Roam(Engine):
     @property
     def conservative(self) -> bool:
         """As ``Engine.conservative``; what is turned away or hidden is not held to the tolerance if it counts less."""
-        return super().conservative and min(self._terms.factors[0], self._terms.factors[2]) == 1.0
+        return super().conservative and min(self._terms.factors[[terms.BACK_FACING, terms.OCCLUDED]]) == 1.0
 
     def restart(self) -> None:
         """Forget the mesh: the next view begins from two triangles."""
@@ -150,7 +150,7 @@ class Roam(Engine):
             family=np.zeros(mesh.FAMILY, mesh.NODE),
             todo=np.zeros((ahead.DEPTH + 2, STACK)),
             counts=counts,
-            lens=np.zeros(LENGTH),
+            camera=self._lens(View((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), 1.0),  # until there is a view
             options=options,
             pages=self.field.pages,
             terms=self._terms,
@@ -215,7 +215,7 @@ class Roam(Engine):
         axes = np.stack(view.axes(self.exaggeration))
         eye = np.array(view.eye) * [1.0, 1.0, self.exaggeration]
         mode = "triangles" if triangles is not None else "tolerance"
-        seen = (mode, goal, lens[FOCAL], lens[NEAR], view.far, view.width, view.height, view.part, view.projection)
+        seen = (mode, goal, lens.focal, lens.near, view.far, view.width, view.height, view.part, view.projection)
         renew = seen != self._seen or self._pose is None or view.projection == "plan"
         moved = turned = 0.0
         if self._pose is not None and not renew:
@@ -223,10 +223,10 @@ class Roam(Engine):
             # The norm of the difference of two rotations by an angle θ of each other is 2 sin(θ/2) ≤ θ.
             turned = float(np.linalg.norm(axes - self._pose[0])) / math.sqrt(2.0)
         self._seen, self._pose = seen, (axes, eye)
-        s.lens[:] = lens
+        s = self._state = s._replace(camera=lens)
         s.terms.eye[:2] = np.ravel(self.terrain.grid.index(*view.eye[:2]))
-        s.terms.eye[2] = view.eye[2]
-        if s.terms.factors[2] < 1:
+        s.terms.eye[terms.HEIGHT] = view.eye[2]
+        if s.terms.factors[terms.OCCLUDED] < 1:
             terms.hide_behind(s.terms, s.pages.edge)
         s.options[mesh.TOLERANCE] = s.options[mesh.RATE] = goal
         if goal == 0:
