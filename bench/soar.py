@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from machine import before_all
 from orograph._numba import kernel
+from orograph.error.screen import CameraParameters
 from orograph.lod.method import Goal, Resources
 from orograph.lod.soar import Soar
 from orograph.scene import camera
@@ -79,6 +80,18 @@ def page_aligned(*shape: int) -> NDArray[np.float32]:
     return room[skip : skip + size].reshape(shape)
 
 
+def flat(camera: CameraParameters) -> NDArray[np.float64]:
+    """The camera as one vector, in the order that ``soar.cpp`` reads."""
+    return np.concatenate(
+        [
+            camera.right, camera.up, camera.depth,
+            [camera.focal, camera.tolerance, camera.near, camera.stretch, camera.exaggeration, 0.0, 0.0, 0.0],
+            camera.planes.ravel(), [camera.color_tolerance, camera.texel], camera.motion_x, camera.motion_y,
+            [camera.largest_lean],
+        ]
+    )  # fmt: skip
+
+
 def row_major(terrain: MemoryTerrain) -> NDArray[np.float32]:
     """(2^n + 1, 2^n + 1, 4): height, error, radius, color error of every vertex."""
     side, top = terrain.side, terrain.levels - 1
@@ -119,7 +132,7 @@ def main() -> None:
     mesh, _ = one.mesh(seen, goal)
     cold = time.perf_counter() - began
     rounds, count = mesh.stats["rounds"], mesh.triangles
-    lens = one._lens(seen, given.tolerance)
+    lens = flat(one._lens(seen, given.tolerance))
     entries, pages, n = row_major(terrain), one.field.pages, terrain.n
     corners = np.ascontiguousarray(one.field.corners)
     keys, zs = np.empty(4 * count + 1024, np.int64), np.empty(4 * count + 1024, np.float32)

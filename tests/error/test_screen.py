@@ -10,7 +10,14 @@ from affine import Affine
 
 from orograph._numba import kernel
 from orograph.error import screen
-from orograph.error.screen import ANISOTROPIC, ANISOTROPIC_PUBLISHED, ISOTROPIC, ISOTROPIC_PUBLISHED, lens, metric_of
+from orograph.error.screen import (
+    ANISOTROPIC,
+    ANISOTROPIC_PUBLISHED,
+    ISOTROPIC,
+    ISOTROPIC_PUBLISHED,
+    camera_parameters,
+    metric_of,
+)
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.viewpoint import View
@@ -58,7 +65,7 @@ def test_bounds_over_spheres_hold_for_every_point_in_view(metric):
     tested, tightest = 0, 0.0
     for _ in range(1500):
         view, exaggeration = random_view(rng), float(rng.choice([0.4, 1.0, 3.0]))
-        packed = lens(view, GRID, exaggeration=exaggeration)
+        camera = camera_parameters(view, GRID, exaggeration=exaggeration)
         col, row, z = *rng.uniform(0, 100, 2), rng.uniform(-200, 600)
         if rng.random() < 0.2:  # the eye within the sphere or beside it
             col, row = (float(v) for v in ~GRID.samples @ view.eye[:2])
@@ -67,7 +74,7 @@ def test_bounds_over_spheres_hold_for_every_point_in_view(metric):
         points = positions(col, row, z) + r * ball(rng, 200)
         delta = e * rng.choice([-1.0, 1.0], 200) * np.where(rng.random(200) < 0.7, 1.0, rng.random(200))
         found = moved_pixels(view, points, delta, exaggeration)
-        bound = sphere_bound(packed, metric, *to_camera(packed, col, row, z), e, r * packed[15])
+        bound = sphere_bound(camera, metric, *to_camera(camera, col, row, z), e, r * camera.stretch)
         seen = found[~np.isnan(found)]
         assert (seen <= bound * (1 + 1e-9)).all()
         tested += len(seen)
@@ -82,7 +89,7 @@ def test_bounds_over_prisms_hold_and_are_extreme_at_corners():
     tested, tightest = 0, 0.0
     for _ in range(1500):
         view, exaggeration = random_view(rng), float(rng.choice([0.4, 1.0, 3.0]))
-        packed = lens(view, GRID, exaggeration=exaggeration)
+        camera = camera_parameters(view, GRID, exaggeration=exaggeration)
         a = np.array([*rng.uniform(0, 100, 2), rng.uniform(-200, 600)])
         corners = a + rng.normal(size=(3, 3)) * 10 ** rng.uniform(0, 1.5) * [1, 1, 10]
         e = 10 ** rng.uniform(-1, 2)
@@ -94,8 +101,8 @@ def test_bounds_over_prisms_hold_and_are_extreme_at_corners():
         samples = positions(*on.T)
         samples[:, 2] += delta
         found = moved_pixels(view, samples, -delta, exaggeration)
-        at = [to_camera(packed, *corner) for corner in corners]
-        bound = triangle_bound(packed, *at[0], *at[1], *at[2], e)
+        at = [to_camera(camera, *corner) for corner in corners]
+        bound = triangle_bound(camera, *at[0], *at[1], *at[2], e)
         seen = found[~np.isnan(found)]
         assert (seen <= bound * (1 + 1e-9)).all()
         tested += len(seen)
@@ -103,8 +110,8 @@ def test_bounds_over_prisms_hold_and_are_extreme_at_corners():
             tightest = max(tightest, float(seen.max()) / bound)
         # ROAM's claims: the vector in the numerator does not change along the vertical, its norm is greatest at a
         # corner, and so is nearness.
-        p = np.array([to_camera(packed, *point) for point in on])
-        up = packed[[2, 6, 10]]
+        p = np.array([to_camera(camera, *point) for point in on])
+        up = [camera.right[2], camera.up[2], camera.depth[2]]
         norm = np.hypot(up[0] * p[:, 2] - up[2] * p[:, 0], up[1] * p[:, 2] - up[2] * p[:, 1])
         assert norm.max() <= norm[:3].max() * (1 + 1e-9) and p[:, 2].min() >= p[:3, 2].min() - 1e-9
         lifted = p + delta[:, None] * up
@@ -116,10 +123,10 @@ def test_bounds_over_prisms_hold_and_are_extreme_at_corners():
 def test_a_prism_that_reaches_the_eyes_plane_has_no_bound():
     x, y = GRID.samples.c, GRID.samples.f
     view = View((x, y, 100.0), (x + 500.0, y, -400.0), fov_y=60)  # the first sample is right below the eye
-    packed = lens(view, GRID)
-    at = [to_camera(packed, *c) for c in ((0, 0, 0.0), (1, 0, 0.0), (0, 1, 0.0))]
-    assert math.isfinite(triangle_bound(packed, *at[0], *at[1], *at[2], 10.0))
-    assert triangle_bound(packed, *at[0], *at[1], *at[2], 200.0) == math.inf
+    camera = camera_parameters(view, GRID)
+    at = [to_camera(camera, *c) for c in ((0, 0, 0.0), (1, 0, 0.0), (0, 1, 0.0))]
+    assert math.isfinite(triangle_bound(camera, *at[0], *at[1], *at[2], 10.0))
+    assert triangle_bound(camera, *at[0], *at[1], *at[2], 200.0) == math.inf
 
 
 @pytest.mark.parametrize("metric", [ANISOTROPIC, ISOTROPIC, ISOTROPIC_PUBLISHED])
@@ -128,7 +135,7 @@ def test_bounds_of_nested_spheres_are_monotonic(metric):
     finite = 0
     for _ in range(4000):
         view, exaggeration = random_view(rng), float(rng.choice([0.4, 1.0, 3.0]))
-        packed = lens(view, GRID, exaggeration=exaggeration)
+        camera = camera_parameters(view, GRID, exaggeration=exaggeration)
         parent, big = np.array([*rng.uniform(0, 100, 2), rng.uniform(-200, 600)]), 10 ** rng.uniform(0, 2.7)
         small = big * rng.random()
         apart = rng.normal(size=3)
@@ -136,21 +143,21 @@ def test_bounds_of_nested_spheres_are_monotonic(metric):
         x, y, z = positions(*parent) + apart
         col, row = ~GRID.samples @ (x, y)
         e = 10 ** rng.uniform(-1, 2)
-        of_parent = sphere_bound(packed, metric, *to_camera(packed, *parent), e, big * packed[15])
-        of_child = sphere_bound(packed, metric, *to_camera(packed, col, row, z), e * rng.choice([1.0, rng.random()]),
-                                small * packed[15])  # fmt: skip
+        of_parent = sphere_bound(camera, metric, *to_camera(camera, *parent), e, big * camera.stretch)
+        of_child = sphere_bound(camera, metric, *to_camera(camera, col, row, z), e * rng.choice([1.0, rng.random()]),
+                                small * camera.stretch)  # fmt: skip
         assert of_child <= of_parent * (1 + 1e-9)
         finite += math.isfinite(of_parent)
     assert finite > 1000
 
 
 @kernel
-def compiled(packed, metric, col, row, z, e, r):
+def compiled(camera, metric, col, row, z, e, r):
     """What kernels make of a sphere: both tests and the bound."""
-    x, y, w = screen.to_camera(packed, col, row, z)
-    exceeds = screen.sphere_exceeds(packed, metric, x, y, w, e, r)
-    straight, depth = screen.anisotropic_exceeds(packed, col, row, z, e, r)
-    return exceeds, straight, depth, screen.sphere_bound(packed, metric, x, y, w, e, r)
+    x, y, w = screen.to_camera(camera, col, row, z)
+    exceeds = screen.sphere_exceeds(camera, metric, x, y, w, e, r)
+    straight, depth = screen.anisotropic_exceeds(camera, col, row, z, e, r)
+    return exceeds, straight, depth, screen.sphere_bound(camera, metric, x, y, w, e, r)
 
 
 def test_tests_without_division_agree_with_the_bounds():
@@ -159,24 +166,24 @@ def test_tests_without_division_agree_with_the_bounds():
     for _ in range(3000):
         view, exaggeration = random_view(rng), float(rng.choice([0.4, 1.0, 3.0]))
         tolerance = 10 ** rng.uniform(-1, 1.5)
-        packed = lens(view, GRID, exaggeration=exaggeration, tolerance=tolerance)
+        camera = camera_parameters(view, GRID, exaggeration=exaggeration, tolerance=tolerance)
         at = (*rng.uniform(0, 100, 2), rng.uniform(-200, 600))
         e = float(rng.choice([0.0, 10 ** rng.uniform(-3, 2), np.inf]))
         r = 10 ** rng.uniform(0, 2.7)
         for metric in (ANISOTROPIC, ISOTROPIC, ISOTROPIC_PUBLISHED, ANISOTROPIC_PUBLISHED):
-            exceeds, straight, depth, bound = compiled(packed, metric, *at, e, r)
+            exceeds, straight, depth, bound = compiled(camera, metric, *at, e, r)
             assert exceeds == (bound > tolerance) or math.isclose(bound, tolerance, rel_tol=1e-9)
             if metric == ANISOTROPIC:
                 assert straight == exceeds
-                assert math.isclose(depth, to_camera(packed, *at)[2], rel_tol=1e-9, abs_tol=1e-6)
+                assert math.isclose(depth, to_camera(camera, *at)[2], rel_tol=1e-9, abs_tol=1e-6)
             both.add((metric, bool(exceeds)))
     assert len(both) == 8
 
 
 def test_a_plan_displaces_nothing_but_splits_holes():
-    packed = lens(View((0.0, 0.0, 900.0), (0.0, 0.0, 0.0), projection="plan"), GRID, tolerance=0.0)
-    assert compiled(packed, ANISOTROPIC, 5.0, 5.0, 0.0, 50.0, 10.0)[:2] == (False, False)
-    assert compiled(packed, ANISOTROPIC, 5.0, 5.0, 0.0, np.inf, 10.0)[:2] == (True, True)
+    camera = camera_parameters(View((0.0, 0.0, 900.0), (0.0, 0.0, 0.0), projection="plan"), GRID, tolerance=0.0)
+    assert compiled(camera, ANISOTROPIC, 5.0, 5.0, 0.0, 50.0, 10.0)[:2] == (False, False)
+    assert compiled(camera, ANISOTROPIC, 5.0, 5.0, 0.0, np.inf, 10.0)[:2] == (True, True)
 
 
 # ---- counter-examples (docs/metrics.md quotes their numbers) -------------------------------------------------------
@@ -193,17 +200,17 @@ def ground_below(view: View, px: float, py: float) -> tuple[float, float, float]
 
 def test_the_published_isotropic_metric_fails_off_the_axis():
     view = View((0.0, 0.0, 1000.0), (1000.0, 0.0, 0.0), fov_y=90, width=1600, height=900)
-    packed, e = lens(view, GRID), 2.0
+    camera, e = camera_parameters(view, GRID), 2.0
     at = ground_below(view, 0.0, 700.0)
     true = float(moved_pixels(view, positions(*at)[None], np.array([e]), 1.0)[0])
-    published = sphere_bound(packed, ISOTROPIC_PUBLISHED, *to_camera(packed, *at), e, 0.0)
+    published = sphere_bound(camera, ISOTROPIC_PUBLISHED, *to_camera(camera, *at), e, 0.0)
     assert true > 1.3 * published
-    assert sphere_bound(packed, ISOTROPIC, *to_camera(packed, *at), e, 0.0) >= true
-    assert sphere_bound(packed, ANISOTROPIC, *to_camera(packed, *at), e, 0.0) == pytest.approx(true, rel=1e-9)
+    assert sphere_bound(camera, ISOTROPIC, *to_camera(camera, *at), e, 0.0) >= true
+    assert sphere_bound(camera, ANISOTROPIC, *to_camera(camera, *at), e, 0.0) == pytest.approx(true, rel=1e-9)
     # On the axis of view it holds.
     at = ground_below(view, 800.0, 450.0)
     true = float(moved_pixels(view, positions(*at)[None], np.array([e * 0.01]), 1.0)[0])
-    assert true <= sphere_bound(packed, ISOTROPIC_PUBLISHED, *to_camera(packed, *at), e * 0.01, 0.0)
+    assert true <= sphere_bound(camera, ISOTROPIC_PUBLISHED, *to_camera(camera, *at), e * 0.01, 0.0)
 
 
 @pytest.mark.parametrize(("tilt", "ratio"), [(10.0, 11.43), (30.0, 3.732), (60.0, 1.732), (89.0, 1.0176)])
@@ -212,12 +219,12 @@ def test_the_lectures_factor_is_smaller_than_the_foreshortening(tilt, ratio):
     eye = (0.0, 0.0, 1000.0)
     reach = 1000.0 * math.tan(math.radians(tilt))
     view = View(eye, (reach, 0.0, 0.0), fov_y=40, width=800, height=800)
-    packed, e = lens(view, GRID), 1e-3
+    camera, e = camera_parameters(view, GRID), 1e-3
     at = ground_below(view, 400.0, 400.0)
     true = float(moved_pixels(view, positions(*at)[None], np.array([e]), 1.0)[0])
-    published = sphere_bound(packed, ANISOTROPIC_PUBLISHED, *to_camera(packed, *at), e, 0.0)
+    published = sphere_bound(camera, ANISOTROPIC_PUBLISHED, *to_camera(camera, *at), e, 0.0)
     assert true / published == pytest.approx(ratio, rel=1e-3)
-    assert sphere_bound(packed, ANISOTROPIC, *to_camera(packed, *at), e, 0.0) == pytest.approx(true, rel=1e-3)
+    assert sphere_bound(camera, ANISOTROPIC, *to_camera(camera, *at), e, 0.0) == pytest.approx(true, rel=1e-3)
 
 
 def test_metrics_by_name():

@@ -8,8 +8,7 @@ import pytest
 
 from orograph import verify
 from orograph.dem.raster import Dem
-from orograph.error.screen import ANISOTROPIC, TOLERANCE
-from orograph.error.screen import lens as lens_of
+from orograph.error.screen import ANISOTROPIC, camera_parameters
 from orograph.errors import UsageError
 from orograph.hierarchy import diamonds
 from orograph.lod import look_ahead as ahead
@@ -22,8 +21,8 @@ METHODS = ("soar", "stateless", "threshold-spheres")
 
 def pruned_of(t, view, tolerance: float, *, cull=True, exaggeration=1.0, field=None) -> dict[tuple[int, int], bool]:
     """(row, col) of what is pruned, and whether it is out of view."""
-    lens = lens_of(view, t.grid, exaggeration=exaggeration, tolerance=tolerance)
-    table = ahead.Ahead().table(field or Field(t), lens, cull)
+    camera = camera_parameters(view, t.grid, exaggeration=exaggeration, tolerance=tolerance)
+    table = ahead.Ahead().table(field or Field(t), camera, cull)
     return {(int(v) >> 33, int(v) >> 1 & 0xFFFFFFFF): bool(v & 1) for v in table if v >= 0}
 
 
@@ -215,7 +214,7 @@ def test_a_view_seen_twice_is_not_searched_twice(monkeypatch):
     t = plain.terrain(plain.rough(rng, (33, 33)))
     searches = []
     collect = ahead.collect
-    monkeypatch.setattr(ahead, "collect", lambda *a: searches.append(round(a[1][TOLERANCE], 6)) or collect(*a))
+    monkeypatch.setattr(ahead, "collect", lambda *a: searches.append(round(a[1].camera.tolerance, 6)) or collect(*a))
     method, view = plain.refiner(Soar, t), plain.random_view(rng, t)
     for tolerance in (2.0, 2.0, 3.0):
         method.refine(view, tolerance=tolerance)

@@ -167,11 +167,11 @@ def test_memory_changes_what_is_read_but_not_the_mesh():
 
 
 @kernel
-def verdicts(lens, found, col, row, z, e, r):
-    found[0] = screen.anisotropic_exceeds(lens, col, row, z, e, r)[0]
-    x, y, w = screen.to_camera(lens, col, row, z)
-    found[1] = screen.sphere_exceeds(lens, 0, x, y, w, e, r)
-    return screen.sphere_bound(lens, 0, x, y, w, e, r)
+def verdicts(camera, found, col, row, z, e, r):
+    found[0] = screen.anisotropic_exceeds(camera, col, row, z, e, r)[0]
+    x, y, w = screen.to_camera(camera, col, row, z)
+    found[1] = screen.sphere_exceeds(camera, 0, x, y, w, e, r)
+    return screen.sphere_bound(camera, 0, x, y, w, e, r)
 
 
 def test_the_bound_without_a_root_decides_as_the_bound():
@@ -179,12 +179,15 @@ def test_the_bound_without_a_root_decides_as_the_bound():
     t = plain.terrain(np.zeros((101, 101), np.float32))
     found, close = np.zeros(2, bool), [0, 0]
     for _ in range(8000):
-        lens = screen.lens(plain.random_view(rng, t), t.grid, exaggeration=rng.choice([0.4, 1, 3]), tolerance=3.0)
+        camera = screen.camera_parameters(
+            plain.random_view(rng, t), t.grid, exaggeration=rng.choice([0.4, 1, 3]), tolerance=3.0
+        )
         col, row, z = *rng.uniform(0, 100, 2), rng.uniform(-200, 600)
         e, r = rng.choice([0.0, 10 ** rng.uniform(-3, 2), np.inf]), 10 ** rng.uniform(0, 2.7)
-        bound = verdicts(lens, found, col, row, z, e, r)
-        tolerance = lens[screen.TOLERANCE] = (bound if 0 < bound < np.inf else 1.0) * 2 ** rng.normal(0, 0.5)
-        assert verdicts(lens, found, col, row, z, e, r) == bound
+        bound = verdicts(camera, found, col, row, z, e, r)
+        tolerance = (bound if 0 < bound < np.inf else 1.0) * 2 ** rng.normal(0, 0.5)
+        camera = camera._replace(tolerance=float(tolerance))
+        assert verdicts(camera, found, col, row, z, e, r) == bound
         if not math.isclose(bound, tolerance, rel_tol=1e-9):
             assert found[0] == found[1] == (bound > tolerance)
         close[int(found[0])] += 0.9 < bound / tolerance < 1.1

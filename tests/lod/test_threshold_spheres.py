@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orograph import verify
-from orograph.error.screen import lens
+from orograph.error.screen import camera_parameters
 from orograph.errors import UsageError
 from orograph.lod.reference.camera import Camera
 from orograph.lod.reference.criterion import Spheres
@@ -84,10 +84,10 @@ def test_random_flights_equal_fresh_starts(metric, seed, gaps, step, cull):
 
 def decided(grid, exaggeration, gamma, cull, diamond, view, share=0.5):
     """(whether a diamond is split, for how large a motion)"""
-    packed = lens(view, grid, exaggeration=exaggeration, tolerance=1.0, color_tolerance=gamma)
+    camera = camera_parameters(view, grid, exaggeration=exaggeration, tolerance=1.0, color_tolerance=gamma)
     secant = np.hypot(1, view.pixel_slope * np.hypot(view.width, view.height) / 2)
     col, row, z, e, r, color = diamond
-    return decide(packed, cull, col, row, z, e, r * packed[15], color, secant, share)
+    return decide(camera, cull, col, row, z, e, r * camera.stretch, color, secant, share)
 
 
 def test_nothing_is_decided_otherwise_within_the_motion_it_was_decided_for():

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,12 +41,42 @@ from orograph.viewpoint import View
 
 ANISOTROPIC, ISOTROPIC, WEDGIE, ISOTROPIC_PUBLISHED, ANISOTROPIC_PUBLISHED, LOCALISED = 0, 1, 2, 3, 4, 5
 
-# What a lens holds: the camera as one float64 vector, for kernels.
-MATRIX, FOCAL, TOLERANCE, NEAR, STRETCH, UP, PLANES, COLOR, TEXEL, SWAY, LEAN, LENGTH = (
-    0, 12, 13, 14, 15, 16, 20, 44, 45, 46, 52, 53,
-)  # fmt: skip
-"""Offsets: 3 × 4 matrix; focal length; tolerance; near; factor on radii; |(a, b, c)|; 6 planes × 4; γ; pixels of γ;
-2 × 3: (a·w − c·x, b·w − c·y) by column and row (it does not depend on the height); the largest lean in the picture."""
+
+class CameraParameters(NamedTuple):
+    """A view as kernels see it: camera coordinates, planes and tolerances over (column, row, height).
+
+    Camera coordinates are stretched metres: x right, y up, w depth. Each is a row of four numbers, by column, by row,
+    by metre of height, and at the origin; number 2 of each is the (a, b, c) of the module's page.
+
+    Attributes:
+        right, up, depth: 4 numbers each, the rows of x, y and w.
+        motion_x, motion_y: 3 numbers each, by column, by row, at the origin: the vector (a·w − c·x, b·w − c·y), which
+            does not depend on the height.
+        largest_lean: the most that vector over depth is long in view.
+        focal: focal length, pixels; 0 in a plan, where heights displace nothing.
+        near: the least depth in view.
+        exaggeration: factor on heights, |(a, b, c)|.
+        stretch: factor on radii of spheres, max(1, exaggeration).
+        tolerance: pixels.
+        color_tolerance: γ, ΔE.
+        texel: the least radius, over depth, of a diamond whose colors count.
+        planes: (6, 4) float64, the frustum, positive inside; a plane that is not there is (0, 0, 0, ∞).
+    """
+
+    right: tuple[float, float, float, float]
+    up: tuple[float, float, float, float]
+    depth: tuple[float, float, float, float]
+    motion_x: tuple[float, float, float]
+    motion_y: tuple[float, float, float]
+    largest_lean: float
+    focal: float
+    near: float
+    exaggeration: float
+    stretch: float
+    tolerance: float
+    color_tolerance: float
+    texel: float
+    planes: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +120,7 @@ def metric_of(name: str) -> Metric:
     return METRICS[name]
 
 
-def lens(
+def camera_parameters(
     view: View,
     grid: Grid,
     *,
@@ -97,16 +128,16 @@ def lens(
     tolerance: float = 1.0,
     color_tolerance: float = math.inf,
     texel: float = 1.0,
-) -> NDArray[np.float64]:
-    """The camera as kernels want it, (LENGTH,) float64.
+) -> CameraParameters:
+    """A view as kernels see it.
 
     Args:
-        view: perspective or plan (in a plan heights displace nothing: the focal length is 0).
+        view: perspective or plan.
         grid: of the terrain.
         exaggeration: factor on heights.
         tolerance: pixels.
         color_tolerance: γ, ΔE.
-        texel: the least radius, in pixels, of a diamond whose colours count.
+        texel: the least radius, in pixels, of a diamond whose colors count.
     """
     # In plain numbers: so few take NumPy five times as long, and cameras move at every frame.
     a, b, c, d, e, f = grid.samples[:6]
@@ -114,17 +145,17 @@ def lens(
     x, y = view.target[:2] if plan else view.eye[:2]
     z = view.eye[2] * exaggeration
     # A vector in stretched space → along a column, a row, a metre of height, and to the first sample from the eye.
-    matrix = [
+    right, up, depth = (
         (p * a + q * d, p * b + q * e, r * exaggeration, p * (c - x) + q * (f - y) - r * z)
         for p, q, r in view.plain_axes(exaggeration)
-    ]
+    )
     planes = [
         (p * a + q * d, p * b + q * e, r * exaggeration, p * c + q * f + s)
         for p, q, r, s in view.frustum(exaggeration).tolist()
     ]
     planes += [(0.0, 0.0, 0.0, math.inf)] * (6 - len(planes))  # one that is not there has everything inside
     focal = 0.0 if plan else 1.0 / view.pixel_slope
-    (a, b, h, c), (d, e, i, f), (u, v, w, o) = matrix  # (a, b, c of the page above are h, i, w here)
+    (a, b, h, c), (d, e, i, f), (u, v, w, o) = right, up, depth  # (a, b, c of the page above are h, i, w here)
     lean = 0.0
     if not plan:
         # (Of a tile the whole picture's: its own frustum may lie wholly to one side, and tiles must judge alike.)
@@ -133,71 +164,102 @@ def lens(
         # (The margin holds a sample on the picture's very edge.)
         lean = math.hypot(abs(h) + abs(w) * half_x, abs(i) + abs(w) * half_y) * (1 + 1e-12)
         texel /= focal  # pixels of γ are measured with the same focal length
-    return np.array(
-        [
-            *matrix[0], *matrix[1], *matrix[2], focal, tolerance, view.near, max(1.0, exaggeration), exaggeration,
-            0.0, 0.0, 0.0, *planes[0], *planes[1], *planes[2], *planes[3], *planes[4], *planes[5],
-            color_tolerance, texel,
-            h * u - w * a, h * v - w * b, h * o - w * c, i * u - w * d, i * v - w * e, i * o - w * f, lean,
-        ]
+    return CameraParameters(
+        right=right, up=up, depth=depth,
+        motion_x=(h * u - w * a, h * v - w * b, h * o - w * c),
+        motion_y=(i * u - w * d, i * v - w * e, i * o - w * f),
+        largest_lean=float(lean), focal=float(focal), near=float(view.near), exaggeration=float(exaggeration),
+        stretch=max(1.0, float(exaggeration)), tolerance=float(tolerance), color_tolerance=float(color_tolerance),
+        texel=float(texel), planes=np.array(planes),
     )  # fmt: skip
 
 
 @inlined
-def to_camera(lens, col, row, z):
+def to_camera(camera, col, row, z):
     """Camera coordinates (right, up, depth), stretched metres, of a vertex."""
-    x = lens[0] * col + lens[1] * row + lens[2] * z + lens[3]
-    y = lens[4] * col + lens[5] * row + lens[6] * z + lens[7]
-    w = lens[8] * col + lens[9] * row + lens[10] * z + lens[11]
+    right, up, depth = camera.right, camera.up, camera.depth
+    x = right[0] * col + right[1] * row + right[2] * z + right[3]
+    y = up[0] * col + up[1] * row + up[2] * z + up[3]
+    w = depth[0] * col + depth[1] * row + depth[2] * z + depth[3]
     return x, y, w
 
 
 @inlined
-def sphere_exceeds(lens, metric, x, y, w, e, r):
+def image_motion(camera, x, y, w):
+    """(a·w − c·x, b·w − c·y): how a point at (x, y, w) moves on the screen by a metre of height, times depth²."""
+    return camera.right[2] * w - camera.depth[2] * x, camera.up[2] * w - camera.depth[2] * y
+
+
+@inlined
+def plane_of(camera, plane):
+    """The four numbers of a plane of the frustum."""
+    planes = camera.planes
+    return planes[plane, 0], planes[plane, 1], planes[plane, 2], planes[plane, 3]
+
+
+@inlined
+def plane_distance(camera, plane, col, row, z):
+    """The signed distance of a vertex from a plane of the frustum, stretched metres, positive inside."""
+    planes = camera.planes
+    return planes[plane, 0] * col + planes[plane, 1] * row + planes[plane, 2] * z + planes[plane, 3]
+
+
+@inlined
+def in_frustum(camera, col, row, z):
+    """Whether a vertex is inside all planes of the frustum."""
+    inside = True
+    for plane in range(6):
+        inside = inside and plane_distance(camera, plane, col, row, z) >= 0.0
+    return inside
+
+
+@inlined
+def sphere_exceeds(camera, metric, x, y, w, e, r):
     """Whether the bound over the sphere of (stretched) radius r around (x, y, w) exceeds the tolerance; no division."""
-    focal = lens[12]
+    focal = camera.focal
     if e <= 0.0 or (focal == 0.0 and e < np.inf):
         return False
-    tolerance = lens[13]
-    if metric == 0:
+    tolerance = camera.tolerance
+    if metric == ANISOTROPIC:
         depth = w - r
-        moved = max(depth, lens[14]) - e * abs(lens[10])
+        moved = max(depth, camera.near) - e * abs(camera.depth[2])
         if not moved > 0.0:
             return True
-        if focal * e * lens[52] <= tolerance * moved:
+        if focal * e * camera.largest_lean <= tolerance * moved:
             return False
-        p = lens[2] * w - lens[10] * x
-        q = lens[6] * w - lens[10] * y
-        rest = tolerance * w * depth * moved - focal * e * r * abs(lens[10]) * np.sqrt(x * x + y * y + w * w)
+        p, q = image_motion(camera, x, y, w)
+        rest = tolerance * w * depth * moved - focal * e * r * abs(camera.depth[2]) * np.sqrt(x * x + y * y + w * w)
         reach = focal * e * depth
         return depth <= 0.0 or rest < 0.0 or reach * reach * (p * p + q * q) > rest * rest
-    e *= lens[16]
+    e *= camera.exaggeration
     d = np.sqrt(x * x + y * y + w * w)
-    if metric == 1:
-        nearest = max(w - r, lens[14])
+    if metric == ISOTROPIC:
+        nearest = max(w - r, camera.near)
         return not (nearest > e and focal * e * (d + r) <= tolerance * nearest * (nearest - e))
-    if metric == 4:
-        e *= 1.0 - abs(lens[2] * x + lens[6] * y + lens[10] * w) / max(d * lens[16], 1e-300)
+    if metric == ANISOTROPIC_PUBLISHED:
+        along = abs(camera.right[2] * x + camera.up[2] * y + camera.depth[2] * w)
+        e *= 1.0 - along / max(d * camera.exaggeration, 1e-300)
     return not focal * e <= tolerance * (d - r)
 
 
 @inlined
-def anisotropic_exceeds(lens, col, row, z, e, r):
+def anisotropic_exceeds(camera, col, row, z, e, r):
     """(``sphere_exceeds`` of the anisotropic metric for a vertex, its depth), straight from the ground, without a root.
 
     A root would keep the processor waiting.
     With G the numerator's vector at the centre, D the distance times |c|, d = w − r and t = τ·w·d·(d − e·|c|)/(f·e),
     the bound exceeds τ if |G|·d + r·D > t; squared twice, and decided by signs where a side is negative.
     """
-    w = lens[8] * col + lens[9] * row + lens[10] * z + lens[11]
-    p = lens[46] * col + lens[47] * row + lens[48]
-    q = lens[49] * col + lens[50] * row + lens[51]
+    w = camera.depth[0] * col + camera.depth[1] * row + camera.depth[2] * z + camera.depth[3]
+    p = camera.motion_x[0] * col + camera.motion_x[1] * row + camera.motion_x[2]
+    q = camera.motion_y[0] * col + camera.motion_y[1] * row + camera.motion_y[2]
+    up = camera.exaggeration
     depth = w - r
-    pixels = lens[12] * e
-    moved = max(depth, lens[14]) - e * abs(lens[10])
-    goal = lens[13] * moved
+    pixels = camera.focal * e
+    moved = max(depth, camera.near) - e * abs(camera.depth[2])
+    goal = camera.tolerance * moved
     square = p * p + q * q
-    away = square + w * (w * (lens[16] * lens[16]) - 2.0 * (lens[2] * p + lens[6] * q))
+    away = square + w * (w * (up * up) - 2.0 * (camera.right[2] * p + camera.up[2] * q))
     reach = pixels * depth
     spread = pixels * r
     a = w * depth * goal
@@ -205,84 +267,83 @@ def anisotropic_exceeds(lens, col, row, z, e, r):
     bq = spread * spread * abs(away)
     rest = aa + bq - reach * reach * square
     far = (depth <= 0.0) | (aa < bq) | (rest < 0.0) | (4.0 * aa * bq > rest * rest)
-    far &= pixels * lens[52] > goal
+    far &= pixels * camera.largest_lean > goal
     return (pixels > 0.0) & (far | ~(moved > 0.0)) | (e == np.inf), w
 
 
 @inlined
-def sphere_bound(lens, metric, x, y, w, e, r):
+def sphere_bound(camera, metric, x, y, w, e, r):
     """The bound in pixels over the sphere of (stretched) radius r around (x, y, w); ``sphere_exceeds`` with a value."""
-    focal = lens[12]
+    focal = camera.focal
     if e <= 0.0 or (focal == 0.0 and e < np.inf):
         return 0.0
-    if metric == 0:
+    if metric == ANISOTROPIC:
         depth = w - r
-        moved = max(depth, lens[14]) - e * abs(lens[10])
+        moved = max(depth, camera.near) - e * abs(camera.depth[2])
         if not moved > 0.0:
             return np.inf
-        lean = lens[52]
+        lean = camera.largest_lean
         if depth > 0.0:
-            p = lens[2] * w - lens[10] * x
-            q = lens[6] * w - lens[10] * y
+            p, q = image_motion(camera, x, y, w)
             away = np.sqrt(x * x + y * y + w * w)
-            lean = min(lean, (np.sqrt(p * p + q * q) + r * abs(lens[10]) * away / depth) / w)
+            lean = min(lean, (np.sqrt(p * p + q * q) + r * abs(camera.depth[2]) * away / depth) / w)
         return focal * e * lean / moved
-    e *= lens[16]
+    e *= camera.exaggeration
     d = np.sqrt(x * x + y * y + w * w)
-    if metric == 1:
-        nearest = max(w - r, lens[14])
+    if metric == ISOTROPIC:
+        nearest = max(w - r, camera.near)
         return focal * e * (d + r) / (nearest * (nearest - e)) if nearest > e else np.inf
-    if metric == 4:
-        e *= 1.0 - abs(lens[2] * x + lens[6] * y + lens[10] * w) / max(d * lens[16], 1e-300)
+    if metric == ANISOTROPIC_PUBLISHED:
+        along = abs(camera.right[2] * x + camera.up[2] * y + camera.depth[2] * w)
+        e *= 1.0 - along / max(d * camera.exaggeration, 1e-300)
     return focal * e / (d - r) if d > r else np.inf
 
 
 @inlined
-def loose_bound(lens, x, y, w, e, r):
+def loose_bound(camera, x, y, w, e, r):
     """A looser form of the anisotropic ``sphere_bound`` that depends on motion in a simple way (for ROAM's slack).
 
     The vector in the numerator grows by at most r·|(a, b, c)|: the largest numerator over the least depth.
     """
-    focal = lens[12]
+    focal = camera.focal
     if e <= 0.0 or (focal == 0.0 and e < np.inf):
         return 0.0
-    nearest = max(w - r, lens[14])
-    moved = nearest - e * abs(lens[10])
+    nearest = max(w - r, camera.near)
+    moved = nearest - e * abs(camera.depth[2])
     if not moved > 0.0:
         return np.inf
-    p = lens[2] * w - lens[10] * x
-    q = lens[6] * w - lens[10] * y
-    return focal * e * (np.sqrt(p * p + q * q) + r * lens[16]) / (nearest * moved)
+    p, q = image_motion(camera, x, y, w)
+    return focal * e * (np.sqrt(p * p + q * q) + r * camera.exaggeration) / (nearest * moved)
 
 
 @inlined
-def triangle_bound(lens, ax, ay, aw, bx, by, bw, cx, cy, cw, e):
+def triangle_bound(camera, ax, ay, aw, bx, by, bw, cx, cy, cw, e):
     """ROAM's bound in pixels for samples within e of a triangle on their vertical; corners in camera coordinates."""
-    focal = lens[12]
+    focal = camera.focal
     if e <= 0.0 or (focal == 0.0 and e < np.inf):
         return 0.0
     # One end of the displacement is on the triangle, the other within e; the sample's end is not nearer than ``near``.
     nearest = min(aw, min(bw, cw))
-    moved = nearest - e * abs(lens[10])
+    moved = nearest - e * abs(camera.depth[2])
     if not (nearest > 0.0 and moved > 0.0):
         return np.inf
-    p, q = lens[2] * aw - lens[10] * ax, lens[6] * aw - lens[10] * ay
+    p, q = image_motion(camera, ax, ay, aw)
     most = p * p + q * q
-    p, q = lens[2] * bw - lens[10] * bx, lens[6] * bw - lens[10] * by
+    p, q = image_motion(camera, bx, by, bw)
     most = max(most, p * p + q * q)
-    p, q = lens[2] * cw - lens[10] * cx, lens[6] * cw - lens[10] * cy
+    p, q = image_motion(camera, cx, cy, cw)
     most = max(most, p * p + q * q)
     return focal * e * np.sqrt(most) / (nearest * moved)
 
 
 @inlined
-def color_exceeds(lens, c, w, r):
+def color_exceeds(camera, c, w, r):
     """Whether a diamond's colours are off by more than γ and it is large enough on the screen for that to be seen."""
-    return c > lens[44] and r > lens[45] * (w - r)
+    return c > camera.color_tolerance and r > camera.texel * (w - r)
 
 
 @inlined
-def outside(lens, col, row, z, r, inside):
+def outside(camera, col, row, z, r, inside):
     """Cull a sphere: (whether it is wholly outside a plane, the planes it is wholly inside of, as bits).
 
     Args:
@@ -291,8 +352,7 @@ def outside(lens, col, row, z, r, inside):
     for plane in range(6):
         if inside >> plane & 1:
             continue
-        at = 20 + 4 * plane
-        d = lens[at] * col + lens[at + 1] * row + lens[at + 2] * z + lens[at + 3]
+        d = plane_distance(camera, plane, col, row, z)
         if d < -r:
             return True, inside
         if d >= r:

@@ -23,19 +23,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, leaf
-from orograph.error.screen import TOLERANCE, color_exceeds, sphere_bound, to_camera
+from orograph.error.screen import CameraParameters, color_exceeds, sphere_bound, to_camera
+from orograph.lod.criterion import color_error
 from orograph.lod.field import Field
 from orograph.lod.pages import locate
 
 
 def morph(
-    field: Field, lens: NDArray[np.float64], metric: int, keys: NDArray[np.int64], heights: NDArray[np.float32]
+    field: Field, camera: CameraParameters, metric: int, keys: NDArray[np.int64], heights: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Heights of the vertices of a mesh that was refined to *half* the tolerance.
 
     Args:
         field: the terrain, with all pages of the refinement.
-        lens: of half the tolerance.
+        camera: of half the tolerance.
         metric: a metric of spheres, by its number.
         keys: int64, row << 32 | col of the mesh's vertices, in any number and order.
         heights: float32, theirs.
@@ -43,7 +44,7 @@ def morph(
     Returns: float32, the same shape: metres.
     """
     result = heights.copy()
-    if lens[TOLERANCE] == 0.0:
+    if camera.tolerance == 0.0:
         return result
     size = 1 << max(8, 2 * int(keys.size) - 1).bit_length()
     while True:
@@ -51,7 +52,7 @@ def morph(
         waiting = np.empty(4 * field.n + 8, np.int64)
         if morph_heights(
             field.pages,
-            lens,
+            camera,
             metric,
             field.n,
             field.corners,
@@ -76,7 +77,7 @@ def place_of(slots, key):
 
 
 @leaf
-def morph_heights(pages, lens, metric, n, corners, keys, heights, slots, known, waiting):
+def morph_heights(pages, camera, metric, n, corners, keys, heights, slots, known, waiting):
     """Replace heights by morphed ones; whether the hash table sufficed.
 
     Args:
@@ -84,7 +85,7 @@ def morph_heights(pages, lens, metric, n, corners, keys, heights, slots, known, 
         slots: int64 (2^k,), −1: keys of the vertices known; known: float64 (2^k, 3): height z, bound b, H.
         waiting: int64 (4n + 8,), vertices that wait for the ends of their edges.
     """
-    half = lens[13]
+    half = camera.tolerance
     whole = 2.0 * half
     last_row, last_col = pages.edge[0], pages.edge[1]
     side = np.int64(1) << n
@@ -110,17 +111,17 @@ def morph_heights(pages, lens, metric, n, corners, keys, heights, slots, known, 
                 if slot >= 0:
                     z = np.float64(pages.flat[entry])
                     e = np.float64(pages.flat[entry + 1])
-                    r = abs(np.float64(pages.flat[entry + 2])) * lens[15]
+                    r = abs(np.float64(pages.flat[entry + 2])) * camera.stretch
                     c = np.float64(pages.flat[entry + 3])
                     square = (row & step) != 0 and (col & step) != 0
                     reach = step * (3 if square else 2)
-                    x, y, w = to_camera(lens, np.float64(min(col, last_col)), np.float64(min(row, last_row)), z)
-                    colored = color_exceeds(lens, c if c >= 0.0 else -1.0 - c, w, r)
+                    x, y, w = to_camera(camera, np.float64(min(col, last_col)), np.float64(min(row, last_row)), z)
+                    colored = color_exceeds(camera, color_error(c), w, r)
                     beyond = (last_row < side and row + reach > last_row) or (
                         last_col < side and col + reach > last_col
                     )
                     if e < np.inf and not colored and not beyond:
-                        b = min(max(sphere_bound(lens, metric, x, y, w, e, r), half), whole)
+                        b = min(max(sphere_bound(camera, metric, x, y, w, e, r), half), whole)
                     if b < whole:
                         # The ends of the edge whose middle the vertex is.
                         if square:

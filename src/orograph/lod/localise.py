@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, leaf
-from orograph.error.screen import to_camera, triangle_bound
+from orograph.error.screen import image_motion, in_frustum, plane_of, to_camera, triangle_bound
 from orograph.hierarchy.kernels import diamonds
 from orograph.lod.field import find
 
@@ -31,11 +31,10 @@ STACK = 14
 
 
 @inlined
-def prism_outside(lens, ac, ar, az, bc, br, bz, cc, cr, cz, e):
+def prism_outside(camera, ac, ar, az, bc, br, bz, cc, cr, cz, e):
     """Whether all points within e (metres) of a triangle on their vertical lie beyond one plane of the frustum."""
     for plane in range(6):
-        at = 20 + 4 * plane
-        p, q, v, d = lens[at], lens[at + 1], lens[at + 2], lens[at + 3]
+        p, q, v, d = plane_of(camera, plane)
         farthest = max(p * ac + q * ar + v * az, max(p * bc + q * br + v * bz, p * cc + q * cr + v * cz)) + d
         if farthest + e * abs(v) < 0.0:
             return True
@@ -43,8 +42,34 @@ def prism_outside(lens, ac, ar, az, bc, br, bz, cc, cr, cz, e):
 
 
 @inlined
+def plane_through(er, ec, ez, xr, xc, xz, ar, ac, az):
+    """(base, down, across) of the plane through three corners: its height is base + down · row + across · col."""
+    p1r, p1c, p2r, p2c = np.float64(xr - er), np.float64(xc - ec), np.float64(ar - er), np.float64(ac - ec)
+    area = p1r * p2c - p1c * p2r
+    z1, z2 = np.float64(xz) - np.float64(ez), np.float64(az) - np.float64(ez)
+    down = (z1 * p2c - z2 * p1c) / area
+    across = (z2 * p1r - z1 * p2r) / area
+    return np.float64(ez) - down * er - across * ec, down, across
+
+
+@inlined
+def push_halves(todo, top, br, bc, bz, dr, dc, dz, fr, fc, fz, mr, mc, mz, depth):
+    """Put the halves of triangle b, d, f on the stack; m is the middle of its hypotenuse, depth theirs. The new top."""
+    for half in range(2):
+        todo[top, 0], todo[top, 1], todo[top, 2] = fr, fc, fz
+        if half == 0:
+            todo[top, 3], todo[top, 4], todo[top, 5] = br, bc, bz
+        else:
+            todo[top, 3], todo[top, 4], todo[top, 5] = dr, dc, dz
+        todo[top, 6], todo[top, 7], todo[top, 8] = mr, mc, mz
+        todo[top, 11] = depth
+        top += 1
+    return top
+
+
+@inlined
 def localised_bound(
-    pages, lens, er, ec, ez, xr, xc, xz, ar, ac, az, level, leaf, e, mz, low, enough, cull, depth, todo
+    pages, camera, er, ec, ez, xr, xc, xz, ar, ac, az, level, leaf, e, mz, low, enough, cull, depth, todo
 ):
     """(a bound in pixels of what T displaces, whether a page is missing) for a triangle T inside the raster.
 
@@ -57,13 +82,7 @@ def localised_bound(
         todo: float64 (depth + 2, 14) for triangles that wait.
     """
     n = leaf >> 1
-    # T as a plane: height at (row, col) is base + down · row + across · col.
-    p1r, p1c, p2r, p2c = np.float64(xr - er), np.float64(xc - ec), np.float64(ar - er), np.float64(ac - ec)
-    area = p1r * p2c - p1c * p2r
-    z1, z2 = np.float64(xz) - np.float64(ez), np.float64(az) - np.float64(ez)
-    down = (z1 * p2c - z2 * p1c) / area
-    across = (z2 * p1r - z1 * p2r) / area
-    base = np.float64(ez) - down * er - across * ec
+    base, down, across = plane_through(er, ec, ez, xr, xc, xz, ar, ac, az)
     worst = 0.0
     missed = False
     top = 1
@@ -88,7 +107,7 @@ def localised_bound(
                 missed = True
                 continue
             hz, known = np.float64(pages.data[slot, i, j, 0]), np.float64(pages.data[slot, i, j, 1])
-        if cull and not first and prism_outside(lens, bc, br, bz, dc, dr, dz, fc, fr, fz, known):
+        if cull and not first and prism_outside(camera, bc, br, bz, dc, dr, dz, fc, fr, fz, known):
             continue
         tb = base + down * br + across * bc
         td = base + down * dr + across * dc
@@ -97,10 +116,10 @@ def localised_bound(
             # (1e-9: roundings of the plane's heights must not make the bound smaller)
             off = max(abs(bz - tb), max(abs(dz - td), abs(fz - tf)))
             length = min(e, (known + off) * (1.0 + 1e-9))
-            bx, by, bw = to_camera(lens, bc, br, tb)
-            dx, dy, dw = to_camera(lens, dc, dr, td)
-            fx, fy, fw = to_camera(lens, fc, fr, tf)
-            bound = triangle_bound(lens, bx, by, bw, dx, dy, dw, fx, fy, fw, length)
+            bx, by, bw = to_camera(camera, bc, br, tb)
+            dx, dy, dw = to_camera(camera, dc, dr, td)
+            fx, fy, fw = to_camera(camera, fc, fr, tf)
+            bound = triangle_bound(camera, bx, by, bw, dx, dy, dw, fx, fy, fw, length)
             if bound <= max(low, worst):
                 continue
             if at >= depth:
@@ -112,53 +131,35 @@ def localised_bound(
         # The middle is a sample: what it is displaced by, if it is in view.
         mr, mc = 0.5 * (br + dr), 0.5 * (bc + dc)
         on = base + down * mr + across * mc
-        x, y, w = to_camera(lens, mc, mr, hz)
-        seen = w > 0.0
-        if cull:
-            for plane in range(6):
-                p = 20 + 4 * plane
-                seen = seen and lens[p] * mc + lens[p + 1] * mr + lens[p + 2] * hz + lens[p + 3] >= 0.0
-        if seen:
-            moved = w + (on - hz) * lens[10]
-            p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
+        x, y, w = to_camera(camera, mc, mr, hz)
+        if w > 0.0 and (not cull or in_frustum(camera, mc, mr, hz)):
+            moved = w + (on - hz) * camera.depth[2]
+            p, q = image_motion(camera, x, y, w)
             if moved > 0.0:
                 # (Whoever looks at this sample may round otherwise.)
-                worst = max(worst, lens[12] * abs(on - hz) * np.sqrt(p * p + q * q) / (w * moved) * (1.0 + 1e-9))
+                worst = max(worst, camera.focal * abs(on - hz) * np.sqrt(p * p + q * q) / (w * moved) * (1.0 + 1e-9))
             else:
                 worst = np.inf
             if worst > enough:
                 break
-        hm = hz
-        for half in range(2):
-            todo[top, 0], todo[top, 1], todo[top, 2] = fr, fc, fz
-            if half == 0:
-                todo[top, 3], todo[top, 4], todo[top, 5] = br, bc, bz
-            else:
-                todo[top, 3], todo[top, 4], todo[top, 5] = dr, dc, dz
-            todo[top, 6], todo[top, 7], todo[top, 8] = mr, mc, hm
-            todo[top, 11] = at + 1
-            top += 1
+        top = push_halves(todo, top, br, bc, bz, dr, dc, dz, fr, fc, fz, mr, mc, hz, at + 1)
     return worst, missed
 
 
 @inlined
-def sample_exceeds(lens, col, row, z, on, cull):
+def sample_exceeds(camera, col, row, z, on, cull):
     """Whether a sample in view is displaced by more than the tolerance from the height ``on``."""
-    x, y, w = to_camera(lens, col, row, z)
-    p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
-    moved = w + (on - z) * lens[10]
-    far = lens[13] * w * moved
-    off = lens[12] * (on - z)
-    seen = w > 0.0 and (moved <= 0.0 or off * off * (p * p + q * q) > far * far)
-    if cull and seen:
-        for plane in range(6):
-            at = 20 + 4 * plane
-            seen = seen and lens[at] * col + lens[at + 1] * row + lens[at + 2] * z + lens[at + 3] >= 0.0
-    return seen
+    x, y, w = to_camera(camera, col, row, z)
+    p, q = image_motion(camera, x, y, w)
+    moved = w + (on - z) * camera.depth[2]
+    far = camera.tolerance * w * moved
+    off = camera.focal * (on - z)
+    exceeds = w > 0.0 and (moved <= 0.0 or off * off * (p * p + q * q) > far * far)
+    return exceeds and (not cull or in_frustum(camera, col, row, z))
 
 
 @leaf
-def diamond_exceeds(pages, lens, cull, depth, row, col, n, todo):
+def diamond_exceeds(pages, camera, cull, depth, row, col, n, todo):
     """(1 if B of the diamond at (row, col) exceeds the tolerance, 2 if its triangles are out of view, else 0; whether a
     page was missing).
 
@@ -172,14 +173,14 @@ def diamond_exceeds(pages, lens, cull, depth, row, col, n, todo):
     xr, xc = diamonds.end(row, col, 1)
     es, ei, ej = _corner(pages, er, ec, size)
     xs, xi, xj = _corner(pages, xr, xc, size)
-    tolerance = lens[13]
+    tolerance = camera.tolerance
     missed = es < 0 or xs < 0
     out = True
     # The middle is a sample of both triangles: many need no more than a look at it.
     if not missed:
         on = 0.5 * (np.float64(pages.data[es, ei, ej, 0]) + np.float64(pages.data[xs, xi, xj, 0]))
         inside = er + xr == 2 * row and max(er, xr) <= pages.edge[0] and max(ec, xc) <= pages.edge[1]
-        if inside and sample_exceeds(lens, np.float64(col), np.float64(row), mz, on, cull):
+        if inside and sample_exceeds(camera, np.float64(col), np.float64(row), mz, on, cull):
             return 1, False
     for k in range(2):
         ar, ac = diamonds.apex(row, col, k)
@@ -192,17 +193,17 @@ def diamond_exceeds(pages, lens, cull, depth, row, col, n, todo):
             missed = True
             continue
         ez, xz, az = pages.data[es, ei, ej, 0], pages.data[xs, xi, xj, 0], pages.data[s, i, j, 0]
-        if cull and prism_outside(lens, ec, er, ez, xc, xr, xz, ac, ar, az, e):
+        if cull and prism_outside(camera, ec, er, ez, xc, xr, xz, ac, ar, az, e):
             continue
         out = False
-        ex, ey, ew = to_camera(lens, ec, er, np.float64(ez))
-        xx, xy, xw = to_camera(lens, xc, xr, np.float64(xz))
-        ax, ay, aw = to_camera(lens, ac, ar, np.float64(az))
-        if triangle_bound(lens, ex, ey, ew, xx, xy, xw, ax, ay, aw, e) <= tolerance:
+        ex, ey, ew = to_camera(camera, ec, er, np.float64(ez))
+        xx, xy, xw = to_camera(camera, xc, xr, np.float64(xz))
+        ax, ay, aw = to_camera(camera, ac, ar, np.float64(az))
+        if triangle_bound(camera, ex, ey, ew, xx, xy, xw, ax, ay, aw, e) <= tolerance:
             continue
         level = np.int64(diamonds.level(row, col, n))
         bound, lacks = localised_bound(
-            pages, lens, er, ec, ez, xr, xc, xz, ar, ac, az, level, 2 * n, e, mz, tolerance, tolerance, cull, depth,
+            pages, camera, er, ec, ez, xr, xc, xz, ar, ac, az, level, 2 * n, e, mz, tolerance, tolerance, cull, depth,
             todo,
         )  # fmt: skip
         if bound > tolerance:

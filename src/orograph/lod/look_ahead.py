@@ -24,28 +24,39 @@ engine, whatever its order of operations, finds a diamond active whose parents a
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, leaf
-from orograph.error.screen import FOCAL, TOLERANCE, color_exceeds, outside, sphere_exceeds, to_camera
+from orograph.error.screen import ANISOTROPIC, CameraParameters, color_exceeds, to_camera
 from orograph.hierarchy.kernels import diamonds
+from orograph.lod.criterion import (
+    FAR_BIT,
+    NEAR,
+    NOTHING,
+    SPLIT,
+    Criterion,
+    color_error,
+    judge,
+    look_up,
+    place,
+    place_of,
+)
 from orograph.lod.field import Field
 from orograph.lod.localise import STACK, diamond_exceeds
-from orograph.lod.pages import BEYOND, locate
-
-NEAR = 1.0 / 16.0
-"""Radius of the sphere over its least depth; beyond it a diamond is near. (Twice that at 1 pixel and less, in between
-from 1 to 2: where meshes are fine, the search would take longer than it is worth.)"""
+from orograph.lod.pages import BEYOND
 
 DEPTH = 6
 """Halvings by which triangles are taken apart."""
 
-FAR_BIT = 64
-"""Beside the six bits of planes (``screen.outside``): the sphere is far, and so are all in it."""
+FOUND, LOOKED_AT, NEXT_CHILD, MET, UNDECIDED = range(5)
+"""Counts: diamonds found; those of them whose children were looked at; the next child of the next one; diamonds met;
+those found that are yet to be decided."""
 
-NOTHING = np.full(1, -1, np.int64)
-"""The table in which there is nothing."""
+ACCURATE, FAR_ACTIVE = -1, -2
+"""Values of diamonds that were met but are not among those found."""
 
 NONE, FAR, ACTIVE, OPEN, MISSING = range(5)
 """Of a diamond: it is accurate, or out of view; far and active; near and active anyway; near; its page is missing."""
@@ -64,164 +75,146 @@ def nearness(tolerance: float) -> float:
 
 
 @inlined
-def place(key, size):
-    """Where to begin to look for a key in a table of 2^k places."""
-    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    return np.int64((mixed ^ mixed >> np.uint64(32)) & np.uint64(size - 1))
-
-
-@inlined
-def holds(table, key):
-    """0 if a table does not hold a key; 1 if its diamond is pruned, 2 if both its triangles are out of view, too."""
-    size = len(table)
-    at = place(key, size)
-    while table[at] >= 0 and table[at] >> 1 != key:
-        at = (at + 1) & (size - 1)
-    return 0 if table[at] < 0 else 1 + (table[at] & 1)
-
-
-@inlined
-def foresee(pruned, key, w, r, exceeds, bits):
-    """(whether a diamond whose sphere ``exceeds`` is active, whether out of view, its bits), for one not known as far.
+def classify(pages, criterion, near, row, col, octave, bits):
+    """(NONE, FAR, ACTIVE, OPEN or MISSING, of the diamond at (row, col); its bits of planes).
 
     Args:
-        pruned: the table of ``Ahead.pruned``. w, r: depth and (stretched) radius of its sphere.
-        bits: of a triangle's sphere, six of planes and ``FAR_BIT``.
+        criterion: ``Criterion`` that does not look ahead. near: the ratio from which on spheres are near.
     """
-    out = False
-    # (A hair nearer than where the table ends: roundings.)
-    if r <= (NEAR * (1.0 - 1e-9)) * (w - r):
-        bits |= 64
-    elif exceeds:
-        kind = holds(pruned, key)
-        exceeds, out = kind == 0, kind == 2
-    return exceeds, out, bits
+    key = row << 32 | col
+    camera = criterion.camera
+    slot, z, e, r, c = look_up(pages, key, octave)
+    kind = np.uint8(NONE if slot == BEYOND or slot >= 0 else MISSING)
+    if slot >= 0:
+        state, _, bits = judge(pages, criterion, key, z, e, r, c, bits | FAR_BIT)
+        if state == SPLIT:
+            x, y = place_of(pages, key)
+            _, _, w = to_camera(camera, x, y, np.float64(z))
+            radius = np.float64(r) * camera.stretch
+            sure = e == np.inf or color_exceeds(camera, np.float64(color_error(c)), w, radius)
+            kind = np.uint8(FAR if radius <= near * (w - radius) else ACTIVE if sure else OPEN)
+    return kind, bits & (FAR_BIT - 1)
+
+
+class Diamonds(NamedTuple):
+    """The near diamonds of a view, level by level.
+
+    Attributes:
+        found: int64 (capacity, 3), rows, columns, bits of planes. state: uint8 (capacity,): 1 active, 0 inactive, 2
+            inactive and out of view.
+        kids: int32 (capacity, 4), where their children are in ``found``, −1: nowhere.
+        keys: int64 (2^k,), all −1 at first; values: int32 (2^k,): a table of those met, and where they are in
+            ``found``, or ACCURATE, or FAR_ACTIVE.
+        counts: int64 (5,), see ``FOUND`` and following; all 0 at first.
+    """
+
+    found: NDArray[np.int64]
+    state: NDArray[np.uint8]
+    kids: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    values: NDArray[np.int32]
+    counts: NDArray[np.int64]
 
 
 @inlined
-def what(pages, lens, near, cull, row, col, octave, bits):
-    """(NONE, FAR, ACTIVE, OPEN or MISSING, of the diamond at (row, col); its bits of planes)."""
-    slot, at = locate(pages, row, col, octave)
-    kind = np.uint8(0 if slot == BEYOND or slot >= 0 else 4)
-    if slot >= 0:
-        x, y = np.float64(min(col, pages.edge[1])), np.float64(min(row, pages.edge[0]))
-        z, e = np.float64(pages.flat[np.uint64(at)]), np.float64(pages.flat[np.uint64(at + 1)])
-        r, c = np.float64(pages.flat[np.uint64(at + 2)]), np.float64(pages.flat[np.uint64(at + 3)])
-        empty = r < 0.0
-        r = abs(r) * lens[15]
-        out = False
-        if cull and bits != 63:
-            out, bits = outside(lens, x, y, z, r, bits)
-        if not out:
-            cx, cy, cw = to_camera(lens, x, y, z)
-            c = c if c >= 0.0 else -1.0 - c
-            sure = e == np.inf or color_exceeds(lens, c, cw, r)
-            if sure or sphere_exceeds(lens, 0, cx, cy, cw, e, r):
-                kind = np.uint8(1 if r <= near * (cw - r) else 2 if sure or empty else 3)
-    return kind, bits
+def child_of(row, col, octave, square, k):
+    """(row, col) of the k-th child in the diamond DAG, perhaps beyond the square."""
+    # The children of a square are the edges s up and down, left and right; of an edge, squares a half s aside.
+    s = np.int64(1) << octave
+    if square:
+        return (row + (s if k else -s), col) if k < 2 else (row, col + (s if k & 1 else -s))
+    s >>= 1
+    return row + (s if k & 1 else -s), col + (s if k & 2 else -s)
 
 
 @leaf
-def collect(pages, slack, near, cull, n, ahead, found, state, kids, keys, values, counts):
+def collect(pages, criterion, near, n, read_on, diamonds_near):
     """Collect the near diamonds whose sphere exceeds the tolerance, level by level.
 
     Args:
-        slack: the camera, with a tolerance a hair smaller.
+        pages: ``field.Pages``.
+        criterion: ``Criterion`` that does not look ahead, with a tolerance a hair smaller.
         near: the ratio from which on spheres are near, at least ``NEAR``.
-        ahead: whether to ask for the pages of those that come after one that lacks its page, too.
-        found: int64 (capacity, 3), rows, columns, bits of planes; out. state: uint8 (capacity,), 1 if surely active;
-            out.
-        kids: int32 (capacity, 4), where their children are in ``found``, −1: nowhere.
-        keys: int64 (2^k,), all −1; values: int32 (2^k,): a table of those met, and where they are in ``found``, or −1
-            (accurate), −2 (far and active).
-        counts: int64 (5,): how many were found; of them done; children of the next that are; how many were met; all 0
-            at first.
+        read_on: whether to ask for the pages of those that come after one that lacks its page, too.
+        diamonds_near: ``Diamonds``; out.
 
     Returns: DONE; or MISSED or ROOM, and it can be called again.
     """
+    found, state, kids = diamonds_near.found, diamonds_near.state, diamonds_near.kids
+    keys, values, counts = diamonds_near.keys, diamonds_near.values, diamonds_near.counts
     size, room = len(keys), len(found)
     side = np.int64(1) << n
     half = side >> 1
     missed = False
-    if counts[0] == 0:
-        kind, bits = what(pages, slack, near, cull, half, half, n - 1, 0)
-        if kind == 4:
-            return 1
-        if kind >= 2:
-            found[0, 0], found[0, 1], found[0, 2], state[0] = half, half, bits, kind == 2
-            counts[0] = 1
-    done, first = counts[1], counts[2]
-    while done < counts[0]:
-        if counts[0] + 4 > room or 2 * (counts[3] + 4) > size:
-            return 2
+    if counts[FOUND] == 0:
+        kind, bits = classify(pages, criterion, near, half, half, n - 1, np.int64(0))
+        if kind == MISSING:
+            return MISSED
+        if kind >= ACTIVE:
+            found[0, 0], found[0, 1], found[0, 2], state[0] = half, half, bits, kind == ACTIVE
+            counts[FOUND] = 1
+    done, first = counts[LOOKED_AT], counts[NEXT_CHILD]
+    while done < counts[FOUND]:
+        if counts[FOUND] + 4 > room or 2 * (counts[MET] + 4) > size:
+            return ROOM
         row, col, bits = found[done, 0], found[done, 1], found[done, 2]
         octave = np.int64(diamonds.octave(row, col))
-        s = np.int64(1) << octave
         square = (row >> octave) & (col >> octave) & 1
-        # The children of a square are the edges s up and down, left and right; of an edge, squares a half s aside.
-        if not square:
-            s >>= 1
-            octave -= 1
+        octave_below = octave if square else octave - 1
         for k in range(first, 4):
             if not missed:
                 kids[done, k] = -1
-            r, c = row, col
-            if square:
-                if k < 2:
-                    r += s if k else -s
-                else:
-                    c += s if k & 1 else -s
-            else:
-                r += s if k & 1 else -s
-                c += s if k & 2 else -s
-            if s == 0 or min(r, c) < 0 or max(r, c) > side:
+            r, c = child_of(row, col, octave, square, k)
+            if octave_below < 0 or min(r, c) < 0 or max(r, c) > side:
                 continue
             key = r << 32 | c
             at = place(key, size)
             while keys[at] >= 0 and keys[at] != key:
                 at = (at + 1) & (size - 1)
             if keys[at] < 0:
-                kind, inside = what(pages, slack, near, cull, r, c, octave, bits)
-                if kind == 4 and not missed:
+                kind, inside = classify(pages, criterion, near, r, c, octave_below, bits)
+                if kind == MISSING and not missed:
                     missed = True
-                    counts[1], counts[2] = done, k
-                    if not ahead:
-                        return 1
+                    counts[LOOKED_AT], counts[NEXT_CHILD] = done, k
+                    if not read_on:
+                        return MISSED
                 if missed:
                     continue
-                keys[at], values[at] = key, -1
-                counts[3] += 1
-                if kind == 1:
-                    values[at] = -2
-                elif kind >= 2:
-                    to = counts[0]
+                keys[at], values[at] = key, ACCURATE
+                counts[MET] += 1
+                if kind == FAR:
+                    values[at] = FAR_ACTIVE
+                elif kind != NONE:
+                    to = counts[FOUND]
                     values[at] = to
-                    found[to, 0], found[to, 1], found[to, 2], state[to] = r, c, inside, kind == 2
-                    counts[0] += 1
+                    found[to, 0], found[to, 1], found[to, 2], state[to] = r, c, inside, kind == ACTIVE
+                    counts[FOUND] += 1
             if missed:
                 continue
-            if values[at] == -2:
+            if values[at] == FAR_ACTIVE:
                 state[done] = 1
             else:
                 kids[done, k] = values[at]
         done += 1
         first = 0
     if missed:
-        return 1
-    counts[1], counts[2], counts[4] = done, 0, done
-    return 0
+        return MISSED
+    counts[LOOKED_AT], counts[NEXT_CHILD], counts[UNDECIDED] = done, 0, done
+    return DONE
 
 
 @leaf
-def decide(pages, lens, depth, cull, n, ahead, found, state, kids, counts, todo):
-    """Decide, from the finest up, which of those that were collected are active: 1 in ``state``, else 0 or 2.
+def decide(pages, camera, depth, cull, n, read_on, diamonds_near, todo):
+    """Decide, from the finest up, which of those that were collected are active.
 
     Args:
-        lens: the camera. ahead: as for ``collect``. todo: scratch of ``diamond_exceeds``.
-        counts: its last number is how many are left.
+        camera: ``CameraParameters``. read_on, diamonds_near: as for ``collect``. todo: scratch of ``diamond_exceeds``.
+
+    Returns: DONE or MISSED.
     """
+    found, state, kids, counts = diamonds_near.found, diamonds_near.state, diamonds_near.kids, diamonds_near.counts
     missed = np.int64(0)
-    at = counts[4]
+    at = counts[UNDECIDED]
     while at > 0 and missed < 64:
         at -= 1
         sure = state[at] == 1
@@ -229,15 +222,15 @@ def decide(pages, lens, depth, cull, n, ahead, found, state, kids, counts, todo)
             sure = sure or (kids[at, k] >= 0 and state[kids[at, k]] == 1)
         verdict, lacks = np.int64(1), False
         if not sure:
-            verdict, lacks = diamond_exceeds(pages, lens, cull, depth, found[at, 0], found[at, 1], n, todo)
-        if lacks and not ahead:
-            return 1
+            verdict, lacks = diamond_exceeds(pages, camera, cull, depth, found[at, 0], found[at, 1], n, todo)
+        if lacks and not read_on:
+            return MISSED
         if lacks or missed > 0:
             missed += 1
             continue
         state[at] = verdict
-        counts[4] = at
-    return 1 if missed > 0 else 0
+        counts[UNDECIDED] = at
+    return MISSED if missed > 0 else DONE
 
 
 @leaf
@@ -262,72 +255,68 @@ class Ahead:
 
     def __init__(self) -> None:
         self.near = self.pruned = 0
-        self._last: tuple[bytes, bool] | None = None
+        self._last: tuple[Any, ...] | None = None
         self._table = NOTHING
         self._todo = np.empty((DEPTH + 2, STACK))
         self._room(1 << 11)
 
     def _room(self, capacity: int) -> None:
-        self._found, self._state = np.empty((capacity, 3), np.int64), np.empty(capacity, np.uint8)
-        self._kids = np.empty((capacity, 4), np.int32)
-        self._keys, self._values = np.empty(4 * capacity, np.int64), np.empty(4 * capacity, np.int32)
+        self._diamonds = Diamonds(
+            np.empty((capacity, 3), np.int64), np.empty(capacity, np.uint8), np.empty((capacity, 4), np.int32),
+            np.empty(4 * capacity, np.int64), np.empty(4 * capacity, np.int32), np.zeros(5, np.int64),
+        )  # fmt: skip
 
-    def table(self, field: Field, lens: NDArray[np.float64], cull: bool) -> NDArray[np.int64]:
+    def table(self, field: Field, camera: CameraParameters, cull: bool) -> NDArray[np.int64]:
         """The diamonds that need not be split though the bound over their spheres exceeds the tolerance.
 
         None in a plan, at no tolerance, and where memory is too small for the search.
 
         Args:
             field: the terrain, with errors that are bounds.
-            lens: the camera, with the tolerance. cull: whether what is out of view does not count.
+            camera: the camera, with the tolerance. cull: whether what is out of view does not count.
 
         Returns: int64 (2^k,), key << 1 | whether both triangles are out of view, at its ``place`` or behind; else −1.
         """
-        this = lens.tobytes(), cull
+        this = camera[:-1], camera.planes.tobytes(), cull
         if this != self._last:
             self.near = self.pruned = 0
             self._table = NOTHING
-            if lens[FOCAL] > 0.0 and lens[TOLERANCE] > 0.0 and field.n:
-                self._table = self._look(field, lens, cull)
+            if camera.focal > 0.0 and camera.tolerance > 0.0 and field.n:
+                self._table = self._look(field, camera, cull)
             self._last = this
         return self._table
 
-    def _look(self, field: Field, lens: NDArray[np.float64], cull: bool) -> NDArray[np.int64]:
-        slack = lens.copy()
-        slack[TOLERANCE] *= 1.0 - 1e-9
-        near = nearness(float(lens[TOLERANCE]))
-        counts, before, stalls = self._begin(), (), 0
+    def _look(self, field: Field, camera: CameraParameters, cull: bool) -> NDArray[np.int64]:
+        slack = camera._replace(tolerance=camera.tolerance * (1.0 - 1e-9))
+        criterion = Criterion(slack, ANISOTROPIC, cull, NOTHING)
+        near = nearness(camera.tolerance)
+        before, stalls = (), 0
+        self._begin()
         most = field.tiles_read + PATIENCE * len(field.pages.used)
         while True:
             field.begin()
-            why = collect(
-                field.pages, slack, near, cull, field.n, stalls == 0, self._found, self._state, self._kids,
-                self._keys, self._values, counts,
-            )  # fmt: skip
+            why = collect(field.pages, criterion, near, field.n, stalls == 0, self._diamonds)
             if why == ROOM:
-                self._room(4 * len(self._found))
-                counts = self._begin()
+                self._room(4 * len(self._diamonds.found))
+                self._begin()
                 continue
             if why == DONE:
-                why = decide(
-                    field.pages, lens, DEPTH, cull, field.n, stalls == 0, self._found, self._state, self._kids, counts,
-                    self._todo,
-                )  # fmt: skip
+                why = decide(field.pages, camera, DEPTH, cull, field.n, stalls == 0, self._diamonds, self._todo)
             if why == DONE:
                 break
-            stalls = stalls + 1 if before == (before := tuple(counts)) else 0
+            stalls = stalls + 1 if before == (before := tuple(self._diamonds.counts)) else 0
             if field.tiles_read > most:
                 return NOTHING
             field.fetch(resumes=True)
-        self.near = int(counts[0])
-        self.pruned = int((self._state[: self.near] != 1).sum())
+        self.near = int(self._diamonds.counts[FOUND])
+        self.pruned = int((self._diamonds.state[: self.near] != 1).sum())
         if not self.pruned:
             return NOTHING
         table = np.full(1 << (4 * self.pruned - 1).bit_length(), -1, np.int64)
-        gather(self._found, self._state, self.near, table)
+        gather(self._diamonds.found, self._diamonds.state, self.near, table)
         return table
 
-    def _begin(self) -> NDArray[np.int64]:
-        """The counts of ``collect`` and an empty table."""
-        self._keys.fill(-1)
-        return np.zeros(5, np.int64)
+    def _begin(self) -> None:
+        """Forget all diamonds."""
+        self._diamonds.keys.fill(-1)
+        self._diamonds.counts.fill(0)

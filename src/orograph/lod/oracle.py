@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import leaf
-from orograph.error.screen import lens as lens_of
-from orograph.error.screen import outside, sphere_exceeds, to_camera
+from orograph.error.screen import ANISOTROPIC, CameraParameters, camera_parameters, outside
 from orograph.errors import UsageError
 from orograph.hierarchy.kernels import diamonds
+from orograph.lod.criterion import NOTHING, SPLIT, Criterion, first_bits, weigh
 from orograph.lod.field import Field, Pages, find
-from orograph.lod.localise import prism_outside
+from orograph.lod.localise import prism_outside, sample_exceeds
 from orograph.parallel import cpu_count, map_ordered
 from orograph.store.terrain import Heights, Terrain
 from orograph.tessellation import Tessellation
@@ -41,10 +41,11 @@ CANDIDATE, ACTIVE = 1, 2
 
 
 @leaf
-def collect(pages, lens, marks, found, begin, end, n):
+def collect(pages, criterion, marks, found, begin, end, n):
     """Keep those of the diamonds ``found[begin:end]`` that may be inaccurate, and add their children behind ``end``.
 
     Args:
+        pages: ``field.Pages``. criterion: ``Criterion``, that does not look ahead.
         marks: uint8 (2^n + 1, 2^n + 1).
         found: int64 (capacity, 2), rows and columns; the capacity must allow for four children each.
 
@@ -54,17 +55,8 @@ def collect(pages, lens, marks, found, begin, end, n):
     last = end
     for at in range(begin, end):
         row, col = found[at, 0], found[at, 1]
-        slot, i, j = find(pages, row, col, diamonds.octave(row, col))
-        if slot < 0:
-            continue
-        y, x = min(row, pages.edge[0]), min(col, pages.edge[1])
-        z = np.float64(pages.data[slot, i, j, 0])
-        r = abs(np.float64(pages.data[slot, i, j, 2])) * lens[15]
-        out, _ = outside(lens, x, y, z, r, 0)
-        if out:
-            continue
-        cx, cy, cw = to_camera(lens, x, y, z)
-        if not sphere_exceeds(lens, 0, cx, cy, cw, np.float64(pages.data[slot, i, j, 1]), r):
+        state, _, _ = weigh(pages, criterion, row << 32 | col, diamonds.octave(row, col), first_bits(criterion))
+        if state != SPLIT:
             continue
         found[kept, 0], found[kept, 1] = row, col
         kept += 1
@@ -78,26 +70,9 @@ def collect(pages, lens, marks, found, begin, end, n):
 
 
 @leaf
-def too_far(lens, z, row, col, on):
-    """Whether the sample (row, col) is in view and displaced by more than the tolerance from the height ``on``."""
-    h = np.float64(z[row, col])
-    x, y, w = to_camera(lens, col, row, h)
-    p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
-    d = on - h
-    moved = w + d * lens[10]
-    far = lens[13] * w * moved
-    if w > 0.0 and (moved <= 0.0 or lens[12] * lens[12] * d * d * (p * p + q * q) > far * far):
-        for plane in range(6):
-            at = 20 + 4 * plane
-            if lens[at] * col + lens[at + 1] * row + lens[at + 2] * h + lens[at + 3] < 0.0:
-                return False
-        return True
-    return False
-
-
-@leaf
-def triangle_too_far(lens, z, ar, ac, br, bc, cr, cc):
-    """Whether any sample of a triangle with corners at samples (row, column) is ``too_far`` from it."""
+def triangle_too_far(camera, z, ar, ac, br, bc, cr, cc):
+    """Whether a sample in view of a triangle with corners at samples (row, column) is displaced by more than the
+    tolerance."""
     p1r, p1c, p2r, p2c = br - ar, bc - ac, cr - ar, cc - ac
     area = p1r * p2c - p1c * p2r
     if area == 0:
@@ -124,13 +99,15 @@ def triangle_too_far(lens, z, ar, ac, br, bc, cr, cc):
                 high = max(high, c0 + step // (r1 - r0))
         base = az + down * (row - ar) - across * ac
         for col in range(low, high + 1):
-            if too_far(lens, z, row, col, base + across * col):
+            if sample_exceeds(
+                camera, np.float64(col), np.float64(row), np.float64(z[row, col]), base + across * col, True
+            ):
                 return True
     return False
 
 
 @leaf
-def look(pages, lens, z, found, begin, end, n, inaccurate, accurate):
+def look(pages, camera, z, found, begin, end, n, inaccurate, accurate):
     """Look at the samples of the diamonds ``found[begin:end]``; 1 in ``inaccurate`` (the same places) where too far.
 
     Args:
@@ -150,14 +127,22 @@ def look(pages, lens, z, found, begin, end, n, inaccurate, accurate):
         r0, c0, r1, c1 = min(r0, last_row), min(c0, last_col), min(r1, last_row), min(c1, last_col)
         inside = row < last_row and col < last_col
         inside = inside and r0 + r1 == 2 * row and c0 + c1 == 2 * col
-        if inside and too_far(lens, z, row, col, 0.5 * (np.float64(z[r0, c0]) + np.float64(z[r1, c1]))):
+        middle = 0.5 * (np.float64(z[r0, c0]) + np.float64(z[r1, c1]))
+        if inside and sample_exceeds(
+            camera,
+            np.float64(col),
+            np.float64(row),
+            np.float64(z[row, col]),
+            middle,
+            True,
+        ):
             inaccurate[at] = 1
             continue
         for k in range(2):
             a, b = diamonds.apex(row, col, k)
             if a < 0 or b < 0 or a > 1 << n or b > 1 << n:
                 continue
-            if triangle_too_far(lens, z, r0, c0, r1, c1, min(a, last_row), min(b, last_col)):
+            if triangle_too_far(camera, z, r0, c0, r1, c1, min(a, last_row), min(b, last_col)):
                 inaccurate[at] = 1
                 break
         accurate[row, col] = 1 - inaccurate[at]
@@ -181,7 +166,7 @@ def close(marks, found, inaccurate, count, n):
 
 
 @leaf
-def put_out(pages, lens, z, marks, prisms, leaf_level, stack, keys, zs):
+def put_out(pages, camera, z, marks, prisms, leaf_level, stack, keys, zs):
     """Write the triangles of the closed marks that are in view, and return how many there are.
 
     Args:
@@ -221,12 +206,12 @@ def put_out(pages, lens, z, marks, prisms, leaf_level, stack, keys, zs):
             if r < 0.0:
                 continue
             row, col = min(m >> 32, last_row), min(m & 0xFFFFFFFF, last_col)
-            out, _ = outside(lens, col, row, np.float64(pages.data[slot, i, j, 0]), r * lens[15], 0)
+            out, _ = outside(camera, col, row, np.float64(pages.data[slot, i, j, 0]), r * camera.stretch, 0)
             if out:
                 continue
         whole = max(e >> 32, max(x >> 32, a >> 32)) <= last_row
         whole = whole and max(e & 0xFFFFFFFF, max(x & 0xFFFFFFFF, a & 0xFFFFFFFF)) <= last_col
-        if prisms and whole and prism_outside(lens, ec, er, ez, xc, xr, xz, ac, ar, az, error):
+        if prisms and whole and prism_outside(camera, ec, er, ez, xc, xr, xz, ac, ar, az, error):
             continue
         if count < len(keys):
             keys[count, 0], keys[count, 1], keys[count, 2] = e, x, a
@@ -294,15 +279,15 @@ def oracles(
     jobs = jobs or cpu_count()
     for tolerance in tolerances:
         began = time.perf_counter()
-        lens = lens_of(view, terrain.grid, exaggeration=exaggeration, tolerance=tolerance)
+        camera = camera_parameters(view, terrain.grid, exaggeration=exaggeration, tolerance=tolerance)
         while True:
             field.begin()
-            marks, found, count = _candidates(field, lens)
+            marks, found, count = _candidates(field, camera)
             if not field.fetch():
                 break
         inaccurate = np.zeros(count, np.uint8)
         step = max(1024, -(-count // (8 * jobs)))
-        each = partial(_look_at, pages, lens, z, found, n, inaccurate, accurate, step)
+        each = partial(_look_at, pages, camera, z, found, n, inaccurate, accurate, step)
         for _ in map_ordered(each, range(0, count, step), jobs):
             pass
         active = int(close(marks, found, inaccurate, count, n))
@@ -310,12 +295,12 @@ def oracles(
             "method": "oracle", "tolerance": tolerance, "exaggeration": exaggeration, "candidates": count,
             "active": active, "look_ms": round((time.perf_counter() - began) * 1e3, 3),
         }  # fmt: skip
-        yield [_drawn(terrain, field, lens, z, marks, p, active, stats) for p in prisms]
+        yield [_drawn(terrain, field, camera, z, marks, p, active, stats) for p in prisms]
 
 
 def _look_at(
     pages: Pages,
-    lens: NDArray[np.float64],
+    camera: CameraParameters,
     z: Heights,
     found: NDArray[np.int64],
     n: int,
@@ -324,13 +309,13 @@ def _look_at(
     step: int,
     begin: int,
 ) -> None:
-    look(pages, lens, z, found, begin, min(begin + step, len(inaccurate)), n, inaccurate, accurate)
+    look(pages, camera, z, found, begin, min(begin + step, len(inaccurate)), n, inaccurate, accurate)
 
 
 def _drawn(
     terrain: Terrain,
     field: Field,
-    lens: NDArray[np.float64],
+    camera: CameraParameters,
     z: Heights,
     marks: NDArray[np.uint8],
     prisms: bool,
@@ -342,7 +327,7 @@ def _drawn(
     while True:
         field.begin()
         keys, zs = np.empty((2 * active + 2, 3), np.int64), np.empty((2 * active + 2, 3), np.float32)
-        made = put_out(field.pages, lens, z, marks, prisms, 2 * n, np.empty((2 * n + 2, 4), np.int64), keys, zs)
+        made = put_out(field.pages, camera, z, marks, prisms, 2 * n, np.empty((2 * n + 2, 4), np.int64), keys, zs)
         if not field.fetch():
             break
     result = Tessellation.from_triangles(terrain.grid, keys[:made], zs[:made], clockwise=False, stats=dict(stats))
@@ -350,7 +335,7 @@ def _drawn(
     return result
 
 
-def _candidates(field: Field, lens: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.int64], int]:
+def _candidates(field: Field, camera: CameraParameters) -> tuple[NDArray[np.uint8], NDArray[np.int64], int]:
     """(marks, diamonds by level as rows and columns, how many): those the sphere metric splits."""
     n = field.n
     marks = np.zeros(((1 << n) + 1,) * 2, np.uint8)
@@ -361,7 +346,7 @@ def _candidates(field: Field, lens: NDArray[np.float64]) -> tuple[NDArray[np.uin
     while begin < end:
         if len(found) < end + 4 * (end - begin):
             found = np.concatenate([found, np.empty((len(found) + 4 * (end - begin), 2), np.int64)])
-        kept, last = collect(field.pages, lens, marks, found, begin, end, n)
+        kept, last = collect(field.pages, Criterion(camera, ANISOTROPIC, True, NOTHING), marks, found, begin, end, n)
         # Children follow those that were kept.
         found[kept : kept + last - end] = found[end:last].copy()
         begin, end = kept, kept + last - end

@@ -5,17 +5,23 @@ smaller codes. A *code* is level · 2^54 + i · 2^27 + j, with (i, j) the diamon
 spacing: coarser diamonds come before finer ones, so parents before children, and the two top triangles of a diamond,
 which share its code, come one after the other. The slot is the caller's number of the triangle.
 
-A FIFO of the same triangles is a ring over two of the arrays (code and slot): see the kernels that use it. Everything
-is inlined into them; sizes are the callers' to keep.
+A FIFO of the same triangles is a ring over two of the arrays (code and slot). Both begin at ``counts[HEAD]`` and end at
+``counts[TAIL]`` of the caller's counts; of a heap the first is 0. Everything is inlined into the kernels that use it.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined
 from orograph.errors import UsageError
 from orograph.store.terrain import Terrain
+
+HEAD, TAIL = 2, 3
+"""Counts of a method with a queue: where the queue begins, and where it ends."""
 
 LEVEL_SHIFT = 54
 ROW_SHIFT = 27
@@ -25,6 +31,19 @@ LARGEST_N = 26
 
 ORDERS = ("priority", "fifo")
 """Kinds of queues."""
+
+
+class Queue(NamedTuple):
+    """The arrays of a heap or a FIFO, all of one length.
+
+    Attributes:
+        priorities: float64, of a heap. codes: int64. slots: int64.
+    """
+
+    priorities: NDArray[np.float64]
+    codes: NDArray[np.int64]
+    slots: NDArray[np.int64]
+
 
 QUEUE = "How triangles wait; budgets of a fifo are reached by bisecting the tolerance"
 
@@ -39,7 +58,7 @@ def check_size(method: str, terrain: Terrain) -> None:
 def code_of(key, level, n):
     """The code of the diamond with vertex ``key`` (row << 32 | col), split by triangles of ``level`` < 2n."""
     k = n - 1 - (level >> 1)
-    return (np.int64(level) << 54) | ((key >> 32 >> k) << 27) | ((key & 0xFFFFFFFF) >> k)
+    return (np.int64(level) << LEVEL_SHIFT) | ((key >> 32 >> k) << ROW_SHIFT) | ((key & 0xFFFFFFFF) >> k)
 
 
 @inlined
@@ -76,3 +95,30 @@ def heap_pop(priorities, codes, slots, size):
         priorities[at], codes[at], slots[at] = p, codes[below], slots[below]
         at = below
     priorities[at], codes[at], slots[at] = priority, code, slot
+
+
+@inlined
+def first_place(queue, counts, ordered):
+    """Where the first entry is."""
+    return 0 if ordered else counts[HEAD] % len(queue.codes)
+
+
+@inlined
+def put_in(queue, counts, ordered, priority, code, slot):
+    """Add an entry to a heap (``ordered``) or a FIFO; there must be room."""
+    if ordered:
+        heap_push(queue.priorities, queue.codes, queue.slots, counts[TAIL], priority, code, slot)
+    else:
+        at = counts[TAIL] % len(queue.codes)
+        queue.codes[at], queue.slots[at] = code, slot
+    counts[TAIL] += 1
+
+
+@inlined
+def take_out(queue, counts, ordered):
+    """Remove the first entry."""
+    if ordered:
+        heap_pop(queue.priorities, queue.codes, queue.slots, counts[TAIL])
+        counts[TAIL] -= 1
+    else:
+        counts[HEAD] += 1

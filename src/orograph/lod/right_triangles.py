@@ -18,11 +18,12 @@ from typing import Any, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import ANISOTROPIC, LOCALISED, Metric, lens, metric_of
+from orograph.error.screen import ANISOTROPIC, LOCALISED, CameraParameters, Metric, camera_parameters, metric_of
 from orograph.errors import UsageError
 from orograph.geo.chart import AffineChart
+from orograph.lod.criterion import NOTHING
 from orograph.lod.field import Field
-from orograph.lod.look_ahead import NOTHING, Ahead
+from orograph.lod.look_ahead import Ahead
 from orograph.lod.method import EVERYTHING, Goal, Method, Need, Ready, Resources
 from orograph.lod.options import check, described, option
 from orograph.lod.selection import TriangleMesh
@@ -44,10 +45,6 @@ EVERY = ("localised", "wedgie", "anisotropic", "isotropic", "isotropic-published
 """Metrics of methods that look at triangles one by one."""
 
 METRIC = "How errors become pixels; none: the tightest that the error allows."
-
-UNBOUNDED = float(np.finfo(np.float64).max)
-"""Priority of a triangle that may be off by any number of pixels. Only one that ground and missing ground share comes
-before it, with infinity: it is split whatever the budget, for no mesh with it is sound."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,7 +163,7 @@ class RightTriangles(Method):
         """Number of the metric of diamonds' spheres: the one within whose bounds ``localised`` looks, or its own."""
         return ANISOTROPIC if self.metric.number == LOCALISED else self.metric.number
 
-    def _pruned(self, lens: NDArray[np.float64]) -> NDArray[np.int64]:
+    def _pruned(self, lens: CameraParameters) -> NDArray[np.int64]:
         """The table of diamonds that ``localised`` does not split (``lod.look_ahead``); pages may be read for it."""
         if self.metric.number != LOCALISED:
             return NOTHING
@@ -174,10 +171,10 @@ class RightTriangles(Method):
             self._ahead = Ahead()
         return self._ahead.table(self.field, lens, self.cull)
 
-    def _lens(self, camera: Camera, tolerance: float) -> NDArray[np.float64]:
+    def _lens(self, camera: Camera, tolerance: float) -> CameraParameters:
         if not isinstance(camera.chart, AffineChart):
             raise UsageError(f"{self.info.name} refines flat terrain only.")
-        return lens(
+        return camera_parameters(
             camera.view, camera.chart.grid, exaggeration=camera.exaggeration, tolerance=tolerance,
             color_tolerance=self.color_tolerance,
         )  # fmt: skip

@@ -24,14 +24,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import FOCAL, Metric, metric_of
+from orograph.error.screen import CameraParameters, Metric, metric_of
 from orograph.errors import UsageError
-from orograph.lod import work_sharing as sharing
+from orograph.lod import work_sharing
+from orograph.lod.criterion import Criterion
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
 from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
 from orograph.lod.soar_join import lay_out, put
-from orograph.lod.soar_pass import frontier, refine_subtrees
+from orograph.lod.soar_pass import Stack, Subtrees, frontier, refine_subtrees
 from orograph.parallel import Crew
 from orograph.viewpoint import Camera
 
@@ -91,7 +92,9 @@ class Soar(RightTriangleMeshes):
         self.geomorph: bool = self.options.geomorph
         self._cut = max(0, min(CUT, 2 * self.field.n - 1))
         size = 2 << self._cut
-        self._frontier = np.empty((size, 4), np.int64), np.empty((size, 4), np.float32), np.empty((size, 3), np.int64)
+        self._frontier = Subtrees(
+            np.empty((size, 4), np.int64), np.empty((size, 4), np.float32), np.empty((size, 3), np.int64)
+        )
         side = 1 << self.field.n
         nw, ne, sw, se = 0, side, side << 32, side << 32 | side
         z = self.field.corners
@@ -113,7 +116,7 @@ class Soar(RightTriangleMeshes):
             keys, zs, made, nodes = self._strip(lens, pruned)
             if not self.field.fetch():
                 break
-        if self.geomorph and lens[FOCAL] > 0.0:
+        if self.geomorph and lens.focal > 0.0:
             from orograph.lod.geomorph import morph
 
             zs = morph(self.field, lens, self.spheres, keys, zs)
@@ -123,15 +126,13 @@ class Soar(RightTriangleMeshes):
         )  # fmt: skip
 
     def _strip(
-        self, lens: NDArray[np.float64], pruned: NDArray[np.int64]
+        self, lens: CameraParameters, pruned: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float32], int, int]:
         """One pass: the strip (views of buffers that the next pass uses again), its triangles, diamonds looked at."""
-        common = self.field.pages, lens, self.spheres, self.cull, pruned, 2 * self.field.n
-        stack, stack_zs = self._stack()
+        common = self.field.pages, Criterion(lens, self.spheres, self.cull, pruned), 2 * self.field.n
+        stack = self._stack()
         for cut in (self._cut, 0):
-            count, split, nodes = frontier(
-                *common, cut, self._corners, self._corner_zs, stack, stack_zs, *self._frontier
-            )
+            count, split, nodes = frontier(*common, cut, self._corners, self._corner_zs, stack, self._frontier)
             if split >= FEW:
                 break
         helpers = self.jobs - 1 if split >= FEW else 0
@@ -152,12 +153,12 @@ class Soar(RightTriangleMeshes):
                 self._whole = _buffer(room + room // 4)
                 for place in (0, 1):
                     self._whole[place][:length] = whole[place][:length]
-                whole, joins = self._whole, sharing.begin()  # helpers do not know of it
+                whole, joins = self._whole, work_sharing.begin()  # helpers do not know of it
             length = lay_out(*whole, length, *parts, self._places, first, count, joins)
             try:
                 put(*whole, *parts, self._places, count, joins, False)
             finally:
-                sharing.close(joins)
+                work_sharing.close(joins)
         return whole[0][:length], whole[1][:length], made, nodes + looked
 
     def _share(self, common: tuple[Any, ...], count: int, helpers: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -165,15 +166,14 @@ class Soar(RightTriangleMeshes):
 
         Returns: ``counts`` of each helper and, last, of this thread; the state in which helpers wait for ``lay_out``.
         """
-        shares, joins = sharing.begin(), sharing.begin()
+        shares, joins = work_sharing.begin(), work_sharing.begin()
         counts = np.zeros((helpers + 1, 16), np.int64)  # 16: no two threads write to one cache line
         parts, whole, places = self._parts, self._whole, self._places
 
         def refine(helper: int, keys: NDArray[np.int64], zs: NDArray[np.float32]) -> None:
-            stacks = self._stack()
             refine_subtrees(
-                *common, *self._frontier, count, shares, helper, *stacks, keys, zs, places, counts[helper]
-            )  # fmt: skip
+                *common, self._frontier, count, shares, helper, self._stack(), keys, zs, places, counts[helper]
+            )
 
         def help_out(helper: int) -> None:
             refine(helper, parts[0][helper], parts[1][helper])
@@ -184,8 +184,9 @@ class Soar(RightTriangleMeshes):
         try:
             refine(-1, *whole)
         finally:
-            sharing.close(shares)
+            work_sharing.close(shares)
         return counts, joins
 
-    def _stack(self) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        return np.empty((2 * self.field.n + 1, 5), np.int64), np.empty((2 * self.field.n + 1, 3), np.float32)
+    def _stack(self) -> Stack:
+        size = 2 * self.field.n + 1
+        return Stack(np.empty((size, 5), np.int64), np.empty((size, 3), np.float32))

@@ -18,7 +18,7 @@ def lay_out(keys, zs, length, part_keys, part_zs, places, first, count, shares):
         keys, zs, length: the strip so far; there is room.
         part_keys, part_zs: (helpers, capacity), what helpers wrote.
         places: as ``refine_subtrees`` left it, of the subtrees [first, count); their fourth column is filled here.
-        shares: ``sharing.begin``, for those who ``put`` them there.
+        shares: ``work_sharing.begin``, for those who ``put`` them there.
     """
     key, z = keys[max(length - 1, 0)], zs[max(length - 1, 0)]
     for subtree in range(first, count):

@@ -25,191 +25,207 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import leaf
-from orograph.error.screen import color_exceeds, outside, sphere_bound, sphere_exceeds, to_camera
-from orograph.lod.field import find
-from orograph.lod.look_ahead import foresee
+from orograph._numba import inlined, leaf
+from orograph.lod.bisection import copy_triangle, halve, has_area, has_heights, squeezed
+from orograph.lod.criterion import (
+    DROP,
+    SPLIT,
+    UNBOUNDED,
+    Criterion,
+    first_bits,
+    judge,
+    look_up,
+    sphere_priority,
+)
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
 from orograph.lod.pages import BEYOND
-from orograph.lod.queues import ORDERS, QUEUE, check_size, code_of, heap_pop, heap_push
-from orograph.lod.right_triangles import UNBOUNDED, Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
+from orograph.lod.queues import (
+    HEAD,
+    LEVEL_SHIFT,
+    ORDERS,
+    QUEUE,
+    TAIL,
+    Queue,
+    check_size,
+    code_of,
+    first_place,
+    put_in,
+    take_out,
+)
+from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
 from orograph.viewpoint import Camera
 
 DONE, MISSED, GROW, PAUSED, FULL = 0, 1, 2, 3, 4
 """Why the kernel returns: the queue is empty; pages are missing; no room; enough for now; budget used up."""
 
-OUT, DRAWN, HEAD, TAIL, TAKEN, WAITING, FREE, LAST, BEGUN = range(9)
-"""Counts: triangles put out; those and the drawn ones that wait; the queue's begin and end; triangles taken; those in a
-row that lacked a page; free places; the diamond of the last one taken; whether the roots have been judged."""
+OUT, DRAWN, TAKEN, STALLED, FREE, LAST, BEGUN = 0, 1, 4, 5, 6, 7, 8
+"""Counts, with ``queues.HEAD`` and ``TAIL``: triangles put out; those and the drawn ones in the queue; triangles taken;
+those in a row that lacked a page; free places; the diamond of the last one taken; whether the roots were evaluated."""
+
+
+class Limits(NamedTuple):
+    """When a refinement ends.
+
+    Attributes:
+        ordered: largest bound first (a heap), else a FIFO.
+        budget: most triangles drawn, but for what splits of mixed ones take. limit: most triangles taken in one call.
+        closing: at the limit, still take the long-edge neighbour of the last one.
+    """
+
+    ordered: bool
+    budget: int
+    limit: int
+    closing: bool
+
+
+class Places(NamedTuple):
+    """The triangles in the queue, by place.
+
+    Attributes:
+        corners: int64 (places, 3), heights: float32 (places, 4): see ``lod.bisection``.
+        shown: uint8 (places,), whether it is drawn if it stays. bits: int64 (places,), see ``lod.criterion``.
+        free: int64 (places,), places not in use.
+    """
+
+    corners: NDArray[np.int64]
+    heights: NDArray[np.float32]
+    shown: NDArray[np.uint8]
+    bits: NDArray[np.int64]
+    free: NDArray[np.int64]
+
+
+class Halves(NamedTuple):
+    """The two halves of the triangle that is taken.
+
+    Attributes:
+        corners: int64 (2, 3), heights: float32 (2, 4). drawn, split: bool (2,). bits: int64 (2,).
+        priorities: float64 (2,).
+    """
+
+    corners: NDArray[np.int64]
+    heights: NDArray[np.float32]
+    drawn: NDArray[np.bool_]
+    split: NDArray[np.bool_]
+    bits: NDArray[np.int64]
+    priorities: NDArray[np.float64]
+
+
+@inlined
+def evaluate(pages, criterion, ordered, level, leaf_level, halves, i, bits):
+    """Evaluate half i: whether it is drawn if it stays, whether it is split, its bits and its priority.
+
+    Args:
+        bits: of the triangle that it halves.
+
+    Returns: whether its page is missing.
+    """
+    er, ec, xr, xc, ar, ac = squeezed(halves.corners, i, pages.edge)
+    drawn, split, missed = has_area(er, ec, xr, xc, ar, ac), False, False
+    halves.priorities[i] = 0.0
+    if level < leaf_level:
+        key = (halves.corners[i, 0] + halves.corners[i, 1]) >> 1
+        slot, z, e, r, c = look_up(pages, key, (leaf_level >> 1) - 1 - (level >> 1))
+        missed = slot < 0 and slot != BEYOND
+        state, height, bits = judge(pages, criterion, key, z, e, r, c, bits)
+        halves.heights[i, 3] = height
+        drawn, split = drawn and state != DROP, state == SPLIT
+        if split and ordered:
+            # (Roundings must not put a child before its parent.)
+            bound = sphere_priority(pages, criterion, key, z, e, r, c)
+            halves.priorities[i] = (
+                bound if bound == np.inf else min(bound * (1.0 + 1e-9 * (leaf_level - level)), UNBOUNDED)
+            )
+    halves.drawn[i], halves.split[i], halves.bits[i] = drawn and has_heights(halves.heights, i), split, bits
+    return missed
+
+
+@inlined
+def put_halves(ordered, level, leaf_level, places, queue, keys, zs, halves, counts):
+    """Put the halves into the queue if they are split, else out if they are drawn."""
+    for i in range(2):
+        if halves.split[i]:
+            counts[FREE] -= 1
+            place = places.free[counts[FREE]]
+            copy_triangle(halves.corners, halves.heights, i, places.corners, places.heights, place)
+            places.shown[place], places.bits[place] = halves.drawn[i], halves.bits[i]
+            code = code_of((halves.corners[i, 0] + halves.corners[i, 1]) >> 1, level, leaf_level >> 1)
+            put_in(queue, counts, ordered, halves.priorities[i], code, place)
+        elif halves.drawn[i]:
+            for k in range(3):
+                keys[counts[OUT], k], zs[counts[OUT], k] = halves.corners[i, k], halves.heights[i, k]
+            counts[OUT] += 1
 
 
 @leaf
-def refine_queue(
-    pages, lens, metric, cull, pruned, ordered, budget, limit, closing, leaf_level,
-    corners, heights, shown, masks, free, priorities, codes, slots, keys, zs, fresh, fresh_z, fresh_n, fresh_p, counts,
-):  # fmt: skip
+def refine_queue(pages, criterion, limits, leaf_level, places, queue, keys, zs, halves, counts):
     """Take triangles from the queue until it is empty, or something else ends it; returns why. It can be called again.
 
     Args:
-        pages: ``field.Pages``. lens: the camera, with the tolerance. metric: its number, of one on spheres.
-        cull: whether triangles out of view are accurate and not drawn.
-        pruned: int64, the table of diamonds that are not to be split for their errors (``lod.look_ahead``).
-        ordered: largest bound first (a heap), else a FIFO.
-        budget: most triangles drawn, but for what splits of mixed ones take. limit: most triangles taken in this call.
-        closing: at the limit, still take the long-edge neighbour of the last one.
-        leaf_level: 2n.
-        corners: int64 (places, 3), left end, right end, apex; heights: float32 (places, 4), theirs and the middle's;
-            shown: uint8 (places,), whether it is drawn if it stays; masks: int64 (places,), bits of ``lod.look_ahead``;
-            free: int64 (places,), places not in use.
-        priorities: float64, codes: int64, slots: int64, the queue: place of each triangle that waits.
+        pages: ``field.Pages``. criterion: ``Criterion``. limits: ``Limits``. leaf_level: 2n. places: ``Places``.
+            queue: ``Queue``, of places. halves: ``Halves``; at first they are the roots.
         keys: int64 (capacity, 3), zs: float32 (capacity, 3), the triangles put out.
-        fresh: int64 (2, 3), fresh_z: float32 (2, 4), fresh_n: int64 (2, 3), fresh_p: float64 (2,): triangles to be,
-            with (drawn, to be split, bits) and priority.
         counts: int64 (9,).
     """
-    n = leaf_level >> 1
-    last_row, last_col = pages.edge[0], pages.edge[1]
-    room = len(priorities)
-    taken_before = counts[4]
+    ordered = limits.ordered
+    room = len(queue.codes)
+    taken_before = counts[TAKEN]
     while True:
         # 1. The next triangle, and its halves.
-        t = np.int64(-1)
-        code = np.int64(-1)
-        level = np.int64(0)
-        mask = np.int64(64 if len(pruned) == 1 else 0)
-        if counts[8]:
-            if counts[2] == counts[3]:
-                return 0
-            at = 0 if ordered else counts[2] % room
-            t, code = slots[at], codes[at]
-            if counts[4] - taken_before >= limit and not (closing and code == counts[7]):
-                return 3
-            if counts[3] - counts[2] + 2 > room or counts[0] + 2 > len(keys) or counts[6] < 1:
-                return 2
-            level = (code >> 54) + 1
-            mask = masks[t]
-            m = (corners[t, 0] + corners[t, 1]) >> 1
-            for half in range(2):
-                fresh[half, 0] = corners[t, 2] if half == 0 else corners[t, 1]
-                fresh[half, 1] = corners[t, 0] if half == 0 else corners[t, 2]
-                fresh[half, 2] = m
-                fresh_z[half, 0] = heights[t, 2] if half == 0 else heights[t, 1]
-                fresh_z[half, 1] = heights[t, 0] if half == 0 else heights[t, 2]
-                fresh_z[half, 2] = heights[t, 3]
-        # 2. Whether they are accurate.
+        t, code, level = np.int64(-1), np.int64(-1), np.int64(0)
+        bits = first_bits(criterion)
+        if counts[BEGUN]:
+            if counts[HEAD] == counts[TAIL]:
+                return DONE
+            at = first_place(queue, counts, ordered)
+            t, code = queue.slots[at], queue.codes[at]
+            if counts[TAKEN] - taken_before >= limits.limit and not (limits.closing and code == counts[LAST]):
+                return PAUSED
+            if counts[TAIL] - counts[HEAD] + 2 > room or counts[OUT] + 2 > len(keys) or counts[FREE] < 1:
+                return GROW
+            level = (code >> LEVEL_SHIFT) + 1
+            bits = places.bits[t]
+            halve(places.corners, places.heights, t, halves.corners, halves.heights, 0)
+        # 2. Evaluate them.
         missed = False
         for i in range(2):
-            er, ec = fresh[i, 0] >> 32, fresh[i, 0] & 0xFFFFFFFF
-            xr, xc = fresh[i, 1] >> 32, fresh[i, 1] & 0xFFFFFFFF
-            ar, ac = fresh[i, 2] >> 32, fresh[i, 2] & 0xFFFFFFFF
-            mr, mc = (er + xr) >> 1, (ec + xc) >> 1
-            er, xr, ar = min(er, last_row), min(xr, last_row), min(ar, last_row)
-            ec, xc, ac = min(ec, last_col), min(xc, last_col), min(ac, last_col)
-            has_area = (xc - ec) * (ar - er) != (ac - ec) * (xr - er)
-            drawn = has_area
-            split = False
-            inside = mask
-            priority = 0.0
-            if level < leaf_level:
-                slot, u, v = find(pages, mr, mc, n - 1 - (level >> 1))
-                if slot < 0:
-                    missed = missed or slot != BEYOND
-                    fresh_n[i, 0], fresh_n[i, 1], fresh_n[i, 2], fresh_p[i] = 0, 0, inside, priority
-                    continue
-                z = pages.data[slot, u, v, 0]
-                e = np.float64(pages.data[slot, u, v, 1])
-                r = np.float64(pages.data[slot, u, v, 2])
-                c = np.float64(pages.data[slot, u, v, 3])
-                fresh_z[i, 3] = z if c >= 0.0 else np.float32(np.nan)
-                drawn = drawn and r >= 0.0
-                r = abs(r) * lens[15]
-                mc, mr = min(mc, last_col), min(mr, last_row)
-                out = False
-                if cull:
-                    out, inside = outside(lens, mc, mr, np.float64(z), r, inside)
-                if out:
-                    drawn = False
-                else:
-                    x, y, w = to_camera(lens, mc, mr, np.float64(z))
-                    c = c if c >= 0.0 else -1.0 - c
-                    colored = color_exceeds(lens, c, w, r)
-                    split = e == np.inf or colored or sphere_exceeds(lens, metric, x, y, w, e, r)
-                    if inside < 64:
-                        key = (fresh[i, 0] + fresh[i, 1]) >> 1
-                        split, hidden, inside = foresee(pruned, key, w, r, split, inside)
-                        drawn = drawn and not hidden
-                    if split and ordered:
-                        priority = UNBOUNDED
-                        if e == np.inf:
-                            priority = np.inf
-                        elif not colored:
-                            bound = sphere_bound(lens, metric, x, y, w, e, r) * (1.0 + 1e-9 * (leaf_level - level))
-                            priority = min(bound, UNBOUNDED)
-            drawn = drawn and fresh_z[i, 0] == fresh_z[i, 0] and fresh_z[i, 1] == fresh_z[i, 1]
-            drawn = drawn and fresh_z[i, 2] == fresh_z[i, 2]
-            fresh_n[i, 0] = 1 if drawn else 0
-            fresh_n[i, 1] = 1 if split else 0
-            fresh_n[i, 2] = inside
-            fresh_p[i] = priority
+            missed |= evaluate(pages, criterion, ordered, level, leaf_level, halves, i, bits)
         if missed:
             if ordered or t < 0:
-                return 1
-            # To the end of the queue; the others first.
-            counts[2] += 1
-            codes[counts[3] % room], slots[counts[3] % room] = code, t
-            counts[3] += 1
-            counts[5] += 1
-            if counts[5] > counts[3] - counts[2]:
-                counts[5] = 0
-                return 1
+                return MISSED
+            # The triangle goes to the end of the queue; the others come first.
+            counts[HEAD] += 1
+            put_in(queue, counts, False, 0.0, code, t)
+            counts[STALLED] += 1
+            if counts[STALLED] > counts[TAIL] - counts[HEAD]:
+                counts[STALLED] = 0
+                return MISSED
             continue
-        change = fresh_n[0, 0] + fresh_n[1, 0]
+        change = np.int64(halves.drawn[0]) + np.int64(halves.drawn[1])
         if t >= 0:
-            change -= np.int64(shown[t])
-        if ordered and t >= 0 and code != counts[7] and priorities[0] < np.inf:
+            change -= np.int64(places.shown[t])
+        if ordered and t >= 0 and code != counts[LAST] and queue.priorities[0] < np.inf:
             # A new diamond: is there room for its other half, too? (It is second in the heap, if there is one.)
-            size = counts[3]
-            other = (size > 1 and codes[1] == code) or (size > 2 and codes[2] == code)
-            if counts[1] + change + (1 if other else 0) > budget:
-                return 4
+            size = counts[TAIL]
+            other = (size > 1 and queue.codes[1] == code) or (size > 2 and queue.codes[2] == code)
+            if counts[DRAWN] + change + (1 if other else 0) > limits.budget:
+                return FULL
         # 3. Put them out or into the queue.
         if t >= 0:
-            if ordered:
-                heap_pop(priorities, codes, slots, counts[3])
-                counts[3] -= 1
-            else:
-                counts[2] += 1
-            free[counts[6]] = t
-            counts[6] += 1
-            counts[4] += 1
-            counts[7] = code
-        counts[8] = 1
-        counts[1] += change
-        counts[5] = 0
-        for i in range(2):
-            if fresh_n[i, 1]:
-                counts[6] -= 1
-                place = free[counts[6]]
-                for k in range(3):
-                    corners[place, k], heights[place, k] = fresh[i, k], fresh_z[i, k]
-                heights[place, 3] = fresh_z[i, 3]
-                shown[place], masks[place] = fresh_n[i, 0], fresh_n[i, 2]
-                name = code_of((fresh[i, 0] + fresh[i, 1]) >> 1, level, n)
-                if ordered:
-                    heap_push(priorities, codes, slots, counts[3], fresh_p[i], name, place)
-                else:
-                    codes[counts[3] % room], slots[counts[3] % room] = name, place
-                counts[3] += 1
-            elif fresh_n[i, 0]:
-                for k in range(3):
-                    keys[counts[0], k], zs[counts[0], k] = fresh[i, k], fresh_z[i, k]
-                counts[0] += 1
+            take_out(queue, counts, ordered)
+            places.free[counts[FREE]] = t
+            counts[FREE] += 1
+            counts[TAKEN] += 1
+            counts[LAST] = code
+        counts[BEGUN] = 1
+        counts[DRAWN] += change
+        counts[STALLED] = 0
+        put_halves(ordered, level, leaf_level, places, queue, keys, zs, halves, counts)
 
 
 class _Work:
@@ -217,13 +233,11 @@ class _Work:
 
     def __init__(self, method: Stateless, capacity: int) -> None:
         n = method.field.n
-        self.places: tuple[NDArray[Any], ...] = (
+        self.places = Places(
             np.empty((capacity, 3), np.int64), np.empty((capacity, 4), np.float32), np.empty(capacity, np.uint8),
             np.empty(capacity, np.int64), np.arange(capacity - 1, -1, -1),
         )  # fmt: skip
-        self.queue: tuple[NDArray[Any], ...] = (
-            np.empty(capacity), np.empty(capacity, np.int64), np.empty(capacity, np.int64)
-        )  # fmt: skip
+        self.queue = Queue(np.empty(capacity), np.empty(capacity, np.int64), np.empty(capacity, np.int64))
         self.keys, self.zs = np.empty((2 * capacity, 3), np.int64), np.empty((2 * capacity, 3), np.float32)
         self.counts = np.zeros(9, np.int64)
         self.counts[FREE], self.counts[LAST] = capacity, -1
@@ -233,30 +247,31 @@ class _Work:
         fresh, fresh_z = np.zeros((2, 3), np.int64), np.zeros((2, 4), np.float32)
         fresh[:] = (nw, se, ne), (se, nw, sw)
         fresh_z[:, :3] = (z[0, 0], z[1, 1], z[0, 1]), (z[1, 1], z[0, 0], z[1, 0])
-        self.scratch = fresh, fresh_z, np.zeros((2, 3), np.int64), np.zeros(2)
+        self.halves = Halves(
+            fresh, fresh_z, np.zeros(2, np.bool_), np.zeros(2, np.bool_), np.zeros(2, np.int64), np.zeros(2)
+        )
 
     def grow(self, ordered: bool) -> None:
         """Twice the room, of whatever is nearly full."""
         counts = self.counts
         if counts[OUT] + 2 > len(self.keys):
             self.keys, self.zs = (np.concatenate([a, np.empty_like(a)]) for a in (self.keys, self.zs))
-        more = len(self.queue[0])
+        more = len(self.queue.codes)
         if counts[TAIL] - counts[HEAD] + 2 > more or counts[FREE] < 1:
-            *data, free = (np.concatenate([a, np.empty_like(a)]) for a in self.places)
+            self.places = Places(*(np.concatenate([a, np.empty_like(a)]) for a in self.places))
             count = int(counts[FREE])
-            free[count : count + more] = np.arange(2 * more - 1, more - 1, -1)
+            self.places.free[count : count + more] = np.arange(2 * more - 1, more - 1, -1)
             counts[FREE] += more
-            self.places = *data, free
             live = slice(0, more) if ordered else np.arange(counts[HEAD], counts[TAIL]) % more
             kept = [a[live] for a in self.queue]
-            self.queue = tuple(np.concatenate([a, np.empty(2 * more - len(a), a.dtype)]) for a in kept)
+            self.queue = Queue(*(np.concatenate([a, np.empty(2 * more - len(a), a.dtype)]) for a in kept))
             if not ordered:
                 counts[HEAD], counts[TAIL] = 0, counts[TAIL] - counts[HEAD]
 
     def waiting(self) -> NDArray[np.int64]:
         """The places of the drawn triangles that are still in the heap."""
-        places: NDArray[np.int64] = self.queue[2][: self.counts[TAIL]]
-        drawn: NDArray[np.int64] = places[self.places[2][places] == 1]
+        places: NDArray[np.int64] = self.queue.slots[: self.counts[TAIL]]
+        drawn: NDArray[np.int64] = places[self.places.shown[places] == 1]
         return drawn
 
 
@@ -297,15 +312,15 @@ class Stateless(RightTriangleMeshes):
         began = time.perf_counter()
         work = _Work(self, self._capacity)
         lens = self._lens(camera, tolerance or 0.0)
-        pruned = self._pruned(lens)
+        criterion = Criterion(lens, self.spheres, self.cull, self._pruned(lens))
         no_limit = 1 << 62
         limit, closing = no_limit if seconds is None else 1024, False
         while True:
             self.field.begin()
             why = refine_queue(
-                self.field.pages, lens, self.spheres, self.cull, pruned, ordered,
-                no_limit if triangles is None else triangles, limit, closing, 2 * self.field.n,
-                *work.places, *work.queue, work.keys, work.zs, *work.scratch, work.counts,
+                self.field.pages, criterion,
+                Limits(ordered, no_limit if triangles is None else triangles, limit, closing), 2 * self.field.n,
+                work.places, work.queue, work.keys, work.zs, work.halves, work.counts,
             )  # fmt: skip
             if why == GROW:
                 work.grow(ordered)
@@ -313,21 +328,21 @@ class Stateless(RightTriangleMeshes):
                 self.field.fetch(resumes=True)
             elif why in (DONE, FULL) or closing:
                 break
-            mixed = work.counts[TAIL] > 0 and work.queue[0][0] == np.inf
+            mixed = work.counts[TAIL] > 0 and work.queue.priorities[0] == np.inf
             if seconds is not None and time.perf_counter() - began > 0.9 * seconds and work.counts[BEGUN] and not mixed:
                 limit, closing = 0, True
         return self._result(work, tolerance)
 
     def _result(self, work: _Work, tolerance: float | None) -> Mesh:
-        self._capacity = max(self._capacity, len(work.queue[0]))
+        self._capacity = max(self._capacity, len(work.queue.codes))
         count = int(work.counts[OUT])
         keys, zs = work.keys[:count], work.zs[:count]
         left, reached = int(work.counts[TAIL] - work.counts[HEAD]), tolerance
         if tolerance is None:
             places = work.waiting()
-            keys = np.concatenate([keys, work.places[0][places]])
-            zs = np.concatenate([zs, work.places[1][places, :3]])
-            reached = float(work.queue[0][0]) if left else 0.0
+            keys = np.concatenate([keys, work.places.corners[places]])
+            zs = np.concatenate([zs, work.places.heights[places, :3]])
+            reached = float(work.queue.priorities[0]) if left else 0.0
         within = reached is not None and reached < UNBOUNDED
         return Mesh(
             keys, zs, is_strip=False, clockwise=False, triangles=len(keys), within=within,

@@ -8,7 +8,7 @@ than that. Each triangle on the front therefore waits for a length of way: its d
 *Anisotropic* (default). The set of eyes from which a diamond must be split is no sphere: a height seen from above
 hardly shows, and what is out of view does not count. It depends on the axis of view, too. So a triangle waits for two
 numbers, a way of the eye and a turn of the axis, such that no motion within both can cross the boundary
-(``blow_pass.stays``). The mesh is that of ``soar`` and ``stateless`` for the same tolerance, to the triangle.
+(``stays``). The mesh is that of ``soar`` and ``stateless`` for the same tolerance, to the triangle.
 
 *Isotropic.* A sample in view at distance d has depth w ≥ d·cos θ, θ being the angle between the axis of view and the
 picture's corner. A vertical displacement of up to e moves it by at most f·e·d / (w·(w − e)) pixels (``error.screen``;
@@ -25,7 +25,7 @@ texel. Turning the head changes nothing; mixed diamonds (e = ∞) are split when
 stays refined and is skipped when triangles are put out.
 
 *Waiting.* The front is kept as two binary trees of triangles. A leaf waits to be split, a node with two leaves below it
-to be merged; radix heaps of ways and of turns (``waiting``) say when.
+to be merged; radix heaps of ways and of turns (``radix_heap``) say when.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import ANISOTROPIC, STRETCH, TEXEL
+from orograph.error.screen import ANISOTROPIC
+from orograph.lod.criterion import NOTHING, Criterion
 from orograph.lod.field import Field
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.radix_heap import AFTER, BEFORE, LISTS, WHERE, WORK, advance
@@ -54,6 +55,9 @@ from orograph.lod.threshold_spheres_pass import (
     RADIANS,
     TOP,
     VISITS,
+    Frame,
+    Lists,
+    Nodes,
     put_out,
     update,
 )  # fmt: skip
@@ -86,14 +90,18 @@ class _State:
         self.axes: NDArray[np.float64] | None = None
 
     @property
-    def arrays(self) -> tuple[NDArray[Any], ...]:
-        return self.corners, self.heights, self.numbers, self.due, self.shown, self.links, self.turning
+    def nodes(self) -> Nodes:
+        """The trees as kernels see them."""
+        return Nodes(
+            self.corners, self.heights, self.numbers, self.due, self.shown, self.links, self.turning, self.free
+        )
 
     def grow(self) -> None:
         """Twice the room."""
         more = len(self.due)
         self.corners, self.heights, self.numbers, self.due, self.shown, self.links, self.turning = (
-            np.concatenate([a, np.full_like(a, -1) if a.dtype == np.int32 else np.zeros_like(a)]) for a in self.arrays
+            np.concatenate([a, np.full_like(a, -1) if a.dtype == np.int32 else np.zeros_like(a)])
+            for a in self.nodes[:-1]
         )
         count = int(self.counts[FREE])
         self.free = np.concatenate([self.free[:count], np.arange(2 * more - 2, more - 2, -2, dtype=np.int32)])
@@ -149,9 +157,9 @@ class ThresholdSpheres(RightTriangleMeshes):
         view, exaggeration, tolerance = camera.view, camera.exaggeration, goal.tolerance
         grid, lens = self.terrain.grid, self._lens(camera, tolerance)
         a, b, c, d, e, f = grid.samples[:6]
-        size = math.hypot((abs(a) + abs(b)) * grid.cols, (abs(d) + abs(e)) * grid.rows) * lens[STRETCH]
+        size = math.hypot((abs(a) + abs(b)) * grid.cols, (abs(d) + abs(e)) * grid.rows) * lens.stretch
         cosine = 1.0 / math.hypot(1.0, *(view.pixel_slope * pixels / 2 for pixels in view.frame[2:]))
-        colored = math.inf if view.projection == "plan" else (1.0 + 1.0 / lens[TEXEL]) / cosine
+        colored = math.inf if view.projection == "plan" else (1.0 + 1.0 / lens.texel) / cosine
         isotropic = self.spheres != ANISOTROPIC
         plan = view.projection == "plan"
         spheres: tuple[Any, ...] = (self._lambda(camera, tolerance), colored, view.part, exaggeration)
@@ -170,10 +178,13 @@ class ThresholdSpheres(RightTriangleMeshes):
             state.way += moved + (unit if moved else 0.0)
             state.turn += turned + (RADIANS if turned else 0.0)
         state.eye, state.axes = eye, axes
-        way = np.array(
-            [*eye, 0.0 if not isotropic else spheres[0], unit, state.way, self.color_tolerance, colored, 1e-9 * size,
-             c, f, exaggeration, a, b, d, e, state.turn, moved, turned, 1.0 / cosine]
+        around = Frame(
+            eye=tuple(eye.tolist()), origin=(c, f), affine=(a, b, d, e), way=state.way, turn=state.turn, moved=moved,
+            turned=turned, unit=unit, reach=spheres[0] if isotropic else 0.0, color_reach=colored, slack=1e-9 * size,
+            secant=1.0 / cosine,
         )  # fmt: skip
+        criterion = Criterion(lens, self.spheres, self.cull, NOTHING)
+        lists = Lists(state.heads, state.turns)
         state.counts[VISITS : MERGES + 1] = 0
         for clock, (links, heads, now) in enumerate(
             ((state.links, state.heads, state.way / unit), (state.turning, state.turns, state.turn / RADIANS))
@@ -184,9 +195,8 @@ class ThresholdSpheres(RightTriangleMeshes):
             state.stack[:2], state.counts[TOP] = (0, 1), 2 if isotropic else 0
             self.field.begin()
             why = update(
-                self.field.pages, lens, self.spheres, self.cull, way, *state.arrays, state.free, state.heads,
-                state.turns, state.stack, state.counts, 2 * self.field.n,
-            )  # fmt: skip
+                self.field.pages, criterion, around, state.nodes, lists, state.stack, state.counts, 2 * self.field.n
+            )
             if why == GROW:
                 state.grow()
             elif why == MISSED:
@@ -194,7 +204,7 @@ class ThresholdSpheres(RightTriangleMeshes):
             else:
                 break
         updated = time.perf_counter()
-        keys, zs = self._triangles(state, lens, self._pruned(lens), exaggeration)
+        keys, zs = self._triangles(state, criterion._replace(pruned=self._pruned(lens)))
         visits, splits, merges = (int(v) for v in state.counts[VISITS : MERGES + 1])
         nodes = len(state.due) - 2 * int(state.counts[FREE])
         return Mesh(
@@ -206,16 +216,11 @@ class ThresholdSpheres(RightTriangleMeshes):
             },
         )  # fmt: skip
 
-    def _triangles(
-        self, state: _State, lens: NDArray[np.float64], pruned: NDArray[np.int64], exaggeration: float
-    ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    def _triangles(self, state: _State, criterion: Criterion) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         stack = np.empty((2 * self.field.n + 4, 2), np.int64)
         while True:
             keys, zs = np.empty((self._capacity, 3), np.int64), np.empty((self._capacity, 3), np.float32)
-            count = put_out(
-                lens, self.cull, pruned, self.field.pages.edge, exaggeration, state.corners, state.heights,
-                state.numbers, state.shown, state.links, stack, keys, zs,
-            )  # fmt: skip
+            count = put_out(self.field.pages, criterion, state.nodes, stack, keys, zs)
             if count >= 0:
                 return keys[:count], zs[:count]
             self._capacity *= 2

@@ -14,20 +14,31 @@ each into the bound, and it holds for the whole motion. docs/metrics.md has the 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, leaf
-from orograph.error.screen import ANISOTROPIC, color_exceeds, outside, sphere_exceeds, to_camera
-from orograph.lod.field import find
-from orograph.lod.look_ahead import foresee
+from orograph.error.screen import (
+    ANISOTROPIC,
+    color_exceeds,
+    image_motion,
+    outside,
+    plane_distance,
+    sphere_exceeds,
+    to_camera,
+)
+from orograph.lod.bisection import halve, has_heights
+from orograph.lod.criterion import FAR_BIT, NAN, color_error, first_bits, look_up, place_of, prune
 from orograph.lod.pages import BEYOND
-from orograph.lod.radix_heap import link, list_of, unlink
+from orograph.lod.radix_heap import PENDING, WHERE, WORK, link, list_of, unlink
 
 DONE, MISSED, GROW = 0, 1, 2
 """Why kernels return."""
 
 PARENT, CHILD, LEVEL = 3, 4, 5
-"""Links of a triangle, behind those of ``waiting``: above; the first of two below, −1: none; level."""
+"""Links of a triangle, behind those of ``radix_heap``: above; the first of two below, −1: none; level."""
 
 TOP, FREE, NOW, TURNED, VISITS, SPLITS, MERGES = range(7)
 """Counts: height of the stack; free pairs; the way and the turn, in units; triangles looked at, splits, merges."""
@@ -36,14 +47,6 @@ X, Y, Z, RADIUS, REACH, ERROR, COLOR, NUMBERS = range(8)
 """Of a triangle's diamond: its vertex (stretched metres); radius of its nested sphere; of its threshold sphere (∞:
 mixed, −1: never split, NaN: not yet known; 1 if the metric has no such spheres); its errors."""
 
-EYE, LAMBDA, UNIT, WAY, GAMMA, COLORED, SLACK, EAST, NORTH, UP, AFFINE, TURN, MOVED, ROTATED, SECANT, FRAME = (
-    0, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 16, 17, 18, 19, 20,
-)  # fmt: skip
-"""What a frame is about: eye (3, stretched metres); λ for metres of height; metres per unit of way; the way so far,
-metres; γ; reach of coloured diamonds in radii; slack per level, metres; the first sample's easting and northing; the
-exaggeration; metres east per column and row, north per column and row; the turn so far, radians; by how much the camera
-has moved and turned since the last frame; 1 / cos of the angle of the picture's corner."""
-
 RADIANS = 2.0**-34
 """Radians per unit of turn."""
 
@@ -51,18 +54,73 @@ FAR = np.int64(1) << 60
 """The way at which what never changes is due."""
 
 
+class Frame(NamedTuple):
+    """What a frame is about, beside the camera.
+
+    Attributes:
+        eye: east, north, up, stretched metres. origin: east and north of the first sample; affine: metres east per
+            column and row, north per column and row.
+        way, turn: of the eye and of the axis of view so far, metres and radians; moved, turned: since the last frame.
+        unit: metres per unit of way.
+        reach: of threshold spheres, metres per metre of height. color_reach: of colored diamonds, in radii.
+        slack: metres per level.
+        secant: 1 / cos of the angle of the picture's corner.
+    """
+
+    eye: tuple[float, float, float]
+    origin: tuple[float, float]
+    affine: tuple[float, float, float, float]
+    way: float
+    turn: float
+    moved: float
+    turned: float
+    unit: float
+    reach: float
+    color_reach: float
+    slack: float
+    secant: float
+
+
+class Nodes(NamedTuple):
+    """The two trees of triangles, by place.
+
+    Attributes:
+        corners: int64 (places, 3), heights: float32 (places, 4): see ``lod.bisection``.
+        numbers: float64 (places, 7): the diamond, see ``X`` and following; REACH is NaN before it is known.
+        due: int64 (places, 2), the way and the turn at which to look again.
+        shown: uint8 (places,), whether there is surface.
+        links: int32 (places, 6), of those that wait for a way; turning: int32 (places, 3), for a turn (``radix_heap``).
+        free: int32 (places / 2,), first places of pairs not in use.
+    """
+
+    corners: NDArray[np.int64]
+    heights: NDArray[np.float32]
+    numbers: NDArray[np.float64]
+    due: NDArray[np.int64]
+    shown: NDArray[np.uint8]
+    links: NDArray[np.int32]
+    turning: NDArray[np.int32]
+    free: NDArray[np.int32]
+
+
+class Lists(NamedTuple):
+    """The heads of the lists of those that wait for a way, and for a turn: int32 (LISTS,) each."""
+
+    ways: NDArray[np.int32]
+    turns: NDArray[np.int32]
+
+
 @inlined
-def _least(lens, col, row, z):
+def _least(camera, col, row, z):
     """The least signed distance of a vertex from the planes of the frustum, inside positive."""
     least = np.inf
     for plane in range(6):
-        at = 20 + 4 * plane
-        least = min(least, lens[at] * col + lens[at + 1] * row + lens[at + 2] * z + lens[at + 3])
+        least = min(least, plane_distance(camera, plane, col, row, z))
     return least
 
 
 @leaf
-def stays(lens, n, d, w, e, r, secant, exceeds, x, turn):
+def stays(camera, n, d, w, e, r, secant, exceeds, x, turn):
     """Whether the anisotropic bound stays on its side of the tolerance for every motion x with a turn of ``turn``.
 
     Args:
@@ -70,27 +128,27 @@ def stays(lens, n, d, w, e, r, secant, exceeds, x, turn):
         secant: 1 / cos of the angle of the picture's corner.
         exceeds: whether the bound exceeds the tolerance now.
     """
-    steep = lens[16] * turn
-    up = abs(lens[10])
-    pixels = lens[12] * e
+    steep = camera.exaggeration * turn
+    up = abs(camera.depth[2])
+    pixels = camera.focal * e
     if exceeds:
         depth = w + x - r
-        moved = max(depth, lens[14]) - e * max(up - steep, 0.0)
+        moved = max(depth, camera.near) - e * max(up - steep, 0.0)
         if not moved > 0.0:
             return True
-        lean = lens[52] - steep * secant
+        lean = camera.largest_lean - steep * secant
         if depth > 0.0:
             size = r * max(up - steep, 0.0) * max(d - x, 0.0) / depth
-            lean = min(lean, (max(n - lens[16] * x, 0.0) + size) / (w + x))
-        return pixels * lean > lens[13] * moved * (1.0 + 1e-9)
+            lean = min(lean, (max(n - camera.exaggeration * x, 0.0) + size) / (w + x))
+        return pixels * lean > camera.tolerance * moved * (1.0 + 1e-9)
     depth = w - x - r
-    moved = (max(depth, lens[14]) - e * (up + steep)) * (1.0 - 1e-9)
+    moved = (max(depth, camera.near) - e * (up + steep)) * (1.0 - 1e-9)
     if not moved > 0.0:
         return False
-    lean = lens[52] + steep * secant
+    lean = camera.largest_lean + steep * secant
     if depth > 0.0:
-        lean = min(lean, (n + lens[16] * x + r * (up + steep) * (d + x) / depth) / (w - x))
-    return pixels * lean <= lens[13] * moved
+        lean = min(lean, (n + camera.exaggeration * x + r * (up + steep) * (d + x) / depth) / (w - x))
+    return pixels * lean <= camera.tolerance * moved
 
 
 @inlined
@@ -100,29 +158,29 @@ def _turn(share, x, d):
 
 
 @leaf
-def decide(lens, cull, col, row, z, e, r, c, secant, share):
+def decide(camera, cull, col, row, z, e, r, c, secant, share):
     """(whether a diamond is split, the motion x for which that does not change) by the anisotropic metric."""
-    x, y, w = to_camera(lens, col, row, z)
+    x, y, w = to_camera(camera, col, row, z)
     d = np.sqrt(x * x + y * y + w * w)
     least = np.inf
     if cull:
-        out, _ = outside(lens, col, row, z, r, 0)
-        least = _least(lens, col, row, z)
+        out, _ = outside(camera, col, row, z, r, 0)
+        least = _least(camera, col, row, z)
         if out:
             return False, -r - least
-    colored = color_exceeds(lens, c, w, r)
+    colored = color_exceeds(camera, c, w, r)
     # A motion for which colours stay what they are.
-    slack = abs(w - r - r / lens[45]) if c > lens[44] and lens[45] < np.inf else np.inf
-    exceeds = sphere_exceeds(lens, 0, x, y, w, e, r)
+    slack = abs(w - r - r / camera.texel) if c > camera.color_tolerance and camera.texel < np.inf else np.inf
+    exceeds = sphere_exceeds(camera, ANISOTROPIC, x, y, w, e, r)
     motion = np.inf
-    if e < np.inf and e > 0.0 and lens[12] > 0.0:
-        p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
+    if e < np.inf and e > 0.0 and camera.focal > 0.0:
+        p, q = image_motion(camera, x, y, w)
         n = np.sqrt(p * p + q * q)
         # From no motion and one too large towards each other.
         low, high = 0.0, 2.0 * d
         for _ in range(14):
             middle = 0.5 * (low + high) if low > 0.0 else 0.25 * high
-            if stays(lens, n, d, w, e, r, secant, exceeds, middle, _turn(share, middle, d)):
+            if stays(camera, n, d, w, e, r, secant, exceeds, middle, _turn(share, middle, d)):
                 low = middle
             else:
                 high = middle
@@ -141,212 +199,235 @@ def decide(lens, cull, col, row, z, e, r, c, secant, share):
     return False, motion
 
 
+@inlined
+def leave_lists(nodes, lists, v):
+    """Take a node out of the lists in which it waits."""
+    unlink(nodes.links, lists.ways, v)
+    unlink(nodes.turning, lists.turns, v)
+
+
+@inlined
+def take_due(nodes, lists):
+    """Put into the list of work what is due by a turn, and what lacked a page."""
+    while lists.turns[WORK] >= 0:
+        v = np.int64(lists.turns[WORK])
+        leave_lists(nodes, lists, v)
+        link(nodes.links, lists.ways, v, WORK)
+    while lists.ways[PENDING] >= 0:
+        v = np.int64(lists.ways[PENDING])
+        unlink(nodes.links, lists.ways, v)
+        link(nodes.links, lists.ways, v, WORK)
+
+
+@inlined
+def load(pages, criterion, frame, nodes, v, leaf_level):
+    """Write what the diamond of a new node says into its numbers; whether its page is there."""
+    camera, numbers = criterion.camera, nodes.numbers
+    level = np.int64(nodes.links[v, LEVEL])
+    key = (nodes.corners[v, 0] + nodes.corners[v, 1]) >> 1
+    slot, z, e, r, c = np.int64(BEYOND), NAN, 0.0, -1.0, 0.0
+    if level < leaf_level:
+        slot, z, e32, r32, c32 = look_up(pages, key, (leaf_level >> 1) - 1 - (level >> 1))
+        e, r, c = np.float64(e32), np.float64(r32), np.float64(c32)
+        if slot < 0 and slot != BEYOND:
+            return False
+    if slot < 0:
+        numbers[v, RADIUS], numbers[v, REACH] = 0.0, -1.0
+        nodes.shown[v] = level == leaf_level
+        return True
+    nodes.heights[v, 3] = z if c >= 0.0 else NAN
+    nodes.shown[v] = r >= 0.0
+    c = color_error(c)
+    r = abs(r) * camera.stretch
+    reach = -1.0
+    slack = frame.slack * (leaf_level - level)
+    if e == np.inf:
+        reach = np.inf  # (in a plan λ is 0, and 0 · ∞ no number)
+    elif criterion.metric == ANISOTROPIC:
+        reach = 1.0 if e > 0.0 or c > camera.color_tolerance else -1.0
+    elif e > 0.0 and frame.reach > 0.0:
+        reach = frame.reach * e + r + slack
+    if criterion.metric != ANISOTROPIC and c > camera.color_tolerance:
+        reach = max(reach, frame.color_reach * r + slack)
+    col, row = place_of(pages, key)
+    numbers[v, X] = frame.affine[0] * col + frame.affine[1] * row + frame.origin[0]
+    numbers[v, Y] = frame.affine[2] * col + frame.affine[3] * row + frame.origin[1]
+    numbers[v, Z] = camera.exaggeration * np.float64(z)
+    numbers[v, RADIUS], numbers[v, REACH], numbers[v, ERROR], numbers[v, COLOR] = r, reach, e, c
+    return True
+
+
+@inlined
+def boundary(pages, criterion, frame, nodes, v):
+    """(whether node v is split, the motion for which that does not change, its distance, the share of moving in it)."""
+    numbers = nodes.numbers
+    x, y, h = numbers[v, X] - frame.eye[0], numbers[v, Y] - frame.eye[1], numbers[v, Z] - frame.eye[2]
+    away = np.sqrt(x * x + y * y + h * h)
+    if criterion.metric != ANISOTROPIC:
+        reach = numbers[v, REACH]
+        return away < reach, abs(away - reach), away, 1.0
+    col, row = place_of(pages, (nodes.corners[v, 0] + nodes.corners[v, 1]) >> 1)
+    # The slack goes to moving and turning in the proportion of late.
+    share = min(max((frame.moved + 1e-30) / (frame.moved + frame.turned * away + 2e-30), 0.1), 0.9)
+    inside, motion = decide(
+        criterion.camera, criterion.cull, col, row, numbers[v, Z] / criterion.camera.exaggeration, numbers[v, ERROR],
+        numbers[v, RADIUS], numbers[v, COLOR], frame.secant, share,
+    )  # fmt: skip
+    return inside, max(motion, 0.0) * (1.0 - 1e-9), away, share
+
+
+@inlined
+def schedule(frame, turns, nodes, lists, counts, v, motion, away, share):
+    """Look at node v again when the eye has come as far as the boundary is now, less what roundings may do.
+
+    Args:
+        turns: whether the boundary depends on the axis of view, too.
+    """
+    at = np.int64(min((frame.way + share * motion) / frame.unit - 2.0, 1e18))
+    nodes.due[v, 0] = max(at, counts[NOW])
+    link(nodes.links, lists.ways, v, list_of(nodes.due[v, 0], counts[NOW]))
+    if turns:
+        at = np.int64(min((frame.turn + _turn(share, min(motion, 1e30), away)) / RADIANS - 2.0, 1e18))
+        nodes.due[v, 1] = max(at, counts[TURNED])
+        link(nodes.turning, lists.turns, v, list_of(nodes.due[v, 1], counts[TURNED]))
+
+
+@inlined
+def merge(nodes, lists, counts, v):
+    """Remove the two leaves below node v, and have its parent looked at."""
+    links = nodes.links
+    child, parent = np.int64(links[v, CHILD]), np.int64(links[v, PARENT])
+    for k in range(2):
+        leave_lists(nodes, lists, child + k)
+    nodes.free[counts[FREE]] = child
+    counts[FREE] += 1
+    counts[MERGES] += 1
+    links[v, CHILD] = -1
+    if parent >= 0:
+        leave_lists(nodes, lists, parent)
+        link(links, lists.ways, parent, WORK)
+
+
+@inlined
+def split_leaf(nodes, lists, counts, v):
+    """Give leaf v its two halves, which are looked at next; its parent waits no more."""
+    links = nodes.links
+    counts[FREE] -= 1
+    counts[SPLITS] += 1
+    child, parent = np.int64(nodes.free[counts[FREE]]), np.int64(links[v, PARENT])
+    links[v, CHILD] = child
+    if parent >= 0:
+        leave_lists(nodes, lists, parent)
+    halve(nodes.corners, nodes.heights, v, nodes.corners, nodes.heights, child)
+    for t in range(child, child + 2):
+        links[t, PARENT], links[t, CHILD], links[t, LEVEL], links[t, WHERE] = v, -1, links[v, LEVEL] + 1, -1
+        nodes.turning[t, WHERE] = -1
+        nodes.numbers[t, REACH] = np.nan
+        link(links, lists.ways, t, WORK)
+
+
 @leaf
-def update(
-    pages, lens, metric, cull, way, corners, heights, numbers, due, shown, links, turning, free, heads, turns, stack,
-    counts, leaf_level,
-):  # fmt: skip
+def update(pages, criterion, frame, nodes, lists, stack, counts, leaf_level):
     """Look at what is to be looked at, and at mixed diamonds in view; returns why it stops. It can be called again.
 
     Args:
-        pages: ``field.Pages``. lens: the camera. metric: its number.
-        cull: whether what is out of view stays whole: with the isotropic metrics mixed diamonds, else all.
-        way: float64 (20,), see ``EYE`` and following.
-        corners: int64 (places, 3): left end, right end, apex; heights: float32 (places, 4), theirs and the middle's.
-        numbers: float64 (places, 7): the diamond (X …); REACH is NaN before it is known.
-        due: int64 (places, 2), the way and the turn at which to look again. shown: uint8 (places,).
-        links: int32 (places, 6), of those that wait for a way; turning: int32 (places, 3), for a turn.
-        free: int32 (places / 2,), first places of pairs not in use. heads, turns: int32 (67,).
-        stack: int32 (4n + 8,). counts: int64 (7,). leaf_level: 2n.
+        pages: ``field.Pages``.
+        criterion: ``Criterion`` that does not look ahead. What is out of view stays whole if it culls: with the
+            isotropic metrics mixed diamonds, else all.
+        frame: ``Frame``. nodes: ``Nodes``. lists: ``Lists``.
+        stack: int32 (4n + 8,), the mixed nodes to look at. counts: int64 (7,). leaf_level: 2n.
     """
-    n = leaf_level >> 1
-    spheres = metric != ANISOTROPIC
-    while turns[66] >= 0:
-        v = np.int64(turns[66])
-        unlink(turning, turns, v)
-        unlink(links, heads, v)
-        link(links, heads, v, 66)
-    while heads[65] >= 0:
-        v = np.int64(heads[65])
-        unlink(links, heads, v)
-        link(links, heads, v, 66)
-    last_row, last_col = pages.edge[0], pages.edge[1]
+    links, numbers = nodes.links, nodes.numbers
+    spheres = criterion.metric != ANISOTROPIC
+    take_due(nodes, lists)
     while True:
-        v = np.int64(heads[66])
+        v = np.int64(lists.ways[WORK])
         split = False
         if v >= 0:
-            if counts[1] < 1:
-                return 2
-            unlink(links, heads, v)
-            unlink(turning, turns, v)
-            level = np.int64(links[v, 5])
-            if numbers[v, 4] != numbers[v, 4]:
-                # New: what its diamond says.
-                er, ec = corners[v, 0] >> 32, corners[v, 0] & 0xFFFFFFFF
-                xr, xc = corners[v, 1] >> 32, corners[v, 1] & 0xFFFFFFFF
-                if level == leaf_level:
-                    numbers[v, 3], numbers[v, 4] = 0.0, -1.0
-                    shown[v] = 1
-                else:
-                    slot, i, j = find(pages, (er + xr) >> 1, (ec + xc) >> 1, n - 1 - (level >> 1))
-                    if slot == BEYOND:
-                        numbers[v, 3], numbers[v, 4], shown[v] = 0.0, -1.0, 0
-                        continue
-                    if slot < 0:
-                        link(links, heads, v, 65)
-                        continue
-                    row, col = min((er + xr) >> 1, last_row), min((ec + xc) >> 1, last_col)
-                    z = pages.data[slot, i, j, 0]
-                    e = np.float64(pages.data[slot, i, j, 1])
-                    r = np.float64(pages.data[slot, i, j, 2])
-                    c = np.float64(pages.data[slot, i, j, 3])
-                    heights[v, 3] = z if c >= 0.0 else np.float32(np.nan)
-                    c = c if c >= 0.0 else -1.0 - c
-                    shown[v] = r >= 0.0
-                    r = abs(r) * lens[15]
-                    reach = -1.0
-                    numbers[v, 5], numbers[v, 6] = e, c
-                    if e == np.inf:
-                        reach = np.inf  # (in a plan λ is 0, and 0 · ∞ no number)
-                    elif not spheres:
-                        reach = 1.0 if e > 0.0 or c > way[6] else -1.0
-                    elif e > 0.0 and way[3] > 0.0:
-                        reach = way[3] * e + r + way[8] * (leaf_level - level)
-                    if spheres and c > way[6]:
-                        reach = max(reach, way[7] * r + way[8] * (leaf_level - level))
-                    numbers[v, 0] = way[12] * col + way[13] * row + way[9]
-                    numbers[v, 1] = way[14] * col + way[15] * row + way[10]
-                    numbers[v, 2] = way[11] * np.float64(z)
-                    numbers[v, 3], numbers[v, 4] = r, reach
-            reach = numbers[v, 4]
+            if counts[FREE] < 1:
+                return GROW
+            leave_lists(nodes, lists, v)
+            if numbers[v, REACH] != numbers[v, REACH] and not load(pages, criterion, frame, nodes, v, leaf_level):
+                link(links, lists.ways, v, PENDING)
+                continue
+            reach = numbers[v, REACH]
             if not reach > 0.0 or (spheres and reach == np.inf):
                 continue  # never split; or mixed: see below
-            child = np.int64(links[v, 4])
-            if child >= 0 and (links[child, 4] >= 0 or links[child + 1, 4] >= 0):
+            child = np.int64(links[v, CHILD])
+            if child >= 0 and (links[child, CHILD] >= 0 or links[child + 1, CHILD] >= 0):
                 continue  # its turn comes when those below are gone
-            counts[4] += 1
-            x, y, h = numbers[v, 0] - way[0], numbers[v, 1] - way[1], numbers[v, 2] - way[2]
-            away = np.sqrt(x * x + y * y + h * h)
-            share = 1.0
-            if spheres:
-                inside, motion = away < reach, abs(away - reach)
-            else:
-                key = (corners[v, 0] + corners[v, 1]) >> 1
-                # The slack goes to moving and turning in the proportion of late.
-                share = min(max((way[17] + 1e-30) / (way[17] + way[18] * away + 2e-30), 0.1), 0.9)
-                inside, motion = decide(
-                    lens, cull, min(key & 0xFFFFFFFF, last_col), min(key >> 32, last_row), numbers[v, 2] / way[11],
-                    numbers[v, 5], numbers[v, 3], numbers[v, 6], way[19], share,
-                )  # fmt: skip
-                motion = max(motion, 0.0) * (1.0 - 1e-9)
-            if child >= 0:
-                if not inside:
-                    for k in range(2):
-                        unlink(links, heads, child + k)
-                        unlink(turning, turns, child + k)
-                    free[counts[1]] = child
-                    counts[1] += 1
-                    counts[6] += 1
-                    links[v, 4] = -1
-                    parent = np.int64(links[v, 3])
-                    if parent >= 0:
-                        unlink(links, heads, parent)
-                        unlink(turning, turns, parent)
-                        link(links, heads, parent, 66)
-            elif inside:
-                split = True
-            # Look again when the eye has come as far as the boundary is now, less what roundings may do.
-            at = np.int64(min((way[5] + share * motion) / way[4] - 2.0, 1e18))
-            due[v, 0] = max(at, counts[2])
-            link(links, heads, v, list_of(due[v, 0], counts[2]))
-            if not spheres:
-                at = np.int64(min((way[16] + _turn(share, min(motion, 1e30), away)) / RADIANS - 2.0, 1e18))
-                due[v, 1] = max(at, counts[3])
-                link(turning, turns, v, list_of(due[v, 1], counts[3]))
-        elif counts[0] > 0:
+            counts[VISITS] += 1
+            inside, motion, away, share = boundary(pages, criterion, frame, nodes, v)
+            if child < 0:
+                split = inside
+            elif not inside:
+                merge(nodes, lists, counts, v)
+            schedule(frame, not spheres, nodes, lists, counts, v, motion, away, share)
+        elif counts[TOP] > 0:
             # Through mixed diamonds in view.
-            if counts[1] < 1:
-                return 2
-            v = np.int64(stack[counts[0] - 1])
-            counts[0] -= 1
-            if numbers[v, 4] != np.inf:
+            if counts[FREE] < 1:
+                return GROW
+            v = np.int64(stack[counts[TOP] - 1])
+            counts[TOP] -= 1
+            if numbers[v, REACH] != np.inf:
                 continue
-            if cull:
-                key = (corners[v, 0] + corners[v, 1]) >> 1
-                row, col = min(key >> 32, last_row), min(key & 0xFFFFFFFF, last_col)
-                out, _ = outside(lens, col, row, numbers[v, 2] / way[11], numbers[v, 3], 0)
+            if criterion.cull:
+                col, row = place_of(pages, (nodes.corners[v, 0] + nodes.corners[v, 1]) >> 1)
+                z = numbers[v, Z] / criterion.camera.exaggeration
+                out, _ = outside(criterion.camera, col, row, z, numbers[v, RADIUS], 0)
                 if out:
                     continue
-            child = np.int64(links[v, 4])
+            child = np.int64(links[v, CHILD])
             if child >= 0:
-                stack[counts[0]], stack[counts[0] + 1] = child, child + 1
-                counts[0] += 2
+                stack[counts[TOP]], stack[counts[TOP] + 1] = child, child + 1
+                counts[TOP] += 2
             else:
                 split = True
-                stack[counts[0]] = v
-                counts[0] += 1
+                stack[counts[TOP]] = v
+                counts[TOP] += 1
         else:
-            return 0 if heads[65] < 0 else 1
+            return DONE if lists.ways[PENDING] < 0 else MISSED
         if split:
-            counts[1] -= 1
-            counts[5] += 1
-            child = np.int64(free[counts[1]])
-            links[v, 4] = child
-            parent = np.int64(links[v, 3])
-            if parent >= 0:
-                unlink(links, heads, parent)
-                unlink(turning, turns, parent)
-            m = (corners[v, 0] + corners[v, 1]) >> 1
-            for half in range(2):
-                t = child + half
-                corners[t, 0] = corners[v, 2] if half == 0 else corners[v, 1]
-                corners[t, 1] = corners[v, 0] if half == 0 else corners[v, 2]
-                corners[t, 2] = m
-                heights[t, 0] = heights[v, 2] if half == 0 else heights[v, 1]
-                heights[t, 1] = heights[v, 0] if half == 0 else heights[v, 2]
-                heights[t, 2] = heights[v, 3]
-                links[t, 3], links[t, 4], links[t, 5], links[t, 2] = v, -1, links[v, 5] + 1, -1
-                turning[t, 2] = -1
-                numbers[t, 4] = np.nan
-                link(links, heads, t, 66)
+            split_leaf(nodes, lists, counts, v)
 
 
 @leaf
-def put_out(lens, cull, pruned, edge, scale, corners, heights, numbers, shown, links, stack, keys, zs):
+def put_out(pages, criterion, nodes, stack, keys, zs):
     """Write the leaves that are in view and return how many; −1 if there is no room for them.
 
     Args:
-        pruned: int64, the table of diamonds whose triangles are put out as they are, though the boundary of the bound
-            over their spheres is crossed (``lod.look_ahead``).
-        edge: as in ``field.Pages``. scale: the exaggeration.
-        stack: int64 (2n + 4, 2), scratch. keys: int64 (capacity, 3), zs: float32 (capacity, 3).
+        pages: ``field.Pages``.
+        criterion: ``Criterion``; what it prunes is put out as it is, though its boundary is crossed.
+        nodes: ``Nodes``. stack: int64 (2n + 4, 2), scratch. keys: int64 (capacity, 3), zs: float32 (capacity, 3).
     """
+    camera = criterion.camera
+    corners, heights, numbers, links = nodes.corners, nodes.heights, nodes.numbers, nodes.links
     count = np.int64(0)
-    bits = np.int64(64 if len(pruned) == 1 else 0)
+    bits = first_bits(criterion)
     stack[0, 0], stack[0, 1], stack[1, 0], stack[1, 1] = 0, bits, 1, bits
     top = 2
     while top > 0:
         top -= 1
         v, inside = stack[top, 0], stack[top, 1]
         key = (corners[v, 0] + corners[v, 1]) >> 1
-        row, col = min(key >> 32, edge[0]), min(key & 0xFFFFFFFF, edge[1])
-        if cull and numbers[v, 3] > 0.0:
-            out, inside = outside(lens, col, row, numbers[v, 2] / scale, numbers[v, 3], inside)
+        col, row = place_of(pages, key)
+        z = numbers[v, Z] / camera.exaggeration
+        if criterion.cull and numbers[v, RADIUS] > 0.0:
+            out, inside = outside(camera, col, row, z, numbers[v, RADIUS], inside)
             if out:
                 continue
-        child = np.int64(links[v, 4])
+        child = np.int64(links[v, CHILD])
         split = child >= 0
-        if split and inside < 64:
-            w = lens[8] * col + lens[9] * row + lens[10] * (numbers[v, 2] / scale) + lens[11]
-            split, hidden, inside = foresee(pruned, key, w, numbers[v, 3], True, inside)
+        if split and inside < FAR_BIT:
+            _, _, w = to_camera(camera, col, row, z)
+            split, hidden, inside = prune(criterion.pruned, key, w, numbers[v, RADIUS], True, inside)
             if hidden:
                 continue
         if split:
             stack[top, 0], stack[top, 1], stack[top + 1, 0], stack[top + 1, 1] = child, inside, child + 1, inside
             top += 2
             continue
-        total = heights[v, 0] + heights[v, 1] + heights[v, 2]
-        if shown[v] and total == total:
+        if nodes.shown[v] and has_heights(heights, v):
             if count == len(keys):
                 return -1
             for k in range(3):

@@ -21,247 +21,313 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import leaf
-from orograph.error.screen import color_exceeds, outside, sphere_bound, to_camera, triangle_bound
+from orograph._numba import inlined, leaf
+from orograph.error.screen import (
+    LOCALISED,
+    WEDGIE,
+    color_exceeds,
+    outside,
+    sphere_bound,
+    to_camera,
+    triangle_bound,
+)
 from orograph.errors import UsageError
-from orograph.lod.field import find
+from orograph.lod.bisection import copy_triangle, halve, has_area, has_heights, is_inside, squeezed
+from orograph.lod.criterion import (
+    NAN,
+    NEAR,
+    NOTHING,
+    UNBOUNDED,
+    ZERO,
+    Criterion,
+    color_error,
+    look_up,
+    place_of,
+    priority,
+)
 from orograph.lod.localise import STACK, localised_bound, prism_outside
-from orograph.lod.look_ahead import DEPTH, NEAR
+from orograph.lod.look_ahead import DEPTH
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
 from orograph.lod.pages import BEYOND
-from orograph.lod.queues import LEVEL_SHIFT, ORDERS, QUEUE, check_size, code_of, heap_pop, heap_push
-from orograph.lod.right_triangles import (
-    EVERY,
-    METRIC,
-    UNBOUNDED,
-    Mesh,
-    MeshOptions,
-    RightTriangleMeshes,
-    by_tolerance,
+from orograph.lod.queues import (
+    HEAD,
+    LEVEL_SHIFT,
+    ORDERS,
+    QUEUE,
+    TAIL,
+    Queue,
+    check_size,
+    code_of,
+    first_place,
+    put_in,
+    take_out,
 )
+from orograph.lod.right_triangles import EVERY, METRIC, Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
 from orograph.viewpoint import Camera
 
 DONE, MISSED, GROW, PAUSED, FULL = 0, 1, 2, 3, 4
 """Why the kernel returns: nothing is left to split; pages are missing; no room; enough for now; budget used up."""
 
-MADE, DRAWN, HEAD, TAIL, SPLITS, STALLED = 0, 1, 2, 3, 4, 5
-"""Counts: triangles; those drawn; the queue's begin and end; splits; triangles in a row that lacked a page."""
+MADE, DRAWN, SPLITS, STALLED = 0, 1, 4, 5
+"""Counts, with ``queues.HEAD`` and ``TAIL``: triangles; those drawn; splits; triangles in a row that lacked a page."""
+
+LEFT, RIGHT, BASE, LEVEL = 0, 1, 2, 3
+"""Links of a triangle: its neighbours at the left leg, the right leg and the hypotenuse, −1: none; its level."""
+
+
+class Limits(NamedTuple):
+    """When a refinement ends.
+
+    Attributes:
+        ordered: largest error first (a heap), else a FIFO.
+        low: triangles with errors up to this, in pixels, are accurate.
+        budget: most triangles drawn, but for what splits of mixed ones take. splits: most splits in one call.
+    """
+
+    ordered: bool
+    low: float
+    budget: int
+    splits: int
+
+
+class Search(NamedTuple):
+    """How far ``localised`` goes.
+
+    Attributes:
+        depth: halvings.
+        near: the radius of a sphere over its least depth from which on it is used.
+    """
+
+    depth: int
+    near: float
+
+
+class Triangles(NamedTuple):
+    """The triangles by slot; see the module.
+
+    Attributes:
+        corners: int64 (capacity, 3). heights: float32 (capacity, 4). links: int32 (capacity, 4). drawn: uint8
+            (capacity,).
+    """
+
+    corners: NDArray[np.int64]
+    heights: NDArray[np.float32]
+    links: NDArray[np.int32]
+    drawn: NDArray[np.uint8]
+
+
+class Scratch(NamedTuple):
+    """What one split works with.
+
+    Attributes:
+        chain: int64 (2n + 2,), the triangles whose splits force each other.
+        corners: int64 (4, 3), heights: float32 (4, 4), errors: float64 (4,), drawn: uint8 (4,): the children.
+        todo: float64 (depth + 2, STACK), of ``localised``.
+    """
+
+    chain: NDArray[np.int64]
+    corners: NDArray[np.int64]
+    heights: NDArray[np.float32]
+    errors: NDArray[np.float64]
+    drawn: NDArray[np.uint8]
+    todo: NDArray[np.float64]
+
+
+@inlined
+def next_triangle(limits, triangles, queue, counts):
+    """The first triangle in the queue that has not been split by force since, −1: none; it stays there."""
+    found = np.int64(-1)
+    while found < 0 and counts[HEAD] != counts[TAIL]:
+        at = first_place(queue, counts, limits.ordered)
+        t = queue.slots[at]
+        if np.int64(triangles.links[t, LEVEL]) == queue.codes[at] >> LEVEL_SHIFT:
+            found = t
+        else:
+            take_out(queue, counts, limits.ordered)
+            if not limits.ordered:
+                counts[STALLED] = 0
+    return found
+
+
+@inlined
+def evaluate(pages, criterion, search, limits, level, leaf_level, scratch, i):
+    """Evaluate child i of a level: its error in pixels (−1: accurate), and whether it is drawn.
+
+    Returns: whether a page is missing.
+    """
+    camera, metric = criterion.camera, criterion.metric
+    n = leaf_level >> 1
+    er, ec, xr, xc, ar, ac = squeezed(scratch.corners, i, pages.edge)
+    ez, xz, az = scratch.heights[i, 0], scratch.heights[i, 1], scratch.heights[i, 2]
+    whole = is_inside(scratch.corners, i, pages.edge)
+    seen = has_area(er, ec, xr, xc, ar, ac)
+    missed = False
+    error = -1.0
+    scratch.heights[i, 3] = NAN
+    if level == leaf_level:
+        if criterion.cull and seen:
+            seen = not prism_outside(camera, ec, er, ez, xc, xr, xz, ac, ar, az, 0.0)
+    else:
+        key = (scratch.corners[i, 0] + scratch.corners[i, 1]) >> 1
+        slot, z, e32, r32, c = look_up(pages, key, n - 1 - (level >> 1))
+        if c >= ZERO:
+            scratch.heights[i, 3] = z
+        e, r = np.float64(e32), abs(np.float64(r32)) * camera.stretch
+        col, row = place_of(pages, key)
+        missed = slot < 0 and slot != BEYOND
+        seen = seen and slot >= 0 and r32 >= ZERO
+        if seen and criterion.cull:
+            out, _ = outside(camera, col, row, np.float64(z), r, 0)
+            # (A squeezed triangle cuts unit triangles: parts of them may be farther from it than its samples.)
+            if whole and not out and e < np.inf:
+                out = prism_outside(camera, ec, er, ez, xc, xr, xz, ac, ar, az, e)
+            seen = not out
+        if seen:
+            x, y, w = to_camera(camera, col, row, np.float64(z))
+            mixed, colored = e == np.inf, color_exceeds(camera, np.float64(color_error(c)), w, r)
+            if mixed or colored:
+                error = priority(mixed, colored, 0.0)
+            elif metric != WEDGIE and metric != LOCALISED:
+                error = priority(False, False, sphere_bound(camera, metric, x, y, w, e, r))
+            else:
+                ex, ey, ew = to_camera(camera, ec, er, np.float64(ez))
+                xx, xy, xw = to_camera(camera, xc, xr, np.float64(xz))
+                ax, ay, aw = to_camera(camera, ac, ar, np.float64(az))
+                error = triangle_bound(camera, ex, ey, ew, xx, xy, xw, ax, ay, aw, e)
+                if metric == LOCALISED and whole and error > limits.low and r > search.near * (w - r):
+                    enough = np.inf if limits.ordered else limits.low
+                    bound, lacks = localised_bound(
+                        pages, camera, er, ec, ez, xr, xc, xz, ar, ac, az, level, leaf_level, e, z, limits.low, enough,
+                        criterion.cull, search.depth, scratch.todo,
+                    )  # fmt: skip
+                    error = min(error, bound)
+                    # What is known to be too much needs no further page.
+                    missed = lacks and error <= enough
+                error = priority(False, False, error)
+    scratch.errors[i] = error
+    scratch.drawn[i] = 1 if seen and has_heights(scratch.heights, i) else 0
+    return missed
+
+
+@inlined
+def link_halves(links, s, b, made):
+    """Link the halves of s and b (−1: none): each keeps its slot for the left half; ``made`` and the next are right."""
+    for side in range(2):
+        t = s if side == 0 else b
+        if t >= 0:
+            right = np.int64(links[t, RIGHT])
+            other = made + side
+            links[other, LEFT], links[other, RIGHT], links[other, BASE] = -1, t, right
+            if right >= 0:
+                for edge in range(3):
+                    if links[right, edge] == t:
+                        links[right, edge] = other
+            links[t, BASE], links[t, LEFT], links[t, RIGHT] = links[t, LEFT], other, -1
+    if b >= 0:  # around the new vertex
+        links[s, RIGHT], links[made + 1, LEFT] = made + 1, s
+        links[b, RIGHT], links[made, LEFT] = made, b
+
+
+@inlined
+def put_children(limits, level, leaf_level, triangles, queue, scratch, counts, s, b, made, many):
+    """Write the children to their slots, and put those that are not accurate into the queue."""
+    for i in range(many):
+        t = np.int64(i)
+        if s >= 0:
+            t = (made if i == 1 else made + 1) if i & 1 else (s if i == 0 else b)
+        copy_triangle(scratch.corners, scratch.heights, i, triangles.corners, triangles.heights, t)
+        triangles.links[t, LEVEL] = level
+        triangles.drawn[t] = scratch.drawn[i]
+        if scratch.errors[i] > limits.low:
+            code = code_of((scratch.corners[i, 0] + scratch.corners[i, 1]) >> 1, level, leaf_level >> 1)
+            put_in(queue, counts, limits.ordered, scratch.errors[i], code, t)
 
 
 @leaf
-def refine_triangles(
-    pages, lens, metric, cull, depth, near, ordered, low, budget, splits, leaf_level,
-    corners, heights, links, drawn, priorities, codes, slots, chain, fresh, fresh_z, fresh_p, fresh_drawn, todo, counts,
-):  # fmt: skip
+def refine_triangles(pages, criterion, search, limits, leaf_level, triangles, queue, scratch, counts):
     """Split triangles until none is left that should be, or something else ends it; returns why. Can be called again.
 
     Args:
-        pages: ``field.Pages``. lens: the camera. metric: its number.
-        cull: whether triangles out of view are accurate and not drawn.
-        depth: of ``localised``.
-        ordered: largest error first (a heap), else a FIFO.
-        low: triangles with errors up to this, in pixels, are accurate.
-        budget: most triangles drawn, but for what splits of mixed ones take. splits: most splits in this call.
-        leaf_level: 2n.
-        corners: int64 (capacity, 3); heights: float32 (capacity, 4); links: int32 (capacity, 4); drawn: uint8
-            (capacity,); see the module.
-        priorities: float64, codes: int64, slots: int64, (queue's capacity,).
-        chain: int64 (2n + 2,), the triangles whose splits force each other.
-        fresh: int64 (4, 3), fresh_z: float32 (4, 4), fresh_p: float64 (4,), fresh_drawn: uint8 (4,): triangles to be.
-        todo: float64 (depth + 2, 14), of ``localised``.
+        pages: ``field.Pages``. criterion: ``Criterion``, of any metric, that does not look ahead. search: ``Search``.
+            limits: ``Limits``. leaf_level: 2n. triangles: ``Triangles``. queue: ``Queue``. scratch: ``Scratch``; at
+            first its first two children are the roots.
         counts: int64 (6,).
     """
-    n = leaf_level >> 1
-    last_row, last_col = pages.edge[0], pages.edge[1]
-    room = len(priorities)
-    done_before = counts[4]
-    waiting = 0
+    links, drawn, chain = triangles.links, triangles.drawn, scratch.chain
+    room = len(queue.codes)
+    splits_before = counts[SPLITS]
+    chained = 0
     while True:
         # 1. The diamond to split: triangle s and the one across its hypotenuse, b, if there is one.
-        s = np.int64(-1)
-        b = np.int64(-1)
-        if counts[0] == 0:
-            many = 2
-            level = np.int64(0)
-        else:
-            if waiting == 0:
-                if counts[2] == counts[3]:
-                    return 0
-                at = 0 if ordered else counts[2] % room
-                t = slots[at]
-                if np.int64(links[t, 3]) != codes[at] >> 54:  # split by force since
-                    if ordered:
-                        heap_pop(priorities, codes, slots, counts[3])
-                        counts[3] -= 1
-                    else:
-                        counts[2] += 1
-                        counts[5] = 0
-                    continue
-                if counts[4] - done_before >= splits:
-                    return 3
+        s, b, level = np.int64(-1), np.int64(-1), np.int64(0)
+        many = 2
+        if counts[MADE] > 0:
+            if chained == 0:
+                t = next_triangle(limits, triangles, queue, counts)
+                if t < 0:
+                    return DONE
+                if counts[SPLITS] - splits_before >= limits.splits:
+                    return PAUSED
                 chain[0] = t
-                waiting = 1
-            s = chain[waiting - 1]
-            b = np.int64(links[s, 2])
-            if b >= 0 and links[b, 2] != s:
-                chain[waiting] = b
-                waiting += 1
+                chained = 1
+            s = chain[chained - 1]
+            b = np.int64(links[s, BASE])
+            if b >= 0 and links[b, BASE] != s:
+                chain[chained] = b
+                chained += 1
                 continue
-            if counts[0] + 2 > len(drawn) or counts[3] - counts[2] + 5 > room:
-                return 2
-            level = np.int64(links[s, 3]) + 1
-            many = 0
-            for side in range(2):
-                t = s if side == 0 else b
-                if t >= 0:
-                    m = (corners[t, 0] + corners[t, 1]) >> 1
-                    for half in range(2):
-                        fresh[many, 0] = corners[t, 2] if half == 0 else corners[t, 1]
-                        fresh[many, 1] = corners[t, 0] if half == 0 else corners[t, 2]
-                        fresh[many, 2] = m
-                        fresh_z[many, 0] = heights[t, 2] if half == 0 else heights[t, 1]
-                        fresh_z[many, 1] = heights[t, 0] if half == 0 else heights[t, 2]
-                        fresh_z[many, 2] = heights[t, 3]
-                        many += 1
-        # 2. What is to be thought of the triangles that this makes.
+            if counts[MADE] + 2 > len(drawn) or counts[TAIL] - counts[HEAD] + 5 > room:
+                return GROW
+            level = np.int64(links[s, LEVEL]) + 1
+            halve(triangles.corners, triangles.heights, s, scratch.corners, scratch.heights, 0)
+            if b >= 0:
+                halve(triangles.corners, triangles.heights, b, scratch.corners, scratch.heights, 2)
+                many = 4
+        # 2. Evaluate the children.
         missed = False
-        for i in range(many):
-            er, ec, ez = fresh[i, 0] >> 32, fresh[i, 0] & 0xFFFFFFFF, fresh_z[i, 0]
-            xr, xc, xz = fresh[i, 1] >> 32, fresh[i, 1] & 0xFFFFFFFF, fresh_z[i, 1]
-            ar, ac, az = fresh[i, 2] >> 32, fresh[i, 2] & 0xFFFFFFFF, fresh_z[i, 2]
-            mr, mc = (er + xr) >> 1, (ec + xc) >> 1
-            whole = max(er, max(xr, ar)) <= last_row and max(ec, max(xc, ac)) <= last_col
-            er, xr, ar = min(er, last_row), min(xr, last_row), min(ar, last_row)
-            ec, xc, ac = min(ec, last_col), min(xc, last_col), min(ac, last_col)
-            seen = (xc - ec) * (ar - er) != (ac - ec) * (xr - er)
-            error = -1.0
-            fresh_z[i, 3] = np.float32(np.nan)
-            if level == leaf_level:
-                if cull and seen:
-                    seen = not prism_outside(lens, ec, er, ez, xc, xr, xz, ac, ar, az, 0.0)
-            else:
-                slot, u, v = find(pages, mr, mc, n - 1 - (level >> 1))
-                if slot < 0:
-                    missed = missed or slot != BEYOND
-                    fresh_p[i], fresh_drawn[i] = error, 0
-                    continue
-                z = pages.data[slot, u, v, 0]
-                e = np.float64(pages.data[slot, u, v, 1])
-                r = np.float64(pages.data[slot, u, v, 2])
-                c = np.float64(pages.data[slot, u, v, 3])
-                if c < 0.0:
-                    c = -1.0 - c
-                else:
-                    fresh_z[i, 3] = z
-                seen = seen and r >= 0.0
-                r = abs(r) * lens[15]
-                mc, mr = min(mc, last_col), min(mr, last_row)
-                if seen and cull:
-                    out, _ = outside(lens, mc, mr, np.float64(z), r, 0)
-                    # (A squeezed triangle cuts unit triangles: parts of them may be farther from it than its samples.)
-                    if whole and not out and e < np.inf:
-                        out = prism_outside(lens, ec, er, ez, xc, xr, xz, ac, ar, az, e)
-                    seen = not out
-                if seen:
-                    x, y, w = to_camera(lens, mc, mr, np.float64(z))
-                    if e == np.inf:
-                        error = np.inf
-                    elif color_exceeds(lens, c, w, r):
-                        error = UNBOUNDED
-                    elif metric != 2 and metric != 5:
-                        error = sphere_bound(lens, metric, x, y, w, e, r)
-                    else:
-                        ex, ey, ew = to_camera(lens, ec, er, np.float64(ez))
-                        xx, xy, xw = to_camera(lens, xc, xr, np.float64(xz))
-                        ax, ay, aw = to_camera(lens, ac, ar, np.float64(az))
-                        error = triangle_bound(lens, ex, ey, ew, xx, xy, xw, ax, ay, aw, e)
-                        if metric == 5 and whole and error > low and r > near * (w - r):
-                            enough = np.inf if ordered else low
-                            bound, lacks = localised_bound(
-                                pages, lens, er, ec, ez, xr, xc, xz, ar, ac, az, level, leaf_level, e, z, low, enough,
-                                cull, depth, todo,
-                            )  # fmt: skip
-                            error = min(error, bound)
-                            # What is known to be too much needs no further page.
-                            missed = missed or (lacks and error <= enough)
-                    if e < np.inf:
-                        error = min(error, UNBOUNDED)
-            fresh_p[i] = error
-            fresh_drawn[i] = 1 if seen and ez == ez and xz == xz and az == az else 0
-        if missed:
-            if ordered or counts[0] == 0:
-                return 1
-            # To the end of the queue; the others first.
-            t = chain[0]
-            at = counts[2] % room
-            code = codes[at]
-            counts[2] += 1
-            at = counts[3] % room
-            codes[at], slots[at] = code, t
-            counts[3] += 1
-            counts[5] += 1
-            waiting = 0
-            if counts[5] > counts[3] - counts[2]:
-                counts[5] = 0
-                return 1
-            continue
-        # 3. The split.
         change = np.int64(0)
         for i in range(many):
-            change += fresh_drawn[i]
+            missed |= evaluate(pages, criterion, search, limits, level, leaf_level, scratch, i)
+            change += scratch.drawn[i]
+        if missed:
+            if limits.ordered or counts[MADE] == 0:
+                return MISSED
+            # The triangle goes to the end of the queue; the others come first.
+            code = queue.codes[counts[HEAD] % room]
+            counts[HEAD] += 1
+            put_in(queue, counts, False, 0.0, code, chain[0])
+            counts[STALLED] += 1
+            chained = 0
+            if counts[STALLED] > counts[TAIL] - counts[HEAD]:
+                counts[STALLED] = 0
+                return MISSED
+            continue
+        # 3. The split.
         if s >= 0:
             change -= drawn[s]
         if b >= 0:
             change -= drawn[b]
-        if s >= 0 and counts[1] + change > budget and priorities[0] < np.inf:
-            return 4
-        counts[1] += change
-        counts[5] = 0
-        made = counts[0]
-        counts[0] += many >> 1 if s >= 0 else 2
+        if s >= 0 and counts[DRAWN] + change > limits.budget and queue.priorities[0] < np.inf:
+            return FULL
+        counts[DRAWN] += change
+        counts[STALLED] = 0
+        made = counts[MADE]
         if s < 0:
-            links[0, 0] = links[0, 1] = links[1, 0] = links[1, 1] = -1
-            links[0, 2], links[1, 2] = 1, 0
+            counts[MADE] = 2
+            links[0, LEFT] = links[0, RIGHT] = links[1, LEFT] = links[1, RIGHT] = -1
+            links[0, BASE], links[1, BASE] = 1, 0
         else:
-            counts[4] += 1
-            waiting -= 1
-            for side in range(2):
-                t = s if side == 0 else b
-                if t >= 0:
-                    right = np.int64(links[t, 1])
-                    other = made + side
-                    links[other, 0], links[other, 1], links[other, 2] = -1, t, right
-                    if right >= 0:
-                        for edge in range(3):
-                            if links[right, edge] == t:
-                                links[right, edge] = other
-                    links[t, 2], links[t, 0], links[t, 1] = links[t, 0], other, -1
-            if b >= 0:
-                # around the new vertex: s and b keep the left halves, made and made + 1 are the right ones
-                links[s, 1], links[made + 1, 0] = made + 1, s
-                links[b, 1], links[made, 0] = made, b
-        for i in range(many):
-            t = np.int64(i)
-            if s >= 0:
-                t = (made if i == 1 else made + 1) if i & 1 else (s if i == 0 else b)
-            for k in range(3):
-                corners[t, k], heights[t, k] = fresh[i, k], fresh_z[i, k]
-            heights[t, 3] = fresh_z[i, 3]
-            links[t, 3] = level
-            drawn[t] = fresh_drawn[i]
-            if fresh_p[i] > low:
-                code = code_of((fresh[i, 0] + fresh[i, 1]) >> 1, level, n)
-                if ordered:
-                    heap_push(priorities, codes, slots, counts[3], fresh_p[i], code, t)
-                else:
-                    codes[counts[3] % room], slots[counts[3] % room] = code, t
-                counts[3] += 1
+            counts[MADE] += many >> 1
+            counts[SPLITS] += 1
+            chained -= 1
+            link_halves(links, s, b, made)
+        put_children(limits, level, leaf_level, triangles, queue, scratch, counts, s, b, made, many)
 
 
 class _State:
@@ -269,11 +335,11 @@ class _State:
 
     def __init__(self, method: TopDown, capacity: int) -> None:
         n = method.field.n
-        self.corners, self.heights = np.empty((capacity, 3), np.int64), np.empty((capacity, 4), np.float32)
-        self.links, self.drawn = np.empty((capacity, 4), np.int32), np.zeros(capacity, np.uint8)
-        self.queue: tuple[NDArray[Any], ...] = (
-            np.empty(capacity), np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+        self.triangles = Triangles(
+            np.empty((capacity, 3), np.int64), np.empty((capacity, 4), np.float32), np.empty((capacity, 4), np.int32),
+            np.zeros(capacity, np.uint8),
         )  # fmt: skip
+        self.queue = Queue(np.empty(capacity), np.empty(capacity, np.int64), np.empty(capacity, np.int64))
         self.counts = np.zeros(6, np.int64)
         size = 1 << n
         nw, ne, sw, se = 0, size, size << 32, size << 32 | size
@@ -281,21 +347,19 @@ class _State:
         fresh, fresh_z = np.zeros((4, 3), np.int64), np.zeros((4, 4), np.float32)
         fresh[:2] = (nw, se, ne), (se, nw, sw)
         fresh_z[:2, :3] = (z[0, 0], z[1, 1], z[0, 1]), (z[1, 1], z[0, 0], z[1, 0])
-        self.scratch: tuple[NDArray[Any], ...] = (
+        self.scratch = Scratch(
             np.empty(2 * n + 2, np.int64), fresh, fresh_z, np.empty(4), np.empty(4, np.uint8),
             np.empty((method.depth + 2, STACK)),
         )  # fmt: skip
 
     def grow(self, ordered: bool) -> None:
         """Twice the room."""
-        more = len(self.drawn)
-        self.corners, self.heights, self.links, self.drawn = (
-            np.concatenate([a, np.zeros_like(a)]) for a in (self.corners, self.heights, self.links, self.drawn)
-        )
+        more = len(self.triangles.drawn)
+        self.triangles = Triangles(*(np.concatenate([a, np.zeros_like(a)]) for a in self.triangles))
         head, tail = int(self.counts[HEAD]), int(self.counts[TAIL])
         live = np.arange(head, tail) % more
         kept = [a if ordered else a[live] for a in self.queue]
-        self.queue = tuple(np.concatenate([a, np.zeros(2 * more - len(a), a.dtype)]) for a in kept)
+        self.queue = Queue(*(np.concatenate([a, np.zeros(2 * more - len(a), a.dtype)]) for a in kept))
         if not ordered:
             self.counts[HEAD], self.counts[TAIL] = 0, tail - head
 
@@ -341,15 +405,17 @@ class TopDown(RightTriangleMeshes):
             return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
         began = time.perf_counter()
         state = _State(self, self._capacity)
-        lens = self._lens(camera, tolerance or 0.0)
+        criterion = Criterion(self._lens(camera, tolerance or 0.0), self.metric.number, self.cull, NOTHING)
+        limits = Limits(
+            ordered, tolerance or 0.0, (1 << 62) if triangles is None else triangles,
+            (1 << 62) if seconds is None else 1024,
+        )  # fmt: skip
         stalls = before = 0
         while True:
             self.field.begin()
             why = refine_triangles(
-                self.field.pages, lens, self.metric.number, self.cull, self.depth, self.near, ordered, tolerance or 0.0,
-                (1 << 62) if triangles is None else triangles, (1 << 62) if seconds is None else 1024,
-                2 * self.field.n, state.corners, state.heights, state.links, state.drawn, *state.queue, *state.scratch,
-                state.counts,
+                self.field.pages, criterion, Search(self.depth, self.near), limits, 2 * self.field.n, state.triangles,
+                state.queue, state.scratch, state.counts,
             )  # fmt: skip
             if why == GROW:
                 state.grow(ordered)
@@ -364,30 +430,30 @@ class TopDown(RightTriangleMeshes):
                     )
             elif why in (DONE, FULL):
                 break
-            mixed = state.counts[TAIL] > 0 and state.queue[0][0] == np.inf
+            mixed = state.counts[TAIL] > 0 and state.queue.priorities[0] == np.inf
             if seconds is not None and time.perf_counter() - began > 0.9 * seconds and state.counts[MADE] and not mixed:
                 break
         return self._result(state, tolerance)
 
     def _result(self, state: _State, tolerance: float | None) -> Mesh:
         made, left = int(state.counts[MADE]), int(state.counts[TAIL] - state.counts[HEAD])
-        self._capacity = max(self._capacity, len(state.drawn))
+        self._capacity = max(self._capacity, len(state.triangles.drawn))
         reached = tolerance
         within = True
         if tolerance is None:
             # What is left in the queue (split triangles, too, but those come no later than their halves).
             reached = self._reached(state, left)
             within = reached < UNBOUNDED
-        drawn = np.flatnonzero(state.drawn[:made])
+        drawn = np.flatnonzero(state.triangles.drawn[:made])
         return Mesh(
-            state.corners[drawn], state.heights[drawn, :3], is_strip=False, clockwise=False, triangles=len(drawn),
-            within=within, tolerance=reached if within else None,
+            state.triangles.corners[drawn], state.triangles.heights[drawn, :3], is_strip=False, clockwise=False,
+            triangles=len(drawn), within=within, tolerance=reached if within else None,
             stats={"splits": int(state.counts[SPLITS]), "front": made, "queue": self.queue},
         )  # fmt: skip
 
     @staticmethod
     def _reached(state: _State, left: int) -> float:
         """The largest error in the queue, pixels, of triangles that are still there."""
-        priorities, codes, slots = (a[:left] for a in state.queue)
-        there = state.links[slots, 3] == codes >> LEVEL_SHIFT
-        return float(priorities[there].max(initial=0.0))
+        queue = state.queue
+        there = state.triangles.links[queue.slots[:left], LEVEL] == queue.codes[:left] >> LEVEL_SHIFT
+        return float(queue.priorities[:left][there].max(initial=0.0))

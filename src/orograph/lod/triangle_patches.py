@@ -28,14 +28,25 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import FOCAL, PLANES
 from orograph.errors import UsageError
 from orograph.lod.field import check_surface
 from orograph.lod.method import EVERYTHING, Goal, MethodInfo, Need, Ready
 from orograph.lod.options import option
 from orograph.lod.patches.expand import expand
 from orograph.lod.patches.pager import Pager
-from orograph.lod.patches.selection import ABSENT, BLOCKED, NODES, PATCHES, SPLIT, TOUCHED, select_patches
+from orograph.lod.patches.selection import (
+    ABSENT,
+    BLOCKED,
+    NODES,
+    PATCHES,
+    SPLIT,
+    TOUCHED,
+    Bounds,
+    Front,
+    Instances,
+    Tiles,
+    select_patches,
+)
 from orograph.lod.patches.shape import ALL_LEGS, INSTANCE, patch_indices, patch_vertices
 from orograph.lod.patches.tables import PatchTerrain, cell_size
 from orograph.lod.right_triangles import METRIC, RightTriangleOptions, RightTriangles, by_tolerance
@@ -258,15 +269,22 @@ class TrianglePatches(RightTriangles):
         if not 0 <= tolerance < math.inf:
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance!r}.")
         view, lens = camera.view, self._lens(camera, tolerance)
-        eye = np.zeros(0)
+        eye = lens
         if frustum is not None:
-            eye = lens.copy()
-            lens[PLANES : PLANES + 24] = self._planes(frustum, camera.exaggeration)
-        plan = 1.0 / view.pixel_metres if lens[FOCAL] == 0.0 else 0.0
-        tolerances = np.array([tolerance / KAPPA if geomorph else tolerance, tolerance, plan])
+            lens = lens._replace(planes=self._planes(frustum, camera.exaggeration))
+        plan = 1.0 / view.pixel_metres if lens.focal == 0.0 else 0.0
+        bounds = Bounds(
+            lens, eye, frustum is not None, self.metric.number, bool(self.cull if cull is None else cull),
+            float(tolerance / KAPPA if geomorph else tolerance), float(tolerance), plan,
+            self._unbounded if rim is None else rim * self._holes,
+        )  # fmt: skip
         there = self._all if ready.tiles is None else ready.tiles
         if there.shape != self._all.shape or there.dtype != np.uint8:
             raise UsageError("Which tiles are ready is a uint8 array over all tiles of all levels of the terrain.")
+        tiling = Tiles(
+            self.tiling.bases, self.tiling.widths, there, NOWHERE if ready.slots is None else ready.slots,
+            self._priorities, self._touched,
+        )  # fmt: skip
         counts = np.zeros(6, np.int64)
         if ready.wait:
             self.field.finish()
@@ -274,10 +292,8 @@ class TrianglePatches(RightTriangles):
         while True:
             self.field.begin()
             full = select_patches(
-                self.field.pages, lens, eye, self.metric.number, self.cull if cull is None else cull, self.field.n,
-                self._q, tolerances, self._unbounded if rim is None else rim * self._holes, there,
-                NOWHERE if ready.slots is None else ready.slots, self.tiling.bases, self.tiling.widths,
-                self._priorities, self._touched, self._table, *self._queue, self._words, self._floats, counts,
+                self.field.pages, bounds, self.field.n, self._q, tiling, Front(self._table, *self._queue),
+                Instances(self._words, self._floats), counts,
             )  # fmt: skip
             tiles = self._touched[: counts[TOUCHED]].copy()
             pixels = self._priorities[tiles]
@@ -299,7 +315,7 @@ class TrianglePatches(RightTriangles):
         return Patches(made, tiles, pixels, self.tiling, stats)
 
     def _planes(self, frustum: NDArray[np.float64], stretch: float) -> NDArray[np.float64]:
-        """Planes in stretched space as a lens has them: (24,), over column, row and height."""
+        """Planes in stretched space as kernels see them: (6, 4), over column, row and height."""
         planes = np.asarray(frustum, np.float64)
         if planes.ndim != 2 or planes.shape[1] != 4 or len(planes) > 6:
             raise UsageError(f"A frustum is at most 6 planes (m, 4), not an array of {planes.shape}.")
@@ -308,8 +324,7 @@ class TrianglePatches(RightTriangles):
         table = np.zeros((6, 4))
         table[:, 3] = np.inf
         table[: len(planes)] = planes @ whole
-        flat: NDArray[np.float64] = table.ravel()
-        return flat
+        return table
 
 
 @lru_cache(maxsize=8)

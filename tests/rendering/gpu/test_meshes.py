@@ -66,15 +66,15 @@ def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: 
 
 
 def test_the_gpu_streams_patches_unless_they_are_asked_for_otherwise(device: Device, terrain: Terrain) -> None:
-    scene = Scene(terrain, views()["slanted"], tolerance=3.0, samples=1)
+    scene = Scene.of(terrain, views()["slanted"], tolerance=3.0, samples=1)
     own = draw_gpu(scene, device=device)
-    named = draw_gpu(replace(scene, method="triangle-patches"), device=device)
+    named = draw_gpu(scene.but(method="triangle-patches"), device=device)
     assert "mesh" not in named.facts and named.facts["patches"] == own.facts["patches"] > 0
     np.testing.assert_array_equal(own.pixels, named.pixels)
-    few = draw_gpu(replace(scene, method="triangle-patches", tolerance=None, triangles=100_000), device=device)
+    few = draw_gpu(scene.but(method="triangle-patches", tolerance=None, triangles=100_000), device=device)
     assert 50_000 < few.facts["mesh"]["triangles"] <= 100_000
     with pytest.raises(UsageError, match="raycast cannot be drawn"):
-        draw_gpu(replace(scene, method="raycast"), device=device)
+        draw_gpu(scene.but(method="raycast"), device=device)
 
 
 def test_a_mesh_for_another_camera_and_its_edges(device: Device, terrain: Terrain) -> None:

@@ -13,12 +13,24 @@ ideal one splits tells which tiles are wanted, and how many pixels of error they
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph._numba import inlined, leaf
-from orograph.error.screen import outside, sphere_bound, to_camera
+from orograph.error.screen import (
+    ISOTROPIC,
+    ISOTROPIC_PUBLISHED,
+    CameraParameters,
+    outside,
+    plane_of,
+    sphere_bound,
+    to_camera,
+)
 from orograph.hierarchy.kernels import diamonds, triangles
-from orograph.lod.field import find
+from orograph.lod.criterion import look_up
+from orograph.lod.criterion import place_of as place_of_diamond
 from orograph.lod.pages import BEYOND
 
 PATCHES, NODES, TOUCHED, SPLIT, ABSENT, BLOCKED = range(6)
@@ -27,6 +39,74 @@ wait for tiles."""
 
 DONE, GROW = 0, 1
 """What the kernel returns: all is done; an array was too small."""
+
+
+class Bounds(NamedTuple):
+    """What decides about a diamond, beside its numbers.
+
+    Attributes:
+        camera: with the planes to cull with. eye: with its own; aside: whether those are others: what is not in view of
+            the eye is then judged by its distance alone.
+        metric: number of a metric on spheres. cull: whether patches outside the planes are left out.
+        split_at, whole_at: pixels at which diamonds are split, and at which their geomorph is over.
+        plan: pixels per metre in a plan, else 0.
+        holes: float64 (2n + 1,), the longest edge of the triangles of a level's patches, metres.
+    """
+
+    camera: CameraParameters
+    eye: CameraParameters
+    aside: bool
+    metric: int
+    cull: bool
+    split_at: float
+    whole_at: float
+    plan: float
+    holes: NDArray[np.float64]
+
+
+class Tiles(NamedTuple):
+    """The tiles of all levels in one row.
+
+    Attributes:
+        bases, widths: int64 (levels,), where a level's tiles begin, and how many are in a row.
+        resident: uint8, for each tile whether it is there. slots: uint32, for each tile its slot + 1, or empty.
+        priorities: float32, for each tile the pixels that it would take away, 0 before. touched: int64, as many: which
+            tiles have got one.
+    """
+
+    bases: NDArray[np.int64]
+    widths: NDArray[np.int64]
+    resident: NDArray[np.uint8]
+    slots: NDArray[np.uint32]
+    priorities: NDArray[np.float32]
+    touched: NDArray[np.int64]
+
+
+class Front(NamedTuple):
+    """The queue of diamonds.
+
+    Attributes:
+        table: int32 (2^m,): hash table of places in the queue.
+        keys: int64, row << 32 | col. masks: int64, planes that its triangles are inside of, as bits. sides: uint8, bits
+            of the parents on both sides: 1, 2 really split, 4, 8 ideally.
+        morphs, bounds: float32 (:, 2), of the triangle on each side: its geomorph, and the rest of its bound, pixels.
+        kids: int64 (4, 3), for a diamond's children: x, y, omega.
+    """
+
+    table: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    masks: NDArray[np.int64]
+    sides: NDArray[np.uint8]
+    morphs: NDArray[np.float32]
+    bounds: NDArray[np.float32]
+    kids: NDArray[np.int64]
+
+
+class Instances(NamedTuple):
+    """The patches put out (``shape.INSTANCE``): int32 and float32 (:, 8), the same memory."""
+
+    words: NDArray[np.int32]
+    floats: NDArray[np.float32]
 
 
 @inlined
@@ -40,244 +120,247 @@ def place_of(table, keys, key):
 
 
 @leaf
-def tile_of(x, y, L, omega, step, top, last_row, last_col):
+def tile_of(x, y, L, omega, step, edge):
     """(level, tile row, tile col) of a triangle's patch; the level is −1 if it lies beyond the raster."""
-    level = min(step, top)
+    level = min(step, edge[2])
     ax, ay = triangles.apex(x, y, L, omega)
     lx, ly = triangles.left_end(x, y, L, omega)
     rx, ry = triangles.right_end(x, y, L, omega)
     row, col = min(ay, min(ly, ry)), min(ax, min(lx, rx))
-    if row >= last_row or col >= last_col:
+    if row >= edge[0] or col >= edge[1]:
         return np.int64(-1), np.int64(0), np.int64(0)
     return level, row >> (level + 8), col >> (level + 8)
 
 
 @leaf
-def prism_outside(lens, x, y, L, omega, z, r, inside, last_row, last_col):
+def prism_outside(camera, x, y, L, omega, z, r, inside, edge):
     """Whether all that is over a triangle, at heights z ± r, is outside a plane. False where it is squeezed."""
     ax, ay = triangles.apex(x, y, L, omega)
     lx, ly = triangles.left_end(x, y, L, omega)
     rx, ry = triangles.right_end(x, y, L, omega)
-    if max(ay, max(ly, ry)) > last_row or max(ax, max(lx, rx)) > last_col:
+    if max(ay, max(ly, ry)) > edge[0] or max(ax, max(lx, rx)) > edge[1]:
         return False
     for plane in range(6):
         if inside >> plane & 1:
             continue
-        at = 20 + 4 * plane
-        u, v = lens[at], lens[at + 1]
+        u, v, up, rest = plane_of(camera, plane)
         most = max(u * ax + v * ay, max(u * lx + v * ly, u * rx + v * ry))
-        if most + lens[at + 2] * z + abs(lens[at + 2]) * r + lens[at + 3] < 0.0:
+        if most + up * z + abs(up) * r + rest < 0.0:
             return True
     return False
 
 
 @leaf
-def put(
-    words, floats, at, places, bases, widths, x, y, L, omega, step, top, last_row, last_col, flags, morph, pixels
-):  # fmt: skip
+def put(instances, tiles, edge, at, x, y, L, omega, step, flags, morph, pixels):
     """Write a patch as row ``at`` of the instances; whether it is one (not beyond the raster)."""
-    level, i, j = tile_of(x, y, L, omega, step, top, last_row, last_col)
+    level, i, j = tile_of(x, y, L, omega, step, edge)
     if level < 0:
         return 0
+    words, floats = instances.words, instances.floats
     ax, ay = triangles.apex(x, y, L, omega)
+    tile = tiles.bases[level] + i * tiles.widths[level] + j
     words[at, 0] = ay
     words[at, 1] = ax
     words[at, 2] = omega | step << 8 | level << 16 | flags << 24
     words[at, 3] = i | j << 16
     floats[at, 4] = morph
-    words[at, 5] = np.int32(places[bases[level] + i * widths[level] + j]) - 1 if len(places) else -1
+    words[at, 5] = np.int32(tiles.slots[tile]) - 1 if len(tiles.slots) else -1
     floats[at, 6] = pixels
     words[at, 7] = 0
     return 1
 
 
 @leaf
-def has_no_ground(pages, row, col, last_row, last_col):
+def has_no_ground(pages, row, col):
     """Whether a diamond has nothing to draw: then what is beside it need not conform to it, nor wait for it."""
     k = diamonds.octave(row, col)
     size = np.int64(1) << k
-    if row - size >= last_row or col - size >= last_col:
+    if row - size >= pages.edge[0] or col - size >= pages.edge[1]:
         return True
-    slot, u, v = find(pages, row, col, k)
-    return slot == BEYOND or (slot >= 0 and pages.data[slot, u, v, 2] < 0.0)
+    slot, _, _, r, _ = look_up(pages, row << 32 | col, k)
+    return slot == BEYOND or (slot >= 0 and r < 0.0)
+
+
+@inlined
+def error_in_view(pages, bounds, key, level, z, e, r, inside):
+    """(whether a diamond is in view, its bound in pixels, its bits of planes).
+
+    Args:
+        e: its error, negative if ground and missing ground share it.
+    """
+    camera = bounds.camera
+    col, row = place_of_diamond(pages, key)
+    if bounds.cull:
+        out, inside = outside(camera, col, row, z, r * (1.0 + 1e-9), inside)
+        if out:
+            return False, 0.0, inside
+    x, y, w = to_camera(camera, col, row, z)
+    seen = True
+    if bounds.aside:
+        away, _ = outside(bounds.eye, col, row, z, r * (1.0 + 1e-9), 0)
+        seen = not away
+    pixels = sphere_bound(camera, bounds.metric if seen else ISOTROPIC_PUBLISHED, x, y, w, abs(e), r)
+    if e < 0.0:
+        # What is missing shows to the longest edge.
+        edge = bounds.holes[level]
+        hole = edge if bounds.plan == 0.0 else bounds.plan * edge
+        if bounds.plan == 0.0 and edge < np.inf:
+            hole = sphere_bound(camera, ISOTROPIC if seen else ISOTROPIC_PUBLISHED, x, y, w, edge, r)
+        pixels = max(pixels, hole)
+    return True, pixels, inside
+
+
+@inlined
+def parents_split(pages, front, at, row, col, n):
+    """(whether all parents of a diamond with ground are really split, ideally; whether their geomorphs are over)."""
+    may, might, ripe = True, True, True
+    for side in range(2):
+        bits = front.sides[at] >> side
+        ripe = ripe and ((bits & 5) == 0 or front.morphs[at, side] >= 1.0)
+        if bits & 5 == 5:
+            continue
+        pr, pc = diamonds.apex(row, col, side)
+        if not diamonds.is_diamond(pr, pc, n) or has_no_ground(pages, pr, pc):
+            continue
+        may = may and (bits & 1) == 1
+        might = might and (bits & 4) == 4
+    return may, might, ripe
+
+
+@inlined
+def bear(tiles, front, edge, counts, row, col, L, step, error, n):
+    """(how many children a diamond has, whether their tiles are there); each tile gets the error as its priority."""
+    born = 0
+    there = True
+    for side in range(2):
+        tx, ty, tL, around = diamonds.top(row, col, side)
+        if not triangles.inside(tx, ty, tL, around, n):
+            continue
+        for half in range(2):
+            x, y, _, omega = triangles.child(tx, ty, tL, around, half)
+            front.kids[born, 0], front.kids[born, 1], front.kids[born, 2] = x, y, omega
+            born += 1
+            level, i, j = tile_of(x, y, L, omega, step, edge)
+            if level < 0:
+                continue
+            tile = tiles.bases[level] + i * tiles.widths[level] + j
+            if tiles.priorities[tile] == 0.0:
+                tiles.touched[counts[TOUCHED]] = tile
+                counts[TOUCHED] += 1
+            tiles.priorities[tile] = max(tiles.priorities[tile], error)
+            there = there and tiles.resident[tile] != 0
+    return born, there
+
+
+@inlined
+def enqueue(front, size, x, y, omega, inside, split, morph, rest):
+    """Tell the diamond of a child triangle what its parent knows; the length of the queue, which it may be new in.
+
+    Args:
+        split: whether the parent is really split.
+    """
+    key = np.int64(y) << 32 | np.int64(x)
+    place = place_of(front.table, front.keys, key)
+    at = front.table[place]
+    if at < 0:
+        at = np.int32(size)
+        size += 1
+        front.table[place] = at
+        front.keys[at], front.masks[at], front.sides[at] = key, 0, 0
+    side = omega >> 2
+    front.masks[at] |= inside
+    front.sides[at] |= (5 if split else 4) << side
+    front.morphs[at, side] = morph
+    front.bounds[at, side] = rest
+    return size
 
 
 @leaf
-def select_patches(
-    pages, lens, eye, metric, cull, n, q, tolerances, holes, resident, places, bases, widths, priorities, touched,
-    table, keys, masks, sides, morphs, bounds, kids, words, floats, counts,
-):  # fmt: skip
+def put_roots(pages, tiles, instances, counts, n, step):
+    """The patches of a raster that is no larger than a patch."""
+    for k in range(2):
+        x, y, L, omega = triangles.root(np.int64(k), n)
+        counts[PATCHES] += put(
+            instances, tiles, pages.edge, counts[PATCHES], x, y, L, omega, step, np.int64(1), 1.0, 0.0
+        )
+
+
+@leaf
+def select_patches(pages, bounds, n, q, tiles, front, instances, counts):
     """The patches of a view; returns DONE or GROW.
 
     Args:
-        pages: ``field.Pages`` of patch diamonds (``tables.PatchTerrain``).
-        lens: the camera, with the planes to cull with. metric: its number, of one on spheres.
-        eye: the camera with its own planes if those of ``lens`` are another volume's, else empty: what is not in view
-            of the eye is then judged by its distance alone.
-        cull: whether patches outside the planes are left out.
+        pages: ``field.Pages`` of patch diamonds (``tables.PatchTerrain``). bounds: ``Bounds``.
         n, q: exponents of the padded square and of the segments along a leg.
-        tolerances: float64 (3,): pixels at which diamonds are split; those at which their geomorph is over; pixels per
-            metre in a plan, else 0.
-        holes: float64 (2n + 1,), the longest edge of the triangles of a level's patches, metres.
-        resident: uint8, for each tile whether it is there. places: uint32, for each tile its slot + 1, or empty.
-        bases, widths: int64 (levels,), where a level's tiles begin in these, and how many are in a row.
-        priorities: float32, as many, 0 before: the pixels that a tile would take away; touched: int64, as many: which
-            tiles have got one.
-        table: int32 (2^m,): hash table. keys, masks: int64, sides: uint8, morphs: float32 (:, 2), bounds: float32
-            (:, 2), all of one length: the queue. kids: int64 (4, 3), for a diamond's children.
-        words, floats: int32 and float32 (:, 8), the same memory: the instances (``shape.INSTANCE``).
-        counts: int64 (6,).
+        tiles: ``Tiles``. front: ``Front``. instances: ``Instances``. counts: int64 (6,).
     """
-    last_row, last_col, top = pages.edge[0], pages.edge[1], pages.edge[2]
+    camera, edge, keys = bounds.camera, pages.edge, front.keys
     finest = 2 * (n - q)  # level of the finest patches
-    split_at, whole_at, plan = tolerances[0], tolerances[1], tolerances[2]
-    table[:] = -1
+    front.table[:] = -1
     counts[:] = 0
-    room, space = len(keys), len(words)
     middle = np.int64(1) << n >> 1
-    if finest == 0:  # the raster is no larger than a patch
-        for k in range(2):
-            x, y, L, omega = triangles.root(np.int64(k), n)
-            counts[0] += put(
-                words, floats, counts[0], places, bases, widths, x, y, L, omega, n - q, top, last_row, last_col, 1,
-                1.0, 0.0,
-            )  # fmt: skip
-        return 0
-    keys[0], masks[0], sides[0] = middle << 32 | middle, 0, 15
-    morphs[0, 0], morphs[0, 1], bounds[0, 0], bounds[0, 1] = 1.0, 1.0, 0.0, 0.0
+    if finest == 0:
+        put_roots(pages, tiles, instances, counts, n, n - q)
+        return DONE
+    keys[0], front.masks[0], front.sides[0] = middle << 32 | middle, 0, 15
+    front.morphs[0, 0], front.morphs[0, 1], front.bounds[0, 0], front.bounds[0, 1] = 1.0, 1.0, 0.0, 0.0
     size = 1
-    table[place_of(table, keys, keys[0])] = 0
-    head = 0
-    while head < size:
-        if size + 4 > room or counts[0] + 4 > space or 2 * (size + 4) > len(table):
-            return 1
-        at = head
-        head += 1
+    front.table[place_of(front.table, keys, keys[0])] = 0
+    at = -1
+    while at + 1 < size:
+        if size + 4 > len(keys) or counts[PATCHES] + 4 > len(instances.words) or 2 * (size + 4) > len(front.table):
+            return GROW
+        at += 1
         row, col = keys[at] >> 32, keys[at] & 0xFFFFFFFF
         k = diamonds.octave(row, col)
         shape = diamonds.kind(row, col)
         level = 2 * (n - 1 - k) + shape
         # 1. Is it in view, and how large is its error?
-        slot, u, v = find(pages, row, col, k)
-        if slot == BEYOND:
-            continue
+        slot, z32, e32, r32, _ = look_up(pages, keys[at], k)
         known = slot >= 0
-        flags = 1
-        pixels = 0.0
-        inside = masks[at]
-        z, e, r = np.float64(0.0), np.float64(0.0), np.float64(0.0)
-        mixed = e < 0.0
+        if slot == BEYOND or (known and r32 < 0.0):
+            continue  # nothing to draw
+        z, e, r = np.float64(z32), np.float64(e32), np.float64(r32)
+        flags, pixels, inside = np.int64(1), 0.0, front.masks[at]
         if known:
-            z = np.float64(pages.data[slot, u, v, 0])
-            e = np.float64(pages.data[slot, u, v, 1])
-            r = np.float64(pages.data[slot, u, v, 2])
-            if r < 0.0:
-                continue  # nothing to draw; its sphere means nothing
-            mixed = e < 0.0
-            e = abs(e)
-            reach = r * lens[15]
-            mr, mc = min(row, last_row), min(col, last_col)
-            if cull:
-                out, inside = outside(lens, mc, mr, z, reach * (1.0 + 1e-9), inside)
-                if out:
-                    continue
-            x, y, w = to_camera(lens, np.float64(mc), np.float64(mr), z)
-            seen = len(eye) == 0
+            seen, pixels, inside = error_in_view(pages, bounds, keys[at], level, z, e, r * camera.stretch, inside)
             if not seen:
-                away, _ = outside(eye, mc, mr, z, reach * (1.0 + 1e-9), 0)
-                seen = not away
-            pixels = sphere_bound(lens, metric if seen else 3, x, y, w, e, reach)
-            if mixed:
-                # What is missing shows to the longest edge.
-                edge = holes[level]
-                hole = edge if plan == 0.0 else plan * edge
-                if plan == 0.0 and edge < np.inf:
-                    hole = sphere_bound(lens, 1 if seen else 3, x, y, w, edge, reach)
-                pixels = max(pixels, hole)
-            flags = 1 if mixed else 0
+                continue
+            flags = np.int64(1 if e < 0.0 else 0)
         else:
-            counts[4] += 1
-        # 2. Is it split? Bits of sides: 1, 2 parents really split, 4, 8 ideally.
-        may, might = True, True
-        for side in range(2):
-            if sides[at] >> side & 5 == 5:
-                continue
-            pr, pc = diamonds.apex(row, col, side)
-            if not diamonds.is_diamond(pr, pc, n) or has_no_ground(pages, pr, pc, last_row, last_col):
-                continue
-            may = may and (sides[at] >> side & 1) == 1
-            might = might and (sides[at] >> side & 4) == 4
-        ripe = True
-        for side in range(2):
-            ripe = ripe and ((sides[at] >> side & 5) == 0 or morphs[at, side] >= 1.0)
-        might = might and ripe and known and pixels > split_at
+            counts[ABSENT] += 1
+        # 2. Is it split, really and ideally?
+        may, might, ripe = parents_split(pages, front, at, row, col, n)
+        might = might and ripe and known and pixels > bounds.split_at
         may = may and might
-        born = 0
         L = np.int64(1) << k  # (of its children, whichever kind it is)
+        born = 0
         if might:
-            error = np.float32(min(pixels, 1e30))
-            for side in range(2):
-                tx, ty, tL, around = diamonds.top(row, col, side)
-                if not triangles.inside(tx, ty, tL, around, n):
-                    continue
-                for half in range(2):
-                    x, y, _, omega = triangles.child(tx, ty, tL, around, half)
-                    kids[born, 0], kids[born, 1], kids[born, 2] = x, y, omega
-                    born += 1
-                    tile_level, i, j = tile_of(x, y, L, omega, k - q, top, last_row, last_col)
-                    if tile_level < 0:
-                        continue
-                    tile = bases[tile_level] + i * widths[tile_level] + j
-                    if priorities[tile] == 0.0:
-                        touched[counts[2]] = tile
-                        counts[2] += 1
-                    priorities[tile] = max(priorities[tile], error)
-                    may = may and resident[tile] != 0
-            if not may:
-                counts[5] += 1
+            born, there = bear(tiles, front, edge, counts, row, col, L, k - q, np.float32(min(pixels, 1e30)), n)
+            may = may and there
+            counts[SPLIT if may else BLOCKED] += 1
         # 3. Its children, or what split parents left of it.
-        if might:
-            counts[3] += 1 if may else 0
-            morph = 1.0
-            if pixels < whole_at:
-                morph = (pixels - split_at) / (whole_at - split_at)
-            rest = pixels if pixels < whole_at else 0.0
-            for child in range(born):
-                x, y, omega = kids[child, 0], kids[child, 1], kids[child, 2]
-                if level + 1 == finest:
-                    if may:
-                        if cull and prism_outside(lens, x, y, L, omega, z, r, inside, last_row, last_col):
-                            continue
-                        counts[0] += put(
-                            words, floats, counts[0], places, bases, widths, x, y, L, omega, k - q, top, last_row,
-                            last_col, flags, morph, rest,
-                        )  # fmt: skip
-                    continue
-                name = np.int64(y) << 32 | np.int64(x)
-                place = place_of(table, keys, name)
-                other = table[place]
-                if other < 0:
-                    other = np.int32(size)
-                    size += 1
-                    table[place] = other
-                    keys[other], masks[other], sides[other] = name, 0, 0
-                side = omega >> 2
-                masks[other] |= inside
-                sides[other] |= (5 if may else 4) << side
-                morphs[other, side] = morph
-                bounds[other, side] = rest
-        if not may:
-            for side in range(2):
-                if sides[at] >> side & 1:
-                    x, y, tL, omega = diamonds.top(row, col, side)
-                    if not triangles.inside(x, y, tL, omega, n):
-                        continue
-                    if known and cull and prism_outside(lens, x, y, tL, omega, z, r, inside, last_row, last_col):
-                        continue
-                    rest = max(np.float64(bounds[at, side]), pixels)
-                    counts[0] += put(
-                        words, floats, counts[0], places, bases, widths, x, y, tL, omega, k + 1 - shape - q, top,
-                        last_row, last_col, flags, morphs[at, side], rest,
-                    )  # fmt: skip
-    counts[1] = size
-    return 0
+        morph = 1.0
+        if pixels < bounds.whole_at:
+            morph = (pixels - bounds.split_at) / (bounds.whole_at - bounds.split_at)
+        rest = pixels if pixels < bounds.whole_at else 0.0
+        for child in range(born):
+            x, y, omega = front.kids[child, 0], front.kids[child, 1], front.kids[child, 2]
+            if level + 1 < finest:
+                size = enqueue(front, size, x, y, omega, inside, may, morph, rest)
+            elif may and not (bounds.cull and prism_outside(camera, x, y, L, omega, z, r, inside, edge)):
+                counts[PATCHES] += put(
+                    instances, tiles, edge, counts[PATCHES], x, y, L, omega, k - q, flags, morph, rest
+                )
+        for side in range(0 if may else 2):
+            x, y, tL, omega = diamonds.top(row, col, side)
+            if not front.sides[at] >> side & 1 or not triangles.inside(x, y, tL, omega, n):
+                continue
+            if known and bounds.cull and prism_outside(camera, x, y, tL, omega, z, r, inside, edge):
+                continue
+            counts[PATCHES] += put(
+                instances, tiles, edge, counts[PATCHES], x, y, tL, omega, k + 1 - shape - q, flags,
+                front.morphs[at, side], max(np.float64(front.bounds[at, side]), pixels),
+            )  # fmt: skip
+    counts[NODES] = size
+    return DONE

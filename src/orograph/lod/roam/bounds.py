@@ -20,7 +20,16 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import leaf
-from orograph.error.screen import color_exceeds, loose_bound, sphere_bound
+from orograph.error.screen import (
+    ANISOTROPIC,
+    WEDGIE,
+    color_exceeds,
+    image_motion,
+    loose_bound,
+    sphere_bound,
+    to_camera,
+)
+from orograph.lod.criterion import color_error
 from orograph.lod.roam.mesh import EMPTY, LOADED, METRIC, RATE
 from orograph.lod.roam.queues import PER_OCTAVE
 from orograph.lod.roam.volumes import corner, straddles
@@ -55,7 +64,7 @@ def above(e, n, m, up, t):
 
 
 @leaf
-def screen(node, edge, lens, options, low, high):
+def screen(node, edge, camera, options, low, high):
     """(the bound in pixels over a node's volume, the motion for which it does not come to lie between low and high).
 
     If it lies there, the motion for which it stays within ``STALE`` of what it is.
@@ -63,45 +72,42 @@ def screen(node, edge, lens, options, low, high):
     if not node.flags & LOADED or node.flags & EMPTY:
         return 0.0, np.inf
     e = np.float64(node.error)
-    focal, near, up = lens[12], lens[14], lens[16]
+    focal, near, up = camera.focal, camera.near, camera.exaggeration
     metric = int(options[METRIC])
     if e == np.inf:
         return np.inf, np.inf
     bound, slack = 0.0, np.inf
-    if metric != 2 or node.color > 0.0 or node.color < -1.0:
+    if metric != WEDGIE or node.color > 0.0 or node.color < -1.0:
         row = np.float64(min((node.r0 + node.r1) >> 1, edge[0]))
         col = np.float64(min((node.c0 + node.c1) >> 1, edge[1]))
-        z, r = np.float64(node.height), np.float64(node.radius) * lens[15]
-        x = lens[0] * col + lens[1] * row + lens[2] * z + lens[3]
-        y = lens[4] * col + lens[5] * row + lens[6] * z + lens[7]
-        w = lens[8] * col + lens[9] * row + lens[10] * z + lens[11]
+        z, r = np.float64(node.height), np.float64(node.radius) * camera.stretch
+        x, y, w = to_camera(camera, col, row, z)
     if e > 0.0 and focal > 0.0:
-        if metric == 2:
+        if metric == WEDGIE:
             depth, numerator = np.inf, 0.0
-            z = np.float64(node.low if lens[10] > 0.0 else node.high)
+            z = np.float64(node.low if camera.depth[2] > 0.0 else node.high)
             count = 4 if straddles(node, edge) else 3
             for k in range(count):
                 row_k, col_k = corner(node, edge, k)
-                px = lens[0] * col_k + lens[1] * row_k + lens[2] * z + lens[3]
-                py = lens[4] * col_k + lens[5] * row_k + lens[6] * z + lens[7]
-                pw = lens[8] * col_k + lens[9] * row_k + lens[10] * z + lens[11]
+                px, py, pw = to_camera(camera, col_k, row_k, z)
                 depth = min(depth, pw)
-                p, q = lens[2] * pw - lens[10] * px, lens[6] * pw - lens[10] * py
+                p, q = image_motion(camera, px, py, pw)
                 numerator = max(numerator, p * p + q * q)
             numerator = np.sqrt(numerator)
             nearest, taken = max(depth, near), 0.0
-            moved = max(depth, nearest - e * abs(lens[10]))
+            moved = max(depth, nearest - e * abs(camera.depth[2]))
             bound = focal * e * numerator / (nearest * moved) if moved > 0.0 else np.inf
         else:
-            bound = loose_bound(lens, x, y, w, e, r) if metric == 0 else sphere_bound(lens, metric, x, y, w, e, r)
             depth = w - r
             nearest, taken = max(depth, near), e * up
-            if metric == 0:
-                p, q = lens[2] * w - lens[10] * x, lens[6] * w - lens[10] * y
+            if metric == ANISOTROPIC:
+                bound = loose_bound(camera, x, y, w, e, r)
+                p, q = image_motion(camera, x, y, w)
                 numerator = np.sqrt(p * p + q * q) + r * up
             else:
+                bound = sphere_bound(camera, metric, x, y, w, e, r)
                 numerator = up * (np.sqrt(x * x + y * y + w * w) + r)
-        if metric > 2:
+        if metric > WEDGIE:
             slack = 0.0  # not bounds: nothing is known of how they change
         elif bound <= low:
             slack = below(focal * e, numerator, depth - taken, up, low)
@@ -115,10 +121,9 @@ def screen(node, edge, lens, options, low, high):
             slack = below(focal * e, numerator, depth - taken, up, more)
             slack = min(slack, above(focal * e, numerator, max(nearest, 0.0), up, less))
     if node.color > 0.0 or node.color < -1.0:
-        c = np.float64(node.color)
-        c = -1.0 - c if c < 0.0 else c
-        if c > lens[44]:
-            slack = min(slack, abs(w - r - r / lens[45]))
-            if color_exceeds(lens, c, w, r):
-                bound = max(bound, options[RATE] * c / max(lens[44], 1e-6))
+        c = color_error(np.float64(node.color))
+        if c > camera.color_tolerance:
+            slack = min(slack, abs(w - r - r / camera.texel))
+            if color_exceeds(camera, c, w, r):
+                bound = max(bound, options[RATE] * c / max(camera.color_tolerance, 1e-6))
     return bound, slack

@@ -76,8 +76,9 @@ def assess(s, i):
     """
     unschedule(s.nodes, s.lists, i)
     priority_of(
-        s.nodes, s.pages, s.lens, s.clock, s.counts, s.options, s.terms, s.stack, s.work, s.waiting, s.family, s.todo, i
-    )
+        s.nodes, s.pages, s.camera, s.clock, s.counts, s.options, s.terms, s.stack, s.work, s.waiting, s.family,
+        s.todo, i,
+    )  # fmt: skip
     if s.nodes[i].due < np.inf:
         schedule(s.nodes, s.lists, s.clock, i)
     place(s.nodes, s.heads, s.occupied, s.counts, i)

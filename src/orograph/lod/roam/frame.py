@@ -117,7 +117,7 @@ def relabel(s):
 
 @leaf
 def assess_all(s, steps):
-    """Compute everything again, at most so many: the tolerance or the lens is another one. As ``assess_due``."""
+    """Compute everything again, at most so many: the tolerance or the camera is another one. As ``assess_due``."""
     nodes = s.nodes
     while s.counts[RENEW] <= s.counts[TOP]:
         if steps == 0 or is_full(s):

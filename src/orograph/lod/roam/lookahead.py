@@ -23,13 +23,15 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import leaf
-from orograph.error.screen import color_exceeds, to_camera
+from orograph.error.screen import color_exceeds, image_motion, plane_distance, plane_of, to_camera
+from orograph.lod.criterion import color_error
 from orograph.lod.field import find
+from orograph.lod.localise import plane_through, push_halves
 from orograph.lod.look_ahead import DEPTH
 from orograph.lod.roam.bounds import above, screen
 from orograph.lod.roam.mesh import NEARNESS, N, begin_pair
 from orograph.lod.roam.queues import SPREAD, reach_of
-from orograph.lod.roam.volumes import frustum, load, straddles
+from orograph.lod.roam.volumes import GAP, ROOM, frustum, load, straddles
 
 PRUNED, ACTIVE, ABSENT = range(3)
 """Of a triangle whose bound exceeds the tolerance: it need not be split; it must be; a page is absent."""
@@ -49,7 +51,7 @@ def within(e, n, a, b, up, lean, t):
 
 
 @leaf
-def by_itself(pages, lens, node, n, t, known, reach, todo):
+def by_itself(pages, camera, node, n, t, known, reach, todo):
     """(FITS, SEEN, OPEN or LACKS; the motion for which that holds): whether B of a triangle exceeds t.
 
     ``lod.localise.localised_bound`` with a verdict in place of a value.
@@ -60,18 +62,13 @@ def by_itself(pages, lens, node, n, t, known, reach, todo):
         reach: metres; the motion is that of points within this distance.
         todo: float64 (DEPTH + 2, STACK), triangles that wait, as in ``lod.localise``.
     """
-    focal, rise, up = lens[12], lens[10], lens[16]
+    focal, rise, up = camera.focal, camera.depth[2], camera.exaggeration
     e = np.float64(node.error)
     level = np.int64(node.level)
     er, ec, ez = np.float64(node.r0), np.float64(node.c0), np.float64(node.z0)
     xr, xc, xz = np.float64(node.r1), np.float64(node.c1), np.float64(node.z1)
     ar, ac, az = np.float64(node.r2), np.float64(node.c2), np.float64(node.z2)
-    # The triangle as a plane: height at (row, col) is base + down · row + across · col.
-    p1r, p1c, p2r, p2c = xr - er, xc - ec, ar - er, ac - ec
-    area = p1r * p2c - p1c * p2r
-    down = ((xz - ez) * p2c - (az - ez) * p1c) / area
-    across = ((az - ez) * p1r - (xz - ez) * p2r) / area
-    base = ez - down * er - across * ec
+    base, down, across = plane_through(er, ec, ez, xr, xc, xz, ar, ac, az)
     todo[0, 0], todo[0, 1], todo[0, 2] = er, ec, ez
     todo[0, 3], todo[0, 4], todo[0, 5] = xr, xc, xz
     todo[0, 6], todo[0, 7], todo[0, 8], todo[0, 11] = ar, ac, az, 0.0
@@ -97,12 +94,9 @@ def by_itself(pages, lens, node, n, t, known, reach, todo):
         out, room = -1.0, np.inf
         for plane in range(6):
             if not known >> plane & 1:
-                p = 20 + 4 * plane
-                d = max(
-                    lens[p] * bc + lens[p + 1] * br + lens[p + 2] * bz,
-                    lens[p] * dc + lens[p + 1] * dr + lens[p + 2] * dz,
-                )
-                d = max(d, lens[p] * fc + lens[p + 1] * fr + lens[p + 2] * fz) + lens[p + 3] + error * abs(lens[p + 2])
+                u, v, c, rest = plane_of(camera, plane)
+                d = max(u * bc + v * br + c * bz, max(u * dc + v * dr + c * dz, u * fc + v * fr + c * fz))
+                d = d + rest + error * abs(c)
                 out, room = max(out, -d), min(room, d)
         # (1e-9: roundings of the plane's heights must not make the bound smaller)
         tb, td, tf = base + down * br + across * bc, base + down * dr + across * dc, base + down * fr + across * fc
@@ -113,12 +107,12 @@ def by_itself(pages, lens, node, n, t, known, reach, todo):
         depth, most = np.inf, 0.0
         for k in range(3):
             if k == 0:
-                x, y, w = to_camera(lens, bc, br, tb)
+                x, y, w = to_camera(camera, bc, br, tb)
             elif k == 1:
-                x, y, w = to_camera(lens, dc, dr, td)
+                x, y, w = to_camera(camera, dc, dr, td)
             else:
-                x, y, w = to_camera(lens, fc, fr, tf)
-            p, q = lens[2] * w - rise * x, lens[6] * w - rise * y
+                x, y, w = to_camera(camera, fc, fr, tf)
+            p, q = image_motion(camera, x, y, w)
             depth, most = min(depth, w), max(most, p * p + q * q)
         most = np.sqrt(most)
         moved = depth - length * abs(rise)
@@ -130,40 +124,32 @@ def by_itself(pages, lens, node, n, t, known, reach, todo):
             continue
         halved = min(halved, min(room, above(focal * length, most, max(depth, 0.0), up, t)))
         if at >= DEPTH:
-            return 2, halved
+            return OPEN, halved
         # The middle is a sample: what it is displaced by, if it is in view.
         mr, mc = 0.5 * (br + dr), 0.5 * (bc + dc)
         on = base + down * mr + across * mc
-        x, y, w = to_camera(lens, mc, mr, hz)
+        x, y, w = to_camera(camera, mc, mr, hz)
         out, room = -w, np.inf
         for plane in range(6):
             if not known >> plane & 1:
-                p = 20 + 4 * plane
-                d = lens[p] * mc + lens[p + 1] * mr + lens[p + 2] * hz + lens[p + 3]
+                d = plane_distance(camera, plane, mc, mr, hz)
                 out, room = max(out, -d), min(room, d)
         moved = w + (on - hz) * rise
-        p, q = lens[2] * w - rise * x, lens[6] * w - rise * y
+        p, q = image_motion(camera, x, y, w)
         numerator, length = np.sqrt(p * p + q * q), abs(on - hz) * (1.0 + 1e-9)
         fits = w > 0.0 and moved > 0.0 and focal * length * numerator <= t * w * moved
         if not fits and out <= 0.0:
             stays = above(focal * length, numerator, max(w, moved), up, t)
-            return 1, min(min(room, w), stays if moved > 0.0 else max(stays, -moved))
+            return SEEN, min(min(room, w), stays if moved > 0.0 else max(stays, -moved))
         if fits:
             out = max(out, within(focal * length, numerator, w, moved, up, 0.0, t))
         lasts = min(lasts, out)
-        for half in range(2):
-            todo[top, 0], todo[top, 1], todo[top, 2] = fr, fc, fz
-            if half == 0:
-                todo[top, 3], todo[top, 4], todo[top, 5] = br, bc, bz
-            else:
-                todo[top, 3], todo[top, 4], todo[top, 5] = dr, dc, dz
-            todo[top, 6], todo[top, 7], todo[top, 8], todo[top, 11] = mr, mc, hz, at + 1.0
-            top += 1
-    return (3 if absent else 0), lasts
+        top = push_halves(todo, top, br, bc, bz, dr, dc, dz, fr, fc, fz, mr, mc, hz, at + 1.0)
+    return (LACKS if absent else FITS), lasts
 
 
 @leaf
-def foresee(nodes, pages, lens, options, terms, stack, work, family, todo, i, t, known, steady, slack, k):
+def foresee(nodes, pages, camera, options, terms, stack, work, family, todo, i, t, known, steady, slack, k):
     """(PRUNED, ACTIVE or ABSENT; the motion for which that holds) of node i, whose bound exceeds t pixels.
 
     Args:
@@ -185,39 +171,38 @@ def foresee(nodes, pages, lens, options, terms, stack, work, family, todo, i, t,
             if not load(family, pages, options, terms, j):
                 absent = True
                 continue
-            frustum(node, edge, lens, known, work)
-            if work[0] >= 0.0:
-                lasts = min(lasts, work[0])
+            frustum(node, edge, camera, known, work)
+            if work[GAP] >= 0.0:
+                lasts = min(lasts, work[GAP])
                 continue
-            room = work[1]
-            bound, slack = screen(node, edge, lens, options, t, t)
+            room = work[ROOM]
+            bound, slack = screen(node, edge, camera, options, t, t)
             if bound <= t:
                 lasts = min(lasts, slack)
                 continue
             slack = min(slack, room)
         if node.error == np.inf or straddles(node, edge):
-            return 1, min(slack, steady)
+            return ACTIVE, min(slack, steady)
         row, col = np.float64((node.r0 + node.r1) >> 1), np.float64((node.c0 + node.c1) >> 1)
-        _, _, w = to_camera(lens, col, row, np.float64(node.height))
-        r = np.float64(node.radius) * lens[15]
-        c = np.float64(node.color)
-        c = -1.0 - c if c < 0.0 else c
+        _, _, w = to_camera(camera, col, row, np.float64(node.height))
+        r = np.float64(node.radius) * camera.stretch
+        c = color_error(np.float64(node.color))
         nearer = r / options[NEARNESS] - (w - r)
-        if nearer <= 0.0 or color_exceeds(lens, c, w, r):
-            return 1, min(min(slack, steady), -nearer if nearer <= 0.0 else np.inf)
-        if c > lens[44]:
-            lasts = min(lasts, abs(w - r - r / lens[45]))
+        if nearer <= 0.0 or color_exceeds(camera, c, w, r):
+            return ACTIVE, min(min(slack, steady), -nearer if nearer <= 0.0 else np.inf)
+        if c > camera.color_tolerance:
+            lasts = min(lasts, abs(w - r - r / camera.texel))
         lasts = min(lasts, nearer)
-        kind, holds = by_itself(pages, lens, node, n, t, known, reach, todo)
-        if kind == 1:
-            return 1, min(holds, steady)
-        if kind == 2:
-            return 1, min(min(holds, slack), steady)
-        absent = absent or kind == 3
+        kind, holds = by_itself(pages, camera, node, n, t, known, reach, todo)
+        if kind == SEEN:
+            return ACTIVE, min(holds, steady)
+        if kind == OPEN:
+            return ACTIVE, min(min(holds, slack), steady)
+        absent = absent or kind == LACKS
         lasts = min(lasts, holds)
         if node.level + 1 < 2 * n:
             first = j + 1 + j % 2  # on the level below, in the place of those before
             begin_pair(family, first, j, node.height)
             stack[top], stack[top + 1] = first, first + 1
             top += 2
-    return (2 if absent else 0), lasts
+    return (ABSENT if absent else PRUNED), lasts

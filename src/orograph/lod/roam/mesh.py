@@ -22,6 +22,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from orograph._numba import leaf
+from orograph.error.screen import CameraParameters
 from orograph.lod.field import Pages
 from orograph.lod.roam.terms import Terms
 
@@ -90,7 +91,7 @@ class State(NamedTuple):
         stack: int32 (256,), work: float64 (16,).
         family: NODE (FAMILY,), todo: float64 (DEPTH + 2, STACK): scratch of ``lookahead``.
         counts: int64 (COUNTS,).
-        lens: the camera (``error.screen.lens``). options: float64 (OPTIONS,).
+        camera: ``error.screen.CameraParameters``. options: float64 (OPTIONS,).
         pages: ``field.Pages``. terms: ``terms.Terms``.
     """
 
@@ -112,7 +113,7 @@ class State(NamedTuple):
     family: NDArray[np.void]
     todo: NDArray[np.float64]
     counts: NDArray[np.int64]
-    lens: NDArray[np.float64]
+    camera: CameraParameters
     options: NDArray[np.float64]
     pages: Pages
     terms: Terms

@@ -34,8 +34,8 @@ from orograph.lod.roam.mesh import (
     WAITING,
 )
 from orograph.lod.roam.queues import class_of, reach_of
-from orograph.lod.roam.terms import around, factor_of, is_hidden, is_pinned
-from orograph.lod.roam.volumes import distance, frustum, inherited, load
+from orograph.lod.roam.terms import OCCLUDED, OUTSIDE, around, factor_of, is_hidden, is_pinned
+from orograph.lod.roam.volumes import GAP, LABEL, ROOM, distance, frustum, inherited, load
 
 LARGEST = float(np.finfo(np.float32).max)
 """The largest priority of what is no hole."""
@@ -52,7 +52,7 @@ def pend(node, counts, waiting, i):
 
 
 @leaf
-def priority_of(nodes, pages, lens, clock, counts, options, terms, stack, work, waiting, family, todo, i):
+def priority_of(nodes, pages, camera, clock, counts, options, terms, stack, work, waiting, family, todo, i):
     """Compute node i's priority, whether it is in view and over the tolerance, and when it is due again.
 
     A triangle out of view does not need its diamond; one in view whose page is absent waits for it.
@@ -63,25 +63,25 @@ def priority_of(nodes, pages, lens, clock, counts, options, terms, stack, work, 
     edge = pages.edge
     node.flags &= ~np.uint8(OUT | EXCEEDS)
     node.priority = 0.0
-    known, lasts = inherited(nodes, pages, lens, clock, counts, stack, work, i)
-    inside = frustum(node, edge, lens, known, work)
+    known, lasts = inherited(nodes, pages, camera, clock, counts, stack, work, i)
+    inside = frustum(node, edge, camera, known, work)
     if not node.flags & LOADED and (
-        work[0] < 0.0
+        work[GAP] < 0.0
         or options[CULL] == 0.0
-        or terms.factors[3] > 0.0
+        or terms.factors[OUTSIDE] > 0.0
         or (len(terms.demands) > 0 and is_pinned(node, edge, terms, np.inf))
     ):
         if not load(nodes, pages, options, terms, i):
             pend(node, counts, waiting, i)
             return
-        inside = frustum(node, edge, lens, known, work)
-    gap, room, label = work[0], work[1], work[2]
+        inside = frustum(node, edge, camera, known, work)
+    gap, room, label = work[GAP], work[ROOM], work[LABEL]
     if gap < 0.0 and lasts < 0.25 * room:
         # What is inherited lasts too briefly to wait for.
-        inside = frustum(node, edge, lens, 0, work)
-        gap, room, label, lasts = work[0], work[1], work[2], np.inf
+        inside = frustum(node, edge, camera, 0, work)
+        gap, room, label, lasts = work[GAP], work[ROOM], work[LABEL], np.inf
     room = min(room, lasts)
-    far = distance(node, edge, lens)
+    far = distance(node, edge, camera)
     k = class_of(far)
     if k >= 0:
         node.inside, node.label_class = inside, k
@@ -89,32 +89,33 @@ def priority_of(nodes, pages, lens, clock, counts, options, terms, stack, work, 
     factor, lasting = factor_of(node, edge, terms)
     if gap >= 0.0:
         node.flags |= OUT
-        factor *= terms.factors[3]
+        factor *= terms.factors[OUTSIDE]
         room = gap
     if factor > 0.0:
         if gap < 0.0:
-            bound, slack = screen(node, edge, lens, options, options[LOW] / factor, options[HIGH] / factor)
-            if terms.factors[3] > 0.0:
+            bound, slack = screen(node, edge, camera, options, options[LOW] / factor, options[HIGH] / factor)
+            if terms.factors[OUTSIDE] > 0.0:
                 # It counts for no less than it would out of view: else a child that is could count for more.
-                low, high = options[LOW] / (factor * terms.factors[3]), options[HIGH] / (factor * terms.factors[3])
-                aside, lasting_aside = around(node, edge, terms, lens, low, high)
+                share = factor * terms.factors[OUTSIDE]
+                low, high = options[LOW] / share, options[HIGH] / share
+                aside, lasting_aside = around(node, edge, terms, camera, low, high)
                 if bound <= options[HIGH] / factor:
                     slack = lasting_aside if aside > high else min(slack, lasting_aside)
-                bound = max(bound, aside * terms.factors[3])
+                bound = max(bound, aside * terms.factors[OUTSIDE])
         else:
-            bound, slack = around(node, edge, terms, lens, options[LOW] / factor, options[HIGH] / factor)
+            bound, slack = around(node, edge, terms, camera, options[LOW] / factor, options[HIGH] / factor)
         bound *= factor
-        if terms.factors[2] < 1.0 and bound > options[LOW]:
+        if terms.factors[OCCLUDED] < 1.0 and bound > options[LOW]:
             slack = 0.0
             if is_hidden(node, edge, terms):
-                bound *= terms.factors[2]
+                bound *= terms.factors[OCCLUDED]
     else:
         bound, slack = 0.0, np.inf
     slack = min(slack, lasting)
     absent = False
     if options[NEARNESS] > 0.0 and gap < 0.0 and bound > options[LOW] and not node.flags & PINNED and k >= 0:
         verdict, holds = foresee(
-            nodes, pages, lens, options, terms, stack, work, family, todo, i, options[LOW], inside, min(label, lasts),
+            nodes, pages, camera, options, terms, stack, work, family, todo, i, options[LOW], inside, min(label, lasts),
             slack, k,
         )  # fmt: skip
         absent = verdict == ABSENT

@@ -38,6 +38,12 @@ SECTORS = 720
 RINGS = 128
 OBJECT, LINE = 0.0, 1.0
 
+BACK_FACING, SILHOUETTE, OCCLUDED, OUTSIDE = range(4)
+"""Factors: of priorities that are back-facing, a silhouette, occluded, out of view."""
+
+COL, ROW, HEIGHT, CELLS, STEEPNESS, BLOCK = range(6)
+"""The eye: column, row, height; cells per metre at most; 1 / exaggeration; metres along a block."""
+
 
 class Terms(NamedTuple):
     """What kernels get of the terms.
@@ -47,8 +53,7 @@ class Terms(NamedTuple):
         blocks: float32 (blocks of all levels, 6): least and most h_c, h_r, height; base, width: int64, where each level
             begins and how many blocks it is wide.
         hidden: float32 (SECTORS, RINGS): the slope up to which what lies beyond a ring is hidden.
-        factors: float64 (4,): of priorities that are back-facing, a silhouette, occluded, out of view.
-        eye: float64 (6,): column, row, height; cells per metre at most; 1 / exaggeration; metres along a block.
+        factors: float64 (4,), see ``BACK_FACING`` and following. eye: float64 (6,), see ``COL`` and following.
         to_metres: float64 (4,): easting and northing by column and row.
     """
 
@@ -128,27 +133,27 @@ def facing(node, edge, terms):
             gr0, gr1 = min(gr0, terms.blocks[at, 2]), max(gr1, terms.blocks[at, 3])
     if not (gc0 <= gc1 and gr0 <= gr1):
         return -np.inf, np.inf, 0.0
-    dc0, dc1 = terms.eye[0] - c1, terms.eye[0] - c0
-    dr0, dr1 = terms.eye[1] - r1, terms.eye[1] - r0
+    dc0, dc1 = terms.eye[COL] - c1, terms.eye[COL] - c0
+    dr0, dr1 = terms.eye[ROW] - r1, terms.eye[ROW] - r0
     a = max(max(gc0 * dc0, gc0 * dc1), max(gc1 * dc0, gc1 * dc1))
     b = max(max(gr0 * dr0, gr0 * dr1), max(gr1 * dr0, gr1 * dr1))
-    least = terms.eye[2] - node.high - a - b
+    least = terms.eye[HEIGHT] - node.high - a - b
     a = min(min(gc0 * dc0, gc0 * dc1), min(gc1 * dc0, gc1 * dc1))
     b = min(min(gr0 * dr0, gr0 * dr1), min(gr1 * dr0, gr1 * dr1))
-    most = terms.eye[2] - node.low - a - b
+    most = terms.eye[HEIGHT] - node.low - a - b
     return least, most, max(abs(gc0), abs(gc1)) + max(abs(gr0), abs(gr1))
 
 
 @leaf
 def factor_of(node, edge, terms):
     """(the factor on a node's priority for how its ground faces the eye, the motion for which it lasts)."""
-    if terms.factors[0] == 1.0 and terms.factors[1] == 1.0:
+    if terms.factors[BACK_FACING] == 1.0 and terms.factors[SILHOUETTE] == 1.0:
         return 1.0, np.inf
     least, most, slope = facing(node, edge, terms)
-    slack = min(abs(least), abs(most)) / (terms.eye[4] + slope * terms.eye[3])
+    slack = min(abs(least), abs(most)) / (terms.eye[STEEPNESS] + slope * terms.eye[CELLS])
     if most < 0.0:
-        return terms.factors[0], slack
-    return (terms.factors[1] if least <= 0.0 else 1.0), slack
+        return terms.factors[BACK_FACING], slack
+    return (terms.factors[SILHOUETTE] if least <= 0.0 else 1.0), slack
 
 
 # ---- occlusion -------------------------------------------------------------------------------------------------------
@@ -157,7 +162,7 @@ def factor_of(node, edge, terms):
 @leaf
 def metres(terms, row, col):
     """Easting and northing from the eye."""
-    r, c = row - terms.eye[1], col - terms.eye[0]
+    r, c = row - terms.eye[ROW], col - terms.eye[COL]
     return terms.to_metres[0] * c + terms.to_metres[1] * r, terms.to_metres[2] * c + terms.to_metres[3] * r
 
 
@@ -179,20 +184,20 @@ def view_of(terms, r0, r1, c0, c1):
         qx, qy = px + t * ex, py + t * ey
         near = min(near, np.sqrt(qx * qx + qy * qy))
         px, py = x, y
-    inside = r0 <= terms.eye[1] <= r1 and c0 <= terms.eye[0] <= c1
+    inside = r0 <= terms.eye[ROW] <= r1 and c0 <= terms.eye[COL] <= c1
     return 0.0 if inside else near, far, np.arctan2(ym, xm), left, right
 
 
 @leaf
-def around(node, edge, terms, lens, low, high):
+def around(node, edge, terms, camera, low, high):
     """(the bound in pixels at a volume's least distance, the motion for which it stays out of (low, high))."""
-    e = np.float64(node.error) * lens[12] * lens[16]
+    e = np.float64(node.error) * camera.focal * camera.exaggeration
     if not 0.0 < e < np.inf:
         return 0.0, np.inf
     r0, r1 = min(node.r0, min(node.r1, node.r2)), min(max(node.r0, max(node.r1, node.r2)), edge[0])
     c0, c1 = min(node.c0, min(node.c1, node.c2)), min(max(node.c0, max(node.c1, node.c2)), edge[1])
     flat = view_of(terms, r0, r1, c0, c1)[0]
-    up = max(max(node.low - terms.eye[2], terms.eye[2] - node.high), 0.0) / terms.eye[4]
+    up = max(max(node.low - terms.eye[HEIGHT], terms.eye[HEIGHT] - node.high), 0.0) / terms.eye[STEEPNESS]
     d = np.sqrt(flat * flat + up * up)
     bound = e / d if d > 0.0 else np.inf
     if bound <= low:
@@ -203,7 +208,7 @@ def around(node, edge, terms, lens, low, high):
 @leaf
 def ring_of(terms, distance):
     """The ring a distance lies in."""
-    return min(max(int(4.0 * np.log2(max(distance / terms.eye[5], 1e-9))), 0), RINGS - 1)
+    return min(max(int(4.0 * np.log2(max(distance / terms.eye[BLOCK], 1e-9))), 0), RINGS - 1)
 
 
 @leaf
@@ -225,7 +230,7 @@ def hide_behind(terms, edge):
         )
         if near <= 0.0:
             continue
-        rise = z - terms.eye[2]
+        rise = z - terms.eye[HEIGHT]
         slope = rise / far if rise > 0.0 else rise / near
         # Sectors wholly between the block's sides: every ray in them crosses it.
         begin = int(np.ceil((middle + left) / (2.0 * np.pi) * SECTORS))
@@ -247,7 +252,7 @@ def is_hidden(node, edge, terms):
     near, far, middle, left, right = view_of(terms, r0, r1, c0, c1)
     if near <= 0.0:
         return False
-    rise = node.high - terms.eye[2]
+    rise = node.high - terms.eye[HEIGHT]
     slope = rise / near if rise > 0.0 else rise / far
     ring = ring_of(terms, near)
     begin = int(np.floor((middle + left) / (2.0 * np.pi) * SECTORS))

@@ -16,10 +16,14 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import leaf
+from orograph.error.screen import plane_of, to_camera
 from orograph.lod.field import find
 from orograph.lod.roam.mesh import BOUND, EMPTY, LABELS, LOADED, PINNED, N
 from orograph.lod.roam.queues import class_of, reach_of
 from orograph.lod.roam.terms import is_pinned
+
+GAP, ROOM, LABEL = range(3)
+"""What ``frustum`` leaves in ``State.work``."""
 
 
 @leaf
@@ -99,13 +103,13 @@ def load(nodes, pages, options, terms, i):
 
 
 @leaf
-def frustum(node, edge, lens, known, work):
+def frustum(node, edge, camera, known, work):
     """Where a volume lies relative to the frustum.
 
     Args:
         known: the planes it is known to be wholly inside of, as bits.
-        work: receives [0] how far it is outside (−1: it is not), [1] how far it is from being outside of a plane that
-            was tested, [2] how far from any change of a label.
+        work: receives at GAP how far it is outside (−1: it is not), at ROOM how far it is from being outside of a plane
+            that was tested, at LABEL how far from any change of a label.
 
     Returns:
         the planes it is wholly inside of.
@@ -115,45 +119,42 @@ def frustum(node, edge, lens, known, work):
     for plane in range(6):
         if known >> plane & 1:
             continue
-        at = 20 + 4 * plane
-        if lens[at + 3] == np.inf:
+        across, down, c, rest = plane_of(camera, plane)
+        if rest == np.inf:
             known |= 1 << plane
             continue
         most, least = -np.inf, np.inf
         for k in range(count):
             row, col = corner(node, edge, k)
-            d = lens[at] * col + lens[at + 1] * row
+            d = across * col + down * row
             most, least = max(most, d), min(least, d)
-        c = lens[at + 2]
-        most += c * (node.high if c > 0.0 else node.low) + lens[at + 3]
-        least += c * (node.low if c > 0.0 else node.high) + lens[at + 3]
+        most += c * (node.high if c > 0.0 else node.low) + rest
+        least += c * (node.low if c > 0.0 else node.high) + rest
         if most < 0.0:
             gap = max(gap, -most)
         room = min(room, most)
         label = min(label, min(abs(most), abs(least)))
         if least >= 0.0:
             known |= 1 << plane
-    work[0], work[1], work[2] = gap, room, label
+    work[GAP], work[ROOM], work[LABEL] = gap, room, label
     return known
 
 
 @leaf
-def distance(node, edge, lens):
+def distance(node, edge, camera):
     """At least the distance of the eye from the farthest point of a volume, stretched metres."""
     middle = 0.5 * (np.float64(node.low) + np.float64(node.high))
     most = 0.0
     count = 4 if straddles(node, edge) else 3
     for k in range(count):
         row, col = corner(node, edge, k)
-        x = lens[0] * col + lens[1] * row + lens[2] * middle + lens[3]
-        y = lens[4] * col + lens[5] * row + lens[6] * middle + lens[7]
-        w = lens[8] * col + lens[9] * row + lens[10] * middle + lens[11]
+        x, y, w = to_camera(camera, col, row, middle)
         most = max(most, x * x + y * y + w * w)
-    return np.sqrt(most) * (1.0 + 1e-12) + (np.float64(node.high) - middle) * lens[16]
+    return np.sqrt(most) * (1.0 + 1e-12) + (np.float64(node.high) - middle) * camera.exaggeration
 
 
 @leaf
-def inherited(nodes, pages, lens, clock, counts, stack, work, i):
+def inherited(nodes, pages, camera, clock, counts, stack, work, i):
     """The planes node i's parent is wholly inside of and for how much motion they last; labels are renewed on the way.
 
     A label is computed again only when the camera has moved so far that it can have changed.
@@ -170,9 +171,9 @@ def inherited(nodes, pages, lens, clock, counts, stack, work, i):
     while depth:
         depth -= 1
         node = nodes[stack[depth]]
-        known = frustum(node, pages.edge, lens, known, work)
-        lasts = min(lasts, work[2])
-        k = class_of(distance(node, pages.edge, lens))
+        known = frustum(node, pages.edge, camera, known, work)
+        lasts = min(lasts, work[LABEL])
+        k = class_of(distance(node, pages.edge, camera))
         if k >= 0:
             lasts = min(lasts, 0.999 * reach_of(k) / 8.0)
             node.inside, node.label_class, node.label_until = known, k, clock[k] + lasts

@@ -3,7 +3,7 @@
 A picture too large for a graphics card is drawn tile by tile (``View.tile``). Light and haze of each tile are those of
 the whole picture, or there would be seams: the windows of the maps of light, by how much relief is strengthened and the
 range of depths that haze spans go by this overview; lines that depend on the pixels around them by a rim that is drawn
-with a tile and cut off. Patches are chosen by the whole view's bound (``error.screen.lens``), so neighbours' agree.
+with a tile and cut off. Patches are chosen by the whole view's bound (``error.screen``), so neighbours' agree.
 
 Units: pixels; sample coordinates; metres.
 """
