@@ -202,7 +202,7 @@ Area = tuple[tuple[int, int], tuple[int, int]]
 
 
 def _options(area: Area, shape: tuple[int, ...]) -> dict[str, Any]:
-    from rasterio.windows import ImageWindow as Part
+    from rasterio.windows import Window as Part
 
     (a, b), (c, d) = area
     return {"window": Part(c, a, d - c, b - a), "out_shape": shape}
