@@ -71,7 +71,7 @@ def rounds_of(folder: Path, starts: int, rounds: int, kills: bool, seed: int) ->
         for which in inputs:
             how = rng.choice(("plain", "plain", "resume", "overwrite"))
             delay = rng.uniform(0, SPREAD)
-            after = delay + rng.uniform(0, 1.3 * takes) if kills and rng.random() < 0.5 else None
+            after = delay + rng.uniform(0, 1.3 * takes) if kills and rng.random() < 0.8 else None
             pid = os.fork()
             if pid == 0:
                 try:

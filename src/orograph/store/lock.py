@@ -19,6 +19,7 @@ import contextlib
 import errno
 import json
 import os
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from orograph.errors import StoreError
+from orograph.output import beside
 from orograph.processes import host, running
 from orograph.store.storage import FolderStorage, Storage
 
@@ -37,6 +39,8 @@ PAUSE = 0.02
 
 BUSY = frozenset({errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES})
 UNSUPPORTED = frozenset({errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL})
+NO_LINKS = frozenset({errno.EPERM, errno.EMLINK}) | UNSUPPORTED
+"""What systems say that have no hard links."""
 
 
 @contextmanager
@@ -209,16 +213,34 @@ def _own(path: Path, url: str, doing: str, shared: str | None) -> _Owner:
         )  # fmt: skip
     for _ in range(2):
         try:
-            fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+            _create(path, _said(doing, None))
         except FileExistsError:
             if _given_up(path):
                 continue
             ended = f"If that process has ended, remove {path.name} beside the store."
             raise _busy(url, _owner(path), remedy=ended) from None
-        with os.fdopen(fd, "wb") as file:
-            file.write(_said(doing, None))
         return _Owner(path)
     raise _busy(url, _owner(path))
+
+
+def _create(path: Path, data: bytes) -> None:
+    """Make a file that is not there yet, and has its content from the first moment on.
+
+    Raises:
+        FileExistsError: it is there.
+    """
+    whole = Path(f"{beside(path, 'part')}.{threading.get_ident()}")
+    try:
+        whole.write_bytes(data)
+        os.link(whole, path)
+    except OSError as error:
+        if error.errno not in NO_LINKS:
+            raise
+        fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        with os.fdopen(fd, "wb") as file:
+            file.write(data)
+    finally:
+        whole.unlink(missing_ok=True)
 
 
 def _owner(path: Path) -> dict[str, Any]:
