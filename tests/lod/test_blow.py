@@ -203,7 +203,7 @@ def test_spheres_nest_and_bound_away_from_the_axis(shared_data):
             for metric, engine in engines.items():
                 found = engine.refine(view, tolerance=tolerance)
                 report = verify.judge_mesh(found, t, view)
-                assert report.ok(tolerance), report
+                assert report.ok(tolerance, of="samples"), report
                 made[metric] += len(found.triangles)
     assert made["isotropic"] > 1.5 * made["anisotropic"]
 
@@ -216,7 +216,7 @@ def test_a_turning_flight_keeps_the_tolerance():
         found = engine.refine(view, tolerance=1.5)
         if number % 5 == 4:
             report = verify.judge_mesh(found, t, view)
-            assert report.ok(1.5), report
+            assert report.ok(1.5, of="samples"), report
 
 
 def test_published_spheres_exceed_the_tolerance_off_the_axis():
@@ -234,7 +234,7 @@ def test_published_spheres_exceed_the_tolerance_off_the_axis():
         )  # fmt: skip
         for metric in worst:
             found = Blow(t, metric=metric, cull=False).refine(view, tolerance=1.0)
-            worst[metric] = max(worst[metric], verify.judge_mesh(found, t, view).largest)
+            worst[metric] = max(worst[metric], verify.judge_mesh(found, t, view).largest_at_samples)
     assert worst["isotropic"] <= 1.0 < worst["isotropic-published"]
 
 
@@ -249,7 +249,7 @@ def test_budgets():
     for budget in (200, 500, 3000):
         found = engine.refine(view, triangles=budget)
         assert len(found.triangles) <= budget
-        assert verify.judge_mesh(found, t, view).ok(found.stats["tolerance"])
+        assert verify.judge_mesh(found, t, view).ok(found.stats["tolerance"], of="samples")
     assert not verify.judge_mesh(engine.refine(view, seconds=0.05), t, view).defects
 
 
@@ -261,7 +261,7 @@ def test_little_memory_gives_the_same_mesh():
         found = little.refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == plain.triangles_of(much.refine(view, tolerance=2.0))
     assert little.field.resident <= 6 < much.field.resident
-    assert verify.judge_mesh(found, t, view).ok(2.0)
+    assert verify.judge_mesh(found, t, view).ok(2.0, of="samples")
 
 
 def test_colours_force_splits():
@@ -277,7 +277,7 @@ def test_colours_force_splits():
     fine = Blow(t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
     assert len(flat.triangles) == len(coarse.triangles) == 2
     assert len(fine.triangles) > 2
-    assert verify.judge_mesh(fine, t, view).ok(0.0)
+    assert verify.judge_mesh(fine, t, view).ok(0.0, of="samples")
 
 
 def test_plans_keep_holes():
@@ -289,7 +289,7 @@ def test_plans_keep_holes():
     for cull in (True, False):
         found = Blow(t, cull=cull).refine(view, tolerance=1.0)
         assert len(found.triangles) > 2
-        assert verify.judge_mesh(found, t, view).ok(0.0)
+        assert verify.judge_mesh(found, t, view).ok(0.0, of="samples")
 
 
 def test_unusable_options_are_refused():

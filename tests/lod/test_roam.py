@@ -141,7 +141,7 @@ def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
             if cull:
                 drawn &= [tuple(sorted(zip(a, b))) not in want.out for a, b in zip(rows.tolist(), cols.tolist())]
             assert plain.triangles_of(found) == p.triangle_set(want.front, drawn)
-            assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance)
+            assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance, of="samples")
 
 
 @pytest.mark.parametrize("shape", [(9, 9), (8, 9), (5, 7)])
@@ -166,7 +166,7 @@ def test_looking_ahead_leaves_what_looking_at_every_sample_allows(shape):
             drawn &= (r < 0) | (p.r[r, c] >= 0)
             drawn &= [tuple(sorted(zip(a, b))) not in want.out for a, b in zip(rows.tolist(), cols.tolist())]
             assert plain.triangles_of(found) == p.triangle_set(want.front, drawn)
-            assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance)
+            assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance, of="samples")
             pruned += want.pruned
             plainly = Roam(t, metric="wedgie", exaggeration=exaggeration).refine(view, tolerance=tolerance)
             fewer += len(plainly.triangles) - len(found.triangles)
@@ -205,7 +205,7 @@ def test_flights_over_real_ground_keep_the_promise_and_depend_on_the_view_alone(
         made = carried.refine(view, tolerance=tolerance)
         assert len(np.unique(made.triangles)) == len(made.vertices)
         report = verify.judge_mesh(made, t, view)
-        assert report.ok(tolerance), report
+        assert report.ok(tolerance, of="samples"), report
     assert saved > 0
 
 
@@ -257,7 +257,7 @@ def test_budgets_of_triangles_are_kept_and_used(gaps):
             report = verify.judge_mesh(found, t, view)
             assert not report.defects
             if found.stats["conservative"]:
-                assert report.ok(found.stats["tolerance"])
+                assert report.ok(found.stats["tolerance"], of="samples")
         # The best of its size: scratch needs about as much for the tolerance that was reached.
         if gaps == 0 and found.stats["tolerance"]:
             fresh = Roam(t, metric="wedgie").mesh(view, tolerance=found.stats["tolerance"])[0]
@@ -454,7 +454,7 @@ def test_another_grid_of_the_same_ground_moves_nothing():
     u = MemoryTerrain(np.ascontiguousarray(z[::-1]), Grid(z.shape, flipped), "south-up")
     view = plain.random_view(rng, t)
     for found, terrain in ((Roam(t).refine(view), t), (Roam(u).refine(view), u)):
-        assert verify.judge_mesh(found, terrain, view).ok(1.0)
+        assert verify.judge_mesh(found, terrain, view).ok(1.0, of="samples")
 
 
 def test_strips_kept_strips_rebuilt_and_lists_hold_the_same_triangles():

@@ -284,7 +284,7 @@ def _draw(
             engine = make_engine(name, terrain, options, color=color, max_memory=max_memory, jobs=jobs, metric=metric)
             mesh = engine.refine(view, **goal)
             report = verify.judge_mesh(mesh, terrain, view, exaggeration=options["exaggeration"], jobs=jobs)
-            lines, alarm = caption(mesh.stats, report.largest)
+            lines, alarm = caption(mesh.stats, report.largest_at_samples)
             panels.append(Panel(f"{name}:{metric}" if metric else name, mesh, lines, alarm))
             task.note(panels[-1].title)
         asked = f"tolerance {goal['tolerance']:g} px" if "tolerance" in goal else f"{goal['triangles']:,} triangles"

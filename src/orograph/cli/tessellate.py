@@ -131,9 +131,9 @@ def command(
         promised = mesh.stats["tolerance"] if mesh.stats["conservative"] else None
         if report.defects and promised is None and "tolerance" not in goal:
             progress.warn("The mesh is not sound (see the report): nothing is promised for this budget.")
-        elif report.defects or (promised is not None and not report.ok(promised)):
+        elif report.defects or (promised is not None and not report.ok(promised, of="samples")):
             raise OrographError(
                 "The mesh is not sound (see the report)." if report.defects else
-                f"The mesh is off by {report.largest:.4g} pixels, and {engine} promised {promised:g}.",
+                f"The mesh is off by {report.largest_at_samples:.4g} pixels, and {engine} promised {promised:g}.",
                 path=output, remedy="This is a fault of Orograph: please report it, with the terrain and the view.",
             )  # fmt: skip

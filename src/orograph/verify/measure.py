@@ -48,10 +48,10 @@ class Measurement:
         triangles: of a mesh, the mean.
         ms: to refine, the median; ``ms_worst``: the largest.
         mtri_per_s: millions of triangles per second, over all.
-        conservative: whether the engine promises the tolerance for every point in view, in every frame.
+        conservative: whether the engine promises the tolerance for every sample in view, in every frame.
         tolerance: pixels, the largest that was asked for, or reached under a budget.
-        largest, rms: pixels, by the referee, over all points (rms: samples) in view of the frames judged; None: beyond
-            any bound.
+        largest, rms: pixels, by the referee, over all samples in view of the frames judged; None: beyond any bound.
+        largest_on_surface: the same over all points of the full-resolution surface.
         judged: how many frames were.
         changes: triangles that a frame and the one before do not share, over the frame's own, both summed over frames.
             None without a flight.
@@ -68,6 +68,7 @@ class Measurement:
     conservative: bool
     tolerance: float | None
     largest: float | None
+    largest_on_surface: float | None
     rms: float | None
     judged: int
     changes: float | None
@@ -165,7 +166,8 @@ class _Tally:
         covered = [r.samples - r.uncovered for r in self.reports]
         squares = sum(r.rms**2 * n for r, n in zip(self.reports, covered))
         rms = math.sqrt(squares / max(1, sum(covered)))
-        largest = max((r.largest for r in self.reports), default=0.0)
+        largest = max((r.largest_at_samples for r in self.reports), default=0.0)
+        on_surface = max((r.largest for r in self.reports), default=0.0)
         defects: dict[str, int] = {}
         for report in self.reports:
             for name, n in report.defects.items():
@@ -180,6 +182,7 @@ class _Tally:
             conservative=all(s["conservative"] for s in self.stats),
             tolerance=None if None in tolerances else max(tolerances),
             largest=largest if math.isfinite(largest) else None,
+            largest_on_surface=on_surface if math.isfinite(on_surface) else None,
             rms=rms if math.isfinite(rms) else None,
             judged=len(self.reports),
             changes=changes,
