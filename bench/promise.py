@@ -153,7 +153,8 @@ class Bench:
                     {
                         "terrain": self.name, "view": number, "kind": kind, "engine": label, "tolerance": tolerance,
                         "conservative": engine.conservative, "triangles": len(mesh.triangles),
-                        "oracle": fewest, "largest": report.largest_at_samples, "surface": report.largest, "rms": report.rms,
+                        "oracle": fewest, "largest": report.largest_at_samples, "surface": report.largest,
+                        "rms": report.rms,
                         "defects": report.defects, "ms": 1e3 * took,
                         "kept": bool(report.ok(tolerance, of="samples") or not engine.conservative),
                     }
