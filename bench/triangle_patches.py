@@ -103,7 +103,7 @@ def triangles(data: Path, count: int) -> None:
                     mesh = method.select(Camera.over(terrain.grid, view), Goal(tolerance)).tessellation()
                     made.append(len(mesh.triangles))
                     if label in ("settled", "morphing"):
-                        worst = max(worst, verify.judge_mesh(mesh, terrain, view).largest)
+                        worst = max(worst, verify.judge_mesh(mesh, terrain, view).largest_at_samples)
                 error = f" ({worst / tolerance:.2f})" if worst else ""
                 cells.append(f"{statistics.mean(made):,.0f}{error}")
             print(f"{name:16}{tolerance:6.1f} " + " ".join(f"{cell:>14}" for cell in cells), flush=True)
@@ -111,7 +111,7 @@ def triangles(data: Path, count: int) -> None:
 
 def keeps(data: Path, count: int, names: list[str]) -> None:
     """The largest error and the defects at 1 px, over all views."""
-    print(f"\npromise: {count} views each, 1 px: largest error, px; meshes beyond 1 px; with a defect")
+    print(f"\npromise: {count} views each, 1 px: largest error of any sample, px; meshes beyond 1 px; with a defect")
     print(f"{'':16}{'settled':>24}{'morphing':>24}{'triangles, morphing':>22}{'patches on their way':>22}")
     for name in names:
         terrain = promise.terrain_of(name, data)
@@ -127,7 +127,7 @@ def keeps(data: Path, count: int, names: list[str]) -> None:
                 keys, heights = expand(terrain, patches.instances, method.legs)
                 mesh = Tessellation.from_triangles(terrain.grid, keys, heights, clockwise=False)
                 report = verify.judge_mesh(mesh, terrain, view, heights="free" if geomorph else "samples")
-                found[geomorph].append((report.largest, bool(report.defects)))
+                found[geomorph].append((report.largest_at_samples, bool(report.defects)))
                 if geomorph:
                     made.append(len(mesh.triangles))
                     moving.append(float((patches.instances["morph"] < 1).mean()))

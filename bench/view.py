@@ -167,7 +167,7 @@ def judged(renderer: Renderer, terrain: Terrain, views: list[View], tolerance: f
         patches = renderer.tiles.choose(view, tolerance, 1.0, wait=True).patches
         keys, heights = expand(terrain, patches.instances, renderer.method.legs)
         mesh = Tessellation.from_triangles(terrain.grid, keys, heights, clockwise=False)
-        found.append(verify.judge_mesh(mesh, terrain, view).largest)
+        found.append(verify.judge_mesh(mesh, terrain, view).largest_at_samples)
     return found
 
 

@@ -285,7 +285,7 @@ def _draw(
             mesh = selection.tessellation()
             report = verify.judge_mesh(mesh, terrain, view, exaggeration=options["exaggeration"], jobs=jobs)
             lines, alarm = caption(
-                len(mesh.triangles), selection.bound, selection.stats.get("tolerance"), report.largest
+                len(mesh.triangles), selection.bound, selection.stats.get("tolerance"), report.largest_at_samples
             )
             panels.append(Panel(str(choice), mesh, lines, alarm))
             task.note(panels[-1].title)

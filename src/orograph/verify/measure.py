@@ -59,6 +59,7 @@ class Measurement:
         tolerance: pixels, the largest that was asked for, or reached under a budget.
         largest, rms: pixels, by the referee, over all samples in view of the frames judged; None: beyond any
             bound, or none was judged.
+        largest_on_surface: the same over all points of the full-resolution surface.
         judged: how many frames were.
         changes: triangles that a frame and the one before do not share, over the frame's own, both summed over frames.
             None without a flight.
@@ -75,6 +76,7 @@ class Measurement:
     conservative: bool
     tolerance: float | None
     largest: float | None
+    largest_on_surface: float | None
     rms: float | None
     judged: int
     changes: float | None
@@ -195,7 +197,8 @@ class _Tally:
         covered = [r.samples - r.uncovered for r in self.reports]
         squares = sum(r.rms**2 * n for r, n in zip(self.reports, covered))
         rms = math.sqrt(squares / max(1, sum(covered)))
-        largest = max((r.largest for r in self.reports), default=0.0)
+        largest = max((r.largest_at_samples for r in self.reports), default=0.0)
+        on_surface = max((r.largest for r in self.reports), default=0.0)
         defects: dict[str, int] = {}
         for report in self.reports:
             for name, n in report.defects.items():
@@ -210,6 +213,7 @@ class _Tally:
             conservative=None not in self.bounds,
             tolerance=None if len(tolerances) < len(self.reached) else max(tolerances),
             largest=largest if math.isfinite(largest) and self.reports else None,
+            largest_on_surface=on_surface if math.isfinite(on_surface) and self.reports else None,
             rms=rms if math.isfinite(rms) and self.reports else None,
             judged=len(self.reports),
             changes=changes,
