@@ -136,7 +136,7 @@ def largest_on_surface(
             def pixels(points: Any, tilt: Any = tilt) -> Any:
                 """Of points (…, 3) of the ground in stretched space."""
                 p = np.asarray(points) / [1.0, 1.0, exaggeration]
-                c, r = inverse * (p[..., 0], p[..., 1])
+                c, r = inverse @ (p[..., 0], p[..., 1])
                 up = np.stack([p[..., 0], p[..., 1], tilt[0] * (c - 0.5) + tilt[1] * (r - 0.5) + tilt[2]], -1)
                 distance = np.hypot(
                     *np.moveaxis(view.project(up, exaggeration)[0] - view.project(p, exaggeration)[0], -1, 0)

@@ -38,7 +38,8 @@ class Cells(NamedTuple):
     Attributes:
         suspects: int32, how many cells of the row before this one an uncut triangle may err in by more than the largest
             error so far. visible: int32, how many may be in view.
-        allowed: float64, metres between mesh and ground that make no larger error, −1 where that is not known.
+        allowed: float64, metres between mesh and ground that make no larger error, −1 where that is not known. It takes
+            the place of the depths of the block's samples.
     """
 
     suspects: NDArray[np.int32]
@@ -103,23 +104,24 @@ def survey_cells(ground, block, lens, screen, limit):
     """Look which cells may hold an error of more than ``limit`` pixels."""
     codes, f, g, w = screen
     rows, width = block.last + 1 - block.first, ground.heights.shape[1]
-    cells = Cells(np.zeros((rows, width), np.int32), np.zeros((rows, width), np.int32), np.empty((rows, width)))
+    cells = Cells(np.zeros((rows, width), np.int32), np.zeros((rows, width), np.int32), w)
     limit, c = max(limit, NEGLIGIBLE), abs(lens.matrix[2, 2])
     for i in range(min(rows, ground.rows - 1 - block.first)):
         suspects, visible = 0, 0
         for j in range(width - 1):
-            cells.allowed[i, j] = np.inf
+            allowed = np.inf
             if codes[i, j] & codes[i, j + 1] & codes[i + 1, j] & codes[i + 1, j + 1] == 0:
                 visible += 1
                 high = max(f[i, j], f[i, j + 1], f[i + 1, j], f[i + 1, j + 1])
                 if high == np.inf:
                     suspects += 1
-                    cells.allowed[i, j] = -1.0
+                    allowed = -1.0
                 else:
                     fast = max(g[i, j], g[i, j + 1], g[i + 1, j], g[i + 1, j + 1])
                     near = min(w[i, j], w[i, j + 1], w[i + 1, j], w[i + 1, j + 1])
                     suspects += 1 if high * fast > limit * (1.0 + 1e-9) else 0
-                    cells.allowed[i, j] = near * limit / (fast + c * limit)
+                    allowed = near * limit / (fast + c * limit)
+            w[i, j] = allowed  # no cell that is yet to come has this corner
             cells.suspects[i, j + 1], cells.visible[i, j + 1] = suspects, visible
     return cells
 
