@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import plain
 import pytest
 
 from orograph.errors import UsageError
+from orograph.lod import right_triangles
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
 from orograph.lod.registry import method_of, names
@@ -35,7 +37,7 @@ class Powers(RightTriangleMeshes):
     def _refine(self, camera, goal):
         tolerance = goal.tolerance
         if tolerance is None:
-            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
+            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal, self._last)
         self.asked = [*getattr(self, "asked", []), tolerance]
         count = int(min(self.most, 4 + 3000 * tolerance**-1.3)) if tolerance else int(self.most)
         self.keys = np.array([count]), np.zeros(1, np.float32)  # its own, used again
@@ -61,10 +63,29 @@ def test_search_ends_where_no_tolerance_reaches_the_budget():
     assert mesh.triangles > 3 and not mesh.within
 
 
-def test_time_is_spent_on_halving_the_tolerance():
+@pytest.mark.parametrize("seconds", [0.005, 0.05])
+def test_a_budget_of_time_is_spent(seconds, monkeypatch):
+    """A pass takes a microsecond a triangle, by a clock of its own: the first frame spends most of the time, and those
+    of a flight all but a fifth of it, none more than there is."""
+    now = [0.0]
+    monkeypatch.setattr(right_triangles, "time", SimpleNamespace(perf_counter=lambda: now[0]))
     method = plain.refiner(Powers, FLAT)
-    mesh, _ = method.mesh(VIEW, seconds=5.0)
-    assert mesh.tolerance == 1 / 64 and method.asked == [1024 / 2**k for k in range(17)]
+    refine = method.method._refine
+
+    def timed(camera, goal):
+        mesh = refine(camera, goal)
+        if goal.tolerance is not None:
+            now[0] += 20e-6 + 1e-6 * mesh.triangles
+        return mesh
+
+    monkeypatch.setattr(method.method, "_refine", timed)
+    for frame in range(5):
+        begun = now[0]
+        mesh, _ = method.mesh(VIEW, seconds=seconds)
+        spent = now[0] - begun
+        assert (0.5 if frame == 0 else 0.8) * seconds < spent <= seconds
+        assert mesh.triangles > (0.3 if frame == 0 else 0.75) * seconds / 1e-6
+        assert mesh.triangles == int(4 + 3000 * mesh.tolerance**-1.3)
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,21 @@ SPHERES = ("localised", "anisotropic", "isotropic", "isotropic-published")
 EVERY = ("localised", "wedgie", "anisotropic", "isotropic", "isotropic-published", "anisotropic-published")
 """Metrics of methods that look at triangles one by one."""
 
+COARSEST, FINEST = 1024.0, 1 / 64
+"""Pixels: the tolerances between which budgets are looked for."""
+
+GROWTH = 1.5
+"""The number of triangles falls about with this power of the tolerance."""
+
+PART = 0.9
+"""The part of the time there is that a pass is expected to take."""
+
+WORTH = 1.4
+"""How many times the last pass the time left must be for another one."""
+
+LEAP = 16.0
+"""How many times finer a pass may be than the one before."""
+
 METRIC = "How errors become pixels; none: the tightest that the error allows."
 
 
@@ -147,6 +162,7 @@ class RightTriangles(Method):
             raise UsageError("A color tolerance needs colours.", remedy="Give color errors with the resources.")
         self.color_tolerance: float = math.inf if gamma is None else gamma
         self._ahead: Ahead | None = None
+        self._last = Pass()
         self.field = self._pages()
 
     def _pages(self) -> Field:
@@ -247,35 +263,65 @@ class Coarsened(Protocol):
 M = TypeVar("M", bound=Coarsened)
 
 
-def by_tolerance(refine: Callable[[float], M], goal: Goal) -> M:
-    """Reach a budget with a method that knows only tolerances: search for the smallest tolerance that keeps it.
+@dataclass(slots=True)
+class Pass:
+    """The last pass that a budget asked for: its tolerance, and the seconds it took; 0: there was none."""
 
-    The result has at most ``goal.triangles`` (or it is that of the largest tolerance, not within) and, where the count
-    allows it, 98 % of that; with ``goal.seconds`` the tolerance is halved from coarse to fine while the next pass can
-    be expected to fit.
+    tolerance: float = 0.0
+    seconds: float = 0.0
+
+    def reaching(self, seconds: float) -> float:
+        """The tolerance at which a pass may take so many seconds, if time goes with the number of triangles."""
+        return float(self.tolerance * (self.seconds / seconds) ** (1 / GROWTH))
+
+
+def by_tolerance(refine: Callable[[float], M], goal: Goal, last: Pass) -> M:
+    """Reach a budget with a method that knows only tolerances.
 
     Args:
         refine: what a tolerance in pixels leads to.
+        last: of the budget before, which a budget of time begins with; it is kept up to date.
     """
-    began = time.perf_counter()
 
     def at(tolerance: float) -> M:
+        began = time.perf_counter()
         found = refine(tolerance)
         found.tolerance = tolerance
+        last.tolerance, last.seconds = tolerance, time.perf_counter() - began
         return found
 
-    low, high = 0.0, 1024.0  # tolerances that make too many triangles, and few enough
-    best = at(high).kept()
     if goal.seconds is not None:
-        tolerance, last = high, time.perf_counter() - began
-        while time.perf_counter() - began + 2.2 * last < goal.seconds and tolerance > 1 / 64:
-            start = time.perf_counter()
-            tolerance /= 2
-            best = at(tolerance)
-            last = time.perf_counter() - start
-        return best
-    triangles = goal.triangles
-    assert triangles is not None
+        return _in_time(at, goal.seconds, last)
+    assert goal.triangles is not None
+    return _in_number(at, goal.triangles)
+
+
+def _in_time(at: Callable[[float], M], seconds: float, last: Pass) -> M:
+    """The finest tolerance for which there is time.
+
+    Passes go from coarse to fine; each is as fine as the last one lets expect in the time that is left, but at most
+    ``LEAP`` times: small meshes say little about large ones. Where there were passes before, as in the frames of a
+    flight, the first one has the time of all.
+    """
+    first = COARSEST
+    if last.seconds > 0:
+        first = min(max(last.reaching(PART * seconds), FINEST), COARSEST)
+    else:
+        at(COARSEST)  # what comes first compiles and reads, which tells nothing of a pass
+    began = time.perf_counter()
+    best = at(first)
+    while True:
+        left = seconds - (time.perf_counter() - began)
+        if left < WORTH * last.seconds or last.tolerance <= FINEST:
+            return best
+        best = at(max(last.reaching(PART * left), last.tolerance / LEAP, FINEST))
+
+
+def _in_number(at: Callable[[float], M], triangles: int) -> M:
+    """The smallest tolerance that at most so many triangles keep (or the largest there is, not within); where the count
+    allows it, with 98 % of them."""
+    low, high = 0.0, COARSEST  # tolerances that make too many triangles, and few enough
+    best = at(high).kept()
     if best.triangles > triangles:
         best.within = False
         return best
@@ -288,8 +334,8 @@ def by_tolerance(refine: Callable[[float], M], goal: Goal) -> M:
                 break
         else:
             low = tolerance
-        # The count falls about with the 1.5th power of the tolerance; a guess near the end of the range is no guess.
-        guess = tolerance * (max(found.triangles, 1) / (0.99 * triangles)) ** (1 / 1.5)
+        # (See ``GROWTH``; a guess near the end of the range is no guess.)
+        guess = tolerance * (max(found.triangles, 1) / (0.99 * triangles)) ** (1 / GROWTH)
         inner = math.log(high / low) / 8 if low > 0 else 0.0
         if low > 0 and not low * math.exp(inner) <= guess <= high / math.exp(inner):
             guess = math.sqrt(low * high)

@@ -106,7 +106,7 @@ class Soar(RightTriangleMeshes):
 
     def _refine(self, camera: Camera, goal: Goal) -> Mesh:
         if goal.tolerance is None:
-            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
+            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal, self._last)
         lens = self._lens(camera, goal.tolerance * (0.5 if self.geomorph else 1.0))
         pruned = self._pruned(lens)
         rounds = 0

@@ -308,7 +308,7 @@ class Stateless(RightTriangleMeshes):
         tolerance, triangles, seconds = goal.tolerance, goal.triangles, goal.seconds
         ordered = tolerance is None and self.queue == "priority"
         if tolerance is None and not ordered:
-            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
+            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal, self._last)
         began = time.perf_counter()
         work = _Work(self, self._capacity)
         lens = self._lens(camera, tolerance or 0.0)

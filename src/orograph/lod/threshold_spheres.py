@@ -152,7 +152,7 @@ class ThresholdSpheres(RightTriangleMeshes):
 
     def _refine(self, camera: Camera, goal: Goal) -> Mesh:
         if goal.tolerance is None:
-            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
+            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal, self._last)
         began = time.perf_counter()
         view, exaggeration, tolerance = camera.view, camera.exaggeration, goal.tolerance
         grid, lens = self.terrain.grid, self._lens(camera, tolerance)

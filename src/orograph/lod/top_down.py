@@ -402,7 +402,7 @@ class TopDown(RightTriangleMeshes):
         tolerance, triangles, seconds = goal.tolerance, goal.triangles, goal.seconds
         ordered = tolerance is None and self.queue == "priority"
         if tolerance is None and not ordered:
-            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal)
+            return by_tolerance(lambda pixels: self._refine(camera, Goal(pixels)), goal, self._last)
         began = time.perf_counter()
         state = _State(self, self._capacity)
         criterion = Criterion(self._lens(camera, tolerance or 0.0), self.metric.number, self.cull, NOTHING)

@@ -205,7 +205,7 @@ class TrianglePatches(RightTriangles):
         def at(tolerance: float) -> Patches:
             return self.patches(camera, tolerance, ready, geomorph=self.geomorph)
 
-        patches = at(goal.tolerance) if goal.tolerance is not None else by_tolerance(at, goal)
+        patches = at(goal.tolerance) if goal.tolerance is not None else by_tolerance(at, goal, self._last)
         tolerance = goal.tolerance if goal.tolerance is not None else patches.tolerance
         promised = self.conservative and patches.within
         stats: dict[str, Any] = {
