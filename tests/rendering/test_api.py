@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import inspect
 import math
-from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from orograph.rendering.cpu import draw as cpu
 from orograph.rendering.memory import BYTES_PER_PIXEL, amount, available, check_memory
 from orograph.scene.camera import whole
 from orograph.scene.diagnostics import diagnose
-from orograph.scene.scene import Scene
+from orograph.scene.scene import HOMES, PARTS, Scene
 from orograph.viewpoint import View
 
 SIZE = (64, 48)
@@ -43,10 +42,10 @@ def ground():
 
 def test_every_option_of_a_scene_is_a_keyword_that_is_documented():
     given = inspect.signature(orograph.render).parameters
-    for field in fields(Scene):
-        assert field.name in given
-        if field.name not in ("terrain", "view", "sun"):
-            assert given[field.name].default == field.default, field.name
+    for name, part in HOMES.items():
+        assert name in given
+        if name != "sun":
+            assert given[name].default == getattr(PARTS[part](), name), name
     documented = inspect.getdoc(orograph.render)
     for name in given:
         assert name == "unknown" or f"    {name}: " in documented, name

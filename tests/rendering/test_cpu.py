@@ -15,7 +15,7 @@ from orograph.geovis.color import TINTS, color_table, linear_to_srgb, srgb_to_li
 from orograph.lighting.sun import Sun
 from orograph.rendering.cpu import draw as cpu
 from orograph.rendering.cpu.kernels import _shoulder
-from orograph.rendering.cpu.shading import MISSING
+from orograph.rendering.palette import MISSING
 from orograph.scene import camera
 from orograph.scene.scene import Scene
 from orograph.viewpoint import View
@@ -285,7 +285,7 @@ def plane(east, north, rows=90, cols=160, transform=NORTH_UP):
 @pytest.mark.parametrize("transform", [NORTH_UP, RECTANGULAR, ROTATED], ids=["square", "rectangular", "rotated"])
 def test_direct_light_is_lamberts(transform, monkeypatch):
     """With the sky switched off, brightness is albedo · cos(angle between sun and normal), up to one factor."""
-    monkeypatch.setattr("orograph.rendering.cpu.shading.AMBIENT", 0.0)
+    monkeypatch.setattr("orograph.rendering.palette.AMBIENT", 0.0)
     monkeypatch.setattr("orograph.rendering.cpu.shading.BOUNCE", 0.0)
     monkeypatch.setitem(TINTS, "grey", [(0.0, "#808080"), (1.0, "#808080")])
     for azimuth, altitude in ((315, 45), (100, 30)):

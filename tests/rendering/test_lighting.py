@@ -251,7 +251,7 @@ def test_what_makes_no_sense_is_refused():
     lamp = Lamp(0, 0, 0)
     for options, word in (
         ({"light": "sunshine"}, "no light"),
-        ({"lamps": (lamp,)}, "--light aperture"),
+        ({"lamps": (lamp,)}, 'light "aperture"'),
         ({"discs": ((Sun(), (1.0, 1.0, 1.0)),), "light": "ao"}, "--light"),
         ({"rays": 0, "light": "raytraced"}, "ray"),
     ):

@@ -19,7 +19,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 def atmosphere(
     azimuth: float = 315.0, altitude: float = 45.0, seen: tuple[float, float] = (0.0, 30_000.0)
 ) -> Atmosphere:
-    scene = cast(Any, SimpleNamespace(sun=Sun(azimuth, altitude)))
+    scene = cast(Any, SimpleNamespace(lighting=SimpleNamespace(sun=Sun(azimuth, altitude))))
     return Atmosphere(scene, seen)
 
 

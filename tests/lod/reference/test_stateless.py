@@ -72,7 +72,7 @@ def test_budgets_of_the_engine():
         def priority(i, n=n, spheres=spheres):  # (the factor keeps roundings from undoing the order)
             return spheres.priority(i) * (1 + 1e-9 * (2 * n - hrt.level(hrt.top(i, n)[0], n)))
 
-        engine = Stateless(t, metric="anisotropic", cull=False)
+        engine = plain.refiner(Stateless, t, metric="anisotropic", cull=False)
         for budget in range(2, 513, 40):
             made = engine.refine(view, triangles=budget)
             T = stateless.refine_by_priority(n, priority, lambda now, made=made: now >= len(made.triangles))

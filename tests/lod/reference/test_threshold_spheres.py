@@ -15,7 +15,7 @@ from orograph.lod.reference.criterion import Spheres
 from orograph.lod.reference.screen_error import displacement
 from orograph.lod.reference.terrain import Ground
 from orograph.lod.reference.threshold_spheres import ThresholdSpheres, nested_spheres, threshold, threshold_printed
-from orograph.lod.threshold_spheres import Blow
+from orograph.lod.threshold_spheres import ThresholdSpheres as Fast
 
 
 @pytest.mark.parametrize("shape", [(17, 17), (20, 31)])
@@ -27,7 +27,10 @@ def test_a_flight_splits_what_brute_force_says_and_the_engine_draws(shape):
         view = plain.random_view(rng, t, fov_y=40.0)
         tolerance = 2.0
         radii = nested_spheres(ground, of(Camera.of(view), tolerance))
-        carried, engine = ThresholdSpheres(ground, of(Camera.of(view), tolerance)), Blow(t, metric=metric)
+        carried, engine = (
+            ThresholdSpheres(ground, of(Camera.of(view), tolerance)),
+            plain.refiner(Fast, t, metric=metric),
+        )
         for i, r in radii.items():
             for j in hrt.diamond_children(i, ground.n):
                 assert radii[j] == 0 or r >= math.dist(ground[i].point, ground[j].point) + radii[j]

@@ -129,8 +129,7 @@ def test_both_backends_draw_the_terrains_lines_over_a_coarse_mesh(
     device: Device, terrain: Terrain, wireframe: bool
 ) -> None:
     """They are those of the terrain: where the mesh is pixels off, they are where they are without it."""
-    scene = replace(
-        scenes(terrain)["slanted"], method="soar", tolerance=8.0, wireframe=wireframe, sky=False,
+    scene = scenes(terrain)["slanted"].but(method="soar", tolerance=8.0, wireframe=wireframe, sky=False,
         contours=Contours(20.0, labels=wireframe),
     )  # fmt: skip
     cpu, gpu = draw_cpu(scene), draw_gpu(scene, device=device)
@@ -148,7 +147,7 @@ def test_both_backends_draw_the_terrains_lines_over_a_coarse_mesh(
 @pytest.mark.parametrize("slow", [False, True])
 def test_labels_stand_on_the_mesh_that_is_drawn(device: Device, terrain: Terrain, slow: bool) -> None:
     """However far off the mesh is: where a ray through a label's middle meets it, the terrain has that height."""
-    scene = replace(scenes(terrain)["slanted"], method="soar", tolerance=25.0, sky=False, samples=1)
+    scene = scenes(terrain)["slanted"].but(method="soar", tolerance=25.0, sky=False, samples=1)
     placed = []
     place = Placer.place
 

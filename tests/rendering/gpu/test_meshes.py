@@ -131,7 +131,7 @@ def test_a_method_that_cannot_says_why_and_patches_stay(device: Device, terrain:
     renderer = Renderer(device, terrain)
     texture = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
     scene = Scene.of(terrain, views()["slanted"], method="soar", tolerance=2.0, exaggeration=1.0)
-    object.__setattr__(scene, "method", "unheard-of")
+    object.__setattr__(scene.surface, "method", "unheard-of")
     try:
         end = time.perf_counter() + 30
         stats = renderer.draw(texture.create_view(), "rgba8unorm", scene)

@@ -146,7 +146,7 @@ def test_rays_meet_the_mesh_that_a_picture_shows(device: Device) -> None:
     """As the CPU's do: at 20 pixels a mesh leaves out the ridges whose shadows the terrain casts."""
     from orograph.rendering.cpu.draw import draw as on_cpu
 
-    scene = replace(seen(ground(), rays=16), method="soar", tolerance=20.0)
+    scene = seen(ground(), rays=16).but(method="soar", tolerance=20.0)
     theirs = on_cpu(scene).pixels.astype(int)
     ours = draw(scene, device=device).pixels.astype(int)
     on_patches = draw(scene.but(method="auto"), device=device).pixels.astype(int)

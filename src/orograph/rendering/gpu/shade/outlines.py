@@ -17,7 +17,7 @@ from orograph.store.terrain import Terrain
 
 BREAKS = "rgba16float"
 FACING = "r16float"
-SHADERS = {"facing": FACING, "breaks": BREAKS, "breaks_near": BREAKS}
+SHADERS = {"facing": FACING, "depth_edges": BREAKS, "depth_edges_near": BREAKS}
 
 
 class BreakPass:
