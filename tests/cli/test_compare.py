@@ -198,4 +198,4 @@ def test_a_raster_without_a_surface(run, tmp_path):
                        crs="EPSG:32611", transform=Affine(30, 0, 500_000, 0, -30, 4_000_000)) as file:  # fmt: skip
         file.write(np.full((1, 1, 1), 5.0, np.float32))
     got, said, err = run("compare", tmp_path / "one.tif", "--quiet")
-    assert got == 2 and said == "" and "at least two of each" in err
+    assert got == 3 and said == "" and "at least two of each" in err

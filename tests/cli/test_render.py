@@ -154,7 +154,6 @@ def test_a_picture_as_heights(run, tmp_path):
         (("--projection", "plan", "--pitch", 10), ("--pitch", "plan")),
         (("--projection", "plan", "--lonlat", "8,47,1000"), ("--lonlat", "plan")),
         (("--pitch", 100), ("--pitch",)),
-        (("--from", "nan"), ("--from",)),
         (("--distance", -1), ("--distance",)),
         (("--exaggeration", 0), ("exaggeration",)),
         (("--relief", -1), ("relief",)),
@@ -461,7 +460,7 @@ def damage(area):
 def test_a_damaged_store_is_never_drawn(run, tmp_path):
     area = built(tmp_path / "a.oro", hills(600, 600))
     damage(area)
-    refused(run("render", area, "-o", tmp_path / "a.png", *SMALL), 4, "a.oro", "heights/0", "damaged", "--overwrite")
+    refused(run("render", area, "-o", tmp_path / "a.png", *SMALL), 4, "a.oro", "heights/0", "damaged", "--repair")
     assert not (tmp_path / "a.png").exists()
 
 

@@ -171,13 +171,13 @@ def test_more_samples_change_edges_only():
     view = camera.whole(ground, SIZE, pitch=15)
     scene = Scene.of(ground, view, sun=Sun(300, 20), samples=1)
     rough = cpu.draw(scene)
-    smooth = cpu.draw(dataclasses.scene.but(samples=8))
+    smooth = cpu.draw(scene.but(samples=8))
     changed = (rough.pixels != smooth.pixels).any(-1)
     assert not changed[~cpu.find_edges(rough.pixels)].any()
     assert changed.sum() > 100
     np.testing.assert_array_equal(rough.depth, smooth.depth)
     # The truth is the mean over many rays in every pixel: a picture eight times as large, shrunk in linear light.
-    large = cpu.draw(dataclasses.scene.but(view=view.resized(8 * 160, 8 * 90)))
+    large = cpu.draw(scene.but(view=view.resized(8 * 160, 8 * 90)))
     truth = linear(large).reshape(90, 8, 160, 8, 3).mean((1, 3))
     before, after = (np.abs(linear(p) - truth)[changed].mean() for p in (rough, smooth))
     assert after < 0.45 * before

@@ -252,7 +252,7 @@ def test_what_makes_no_sense_is_refused():
     for options, word in (
         ({"light": "sunshine"}, "no light"),
         ({"lamps": (lamp,)}, 'light "aperture"'),
-        ({"discs": ((Sun(), (1.0, 1.0, 1.0)),), "light": "ao"}, "--light"),
+        ({"discs": ((Sun(), (1.0, 1.0, 1.0)),), "light": "ao"}, 'light "aperture"'),
         ({"rays": 0, "light": "raytraced"}, "ray"),
     ):
         with pytest.raises(UsageError, match=word):

@@ -111,7 +111,7 @@ def command(
     Examples:
       orograph compare dem.tif
       orograph compare area.oro --flight flight.json --method roam --method soar --json -
-      orograph compare dem.tif --method soar --method soar,metric=isotropic --triangles 5000 --picture a.png
+      orograph compare dem.tif --method soar --method soar,metric=isotropic --picture a.png
       orograph compare dem.tif --methods all --method soar,error=wedgie
     """
     began = time.perf_counter()

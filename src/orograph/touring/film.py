@@ -133,7 +133,7 @@ class Film:
         layers = self.tour.layers(time)
         if layers is not None:
             settings["layers"] = layers
-        return replace(self.base, view=self.course.at(time), **settings)
+        return self.base.but(view=self.course.at(time), **settings)
 
 
 def spoken(tour: Tour) -> Sequence[str]:
