@@ -54,8 +54,8 @@ class BreakPass:
             )
             self._groups = (
                 self._group("facing", camera, targets.depth_view, self.slopes[0], pages, levels),
-                self._group("breaks", camera, targets.depth_view, range_, self._away.create_view(), facing),
-                self._group("breaks_near", breaks),
+                self._group("depth_edges", camera, targets.depth_view, range_, self._away.create_view(), facing),
+                self._group("depth_edges_near", breaks),
             )
         return self._views[1], self._views[2]
 
