@@ -40,9 +40,9 @@ def test_displacement_is_what_the_projection_moves():
 
 
 @kernel
-def bound(lens, metric, col, row, z, e, r):
-    x, y, w = screen.to_camera(lens, col, row, z)
-    return screen.sphere_bound(lens, metric, x, y, w, e, r)
+def bound(camera, metric, col, row, z, e, r):
+    x, y, w = screen.to_camera(camera, col, row, z)
+    return screen.sphere_bound(camera, metric, x, y, w, e, r)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def bound(lens, metric, col, row, z, e, r):
 def test_bounds_are_those_of_the_kernels(function, metric):
     finite = 0
     for t, view, camera, (col, row, z), place, e, r in cases(metric, 400):
-        expected = bound(screen.lens(view, t.grid), metric, col, row, z, e, r)
+        expected = bound(screen.camera_parameters(view, t.grid), metric, col, row, z, e, r)
         found = function(camera, camera.to_camera((*place, z)), e, r)
         assert found == pytest.approx(expected, rel=1e-7)
         assert function(camera, camera.to_camera((*place, z)), 0.0, r) == 0.0
@@ -70,7 +70,7 @@ def test_the_factor_of_the_lecture_is_too_small():
     for t, view, camera, (col, row, z), place, e, r in cases(9, 300):
         p = camera.to_camera((*place, z))
         cosine = abs(np.dot(camera.vertical, p)) / np.linalg.norm(p)
-        printed = bound(screen.lens(view, t.grid), screen.ANISOTROPIC_PUBLISHED, col, row, z, e, r)
+        printed = bound(screen.camera_parameters(view, t.grid), screen.ANISOTROPIC_PUBLISHED, col, row, z, e, r)
         found = screen_error.anisotropic_printed(camera, p, e, r)
         if math.isfinite(printed):
             assert found == pytest.approx(printed * math.sqrt(1 - cosine**2) / (1 - cosine), rel=1e-6)
@@ -118,9 +118,9 @@ def test_bounds_hold_for_points_in_the_ball():
 
 @kernel
 def of_triangle(lens, a, b, c, e):
-    ax, ay, aw = screen.to_camera(lens, a[0], a[1], a[2])
-    bx, by, bw = screen.to_camera(lens, b[0], b[1], b[2])
-    cx, cy, cw = screen.to_camera(lens, c[0], c[1], c[2])
+    ax, ay, aw = screen.to_camera(camera, a[0], a[1], a[2])
+    bx, by, bw = screen.to_camera(camera, b[0], b[1], b[2])
+    cx, cy, cw = screen.to_camera(camera, c[0], c[1], c[2])
     return screen.triangle_bound(lens, ax, ay, aw, bx, by, bw, cx, cy, cw, e)
 
 
@@ -131,7 +131,7 @@ def test_wedgies():
         places = np.stack([*t.grid.xy(vertices[:, 0], vertices[:, 1]), vertices[:, 2]], 1)
         points = [camera.to_camera(tuple(p)) for p in places.tolist()]
         found = screen_error.wedgie(camera, points, e)
-        assert found == pytest.approx(of_triangle(screen.lens(view, t.grid), *vertices, e), rel=1e-7)
+        assert found == pytest.approx(of_triangle(screen.camera_parameters(view, t.grid), *vertices, e), rel=1e-7)
         printed = screen_error.wedgie_printed(camera, points, e)
         if math.isfinite(printed):
             # Both faces of the wedgie at a corner, by projecting them: the thickness there is no larger.
