@@ -117,11 +117,11 @@ def test_bounds_hold_for_points_in_the_ball():
 
 
 @kernel
-def of_triangle(lens, a, b, c, e):
+def of_triangle(camera, a, b, c, e):
     ax, ay, aw = screen.to_camera(camera, a[0], a[1], a[2])
     bx, by, bw = screen.to_camera(camera, b[0], b[1], b[2])
     cx, cy, cw = screen.to_camera(camera, c[0], c[1], c[2])
-    return screen.triangle_bound(lens, ax, ay, aw, bx, by, bw, cx, cy, cw, e)
+    return screen.triangle_bound(camera, ax, ay, aw, bx, by, bw, cx, cy, cw, e)
 
 
 def test_wedgies():
