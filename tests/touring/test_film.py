@@ -24,10 +24,10 @@ def test_contours_have_one_interval_for_all_of_a_film_and_labels_that_fade() -> 
     target = (505_000.0, 4_995_000.0, 1000.0)
     keys = [Key(View((505_000.0, 4_995_000.0 - d / 2, 1000.0 + d), target), time=t) for t, d in ((0, 6e4), (4, 2e3))]
     film = Film(Tour(tuple(keys)), Scene.of(terrain, keys[0].view, contours=Contours()))
-    found = {film.scene(n).contours for n in (0, len(film) // 2, len(film) - 1)}
+    found = {film.scene(n).annotations.contours for n in (0, len(film) // 2, len(film) - 1)}
     assert len(found) == 1
     (contours,) = found
     assert contours is not None and contours.fading and contours.interval is not None
     asked = Film(Tour(tuple(keys)), Scene.of(terrain, keys[0].view, contours=Contours(30.0)))
-    assert asked.scene(0).contours.interval == 30.0  # type: ignore[union-attr]
-    assert Film(Tour(tuple(keys)), Scene.of(terrain, keys[0].view)).scene(0).contours is None
+    assert asked.scene(0).annotations.contours.interval == 30.0  # type: ignore[union-attr]
+    assert Film(Tour(tuple(keys)), Scene.of(terrain, keys[0].view)).scene(0).annotations.contours is None

@@ -295,7 +295,7 @@ def test_layers_fade_as_in_a_film(session, touring, dem, tmp_path, monkeypatch):
     for number in film.numbers:
         touring.show(number / 2.0)
         drawn = tuple(layer for layer in settings.stack if layer.visible)
-        assert drawn == film.scene(number).layers
+        assert drawn == film.scene(number).data.layers
         seen.append([layer.opacity for layer in drawn])
     assert seen[0] == [1.0, 0.8]
     assert 0.3 < seen[4][1] < 0.5
