@@ -274,7 +274,7 @@ def test_keeping_canvases_on_disk_takes_no_memory(tmp_path, monkeypatch):
     canvases = [Canvas(2, (13, 17), on_disk) for on_disk in (True, False)]
     for k, canvas in enumerate(canvases):
         canvas.values[:] = np.arange(442).reshape(2, 13, 17) + k
-    kept = raster_resume.Kept(tmp_path / "kept", {"plan": 1})
+    kept = raster_resume.Checkpoint(tmp_path / "kept", {"plan": 1})
     kept.save("a+b", canvases, [3, 1])
     assert len(released) == 10
     again = [Canvas(2, (13, 17), True) for _ in canvases]
