@@ -100,14 +100,13 @@ def write(path: Path, case: dict[str, Any]) -> None:
 
 
 def truth(case: dict[str, Any]) -> np.ndarray:
-    """What was meant, in the file's order: metres, NaN where missing."""
+    """What was meant, in the file's order: metres as float32, NaN where missing or no height of any body (1e12 m)."""
     numbers = case["numbers"]
     metres = {"": 1.0, "m": 1.0, "ft": 0.3048, "US survey foot": 1200 / 3937, "cm": 0.01}[case["unit"]]
     if case["unit"] == "" and case["crs"] == "EPSG:32633+5773":
         metres = 1.0
     heights = ((numbers.astype(np.float64) * case["scale"] + case["offset"]) * metres).astype(np.float32)
-    if numbers.dtype.kind == "f":
-        heights[~np.isfinite(numbers)] = np.nan
+    heights[~(np.abs(heights) < np.float32(1e12))] = np.nan
     if case["nodata"] is not None and not np.isnan(case["nodata"]):
         if numbers.dtype.kind == "f":
             heights[numbers.astype(np.float32) == np.float32(case["nodata"])] = np.nan
@@ -116,6 +115,23 @@ def truth(case: dict[str, Any]) -> np.ndarray:
     elif case["mask"] is not None and case["nodata"] is None:
         heights[~case["mask"]] = np.nan
     return heights
+
+
+def huge_number(number: int) -> dict[str, Any]:
+    """A raster of one integer that is rarely drawn."""
+    return {
+        "numbers": np.array([[number]]), "nodata": None, "transform": Affine(1, 0, 0, 0, -1, 0), "crs": None,
+        "scale": 1.0, "offset": 0.0, "unit": "", "mask": None, "layout": {}, "compress": None,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("number", "there"), [(999_999_900_000, True), (999_999_963_137, False), (2**53, False)])
+def test_no_height_reaches_1e12_metres(folder: Path, number: int, there: bool) -> None:
+    """As float32: 999,999,963,137 rounds to the number that 1e12 rounds to."""
+    path = folder / f"{next(counter)}.tif"
+    write(path, huge_number(number))
+    assert np.isfinite(read(path).heights).item() == there
+    np.testing.assert_array_equal(read(path).heights, truth(huge_number(number)))
 
 
 @settings(max_examples=150, deadline=None)

@@ -108,12 +108,13 @@ def beyond(a: Corner, b: Corner, side: int) -> list[Point]:
 
 def largest_on_surface(
     mesh: Tessellation, triangles: list[Any], solid: list[int], terrain: MemoryTerrain, view: View, exaggeration: float
-) -> float:
-    """Pixels, the largest over all points of the full-resolution surface in view."""
+) -> tuple[float, float]:
+    """Pixels, the largest over all points of the full-resolution surface in view; and metres to the nearest point."""
     inverse = ~terrain.grid.transform
     rng = np.random.default_rng(0)
     frustum = view.frustum(exaggeration)
-    largest = 0.0
+    largest, nearest = 0.0, math.inf
+    eye = np.multiply(view.eye, [1.0, 1.0, exaggeration])
     for unit, exists in units(terrain.heights).values():
         if not exists:
             continue
@@ -147,6 +148,8 @@ def largest_on_surface(
             inside = rng.dirichlet(np.ones(len(shape)), 20) @ shape
             largest = max(largest, float(pixels(shape).max()), float(pixels(inside).max()))
             steps = np.linspace(0, 1, 33)
+            sides = shape[:, None] + steps[:, None] * (np.roll(shape, -1, 0) - shape)[:, None]
+            nearest = min(nearest, float(np.linalg.norm(sides - eye, axis=-1).min()))
             for p, q in zip(shape, np.roll(shape, -1, 0)):
                 values = pixels(p + steps[:, None] * (q - p))
                 best = int(values.argmax())
@@ -157,11 +160,12 @@ def largest_on_surface(
                     )  # fmt: skip
                     largest = max(largest, -found.fun)
                 largest = max(largest, float(values.max()))
-    return largest
+    return largest, nearest
 
 
 def judge(mesh: Tessellation, terrain: MemoryTerrain, view: View, exaggeration: float = 1.0) -> dict[str, Any]:
-    """The numbers of a ``Report``; ``overlapping`` is the set of triangles that overlap."""
+    """The numbers of a ``Report``; ``overlapping`` is the set of triangles that overlap, ``rounding`` (px) what
+    floating-point coordinates make uncertain at the nearest point."""
     heights = terrain.heights
     rows, cols = heights.shape
     place = [(exact(c), exact(r)) for c, r, _ in mesh.vertices]
@@ -223,9 +227,12 @@ def judge(mesh: Tessellation, terrain: MemoryTerrain, view: View, exaggeration: 
                 dot = (p[0] - a[0]) * (b[0] - p[0]) + (p[1] - a[1]) * (b[1] - p[1])
                 if area((a, b, p)) == 0 and dot > 0:
                     junctions.add(p)
+    largest, nearest = largest_on_surface(mesh, triangles, solid, terrain, view, exaggeration)
+    rounding = 1e-8 / view.pixel_slope / nearest  # 1e-8 m: some 20 units in the last place of a northing
     return {
         "samples": samples,
-        "largest": largest_on_surface(mesh, triangles, solid, terrain, view, exaggeration),
+        "largest": largest,
+        "rounding": 1e-6 + rounding,
         "largest_at_samples": max(errors.values(), default=0.0),
         "rms": float(np.sqrt(np.mean([e * e for e in errors.values()]))) if errors else 0.0,
         "uncovered": uncovered,
