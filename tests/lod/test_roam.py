@@ -289,7 +289,7 @@ def test_with_a_budget_priorities_are_known_to_a_bucket_where_the_queues_cross()
             args = (
                 s.nodes,
                 s.pages,
-                s.camera,
+                s.cameras[0],
                 s.clock,
                 s.counts,
                 s.options,

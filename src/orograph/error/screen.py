@@ -60,7 +60,8 @@ class CameraParameters(NamedTuple):
         tolerance: pixels.
         color_tolerance: γ, ΔE.
         texel: the least radius, over depth, of a diamond whose colors count.
-        planes: (6, 4) float64, the frustum, positive inside; a plane that is not there is (0, 0, 0, ∞).
+        planes: (24,) float64, the frustum: six planes of four numbers, positive inside. One that is not there is (0, 0,
+            0, ∞). See ``plane_of``.
     """
 
     right: tuple[float, float, float, float]
@@ -76,6 +77,21 @@ class CameraParameters(NamedTuple):
     tolerance: float
     color_tolerance: float
     texel: float
+    planes: NDArray[np.float64]
+
+
+CAMERA = np.dtype(
+    [("right", "f8", 4), ("up", "f8", 4), ("depth", "f8", 4), ("motion_x", "f8", 3), ("motion_y", "f8", 3)]
+    + [(name, "f8") for name in CameraParameters._fields[5:-1]]
+    + [("planes", "f8", 24)]
+)
+"""``CameraParameters`` as a record: for kernels that hand it on to functions that are not inlined, which then get an
+address in place of 35 numbers. The functions below take either."""
+
+
+class Frustum(NamedTuple):
+    """The planes of ``CameraParameters`` alone, for ``outside``."""
+
     planes: NDArray[np.float64]
 
 
@@ -170,7 +186,7 @@ def camera_parameters(
         motion_y=(i * u - w * d, i * v - w * e, i * o - w * f),
         largest_lean=float(lean), focal=float(focal), near=float(view.near), exaggeration=float(exaggeration),
         stretch=max(1.0, float(exaggeration)), tolerance=float(tolerance), color_tolerance=float(color_tolerance),
-        texel=float(texel), planes=np.array(planes),
+        texel=float(texel), planes=np.array(planes).ravel(),
     )  # fmt: skip
 
 
@@ -193,15 +209,15 @@ def image_motion(camera, x, y, w):
 @inlined
 def plane_of(camera, plane):
     """The four numbers of a plane of the frustum."""
-    planes = camera.planes
-    return planes[plane, 0], planes[plane, 1], planes[plane, 2], planes[plane, 3]
+    planes, at = camera.planes, 4 * plane
+    return planes[at], planes[at + 1], planes[at + 2], planes[at + 3]
 
 
 @inlined
 def plane_distance(camera, plane, col, row, z):
     """The signed distance of a vertex from a plane of the frustum, stretched metres, positive inside."""
-    planes = camera.planes
-    return planes[plane, 0] * col + planes[plane, 1] * row + planes[plane, 2] * z + planes[plane, 3]
+    planes, at = camera.planes, 4 * plane
+    return planes[at] * col + planes[at + 1] * row + planes[at + 2] * z + planes[at + 3]
 
 
 @inlined

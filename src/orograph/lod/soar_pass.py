@@ -144,8 +144,7 @@ def refine_subtrees(pages, criterion, leaf_level, subtrees, count, shares, helpe
     hypotenuse. It is entered over a leg if it lies an even number of levels below the last triangle on the way to it
     that is a second child, left over one if so below the last that is a first child (its sibling is next).
 
-    (124 lines: the state of the walk is two triangles, a strip and their levels, which no part of the loop can do
-    without.)
+    (Longer than a screen: one loop over two triangles, a strip and their levels, which no part of it can do without.)
 
     Args:
         pages: ``field.Pages``. criterion: ``Criterion``. leaf_level: 2n.

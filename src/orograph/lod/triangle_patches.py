@@ -28,6 +28,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.error.screen import Frustum
 from orograph.errors import UsageError
 from orograph.lod.field import check_surface
 from orograph.lod.method import EVERYTHING, Goal, MethodInfo, Need, Ready
@@ -269,7 +270,7 @@ class TrianglePatches(RightTriangles):
         if not 0 <= tolerance < math.inf:
             raise UsageError(f"The tolerance is in pixels, 0 or more, not {tolerance!r}.")
         view, lens = camera.view, self._lens(camera, tolerance)
-        eye = lens
+        eye = Frustum(lens.planes)
         if frustum is not None:
             lens = lens._replace(planes=self._planes(frustum, camera.exaggeration))
         plan = 1.0 / view.pixel_metres if lens.focal == 0.0 else 0.0
@@ -315,7 +316,7 @@ class TrianglePatches(RightTriangles):
         return Patches(made, tiles, pixels, self.tiling, stats)
 
     def _planes(self, frustum: NDArray[np.float64], stretch: float) -> NDArray[np.float64]:
-        """Planes in stretched space as kernels see them: (6, 4), over column, row and height."""
+        """Planes in stretched space as kernels see them: (24,), over column, row and height."""
         planes = np.asarray(frustum, np.float64)
         if planes.ndim != 2 or planes.shape[1] != 4 or len(planes) > 6:
             raise UsageError(f"A frustum is at most 6 planes (m, 4), not an array of {planes.shape}.")
@@ -324,7 +325,8 @@ class TrianglePatches(RightTriangles):
         table = np.zeros((6, 4))
         table[:, 3] = np.inf
         table[: len(planes)] = planes @ whole
-        return table
+        flat: NDArray[np.float64] = table.ravel()
+        return flat
 
 
 @lru_cache(maxsize=8)

@@ -23,6 +23,7 @@ from orograph.error.screen import (
     ISOTROPIC,
     ISOTROPIC_PUBLISHED,
     CameraParameters,
+    Frustum,
     outside,
     plane_of,
     sphere_bound,
@@ -45,8 +46,8 @@ class Bounds(NamedTuple):
     """What decides about a diamond, beside its numbers.
 
     Attributes:
-        camera: with the planes to cull with. eye: with its own; aside: whether those are others: what is not in view of
-            the eye is then judged by its distance alone.
+        camera: with the planes to cull with. eye: its own; aside: whether those are others: what is not in view of the
+            eye is then judged by its distance alone.
         metric: number of a metric on spheres. cull: whether patches outside the planes are left out.
         split_at, whole_at: pixels at which diamonds are split, and at which their geomorph is over.
         plan: pixels per metre in a plan, else 0.
@@ -54,7 +55,7 @@ class Bounds(NamedTuple):
     """
 
     camera: CameraParameters
-    eye: CameraParameters
+    eye: Frustum
     aside: bool
     metric: int
     cull: bool
@@ -132,7 +133,7 @@ def tile_of(x, y, L, omega, step, edge):
     return level, row >> (level + 8), col >> (level + 8)
 
 
-@leaf
+@inlined
 def prism_outside(camera, x, y, L, omega, z, r, inside, edge):
     """Whether all that is over a triangle, at heights z ± r, is outside a plane. False where it is squeezed."""
     ax, ay = triangles.apex(x, y, L, omega)

@@ -76,7 +76,7 @@ def assess(s, i):
     """
     unschedule(s.nodes, s.lists, i)
     priority_of(
-        s.nodes, s.pages, s.camera, s.clock, s.counts, s.options, s.terms, s.stack, s.work, s.waiting, s.family,
+        s.nodes, s.pages, s.cameras[0], s.clock, s.counts, s.options, s.terms, s.stack, s.work, s.waiting, s.family,
         s.todo, i,
     )  # fmt: skip
     if s.nodes[i].due < np.inf:

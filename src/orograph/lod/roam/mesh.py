@@ -22,7 +22,6 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from orograph._numba import leaf
-from orograph.error.screen import CameraParameters
 from orograph.lod.field import Pages
 from orograph.lod.roam.terms import Terms
 
@@ -91,7 +90,7 @@ class State(NamedTuple):
         stack: int32 (256,), work: float64 (16,).
         family: NODE (FAMILY,), todo: float64 (DEPTH + 2, STACK): scratch of ``lookahead``.
         counts: int64 (COUNTS,).
-        camera: ``error.screen.CameraParameters``. options: float64 (OPTIONS,).
+        cameras: CAMERA (1,), the camera (``error.screen``). options: float64 (OPTIONS,).
         pages: ``field.Pages``. terms: ``terms.Terms``.
     """
 
@@ -113,7 +112,7 @@ class State(NamedTuple):
     family: NDArray[np.void]
     todo: NDArray[np.float64]
     counts: NDArray[np.int64]
-    camera: CameraParameters
+    cameras: NDArray[np.void]
     options: NDArray[np.float64]
     pages: Pages
     terms: Terms

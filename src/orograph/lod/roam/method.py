@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error.screen import LOCALISED, WEDGIE
+from orograph.error.screen import CAMERA, LOCALISED, WEDGIE
 from orograph.errors import UsageError
 from orograph.lod import look_ahead as ahead
 from orograph.lod.localise import STACK
@@ -27,7 +27,7 @@ from orograph.lod.options import option
 from orograph.lod.right_triangles import BOUNDS, EVERY, METRIC, Mesh, MeshOptions, RightTriangleMeshes
 from orograph.lod.roam import bounds, frame, mesh, queues, terms
 from orograph.lod.roam import strips as stripping
-from orograph.viewpoint import Camera, Point, View
+from orograph.viewpoint import Camera, Point
 
 FINEST = 0.25
 """Pixels to which a budget of time refines at most: finer is not seen, and would fill the memory of a still camera."""
@@ -173,9 +173,7 @@ class Roam(RightTriangleMeshes):
             family=np.zeros(mesh.FAMILY, mesh.NODE),
             todo=np.zeros((ahead.DEPTH + 2, STACK)),
             counts=counts,
-            camera=self._lens(
-                Camera.over(self.terrain.grid, View((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))), 1.0
-            ),  # until there is a view
+            cameras=np.zeros(1, CAMERA),
             options=options,
             pages=self.field.pages,
             terms=self._terms,
@@ -252,7 +250,7 @@ class Roam(RightTriangleMeshes):
             # The norm of the difference of two rotations by an angle θ of each other is 2 sin(θ/2) ≤ θ.
             turned = float(np.linalg.norm(axes - self._pose[0])) / math.sqrt(2.0)
         self._seen, self._pose = seen, (axes, eye)
-        s = self._state = s._replace(camera=lens)
+        s.cameras[0] = lens
         s.terms.eye[:2] = np.ravel(self.terrain.grid.index(*view.eye[:2]))
         s.terms.eye[terms.HEIGHT], s.terms.eye[terms.STEEPNESS] = view.eye[2], 1.0 / camera.exaggeration
         if s.terms.factors[terms.OCCLUDED] < 1:
