@@ -6,6 +6,7 @@ onto its border and have the height there.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
@@ -95,7 +96,7 @@ class Reference:
         return None if weights.min() < -1e-9 else float(weights @ [self.height(v) for v in triangle])
 
     def deviation(self, v: Vertex) -> float:
-        """The largest distance of a sample from the diamond's two triangles."""
+        """The largest distance of the surface from the diamond's two triangles: at samples, and where sides cross."""
         worst = 0.0
         for triangle in self.triangles(v):
             rows, cols = zip(*(self.squeezed(corner) for corner in triangle), strict=True)
@@ -104,7 +105,38 @@ class Reference:
                     on = self.plane(triangle, (r, c))
                     if on is not None and not np.isnan(on - self.z[r, c]):
                         worst = max(worst, abs(on - self.z[r, c]))
+            for at, height in self.crossings(triangle):
+                on = self.plane(triangle, at)
+                if on is not None and not np.isnan(on - height):
+                    worst = max(worst, abs(on - height))
         return worst
+
+    def crossings(self, triangle: tuple[Vertex, Vertex, Vertex]) -> Iterator[tuple[tuple[float, float], float]]:
+        """Where sides of a triangle cross sides of unit triangles: (row, column) and the surface's height there."""
+        corners = [self.squeezed(v) for v in triangle]
+        for p, q in zip(corners, corners[1:] + corners[:1], strict=True):
+            if p[0] == q[0] or p[1] == q[1]:
+                continue
+            for a, b in self.unit_sides:
+                if max(a[0], b[0]) < min(p[0], q[0]) or min(a[0], b[0]) > max(p[0], q[0]):
+                    continue
+                matrix = np.array([[q[0] - p[0], a[0] - b[0]], [q[1] - p[1], a[1] - b[1]]], float)
+                if abs(np.linalg.det(matrix)) < 0.5:
+                    continue  # parallel
+                s, t = np.linalg.solve(matrix, [a[0] - p[0], a[1] - p[1]])
+                if -1e-9 <= min(s, t) and max(s, t) <= 1 + 1e-9:
+                    at = p[0] + s * (q[0] - p[0]), p[1] + s * (q[1] - p[1])
+                    yield at, float((1 - t) * self.z[a] + t * self.z[b])
+
+    @cached_property
+    def unit_sides(self) -> list[tuple[Vertex, Vertex]]:
+        """The sides of all unit triangles."""
+        found = []
+        for r, c in np.ndindex(self.rows, self.cols):
+            falling = (r + c) % 2 == 0
+            found += [((r, c), (r, c + 1)), ((r, c), (r + 1, c))]
+            found.append(((r, c), (r + 1, c + 1)) if falling else ((r, c + 1), (r + 1, c)))
+        return [(a, b) for a, b in found if max(a[0], b[0]) < self.rows and max(a[1], b[1]) < self.cols]
 
     def local(self, v: Vertex) -> float:
         """The distance of the vertex from the middle of the hypotenuse (not squeezed)."""

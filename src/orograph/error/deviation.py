@@ -1,12 +1,13 @@
 """How far full-resolution samples lie from coarse triangles: the scans behind the ``exact`` error.
 
 A diamond's coarse drawing is its two top triangles, which share the hypotenuse. Its *deviation* is the largest vertical
-distance of a sample of its (closed) region from them; on the finest triangulation both surfaces are linear, so this is
-the distance of the surfaces too. Diamonds inside the raster are scanned row by row with constant steps, without the
-samples on their sides: a side is the hypotenuse of a child, whose deviation counts as well once errors are monotonic.
-Diamonds that straddle the border of a raster that is not 2^n + 1 samples wide are *squeezed* (their outer vertices lie
-on the border), and a general scan of triangles with integer corners serves them, as it serves diamonds that are larger
-than the block of samples at hand.
+distance of the full-resolution surface from them. Both surfaces are linear on the finest triangles, so the distance is
+largest at a sample. Diamonds inside the raster are scanned row by row with constant steps, without the samples on their
+sides: a side is the hypotenuse of a child, whose deviation counts as well once errors are monotonic. Diamonds that
+straddle the border of a raster that is not 2^n + 1 samples wide are *squeezed* (their outer vertices lie on the border),
+and a general scan of triangles with integer corners serves them, as it serves diamonds that are larger than the block
+of samples at hand. The slanted sides of squeezed triangles cut through finest triangles, so where such a side crosses a
+side of a finest triangle counts, too.
 
 Heights in metres, float32 in, float64 within; missing samples (NaN) do not count; indices are (row, col) of the window.
 """
@@ -103,9 +104,65 @@ def square(z, row, col, s, falling):
     return distance(worst)
 
 
+@inlined
+def _between(z, row0, col0, y, x, down, across, f, on):
+    """Distance (bits) of a point on a side of a finest triangle from a height; 0 if the side is not in the window.
+
+    Args:
+        y, x: the sample where the side begins. down, across: from it to where the side ends, −1, 0 or 1.
+        f: the point's share of the way. on: the height.
+    """
+    i, j = y - row0, x - col0
+    rows, cols = z.shape
+    if min(i, i + down) < 0 or min(j, j + across) < 0 or max(i, i + down) >= rows or max(j, j + across) >= cols:
+        return NOTHING
+    here, there = np.float64(z[i, j]), np.float64(z[i + down, j + across])
+    return bits(abs(here + f * (there - here) - on))
+
+
+@leaf
+def along_side(z, row0, col0, py, px, pz, qy, qx, qz):
+    """Deviation (as bits) of the surface from a straight side p, q where that crosses sides of finest triangles.
+
+    Crossings at samples are left out. The finest triangles' hypotenuses alternate: that of a cell falls (to the
+    south-east) if row + column of its north-western sample is even.
+    """
+    dy, dx = qy - py, qx - px
+    if dy == 0 or dx == 0:
+        return NOTHING  # it is made of such sides
+    worst = NOTHING
+    # Rows, columns, falling and rising diagonals are where y, x, x − y and x + y are whole numbers c.
+    for family in range(4):
+        first = py if family == 0 else px if family == 1 else px - py if family == 2 else px + py
+        span = dy if family == 0 else dx if family == 1 else dx - dy if family == 2 else dx + dy
+        step = 1 if span > 0 else -1
+        for k in range(1, abs(span)):
+            c = first + k * step
+            on = pz + (qz - pz) * (k / abs(span))
+            # The other coordinate (of diagonals: y) is whole + rest / |span|.
+            reach = (dx if family == 0 else dy) * k
+            whole = reach // abs(span)
+            rest = reach - whole * abs(span)
+            if rest == 0:
+                continue
+            f = rest / abs(span)
+            if family == 0:
+                worst = max(worst, _between(z, row0, col0, c, px + whole, 0, 1, f, on))
+            elif family == 1:
+                worst = max(worst, _between(z, row0, col0, py + whole, c, 1, 0, f, on))
+            else:
+                y = py + whole
+                x = c + y if family == 2 else c - y
+                # A rising line meets row y at x and runs through the cell on x's left.
+                falls = (y + (x if family == 2 else x - 1)) & 1 == 0
+                if falls == (family == 2):
+                    worst = max(worst, _between(z, row0, col0, y, x, 1, 1 if family == 2 else -1, f, on))
+    return worst
+
+
 @leaf
 def triangle(z, row0, col0, ay, ax, az, by, bx, bz, cy, cx, cz):
-    """Deviation of the samples of a window from one triangle with integer corners (its closure).
+    """Deviation of a window's surface from one triangle with integer corners (its closure).
 
     Args:
         z: the window; its first sample is sample (row0, col0).
@@ -150,6 +207,9 @@ def triangle(z, row0, col0, ay, ax, az, by, bx, bz, cy, cx, cz):
                 high = low - 1
         base = az + gy * (y - ay)
         worst = _off_row(z, y - row0, low - col0, high + 1 - low, base + gx * (low - ax), gx, worst)
+    worst = max(worst, along_side(z, row0, col0, ay, ax, az, by, bx, bz))
+    worst = max(worst, along_side(z, row0, col0, by, bx, bz, cy, cx, cz))
+    worst = max(worst, along_side(z, row0, col0, cy, cx, cz, ay, ax, az))
     return distance(worst)
 
 

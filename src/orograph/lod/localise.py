@@ -26,8 +26,8 @@ from orograph.error.screen import image_motion, in_frustum, plane_of, to_camera,
 from orograph.hierarchy.kernels import diamonds
 from orograph.lod.field import find
 
-STACK = 14
-"""Numbers that wait for each triangle: rows and columns, heights, heights of T, of three corners; error; depth."""
+STACK = 10
+"""Numbers that wait for each triangle: row, column and height of three corners, and its depth below T."""
 
 
 @inlined
@@ -62,7 +62,7 @@ def push_halves(todo, top, br, bc, bz, dr, dc, dz, fr, fc, fz, mr, mc, mz, depth
         else:
             todo[top, 3], todo[top, 4], todo[top, 5] = dr, dc, dz
         todo[top, 6], todo[top, 7], todo[top, 8] = mr, mc, mz
-        todo[top, 11] = depth
+        todo[top, 9] = depth
         top += 1
     return top
 
@@ -89,25 +89,25 @@ def localised_bound(
     todo[0, 0], todo[0, 1], todo[0, 2] = er, ec, ez
     todo[0, 3], todo[0, 4], todo[0, 5] = xr, xc, xz
     todo[0, 6], todo[0, 7], todo[0, 8] = ar, ac, az
-    todo[0, 9], todo[0, 10], todo[0, 11] = mz, e, 0.0
+    todo[0, 9] = 0.0
     first = True
     while top > 0:
         top -= 1
         br, bc, bz = todo[top, 0], todo[top, 1], todo[top, 2]
         dr, dc, dz = todo[top, 3], todo[top, 4], todo[top, 5]
         fr, fc, fz = todo[top, 6], todo[top, 7], todo[top, 8]
-        at = np.int64(todo[top, 11])
-        if level + at == leaf:
-            continue  # no samples but its corners, which were looked at as middles
-        if first:
-            hz, known = todo[top, 9], todo[top, 10]
-        else:
+        at = np.int64(todo[top, 9])
+        finest = level + at == leaf
+        hz, known = np.float64(mz), np.float64(e)
+        if finest:
+            known = 0.0  # it is the ground
+        elif not first:
             slot, i, j = find(pages, np.int64(br + dr) >> 1, np.int64(bc + dc) >> 1, n - 1 - ((level + at) >> 1))
             if slot < 0:
                 missed = True
                 continue
             hz, known = np.float64(pages.data[slot, i, j, 0]), np.float64(pages.data[slot, i, j, 1])
-        if cull and not first and prism_outside(camera, bc, br, bz, dc, dr, dz, fc, fr, fz, known):
+        if (cull or finest) and not first and prism_outside(camera, bc, br, bz, dc, dr, dz, fc, fr, fz, known):
             continue
         tb = base + down * br + across * bc
         td = base + down * dr + across * dc
@@ -122,7 +122,7 @@ def localised_bound(
             bound = triangle_bound(camera, bx, by, bw, dx, dy, dw, fx, fy, fw, length)
             if bound <= max(low, worst):
                 continue
-            if at >= depth:
+            if at >= depth or finest:
                 worst = bound
                 if worst > enough:
                     break

@@ -119,7 +119,7 @@ def _least(camera, col, row, z):
     return least
 
 
-@inlined
+@leaf
 def stays(camera, n, d, w, e, r, secant, exceeds, x, turn):
     """Whether the anisotropic bound stays on its side of the tolerance for every motion x with a turn of ``turn``.
 

@@ -71,7 +71,7 @@ def by_itself(pages, camera, node, n, t, known, reach, todo):
     base, down, across = plane_through(er, ec, ez, xr, xc, xz, ar, ac, az)
     todo[0, 0], todo[0, 1], todo[0, 2] = er, ec, ez
     todo[0, 3], todo[0, 4], todo[0, 5] = xr, xc, xz
-    todo[0, 6], todo[0, 7], todo[0, 8], todo[0, 11] = ar, ac, az, 0.0
+    todo[0, 6], todo[0, 7], todo[0, 8], todo[0, 9] = ar, ac, az, 0.0
     top = 1
     lasts, halved = np.inf, np.inf  # what was put aside so far stays there; what was not does not come there
     absent = False
@@ -80,12 +80,12 @@ def by_itself(pages, camera, node, n, t, known, reach, todo):
         br, bc, bz = todo[top, 0], todo[top, 1], todo[top, 2]
         dr, dc, dz = todo[top, 3], todo[top, 4], todo[top, 5]
         fr, fc, fz = todo[top, 6], todo[top, 7], todo[top, 8]
-        at = np.int64(todo[top, 11])
-        if level + at == 2 * n:
-            continue  # no samples but its corners, which were looked at as middles
-        if at == 0:
-            hz, error = np.float64(node.height), e
-        else:
+        at = np.int64(todo[top, 9])
+        finest = level + at == 2 * n
+        hz, error = np.float64(node.height), e
+        if finest:
+            error = 0.0  # it is the ground
+        elif at > 0:
             slot, i, j = find(pages, np.int64(br + dr) >> 1, np.int64(bc + dc) >> 1, n - 1 - ((level + at) >> 1))
             if slot < 0:
                 absent = True
@@ -123,7 +123,7 @@ def by_itself(pages, camera, node, n, t, known, reach, todo):
             lasts = min(lasts, out)
             continue
         halved = min(halved, min(room, above(focal * length, most, max(depth, 0.0), up, t)))
-        if at >= DEPTH:
+        if at >= DEPTH or finest:
             return OPEN, halved
         # The middle is a sample: what it is displaced by, if it is in view.
         mr, mc = 0.5 * (br + dr), 0.5 * (bc + dc)
