@@ -124,7 +124,7 @@ class Reference:
                 if abs(np.linalg.det(matrix)) < 0.5:
                     continue  # parallel
                 s, t = np.linalg.solve(matrix, [a[0] - p[0], a[1] - p[1]])
-                if -1e-9 <= min(s, t) and max(s, t) <= 1 + 1e-9:
+                if min(s, t) >= -1e-9 and max(s, t) <= 1 + 1e-9:
                     at = p[0] + s * (q[0] - p[0]), p[1] + s * (q[1] - p[1])
                     yield at, float((1 - t) * self.z[a] + t * self.z[b])
 

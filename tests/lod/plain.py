@@ -19,6 +19,7 @@ from orograph.lod.method import Goal, Method, Ready, Resources
 from orograph.lod.reference import camera as reference
 from orograph.lod.reference import stateless
 from orograph.lod.reference.criterion import Spheres
+from orograph.lod.reference.screen_error import wedgie
 from orograph.lod.reference.terrain import Ground
 from orograph.lod.registry import method_of
 from orograph.lod.right_triangles import Mesh
@@ -195,6 +196,35 @@ class Plain:
             return math.inf
         off = moved[:, :2] / moved[:, 2:] - at[:, :2] / at[:, 2:]
         return float(camera.focal * np.hypot(*off.T).max(initial=0.0))
+
+    def finest_bound(self, camera: Camera, corners) -> float:
+        """ROAM's bound in pixels over the finest triangles under a triangle, not out of view.
+
+        Args:
+            corners: (3, 2) rows and columns, not beyond the raster.
+        """
+        a, b, c = (np.array(q) for q in corners)
+        to_weights = np.linalg.inv(np.stack([b - a, c - a], 1))
+        heights = np.array([self.filled[tuple(q)] for q in corners])
+        rows, cols = zip(*corners)
+        worst = 0.0
+        for i, j in np.ndindex(max(rows) - min(rows), max(cols) - min(cols)):
+            r, s = i + min(rows), j + min(cols)
+            nw, ne, sw, se = (r, s), (r, s + 1), (r + 1, s), (r + 1, s + 1)
+            for unit in ((nw, sw, se), (nw, ne, se)) if (r + s) % 2 == 0 else ((nw, ne, sw), (ne, sw, se)):
+                u, v = to_weights @ (np.array(unit) - a).T
+                ground = self.at[tuple(np.transpose(unit))]
+                off = heights @ [1 - u - v, u, v] - ground[:, 2]
+                if (
+                    min(*u, *v, *(1 - u - v)) < -1e-9
+                    or not off.any()
+                    or self.outside(camera, ground[None], np.zeros(1))[0]
+                ):
+                    continue
+                on = [tuple(p) for p in camera.to_camera(ground + off[:, None] * [0.0, 0.0, 1.0])]
+                seen = reference.Camera.of(camera.view, camera.exaggeration)
+                worst = max(worst, wedgie(seen, on, np.abs(off).max() * (1 + 1e-9)))
+        return worst
 
     def spheres_outside(self, camera: Camera):
         """(N + 1, N + 1): whether a diamond's sphere is beyond a plane."""

@@ -46,7 +46,7 @@ def test_promise_and_no_defect(seed):
             for method in methods:
                 mesh = method.refine(view, tolerance=tolerance)
                 report = verify.judge_mesh(mesh, t, view, exaggeration=exaggeration)
-                assert report.ok(tolerance, of="samples"), (method.info.name, method.metric.name, t.grid.shape, report)
+                assert report.ok(tolerance), (method.info.name, method.metric.name, t.grid.shape, report)
 
 
 @pytest.mark.parametrize("shape", [(643, 1197), (68, 41), (67, 90)])
@@ -59,4 +59,4 @@ def test_ground_at_a_squeezed_corner_is_covered(shape):
     for tolerance in (2.0, 8.0, 32.0, 128.0):
         for method in (plain.refiner(TopDown, t), plain.refiner(Stateless, t), plain.refiner(ThresholdSpheres, t)):
             report = verify.judge_mesh(method.refine(view, tolerance=tolerance), t, view)
-            assert report.ok(tolerance, of="samples"), (method.info.name, report)
+            assert report.ok(tolerance), (method.info.name, report)

@@ -16,6 +16,11 @@ from orograph.lod.soar import Soar
 from orograph.lod.top_down import TopDown
 
 
+def keeps(report: verify.Report, tolerance: float) -> bool:
+    """Whether a mesh without defects keeps a tolerance at the samples in view: the oracle looks at nothing else."""
+    return report.ok() and report.largest_at_samples <= tolerance * (1 + 1e-6)
+
+
 def all_true_errors(p, camera):
     """(2^n + 1, 2^n + 1): the true error of every diamond."""
     found = np.zeros(p.z.shape)
@@ -39,10 +44,10 @@ def test_oracle_is_the_closure_of_the_true_errors():
             found = oracle(t, view, tolerance)
             assert found.stats["active"] == len(np.argwhere(diamonds.closure(errors > tolerance)))
             assert plain.triangles_of(found) <= p.triangle_set(front, np.ones(len(front), bool))
-            assert verify.judge_mesh(found, t, view).ok(tolerance, of="samples")
+            assert keeps(verify.judge_mesh(found, t, view), tolerance)
             fewer = oracle(t, view, tolerance, prisms=True)
             assert plain.triangles_of(fewer) <= plain.triangles_of(found)
-            assert verify.judge_mesh(fewer, t, view).ok(tolerance, of="samples")
+            assert keeps(verify.judge_mesh(fewer, t, view), tolerance)
 
 
 @pytest.mark.parametrize("shape", [(40, 61), (30, 33)])
@@ -55,7 +60,7 @@ def test_oracle_keeps_the_promise_with_holes_and_squeezed_borders(shape):
             tolerance = float(10 ** rng.uniform(-0.5, 1))
             for prisms in (False, True):
                 report = verify.judge_mesh(oracle(t, view, tolerance, 1.5, prisms=prisms), t, view, exaggeration=1.5)
-                assert report.ok(tolerance, of="samples"), report
+                assert keeps(report, tolerance), report
 
 
 def test_engines_are_no_coarser_and_not_much_finer(shared_data):
@@ -71,7 +76,8 @@ def test_engines_are_no_coarser_and_not_much_finer(shared_data):
         spheres, exact = (len(method.refine(view, tolerance=1.0).triangles) for method in (soar, top_down))
         assert fewest <= spheres
         # Forced splits do not look below accurate triangles, the closure does.
-        assert exact <= fewest_prisms
+        # Methods keep the promise between samples, too; the oracle looks at samples.
+        assert exact < 1.02 * fewest_prisms
         counts += fewest, spheres, exact, fewest_prisms, len(ahead.refine(view, tolerance=1.0).triangles)
     assert counts[1] < 1.2 * counts[0]
     assert counts[3] < counts[4] < 1.15 * counts[3]

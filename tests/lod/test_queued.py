@@ -30,7 +30,7 @@ def test_budgets_with_holes_and_culling_keep_the_mesh_conforming(make):
         assert found.stats["within_budget"] is (budget >= least)
         assert budget >= least or not found.stats["conservative"]
         if found.stats["conservative"]:
-            assert report.ok(found.stats["tolerance"], of="samples")
+            assert report.ok(found.stats["tolerance"])
 
 
 @METHODS
@@ -76,7 +76,7 @@ def test_colors_force_splits(make):
     fine = plain.refiner(make, t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
     assert len(flat.triangles) == len(coarse.triangles) == 2
     assert len(fine.triangles) > 2
-    assert verify.judge_mesh(fine, t, view).ok(0.0, of="samples")
+    assert verify.judge_mesh(fine, t, view).ok(0.0)
 
 
 @METHODS
@@ -90,4 +90,4 @@ def test_promise_on_mountains(shared_data, make):
             view = plain.random_view(rng, t)
             for tolerance in (0.5, 2.0, 8.0):
                 report = verify.judge_mesh(method.refine(view, tolerance=tolerance), t, view)
-                assert report.ok(tolerance, of="samples"), report
+                assert report.ok(tolerance), report

@@ -146,7 +146,7 @@ def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
             want = Recursion(p, camera, tolerance, cull, metric)
             assert plain.triangles_of(found) == want.mesh(ground)
             assert both.frame(lambda t, w=want: float(frozenset(corners(t)) in w.wanted), tolerance=0.5) == want.T
-            assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance, of="samples")
+            assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance)
 
 
 @pytest.mark.parametrize("shape", [(9, 9), (8, 9), (5, 7)])
@@ -164,7 +164,7 @@ def test_looking_ahead_leaves_what_looking_at_every_sample_allows(shape):
             camera = plain.Camera(view, exaggeration)
             want = Recursion(p, camera, tolerance, True, "localised")
             assert plain.triangles_of(found) == want.mesh(ground)
-            assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance, of="samples")
+            assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance)
             pruned += want.pruned
             plainly = plain.refiner(Roam, t, metric="wedgie", exaggeration=exaggeration).refine(
                 view, tolerance=tolerance
@@ -205,7 +205,7 @@ def test_flights_over_real_ground_keep_the_promise_and_depend_on_the_view_alone(
         made = carried.refine(view, tolerance=tolerance)
         assert len(np.unique(made.triangles)) == len(made.vertices)
         report = verify.judge_mesh(made, t, view)
-        assert report.ok(tolerance, of="samples"), report
+        assert report.ok(tolerance), report
     assert saved > 0
 
 
@@ -257,7 +257,7 @@ def test_budgets_of_triangles_are_kept_and_used(gaps):
             report = verify.judge_mesh(found, t, view)
             assert not report.defects
             if found.stats["conservative"]:
-                assert report.ok(found.stats["tolerance"], of="samples")
+                assert report.ok(found.stats["tolerance"])
         # The best of its size: scratch needs about as much for the tolerance that was reached.
         if gaps == 0 and found.stats["tolerance"]:
             fresh = plain.refiner(Roam, t, metric="wedgie").mesh(view, tolerance=found.stats["tolerance"])[0]
@@ -459,7 +459,7 @@ def test_another_grid_of_the_same_ground_moves_nothing():
     u = MemoryTerrain(np.ascontiguousarray(z[::-1]), Grid(z.shape, flipped), "south-up")
     view = plain.random_view(rng, t)
     for found, terrain in ((plain.refiner(Roam, t).refine(view), t), (plain.refiner(Roam, u).refine(view), u)):
-        assert verify.judge_mesh(found, terrain, view).ok(1.0, of="samples")
+        assert verify.judge_mesh(found, terrain, view).ok(1.0)
 
 
 def test_strips_kept_strips_rebuilt_and_lists_hold_the_same_triangles():

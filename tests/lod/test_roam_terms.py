@@ -210,7 +210,7 @@ def test_ground_out_of_view_is_coarser_by_the_factor():
         assert plain.triangles_of(now) == plain.triangles_of(fresh)
         assert now.stats["conservative"] and verify.judge_mesh(
             now, t, replace(view, eye=(view.eye[0], view.eye[1] + 25, view.eye[2]))
-        ).ok(1.0, of="samples")
+        ).ok(1.0)
         sizes.append(len(now.triangles))
     assert sizes[0] <= sizes[1] <= sizes[2] > sizes[0]
 

@@ -55,7 +55,7 @@ def test_every_budget_is_kept_by_a_valid_mesh(shape):
             assert shape != (17, 17) or len(found.triangles) > budget - 2 or found.stats["tolerance"] == 0.0
             last = len(found.triangles)
             if found.stats["conservative"]:
-                assert report.ok(found.stats["tolerance"], of="samples")
+                assert report.ok(found.stats["tolerance"])
         assert found.stats["tolerance"] == 0.0
 
 
@@ -103,7 +103,7 @@ def test_little_memory_gives_the_same_mesh():
         found = little.refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == plain.triangles_of(much.refine(view, tolerance=2.0))
         assert little.field.resident <= 6 < much.field.resident
-        assert verify.judge_mesh(found, t, view).ok(2.0, of="samples")
+        assert verify.judge_mesh(found, t, view).ok(2.0)
         if queue == "priority":
             a, b = (e.refine(view, triangles=5000) for e in (much, little))
             assert plain.triangles_of(a) == plain.triangles_of(b)

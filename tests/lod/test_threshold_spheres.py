@@ -191,7 +191,7 @@ def test_spheres_nest_and_bound_away_from_the_axis(shared_data):
             for metric, method in methods.items():
                 found = method.refine(view, tolerance=tolerance)
                 report = verify.judge_mesh(found, t, view)
-                assert report.ok(tolerance, of="samples"), report
+                assert report.ok(tolerance), report
                 made[metric] += len(found.triangles)
     assert made["isotropic"] > 1.5 * made["anisotropic"]
 
@@ -204,7 +204,7 @@ def test_a_turning_flight_keeps_the_tolerance():
         found = method.refine(view, tolerance=1.5)
         if number % 5 == 4:
             report = verify.judge_mesh(found, t, view)
-            assert report.ok(1.5, of="samples"), report
+            assert report.ok(1.5), report
 
 
 def test_published_spheres_exceed_the_tolerance_off_the_axis():
@@ -237,7 +237,7 @@ def test_budgets():
     for budget in (200, 500, 3000):
         found = method.refine(view, triangles=budget)
         assert len(found.triangles) <= budget
-        assert verify.judge_mesh(found, t, view).ok(found.stats["tolerance"], of="samples")
+        assert verify.judge_mesh(found, t, view).ok(found.stats["tolerance"])
     assert not verify.judge_mesh(method.refine(view, seconds=0.05), t, view).defects
 
 
@@ -249,7 +249,7 @@ def test_little_memory_gives_the_same_mesh():
         found = little.refine(view, tolerance=2.0)
         assert plain.triangles_of(found) == plain.triangles_of(much.refine(view, tolerance=2.0))
     assert little.field.resident <= 6 < much.field.resident
-    assert verify.judge_mesh(found, t, view).ok(2.0, of="samples")
+    assert verify.judge_mesh(found, t, view).ok(2.0)
 
 
 def test_colors_force_splits():
@@ -265,7 +265,7 @@ def test_colors_force_splits():
     fine = plain.refiner(ThresholdSpheres, t, color=color, color_tolerance=4.0).refine(view, tolerance=1.0)
     assert len(flat.triangles) == len(coarse.triangles) == 2
     assert len(fine.triangles) > 2
-    assert verify.judge_mesh(fine, t, view).ok(0.0, of="samples")
+    assert verify.judge_mesh(fine, t, view).ok(0.0)
 
 
 def test_plans_keep_holes():
@@ -277,7 +277,7 @@ def test_plans_keep_holes():
     for cull in (True, False):
         found = plain.refiner(ThresholdSpheres, t, cull=cull).refine(view, tolerance=1.0)
         assert len(found.triangles) > 2
-        assert verify.judge_mesh(found, t, view).ok(0.0, of="samples")
+        assert verify.judge_mesh(found, t, view).ok(0.0)
 
 
 def test_unusable_options_are_refused():

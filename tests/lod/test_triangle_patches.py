@@ -468,7 +468,7 @@ def test_a_raster_smaller_than_a_patch():
         method = plain.refiner(TrianglePatches, t)
         view = plain.random_view(np.random.default_rng(2), t)
         report = verify.judge_mesh(method.refine(view, tolerance=1.0), t, view)
-        assert method.legs <= 16 and report.ok(1.0, of="samples")
+        assert method.legs <= 16 and report.ok(1.0)
 
 
 def test_budgets():
@@ -519,7 +519,7 @@ def test_stores_have_the_same_tables(tmp_path, gaps):
     view = plain.random_view(np.random.default_rng(15), t)
     method = plain.refiner(TrianglePatches, store)
     report = verify.judge_mesh(method.refine(view, tolerance=1.0), store, view)
-    assert report.ok(1.0, of="samples")
+    assert report.ok(1.0)
     few = plain.refiner(TrianglePatches, store, max_memory=16 << 20).patches(view, 0.5).instances
     assert np.array_equal(few, method.patches(view, 0.5).instances)
 

@@ -137,9 +137,9 @@ def command(
         promised = selection.bound
         if report.defects and promised is None:
             progress.warn("The mesh is not sound (see the report), and nothing was promised.")
-        elif promised is not None and not report.ok(promised, of="samples"):
+        elif promised is not None and not report.ok(promised):
             raise OrographError(
                 "The mesh is not sound (see the report)." if report.defects else
-                f"The mesh is off by {report.largest_at_samples:.4g} pixels, and {choice} promised {promised:g}.",
+                f"The mesh is off by {report.largest:.4g} pixels, and {choice} promised {promised:g}.",
                 path=output, remedy="This is a fault of Orograph: please report it, with the terrain and the view.",
             )  # fmt: skip

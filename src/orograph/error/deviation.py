@@ -1,13 +1,13 @@
 """How far full-resolution samples lie from coarse triangles: the scans behind the ``exact`` error.
 
-A diamond's coarse drawing is its two top triangles, which share the hypotenuse. Its *deviation* is the largest vertical
-distance of the full-resolution surface from them. Both surfaces are linear on the finest triangles, so the distance is
-largest at a sample. Diamonds inside the raster are scanned row by row with constant steps, without the samples on their
-sides: a side is the hypotenuse of a child, whose deviation counts as well once errors are monotonic. Diamonds that
-straddle the border of a raster that is not 2^n + 1 samples wide are *squeezed* (their outer vertices lie on the border),
-and a general scan of triangles with integer corners serves them, as it serves diamonds that are larger than the block
-of samples at hand. The slanted sides of squeezed triangles cut through finest triangles, so where such a side crosses a
-side of a finest triangle counts, too.
+A diamond's coarse drawing is its two top triangles, which share the hypotenuse. Its *deviation* is the largest
+vertical distance of the full-resolution surface from them. Both surfaces are linear on the finest triangles, so the
+distance is largest at a sample. Diamonds inside the raster are scanned row by row with constant steps, without the
+samples on their sides: a side is the hypotenuse of a child, whose deviation counts as well once errors are monotonic.
+Diamonds that straddle the border of a raster that is not 2^n + 1 samples wide are *squeezed* (their outer vertices
+lie on the border), and a general scan of triangles with integer corners serves them, as it serves diamonds that are
+larger than the block of samples at hand. The slanted sides of squeezed triangles cut through finest triangles, so
+where such a side crosses a side of a finest triangle counts, too.
 
 Heights in metres, float32 in, float64 within; missing samples (NaN) do not count; indices are (row, col) of the window.
 """

@@ -2,16 +2,16 @@
 
 A wedgie puts the largest error of a whole triangle at the corner from which it looks worst, though the sample that is
 off may lie at the other end, or out of view. Here a triangle T is judged by branch and bound over the triangles below
-it in the hierarchy. For a triangle t under T, every full-resolution sample in t lies within
+it in the hierarchy. For a triangle t under T, the full-resolution surface over t lies within
 
     min(e_T, e_t + max over t's corners of |z − T|)        metres of T on its vertical,
 
 e the stored errors (bounds, exact errors best): t's surface is linear, and so is T's. That length, projected from the
-part of T under t, bounds what the samples in t are displaced by; t is done if this is within the tolerance, or if the
+part of T under t, bounds what points of t are displaced by; t is done if this is within the tolerance, or if the
 prism t ± e_t is out of view. Otherwise t is halved; the vertex in the middle of its hypotenuse is a sample, and if it
 is in view and *its* displacement exceeds the tolerance, T is inaccurate beyond doubt. At the depth allowed the bounds
-stand as they are. All of it is conservative; with no limit of depth it is exact: the largest displacement of T's
-samples.
+stand as they are. A finest triangle is the surface itself (e_t = 0), and is judged by the bound unless it is wholly
+out of view: its corners may be out of view and points between them not. All of it is conservative.
 
 Not for triangles that straddle the border of a raster that is not 2^n + 1 samples wide (the squeeze takes their halves
 off their own ground), nor for published errors that are no bounds. Metres, pixels; coordinates as in ``error.screen``.

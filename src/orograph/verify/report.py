@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any
 
 Place = tuple[float, float]
 """(column, row) on the raster; whole numbers are int."""
@@ -79,14 +79,9 @@ class Report:
         """What is wrong with the mesh, whatever the tolerance; empty for a sound one."""
         return {name: getattr(self, name) for name in DEFECTS if getattr(self, name)}
 
-    def ok(self, tolerance: float = math.inf, *, of: Literal["surface", "samples"] = "surface") -> bool:
-        """Whether the mesh has no defect, and no point in view is more than ``tolerance`` pixels from it.
-
-        Args:
-            of: "samples": only samples count as points, those in view.
-        """
-        largest = self.largest if of == "surface" else self.largest_at_samples
-        return not self.defects and largest <= tolerance * (1 + ROUNDING)
+    def ok(self, tolerance: float = math.inf) -> bool:
+        """Whether the mesh has no defect, and no point of the surface in view is over ``tolerance`` pixels from it."""
+        return not self.defects and self.largest <= tolerance * (1 + ROUNDING)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as JSON has it; an infinite distance is None."""
