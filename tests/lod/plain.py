@@ -223,7 +223,7 @@ class Plain:
                     continue
                 on = [tuple(p) for p in camera.to_camera(ground + off[:, None] * [0.0, 0.0, 1.0])]
                 seen = reference.Camera.of(camera.view, camera.exaggeration)
-                worst = max(worst, wedgie(seen, on, np.abs(off).max() * (1 + 1e-9)))
+                worst = max(worst, wedgie(seen, on, camera.exaggeration * np.abs(off).max() * (1 + 1e-9)))
         return worst
 
     def spheres_outside(self, camera: Camera):
