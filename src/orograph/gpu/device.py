@@ -40,6 +40,15 @@ OPTIONAL = (
 )
 """Features that are used where an adapter has them, never needed."""
 
+WANTED = (
+    ("max-buffer-size", 1 << 31),
+    ("max-storage-buffer-binding-size", 1 << 30),
+    ("max-texture-dimension-2d", 16384),
+    ("max-texture-array-layers", 2048),
+    ("max-storage-buffers-per-shader-stage", 16),  # on software, where uniforms are such (``Device.record``)
+)
+"""Limits raised this far where an adapter allows it. Pictures are larger and finer for it; none needs it."""
+
 _ORDER = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
 _INCLUDE = re.compile(r"^//\s*include:\s*(\S+)\s*$", re.MULTILINE)
 _WHEN = re.compile(r"^ *//\s*when:\s*(\w+)\s*\n(.*?)^ *//\s*end: \1\s*$", re.MULTILINE | re.DOTALL)
@@ -158,12 +167,14 @@ class Device:
         adapter: where it runs.
         handle: wgpu's device; ``queue``: its queue.
         features: the optional features it has.
+        portable: whether it has what every browser with WebGPU has, and no more.
         lost: why the device was lost, or None.
     """
 
     adapter: Adapter
     handle: Any
     features: frozenset[str]
+    portable: bool = False
     lost: str | None = None
     _modules: dict[str, Any] = field(default_factory=dict, repr=False)
 
@@ -178,7 +189,7 @@ class Device:
         Mesa's lavapipe compiles a shader anew, in milliseconds, whenever a pass begins with uniforms that its branches
         depend on, and keeps every one.
         """
-        return "read-only-storage" if self.adapter.software else "uniform"
+        return "read-only-storage" if self.adapter.software and not self.portable else "uniform"
 
     def shader(self, name: str, constants: dict[str, int | float] | None = None) -> Any:
         """The compiled module ``shaders/NAME.wgsl``, its includes put in.
@@ -325,24 +336,24 @@ _LOCK = threading.Lock()
 _OPEN: dict[str, Device] = {}
 
 
-def open_device(wanted: str | None = None) -> Device:
+def open_device(wanted: str | None = None, *, portable: bool = False) -> Device:
     """The device on the chosen adapter (see ``choose``): one for the process, made on first use, made anew if lost.
+
+    Args:
+        portable: WebGPU's default limits and no optional feature, as in any browser: what draws on such a device can be
+            drawn on a page.
 
     Raises:
         NoAdapterError: there is no adapter, or its device cannot be made.
     """
     adapter = choose(wanted)
     with _LOCK:
-        key = f"{adapter.backend} {adapter.name}"
+        key = f"{adapter.backend} {adapter.name} {portable}"
         device = _OPEN.get(key)
         if device is None or device.lost is not None:
             have = adapter.handle.features
-            features = [f for f in OPTIONAL if f in have]
-            limits = {}
-            for name, most in (("max-buffer-size", 1 << 31), ("max-storage-buffer-binding-size", 1 << 30),
-                               ("max-texture-dimension-2d", 16384), ("max-texture-array-layers", 2048),
-                               ("max-storage-buffers-per-shader-stage", 16)):  # fmt: skip
-                limits[name] = min(int(adapter.handle.limits[name]), most)
+            features = [] if portable else [f for f in OPTIONAL if f in have]
+            limits = {} if portable else {name: min(int(adapter.handle.limits[name]), most) for name, most in WANTED}
             try:
                 handle = adapter.handle.request_device_sync(
                     label="orograph", required_features=features, required_limits=limits
@@ -351,6 +362,6 @@ def open_device(wanted: str | None = None) -> Device:
                 raise NoAdapterError(
                     f"{adapter.name} gives no device: {error}.", remedy="See orograph doctor."
                 ) from error
-            device = Device(adapter, handle, frozenset(features))
+            device = Device(adapter, handle, frozenset(features), portable)
             _OPEN[key] = device
         return device

@@ -100,7 +100,7 @@ def localised_bound(
         finest = level + at == leaf
         hz, known = np.float64(mz), np.float64(e)
         if finest:
-            known = 0.0  # it is the ground
+            known = np.float64(0.0)  # it is the ground
         elif not first:
             slot, i, j = find(pages, np.int64(br + dr) >> 1, np.int64(bc + dc) >> 1, n - 1 - ((level + at) >> 1))
             if slot < 0:

@@ -5,7 +5,7 @@
 @group(0) @binding(1) var depths: texture_depth_2d;
 @group(0) @binding(2) var slopes: texture_2d_array<f32>;
 @group(0) @binding(3) var<storage, read> pages: array<u32>;
-@group(0) @binding(4) var<storage, read> levels: array<Level>;
+@group(0) @binding(4) var<uniform> levels: array<Level, LEVELS>;
 // include: slopes.wgsl
 
 const SMOOTH: f32 = 2.5;   // pixels

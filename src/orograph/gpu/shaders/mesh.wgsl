@@ -9,7 +9,7 @@ struct Sample { row: i32, col: i32, height: f32, pad: u32 };
 @group(0) @binding(2) var<storage, read> corners: array<u32>;
 @group(0) @binding(3) var heights: texture_2d_array<f32>;
 @group(0) @binding(4) var<storage, read> height_pages: array<u32>;
-@group(0) @binding(5) var<storage, read> levels: array<FieldLevel>;
+@group(0) @binding(5) var<uniform> levels: array<FieldLevel, 32>;
 // include: field.wgsl
 
 const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover

@@ -6,7 +6,7 @@
 @group(1) @binding(0) var heights: texture_2d_array<f32>;
 @group(1) @binding(1) var slopes: texture_2d_array<f32>;
 @group(1) @binding(2) var<storage, read> pages: array<u32>;
-@group(1) @binding(3) var<storage, read> levels: array<Level>;
+@group(1) @binding(3) var<uniform> levels: array<Level, LEVELS>;
 // include: slopes.wgsl
 
 const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover

@@ -39,8 +39,8 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 @group(1) @binding(4) var<storage, read> pages: array<u32>;
 @group(1) @binding(5) var<storage, read> tables: array<f32>;
 @group(1) @binding(6) var<storage, read> maps: array<f32>;
-@group(1) @binding(7) var<storage, read> levels: array<Level>;
-@group(1) @binding(8) var<storage, read> windows: array<Window>;   // of the sun, then of the field
+@group(1) @binding(7) var<uniform> levels: array<Level, LEVELS>;
+@group(1) @binding(8) var<uniform> windows: array<Window, 64>;   // of the sun, then of the field
 @group(1) @binding(9) var atlas: texture_2d_array<f32>;
 @group(1) @binding(10) var atlas_sampler: sampler;
 @group(1) @binding(11) var<storage, read> imagery: array<u32>;

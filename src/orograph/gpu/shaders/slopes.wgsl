@@ -1,8 +1,9 @@
 // Slopes of the ground at any scale: gradients of box means, tiles of all levels in one atlas, looked up through pages.
-// Needs ``slopes`` (texture_2d_array), ``pages`` and ``levels`` (storage).
+// Needs ``slopes`` (texture_2d_array), ``pages`` (storage) and ``levels`` (uniform).
 // include: place.wgsl
 
-struct Level { offset: u32, tile_rows: u32, tile_cols: u32, rows: u32, cols: u32, pad0: u32, pad1: u32, pad2: u32 };
+struct Level { offset: u32, tile_rows: u32, tile_cols: u32, rows: u32, cols: u32, count: u32, pad0: u32, pad1: u32 };
+const LEVELS = 32u;   // of which levels[0].count are there
 const SLOPE_SIDE: i32 = 258;
 const PER_SIDE: i32 = 4;
 
@@ -43,7 +44,7 @@ fn slope_of(at: Place, level: u32) -> vec3<f32> {
 
 // The finest level from ``wanted`` on that is there.
 fn resident_slope(at: Place, wanted: u32) -> vec2<f32> {
-  for (var level = min(wanted, arrayLength(&levels) - 1u); level < arrayLength(&levels); level++) {
+  for (var level = min(wanted, levels[0].count - 1u); level < levels[0].count; level++) {
     let found = slope_of(at, level);
     if (found.z > 0.0) {
       return found.xy;

@@ -84,7 +84,7 @@ def by_itself(pages, camera, node, n, t, known, reach, todo):
         finest = level + at == 2 * n
         hz, error = np.float64(node.height), e
         if finest:
-            error = 0.0  # it is the ground
+            error = np.float64(0.0)  # it is the ground
         elif at > 0:
             slot, i, j = find(pages, np.int64(br + dr) >> 1, np.int64(bc + dc) >> 1, n - 1 - ((level + at) >> 1))
             if slot < 0:

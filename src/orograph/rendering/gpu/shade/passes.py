@@ -41,7 +41,7 @@ class ShadePass:
                 entries=[
                     uniform(device, 0, "FRAGMENT"),
                     texture(1, "depth"), texture(2, "uint"), texture(3, "unfilterable-float", "2d-array"),
-                    *(storage(k) for k in (4, 5, 6, 7, 8)),
+                    *(storage(k) for k in (4, 5, 6)), *(uniform(device, k, "FRAGMENT") for k in (7, 8)),
                     texture(9, "float", "2d-array"), {"binding": 10, "visibility": stage("FRAGMENT"), "sampler": {}},
                     storage(11), storage(12), storage(13),
                     *(texture(k, "unfilterable-float") for k in (14, 15, 16, 17, 18)),

@@ -23,6 +23,10 @@ from orograph.store.terrain import Terrain
 Array = NDArray[np.float64]
 
 
+LEVELS, WINDOWS = 32, 64
+"""Entries of the tables of levels and of windows (``shaders/slopes.wgsl``, ``shade.wgsl``), more than there ever are."""
+
+
 class Resources:
     """Buffers and textures by what they hold.
 
@@ -42,7 +46,7 @@ class Resources:
         self._levels = self._level_table()
         self._blank = device.texture((1, 1), "rgba8unorm", "TEXTURE_BINDING", label="nothing").create_view()
         self._slopes = slopes.texture.create_view(dimension="2d-array")
-        self._of: tuple[Any, NDArray[np.int32]] = (None, np.zeros((1, 8), np.int32))
+        self._of: tuple[Any, NDArray[np.int32]] = (None, np.zeros((WINDOWS, 8), np.int32))
         self._dark = light_tables(Lights(), np.eye(2), np.zeros(3))
 
     def bound(
@@ -64,8 +68,9 @@ class Resources:
                 drawn.
         """
         if maps is not self._of[0]:
-            windows = np.concatenate([maps.windows, maps.fields])
-            self._of = maps, windows if len(windows) else np.zeros((1, 8), np.int32)
+            windows = np.zeros((WINDOWS, 8), np.int32)
+            windows[: len(maps.windows) + len(maps.fields)] = np.concatenate([maps.windows, maps.fields])
+            self._of = maps, windows
         lights = look.lights
         suns, lamps = self._dark
         if lights.suns or lights.lamps:
@@ -78,7 +83,7 @@ class Resources:
             5: self.stored("tables", look.tables),
             6: self.stored("maps", maps.pool),
             7: self._levels,
-            8: self.stored("windows", self._of[1]),
+            8: self.stored("windows", self._of[1], "UNIFORM"),
             9: atlas,
             11: imagery,
             12: self.stored("suns", suns),
@@ -112,8 +117,8 @@ class Resources:
         """The table of levels: where each one's tiles begin, how many there are, and how many blocks."""
         return self._levels
 
-    def stored(self, name: str, values: NDArray[Any]) -> Any:
-        """A storage buffer with these values; written again only if they are other ones."""
+    def stored(self, name: str, values: NDArray[Any], usage: str = "STORAGE") -> Any:
+        """A buffer with these values; written again only if they are other ones."""
         ready = self._uploaded.get(name)
         if ready is not None and ready[1] is values:
             self._buffers[name] = ready
@@ -126,7 +131,7 @@ class Resources:
                 self.device.queue.write_buffer(held[0], 0, np.ascontiguousarray(values))
             self._buffers[name] = held[0], values
             return held[0]
-        buffer = self.device.buffer(values, "STORAGE", name)
+        buffer = self.device.buffer(values, usage, name)
         self._buffers[name] = buffer, values
         return buffer
 
@@ -140,7 +145,8 @@ class Resources:
 
     def _level_table(self) -> Any:
         terrain, tables = self.terrain, self.slopes.tables
-        table = np.zeros((terrain.levels, 8), np.uint32)
+        table = np.zeros((LEVELS, 8), np.uint32)
+        table[:, 5] = terrain.levels
         for k in range(terrain.levels):
             table[k, :5] = tables.offsets[k], *tables.shapes[k], *terrain.mean_shape(k)
-        return self.device.buffer(table, "STORAGE", "levels")
+        return self.device.buffer(table, "UNIFORM", "levels")

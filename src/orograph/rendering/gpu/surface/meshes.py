@@ -147,7 +147,7 @@ class MeshPass:
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
         self.device, self.camera, self.field, self.missing = device, camera, field, missing
-        words = "uniform", "read", "read", "depths", "read", "read"
+        words = "uniform", "read", "read", "depths", "read", "uniform"
         self.layout = layout(device, *words, stages="VERTEX|FRAGMENT")
         self._pipelines: dict[tuple[bool, bool, bool], Any] = {}
         self._held: tuple[Tessellation | None, Any, int] = (None, None, 0)

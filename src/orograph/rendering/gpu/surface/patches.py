@@ -46,10 +46,8 @@ class PatchPass:
             handle.create_bind_group_layout(
                 entries=[
                     *({**texture(k, "unfilterable-float", "2d-array"), "visibility": stage("VERTEX")} for k in (0, 1)),
-                    *(
-                        {"binding": k, "visibility": stage("VERTEX"), "buffer": {"type": "read-only-storage"}}
-                        for k in (2, 3)
-                    ),
+                    {"binding": 2, "visibility": stage("VERTEX"), "buffer": {"type": "read-only-storage"}},
+                    uniform(device, 3, "VERTEX"),
                 ]
             ),
         ]
