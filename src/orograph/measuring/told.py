@@ -58,7 +58,14 @@ def _profile(line: Profile) -> list[Row]:
         ("climb, descent", f"+{metres(line.climb)}, −{metres(line.descent)}", ""),
         ("lowest, highest", f"{metres(line.lowest)}, {metres(line.highest)}", ""),
     ]  # fmt: skip
-    return [*found, ("without data", metres(line.missing), "")] if line.missing else found
+    return (
+        [
+            *found,
+            ("without data", metres(line.missing), f", bridged by {metres(line.bridged)} of the length on the ground"),
+        ]
+        if line.missing
+        else found
+    )
 
 
 def _area(area: Area) -> list[Row]:
