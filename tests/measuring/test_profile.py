@@ -158,7 +158,7 @@ def test_at_and_rows_are_exact():
     assert len(rows) == math.ceil(found.distance[-1] / 7.0) + 1
     for row in rows[::9]:
         at = terrain.grid.index(row["easting"], row["northing"])
-        assert row["height_m"] == pytest.approx(float(brute._height(terrain.heights, *at)), abs=1e-6)
+        assert row["surface_height_m"] == pytest.approx(float(brute._height(terrain.heights, *at)), abs=1e-6)
     assert rows[-1]["ground_m"] == pytest.approx(found.length)
     with pytest.raises(UsageError, match="positive"):
         found.rows(every=0)
@@ -175,10 +175,13 @@ def test_the_table_reads_back(tmp_path):
     found.save_csv(tmp_path / "p.csv")
     with (tmp_path / "p.csv").open(encoding="utf-8") as file:
         table = list(csv.DictReader(file))
-    assert list(table[0]) == ["distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m"]
+    names = ["distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m", "surface_height_m"]
+    assert list(table[0]) == names
     assert len(table) == len(found.heights)
     z = np.array([float(r["height_m"] or "nan") for r in table])
     np.testing.assert_allclose(z, found.heights, atol=6e-4)
+    surface = np.array([float(r["surface_height_m"] or "nan") for r in table])
+    np.testing.assert_allclose(surface, found.surface_heights, atol=6e-4)
     assert np.isnan(z).any()
     np.testing.assert_allclose([float(r["longitude"]) for r in table], found.lonlat[:, 0], atol=1e-8)
     with pytest.raises(OutputError, match="folder"):
@@ -193,7 +196,7 @@ def test_a_store_gives_the_same_and_is_read_by_tiles(tmp_path, monkeypatch):
     read, windows = stored.read, []
     monkeypatch.setattr(stored, "read", lambda *w: windows.append(w) or read(*w))
     a, b = profile(memory, line), profile(stored, line)
-    assert a.length == b.length and (a.heights == b.heights).all()
+    assert a.length == b.length and (a.surface_heights == b.surface_heights).all()
     assert len(windows) < 12 and all(w[2] - w[1] <= 257 and w[4] - w[3] <= 257 for w in windows)
 
 
@@ -238,7 +241,7 @@ def test_a_line_over_a_hole_is_never_shorter_than_straight_and_climbs_from_end_t
         bridged += found.bridged > 0
         if found.straight is not None:
             assert found.length >= found.straight * (1 - 1e-12)
-            rise = found.heights[-1] - found.heights[0]
+            rise = found.surface_heights[-1] - found.surface_heights[0]
             assert found.climb - found.descent == pytest.approx(rise, abs=1e-6)
     assert bridged > 5
 

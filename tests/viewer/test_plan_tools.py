@@ -58,7 +58,7 @@ def test_every_measurement_is_said(terrain):
     said = dict(rows("profile", measuring.profile(terrain, [a, b])))
     assert said["climb, descent"] == "+0.00 m, −0.00 m"
     assert said["horizontal"].endswith("m")
-    assert dict(rows("pick", measuring.place(terrain, a)))["height"] == "500.00 m"
+    assert dict(rows("pick", measuring.place(terrain, a)))["height"] == "500.000 m"
     assert "surface" in dict(rows("area", measuring.area(terrain, [a, b, c])))
     assert dict(rows("los", measuring.line_of_sight(terrain, a, b)))["visible"] == "yes"
     shed = measuring.viewshed(terrain, a, radius=500.0)

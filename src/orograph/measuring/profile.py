@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.measuring.ground import Line, line
+from orograph.measuring.ground import Line, line, own_heights
 from orograph.measuring.ground import heights as surface
 from orograph.measuring.places import Places, lift
 from orograph.output import Beside
@@ -37,7 +37,8 @@ Array = NDArray[np.float64]
 KNOT = 2000.0
 """Metres on the grid between places where the projection's stretch is looked up."""
 
-COLUMNS = ("distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m")
+COLUMNS = ("distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m",
+           "surface_height_m")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Profile:
 
     Attributes:
         points: (n, 2) easting, northing.
-        heights: (n,) metres, NaN over holes.
+        surface_heights: (n,) metres, of the surface that is drawn; NaN over holes.
         distance: (n,) metres from the start along the line, true, on the ellipsoid.
         ground: (n,) metres from the start along the surface, true; holes are bridged from rim to rim.
         known: (n − 1,) whether there is ground between a place and the next.
@@ -59,7 +60,7 @@ class Profile:
     """
 
     points: Array
-    heights: Array
+    surface_heights: Array
     distance: Array
     ground: Array
     known: NDArray[np.bool_]
@@ -89,6 +90,11 @@ class Profile:
         """(n, 2) longitude and latitude of the places, degrees; None without a CRS."""
         return self.places.lonlat(self.points)
 
+    @cached_property
+    def heights(self) -> Array:
+        """(n,) metres at the places, bilinear between the samples that the terrain was made of (``own_heights``)."""
+        return own_heights(self.places.terrain, self.points)
+
     @property
     def lowest(self) -> float | None:
         """The lowest ground on the line, metres; None if there is none."""
@@ -100,7 +106,8 @@ class Profile:
         return None if np.isnan(self.heights).all() else float(np.nanmax(self.heights))
 
     def at(self, distance: ArrayLike) -> tuple[Array, Array, Array]:
-        """Points (k, 2), heights (k,) and ground (k,) at distances (k,) along the line; exact: it is straight between.
+        """Points (k, 2), surface heights (k,) and ground (k,) at distances (k,) along the line; exact: the surface is
+        straight between its places.
 
         Raises:
             UsageError: a distance is not on the line.
@@ -112,26 +119,27 @@ class Profile:
         gap = self.distance[i + 1] - self.distance[i]
         f = np.divide(s - self.distance[i], gap, out=np.zeros_like(s), where=gap > 0)
         ends = f <= 0, f >= 1
-        heights = (1 - f) * self.heights[i] + f * self.heights[i + 1]
+        heights = (1 - f) * self.surface_heights[i] + f * self.surface_heights[i + 1]
         heights[~self.known[i]] = np.nan
         for exact, k in zip(ends, (0, 1)):  # a place itself may be on the rim of a hole
-            heights[exact] = self.heights[i + k][exact]
+            heights[exact] = self.surface_heights[i + k][exact]
         points = (1 - f)[:, None] * self.points[i] + f[:, None] * self.points[i + 1]
         return points, heights, (1 - f) * self.ground[i] + f * self.ground[i + 1]
 
     def rows(self, every: float | None = None) -> list[dict[str, float | None]]:
         """The profile as records of ``COLUMNS``: at every crossing, or every so many metres (and at the end)."""
-        distance, points, heights, ground = self.distance, self.points, self.heights, self.ground
+        distance, points, surface, ground = self.distance, self.points, self.surface_heights, self.ground
         if every is not None:
             if not (every > 0 and math.isfinite(every)):
                 raise UsageError(f"The distance between places is a positive number of metres, not {every!r}.")
             if self.distance[-1] / every > 1e7:
                 raise UsageError(f"A place every {every:g} m would be more than ten million places.")
             distance = np.append(np.arange(0.0, self.distance[-1], every), self.distance[-1])
-            points, heights, ground = self.at(distance)
+            points, surface, ground = self.at(distance)
+        own = self.heights if every is None else own_heights(self.places.terrain, points)
         degrees = self.places.lonlat(points)
         lonlat = np.full((len(points), 2), np.nan) if degrees is None else degrees
-        table = np.column_stack([distance, ground, points, lonlat, heights])
+        table = np.column_stack([distance, ground, points, lonlat, own, surface])
         return [dict(zip(COLUMNS, (None if math.isnan(v) else float(v) for v in row))) for row in table]
 
     def save_csv(self, path: str | os.PathLike[str], every: float | None = None) -> None:
@@ -140,7 +148,7 @@ class Profile:
         Raises:
             OutputError: it cannot be written.
         """
-        places = (3, 3, 4, 4, 8, 8, 3)
+        places = (3, 3, 4, 4, 8, 8, 3, 3)
         with Beside(Path(path)) as part, part.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(COLUMNS)

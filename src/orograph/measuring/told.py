@@ -41,7 +41,8 @@ def lines(result: Hit | Profile | Area | Sight) -> list[Row]:
 
 def _hit(hit: Hit) -> list[Row]:
     found = place(hit.longitude, hit.latitude, hit.easting, hit.northing)
-    found.append(("height", metres(hit.height) if hit.height is not None else "no data here", ""))
+    for name, height in (("height", hit.height), ("of the surface", hit.surface_height)):
+        found.append((name, metres(height, 3) if height is not None else "no data here", ""))
     if hit.slope is not None:
         aspect = "level" if hit.aspect is None else f"{hit.aspect:.1f}° grid, {hit.true_aspect:.1f}° true"
         found += [("slope", f"{hit.slope:.2f}°", ""), ("aspect", aspect, "")]

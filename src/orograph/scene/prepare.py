@@ -99,10 +99,11 @@ def prepare(
 
 
 def _told(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
-    """The terrain, after saying what is doubtful about the heights of its files."""
+    """The terrain with its files' samples, after saying what is doubtful about the heights of these."""
     from orograph.dem.inspect import doubtful_heights
     from orograph.dem.source import Source
 
+    terrain.samples = mosaic
     low, high = terrain.height_range
     said: set[str] = set()
     every = -(-len(mosaic.sources) // 64)  # of many files some are read

@@ -317,7 +317,7 @@ class Tools:
     def _plot(self) -> None:
         """Heights along the line; the cursor on the plot shows its place on the ground."""
         profile = self.result.profile if self.kind == "los" else self.result
-        x, z = profile.distance / 1000.0, profile.heights
+        x, z = profile.distance / 1000.0, profile.surface_heights
         if not np.isfinite(z).any():
             return
         low, high = float(np.nanmin(z)), float(np.nanmax(z))
