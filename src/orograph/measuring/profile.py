@@ -214,7 +214,7 @@ def profile(terrain: Terrain, polyline: ArrayLike) -> Profile:
         np.concatenate(points), z, distance, np.append(0.0, np.cumsum(foot)), known,
         np.append(0, np.cumsum([len(part) for part in flat])), float(np.hypot(*np.diff(given, axis=0).T).sum()),
         float(np.hypot(across_grid, rise).sum()), straight, _geodesic(places, given), float(rise[rise > 0].sum()),
-        float(-rise[rise < 0].sum()), float(across[~known].sum()), float(foot[~known].sum()), places,
+        float((-rise[rise < 0]).sum()), float(across[~known].sum()), float(foot[~known].sum()), places,
     )  # fmt: skip
 
 
