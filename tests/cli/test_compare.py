@@ -50,6 +50,15 @@ def test_the_table_and_its_json(run, hilly, tmp_path):
     assert "\x1b" not in said  # no colours on a pipe
 
 
+def test_the_overview_is_the_default_camera_of_tessellate(run, hilly, tmp_path):
+    size = ("--size", "160x90", "--quiet")
+    code, said, err = run("compare", hilly, *of("soar"), "--json", "-", *size)
+    assert code == 0, err
+    code, mesh, err = run("tessellate", hilly, "-o", tmp_path / "m.npz", "--json", *size)
+    assert code == 0, err
+    assert json.loads(said)["views"]["overview"] == json.loads(mesh)["view"]
+
+
 def test_every_method_keeps_its_promise(run, hilly):
     code, said, _ = run("compare", hilly, "--tolerance", 2, "--json", "-", *SMALL)
     told = json.loads(said)

@@ -21,6 +21,7 @@ def runner() -> Iterator[CliRunner]:
 def test_it_tells_the_same_in_words_and_as_json(runner: CliRunner) -> None:
     facts = json.loads(runner.invoke(doctor.command, ["--json"]).output)
     words = runner.invoke(doctor.command, []).output
+    assert facts["cache_limit_gib"] == 20 and "of at most 20 GiB (OROGRAPH_CACHE_SIZE)" in words
     assert facts["cache"] in words and facts["python"] == ".".join(map(str, sys.version_info[:3]))
     for adapter in facts["adapters"]:
         assert adapter["name"] in words

@@ -142,7 +142,7 @@ def test_a_store_measures_the_same(run, hilly, measured, tmp_path):
     ("args", "code", "says"),
     [
         (("pick",), 2, "Give a point"),
-        (("pick", "1,2"), 2, "not on hilly"),
+        (("pick", "1,2"), 2, "km south of hilly"),
         (("pick", "--lonlat", "36.1,-117"), 2, "Longitude comes first"),
         (("pick", "1;2"), 2, "X,Y"),
         (("pick", A, "--heigth"), 2, "no option '--heigth'"),

@@ -494,6 +494,20 @@ def test_large_dems_are_kept(run, tmp_path, monkeypatch):
     assert len(list(cache.glob("*.oro"))) == 2
 
 
+def test_the_cache_keeps_within_its_size(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("orograph.scene.prepare.EXACT_SAMPLES", 10_000)
+    monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path / "cache"))
+    first, second = (write(tmp_path / f"{name}.tif", hills(300, 400)) for name in "ab")
+    assert run("render", first, "-o", tmp_path / "a.png", *SMALL)[0] == 0
+    (kept,) = (tmp_path / "cache").glob("*.oro")
+    monkeypatch.setenv("OROGRAPH_CACHE_SIZE", "1KB")
+    assert run("render", second, "-o", tmp_path / "b.png", *SMALL)[0] == 0
+    (left,) = (tmp_path / "cache").glob("*.oro")  # the one that was drawn
+    assert left != kept
+    monkeypatch.setenv("OROGRAPH_CACHE_SIZE", "much")
+    refused(run("render", first, "-o", tmp_path / "a.png", *SMALL), 2, "OROGRAPH_CACHE_SIZE")
+
+
 def test_a_cache_that_cannot_be(run, tmp_path, monkeypatch):
     monkeypatch.setattr("orograph.scene.prepare.EXACT_SAMPLES", 10_000)
     (tmp_path / "file").write_text("")

@@ -90,6 +90,35 @@ def test_a_small_level_area_of_a_plain_needs_banks_on_most_sides(banks, is_lake)
     assert find_water(np.where(heights == 1084, np.float32(1083.75), heights), 80.0).any()  # no plain's height
 
 
+def city(base=150.0):
+    """Rolling ground clipped at a height from below, metres apart, with houses on it; and where houses stand."""
+    rng = np.random.default_rng(7)
+    y, x = np.mgrid[:300, :340]
+    heights = base + 4 * np.sin(x / 70) * np.cos(y / 60) - 2.5
+    houses = np.zeros(heights.shape, bool)
+    for r, c in rng.integers(5, 280, (70, 2)):
+        houses[r : r + 14, c : c + 10] = True
+        heights[r : r + 14, c : c + 10] = base + rng.uniform(4, 20)
+    return np.maximum(heights, base).astype(np.float32), houses
+
+
+def test_ground_of_a_city_clipped_at_a_round_height_is_no_lake():
+    heights, _ = city()
+    assert (heights == 150).mean() > 0.5
+    assert not find_water(heights, 1.0).any()
+    low = heights.copy()
+    low[150:200, 100:160] = 141.37  # a basin in it is the lowest, and water
+    found = find_water(low, 1.0)
+    assert found[150:200, 100:160].all()
+
+
+def test_a_lake_at_a_round_height_is_water():
+    y, x = np.mgrid[:200, :200] - 100.0
+    bowl = 150 + np.maximum(np.hypot(x, y) - 50, 0) * 0.3  # banks of 17°
+    assert find_water(bowl.astype(np.float32), 1.0)[70:130, 70:130].all()
+    assert find_water(bowl.astype(np.float32) + 0.37, 1.0)[70:130, 70:130].all()
+
+
 def test_dry_owens_lake_is_dry_and_reservoirs_are_not(shared_data):
     from orograph.dem.mosaic import Mosaic
 
@@ -123,6 +152,7 @@ class Pyramid:
             padded[: self.means[-1].shape[0], : self.means[-1].shape[1]] = self.means[-1]
             self.means.append(np.nanmean(padded.reshape(rows, 2, cols, 2), axis=(1, 3)).astype(np.float32))
         self.levels = levels
+        self.height_range = float(np.nanmin(heights)), float(np.nanmax(heights))
 
     def mean_shape(self, level):
         return self.means[level].shape
@@ -160,7 +190,7 @@ def test_what_only_looks_like_a_lake_in_part_is_none():
     heights = lake_and_pan()
     part = heights[:, 150:215].copy()  # the wall's end of the pan
     cut = (False, False, True, True)
-    verdict, open_area, verdicts = judge(part, 30.0, cut)
+    verdict, open_area, verdicts = judge(part, 30.0, cut, np.nan)
     assert (verdict == 0).all() and open_area.max() == 2
     assert (open_area[61:159, 51:] == 1).all() and (open_area[241:339, 51:] == 2).all()
     assert list(verdicts) == [0, 1, 1]  # by what is seen of it, a lake

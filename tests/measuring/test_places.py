@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from affine import Affine
-from closed_forms import terrain_of
+from closed_forms import ROTATED, terrain_of
 from pyproj import CRS, Proj
 
 from orograph.errors import UsageError
@@ -84,11 +86,37 @@ def test_points_beyond_the_last_samples_are_refused_but_not_for_rounding():
     places = Places(terrain_of(FLAT, crs="EPSG:32611"))
     east, south = 500_015 + 49 * 30, 3_999_985 - 39 * 30
     np.testing.assert_allclose(places.samples(np.array([[east + 1e-6, south - 1e-6]])), [[49, 39]], atol=0)
-    with pytest.raises(UsageError, match=r"not on ground.*longitudes -117.*easting, northing"):
+    with pytest.raises(UsageError, match=r"1 m east of ground.*longitudes -117.*easting, northing"):
         places.points((east + 1, south))
     for wrong in [(1.0,), (1.0, 2.0, 3.0), (np.nan, 0.0), ("a", "b"), "east"]:
         with pytest.raises(UsageError, match="easting and northing"):
             places.points(wrong)
+
+
+@pytest.mark.parametrize(
+    ("step", "said"), [((35, 0), "35 m east of"), ((-0.25, 0), "0.25 m west of"), ((0, 12.5), "12.5 m north of"),
+                       ((20, -3), "20 m east and 3 m south of")],
+)  # fmt: skip
+def test_a_point_outside_is_told_how_far_and_the_nearest_point_inside_is_taken(step, said):
+    places = Places(terrain_of(FLAT, crs="EPSG:32611"))
+    corner = np.array([500_015 + 49 * 30 if step[0] > 0 else 500_015, 3_999_985 - (39 * 30 if step[1] < 0 else 0)])
+    point = corner + step
+    with pytest.raises(UsageError) as refused:
+        places.points(point)
+    assert f"{said} ground" in str(refused.value)
+    nearest = re.search(r"nearest point of it is (\S+?),(\S+) \(longitude (\S+), latitude (\S+)\)", refused.value.what)
+    inside = np.array([float(nearest[1]), float(nearest[2])])
+    np.testing.assert_allclose(inside, corner, atol=0.02)
+    places.points(inside)
+    places.points(places.of_lonlat((float(nearest[3]), float(nearest[4]))))
+
+
+def test_outside_of_a_turned_grid_is_told_along_both_axes():
+    places = Places(terrain_of(FLAT, ROTATED))
+    edge = np.stack(places.grid.xy(49.0, 20.0))
+    away = edge + 10.0 * np.array([np.cos(np.radians(25)), np.sin(np.radians(25))])
+    with pytest.raises(UsageError, match=r"9\.06\d* m east and 4\.22\d* m north of ground"):
+        places.points(away)
 
 
 def test_degrees_need_a_crs_and_a_place():

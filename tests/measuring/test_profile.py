@@ -141,12 +141,14 @@ def test_holes_are_told_not_bridged():
     h = np.zeros((20, 20), np.float32)
     h[:, 8:12] = np.nan
     found = profile(terrain_of(h), [(500_045, 3_999_700), (500_555, 3_999_700)])
-    assert found.missing == pytest.approx(5 * 30) and found.length == pytest.approx(510 - 150)
+    assert found.missing == pytest.approx(5 * 30) and found.length == pytest.approx(510)
+    assert found.bridged == pytest.approx(150)
     assert found.straight == pytest.approx(510) and np.isnan(found.heights).any() and found.lowest == 0
     _, heights, ground = found.at([100, 500_255 - 500_045 + 75])
-    assert heights[0] == 0 and math.isnan(heights[1]) and ground[1] == pytest.approx(7 * 30 - 30)
+    assert heights[0] == 0 and math.isnan(heights[1]) and ground[1] == pytest.approx(285)
     inside = profile(terrain_of(h), [(500_300, 3_999_700), (500_320, 3_999_700)])
-    assert inside.straight is None and inside.lowest is None and inside.length == 0
+    assert inside.straight is None and inside.lowest is None
+    assert inside.length == inside.bridged == pytest.approx(20)
 
 
 def test_at_and_rows_are_exact():
@@ -156,7 +158,7 @@ def test_at_and_rows_are_exact():
     assert len(rows) == math.ceil(found.distance[-1] / 7.0) + 1
     for row in rows[::9]:
         at = terrain.grid.index(row["easting"], row["northing"])
-        assert row["height_m"] == pytest.approx(float(brute._height(terrain.heights, *at)), abs=1e-6)
+        assert row["surface_height_m"] == pytest.approx(float(brute._height(terrain.heights, *at)), abs=1e-6)
     assert rows[-1]["ground_m"] == pytest.approx(found.length)
     with pytest.raises(UsageError, match="positive"):
         found.rows(every=0)
@@ -173,10 +175,13 @@ def test_the_table_reads_back(tmp_path):
     found.save_csv(tmp_path / "p.csv")
     with (tmp_path / "p.csv").open(encoding="utf-8") as file:
         table = list(csv.DictReader(file))
-    assert list(table[0]) == ["distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m"]
+    names = ["distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m", "surface_height_m"]
+    assert list(table[0]) == names
     assert len(table) == len(found.heights)
     z = np.array([float(r["height_m"] or "nan") for r in table])
     np.testing.assert_allclose(z, found.heights, atol=6e-4)
+    surface = np.array([float(r["surface_height_m"] or "nan") for r in table])
+    np.testing.assert_allclose(surface, found.surface_heights, atol=6e-4)
     assert np.isnan(z).any()
     np.testing.assert_allclose([float(r["longitude"]) for r in table], found.lonlat[:, 0], atol=1e-8)
     with pytest.raises(OutputError, match="folder"):
@@ -191,7 +196,7 @@ def test_a_store_gives_the_same_and_is_read_by_tiles(tmp_path, monkeypatch):
     read, windows = stored.read, []
     monkeypatch.setattr(stored, "read", lambda *w: windows.append(w) or read(*w))
     a, b = profile(memory, line), profile(stored, line)
-    assert a.length == b.length and (a.heights == b.heights).all()
+    assert a.length == b.length and (a.surface_heights == b.surface_heights).all()
     assert len(windows) < 12 and all(w[2] - w[1] <= 257 and w[4] - w[3] <= 257 for w in windows)
 
 
@@ -200,10 +205,50 @@ def test_a_store_gives_the_same_and_is_read_by_tiles(tmp_path, monkeypatch):
     [
         ([(500_100, 3_999_900)], "at least 2 points"),
         ([(500_100, 3_999_900)] * 3, "no length"),
-        ([(500_100, 3_999_900), (499_000, 3_999_900)], "not on ground"),
+        ([(500_100, 3_999_900), (499_000, 3_999_900)], "1015 m west of ground"),
         ([(500_100, 3_999_900), (math.inf, 3_999_900)], "finite"),
     ],
 )
 def test_what_is_no_line_is_refused(line, says):
     with pytest.raises(UsageError, match=says):
         profile(ROUGH[SQUARE], line)
+
+
+@pytest.mark.parametrize("crs", [None, "EPSG:32611"])
+def test_a_hole_in_a_plane_changes_no_length_and_says_what_is_bridged(crs):
+    def plane(x, y):
+        return 300 + 0.4 * (x - 500_000) - 0.3 * (y - 4_000_000)
+
+    whole = of_function((30, 40), plane, crs=crs)
+    h = whole.read(0, 0, 30, 0, 40).copy()
+    h[8:15, 10:22] = np.nan
+    route = [(500_050, 3_999_950), (500_480, 3_999_640), (500_900, 3_999_300)]  # a corner lies in the hole
+    full, holed = profile(whole, route), profile(terrain_of(h, crs=crs), route)
+    assert holed.missing > 200 and holed.bridged / holed.missing > 1.05
+    for name in ("length", "ground_grid", "straight", "climb", "descent"):
+        assert getattr(holed, name) == pytest.approx(getattr(full, name), rel=1e-7), name
+    assert full.bridged == full.missing == 0
+
+
+def test_a_line_over_a_hole_is_never_shorter_than_straight_and_climbs_from_end_to_end():
+    h = rough((40, 50), 3, holes=True)
+    terrain = terrain_of(h, crs="EPSG:32611")
+    rng = np.random.default_rng(1)
+    bridged = 0
+    for _ in range(40):
+        ends = np.stack(terrain.grid.xy(rng.uniform(0, 49, 2), rng.uniform(0, 39, 2)), axis=-1)
+        found = profile(terrain, ends)
+        bridged += found.bridged > 0
+        if found.straight is not None:
+            assert found.length >= found.straight * (1 - 1e-12)
+            rise = found.surface_heights[-1] - found.surface_heights[0]
+            assert found.climb - found.descent == pytest.approx(rise, abs=1e-6)
+    assert bridged > 5
+
+
+def test_at_a_hole_at_the_end_of_a_line_the_bridge_is_level():
+    h = np.full((20, 30), 100.0, np.float32)
+    h[:, 20:] = np.nan
+    found = profile(terrain_of(h), [(500_015, 3_999_900), (500_015 + 25 * 30, 3_999_900)])
+    assert found.bridged == found.missing == pytest.approx(6 * 30)
+    assert found.length == pytest.approx(25 * 30) and found.straight is None

@@ -236,7 +236,7 @@ def test_nonsense_is_refused():
     at = terrain.grid.xy(12.0, 12.0)
     for point, options, says in (
         (terrain.grid.xy(6.5, 6.5), {}, "in a hole"),
-        ((0, 0), {}, "not on ground"),
+        ((0, 0), {}, "of ground, whose surface"),
         (at, {"eye_height": -1.0}, "eye's height"),
         (at, {"radius": 0.0}, "radius"),
         (at, {"refraction": 2.0}, "refraction"),

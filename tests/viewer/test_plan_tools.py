@@ -9,13 +9,14 @@ import pytest
 import rasterio
 
 from orograph import measuring
+from orograph.measuring.told import lines
 from orograph.scene.prepare import prepare
 from orograph.viewpoint import View
 
 pytest.importorskip("imgui_bundle")
 
 from orograph.viewer.plan import AROUND, centred, footprint
-from orograph.viewer.results import paint, rows, save_rgba
+from orograph.viewer.results import KINDS, paint, rows, save_rgba
 
 
 @pytest.fixture(scope="module")
@@ -54,15 +55,30 @@ def test_moving_sideways():
 def test_every_measurement_is_said(terrain):
     x, y = (float(v) for v in terrain.grid.xy(100.0, 150.0))
     a, b, c = (x, y), (x + 900.0, y), (x, y - 900.0)
-    said = dict(rows("line", measuring.profile(terrain, [a, b])))
-    assert said["climb, descent"] == "0 m, 0 m"
-    assert said["on the map"].endswith("m")
-    assert dict(rows("place", measuring.place(terrain, a)))["height"] == "500.00 m"
+    said = dict(rows("profile", measuring.profile(terrain, [a, b])))
+    assert said["climb, descent"] == "+0.00 m, −0.00 m"
+    assert said["horizontal"].endswith("m")
+    assert dict(rows("pick", measuring.place(terrain, a)))["height"] == "500.000 m"
     assert "surface" in dict(rows("area", measuring.area(terrain, [a, b, c])))
-    assert dict(rows("sight", measuring.line_of_sight(terrain, a, b)))["seen"] == "yes"
+    assert dict(rows("los", measuring.line_of_sight(terrain, a, b)))["visible"] == "yes"
     shed = measuring.viewshed(terrain, a, radius=500.0)
     values = shed.values()
     assert dict(rows("viewshed", (shed, values, None)))["seen"].startswith("100.0%")
+
+
+def test_the_window_calls_its_tools_and_what_they_tell_as_the_command_line_does(terrain):
+    from orograph.cli import measure
+
+    assert tuple(measure.command.commands) == KINDS
+    x, y = (float(v) for v in terrain.grid.xy(100.0, 150.0))
+    a, b, c = (x, y), (x + 900.0, y), (x, y - 900.0)
+    found = {
+        "pick": measuring.place(terrain, a), "profile": measuring.profile(terrain, [a, b]),
+        "area": measuring.area(terrain, [a, b, c]), "los": measuring.line_of_sight(terrain, a, b),
+    }  # fmt: skip
+    for kind, result in found.items():
+        told = {name: value for name, value, _ in lines(result)}
+        assert dict(rows(kind, result)) == told, kind
 
 
 def test_a_painted_viewshed_lies_where_it_was_seen(tmp_path, terrain):

@@ -31,7 +31,7 @@ def places(terrain, n=200):
 def test_the_ground_is_the_surface(terrain):
     probe = Probe(terrain)
     for x, y in places(terrain):
-        assert probe.ground(x, y) == pytest.approx(measuring.place(terrain, (x, y)).height, abs=1e-3)
+        assert probe.ground(x, y) == pytest.approx(measuring.place(terrain, (x, y)).surface_height, abs=1e-3)
     west, south, *_ = terrain.grid.bounds()
     assert np.isnan(probe.ground(west - 100, south))
     probe.close()

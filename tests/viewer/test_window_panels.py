@@ -69,7 +69,7 @@ def test_measuring(window, hand):
     assert tools.result.mean_height == pytest.approx(PLAIN, abs=0.01)
     hand.key("Backspace")
     assert len(tools.points) == 2
-    tools.choose("sight")
+    tools.choose("los")
     hand.click(300, 330)
     hand.click(300, 350)
     hand.until(lambda: tools.result is not None)

@@ -12,29 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from orograph.cli import refining
 from orograph.cli.camera import Size
-from orograph.cli.files import check_outputs
-from orograph.cli.options import (
-    FILE,
-    Float,
-    grid_options,
-    jobs_option,
-    memory_option,
-    progress_of,
-    source_options,
-    vertical_options,
-)
-from orograph.cli.refining import (
-    REFINE,
-    check_colors,
-    choice_of,
-    error_kinds,
-    goal_of,
-    goal_options,
-    make_method,
-    method_option,
-    not_enough,
-)
+from orograph.cli.options import FILE, progress_of
 from orograph.documents import parse
 from orograph.errors import OrographError, ReadError, UsageError
 from orograph.lod.registry import METHODS
@@ -46,9 +26,6 @@ if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
     from orograph.verify.measure import Measurement
     from orograph.viewpoint import View
-
-OWN = {*REFINE, "exaggeration"}
-"""What is said about the meshes; all other options are about reading."""
 
 JUDGED = 12
 """Frames of a flight that the referee sees unless more are asked for."""
@@ -71,14 +48,11 @@ JUDGED = 12
     metavar="FILE",
     help='Frame by frame instead: {"fps": 60, "seconds": 5, "keys": [{"time": 0, "eye": …, "target": …}, …]}.',
 )
-@method_option("Which; can be given several times.", multiple=True)
+@refining.method_option("Which; can be given several times.", multiple=True)
 @click.option(
     "--methods", "every", type=click.Choice(["all"]), help="All methods, besides those of --method.  [default]"
 )
-@goal_options
-@click.option(
-    "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
-)
+@refining.goal_options
 @click.option("--size", type=Size(), help="The views' size in pixels.  [default: 1280x720, or the files']")
 @click.option(
     "--judged",
@@ -90,11 +64,7 @@ JUDGED = 12
     "--json", "json_path", metavar="OUT|-", help="Write the table as JSON; - is stdout, in place of the text."
 )
 @click.option("--picture", type=FILE, metavar="OUT.png", help="Draw the first view's meshes side by side.")
-@grid_options("work")
-@source_options
-@vertical_options
-@memory_option
-@jobs_option
+@refining.terrain_options("work")
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], views_path: str | None, flight_path: str | None,
@@ -121,32 +91,24 @@ def command(
     if judged is not None and flight_path is None:
         raise UsageError("--judged is about the frames of a --flight; separate views are all judged.")
     json_file = None if json_path in (None, "-") else json_path
-    check_outputs(
-        {"--json": json_file, "--picture": picture},
-        {"the input": paths, "the image of --drape": [options["drape"]], "the file of --views": [views_path],
-         "the file of --flight": [flight_path], "the grid of --geoid": [options["geoid"]]},
-    )  # fmt: skip
-    source = {k: v for k, v in options.items() if k not in OWN}
-    if source["band"] == 1:
-        source["band"] = None
+    refining.check_written(
+        {"--json": json_file, "--picture": picture}, paths, options, views=views_path, flight=flight_path
+    )
     with progress.task("Loading Orograph"):
         from orograph.lod.field import check_surface
         from orograph.output import Beside, check_folder
         from orograph.rendering.picture import picture_format
         from orograph.scene.parts import check_exaggeration
-        from orograph.scene.prepare import prepare
 
-        goal = goal_of(options, "tolerance", "triangles")
+        goal = refining.goal_of(options, "tolerance", "triangles")
         choices = _contenders(method, every is not None, options["conservative"], goal, progress)
-        check_colors(options, choices)
+        refining.check_colors(options, choices)
     check_exaggeration(options["exaggeration"])
     if picture is not None:
         picture_format(Path(picture))
     for file in filter(None, (json_file, picture)):
         check_folder(Path(file))
-    terrain = prepare(
-        list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=error_kinds(choices), **source
-    )
+    terrain = refining.terrain_of(paths, options, (), choices, max_memory, jobs, progress)
     check_surface(terrain)
     views = _views(terrain, views_path, flight_path, size, options["exaggeration"])
 
@@ -155,7 +117,7 @@ def command(
     found: dict[str, Measurement] = {}
     for choice in choices:
         with progress.task(str(choice), total=len(views)) as task:
-            made = make_method(choice, terrain, options, max_memory, jobs, progress)
+            made = refining.make_method(choice, terrain, options, max_memory, jobs, progress)
             about: dict[str, Any] = {"exaggeration": options["exaggeration"], "jobs": jobs, "task": task}
             if flight_path is None:
                 found[str(choice)] = measure_views(made, terrain, list(views.values()), goal, **about)
@@ -166,7 +128,7 @@ def command(
             made.close()
     for label, m in found.items():
         if m.beyond is not None and goal.triangles is not None:
-            progress.warn(not_enough(goal.triangles, label, m.beyond))
+            progress.warn(refining.not_enough(goal.triangles, label, m.beyond))
     if picture is not None:
         drawn = [choice for choice in choices if choice.info.kind != "rays"]
         _draw(Path(picture), terrain, next(iter(views.values())), drawn, goal, options, max_memory, jobs, progress)
@@ -204,13 +166,13 @@ def _contenders(
     found: dict[str, Choice] = {}
     if every or not given:
         for name in METHODS:
-            choice = choice_of(name, conservative)
+            choice = refining.choice_of(name, conservative)
             if goal.name in choice.info.goals:
                 found[str(choice)] = choice
             else:
                 progress.note(f"{name} cannot aim at {goal.name} and is left out.")
     for text in given:
-        choice = choice_of(text, conservative)
+        choice = refining.choice_of(text, conservative)
         choice.info.check_goal(goal.name)
         found[str(choice)] = choice
     return list(found.values())
@@ -279,7 +241,7 @@ def _draw(
     panels = []
     with progress.task("Drawing the meshes") as task:
         for choice in choices:
-            selection = make_method(choice, terrain, options, max_memory, jobs, progress).select(
+            selection = refining.make_method(choice, terrain, options, max_memory, jobs, progress).select(
                 Camera.over(terrain.grid, view, options["exaggeration"]), goal
             )
             mesh = selection.tessellation()

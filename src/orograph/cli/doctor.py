@@ -70,12 +70,17 @@ def command(as_json: bool) -> None:
         click.echo(f"  {facts['numcodecs']}")
     click.echo(f"Screen\n  {facts['screen']}")
     click.echo(f"Kept stores\n  {facts['cache']} ({facts['cache_free_gib']} GiB free)")
+    click.echo(
+        f"  {facts['cache_used_gib']:g} GiB of at most {facts['cache_limit_gib']:g} GiB (OROGRAPH_CACHE_SIZE); "
+        "what was used longest ago goes first"
+    )
 
 
 def examine() -> Facts:
     """All of it, as JSON can hold it."""
-    from orograph.folders import cache_folder
+    from orograph.folders import cache_folder, cache_limit
     from orograph.parallel import cpu_count
+    from orograph.store.kept import entries
 
     folder = cache_folder()
     place = folder
@@ -92,6 +97,8 @@ def examine() -> Facts:
         "screen": _screen(),
         "cache": str(folder),
         "cache_free_gib": round(shutil.disk_usage(place).free / 2**30, 1),
+        "cache_used_gib": round(sum(entry.size for entry in entries(folder)) / 2**30, 3),
+        "cache_limit_gib": round(cache_limit() / 2**30, 3),
     }
     facts["adapters"], facts["gpu"] = _gpu()
     return facts

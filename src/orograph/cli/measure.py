@@ -14,11 +14,9 @@ from orograph.cli.measuring import (
     Point,
     check_points,
     kinds,
-    metres,
     on_terrain,
     opened,
     output_option,
-    place_of,
     points_option,
     sight_options,
     tell,
@@ -124,16 +122,7 @@ def pick(
             if found is None:
                 raise UsageError(f"There is no ground at pixel {x:g},{y:g}: sky, or no data.")
             hits.append(found)
-    lines: list[tuple[str, str]] = []
-    for hit in hits:
-        lines.append(("place", place_of(hit.longitude, hit.latitude, hit.easting, hit.northing)))
-        lines.append(("height", metres(hit.height) if hit.height is not None else "no data here"))
-        if hit.slope is not None:
-            aspect = "level" if hit.aspect is None else f"{hit.aspect:.1f}° grid, {hit.true_aspect:.1f}° true"
-            lines += [("slope", f"{hit.slope:.2f}°"), ("aspect", aspect)]
-        if hit.distance is not None:
-            lines.append(("from the eye", metres(hit.distance)))
-    tell(ctx, terrain, {"places": [hit.to_dict() for hit in hits]}, lines, as_json)
+    tell(ctx, terrain, {"places": [hit.to_dict() for hit in hits]}, hits, as_json)
 
 
 @command.command("profile", context_settings=POINTS, short_help="Lengths, climb and descent along a line.")
@@ -174,16 +163,7 @@ def profile(
                 from orograph.measuring.plot import save_profile
 
                 save_profile(found, path)
-    lines = [
-        ("on the ground", metres(found.length)), ("straight", metres(found.straight)),
-        ("horizontal", f"{metres(float(found.distance[-1]))}, on the grid {metres(found.grid)} (scale "
-         f"{found.scale:.6f})"),
-        ("geodesic", metres(found.geodesic)), ("climb, descent", f"+{metres(found.climb)}, −{metres(found.descent)}"),
-        ("lowest, highest", f"{metres(found.lowest)}, {metres(found.highest)}"),
-    ]  # fmt: skip
-    if found.missing:
-        lines.append(("without data", metres(found.missing)))
-    tell(ctx, terrain, found.to_dict(), lines, as_json, outputs)
+    tell(ctx, terrain, found.to_dict(), [found], as_json, outputs)
 
 
 @command.command("area", context_settings=POINTS)
@@ -214,20 +194,7 @@ def area(
         rings = read_geojson(geojson, "Polygon", places)
     assert rings is not None
     found = measuring.area(terrain, rings, level=level, jobs=ctx.obj["jobs"], progress=progress_of(ctx))
-
-    def square(value: float) -> str:
-        return f"{value:,.1f} m²" + (f"  ({value / 1e6:,.4f} km²)" if value >= 1e5 else "")
-
-    lines = [
-        ("plan", f"{square(found.plan)}, on the grid {found.plan_grid:,.1f} m²"),
-        ("surface", f"{square(found.surface)}, on the grid {found.surface_grid:,.1f} m²"),
-        ("perimeter", metres(found.perimeter)), ("mean height", metres(found.mean_height)),
-    ]  # fmt: skip
-    if found.missing_grid:
-        lines.append(("without data", f"{found.missing_grid:,.1f} m² of the grid, in no surface"))
-    if found.above is not None:
-        lines += [(f"above {level:g} m", f"{found.above:,.1f} m³"), (f"below {level:g} m", f"{found.below:,.1f} m³")]
-    tell(ctx, terrain, found.to_dict(), lines, as_json)
+    tell(ctx, terrain, found.to_dict(), [found], as_json)
 
 
 @command.command("los", context_settings=POINTS)
@@ -258,17 +225,7 @@ def los(
                 from orograph.measuring.plot import save_sight
 
                 save_sight(found, path)
-    lines = [("visible", "yes" if found.visible else "no"),
-             ("distance", metres(float(found.profile.distance[-1])))]  # fmt: skip
-    if (mark := found.obstruction) is not None:
-        lines.append(("obstructed at", f"{metres(mark.distance)}, height {metres(mark.height)}"))
-        lines.append(("", place_of(mark.longitude, mark.latitude, mark.easting, mark.northing)))
-        lines.append(("target needs", f"{metres(found.needed)} above ground"))
-    if (mark := found.tightest) is not None:
-        lines.append(("least clearance", f"{metres(mark.clearance)} at {metres(mark.distance)}"))
-    if found.profile.missing:
-        lines.append(("without data", f"{metres(found.profile.missing)}, taken as hiding nothing"))
-    tell(ctx, terrain, found.to_dict(), lines, as_json, outputs)
+    tell(ctx, terrain, found.to_dict(), [found], as_json, outputs)
 
 
 @command.command("viewshed", context_settings=POINTS, short_help="What is seen of the terrain from a point.")
@@ -323,8 +280,9 @@ def viewshed(
     if picture is not None:
         summary = painted(terrain, shed, camera, picture, progress, ctx.obj["max_memory"], ctx.obj["jobs"])
         told |= summary
+    east, north = shed.point
     lines = [
-        ("from", f"{place_of(None, None, *shed.point)}, ground {metres(shed.ground)}, eye {metres(eye)} above"),
-        ("seen", f"{told['seen']:,} of {told['samples']:,} samples ({told['seen_fraction']:.1%})"),
+        ("from", f"{east:.2f}, {north:.2f}, ground {shed.ground:,.2f} m, eye {eye:,.2f} m above", ""),
+        ("seen", f"{told['seen']:,} of {told['samples']:,} samples ({told['seen_fraction']:.1%})", ""),
     ]  # fmt: skip
     tell(ctx, terrain, told, lines, as_json, tuple(filter(None, (output, picture))))

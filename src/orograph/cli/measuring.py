@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -112,30 +112,22 @@ def kinds(outputs: tuple[str, ...], plots: bool) -> None:
         check_plot(path)
 
 
-def tell(ctx: click.Context, terrain: Terrain, told: dict[str, Any], lines: list[tuple[str, str]], as_json: bool,
+def tell(ctx: click.Context, terrain: Terrain, told: dict[str, Any], results: Sequence[Any], as_json: bool,
          outputs: tuple[str, ...] = ()) -> None:  # fmt: skip
-    """Print the result: names and values in columns, or JSON."""
+    """Print measurements, or rows of ``measuring.told``: names and values in columns, or JSON."""
     if as_json:
         crs = terrain.grid.crs
         click.echo(json.dumps({"crs": crs.to_string() if crs else None, **told, "outputs": list(outputs)},
                               allow_nan=False))  # fmt: skip
         return
-    width = max(len(name) for name, _ in lines)
-    for name, value in lines:
-        click.echo(f"{name:<{width}}  {value}")
+    from orograph.measuring.told import lines
+
+    rows = [row for found in results for row in ([found] if isinstance(found, tuple) else lines(found))]
+    width = max(len(name) for name, _, _ in rows)
+    for name, value, aside in rows:
+        click.echo(f"{name:<{width}}  {value}{aside}")
     for path in outputs:
         click.echo(f"{'':<{width}}  {path}")
-
-
-def metres(value: float | None, digits: int = 2) -> str:
-    """A length for people."""
-    return "–" if value is None else f"{value:,.{digits}f} m"
-
-
-def place_of(lon: float | None, lat: float | None, east: float, north: float) -> str:
-    """A place for people."""
-    degrees = "" if lon is None or lat is None else f"   lon {lon:.6f}, lat {lat:.6f}"
-    return f"{east:.2f}, {north:.2f}{degrees}"
 
 
 def without(*names: str) -> Callable[[F], F]:

@@ -8,11 +8,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+from orograph.folders import parse_bytes
 
 if TYPE_CHECKING:
     from orograph.cli.progress import LineProgress
@@ -28,22 +29,8 @@ FILE = click.Path(dir_okay=False)
 DEFAULT_MEMORY = "1GiB"
 LEAST_MEMORY = 64 << 20
 MOST_JOBS = 1024
-_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 _VERTICALS = ("ellipsoidal", "orthometric")  # orograph.dem.undulation.DIRECTIONS
 _ENCODINGS = ("mapbox", "terrarium")  # orograph.dem.encode.ENCODINGS, without importing NumPy for --help
-
-
-def parse_bytes(text: str) -> int:
-    """Bytes in "1GiB", "512 MiB", "1.5G" (10^9) or "4096".
-
-    Raises:
-        ValueError: not a number with one of these units, or less than one byte.
-    """
-    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*([kmgt]i?)?b?\s*", text, re.IGNORECASE)
-    size = int(float(found[1]) * _UNITS[(found[2] or "").lower()]) if found else 0
-    if size < 1:
-        raise ValueError(f"{text!r} is not an amount of memory (write it like 1GiB, 512MiB or 2G)")
-    return size
 
 
 class Bytes(ParamType):

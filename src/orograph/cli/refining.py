@@ -1,18 +1,29 @@
 """Methods on the command line: ``--method NAME[,key=value…]``, what it is to reach, and the method they describe.
 
-``@method_option(…)`` gives a verb ``method`` and ``conservative``; ``@goal_options`` gives ``tolerance``, ``triangles``
-and ``drape`` (``REFINE``). ``choice_of`` reads a method once options are checked; ``make_method`` makes it once the
-terrain is known.
+``@method_option(…)`` gives a verb ``method`` and ``conservative``, ``@goal_options`` ``tolerance``, ``triangles``,
+``drape`` and ``exaggeration`` (all are ``REFINE``), ``@terrain_options(…)`` what is said of the terrain. ``choice_of``
+reads a method once options are checked; ``terrain_of`` reads the terrain, for which ``make_method`` makes it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.options import FILE, F, ParamType
+from orograph.cli.files import check_outputs
+from orograph.cli.options import (
+    FILE,
+    F,
+    Float,
+    ParamType,
+    grid_options,
+    jobs_option,
+    memory_option,
+    source_options,
+    vertical_options,
+)
 from orograph.errors import UsageError
 from orograph.lod.registry import METHODS
 
@@ -23,7 +34,7 @@ if TYPE_CHECKING:
     from orograph.progress import Progress
     from orograph.store.terrain import Terrain
 
-REFINE = ("tolerance", "triangles", "drape", "conservative")
+REFINE = ("tolerance", "triangles", "drape", "exaggeration", "conservative")
 """What ``goal_options`` and ``method_option`` give besides the method."""
 
 
@@ -71,10 +82,65 @@ def goal_options(function: F) -> F:
                 help="The image whose colours a method's color-tolerance looks at, in any CRS.  "
                 "[default: the tint of heights]",
             ),
+            click.option(
+                "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X",
+                help="Stretch heights on the screen.",
+            ),
         ]
-    ):
+    ):  # fmt: skip
         function = option(function)
     return function
+
+
+def terrain_options(doing: str) -> Callable[[F], F]:
+    """Give a verb the options that say how the terrain is read, and ``max_memory`` and ``jobs``.
+
+    Args:
+        doing: as ``grid_options``.
+    """
+
+    def add(function: F) -> F:
+        for option in (jobs_option, memory_option, vertical_options, source_options, grid_options(doing)):
+            function = option(function)
+        return function
+
+    return add
+
+
+def check_written(
+    outputs: Mapping[str, str | None], paths: Sequence[str], options: Mapping[str, Any], **others: str | None
+) -> None:
+    """Raise UsageError where an output would be written over what the verb reads.
+
+    Args:
+        outputs: as ``files.check_outputs``. paths: of the terrain. others: further files that are read, by what they
+            are ("views": the file of --views).
+    """
+    read = {f"the file of --{name}": [path] for name, path in others.items()}
+    check_outputs(
+        outputs,
+        {"the input": paths, "the image of --drape": [options["drape"]], "the grid of --geoid": [options["geoid"]],
+         **read},
+    )  # fmt: skip
+
+
+def terrain_of(
+    paths: Sequence[str], options: Mapping[str, Any], own: Collection[str], choices: Sequence[Choice],
+    max_memory: int, jobs: int | None, progress: Progress,
+) -> Terrain:  # fmt: skip
+    """The terrain, with the errors of diamonds that methods need.
+
+    Args:
+        options: of the verb. own: those of them that say nothing about reading, besides ``REFINE``.
+    """
+    from orograph.scene.prepare import prepare
+
+    source = {k: v for k, v in options.items() if k not in own and k not in REFINE}
+    if source["band"] == 1:
+        source["band"] = None
+    return prepare(
+        list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=error_kinds(choices), **source
+    )
 
 
 def goal_of(options: Mapping[str, Any], *names: str) -> Goal:

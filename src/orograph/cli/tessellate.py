@@ -9,52 +9,25 @@ from typing import Any
 
 import click
 
+from orograph.cli import refining
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
-from orograph.cli.files import check_outputs
-from orograph.cli.options import (
-    FILE,
-    Float,
-    grid_options,
-    jobs_option,
-    memory_option,
-    progress_of,
-    source_options,
-    vertical_options,
-)
-from orograph.cli.refining import (
-    REFINE,
-    check_colors,
-    choice_of,
-    error_kinds,
-    goal_of,
-    goal_options,
-    make_method,
-    method_option,
-    not_enough,
-)
+from orograph.cli.options import FILE, Float, progress_of
 from orograph.errors import OrographError
 
-OWN = {*CAMERA, *REFINE, "seconds", "exaggeration"}
-"""What is said about the mesh; all other options are about reading."""
+OWN = (*CAMERA, "seconds")
+"""What is said about the mesh besides the method and its goal; all other options are about reading."""
 
 
 @click.command("tessellate")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--output", "-o", required=True, type=FILE, help="The mesh: .npz, .ply, .obj or .glb.")
-@method_option("What makes the triangles.", default="soar", show_default=True)
-@goal_options
+@refining.method_option("What makes the triangles.", default="soar", show_default=True)
+@refining.goal_options
 @click.option("--seconds", type=Float(), metavar="S", help="Instead: what can be done in so much time.")
 @camera_options
-@click.option(
-    "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
-)
 @click.option("--check", is_flag=True, help="Let the referee measure the mesh against every sample in view.")
-@grid_options("triangulate")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
-@source_options
-@vertical_options
-@memory_option
-@jobs_option
+@refining.terrain_options("triangulate")
 @click.pass_context
 def command(
     ctx: click.Context, /, paths: tuple[str, ...], output: str, method: str, check: bool, as_json: bool,
@@ -76,41 +49,31 @@ def command(
     began = time.perf_counter()
     progress = progress_of(ctx)
     check_camera(options)
-    check_outputs(
-        {"--output": output},
-        {"the input": paths, "the image of --drape": [options["drape"]], "the camera of --view": [options["view_path"]],
-         "the grid of --geoid": [options["geoid"]]},
-    )  # fmt: skip
-    source = {k: v for k, v in options.items() if k not in OWN}
-    if source["band"] == 1:
-        source["band"] = None
+    refining.check_written({"--output": output}, paths, options, view=options["view_path"])
     with progress.task("Loading Orograph"):
         from orograph.meshing import mesh_format, write
         from orograph.output import check_folder
         from orograph.scene.parts import check_exaggeration
-        from orograph.scene.prepare import prepare
         from orograph.viewpoint import Camera
 
-        choice = choice_of(method, options["conservative"])
-        goal = goal_of(options, "tolerance", "triangles", "seconds")
+        choice = refining.choice_of(method, options["conservative"])
+        goal = refining.goal_of(options, "tolerance", "triangles", "seconds")
         choice.check_triangles()
         choice.info.check_goal(goal.name)
-        check_colors(options, [choice])
+        refining.check_colors(options, [choice])
     mesh_format(output)
     check_folder(Path(output))
     check_exaggeration(options["exaggeration"])
-    terrain = prepare(
-        list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=error_kinds([choice]), **source
-    )
+    terrain = refining.terrain_of(paths, options, OWN, [choice], max_memory, jobs, progress)
     view = camera_view(terrain, options)
     with progress.task("Errors of the terrain"):
-        selects = make_method(choice, terrain, options, max_memory, jobs, progress)
+        selects = refining.make_method(choice, terrain, options, max_memory, jobs, progress)
     with progress.task(f"Selecting ({choice})"):
         selection = selects.select(Camera.over(terrain.grid, view, options["exaggeration"]), goal)
         mesh = selection.tessellation()
     stats, count = selection.stats, len(mesh.triangles)
     if goal.triangles is not None and count > goal.triangles:
-        progress.warn(not_enough(goal.triangles, choice.info.name, count))
+        progress.warn(refining.not_enough(goal.triangles, choice.info.name, count))
     with progress.task("Writing"):
         write(mesh, terrain.grid, output)
     report = None

@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 from affine import Affine
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Proj
 
 from orograph.dem.axes import east_north
 from orograph.dem.lattice import Lattice, Raster, full_turn, group
 from orograph.dem.layers import BUDGET, LatticeMap, averaged, layer_of, needed
+from orograph.dem.points import heights_between
 from orograph.dem.projection import horizontal, in_metres, unwrapped
 from orograph.dem.resample import METHODS, sample
 from orograph.dem.target import choose, ground_spacing, parse_crs
@@ -193,6 +194,29 @@ class Mosaic:
                     self._fill(layer, a, b, c, d, part)
         if self.undulation is not None:
             self.undulation.apply(row0, col0, out)
+        return out
+
+    def heights_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """Heights (n,) at places (n,) in the grid's CRS out of the sources' own samples, bilinear on their own lattice
+        (not on the grid, to which they may have been resampled); NaN where there is none.
+
+        Raises:
+            ReadError: a source is damaged there.
+        """
+        col, row = self.grid.index(np.atleast_1d(x), np.atleast_1d(y))
+        out = np.full(col.shape, np.nan)
+        for layer in self._layers:
+            lost = np.flatnonzero(np.isnan(out))
+            if not len(lost):
+                break
+            if layer.coordinates is None:
+                assert layer.offset is not None
+                u, v = col[lost] + layer.offset[1], row[lost] + layer.offset[0]
+            else:
+                u, v = layer.coordinates.exact(col[lost], row[lost])
+            out[lost] = heights_between(layer.lattice.read, layer.lattice.grid.shape, u, v)
+        if self.undulation is not None:
+            self.undulation.apply_at(col, row, out)
         return out
 
     def fingerprint(self) -> str:

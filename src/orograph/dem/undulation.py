@@ -86,6 +86,20 @@ class Undulation:
                 x, y = self.geoid.grid.xy(u.ravel()[bad], v.ravel()[bad])
                 raise self._off(float(x), float(y), "lies off the geoid grid, or in a hole of it")
 
+    def apply_at(self, col: NDArray[np.float64], row: NDArray[np.float64], heights: NDArray[np.float64]) -> None:
+        """Convert heights (n,) at fractional samples (n,) in place; missing ones stay missing.
+
+        Raises:
+            ReadError: as ``apply``.
+        """
+        u, v = self._coordinates.exact(col, row)
+        lift = np.where(np.isnan(heights), np.nan, 0.0).astype(np.float32)[None]
+        bad = add(self.geoid.values, self._around, self._closed, self._sign, u[None], v[None], lift)
+        if bad >= 0:
+            x, y = self.geoid.grid.xy(u[bad], v[bad])
+            raise self._off(float(x), float(y), "lies off the geoid grid, or in a hole of it")
+        heights += lift[0]
+
     def _check(self, lattice: Lattice, geoid: Grid) -> None:
         """The borders of every member of a lattice, half a sample beyond its outermost samples, lie on the grid."""
         lon, lat = _rims(lattice, geoid.crs)

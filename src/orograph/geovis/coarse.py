@@ -36,6 +36,7 @@ from orograph.geovis.laying import Laid
 from orograph.geovis.mipmap import curves
 from orograph.parallel import for_each
 from orograph.progress import SILENT, Progress
+from orograph.store.kept import IMAGES, Use, make_room
 
 Bytes = NDArray[np.uint8]
 Colors = NDArray[np.float32]
@@ -87,7 +88,8 @@ class CoarseLevels:
     def __init__(self, laid: Laid) -> None:
         self.laid = laid
         self.window, _ = laid.aligned()
-        self.folder = cache_folder() / "images" / _fingerprint(laid)[:20]
+        self.folder = cache_folder() / IMAGES / _fingerprint(laid)[:20]
+        self._use = Use(self.folder)
         self._changed = threading.Condition()
         self._busy: set[Block] = set()
         self._there: set[Block] = set()
@@ -174,6 +176,7 @@ class CoarseLevels:
                 task.advance(len(run))
 
             for_each(work, tasks, 1 if serial else jobs)
+        make_room(progress)
 
     def _within(self, window: ImageWindow) -> list[Block]:
         if window.row1 <= window.row0 or window.col1 <= window.col0:
@@ -243,6 +246,7 @@ class CoarseLevels:
         """Have the folder, saying what it is of, without what others left behind."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
+            self._use = Use(self.folder)
             about = self.folder / "about.json"
             if not about.exists():
                 about.write_text(json.dumps({"image": str(self.laid.location), "what": "coarse levels"}) + "\n")

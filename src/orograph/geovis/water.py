@@ -3,9 +3,11 @@
 Elevation models are given lakes and seas of one value. Plains of whole metres have level patches too, but small and
 ragged ones, as often above their surroundings as below. So a level area is water if it is large, much of it lies well
 inside, and its surroundings are banks; and away from the sea, if its level is a whole number of metres (which is where
-plains are level), its banks must soon rise by more than the metre that rounding makes. Dry lake beds and salt pans that
-lie beneath steep slopes are still taken for lakes. Resampling and averaging keep constant areas exactly constant, so
-equality is the test. Heights are metres; sizes are in samples, for what cannot be seen cannot be told apart either.
+plains are level), its banks must soon rise by more than the metre that rounding makes. Ground that was clipped at a
+round height is the lowest of its raster; in a model of a city houses stand in it, with walls for banks. Dry lake beds
+and salt pans that lie beneath steep slopes are still taken for lakes. Resampling and averaging keep constant areas
+exactly constant, so equality is the test. Heights are metres; sizes are in samples, for what cannot be seen cannot be
+told apart either.
 
 A raster that is a part cut out of a larger one shows some areas in part only. ``judge`` tells these apart, for the
 caller to judge them where they are whole.
@@ -36,6 +38,45 @@ SMALL, RISING_SMALL = 500, 0.62
 """Areas of fewer samples, which a plain has by chance, need banks on more sides: dry Owens Lake has one of 0.58, while
 of the small lakes of Vermont and California each has more than 0.64."""
 
+ROUND, HOUSES, WALL, WALLED = 10.0, 3, 0.5, 0.5
+"""The lowest level, if it is a multiple of ``ROUND`` metres, is clipped ground where more than ``HOUSES`` islands
+stand in it and at least ``WALLED`` of what adjoins it is higher by more than ``WALL`` of a step, as natural shores
+are not."""
+
+
+@kernel
+def _islands(heights, level):
+    """Islands in what is at ``level``, less its connected parts: from the corners of its outline (Gray 1971)."""
+    rows, cols = heights.shape
+    turns = 0
+    for i in range(rows + 1):
+        for j in range(cols + 1):
+            nw = i > 0 and j > 0 and heights[i - 1, j - 1] == level
+            ne = i > 0 and j < cols and heights[i - 1, j] == level
+            sw = i < rows and j > 0 and heights[i, j - 1] == level
+            se = i < rows and j < cols and heights[i, j] == level
+            count = int(nw) + int(ne) + int(sw) + int(se)
+            turns += int(count == 3) - int(count == 1) + 2 * int(count == 2 and nw == se)
+    return turns // 4
+
+
+@kernel
+def _walled(heights, inner, area, spacing):
+    """Part of the samples higher than ``area`` (flat indices) and next to its shore that a wall lifts there."""
+    rows, cols = heights.shape
+    level = heights[area[0] // cols, area[0] % cols]
+    around = walls = 0
+    for k in range(len(area)):
+        r, c = area[k] // cols, area[k] % cols
+        if inner[r, c]:
+            continue
+        for i in range(max(r - 2, 0), min(r + 3, rows)):
+            for j in range(max(c - 2, 0), min(c + 3, cols)):
+                higher = heights[i, j] > level
+                around += higher
+                walls += higher and heights[i, j] > level + WALL * spacing
+    return walls / max(around, 1)
+
 
 @kernel
 def _rises(heights, inner, area, reach):
@@ -54,7 +95,7 @@ def _rises(heights, inner, area, reach):
 
 
 @kernel
-def _flood(heights, level, inner, least, inside, banks, reach, cut, verdict, open_area):
+def _flood(heights, level, inner, spacing, lowest, reach, cut, verdict, open_area):
     """Judge the connected level areas (see ``judge``); ``level`` is used up. Returns the verdicts on open areas."""
     rows, cols = heights.shape
     stack = np.empty(rows * cols, np.int64)
@@ -85,13 +126,17 @@ def _flood(heights, level, inner, least, inside, banks, reach, cut, verdict, ope
                         level[i, j] = False
                         stack[size] = i * cols + j
                         size += 1
-        is_open = is_open and 8 * size >= least  # less than that is out of sight, beyond the edge of the picture
+        is_open = (
+            is_open and 8 * size >= LEAST_SAMPLES
+        )  # less than that is out of sight, beyond the edge of the picture
         found = np.int8(0)
-        if size >= least and deep >= inside * size:
+        if size >= LEAST_SAMPLES and deep >= LEAST_INSIDE * size:
             height = heights[seed // cols, seed % cols]
             plain = height != 0.0 and height == np.round(height)
             rising = RISING if size >= SMALL else RISING_SMALL
-            wet = higher >= banks * lower and not (plain and _rises(heights, inner, stack[:size], reach) < rising)
+            wet = higher >= BANKS * lower and not (plain and _rises(heights, inner, stack[:size], reach) < rising)
+            if wet and plain and height == lowest and height % ROUND == 0.0 and _islands(heights, height) > HOUSES:
+                wet = _walled(heights, inner, stack[:size], spacing) < WALLED
             found = np.int8(1 if wet else -1)
         if is_open:
             verdicts.append(found)
@@ -110,13 +155,14 @@ def _flood(heights, level, inner, least, inside, banks, reach, cut, verdict, ope
 
 
 def judge(
-    heights: NDArray[np.float32], spacing: float, cut: tuple[bool, bool, bool, bool]
+    heights: NDArray[np.float32], spacing: float, cut: tuple[bool, bool, bool, bool], lowest: float
 ) -> tuple[NDArray[np.int8], NDArray[np.int32], NDArray[np.int8]]:
     """What the level areas are.
 
     Args:
         heights: (rows, cols) float32 metres, NaN where missing. spacing: metres between samples.
         cut: whether the raster's top, bottom, left and right are not those of the whole.
+        lowest: height of the whole, metres; NaN where it has none.
 
     Returns:
         verdict: (rows, cols) 1 water, −1 a level area that is none, 0 neither or too small to tell.
@@ -130,8 +176,7 @@ def judge(
         reach = min(max(round(REACH / spacing) + 1, 4), 8)  # from the rim, one sample inside the shore
         inner = _same(heights, level)
         verdicts = _flood(
-            np.ascontiguousarray(heights), level, inner, LEAST_SAMPLES, LEAST_INSIDE, BANKS, reach, cut, verdict,
-            open_area,
+            np.ascontiguousarray(heights), level, inner, spacing, lowest, reach, cut, verdict, open_area
         )  # fmt: skip
     return verdict, open_area, verdicts
 
@@ -142,7 +187,9 @@ def find_water(heights: NDArray[np.float32], spacing: float = 100.0) -> NDArray[
     Args:
         heights: (rows, cols) float32 metres, NaN where missing. spacing: metres between samples.
     """
-    return judge(heights, spacing, (False, False, False, False))[0] > 0
+    known = heights[np.isfinite(heights)]
+    lowest = float(known.min()) if known.size else np.nan
+    return judge(heights, spacing, (False, False, False, False), lowest)[0] > 0
 
 
 class Means(Protocol):
@@ -150,6 +197,9 @@ class Means(Protocol):
 
     @property
     def levels(self) -> int: ...
+
+    @property
+    def height_range(self) -> tuple[float, float]: ...
 
     def mean_shape(self, level: int) -> tuple[int, int]: ...
 
@@ -177,7 +227,7 @@ def _judged(
     all_rows, all_cols = terrain.mean_shape(level)
     row1, col1 = row0 + rows, col0 + cols
     cut = (row0 > 0, row1 < all_rows, col0 > 0, col1 < all_cols)
-    verdict, open_area, verdicts = judge(heights, spacing * 2.0**level, cut)
+    verdict, open_area, verdicts = judge(heights, spacing * 2.0**level, cut, terrain.height_range[0])
     if len(verdicts) == 1:
         return verdict
     last = terrain.levels - 1

@@ -1,8 +1,9 @@
 """Where the sun stands: a direction given by hand, or the real sun at a moment and a place.
 
-The solar position is NOAA's (Meeus, *Astronomical Algorithms*, 1998, ch. 25, without nutation's small terms), computed
-by the library ``astral``: within 0.02° of the Solar Position Algorithm (SPA: Reda & Andreas 2004), 0.003° on average,
-at 300 random moments and places of 2000–2080.
+The sun's declination and the equation of time are NOAA's (Meeus, *Astronomical Algorithms*, 1998, ch. 25, without
+nutation's small terms), computed by the library ``astral``; from there a rotation leads to the sky of any place, the
+poles included: within 0.02° of the Solar Position Algorithm (SPA: Reda & Andreas 2004), 0.003° on average, at 300
+random moments and places of 2000–2080.
 Altitudes are *apparent*: lifted by the refraction of a standard atmosphere at sea level (Sæmundsson 1986, as in the
 SPA: 0.48° for a sun geometrically on the horizon, 0.09° at 10°), since light arrives from where the sun is seen.
 
@@ -169,7 +170,7 @@ def position(
 
     Args:
         when: with a time zone.
-        longitude, latitude: degrees, east and north. Beyond 89.8° of latitude the place is taken to lie there.
+        longitude, latitude: degrees, east and north.
         refraction: apparent altitude; else the geometric one.
 
     Returns:
@@ -178,17 +179,26 @@ def position(
     Raises:
         UsageError: the time has no zone, or the place is none.
     """
-    from astral import Observer
-    from astral.sun import zenith_and_azimuth
-
     if not (abs(latitude) <= 90 and abs(longitude) <= 360):
         raise UsageError(f"There is no place at longitude {longitude:g}, latitude {latitude:g}.")
-    # astral drops fractions of a second: half a second is 0.002°, the most that rounding here leaves.
-    exact = _zoned(when).astimezone(datetime.UTC) + datetime.timedelta(seconds=0.5)
-    observer = Observer(latitude, (longitude + 180.0) % 360.0 - 180.0)
-    zenith, azimuth = zenith_and_azimuth(observer, exact.replace(microsecond=0), False)
-    altitude = 90.0 - zenith
+    declination, noon = _above(_zoned(when).astimezone(datetime.UTC))
+    # The direction in the horizon's axes, which turns smoothly over the poles too.
+    d, h, p = math.radians(declination), math.radians(longitude - noon), math.radians(latitude)
+    east, south = -math.cos(d) * math.sin(h), math.sin(p) * math.cos(d) * math.cos(h) - math.cos(p) * math.sin(d)
+    up = math.sin(p) * math.sin(d) + math.cos(p) * math.cos(d) * math.cos(h)
+    azimuth, altitude = math.degrees(math.atan2(east, -south)), math.degrees(math.atan2(up, math.hypot(east, south)))
     return azimuth % 360.0, altitude + refracted(altitude) if refraction else altitude
+
+
+def _above(when: datetime.datetime) -> tuple[float, float]:
+    """(declination, longitude where it is noon), degrees, at a time in UTC."""
+    from astral.julian import julianday, julianday_to_juliancentury
+    from astral.sun import eq_of_time, sun_declination
+
+    midnight = when.replace(hour=0, minute=0, second=0, microsecond=0)
+    day = (when - midnight) / datetime.timedelta(days=1)
+    century = julianday_to_juliancentury(julianday(midnight) + day)
+    return sun_declination(century), 180.0 - 360.0 * day - eq_of_time(century) / 4.0
 
 
 def refracted(altitude: float) -> float:

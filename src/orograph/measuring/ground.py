@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.dem.points import heights_between
 from orograph.store.terrain import TILE, Terrain
 
 Array = NDArray[np.float64]
@@ -100,6 +101,16 @@ def _facets(terrain: Terrain, x: Array, y: Array) -> Facets:
 def heights(terrain: Terrain, x: Array, y: Array) -> Array:
     """The surface at places (n,) on the terrain; NaN in holes."""
     return facets(terrain, x, y).heights(x, y)
+
+
+def own_heights(terrain: Terrain, points: Array) -> Array:
+    """Heights (n,) at points (n, 2) = easting, northing out of the samples that the terrain was made of, bilinear; of
+    its own samples where those are not at hand. NaN where there is none."""
+    x, y = points[:, 0], points[:, 1]
+    if terrain.samples is not None:
+        return terrain.samples.heights_at(x, y)
+    col, row = terrain.grid.index(x, y)
+    return heights_between(lambda *window: terrain.read(0, *window), terrain.grid.shape, col, row)
 
 
 def crossings(start: Array, end: Array) -> Array:

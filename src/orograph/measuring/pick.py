@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.measuring.ground import facets
+from orograph.measuring.ground import facets, own_heights
 from orograph.measuring.places import Places, lift
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
@@ -36,7 +36,10 @@ class Hit:
     """A place on the ground.
 
     Attributes:
-        easting, northing: in the terrain's CRS, metres; height: metres; None in a hole.
+        easting, northing: in the terrain's CRS, metres.
+        height: metres, bilinear between the samples that the terrain was made of, as they are in its files (of the
+            terrain's own where these are not at hand); None where they have none.
+        surface_height: metres, of the surface that is drawn; None in a hole.
         longitude, latitude: degrees, WGS 84 (the body's own if it is not the Earth); None without a CRS.
         column, row: sample coordinates, fractional.
         slope: degrees, in true metres; aspect: the azimuth in which the ground falls, clockwise from grid north;
@@ -47,6 +50,7 @@ class Hit:
     easting: float
     northing: float
     height: float | None
+    surface_height: float | None
     longitude: float | None
     latitude: float | None
     column: float
@@ -111,21 +115,30 @@ def place(terrain: Terrain, point: ArrayLike) -> Hit:
 
 
 def _at(
-    places: Places, point: Array, height: float | None = None, depth: float | None = None, distance: float | None = None
+    places: Places,
+    point: Array,
+    surface: float | None = None,
+    depth: float | None = None,
+    distance: float | None = None,
 ) -> Hit:
-    """What the ground is like at a point (2,); the height is looked up unless a ray has found it."""
+    """What the ground is like at a point (2,); the surface is looked up unless a ray has found it."""
     rows, cols = places.grid.shape
     x, y = np.clip(np.stack(places.grid.index(*point)), 0.0, [cols - 1.0, rows - 1.0])
-    if height is None:
-        found = float(facets(places.terrain, x[None], y[None]).heights(x[None], y[None])[0])
-        height = None if math.isnan(found) else found
-    slope, aspect, true_aspect = (None, None, None) if height is None else _inclination(places, x, y, point, height)
+    if surface is None:
+        surface = _known(facets(places.terrain, x[None], y[None]).heights(x[None], y[None]))
+    slope, aspect, true_aspect = (None, None, None) if surface is None else _inclination(places, x, y, point, surface)
+    height = _known(own_heights(places.terrain, point[None]))
     degrees = places.lonlat(point[None])
     lon, lat = (None, None) if degrees is None else (float(v) for v in degrees[0])
     return Hit(
-        float(point[0]), float(point[1]), height, lon, lat, float(x), float(y), slope, aspect, true_aspect, depth,
-        distance,
+        float(point[0]), float(point[1]), height, surface, lon, lat, float(x), float(y), slope, aspect, true_aspect,
+        depth, distance,
     )  # fmt: skip
+
+
+def _known(heights: Array) -> float | None:
+    """The one height (1,) as a number, or None."""
+    return None if math.isnan(heights[0]) else float(heights[0])
 
 
 def slope_aspect(terrain: Terrain, point: ArrayLike) -> tuple[float, float]:

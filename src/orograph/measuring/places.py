@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property, lru_cache
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -109,14 +110,43 @@ class Places:
         last = np.array([cols - 1.0, rows - 1.0])
         outside = ((at < -BORDER) | (at > last + BORDER)).any(axis=1)
         if outside.any():
-            first = points[int(np.argmax(outside))]
-            x, y = self.grid.xy([0, last[0], 0, last[0]], [0, 0, last[1], last[1]])
-            raise UsageError(
-                f"The point {first[0]:.10g}, {first[1]:.10g} is not on {self.terrain.name}, whose surface reaches from "
-                f"{x.min():.10g}, {y.min():.10g} to {x.max():.10g}, {y.max():.10g}{self._degrees(x, y)}.",
-                remedy="Give easting, northing in the terrain's CRS, or longitude, latitude and say so.",
-            )
+            first = int(np.argmax(outside))
+            self._refuse(points[first], at[first])
         return np.asarray(np.clip(at, 0.0, last))
+
+    def _refuse(self, point: Array, at: Array) -> NoReturn:
+        """Say how far a point (2,), ``at`` in sample coordinates, lies outside, and which one inside is nearest."""
+        rows, cols = self.grid.shape
+        last = np.array([cols - 1.0, rows - 1.0])
+        off = point - np.stack(self.grid.xy(*np.clip(at, 0.0, last)))
+        ways = [
+            f"{_far(abs(metres))} {names[int(metres < 0)]}"
+            for metres, names in zip(off, (("east", "west"), ("north", "south")))
+            if abs(metres) > 1e-6 * np.abs(off).max()
+        ]
+        x, y = self.grid.xy([0, last[0], 0, last[0]], [0, 0, last[1], last[1]])
+        raise UsageError(
+            f"The point {point[0]:.10g}, {point[1]:.10g} lies {' and '.join(ways)} of {self.terrain.name}, whose "
+            f"surface reaches from {x.min():.10g}, {y.min():.10g} to {x.max():.10g}, {y.max():.10g}"
+            f"{self._degrees(x, y)}. The nearest point of it is {self._nearest(at)}.",
+            remedy="Give easting, northing in the terrain's CRS, or longitude, latitude and say so.",
+        )
+
+    def _nearest(self, at: Array) -> str:
+        """The point of the surface nearest to a place (2,) in sample coordinates, in both systems; what is written is
+        so far inside that its rounding does not leave the surface."""
+        rows, cols = self.grid.shape
+        spacing = np.array(self.grid.spacing)
+        digits = 2 + max(0, math.ceil(-math.log10(spacing.min())))
+        last = np.array([cols - 1.0, rows - 1.0])
+        inward = np.minimum(10.0**-digits / spacing, last / 2)
+        point = np.stack(self.grid.xy(*np.clip(at, inward, last - inward)))
+        degrees = self.lonlat(point[None])
+        written = f"{point[0]:.{digits}f},{point[1]:.{digits}f}"
+        if degrees is None or not np.isfinite(degrees).all():
+            return written
+        lon, lat = degrees[0]
+        return f"{written} (longitude {lon:.{digits + 6}f}, latitude {lat:.{digits + 6}f})"
 
     def _degrees(self, x: Array, y: Array) -> str:
         if self.degrees is None:
@@ -216,6 +246,10 @@ class Places:
             len(points), 4, 3
         )
         return np.stack([space[:, 0] - space[:, 1], space[:, 2] - space[:, 3]], axis=-1) / (2 * STEP)
+
+
+def _far(metres: float) -> str:
+    return f"{metres:.6g} m" if metres < 1e5 else f"{metres / 1000:,.0f} km"
 
 
 def lift(places: Places, heights: Array) -> Array:

@@ -61,13 +61,13 @@ def save_sight(sight: Sight, path: str | os.PathLike[str], title: str | None = N
     """Draw a line of sight over its ground; arguments and errors as ``save_profile``."""
     check_plot(path)
     profile = sight.profile
-    figure, axes, unit, scale = _axes(profile, np.append(sight.line, profile.heights))
+    figure, axes, unit, scale = _axes(profile, np.append(sight.line, profile.surface_heights))
     _ground(axes, profile, scale)
     s = profile.distance / scale
     hidden = _hidden(sight)
     if hidden.any():
         floor = axes.get_ylim()[0]
-        axes.fill_between(s, floor, profile.heights, where=hidden, color=_DARK, linewidth=0, zorder=2)
+        axes.fill_between(s, floor, profile.surface_heights, where=hidden, color=_DARK, linewidth=0, zorder=2)
     color = _RAY if sight.visible else _MARK
     stop = len(s)
     mark = sight.obstruction
@@ -96,7 +96,7 @@ def save_sight(sight: Sight, path: str | os.PathLike[str], title: str | None = N
 def _hidden(sight: Sight) -> NDArray[np.bool_]:
     """(n,): places of the ground that the eye does not see, each by the steepest ground before it."""
     p = sight.profile
-    rise = p.heights - 0.5 * sight.bend * p.distance**2 - (p.heights[0] + sight.eye)
+    rise = p.surface_heights - 0.5 * sight.bend * p.distance**2 - (p.surface_heights[0] + sight.eye)
     slope = np.divide(rise, p.distance, out=np.full(len(rise), -np.inf), where=p.distance > 0)
     before = np.maximum.accumulate(np.where(np.isnan(slope), -np.inf, slope))
     away = p.distance > 0
@@ -111,7 +111,7 @@ def _axes(profile: Profile, values: Array | None = None) -> tuple[Any, Any, str,
     figure = Figure(figsize=(9, 3.6), dpi=150, layout="constrained")
     axes = figure.add_subplot()
     unit, scale = ("km", 1000.0) if profile.distance[-1] >= 2000 else ("m", 1.0)
-    heights = profile.heights if values is None else values
+    heights = profile.surface_heights if values is None else values
     known = heights[np.isfinite(heights)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     room = max(high - low, 1.0)
@@ -122,7 +122,7 @@ def _axes(profile: Profile, values: Array | None = None) -> tuple[Any, Any, str,
 
 def _ground(axes: Any, profile: Profile, scale: float) -> None:
     """The ground, open over holes: piece by piece known, so that a lone missing piece shows too."""
-    s, z = profile.distance / scale, profile.heights.copy()
+    s, z = profile.distance / scale, profile.surface_heights.copy()
     breaks = np.flatnonzero(~profile.known)
     s = np.insert(s, breaks + 1, s[breaks])
     z = np.insert(z, breaks + 1, np.nan)

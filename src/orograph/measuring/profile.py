@@ -7,7 +7,8 @@ is straight, so its length is exact. True metres: a step d on the grid at height
     ground = Σ sqrt((1 + h/R)² dᵀ G d + Δh²)   over all pieces;   horizontal = Σ sqrt(dᵀ G d).
 
 Straight is the chord in space between the ends (geocentric), geodesic the shortest way on the ellipsoid from vertex to
-vertex (Karney 2013). Holes have no ground: their length is reported, not bridged. Units: metres, degrees.
+vertex (Karney 2013). Holes are bridged from rim to rim along the line, or no line over one could be as long as it is
+straight; how much of the length is bridged is reported. Units: metres, degrees.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import math
 import os
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
+from orograph.measuring.ground import Line, line, own_heights
 from orograph.measuring.ground import heights as surface
-from orograph.measuring.ground import line
 from orograph.measuring.places import Places, lift
 from orograph.output import Beside
 from orograph.store.terrain import Terrain
@@ -35,7 +37,8 @@ Array = NDArray[np.float64]
 KNOT = 2000.0
 """Metres on the grid between places where the projection's stretch is looked up."""
 
-COLUMNS = ("distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m")
+COLUMNS = ("distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m",
+           "surface_height_m")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -44,20 +47,20 @@ class Profile:
 
     Attributes:
         points: (n, 2) easting, northing.
-        heights: (n,) metres, NaN over holes.
+        surface_heights: (n,) metres, of the surface that is drawn; NaN over holes.
         distance: (n,) metres from the start along the line, true, on the ellipsoid.
-        ground: (n,) metres from the start along the surface, true; holes add nothing.
+        ground: (n,) metres from the start along the surface, true; holes are bridged from rim to rim.
         known: (n − 1,) whether there is ground between a place and the next.
         vertices: (v,) indices of the polyline's own vertices.
         grid: metres of the line on the grid; ground_grid: along the surface as if grid metres were true.
         straight: metres between the ends in a straight line through space; None if one of them is in a hole.
         geodesic: metres on the ellipsoid from vertex to vertex; None without a CRS.
         climb, descent: metres up and down along the surface.
-        missing: metres of the line over holes.
+        missing: metres of the line over holes; bridged: of the length along the ground, those that bridge them.
     """
 
     points: Array
-    heights: Array
+    surface_heights: Array
     distance: Array
     ground: Array
     known: NDArray[np.bool_]
@@ -69,6 +72,7 @@ class Profile:
     climb: float
     descent: float
     missing: float
+    bridged: float
     places: Places
 
     @property
@@ -86,6 +90,11 @@ class Profile:
         """(n, 2) longitude and latitude of the places, degrees; None without a CRS."""
         return self.places.lonlat(self.points)
 
+    @cached_property
+    def heights(self) -> Array:
+        """(n,) metres at the places, bilinear between the samples that the terrain was made of (``own_heights``)."""
+        return own_heights(self.places.terrain, self.points)
+
     @property
     def lowest(self) -> float | None:
         """The lowest ground on the line, metres; None if there is none."""
@@ -97,7 +106,8 @@ class Profile:
         return None if np.isnan(self.heights).all() else float(np.nanmax(self.heights))
 
     def at(self, distance: ArrayLike) -> tuple[Array, Array, Array]:
-        """Points (k, 2), heights (k,) and ground (k,) at distances (k,) along the line; exact: it is straight between.
+        """Points (k, 2), surface heights (k,) and ground (k,) at distances (k,) along the line; exact: the surface is
+        straight between its places.
 
         Raises:
             UsageError: a distance is not on the line.
@@ -109,26 +119,27 @@ class Profile:
         gap = self.distance[i + 1] - self.distance[i]
         f = np.divide(s - self.distance[i], gap, out=np.zeros_like(s), where=gap > 0)
         ends = f <= 0, f >= 1
-        heights = (1 - f) * self.heights[i] + f * self.heights[i + 1]
+        heights = (1 - f) * self.surface_heights[i] + f * self.surface_heights[i + 1]
         heights[~self.known[i]] = np.nan
         for exact, k in zip(ends, (0, 1)):  # a place itself may be on the rim of a hole
-            heights[exact] = self.heights[i + k][exact]
+            heights[exact] = self.surface_heights[i + k][exact]
         points = (1 - f)[:, None] * self.points[i] + f[:, None] * self.points[i + 1]
         return points, heights, (1 - f) * self.ground[i] + f * self.ground[i + 1]
 
     def rows(self, every: float | None = None) -> list[dict[str, float | None]]:
         """The profile as records of ``COLUMNS``: at every crossing, or every so many metres (and at the end)."""
-        distance, points, heights, ground = self.distance, self.points, self.heights, self.ground
+        distance, points, surface, ground = self.distance, self.points, self.surface_heights, self.ground
         if every is not None:
             if not (every > 0 and math.isfinite(every)):
                 raise UsageError(f"The distance between places is a positive number of metres, not {every!r}.")
             if self.distance[-1] / every > 1e7:
                 raise UsageError(f"A place every {every:g} m would be more than ten million places.")
             distance = np.append(np.arange(0.0, self.distance[-1], every), self.distance[-1])
-            points, heights, ground = self.at(distance)
+            points, surface, ground = self.at(distance)
+        own = self.heights if every is None else own_heights(self.places.terrain, points)
         degrees = self.places.lonlat(points)
         lonlat = np.full((len(points), 2), np.nan) if degrees is None else degrees
-        table = np.column_stack([distance, ground, points, lonlat, heights])
+        table = np.column_stack([distance, ground, points, lonlat, own, surface])
         return [dict(zip(COLUMNS, (None if math.isnan(v) else float(v) for v in row))) for row in table]
 
     def save_csv(self, path: str | os.PathLike[str], every: float | None = None) -> None:
@@ -137,7 +148,7 @@ class Profile:
         Raises:
             OutputError: it cannot be written.
         """
-        places = (3, 3, 4, 4, 8, 8, 3)
+        places = (3, 3, 4, 4, 8, 8, 3, 3)
         with Beside(Path(path)) as part, part.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(COLUMNS)
@@ -154,7 +165,8 @@ class Profile:
             "geodesic_m": self.geodesic, "grid_m": self.grid, "ground_grid_m": self.ground_grid,
             "grid_scale": self.scale, "climb_m": self.climb, "descent_m": self.descent, "lowest_m": self.lowest,
             "highest_m": self.highest, "first_m": None if math.isnan(first) else float(first),
-            "last_m": None if math.isnan(last) else float(last), "missing_m": self.missing, "places": len(self.heights),
+            "last_m": None if math.isnan(last) else float(last), "missing_m": self.missing, "bridged_m": self.bridged,
+            "places": len(self.heights),
         }  # fmt: skip
 
 
@@ -176,46 +188,55 @@ def profile(terrain: Terrain, polyline: ArrayLike) -> Profile:
     given, corners = given[moves], corners[moves]
     if len(given) < 2:
         raise UsageError("The line has no length: its points are one and the same.")
-    points, distance, ground = [given[:1]], [np.zeros(1)], [np.zeros(1)]
-    heights: list[Array] = []
-    known: list[NDArray[np.bool_]] = []
-    vertices = [0]
-    at, along, walked, walked_grid, climb, descent, missing = np.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for a, b, p, q in zip(corners[:-1], corners[1:], given[:-1], given[1:]):
-        cut = line(terrain, a, b)
+    cuts = [line(terrain, a, b) for a, b in pairwise(corners)]
+    points, flat, flat_grid = [given[:1]], [], []
+    for cut, p, q in zip(cuts, given[:-1], given[1:]):
         step = np.diff(cut.t)
-        rise = cut.after - cut.before
-        middle = 0.5 * (cut.before + cut.after)
-        flat = step * stretch(places, p, q, 0.5 * (cut.t[:-1] + cut.t[1:]))
-        foot = np.where(cut.known, np.hypot(flat * lift(places, middle), rise), 0.0)
-        foot_grid = np.where(cut.known, np.hypot(step * math.hypot(*(q - p)), rise), 0.0)
-        up = np.where(cut.known, rise, 0.0)
-        here = cut.heights
-        for end in (0, -1):  # on the rim of a hole that the line runs over
-            if math.isnan(here[end]):
-                here[end] = surface(terrain, cut.x[[end]], cut.y[[end]])[0]
-        heights += [np.atleast_1d(at if math.isnan(here[0]) else here[0]), here[1:-1]]
-        at = float(here[-1])
         points.append(p + cut.t[1:, None] * (q - p))
-        distance.append(along + np.cumsum(flat))
-        ground.append(walked + np.cumsum(foot))
-        known.append(cut.known)
-        along, walked = float(distance[-1][-1]), float(ground[-1][-1])
-        walked_grid += float(foot_grid.sum())
-        climb, descent = climb + float(up[up > 0].sum()), descent - float(up[up < 0].sum())
-        missing += float(flat[~cut.known].sum())
-        vertices.append(vertices[-1] + len(step))
-    heights.append(np.atleast_1d(at))
-    z = np.concatenate(heights)
+        flat.append(step * stretch(places, p, q, 0.5 * (cut.t[:-1] + cut.t[1:])))
+        flat_grid.append(step * math.hypot(*(q - p)))
+    across, across_grid = np.concatenate(flat), np.concatenate(flat_grid)
+    known = np.concatenate([cut.known for cut in cuts])
+    distance = np.append(0.0, np.cumsum(across))
+    z = _heights(terrain, cuts)
+    over = _bridged(distance, z)
+    before, after = (
+        np.where(known, np.concatenate([getattr(cut, name) for cut in cuts]), bridge)
+        for name, bridge in (("before", over[:-1]), ("after", over[1:]))
+    )
+    rise = after - before
+    foot = np.hypot(across * lift(places, 0.5 * (before + after)), rise)
     straight = None
     if not (math.isnan(z[0]) or math.isnan(z[-1])):
         ends = places.ecef(given[[0, -1]], z[[0, -1]])
         straight = float(np.linalg.norm(ends[1] - ends[0]))
     return Profile(
-        np.concatenate(points), z, np.concatenate(distance), np.concatenate(ground), np.concatenate(known),
-        np.array(vertices), float(np.hypot(*np.diff(given, axis=0).T).sum()), walked_grid, straight,
-        _geodesic(places, given), climb, descent, missing, places,
+        np.concatenate(points), z, distance, np.append(0.0, np.cumsum(foot)), known,
+        np.append(0, np.cumsum([len(part) for part in flat])), float(np.hypot(*np.diff(given, axis=0).T).sum()),
+        float(np.hypot(across_grid, rise).sum()), straight, _geodesic(places, given), float(rise[rise > 0].sum()),
+        float((-rise[rise < 0]).sum()), float(across[~known].sum()), float(foot[~known].sum()), places,
     )  # fmt: skip
+
+
+def _heights(terrain: Terrain, cuts: list[Line]) -> Array:
+    """Heights at all places of lines that follow each other, NaN over holes."""
+    parts, last = [], math.nan
+    for cut in cuts:
+        here = cut.heights
+        for end in (0, -1):  # on the rim of a hole that the line runs over
+            if math.isnan(here[end]):
+                here[end] = surface(terrain, cut.x[[end]], cut.y[[end]])[0]
+        parts += [np.atleast_1d(last if math.isnan(here[0]) else here[0]), here[1:-1]]
+        last = float(here[-1])
+    return np.append(np.concatenate(parts), last)
+
+
+def _bridged(distance: Array, heights: Array) -> Array:
+    """Heights with holes bridged straight from rim to rim, level where there is one rim only, at 0 if none."""
+    there = ~np.isnan(heights)
+    if not there.any():
+        return np.zeros(len(heights))
+    return np.asarray(np.interp(distance, distance[there], heights[there]))
 
 
 def stretch(places: Places, start: Array, end: Array, t: Array) -> Array:

@@ -89,7 +89,7 @@ class Sight:
     def _straight(self) -> float:
         """From the eye to the target, through space."""
         p = self.profile
-        ends = p.places.ecef(p.points[[0, -1]], p.heights[[0, -1]] + [self.eye, self.target])
+        ends = p.places.ecef(p.points[[0, -1]], p.surface_heights[[0, -1]] + [self.eye, self.target])
         return float(np.linalg.norm(ends[1] - ends[0]))
 
 
@@ -140,12 +140,12 @@ def line_of_sight(
     bend = bend_of(places, ends[0], curvature, refraction)
     ground = profile(terrain, ends)
     for k, name in ((0, "first"), (-1, "second")):
-        if math.isnan(ground.heights[k]):
+        if math.isnan(ground.surface_heights[k]):
             raise UsageError(
                 f"The {name} point, {ends[k][0]:.10g}, {ends[k][1]:.10g}, is in a hole: no ground is known there.",
                 remedy="Choose another point.",
             )
-    s, z = ground.distance, ground.heights
+    s, z = ground.distance, ground.surface_heights
     whole = float(s[-1])
     start, stop = z[0] + eye_height, z[-1] + target_height - 0.5 * bend * whole**2
     apparent = z - 0.5 * bend * s**2
@@ -206,13 +206,13 @@ def _mark(ground: Profile, piece: int, part: float, clearance: float) -> Mark:
     point = between(ground.points)
     degrees = ground.places.lonlat(point[None])
     lon, lat = (None, None) if degrees is None else (float(v) for v in degrees[0])
-    height, distance = float(between(ground.heights)), float(between(ground.distance))
+    height, distance = float(between(ground.surface_heights)), float(between(ground.distance))
     return Mark(float(point[0]), float(point[1]), lon, lat, height, distance, float(clearance))
 
 
 def _needed(ground: Profile, start: float, end: float, bend: float) -> float:
     """How far above the ground at the end a target must be to be seen from ``start`` (apparent heights)."""
-    s, z = ground.distance, ground.heights
+    s, z = ground.distance, ground.surface_heights
     s0, s1, z0, z1 = s[:-1], s[1:], z[:-1], z[1:]
     tilt = (z1 - z0) / (s1 - s0)
     offset = z0 - tilt * s0 - start  # the ground is start + offset + tilt s − bend/2 s²

@@ -74,7 +74,7 @@ def usual_views(terrain: Terrain, size: tuple[int, int] = (1280, 720), exaggerat
     above = target + np.array([0.0, 0.0, 0.45 * float(np.min(high - low)) / exaggeration])
     above[2] = max(above[2], terrain.height_range[1] + 0.1 * span / exaggeration)
     return {
-        "overview": whole(terrain, size, azimuth=200.0, pitch=35.0, exaggeration=exaggeration),
+        "overview": whole(terrain, size, exaggeration=exaggeration),
         "low oblique": View(tuple(eye), tuple(target), fov_y=50.0, width=size[0], height=size[1]),
         "straight down": View(tuple(above), tuple(target), (0.0, 1.0, 0.0), 60.0, size[0], size[1]),
     }

@@ -2,7 +2,8 @@
 
 A raster that is small enough is read into memory and forgotten. A larger one is built into a store in the user's cache
 folder (``$OROGRAPH_CACHE``, or the platform's own place), under a name made from its files, their sizes and times, the
-reading options and the errors that it holds: the next picture of it opens that store at once.
+reading options and the errors that it holds: the next picture of it opens that store at once. The folder keeps within a
+size (``store.kept``).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 from orograph.errors import OrographError, StoreError, UsageError
-from orograph.folders import cache_folder
+from orograph.folders import cache_folder, cache_limit
 from orograph.progress import SILENT, Progress
 from orograph.scene.scene import EXACT_SAMPLES
 from orograph.store.terrain import Terrain
@@ -62,6 +63,7 @@ def prepare(
             )
         return store.open(paths[0], cache_bytes=cache_bytes(max_memory))
     from orograph.dem.mosaic import Mosaic
+    from orograph.store.kept import Use, make_room
 
     mosaic = Mosaic.open(paths, progress=progress, **{k: v for k, v in options.items() if v is not None})
     for warning in mosaic.warnings:
@@ -69,10 +71,12 @@ def prepare(
     rows, cols = mosaic.grid.shape
     if rows * cols <= EXACT_SAMPLES and (max_memory is None or rows * cols * 12 <= max_memory):
         return _told(mosaic, store.terrain(mosaic, progress), progress)
+    cache_limit()  # if it is no size, that is said before anything is built
     # Those of another store format have another name: what they left unfinished is not in the way.
     name = hashlib.sha256(f"{mosaic.fingerprint()} {FORMAT}".encode()).hexdigest()[:20]
     more: list[ErrorKind] = sorted(kind for kind in errors if kind != "exact")
     kept = cache_folder() / f"{'-'.join([name, *more])}.oro"
+    use = Use(kept)
     if kept.exists():
         try:
             terrain = store.open(kept, cache_bytes=cache_bytes(max_memory))
@@ -82,6 +86,7 @@ def prepare(
             shutil.rmtree(kept, ignore_errors=True)
         else:
             progress.note(f"drawn from the store kept at {kept}")
+            terrain.use = use
             return _told(mosaic, terrain, progress)
     try:
         kept.parent.mkdir(parents=True, exist_ok=True)
@@ -93,16 +98,19 @@ def prepare(
     memory: dict[str, Any] = {} if max_memory is None else {"max_memory": max_memory}
     kinds: tuple[ErrorKind, ...] = ("exact", *more)
     terrain = store.build(mosaic, kept, resume=True, errors=kinds, jobs=jobs, progress=progress, **memory)
+    terrain.use = Use(kept)
+    make_room(progress)
     size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())
     progress.note(f"the store made of it is kept at {kept} ({size / 1e6:.0f} MB); the next picture starts from there")
     return _told(mosaic, terrain, progress)
 
 
 def _told(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
-    """The terrain, after saying what is doubtful about the heights of its files."""
+    """The terrain with its files' samples, after saying what is doubtful about the heights of these."""
     from orograph.dem.inspect import doubtful_heights
     from orograph.dem.source import Source
 
+    terrain.samples = mosaic
     low, high = terrain.height_range
     said: set[str] = set()
     every = -(-len(mosaic.sources) // 64)  # of many files some are read

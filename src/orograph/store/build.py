@@ -33,7 +33,7 @@ from orograph.store.shards import go_through
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open, read_record
-from orograph.store.terrain import Shape, TileTable, exponent, level_count, level_shape
+from orograph.store.terrain import Samples, Shape, TileTable, exponent, level_count, level_shape
 from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:
@@ -148,7 +148,10 @@ def terrain(source: HeightSource | Dem, progress: Progress = SILENT) -> MemoryTe
     with progress.task("Reading heights", total=len(strips)) as task:
         for _ in map_ordered(load, strips):
             task.advance()
-    return MemoryTerrain(heights, source.grid, source.name, source.vertical)
+    made = MemoryTerrain(heights, source.grid, source.name, source.vertical)
+    if isinstance(source, Samples):
+        made.samples = source
+    return made
 
 
 def as_source(source: HeightSource | Dem | Path_ | Sequence[Path_], progress: Progress, **options: Any) -> HeightSource:

@@ -52,6 +52,9 @@ class StoredTerrain(Terrain):
         supplied: errors of diamonds that the store lacks and that were made in memory (``supply``), by their kind.
     """
 
+    use: object | None = None
+    """What keeps it in the cache folder while it is read (``kept.Use``)."""
+
     def __init__(
         self, storage: Storage, record: Record, cache_bytes: int, jobs: int | None, watch: Watch | None = None
     ) -> None:

@@ -15,10 +15,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from orograph.error import ErrorKind
 from orograph.errors import StoreError, UsageError
@@ -69,6 +69,14 @@ def tile_shape(shape: Shape, level: int) -> Shape:
     return max(1, -(-(rows - 1) // TILE)), max(1, -(-(cols - 1) // TILE))
 
 
+@runtime_checkable
+class Samples(Protocol):
+    """The samples that a terrain was made of, on their own lattice."""
+
+    def heights_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """Heights (n,) at places (n,) in the terrain's CRS, bilinear between the samples; NaN where there is none."""
+
+
 @dataclass(frozen=True, slots=True)
 class TileTable:
     """What is known of each tile of a level, arrays of shape (tile rows, tile cols).
@@ -101,6 +109,8 @@ class Terrain(ABC):
     vertical: str | None
     remote: bool = False
     """Whether it is read over a network: many reads at once take hardly longer than one."""
+    samples: Samples | None = None
+    """Those it was made of, while they are at hand; None where its own are all that is known."""
 
     @property
     @abstractmethod

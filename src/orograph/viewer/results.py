@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.measuring import Places
+from orograph.measuring.told import lines, metres, square
 from orograph.store.terrain import Terrain
-from orograph.viewer.overlay import lonlat
 from orograph.viewpoint import Point
 
-Kind = Literal["place", "line", "area", "sight", "viewshed"]
-KINDS: tuple[Kind, ...] = ("place", "line", "area", "sight", "viewshed")
+Kind = Literal["pick", "profile", "area", "los", "viewshed"]
+"""As ``orograph measure`` calls them."""
+KINDS: tuple[Kind, ...] = ("pick", "profile", "area", "los", "viewshed")
 
 SEEN = (255, 196, 64, 150)
 HIDDEN = (20, 24, 40, 110)
@@ -46,7 +47,7 @@ def save_rgba(path: Path, pixels: NDArray[np.uint8], grid: Any) -> None:
 
 def save(kind: Kind, result: Any, points: Sequence[Point], terrain: Terrain, stem: Path) -> Path:
     """Write a result beside ``stem`` with the suffix of its kind: profiles as CSV, a viewshed as GeoTIFF, an area as
-    GeoJSON with its numbers as properties (``orograph measure area --geojson`` takes it), a place as JSON; the path.
+    GeoJSON with its numbers as properties (``orograph measure area --geojson`` takes it), a pick as JSON; the path.
 
     Args:
         points: that were clicked, in the terrain's CRS.
@@ -54,9 +55,9 @@ def save(kind: Kind, result: Any, points: Sequence[Point], terrain: Terrain, ste
     Raises:
         OutputError, OSError: it cannot be written.
     """
-    if kind in ("line", "sight"):
+    if kind in ("profile", "los"):
         path = stem.with_name(stem.name + ".csv")
-        (result.profile if kind == "sight" else result).save_csv(path)
+        (result.profile if kind == "los" else result).save_csv(path)
         return path
     if kind == "viewshed":
         path = stem.with_name(stem.name + ".tif")
@@ -85,56 +86,15 @@ def _area2(ring: NDArray[np.float64]) -> float:
     return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
 
 
-def length(metres: float | None) -> str:
-    """A length as people say it."""
-    if metres is None:
-        return "—"
-    return (
-        f"{metres / 1000:,.3f} km".replace(",", " ") if abs(metres) >= 10_000 else f"{metres:,.1f} m".replace(",", " ")
-    )
-
-
-def surface(square: float) -> str:
-    """An area as people say it."""
-    return f"{square / 1e6:,.4g} km²".replace(",", " ") if square >= 1e6 else f"{square:,.0f} m²".replace(",", " ")
-
-
 def rows(kind: Kind, result: Any) -> list[tuple[str, str]]:
     """(name, value) of a result."""
-    if kind == "place":
-        found = [("place", f"{result.easting:.2f}  {result.northing:.2f}")]
-        if result.longitude is not None:
-            found.append(("", lonlat(result.longitude, result.latitude)))
-        found.append(("height", "missing" if result.height is None else f"{result.height:.2f} m"))
-        if result.slope is not None:
-            found.append(("slope", f"{result.slope:.1f}°"))
-        if result.true_aspect is not None:
-            found.append(("aspect", f"{result.true_aspect:.0f}° from true north"))
-        return found
-    if kind == "line":
-        return [
-            ("along the ground", length(result.length)), ("on the map", length(float(result.distance[-1]))),
-            ("straight", length(result.straight)), ("climb, descent", f"{result.climb:.0f} m, {result.descent:.0f} m"),
-        ] + ([("over holes", length(result.missing))] if result.missing > 0 else [])  # fmt: skip
-    if kind == "area":
-        return [
-            ("plan", surface(result.plan)), ("surface", surface(result.surface)),
-            ("perimeter", length(result.perimeter)),
-            ("mean height", "—" if result.mean_height is None else f"{result.mean_height:.1f} m"),
-        ]  # fmt: skip
-    if kind == "sight":
-        found = [("seen", "yes" if result.visible else "no")]
-        if result.obstruction is not None:
-            found.append(
-                ("hidden by", f"ground at {length(result.obstruction.distance)}, {result.obstruction.height:.0f} m")
-            )
-            found.append(("seen if raised by", length(result.needed)))
-        return [*found, ("distance", length(float(result.profile.distance[-1])))]
+    if kind != "viewshed":
+        return [(name, value) for name, value, _ in lines(result)]
     shed, values, _ = result
     known = np.isfinite(values)
     seen = float((values[known] > 0.5).mean()) if known.any() else 0.0
     cell = abs(shed.grid.transform.determinant)
     return [
-        ("seen", f"{seen:.1%} within {length(shed.radius)}"),
-        ("", surface(float((values[known] > 0.5).sum()) * cell)),
+        ("seen", f"{seen:.1%} within {metres(shed.radius)}"),
+        ("", square(float((values[known] > 0.5).sum()) * cell)),
     ]

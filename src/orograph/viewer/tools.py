@@ -4,8 +4,8 @@ All numbers are those of ``measuring``: the full-resolution surface in true metr
 found by a thread; the panel shows the newest. A viewshed is painted on the ground as an image over it, which stands in
 for the user's own image until it is cleared.
 
-    place      height, coordinates, slope and aspect         line    distance along the ground, profile
-    area       plan, surface, perimeter                      sight   whether two points see each other, and what hinders
+    pick       height, coordinates, slope and aspect         profile   lengths, climb and descent along a line
+    area       plan, surface, perimeter                      los       whether one point is seen from another
     viewshed   what is seen from a point
 """
 
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from orograph.viewer.window import Window
 
 HINTS: dict[Kind, str] = {
-    "place": "Click a place.",
-    "line": "Click points along a line; Backspace takes one back.",
+    "pick": "Click a place.",
+    "profile": "Click points along a line; Backspace takes one back.",
     "area": "Click the corners of an area.",
-    "sight": "Click the eye, then what it looks at.",
+    "los": "Line of sight: click the eye, then what it looks at.",
     "viewshed": "Click the place of the eye.",
 }
-MOST = {"place": 1, "sight": 2, "viewshed": 1}
+MOST = {"pick": 1, "los": 2, "viewshed": 1}
 """Points of a measurement, where that is limited: a further click begins anew."""
 FIELD = 90.0
 """Logical pixels of a number's field."""
@@ -61,7 +61,7 @@ class Tools:
     def __init__(self, window: Window) -> None:
         self.window = window
         self.active = False
-        self.kind: Kind = "line"
+        self.kind: Kind = "profile"
         self.points: list[Point] = []
         self.result: Any = None
         self.trouble = ""
@@ -171,13 +171,13 @@ class Tools:
     def _work(self, at: list[tuple[float, float]]) -> Callable[[], Any] | None:
         """What is to be done for points, or None if they are too few."""
         terrain = self.window.session.terrain
-        if self.kind == "place" and at:
+        if self.kind == "pick" and at:
             return lambda: measuring.place(terrain, at[0])
-        if self.kind == "line" and len(at) > 1:
+        if self.kind == "profile" and len(at) > 1:
             return lambda: measuring.profile(terrain, at)
         if self.kind == "area" and len(at) > 2:
             return lambda: self._area(at)
-        if self.kind == "sight" and len(at) == 2:
+        if self.kind == "los" and len(at) == 2:
             return lambda: measuring.line_of_sight(terrain, at[0], at[1], self.eye, self.target)
         if self.kind == "viewshed" and at:
             asked = self._asked + 0
@@ -214,7 +214,7 @@ class Tools:
     def _line(self) -> Array | None:
         """The ground along what was measured, (n, 3), no more than a thousand places or so; else the points."""
         border = self._border[1] if self._border is not None and self._border[0] is self.result else None
-        along = {"line": self.result, "sight": getattr(self.result, "profile", None), "area": border}.get(self.kind)
+        along = {"profile": self.result, "los": getattr(self.result, "profile", None), "area": border}.get(self.kind)
         if along is None:
             points = [*self.points, *self.points[:1]] if self.kind == "area" else self.points
             return np.array(points) if len(points) > 1 else None
@@ -268,7 +268,7 @@ class Tools:
                 beside(imgui.get_frame_height() + imgui.calc_text_size(kind).x)
             if imgui.radio_button(kind, self.kind == kind) and self.kind != kind:
                 self.choose(kind)
-        if self.kind in ("sight", "viewshed"):
+        if self.kind in ("los", "viewshed"):
             self._heights()
         if self.trouble:
             imgui.text_wrapped(self.trouble)
@@ -282,7 +282,7 @@ class Tools:
                 imgui.text_disabled(name)
                 imgui.same_line(130)
                 imgui.text(value)
-            if self.kind in ("line", "sight"):
+            if self.kind in ("profile", "los"):
                 self._plot()
         if imgui.small_button("Clear"):
             self.clear()
@@ -316,12 +316,12 @@ class Tools:
 
     def _plot(self) -> None:
         """Heights along the line; the cursor on the plot shows its place on the ground."""
-        profile = self.result.profile if self.kind == "sight" else self.result
-        x, z = profile.distance / 1000.0, profile.heights
+        profile = self.result.profile if self.kind == "los" else self.result
+        x, z = profile.distance / 1000.0, profile.surface_heights
         if not np.isfinite(z).any():
             return
         low, high = float(np.nanmin(z)), float(np.nanmax(z))
-        sight = self.result.line if self.kind == "sight" else None
+        sight = self.result.line if self.kind == "los" else None
         if sight is not None:
             high = max(high, float(np.nanmax(sight)))
         room = 0.08 * max(high - low, 1.0)

@@ -42,7 +42,7 @@ def trace(
     for spot in on_screen(window, np.array(points).reshape(-1, 3), single=True):
         draw.add_circle_filled(spot[0], 5.0, dark)
         draw.add_circle_filled(spot[0], 3.5, ink)
-    if kind == "sight" and result is not None and result.obstruction is not None:
+    if kind == "los" and result is not None and result.obstruction is not None:
         mark = result.obstruction
         for (at,) in on_screen(window, np.array([[mark.easting, mark.northing, mark.height]]), single=True):
             for s in (-1, 1):

@@ -1,0 +1,97 @@
+"""What a measurement comes to, for people: names and values, the same on the command line and in the window.
+
+Units are in the values.
+"""
+
+from __future__ import annotations
+
+from orograph.measuring.area import Area
+from orograph.measuring.pick import Hit
+from orograph.measuring.profile import Profile
+from orograph.measuring.sight import Sight
+
+Row = tuple[str, str, str]
+"""A name, its value, and what only a wide line has room for."""
+
+
+def metres(value: float | None, digits: int = 2) -> str:
+    """A length."""
+    return "–" if value is None else f"{value:,.{digits}f} m"
+
+
+def square(value: float) -> str:
+    """An area."""
+    return f"{value:,.1f} m²" + (f"  ({value / 1e6:,.4f} km²)" if value >= 1e5 else "")
+
+
+def place(lon: float | None, lat: float | None, east: float, north: float, name: str = "place") -> list[Row]:
+    """A place in the terrain's CRS and, if it is known, in degrees."""
+    degrees = [] if lon is None or lat is None else [("", f"lon {lon:.6f}, lat {lat:.6f}", "")]
+    return [(name, f"{east:.2f}, {north:.2f}", ""), *degrees]
+
+
+def lines(result: Hit | Profile | Area | Sight) -> list[Row]:
+    """What a measurement says, a row for each value."""
+    if isinstance(result, Hit):
+        return _hit(result)
+    if isinstance(result, Profile):
+        return _profile(result)
+    return _area(result) if isinstance(result, Area) else _sight(result)
+
+
+def _hit(hit: Hit) -> list[Row]:
+    found = place(hit.longitude, hit.latitude, hit.easting, hit.northing)
+    for name, height in (("height", hit.height), ("of the surface", hit.surface_height)):
+        found.append((name, metres(height, 3) if height is not None else "no data here", ""))
+    if hit.slope is not None:
+        aspect = "level" if hit.aspect is None else f"{hit.aspect:.1f}° grid, {hit.true_aspect:.1f}° true"
+        found += [("slope", f"{hit.slope:.2f}°", ""), ("aspect", aspect, "")]
+    if hit.distance is not None:
+        found.append(("from the eye", metres(hit.distance), ""))
+    return found
+
+
+def _profile(line: Profile) -> list[Row]:
+    found = [
+        ("on the ground", metres(line.length), ""), ("straight", metres(line.straight), ""),
+        ("horizontal", metres(float(line.distance[-1])), f", on the grid {metres(line.grid)} (scale {line.scale:.6f})"),
+        ("geodesic", metres(line.geodesic), ""),
+        ("climb, descent", f"+{metres(line.climb)}, −{metres(line.descent)}", ""),
+        ("lowest, highest", f"{metres(line.lowest)}, {metres(line.highest)}", ""),
+    ]  # fmt: skip
+    return (
+        [
+            *found,
+            ("without data", metres(line.missing), f", bridged by {metres(line.bridged)} of the length on the ground"),
+        ]
+        if line.missing
+        else found
+    )
+
+
+def _area(area: Area) -> list[Row]:
+    found = [
+        ("plan", square(area.plan), f", on the grid {area.plan_grid:,.1f} m²"),
+        ("surface", square(area.surface), f", on the grid {area.surface_grid:,.1f} m²"),
+        ("perimeter", metres(area.perimeter), ""), ("mean height", metres(area.mean_height), ""),
+    ]  # fmt: skip
+    if area.missing_grid:
+        found.append(("without data", f"{area.missing_grid:,.1f} m²", " of the grid, in no surface"))
+    if area.above is not None:
+        found += [(f"above {area.level:g} m", f"{area.above:,.1f} m³", ""),
+                  (f"below {area.level:g} m", f"{area.below:,.1f} m³", "")]  # fmt: skip
+    return found
+
+
+def _sight(sight: Sight) -> list[Row]:
+    found = [("visible", "yes" if sight.visible else "no", ""),
+             ("distance", metres(float(sight.profile.distance[-1])), "")]  # fmt: skip
+    if (mark := sight.obstruction) is not None:
+        found.append(("obstructed at", f"{metres(mark.distance)}, height {metres(mark.height)}", ""))
+        found += place(mark.longitude, mark.latitude, mark.easting, mark.northing, "")
+        found.append(("target needs", f"{metres(sight.needed)} above ground", ""))
+    if (mark := sight.tightest) is not None:
+        found.append(("least clearance", f"{metres(mark.clearance)} at {metres(mark.distance)}", ""))
+    if sight.profile.missing:
+        found.append(("without data", metres(sight.profile.missing), ", taken as hiding nothing"))
+    return found
