@@ -12,7 +12,7 @@ help:
 	@echo 'make test   install what the tests need, and run them'
 	@echo 'make test-all  also the long ones: fuzzing, kills, concurrent runs'
 	@echo 'make check  ruff, mypy and the direction of imports'
-	@echo 'make bench  the benchmarks, as tables'
+	@echo 'make bench  the benchmarks, as tables; QUICK=1: in small forms, ten minutes at most'
 	@echo 'make clean  remove .venv/ and what was made'
 
 $(BIN)/python:
@@ -41,7 +41,7 @@ check: $(VENV)/.check $(VENV)/.test
 	$(BIN)/lint-imports
 
 bench: $(VENV)/.bench
-	@for file in bench/[a-z]*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	@$(BIN)/python bench/every.py $(if $(QUICK),--quick)
 
 clean:
 	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -105,7 +105,7 @@ def cost(h: np.ndarray, linear: np.ndarray) -> None:
     print(f"{1e9 * b / len(points):.0f} ns per hit")
 
 
-def pictures(h: np.ndarray, linear: np.ndarray, rounds: int = 7) -> None:
+def pictures(h: np.ndarray, linear: np.ndarray, rounds: int) -> None:
     """Whole pictures of 1280 × 720 from a store with baked apertures, by each light: as a command, in a process."""
     import tempfile
 
@@ -208,6 +208,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--rays", type=int, default=256)
     parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--rounds", type=int, default=7, help="of the pictures, the best of which counts")
     parser.add_argument("--cost", action="store_true", help="only what a picture costs")
     parser.add_argument("--gpu", action="store_true", help="only what a frame of the GPU renderer costs")
     args = parser.parse_args()
@@ -218,7 +219,7 @@ def main() -> None:
         return
     if args.pictures:
         args.pictures.mkdir(parents=True, exist_ok=True)
-    pictures(h, linear)
+    pictures(h, linear, args.rounds)
     if args.cost:
         return
     cost(h, linear)

@@ -27,6 +27,7 @@ from orograph.error.diamonds import diamonds
 from orograph.store.diamonds import NESTED, surface
 from orograph.store.levels import subsample
 from orograph.store.survey import Errors
+from orograph.store.writer import ShardWriter
 
 
 def best(work: Callable[[], object], rounds: int) -> float:
@@ -85,7 +86,9 @@ def out_of_core(terrain: store.MemoryTerrain, folder: Path, threads: list[int], 
 
             def work(kind=kind, jobs=jobs):
                 record = built.record
-                stage = Errors(built.grid, built.storage, record.shard, record.chunk, built.tiles(0), (kind,), False)
+                writer = ShardWriter(built.storage)
+                writer.digests = record.digests  # by which the heights are read back
+                stage = Errors(built.grid, writer, record.shard, record.chunk, built.tiles(0), (kind,), False)
                 for _ in store_map(stage.run, stage.tasks(), jobs):
                     pass
                 stage.finish()

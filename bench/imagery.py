@@ -1,6 +1,6 @@
 """Streamed imagery: a flight over a terrain under a large image, frame by frame.
 
-    python bench/imagery.py TERRAIN [--side 32768] [--image FILE] [--frames 200] [--size 1280x720] [--gpu-memory 512]
+    python bench/imagery.py [TERRAIN] [--side 32768] [--image FILE] [--frames 200] [--size 1280x720] [--gpu-memory 512]
                             [--json]
 
 The image is made (RGB, tiled, deflate, with overviews) where none is given: patches of colour whose detail goes down to
@@ -22,6 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+TILE = Path(__file__).parents[2] / "shared" / "data" / "n44w072-hgt" / "N44W072.hgt"
 
 
 def make(path: Path, terrain: Any, side: int) -> None:
@@ -103,7 +105,7 @@ def fly(renderer: Any, target: Any, scenes: list[Any]) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("terrain", nargs="+")
+    parser.add_argument("terrain", nargs="*", default=[str(TILE)], help="default: an SRTM tile of the open data")
     parser.add_argument("--side", type=int, default=32768)
     parser.add_argument("--image", type=Path)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "orograph-bench")

@@ -1,6 +1,6 @@
 """Whole commands, from the raw file to the picture: seconds and peak memory, cold store and kept store.
 
-    python bench/render.py [--data ../shared/data] [--runs 3] [--big big.tif]
+    python bench/render.py [--data ../shared/data] [--runs 3] [--big big.tif] [--size 16385]
 
 Three inputs: a geographic tile of 1201², the 40 tiles of California (13201 × 4801, degrees), a projected float32 raster
 of 16385² (made by ``orograph synth`` if --big is not there). Kernels are compiled before the first timed run. "first":
@@ -80,7 +80,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--big", type=Path, help="a projected raster of 16385 × 16385 samples")
+    parser.add_argument("--big", type=Path, help="a projected raster of --size samples a side")
+    parser.add_argument(
+        "--size", type=int, default=16385, help="samples along a side of the raster that is made for it"
+    )
     parser.add_argument("--sides", metavar="STORE", help="time rays at a store from all sides, and nothing else")
     options = parser.parse_args()
     if options.sides:
@@ -100,8 +103,8 @@ def main() -> None:
             print(f"(not all of the data is at {options.data}; what is missing is left out)")
         big = options.big or work / "big.tif"
         if not big.exists():
-            timed([*OROGRAPH, "synth", "-o", str(big), "--size", "16385", "--seed", "7"], work)
-        cases.append(("16385² float32, metres", [str(big)], ["--max-memory", "1.5GiB"]))
+            timed([*OROGRAPH, "synth", "-o", str(big), "--size", str(options.size), "--seed", "7"], work)
+        cases.append((f"{options.size}² float32, metres", [str(big)], ["--max-memory", "1.5GiB"]))
         timed([*OROGRAPH, "demo", "-o", str(work / "warm")], work / "none")
         timed([*OROGRAPH, "render", *cases[0][1], "-o", picture], work / "none")
         print("| input | first | again | peak memory, first | again |\n|---|---|---|---|---|")

@@ -1,11 +1,11 @@
 """ROAM on a smooth flight: what changes per frame, what it costs, and what each of the paper's increments is worth.
 
-    python bench/roam.py [HEIGHTS.npy | DEM] [--cell 30] [--frames 60] [--speed 100] [--queues]
+    python bench/roam.py [HEIGHTS.npy | DEM | --size 4097] [--cell 30] [--frames 60] [--speed 100] [--queues]
 
 The eye flies 300 m above the ground at ``--speed`` m/s, 60 frames a second, turning by some degrees a second. Times are
 of the method (``Roam.mesh``), in milliseconds of the thread's own processor time, so that other work on the machine
-counts little; the first frames, which compile and build the mesh, are left out. Make the synthetic terrain with
-``orograph synth --size 4097 --seed 7``.
+counts little; the first frames, which compile and build the mesh, are left out. Without a terrain it is the synthetic
+one of ``orograph synth --seed 7``.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from orograph.lod.queues import heap_pop, heap_push
 from orograph.lod.roam import Roam, mesh, queues
 from orograph.store.memory import MemoryTerrain
 from orograph.viewpoint import Camera, View
+from synthetic import synthetic
 
 RATE = 60.0
 TURN = 2.0
@@ -142,7 +143,8 @@ def rate_of_queues() -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("heights", nargs="?", default="synth.npy")
+    parser.add_argument("heights", nargs="?", help="default: a synthetic terrain")
+    parser.add_argument("--size", type=int, default=4097, help="samples along a side of that")
     parser.add_argument("--cell", type=float, default=30.0)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--speed", type=float, default=100.0)
@@ -151,7 +153,7 @@ def main() -> None:
     if given.queues:
         rate_of_queues()
         return
-    t = load(given.heights, given.cell)
+    t = load(given.heights, given.cell) if given.heights else synthetic(given.size, cell=given.cell)
     views = flight(t, given.frames, given.speed)
     print(f"{t!r}, {given.frames} frames, {given.speed:.0f} m/s")
     print(f"{'':34s} {'triangles':>9s} {'% new':>7s} {'splits':>8s} {'merges':>8s} {'recomputed':>10s} {'ms':>8s}")

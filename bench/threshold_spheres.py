@@ -1,6 +1,6 @@
 """Threshold spheres on a smooth flight: how much of the front is looked at again in a frame, and what that costs.
 
-    python bench/threshold_spheres.py [HEIGHTS.npy | DEM] [--cell 30] [--frames 60] [--tolerance 1]
+    python bench/threshold_spheres.py [HEIGHTS.npy | DEM | --size 4097] [--cell 30] [--frames 60] [--tolerance 1]
 
 The eye flies 300 m above the ground (the flight of ``bench/roam.py``) at several speeds, straight on or turning, with
 each metric. Medians over frames; the first one builds the mesh and is told apart.
@@ -13,15 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from affine import Affine
 
-from orograph.dem.synth import Synth
-from orograph.geo.grid import Grid
 from orograph.lod.method import Goal
 from orograph.lod.threshold_spheres import ThresholdSpheres
-from orograph.store.memory import MemoryTerrain
 from orograph.viewpoint import Camera, View
 from roam import RATE, flight, load
+from synthetic import synthetic
 
 
 def turned(view: View, degrees: float) -> View:
@@ -34,16 +31,13 @@ def turned(view: View, degrees: float) -> View:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("heights", nargs="?", help="default: a synthetic terrain of 4097² samples")
+    parser.add_argument("heights", nargs="?", help="default: a synthetic terrain")
+    parser.add_argument("--size", type=int, default=4097, help="samples along a side of that")
     parser.add_argument("--cell", type=float, default=30.0)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--tolerance", type=float, default=1.0)
     given = parser.parse_args()
-    if given.heights:
-        t = load(given.heights, given.cell)
-    else:
-        z = Synth((4097, 4097), 7).read(0, 4097, 0, 4097)
-        t = MemoryTerrain(z, Grid(z.shape, Affine(given.cell, 0, 0, 0, -given.cell, 0)), "synthetic")
+    t = load(given.heights, given.cell) if given.heights else synthetic(given.size, cell=given.cell)
     print(f"{Path(t.name).name}, {given.tolerance:g} px, {given.frames} frames; {RATE:g} frames/s")
     print(f"{'metric':12}{'m/frame':>8}{'°/frame':>8}{'front':>9}{'drawn':>9}{'looked at':>10}{'changed':>9}"
           f"{'of front':>9}{'update':>8}{'put out':>9}{'first':>8}")  # fmt: skip

@@ -1,6 +1,6 @@
 """How long ``orograph view`` takes until there is terrain to be seen: from exec to pixels on a screen.
 
-    python bench/window.py PATH... [--runs N] [--size WxH] [--cold]
+    python bench/window.py [PATH...] [--runs N] [--size WxH] [--cold]
 
 A virtual screen (Xvfb) is looked at every few milliseconds, as an eye would: what counts is not what the program says
 of itself. Three times are told, seconds from exec: the window is there (something is drawn: panels, a sentence), the
@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 from PIL import ImageGrab
 
+TILE = Path(__file__).parents[2] / "shared" / "data" / "n44w072-hgt" / "N44W072.hgt"
 STEP = 0.04
 """Seconds between two looks: one takes 6 ms, and two processors are all that some have."""
 PATIENCE = 120.0
@@ -102,7 +103,7 @@ def start(display: str, paths: list[str], size: tuple[int, int], env: dict[str, 
 def main() -> None:
     """Measure, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("paths", nargs="+")
+    parser.add_argument("paths", nargs="*", default=[str(TILE)], help="default: an SRTM tile of the open data")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--size", default="1280x800")
     parser.add_argument("--cold", action="store_true")

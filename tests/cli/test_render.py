@@ -508,6 +508,14 @@ def test_the_cache_keeps_within_its_size(run, tmp_path, monkeypatch):
     refused(run("render", first, "-o", tmp_path / "a.png", *SMALL), 2, "OROGRAPH_CACHE_SIZE")
 
 
+@pytest.mark.parametrize(("mib", "fits"), [(512, False), (600, True), (1024, True)])
+def test_a_raster_is_read_into_memory_where_its_picture_keeps_within_the_limit(mib, fits):
+    from orograph.scene.prepare import _fits
+
+    assert _fits(4097 * 4097, mib << 20) is fits  # in memory the picture takes 544 MiB
+    assert _fits(344 * 403, 64 << 20)
+
+
 def test_a_cache_that_cannot_be(run, tmp_path, monkeypatch):
     monkeypatch.setattr("orograph.scene.prepare.EXACT_SAMPLES", 10_000)
     (tmp_path / "file").write_text("")

@@ -24,6 +24,18 @@ if TYPE_CHECKING:
     from orograph.error import ErrorKind
 
 
+BASE = 240 << 20
+"""Bytes that the interpreter and its libraries take."""
+
+PER_SAMPLE = 20
+"""Bytes of a raster in memory while it is drawn: heights, coarser levels, pyramids, light (measured: 4097² samples)."""
+
+
+def _fits(samples: int, max_memory: int) -> bool:
+    """Whether a raster is read into memory: it leaves room for all else, or is small beside the limit."""
+    return samples * PER_SAMPLE <= max(max_memory - BASE, max_memory // 4)
+
+
 def cache_bytes(max_memory: int | None) -> int:
     """What a store may cache while a picture is drawn from it: a picture reads each tile once or twice."""
     return (64 << 20) if max_memory is None else min(64 << 20, max_memory // 16)
@@ -69,7 +81,7 @@ def prepare(
     for warning in mosaic.warnings:
         progress.warn(warning)
     rows, cols = mosaic.grid.shape
-    if rows * cols <= EXACT_SAMPLES and (max_memory is None or rows * cols * 12 <= max_memory):
+    if rows * cols <= EXACT_SAMPLES and (max_memory is None or _fits(rows * cols, max_memory)):
         return _told(mosaic, store.terrain(mosaic, progress), progress)
     cache_limit()  # if it is no size, that is said before anything is built
     # Those of another store format have another name: what they left unfinished is not in the way.
