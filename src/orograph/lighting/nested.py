@@ -4,7 +4,8 @@ Every sample of a window sees the terrain towards the light at the window's own 
 and beyond that at the resolution of the windows around it, out to the border of the outermost. A line of samples is
 walked from its far end towards the light's lee; the upper convex hull of what was passed holds every possible horizon
 (Timonen & Westerholm 2010, §4), so a sample costs amortised constant time. Lines run one sample apart; a sample's value
-is interpolated between the two lines that pass it, its profile between the two samples beside the line.
+is interpolated between the two lines that pass it, its profile between the two samples beside the line. What stands in
+its own cell is taken from the surface (``sweep_kernels.cell_slope``).
 
 Heights are metres, NaN where missing (nothing stands there); slopes are tangents of elevation angles.
 """
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
+from orograph.lighting.sweep_kernels import Beside, cell_slope
 from orograph.parallel import map_ordered
 
 Heights = NDArray[np.float32]
@@ -63,11 +65,13 @@ def _profile(heights, major_is_col, j, y):
 
 @kernel
 def _sweep(
-    heights, major_is_col, forward, slant, metres, first, last, line0, outer_pool, outer_ints, outer_floats, lowest, out
-):
+    heights, major_is_col, forward, slant, metres, own, first, last, line0, outer_pool, outer_ints, outer_floats,
+    lowest, out,
+):  # fmt: skip
     """Lines [first, last) of a window: ``out[line - line0, j]`` is the slope towards the light at major index j.
 
     Args:
+        own: metres that a sample's own cell reaches, within which ``_gather`` looks.
         forward: whether the light lies towards larger major indices. slant: minor steps per major step towards larger
             indices. metres: of a step along the line.
         outer_pool, outer_ints (w, 3: offset, rows, cols), outer_floats (w, 5: scale in this window's samples, first row
@@ -132,7 +136,10 @@ def _sweep(
                 s - hull_t[size - 2]
             ):
                 size -= 1
-            slope = (hull_z[size - 1] - z) / (s - hull_t[size - 1]) if size > 0 else lowest
+            top = size - 1
+            if k > 0 and top >= 0 and s - hull_t[top] <= own:
+                top -= 1
+            slope = (hull_z[top] - z) / (s - hull_t[top]) if top >= 0 else lowest
             out[line - line0, j] = max(slope, lowest)
             if -1.0 + 1e-6 < y < minors - 1e-6:  # lines beside the border see its samples, but not beyond the next one
                 hull_t[size], hull_z[size] = s, z
@@ -140,9 +147,9 @@ def _sweep(
 
 
 @kernel
-def _gather(lines, line0, major_is_col, slant, out, first, last):
-    """Values on the grid, rows [first, last), between the lines that pass a sample."""
-    cols = out.shape[1]
+def _gather(lines, line0, major_is_col, slant, heights, beside, out, first, last):
+    """Values on the grid, rows [first, last), between the lines that pass a sample, and of its own cell."""
+    rows, cols = out.shape
     for i in range(first, last):
         for k in range(cols):
             j, y = (k, i) if major_is_col else (i, k)
@@ -154,6 +161,18 @@ def _gather(lines, line0, major_is_col, slant, out, first, last):
                 a = b
             if b != b:
                 b = a
+            if beside.own > 0.0:
+                down, across = (beside.side, beside.toward) if major_is_col else (beside.toward, beside.side)
+                i1, k1 = i + down, k + across
+                if (0 <= k1 < cols) if major_is_col else (0 <= i1 < rows):
+                    nan = np.float32(np.nan)
+                    inside = 0 <= i1 < rows and 0 <= k1 < cols
+                    major = heights[i, k1] if major_is_col else heights[i1, k]
+                    minor = (heights[i1, k] if major_is_col else heights[i, k1]) if inside else nan
+                    both = heights[i1, k1] if inside else nan
+                    near = cell_slope(heights[i, k], major, both, minor, beside.odd + i + k, beside)
+                    a = near if near > a else a
+                    b = near if near > b else b
             out[i, k] = a + (b - a) * f
 
 
@@ -198,6 +217,12 @@ def _one(
     rows, cols = heights.shape
     majors, minors = (cols, rows) if major_is_col else (rows, cols)
     pool, ints, floats = _around(outer, window, majors, major_is_col, forward)
+    places = slant * np.arange(majors)
+    toward = 1 if forward else -1
+    beside = Beside(
+        np.float64(np.abs(places - np.round(places)).max(initial=0.0) > 1e-6), toward, -1, int(np.sign(slant * toward)),
+        np.float32(abs(slant)), (window.row0 + window.col0) & 1, np.float32(1.0 / metres), np.float32(0.0),
+    )  # fmt: skip
     low = min(0.0, -slant * (majors - 1))
     high = minors - 1 + max(0.0, -slant * (majors - 1))
     line0, count = math.floor(low), math.ceil(high) - math.floor(low) + 2
@@ -205,14 +230,14 @@ def _one(
 
     def some(first: int) -> None:
         _sweep(
-            heights, major_is_col, forward, slant, metres, first, min(first + _LINES, line0 + count), line0, pool, ints,
-            floats, lowest, lines,
+            heights, major_is_col, forward, slant, metres, beside.own * metres * (1.0 + 1e-9), first,
+            min(first + _LINES, line0 + count), line0, pool, ints, floats, lowest, lines,
         )  # fmt: skip
 
     for _ in map_ordered(some, range(line0, line0 + count, _LINES), jobs):
         pass
     result = np.empty(heights.shape, np.float32)
-    _gather(lines, line0, major_is_col, slant, result, 0, rows)
+    _gather(lines, line0, major_is_col, slant, heights, beside, result, 0, rows)
     return result
 
 

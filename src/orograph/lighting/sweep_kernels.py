@@ -14,10 +14,16 @@ tangent: O(log h) for hulls of h points, exact. Blocks are counted from the line
 On a round body heights are lowered by a parabola, x²/2r, x steps from the line's beginning. Hulls commute with that
 shear: slopes between points of the bent profile differ from the slopes seen at x by x/r alone, which is added back.
 
+What a sample sees of its own cell, up to one step, comes from the surface (``cell_slope``): interpolated lines are
+wrong there by as much as cells are rough. So lines tell the *far* horizon: where the next point of a line is what a
+point sees highest, its far horizon is that point's own horizon, the next one on the hull.
+
 Positions are counted in steps from the light's end of the line; heights are metres, float64.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,15 +64,15 @@ def _profile(a: np.float32, b: np.float32, f: np.float32) -> np.float64:
 
 @kernel
 def _gather(
-    heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, line0: int, lines: int,
-    first: int, last: int, profile: F64,
+    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, line0: int,
+    lines: int, first: int, last: int, profile: F64,
 ) -> None:  # fmt: skip
     """Heights at steps [first, last) of ``lines`` lines from ``line0``: profile (lines, steps), NaN off the raster."""
     nan = np.float32(np.nan)
     if lane_stride == 1:  # neighbouring lines lie beside each other in memory
         for i in range(first, last):
             lane0, f = line0 + shift[i], part[i]
-            base = lane0 + i * step_stride
+            base = start + lane0 + i * step_stride
             if lane0 >= 0 and lane0 + lines < lanes:
                 if f == 0.0:
                     for b in range(lines):
@@ -84,7 +90,7 @@ def _gather(
     for b in range(lines):
         for i in range(first, last):
             j, f = line0 + b + shift[i], part[i]
-            k = j * lane_stride + i * step_stride
+            k = start + j * lane_stride + i * step_stride
             p = heights[k] if 0 <= j < lanes else nan
             q = heights[k + lane_stride] if f > 0.0 and 0 <= j + 1 < lanes else nan
             profile[b, i] = _profile(p, q, f)
@@ -93,9 +99,9 @@ def _gather(
 @kernel
 def _unlimited(
     profile: F64, first: int, last: int, backward: bool, origin: int, scale: float, lowest: float, bend: float,
-    line: int, top: I64, position: I32, height: F64, link: I64, free: I64, slope: F32,
+    own: float, line: int, top: I64, position: I32, height: F64, link: I64, free: I64, slope: F32,
 ) -> None:  # fmt: skip
-    """Horizon slopes of one line's steps [first, last), its stack taken up from ``top[line]`` and left there.
+    """Far horizon slopes of one line's steps [first, last), its stack taken up from ``top[line]`` and left there.
 
     ``origin``: position of step 0; steps run against positions if ``backward``. ``scale`` is steps per metre, ``bend``
     the body's curvature per metre. ``free[0]`` counts the free pages listed after it; there are enough.
@@ -125,8 +131,10 @@ def _unlimited(
                 if u >= 0:
                     x2, z2 = np.float64(position[u]), height[u]
             s = lowest
-            if t >= 0:
+            if t >= 0 and x - x1 > own:
                 s = max((z1 - z) * scale / (x - x1) - x * turn, lowest)
+            elif u >= 0:
+                s = max((z2 - z) * scale / (x - x2) - x * turn, lowest)
             slope[i] = s
             u, x2, z2 = t, x1, z1
             t += 1
@@ -144,9 +152,9 @@ def _unlimited(
 @kernel
 def _limited(
     profile: F64, first: int, last: int, backward: bool, origin: int, scale: float, lowest: float, bend: float,
-    reach: int, near: F64, end: F64, undo: F64, slope: F32,
+    own: float, reach: int, near: F64, end: F64, undo: F64, slope: F32,
 ) -> None:  # fmt: skip
-    """Horizon slopes of one line's steps [first, last) among the points within ``reach`` steps.
+    """Far horizon slopes of one line's steps [first, last) among the points within ``reach`` steps.
 
     Positions begin at a multiple of ``reach``. ``near`` and ``end`` (reach, 2) are stacks of (position, height);
     ``undo`` (reach, 4) is what each insertion into ``end`` changed: its place (-1: none), what lay there, and the size.
@@ -179,8 +187,11 @@ def _limited(
             ) * (x - near[nears - 1, 0]):
                 nears -= 1
             s = lowest
-            if nears > 0:
-                s = max((near[nears - 1, 1] - z) * scale / (x - near[nears - 1, 0]) - x * turn, lowest)
+            k = nears - 1
+            if k >= 0 and x - near[k, 0] <= own:
+                k -= 1
+            if k >= 0:
+                s = max((near[k, 1] - z) * scale / (x - near[k, 0]) - x * turn, lowest)
             if ends > 0:  # slopes rise along the hull up to the tangent, and fall behind it
                 low, high = 0, ends - 1
                 while low < high:
@@ -189,7 +200,10 @@ def _limited(
                         low = mid + 1
                     else:
                         high = mid
-                s = max((end[low, 1] - z) * scale / (x - end[low, 0]) - x * turn, s)
+                if x - end[low, 0] <= own:
+                    low += 1
+                if low < ends:
+                    s = max((end[low, 1] - z) * scale / (x - end[low, 0]) - x * turn, s)
             slope[i] = s
             near[nears, 0], near[nears, 1] = x, z
             nears += 1
@@ -215,40 +229,92 @@ def _limited(
             ends += 1
 
 
+class Beside(NamedTuple):
+    """Where the samples beside one are that its own cell towards the light has, and how far.
+
+    Attributes:
+        own: steps that the own cell reaches: 1, or 0 where lines run through the samples and see all that there is.
+        toward: 1 or −1, from a step to the one nearer to the light. edge: the step that has no such one.
+        side: 1, −1 or 0, lanes to the sample on that side. part: lanes that a line moves by in a step, from 0 to 1.
+        odd: 1 if row + column of the sample in lane 0 at step 0 is odd.
+        scale: steps per metre. sag: what a round body takes off the slope to a point one step away.
+    """
+
+    own: np.float64
+    toward: int
+    edge: int
+    side: int
+    part: np.float32
+    odd: int
+    scale: np.float32
+    sag: np.float32
+
+
+@inlined
+def cell_slope(z, major, both, minor, odd, beside):  # type: ignore[no-untyped-def]
+    """The slope of what a sample sees of its own cell: of its triangle, and up to one step away. NaN: nothing.
+
+    The cell's diagonal runs through samples of even row + column. From those the triangle's far side is at one step,
+    from the others it is the diagonal. A missing sample of the far side is replaced by the other one.
+
+    Args:
+        z: height of the sample. major, both, minor: of those one step towards the light, there and to the side, to the
+            side.
+    """
+    m = major if major == major else both
+    d = both if both == both else m
+    slope = (m + beside.part * (d - m) - z) * beside.scale - beside.sag
+    own = ((major - z) + beside.part * (minor - z)) * beside.scale - beside.sag / (np.float32(1.0) + beside.part)
+    return own if odd & 1 and own > slope else slope
+
+
+@inlined
+def _seen(one, other, f, near):  # type: ignore[no-untyped-def]
+    """The horizon of a sample: of its own cell, or what the lines on both sides of it see beyond theirs."""
+    a = near if near > one else one
+    b = near if near > other else other
+    return a * (np.float32(1.0) - f) + b * f if f > 0 else a
+
+
 @kernel
 def _scatter(
-    values: F32, heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, begin: int,
-    lines: int, first: int, last: int, skip: int, out_lane: int, out_step: int, out: F32,
+    values: F32, heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32,
+    beside: Beside, begin: int, lines: int, first: int, last: int, skip: int, out_lane: int, out_step: int, out: F32,
 ) -> None:  # fmt: skip
-    """Interpolate values (1 + lines, steps), of lines begin − 1 …, at the samples between; NaN where samples are.
+    """Horizons of samples from values (1 + lines, steps), of lines begin − 1 …, and own cells; NaN where they are.
 
     ``skip`` steps of the heights have no place in ``out``, whose lanes are ``out_lane`` apart, and steps ``out_step``.
     """
-    one, nan = np.float32(1.0), np.float32(np.nan)
-    if lane_stride == 1:
-        for i in range(first, last):
-            lane0, f = begin + shift[i], part[i]
-            base, target = lane0 + i * step_stride, lane0 + (i - skip) * out_step
-            b0, b1 = max(-lane0, 0), min(lanes - lane0, lines)
-            if f > 0:
-                for b in range(b0, b1):
-                    v = values[b + 1, i] * (one - f) + values[b, i] * f
-                    h = heights[base + b]
-                    out[target + b] = v if h == h else nan
-            else:
-                for b in range(b0, b1):
-                    h = heights[base + b]
-                    out[target + b] = values[b + 1, i] if h == h else nan
-        return
-    for b in range(lines):
-        for i in range(first, last):
-            j, f = begin + b + shift[i], part[i]
-            if 0 <= j < lanes:
-                h = heights[j * lane_stride + i]
-                v = values[b + 1, i]
-                if f > 0:
-                    v = v * (one - f) + values[b, i] * f
-                out[j * out_lane + i - skip] = v if h == h else nan
+    nan = np.float32(np.nan)
+    for i in range(first, last):
+        lane0, f = begin + shift[i], part[i]
+        b0, b1 = max(-lane0, 0), min(lanes - lane0, lines)
+        ahead = 0 if beside.own == 0.0 or i == beside.edge else beside.toward * step_stride
+        # Lanes that have one to the side.
+        s0 = min(max(b0, 1 - lane0), b1) if beside.side < 0 else b0
+        s1 = max(min(b1, lanes - 1 - lane0), s0) if beside.side > 0 else b1
+        base, target = start + lane0 * lane_stride + i * step_stride, lane0 * out_lane + (i - skip) * out_step
+        aside, odd = beside.side * lane_stride, beside.odd + lane0 + i
+        if ahead == 0:
+            for b in range(b0, b1):
+                h = heights[base + b * lane_stride]
+                out[target + b * out_lane] = _seen(values[b + 1, i], values[b, i], f, nan) if h == h else nan
+            continue
+        for b in range(b0, s0):
+            k = base + b * lane_stride
+            near = cell_slope(heights[k], heights[k + ahead], nan, nan, odd + b, beside)
+            v = _seen(values[b + 1, i], values[b, i], f, near)
+            out[target + b * out_lane] = v if heights[k] == heights[k] else nan
+        for b in range(s0, s1):
+            k = base + b * lane_stride
+            z, major, both, minor = heights[k], heights[k + ahead], heights[k + ahead + aside], heights[k + aside]
+            v = _seen(values[b + 1, i], values[b, i], f, cell_slope(z, major, both, minor, odd + b, beside))
+            out[target + b * out_lane] = v if z == z else nan
+        for b in range(s1, b1):
+            k = base + b * lane_stride
+            near = cell_slope(heights[k], heights[k + ahead], nan, nan, odd + b, beside)
+            v = _seen(values[b + 1, i], values[b, i], f, near)
+            out[target + b * out_lane] = v if heights[k] == heights[k] else nan
 
 
 @kernel
@@ -264,14 +330,15 @@ def _range(shift: I64, lanes: int, line0: int, lines: int) -> tuple[int, int]:
 
 @kernel
 def sweep_lines(
-    heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, backward: bool, origin: int,
-    scale: float, lowest: float, bend: float, line0: int, lines: int, begin: int, top: I64, position: I32,
-    height: F64, link: I64, free: I64, profile: F64, slope: F32, out_lane: int, out_step: int, out: F32,
+    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, beside: Beside,
+    backward: bool, origin: int, scale: float, lowest: float, bend: float, line0: int, lines: int, begin: int, top: I64,
+    position: I32, height: F64, link: I64, free: I64, profile: F64, slope: F32, out_lane: int, out_step: int, out: F32,
 ) -> int:  # fmt: skip
     """Sweep a band of ``len(shift)`` steps for the samples on or just before ``lines`` lines from ``line0``, unlimited.
 
-    Every sample belongs to one line. ``top`` (1 + lines,) are the stacks of the line before the first and of all lines.
-    ``profile`` and ``slope`` are ``working(steps)``; the latter keeps a line's slopes from one group to the next.
+    ``heights[start]`` is the sample in lane 0 at step 0; the step nearer to the light is there, too. Every sample
+    belongs to one line. ``top`` (1 + lines,) are the stacks of the line before the first and of all lines. ``profile``
+    and ``slope`` are ``working(steps)``; the latter keeps a line's slopes from one group to the next.
 
     Returns:
         the number of lines done; fewer than ``lines`` if the pool has too few free pages to go on: call again with
@@ -285,16 +352,18 @@ def sweep_lines(
         count = min(GROUP, lines - begin)
         if begin == 0:
             first, last = _range(shift, lanes, line0 - 1, 1)
-            _gather(heights, lane_stride, step_stride, lanes, shift, part, line0 - 1, 1, first, last, profile)
-            _unlimited(profile[0], first, last, backward, origin, scale, lowest, bend, 0, top, position, height, link,
-                       free, slope[0])  # fmt: skip
+            _gather(heights, start, lane_stride, step_stride, lanes, shift, part, line0 - 1, 1, first, last, profile)
+            _unlimited(profile[0], first, last, backward, origin, scale, lowest, bend, beside.own, 0, top, position,
+                       height, link, free, slope[0])  # fmt: skip
         first, last = _range(shift, lanes, line0 + begin, count)
-        _gather(heights, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, profile)
+        _gather(
+            heights, start, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, profile
+        )
         for b in range(count):
-            _unlimited(profile[b], first, last, backward, origin, scale, lowest, bend, begin + b + 1, top, position,
-                       height, link, free, slope[b + 1])  # fmt: skip
-        _scatter(slope, heights, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, 0,
-                 out_lane, out_step, out)  # fmt: skip
+            _unlimited(profile[b], first, last, backward, origin, scale, lowest, bend, beside.own, begin + b + 1, top,
+                       position, height, link, free, slope[b + 1])  # fmt: skip
+        _scatter(slope, heights, start, lane_stride, step_stride, lanes, shift, part, beside, line0 + begin, count,
+                 first, last, 0, out_lane, out_step, out)  # fmt: skip
         for i in range(first, last):
             slope[0, i] = slope[count, i]
         begin += count
@@ -303,9 +372,9 @@ def sweep_lines(
 
 @kernel
 def sweep_windows(
-    heights: F32, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, backward: bool, origin: int,
-    scale: float, lowest: float, bend: float, line0: int, lines: int, reach: int, skip: int, own: int, out_lane: int,
-    out_step: int, out: F32,
+    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, beside: Beside,
+    backward: bool, origin: int, scale: float, lowest: float, bend: float, line0: int, lines: int, reach: int,
+    skip: int, own: int, out_lane: int, out_step: int, out: F32,
 ) -> None:  # fmt: skip
     """As ``sweep_lines``, among the points within ``reach`` steps only, for steps [skip, skip + own) of the band."""
     steps = len(shift)
@@ -319,12 +388,14 @@ def sweep_windows(
         if first == last:
             continue
         first, last = 0, steps  # blocks of ``reach`` points begin where the band does, or at the raster's border
-        _gather(heights, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, profile)
+        _gather(
+            heights, start, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, profile
+        )
         for b in range(count):
-            _limited(profile[b], first, last, backward, origin, scale, lowest, bend, reach, near, end, undo,
+            _limited(profile[b], first, last, backward, origin, scale, lowest, bend, beside.own, reach, near, end, undo,
                      slope[b + 1])  # fmt: skip
         # The first line of all only takes part in interpolation.
         a = 1 if begin < 0 else 0
-        _scatter(slope[a:], heights, lane_stride, step_stride, lanes, shift, part, line0 + begin + a, count - a, skip,
-                 skip + own, skip, out_lane, out_step, out)  # fmt: skip
+        _scatter(slope[a:], heights, start, lane_stride, step_stride, lanes, shift, part, beside, line0 + begin + a,
+                 count - a, skip, skip + own, skip, out_lane, out_step, out)  # fmt: skip
         slope[0] = slope[count]

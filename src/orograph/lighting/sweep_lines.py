@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.lighting.raster import scratch
-from orograph.lighting.sweep_kernels import PAGE
+from orograph.lighting.sweep_kernels import PAGE, Beside
 
 T = TypeVar("T")
 
@@ -46,12 +46,23 @@ class Lines:
         offset = tilt * np.arange(self.steps, dtype=np.float64)
         near = np.round(offset)
         offset = np.where(np.abs(offset - near) < _TIE, near, offset)
+        self.tilt = tilt
         self.shift = np.floor(offset).astype(np.int64)
         self.part = (offset - self.shift).astype(np.float32)
 
     def position(self, step: int) -> int:
         """Steps between the light's end of the raster and a step."""
         return self.steps - 1 - step if self.backward else step
+
+    def beside(self, step0: int, curvature: float) -> Beside:
+        """The samples of own cells towards the light, for steps counted from ``step0``."""
+        toward = 1 if self.backward else -1
+        across = self.tilt * toward
+        edge = (self.steps - 1 if self.backward else 0) - step0
+        return Beside(
+            np.float64(self.part.any()), toward, edge, int(np.sign(across)), np.float32(abs(across)), step0 & 1,
+            np.float32(self.scale), np.float32(0.5 * curvature / self.scale),
+        )  # fmt: skip
 
     def touched(self, step0: int, step1: int) -> tuple[int, int]:
         """The lines [first, last) that pass between or beside samples at these steps, and the line behind the last."""

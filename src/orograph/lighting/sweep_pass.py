@@ -150,11 +150,14 @@ class Pass:
 
     def fetch(self, read: Read, s0: int, s1: int, spaces: list[Values]) -> Strip:
         """The heights that the slopes of a band are made of; ``spaces`` are buffers of strips before."""
-        if self.radius is None:
-            first, last = s0, s1
-        else:
+        first, last = s0, s1
+        if self.radius is not None:
             reaches = [self._reach(a, s0, s1) for a in self.lines]
             first, last = min(h0 for _, h0, _ in reaches), max(h1 for _, _, h1 in reaches)
+        if self.backward:  # samples' own cells reach one step farther towards the light
+            last = min(max(last, s1 + 1), self.steps)
+        else:
+            first = max(min(first, s0 - 1), 0)
         heights = read(*self.window(first, last))
         rows, cols = heights.shape
         wide, stride = self.pitch(cols), heights.strides[0] // 4
@@ -211,8 +214,9 @@ class Pass:
             done = 0
             while True:
                 done = sweep_lines(
-                    flat, lane, step, self.lanes, a.shift[s0:s1], a.part[s0:s1], a.backward, a.position(s0), a.scale,
-                    self.lowest, self.curvature, s * self.share, self.share, done, pool.top, pool.position,
+                    flat, (s0 - strip.first) * step, lane, step, self.lanes, a.shift[s0:s1], a.part[s0:s1],
+                    a.beside(s0, self.curvature), a.backward, a.position(s0), a.scale, self.lowest, self.curvature,
+                    s * self.share, self.share, done, pool.top, pool.position,
                     pool.height, pool.link, pool.free, profile, slope, out_lane, out_step, out,
                 )  # fmt: skip
                 if done >= self.share:
@@ -254,8 +258,9 @@ class Pass:
         for k, a in enumerate(self.lines):
             reach, h0, h1 = self._reach(a, s0, s1)
             sweep = partial(
-                sweep_windows, strip.flat[(h0 - strip.first) * step :], lane, step, self.lanes, a.shift[h0:h1],
-                a.part[h0:h1], a.backward, a.position(h0), a.scale, self.lowest, self.curvature, lines=self.share,
+                sweep_windows, strip.flat, (h0 - strip.first) * step, lane, step, self.lanes, a.shift[h0:h1],
+                a.part[h0:h1], a.beside(h0, self.curvature), a.backward, a.position(h0), a.scale, self.lowest,
+                self.curvature, lines=self.share,
                 reach=reach, skip=s0 - h0, own=s1 - s0, out_lane=out_lane, out_step=out_step,
                 out=slopes[k].reshape(-1),
             )  # fmt: skip
