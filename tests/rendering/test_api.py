@@ -20,7 +20,8 @@ from orograph.rendering.cpu import draw as cpu
 from orograph.rendering.memory import BYTES_PER_PIXEL, amount, available, check_memory
 from orograph.scene.camera import whole
 from orograph.scene.diagnostics import diagnose
-from orograph.scene.scene import HOMES, PARTS, Scene
+from orograph.scene.parts import HOMES, PARTS
+from orograph.scene.scene import Scene
 from orograph.viewpoint import View
 
 SIZE = (64, 48)

@@ -16,7 +16,6 @@ from orograph.cli.camera import Size
 from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
-    Float,
     grid_options,
     jobs_option,
     memory_option,
@@ -35,6 +34,7 @@ from orograph.cli.refining import (
     method_option,
     not_enough,
 )
+from orograph.cli.scenes import scene_option
 from orograph.documents import parse
 from orograph.errors import OrographError, ReadError, UsageError
 from orograph.lod.registry import METHODS
@@ -76,9 +76,7 @@ JUDGED = 12
     "--methods", "every", type=click.Choice(["all"]), help="All methods, besides those of --method.  [default]"
 )
 @goal_options
-@click.option(
-    "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
-)
+@scene_option("exaggeration")
 @click.option("--size", type=Size(), help="The views' size in pixels.  [default: 1280x720, or the files']")
 @click.option(
     "--judged",

@@ -32,6 +32,7 @@ from orograph.cli.refining import (
     method_option,
     not_enough,
 )
+from orograph.cli.scenes import scene_option
 from orograph.errors import OrographError
 
 OWN = {*CAMERA, *REFINE, "seconds", "exaggeration"}
@@ -45,9 +46,7 @@ OWN = {*CAMERA, *REFINE, "seconds", "exaggeration"}
 @goal_options
 @click.option("--seconds", type=Float(), metavar="S", help="Instead: what can be done in so much time.")
 @camera_options
-@click.option(
-    "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
-)
+@scene_option("exaggeration")
 @click.option("--check", is_flag=True, help="Let the referee measure the mesh against every sample in view.")
 @grid_options("triangulate")
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 
-from orograph.scene.camera import far_outside, ground
+from orograph.geo.transform import far_outside
+from orograph.scene.camera import ground
 from orograph.scene.scene import Scene
 
 TWILIGHT = -6.0

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
+from orograph.geo.transform import far_outside
 from orograph.lighting.sun import Placed
 from orograph.scene import camera
 from orograph.store.terrain import Terrain
@@ -118,7 +119,7 @@ def flyover(
             remedy="Its places are longitude and latitude (or in the terrain's CRS, with --line-crs).",
         )  # fmt: skip
     for x, y in line:
-        if camera.far_outside(terrain.grid, x, y):
+        if far_outside(terrain.grid, x, y):
             raise UsageError(
                 f"The line goes far beyond the terrain, to {x:.10g}, {y:.10g} in its CRS.", path=terrain.name,
                 remedy="Longitude comes first, then latitude; --line-crs says if they are in another CRS.",

@@ -51,7 +51,7 @@ def toggle_freeze(window: Window) -> None:
 
 def play_day(window: Window) -> None:
     """Let the sun's time pass, or stop it."""
-    light = window.session.settings.light
+    light = window.session.settings.sun
     if light.place is None:
         window.session.messages.say(light.trouble)
         return
