@@ -177,7 +177,7 @@ def test_stopped_at_any_write(tmp_path, monkeypatch, path, seed):
             assert terrain.layers == ("sky-view-factor",) and terrain.layer("sky-view-factor").options["azimuths"] == 3
             assert {k: v for k, v in files(folder).items() if not k.startswith(PARTIAL)} == before
         assert terrain.check() == []
-    with pytest.raises(StoreError, match=r"Another bake.*--overwrite"):
+    with pytest.raises(StoreError, match=r"Another bake.*`overwrite=True`"):
         bake(folder, ["openness"], Options(azimuths=7))
     bake(folder, given, FEW, jobs=2)
     assert files(folder) == files(path)

@@ -142,11 +142,11 @@ def test_a_sun_below_the_horizon(ground, altitude, said):
 
 
 def test_pictures_that_do_not_fit(ground):
-    with pytest.raises(UsageError, match=r"100000 × 100000 .* takes 466 GiB .* \(--max-memory\)|are free"):
+    with pytest.raises(UsageError, match=r"100000 × 100000 .* takes 466 GiB .* \(`max_memory`\)|are free"):
         check_memory((100_000, 100_000), 1 << 30)
     side = 1000
     check_memory((side, side), BYTES_PER_PIXEL * side**2)
-    with pytest.raises(UsageError, match="max-memory"):
+    with pytest.raises(UsageError, match="max_memory"):
         check_memory((side, side), BYTES_PER_PIXEL * side**2 - 1)
     with pytest.raises(UsageError, match="memory"):
         orograph.render(ground, size=(10_000_000, 1_000_000))
@@ -214,4 +214,4 @@ def test_ground_as_tall_as_planets_are_large_is_drawn_and_needles_are_explained(
     needle = terrain(tall, Affine(30, 0, 500_000, 0, -30, 5_000_000))
     with pytest.raises(NothingInViewError, match=r"thinner than a pixel") as said:
         cpu.draw(Scene.of(needle, whole(needle, (80, 50)), samples=1))
-    assert said.value.remedy is not None and "--vertical-unit" in said.value.remedy
+    assert said.value.remedy is not None and "`vertical_unit`" in said.value.remedy

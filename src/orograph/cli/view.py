@@ -33,7 +33,9 @@ TOLERANCE = {"help": "Pixels by which the ground may be displaced on the screen.
 @camera_options
 @scene_options(NOT_HERE, backend=False, tolerance=TOLERANCE)
 @click.option("--gpu-memory", type=Bytes(), default="512MiB", show_default=True, help="GPU memory for tiles.")
-@click.option("--memory", type=Bytes(), default="1GiB", show_default=True, help="Memory for tables and caches.")
+@click.option(
+    "--memory", "max_memory", type=Bytes(), default="1GiB", show_default=True, help="Memory for tables and caches."
+)
 @click.option(
     "--adapter",
     metavar="NAME",
@@ -54,8 +56,8 @@ TOLERANCE = {"help": "Pixels by which the ground may be displaced on the screen.
 @jobs_option
 @click.pass_context
 def command(
-    ctx: click.Context, /, paths: tuple[str, ...], gpu_memory: int, memory: int, screenshot: str | None, frames: int,
-    jobs: int | None, **options: Any,
+    ctx: click.Context, /, paths: tuple[str, ...], gpu_memory: int, max_memory: int, screenshot: str | None,
+    frames: int, jobs: int | None, **options: Any,
 ) -> None:  # fmt: skip
     """Explore a DEM (one file or many) or a store in a window.
 
@@ -101,10 +103,10 @@ def command(
     size = options["size"] or WINDOW
     if len(paths) > 1 or not is_store(paths[0]):
         settle()  # what is built may take long, and is held to a budget of memory
-    terrain = prepare(list(paths), max_memory=memory, jobs=jobs, progress=progress, errors=errors, **source)
+    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
     with progress.task("Looking at the terrain"):
         session = Session(terrain, _view(terrain, options, size), size=size, paths=paths, **given_of(options))
-    make = renderer_of(gpu_memory, memory, jobs)
+    make = renderer_of(gpu_memory, max_memory, jobs)
     show(
         session, size=size, make=make, adapter=options["adapter"],
         screenshot=None if screenshot is None else Path(screenshot), frames=frames, warm=warm, progress=progress,

@@ -19,8 +19,14 @@ from orograph.scene.parts import OPTIONS
 _flags: dict[str, str] = {}
 """What the verb that runs calls its arguments."""
 
-POSITIONAL = {"bake": ("", "products"), "build": ("", "output")}
-"""What arguments that calls give by place are options of: "" for those that verbs take by place, too."""
+VERBS = {
+    "orograph.store.repair.repair": "orograph build --repair",
+    "orograph.geovis.color_store.store_colors": "orograph build --color-errors",
+}
+"""Functions that are options of a verb; others are called as their verb."""
+
+PLACES = {"orograph.bake": ("", "--products"), "orograph.build": ("", "-o")}
+"""The options of arguments that a call gives by their places; "": the verb takes it by its place, too."""
 
 
 def flags_of(command: click.Command) -> dict[str, str]:
@@ -63,23 +69,19 @@ def _said(code: str, flags: Mapping[str, str] | None) -> str:
 
 
 def _word(tree: ast.expr, flags: Mapping[str, str] | None) -> str:
-    """An argument by its name, or a call."""
+    """An argument by its name; or a function of the package, called or not."""
     if isinstance(tree, ast.Name):
         return flag(tree.id, flags)
-    call = tree.func if isinstance(tree, ast.Call) else tree
-    if not (isinstance(call, ast.Attribute) and isinstance(call.value, ast.Name) and call.value.id == "orograph"):
+    call = tree if isinstance(tree, ast.Call) else ast.Call(tree, [], [])
+    name = ast.unparse(call.func)
+    if not name.startswith("orograph."):
         return ast.unparse(tree)
-    words = ["orograph", call.attr]
-    if isinstance(tree, ast.Call):
-        places = POSITIONAL.get(call.attr, ())
-        for k, one in enumerate(tree.args):
-            place = places[k] if k < len(places) else ""
-            words += [
-                *([f"--{place}"] if place else []),
-                _value(one).upper() if isinstance(one, ast.Name) else _value(one),
-            ]
-        for given in tree.keywords:
-            words += _option(given, {})
+    words = [VERBS.get(name, name.replace(".", " "))]
+    for one, place in zip(call.args, [*PLACES.get(name, ()), *[""] * len(call.args)], strict=False):
+        if not (isinstance(one, ast.Constant) and one.value is ...):
+            words += [*filter(None, [place]), _value(one, "," if place else " ").strip()]
+    for given in call.keywords:
+        words += _option(given, {})
     return " ".join(words)
 
 
@@ -93,11 +95,9 @@ def _option(given: ast.keyword, flags: Mapping[str, str] | None) -> list[str]:
 
 
 def _value(tree: ast.expr, between: str = ",") -> str:
-    """A value as a word of the command line; names stand for what the user has."""
+    """A value as words of the command line; a name stands for what the user has."""
     if isinstance(tree, ast.Tuple | ast.List):
         return between.join(_value(one) for one in tree.elts)
     if isinstance(tree, ast.Constant):
-        if isinstance(tree.value, str):
-            return shlex.quote(tree.value)
-        return "none" if tree.value is None else str(tree.value)
-    return ast.unparse(tree)
+        return "none" if tree.value is None else shlex.quote(str(tree.value))
+    return ast.unparse(tree).upper() if isinstance(tree, ast.Name) else ast.unparse(tree)

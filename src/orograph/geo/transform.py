@@ -37,7 +37,7 @@ def transformer(source: Any, target: Any) -> Callable[[ArrayLike, ArrayLike], tu
         UsageError: one is None or unknown, or no operation between them exists (other planet, local CRS).
     """
     if source is None or target is None:
-        raise UsageError("Positions cannot be brought to another CRS: the terrain has none. Give --assume-crs.")
+        raise UsageError("Positions cannot be brought to another CRS: the terrain has none. Give `assume_crs`.")
     a, b = crs_of(source), crs_of(target)
     if a == b:
         return lambda x, y: (np.asarray(x, np.float64), np.asarray(y, np.float64))

@@ -54,7 +54,7 @@ def outline(terrain: Terrain) -> Array:
         raise NothingInViewError(
             "None of the samples is valid, so there is nothing to draw.",
             path=terrain.name,
-            remedy="See what the file holds with orograph info; a wrong --nodata or --band hides everything.",
+            remedy="See what the file holds with orograph info; a wrong `nodata` or `band` hides everything.",
         )
     r, c = np.nonzero(np.isfinite(heights))
     tile = np.minimum(r // TILE, table.error.shape[0] - 1), np.minimum(c // TILE, table.error.shape[1] - 1)
@@ -213,14 +213,14 @@ def around(
         UsageError: a number is out of its range. NothingInViewError: no sample is valid.
     """
     if not math.isfinite(azimuth):
-        raise UsageError(f"--from is a direction in degrees clockwise from north, not {azimuth:g}.")
+        raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
     if not -90 <= pitch <= 90:
-        raise UsageError(f"--pitch is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
+        raise UsageError(f"`pitch` is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
     if distance is None:
         return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration, insets=insets)
     check_exaggeration(exaggeration)
     if not 0 < distance < math.inf:
-        raise UsageError(f"--distance is in metres, more than 0, not {distance:g}.")
+        raise UsageError(f"`distance` is in metres, more than 0, not {distance:g}.")
     points = outline(terrain)
     middle = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     target = np.array([*middle, ground(terrain, middle[0], middle[1], default=float(np.median(points[:, 2])))])
@@ -268,7 +268,7 @@ def plan(terrain: Terrain, size: tuple[int, int], *, azimuth: float = 180.0, ins
         UsageError: the azimuth is no angle, an inset not in [0, 0.5). NothingInViewError: no sample is valid.
     """
     if not math.isfinite(azimuth):
-        raise UsageError(f"--from is a direction in degrees clockwise from north, not {azimuth:g}.")
+        raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
     points = outline(terrain)
     up = direction(azimuth, 0.0)
     right = np.array([up[1], -up[0], 0.0])

@@ -85,5 +85,5 @@ def what_to_do(scene: Scene) -> str:
     if _looks_like_degrees(scene):
         return 'Do these numbers stand for longitude and latitude? Then add "crs": "EPSG:4326" to the view.'
     if max(map(abs, scene.terrain.height_range)) > TALL:
-        return "Say what unit its heights have (--vertical-unit), or which number means missing data (--nodata)."
+        return "Say what unit its heights have (`vertical_unit`), or which number means missing data (`nodata`)."
     return LEAVE_CAMERA

@@ -94,7 +94,7 @@ class Lighting:
                 remedy=f"Use {' or '.join(f'`light={one!r}`' for one in SHINING)}.",
             )
         if self.depths is not None and not 0 <= self.depths[0] <= self.depths[1] < math.inf:
-            raise UsageError(f"`depths` are those of the nearest and the farthest ground, metres, not {self.depths}.")
+            raise UsageError(f"The depths are those of the nearest and the farthest ground, metres, not {self.depths}.")
 
 
 @dataclass(frozen=True, slots=True)
