@@ -35,7 +35,7 @@ class MethodText(ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         try:
             return read_method(str(value))
-        except UsageError as error:
+        except ValueError as error:
             self.fail(str(error), param, ctx)
 
 

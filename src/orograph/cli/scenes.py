@@ -16,7 +16,6 @@ import click
 from orograph.cli.options import F, Float, FloatRange, ParamType, grid_options
 from orograph.cli.refining import choice_of, conservative_option, error_kinds
 from orograph.cli.wording import spoken
-from orograph.errors import UsageError
 from orograph.lod.options import Described, described
 from orograph.scene.parts import HOMES, OPTIONS, check_options
 
@@ -52,8 +51,8 @@ class Text(ParamType):
             return value
         try:
             return self.one.read(value)
-        except (ValueError, UsageError) as error:
-            self.fail(spoken(str(error)), param, ctx)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
 
 
 def scene_option(name: str, **changes: Any) -> Callable[[F], F]:

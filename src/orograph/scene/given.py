@@ -1,7 +1,7 @@
 """What users give for a scene's options: texts of the command line, and what Python takes besides an option's own type.
 
-A text is read before there is a terrain (``read`` of ``lod.options.option``; ValueError or UsageError says what is
-wrong); what it stands for follows from the terrain (``given``): the sun of a moment, a place by longitude and latitude.
+A text is read before there is a terrain (``read`` of ``lod.options.option``; ValueError says what is wrong with the
+text, other errors what is wrong with a file that it names); what it stands for follows from the terrain (``given``): the sun of a moment, a place by longitude and latitude.
 What is an option's own value already stays as it is. Units: degrees, metres; colours are sRGB from 0 to 1.
 """
 
@@ -59,7 +59,10 @@ def read_numbers(names: str, optional: int = 0) -> Callable[[str], tuple[float, 
 def read_sun(text: str) -> Placed | Moment:
     from orograph.lighting.sun import parse
 
-    return parse(text)
+    try:
+        return parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
 
 
 def read_layer(text: str) -> Layer:
@@ -90,7 +93,7 @@ def read_method(text: str) -> str:
     """``NAME[,key=value…]``: the name is looked at at once, the options when the method is loaded."""
     name = text.partition(",")[0].strip()
     if name != "auto" and name not in METHODS:
-        raise UsageError(f"There is no method {name!r}; there are {', '.join(METHODS)}.")
+        raise ValueError(f"There is no method {name!r}; there are {', '.join(METHODS)}.")
     return text
 
 
