@@ -177,6 +177,33 @@ def test_a_view_in_degrees_that_does_not_say_so(ground):
     assert "EPSG:4326" not in str(error.value)
 
 
+def test_options_as_users_give_them(ground, tmp_path):
+    """Paths, numbers and words stand for the parts' own values."""
+    from PIL import Image
+
+    from orograph.geovis.layers import Layer
+    from orograph.scene.contours import Contours
+    from orograph.scene.silhouettes import Silhouettes
+
+    view = orograph.camera.whole(ground, SIZE)
+    image = tmp_path / "a.png"
+    Image.new("RGB", (8, 8), (200, 30, 30)).save(image)
+    (tmp_path / "a.pgw").write_text("300\n0\n0\n-300\n500000\n4000000\n")
+    layer = Layer(str(image))
+    for given, made in (
+        ({"layers": image}, {"layers": (layer,)}), ({"layers": [str(image), layer]}, {"layers": (layer, layer)}),
+        ({"contours": 25}, {"contours": Contours(25.0)}), ({"silhouettes": True}, {"silhouettes": Silhouettes()}),
+        ({"silhouettes": False}, {}), ({"water": "none"}, {"water": None}),
+        ({"sun": "90,30"}, {"sun": Sun(90.0, 30.0)}),
+        ({"discs": [(90, 30, 1)], "light": "aperture"},
+         {"discs": ((Sun(90, 30, 1), (1.0, 1.0, 1.0)),), "light": "aperture"}),
+    ):  # fmt: skip
+        assert Scene.of(ground, view, **given) == Scene.of(ground, view, **made), given
+    orograph.render(ground, size=SIZE, layers=image, contours=25, **PLAIN)
+    with pytest.raises(UsageError, match="at most"):
+        orograph.render(ground, size=SIZE, layers=[image] * 99)
+
+
 def test_an_array_gives_its_name_to_the_title():
     xr = pytest.importorskip("xarray")
     import orograph.accessor  # noqa: F401

@@ -1,7 +1,8 @@
 """What users give for a scene's options: texts of the command line, and what Python takes besides an option's own type.
 
 A text is read before there is a terrain (``read`` of ``lod.options.option``; ValueError says what is wrong with the
-text, other errors what is wrong with a file that it names); what it stands for follows from the terrain (``given``): the sun of a moment, a place by longitude and latitude.
+text, other errors what is wrong with a file that it names). What it stands for follows from the terrain (``given``):
+the sun of a moment, a place by longitude and latitude.
 What is an option's own value already stays as it is. Units: degrees, metres; colours are sRGB from 0 to 1.
 """
 

@@ -102,7 +102,7 @@ class Data:
     """What the ground shows: its tint, layers over it, water.
 
     Raises:
-        UsageError: there are more layers than can be drawn, or a water level is no height.
+        UsageError: a water level is no height. (``Scene.of`` raises it where there are more layers than can be drawn.)
     """
 
     colormap: str | None = option(
@@ -122,10 +122,6 @@ class Data:
     )  # fmt: skip
 
     def __post_init__(self) -> None:
-        if self.layers:
-            from orograph.geovis.layers import check_count
-
-            check_count(self.layers)
         if isinstance(self.water, float) and not math.isfinite(self.water):
             raise UsageError(f"A water level is a height in metres, not {self.water:g}.")
 
