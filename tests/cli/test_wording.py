@@ -77,7 +77,7 @@ def test_what_is_in_backticks_is_an_option_of_some_verb() -> None:
         ("`size=(64, 48)`", "--size 64x48"),
         ("`lamps`, `layers`", "--light-at, --drape"),
         ("`spacing=METRES`", "--spacing METRES"),
-        ("`orograph.bake(store, 'openness', overwrite=True)`", "orograph bake STORE --products openness --overwrite"),
+        ("`orograph.bake(store, ['openness'], overwrite=True)`", "orograph bake STORE --products openness --overwrite"),
         ("`orograph.build(['a b.tif', 'c.tif'], 'd.oro')`", "orograph build 'a b.tif' c.tif -o d.oro"),
         ("`orograph.build(..., errors=('exact', 'wedgie'))`", "orograph build --errors exact,wedgie"),
         ("`orograph.store.repair.repair`", "orograph build --repair"),

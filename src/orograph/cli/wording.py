@@ -1,7 +1,7 @@
 """Python's names in messages and help, as the command line has them.
 
 The library writes Python in backticks: an argument (```tolerance```), with a value (```tolerance=2```), or a call
-(```orograph.bake(store, "openness", overwrite=True)```). Here that becomes ``--tolerance``, ``--tolerance 2`` and
+(```orograph.bake(store, ["openness"], overwrite=True)```). Here that becomes ``--tolerance``, ``--tolerance 2`` and
 ``orograph bake STORE --products openness --overwrite``: options are called as the verb that runs calls them.
 """
 

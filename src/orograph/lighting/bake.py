@@ -171,7 +171,7 @@ def check(names: Sequence[str]) -> None:
         _bakeable(name)
         if any(default is None for _, default in BAKED[name].more):
             raise UsageError(
-                f"{name} needs options.", remedy=f"Build first, then `orograph.bake(store, {name!r}, ...)` with them."
+                f"{name} needs options.", remedy=f"Build first, then `orograph.bake(store, [{name!r}], ...)` with them."
             )
 
 

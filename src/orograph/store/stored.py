@@ -213,7 +213,7 @@ class StoredTerrain(Terrain):
         record = self.record.layers.get(name)
         if record is None:
             return super().layer(name)
-        again = f"Bake it again (`orograph.bake({self.url!r}, {name!r})`)."
+        again = f"Bake it again (`orograph.bake({self.url!r}, [{name!r}])`)."
         if record.source != self.record.source:
             raise StoreError(f"Its layer {name!r} was made from other heights.", path=self.url, remedy=again)
         for key, wanted in options.items():
