@@ -68,9 +68,11 @@ class DamagedChunkError(StoreError):
         self.chunk = chunk
         self.cause = cause
         if chunk.startswith("layers/"):
-            remedy = "Bake that layer again (orograph bake --overwrite), or restore that file from a copy."
+            remedy = "Bake that layer again (`orograph.bake(..., overwrite=True)`), or restore that file from a copy."
         else:
-            remedy = "Mend the store from its sources (orograph build --repair), or restore that file from a copy."
+            remedy = (
+                "Mend the store from its sources (`orograph.store.repair.repair`), or restore that file from a copy."
+            )
         super().__init__(f"Chunk {chunk} is damaged{': ' + cause if cause else ''}.", path=path, remedy=remedy)
 
 

@@ -34,16 +34,26 @@ def test_the_table_and_its_json(run, hilly, tmp_path):
     assert list(told["methods"]) == methods
     assert list(told["views"]) == ["overview", "low oblique", "straight down"] and told["tolerance"] == 1
     rays = told["methods"].pop("raycast")
-    assert rays["triangles"] is rays["largest"] is rays["kept"] is None and rays["ms"] > 0
-    assert "yes, not judged" in said
+    assert rays["triangles"] is rays["largest"] is rays["largest_at_samples"] is None and rays["ms"] > 0
+    assert rays["kept"] and rays["judged"] == 3 and 0 <= rays["largest_in_picture"] <= 1
+    shown = next(line.split() for line in said.splitlines() if line.startswith("raycast "))
+    assert shown[-4:] == [f"{rays['largest_in_picture']:.3f}", f"{rays['mismatches']:,}", "0", "yes"]
+    for words in ("at samples", "on surface", "in picture", "wrong"):
+        assert words in said
     for label, m in told["methods"].items():
         assert m["frames"] == m["judged"] == 3 and m["triangles"] > 100 and m["ms"] > 0 and m["mtri_per_s"] > 0
         assert m["defects"] == {} and m["changes"] is None and m["tiles_read"] > 0
         assert m["conservative"] is (label != "soar,metric=isotropic-published")
         assert m["kept"] is (None if label == "soar,metric=isotropic-published" else True)
-        assert 0.1 < m["rms"] < m["largest"] and (m["largest"] <= 1) == (m["kept"] is True)
+        assert m["largest_in_picture"] is m["mismatches"] is m["farthest"] is None
+        assert 0.1 < m["rms"] < m["largest_at_samples"] <= m["largest"] and (m["largest"] <= 1) == (m["kept"] is True)
         line = next(line for line in said.splitlines() if line.startswith(label + " "))
-        for shown in (f"{m['triangles']:,.0f}", f"{m['largest']:.3f}", f"{m['rms']:.3f}"):
+        for shown in (
+            f"{m['triangles']:,.0f}",
+            f"{m['largest_at_samples']:.3f}",
+            f"{m['rms']:.3f}",
+            f"{m['largest']:.3f}",
+        ):
             assert shown in line
         assert line.split()[-1] == ("yes" if m["conservative"] else "no")
     assert told["methods"]["soar"]["triangles"] < told["methods"]["soar,metric=isotropic"]["triangles"]
@@ -64,7 +74,7 @@ def test_every_method_keeps_its_promise(run, hilly):
     told = json.loads(said)
     assert code == 0 and list(told["methods"]) == list(METHODS)
     for name, m in told["methods"].items():
-        assert m["conservative"] and (name == "raycast" or (m["kept"] and m["largest"] <= 2))
+        assert m["conservative"] and m["kept"] and (m["largest_in_picture" if name == "raycast" else "largest"] <= 2)
 
 
 def test_a_budget(run, hilly):

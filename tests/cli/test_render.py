@@ -156,11 +156,8 @@ def test_a_picture_as_heights(run, tmp_path):
         (("--pitch", 100), ("--pitch",)),
         (("--distance", -1), ("--distance",)),
         (("--exaggeration", 0), ("exaggeration",)),
-        (("--relief", -1), ("relief",)),
-        (("--tolerance", -1), ("tolerance",)),
         (("--water", "nan"), ("water",)),
         (("--light-at", "-117,36.1,900,400"), ("--light aperture",)),
-        (("--light-at", "-117,36.1,900,400,1", "--light", "aperture"), ("--light-at", "three")),
         (("--light-at", "-117,36.1,900,0", "--light", "aperture"), ("reach",)),
         (("--disc", "10,100,1", "--light", "aperture"), ("altitude",)),
         (("--colormap", "virids"), ("no colour map 'virids'", "viridis")),
@@ -168,6 +165,24 @@ def test_a_picture_as_heights(run, tmp_path):
 )
 def test_wrong_options(run, dem, tmp_path, options, words):
     refused(run("render", dem, "-o", tmp_path / "a.png", *options, *SMALL), 2, *words)
+    assert not (tmp_path / "a.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--relief", -1), "-1.0 is not in the range"),
+        (("--tolerance", -1), "-1.0 is not in the range"),
+        (("--samples", 0), "0 is not in the range"),
+        (("--light-at", "-117,36.1,900,400,1", "--light", "aperture"), "without the last 3"),
+        (("--disc", "10,20", "--light", "aperture"), "is not AZ,ALT,DIAMETER"),
+        (("--method", "saor"), "There is no method 'saor'"),
+        (("--sun", "noon"), "'noon' is not a sun"),
+    ],
+)
+def test_what_an_option_cannot_be_is_said_of_the_option(run, dem, tmp_path, options, said):
+    code, out, err = run("render", dem, "-o", tmp_path / "a.png", *options, *SMALL)
+    assert code == 2 and out == "" and said in err and f"Invalid value for '{options[0]}'" in err
     assert not (tmp_path / "a.png").exists()
 
 

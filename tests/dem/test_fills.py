@@ -46,14 +46,14 @@ def test_voids_filled_with_a_number(tmp_path: Path, shape: tuple[int, int], valu
     heights = ground(shape, 210, 1600)
     heights[patches(shape, share)] = value
     sentences = said(tmp_path / "a.tif", heights)
-    assert any(f"--nodata {value}" in s for s in sentences), sentences
+    assert any(f"`nodata={value}`" in s for s in sentences), sentences
 
 
 def test_a_fill_between_lowest_and_highest(tmp_path: Path) -> None:
     heights = ground((300, 300), -900, -250)
     heights[150:] = ground((150, 300), 300, 900)
     heights[patches(heights.shape, 0.1)] = 0
-    assert any("--nodata 0" in s for s in said(tmp_path / "a.tif", heights, "float32"))
+    assert any("`nodata=0`" in s for s in said(tmp_path / "a.tif", heights, "float32"))
 
 
 @pytest.mark.parametrize("dtype", ["int16", "float32"])

@@ -399,9 +399,9 @@ def test_without_crs() -> None:
     assert m.lossless and m.grid.crs is None and any("taken for metres" in w for w in m.warnings)
     local = Mosaic([held(hills(30, 40), Affine(0.5, 0, 0, 0, -0.5, 0), None)], options={"spacing": 0.5})
     assert local.grid.spacing == (0.5, 0.5) and not local.warnings
-    with pytest.raises(ReadError, match="--spacing"):
+    with pytest.raises(ReadError, match="`spacing=30`"):
         Mosaic([held(hills(30, 40), Affine.identity(), None)])
-    with pytest.raises(ReadError, match="--assume-crs EPSG:4326"):
+    with pytest.raises(ReadError, match='`assume_crs="EPSG:4326"`'):
         Mosaic([held(hills(30, 40), Affine(0.01, 0, 7, 0, -0.01, 46), None)])
     with pytest.raises(ReadError, match="no CRS while other files have one"):
         Mosaic([held(hills(30, 40), grid, None), held(hills(30, 40), grid, UTM11)])

@@ -94,7 +94,7 @@ def test_without_a_place(tmp_path: Path) -> None:
     path = write(tmp_path / "h.png", np.arange(12, dtype=np.uint16).reshape(3, 4), driver="PNG")
     source = Source.open(path)
     assert source.grid == Grid((3, 4), Affine(1, 0, 0, 0, -1, 3), None) and not source.georeferenced
-    assert any("--spacing" in w for w in source.warnings)
+    assert any("`spacing=METRES`" in w for w in source.warnings)
     dem = read(path, spacing=30)
     assert dem.grid == Grid((3, 4), Affine(30, 0, 0, 0, -30, 90), None)
     np.testing.assert_array_equal(dem.heights, np.arange(12).reshape(3, 4))
@@ -111,7 +111,7 @@ def test_assume_crs_is_for_files_that_name_none(tmp_path: Path) -> None:
     named = write(tmp_path / "named.tif", numbers, transform=UTM, crs="EPSG:32611")
     source = Source.open(named, assume_crs="EPSG:4326", spacing=3)
     assert source.grid.crs == CRS("EPSG:32611") and source.grid.transform == UTM
-    assert any("--assume-crs" in w for w in source.warnings) and any("--spacing" in w for w in source.warnings)
+    assert any("`assume_crs`" in w for w in source.warnings) and any("`spacing`" in w for w in source.warnings)
     with pytest.raises(UsageError, match="not a CRS"):
         read(bare, assume_crs="EPSG:nonsense")
 
@@ -342,7 +342,7 @@ def test_too_large_for_memory_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "a.tif", np.zeros((100, 100), np.int16), transform=UTM)
     with pytest.raises(ReadError, match="limit") as error:
         read(path, max_bytes=39_999)
-    assert "orograph build" in error.value.remedy
+    assert "`orograph.build`" in error.value.remedy
     assert read(path, max_bytes=40_000).heights.shape == (100, 100)
 
 

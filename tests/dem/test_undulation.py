@@ -171,8 +171,8 @@ def test_what_cannot_be_converted_is_refused(tmp_path: Path, shared_data: Path, 
             Mosaic.open(path, **options)  # type: ignore[arg-type]
 
     up, down = {"to_vertical": "ellipsoidal", "geoid": egm96}, {"to_vertical": "orthometric", "geoid": egm96}
-    refused(UsageError, "--geoid egm96", geoidal, to_vertical="ellipsoidal")
-    refused(UsageError, "--to-vertical ellipsoidal", geoidal, geoid=egm96)
+    refused(UsageError, '`geoid="egm96', geoidal, to_vertical="ellipsoidal")
+    refused(UsageError, "`to_vertical='ellipsoidal'`", geoidal, geoid=egm96)
     refused(UsageError, "not 'up'", geoidal, to_vertical="up", geoid=egm96)
     refused(ReadError, "no such geoid grid", geoidal, to_vertical="ellipsoidal", geoid=tmp_path / "egm96_15.gtx")
     refused(UsageError, "already", ellipsoidal, **up)
@@ -180,8 +180,8 @@ def test_what_cannot_be_converted_is_refused(tmp_path: Path, shared_data: Path, 
     refused(UsageError, "NAVD88 height", navd, **up)
     refused(UsageError, "NAVD88 height", navd, **down)
     refused(UsageError, "navd does|of 'NAVD88", [geoidal, navd], **up)
-    refused(UsageError, "--assume-vertical EGM96", none, **up)
-    refused(UsageError, "--assume-vertical ellipsoidal", none, **down)
+    refused(UsageError, "`assume_vertical='EGM96'`", none, **up)
+    refused(UsageError, "`assume_vertical='ellipsoidal'`", none, **down)
     refused(UsageError, "not a vertical datum", none, **up, assume_vertical="sea")
     refused(UsageError, "NAVD88 height", none, **up, assume_vertical="EPSG:5703")
     refused(ReadError, "no CRS", local, **up, assume_vertical="EGM96")
@@ -190,7 +190,7 @@ def test_what_cannot_be_converted_is_refused(tmp_path: Path, shared_data: Path, 
     assert np.array_equal(everything(stated), everything(Mosaic.open(geoidal, **up)), equal_nan=True)  # type: ignore[arg-type]
     # What a file declares is not overruled.
     said = Mosaic.open(navd, assume_vertical="EGM96")
-    assert said.vertical == "NAVD88 height" and any("--assume-vertical" in w for w in said.warnings)
+    assert said.vertical == "NAVD88 height" and any("`assume_vertical`" in w for w in said.warnings)
 
 
 @pytest.mark.parametrize("east,north", [(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (1, 1)])

@@ -205,7 +205,7 @@ def test_a_picture_whose_tiles_do_not_fit_is_coarser_and_reads_each_once(tmp_pat
     assert drape.tiles is not None and drape.tiles.capacity < (side / 128) ** 2
     some = np.arange(0, len(x), 37)
     drape.prepare(x[some], y[some], square[some], least[some], progress=progress)
-    assert drape.coarser in (0.5, 1.0) and "coarser than it could be" in told[0] and "--max-memory" in told[0]
+    assert drape.coarser in (0.5, 1.0) and "coarser than it could be" in told[0] and "`max_memory`" in told[0]
     for column in range(0, side, 130):  # tiles of a picture that go down, not across
         part = np.flatnonzero((j >= column) & (j < column + 130))
         drape.spread(x[part], y[part], square[part], least[part])

@@ -177,7 +177,7 @@ def test_stopped_at_any_write(tmp_path, monkeypatch, path, seed):
             assert terrain.layers == ("sky-view-factor",) and terrain.layer("sky-view-factor").options["azimuths"] == 3
             assert {k: v for k, v in files(folder).items() if not k.startswith(PARTIAL)} == before
         assert terrain.check() == []
-    with pytest.raises(StoreError, match=r"Another bake.*--overwrite"):
+    with pytest.raises(StoreError, match=r"Another bake.*`overwrite=True`"):
         bake(folder, ["openness"], Options(azimuths=7))
     bake(folder, given, FEW, jobs=2)
     assert files(folder) == files(path)
@@ -218,13 +218,13 @@ def test_what_is_there_is_left_and_what_differs_is_replaced(tmp_path):
     assert first == {p: p.stat().st_mtime_ns for p in folder.rglob("*") if p.is_file()}
     with store.open(folder) as terrain:
         assert terrain.layer("ambient-occlusion", radius=200.0, rho="step").options["method"] == "horizon"
-        with pytest.raises(StoreError, match=r"made with radius 200.0, not 600.0.*orograph bake"):
+        with pytest.raises(StoreError, match=r"made with radius 200.0, not 600.0.*orograph\.bake"):
             terrain.layer("ambient-occlusion", radius=600.0)
         with pytest.raises(StoreError, match=r"radius 200.0, not unlimited"):
             terrain.layer("ambient-occlusion", radius=None)
         with pytest.raises(UsageError, match="azimuths"):
             terrain.layer("ambient-occlusion", color=1)
-        with pytest.raises(StoreError, match=r"no layer 'aperture'; it has ambient-occlusion.*orograph bake"):
+        with pytest.raises(StoreError, match=r"no layer 'aperture'; it has ambient-occlusion.*orograph\.bake"):
             terrain.layer("aperture")
         old = terrain.layer("ambient-occlusion").read(0, 0, 50, 0, 50)
     bake(folder, ["ambient-occlusion"], Options(azimuths=4, radius=80.0, more={"rho": "linear"}))

@@ -162,7 +162,7 @@ def test_what_does_not_fit_in_memory_says_so():
 
     options = Options(radius=1e6, more={"rho": "linear"})
     context = context_of(np.zeros((1500, 1500), np.float32), CELL, options, jobs=2, max_memory=64 << 20)
-    with pytest.raises(UsageError, match="--max-memory"):
+    with pytest.raises(UsageError, match="`max_memory`"):
         next(product("ambient-occlusion").run(context))
 
 

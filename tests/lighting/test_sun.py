@@ -12,7 +12,7 @@ from affine import Affine
 from click.testing import CliRunner
 from pyproj import CRS, Proj
 
-from orograph.cli.suns import sun_option
+from orograph.cli.scenes import scene_option
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.lighting.sun import (
@@ -194,11 +194,12 @@ def test_a_time_needs_a_place_on_earth():
 
 def test_the_option():
     @click.command()
-    @sun_option()
+    @scene_option("sun")
     def verb(sun):
         click.echo(repr(sun))
 
-    assert "Placed(azimuth=315.0, altitude=45.0)" in CliRunner().invoke(verb, []).output
+    assert CliRunner().invoke(verb, []).output == "None\n"  # the scene's own
+    assert "Placed(azimuth=315.0, altitude=45.0)" in CliRunner().invoke(verb, ["--sun", "315,45"]).output
     assert "Moment" in CliRunner().invoke(verb, ["--sun", "2026-06-21T12:00+02:00"]).output
     wrong = CliRunner().invoke(verb, ["--sun", "2026-06-21T12:00"])
     assert wrong.exit_code == 2 and "no time zone" in wrong.output

@@ -20,7 +20,8 @@ from orograph.rendering.cpu import draw as cpu
 from orograph.rendering.memory import BYTES_PER_PIXEL, amount, available, check_memory
 from orograph.scene.camera import whole
 from orograph.scene.diagnostics import diagnose
-from orograph.scene.scene import HOMES, PARTS, Scene
+from orograph.scene.parts import HOMES, PARTS
+from orograph.scene.scene import Scene
 from orograph.viewpoint import View
 
 SIZE = (64, 48)
@@ -141,11 +142,11 @@ def test_a_sun_below_the_horizon(ground, altitude, said):
 
 
 def test_pictures_that_do_not_fit(ground):
-    with pytest.raises(UsageError, match=r"100000 × 100000 .* takes 466 GiB .* \(--max-memory\)|are free"):
+    with pytest.raises(UsageError, match=r"100000 × 100000 .* takes 466 GiB .* \(`max_memory`\)|are free"):
         check_memory((100_000, 100_000), 1 << 30)
     side = 1000
     check_memory((side, side), BYTES_PER_PIXEL * side**2)
-    with pytest.raises(UsageError, match="max-memory"):
+    with pytest.raises(UsageError, match="max_memory"):
         check_memory((side, side), BYTES_PER_PIXEL * side**2 - 1)
     with pytest.raises(UsageError, match="memory"):
         orograph.render(ground, size=(10_000_000, 1_000_000))
@@ -174,6 +175,33 @@ def test_a_view_in_degrees_that_does_not_say_so(ground):
     with pytest.raises(NothingInViewError) as error:
         orograph.render(ground, View((4e5, 3.9e6, 3000), (3e5, 3.9e6, 9000), width=64, height=48), **PLAIN)
     assert "EPSG:4326" not in str(error.value)
+
+
+def test_options_as_users_give_them(ground, tmp_path):
+    """Paths, numbers and words stand for the parts' own values."""
+    from PIL import Image
+
+    from orograph.geovis.layers import Layer
+    from orograph.scene.contours import Contours
+    from orograph.scene.silhouettes import Silhouettes
+
+    view = orograph.camera.whole(ground, SIZE)
+    image = tmp_path / "a.png"
+    Image.new("RGB", (8, 8), (200, 30, 30)).save(image)
+    (tmp_path / "a.pgw").write_text("300\n0\n0\n-300\n500000\n4000000\n")
+    layer = Layer(str(image))
+    for given, made in (
+        ({"layers": image}, {"layers": (layer,)}), ({"layers": [str(image), layer]}, {"layers": (layer, layer)}),
+        ({"contours": 25}, {"contours": Contours(25.0)}), ({"silhouettes": True}, {"silhouettes": Silhouettes()}),
+        ({"silhouettes": False}, {}), ({"water": "none"}, {"water": None}),
+        ({"sun": "90,30"}, {"sun": Sun(90.0, 30.0)}),
+        ({"discs": [(90, 30, 1)], "light": "aperture"},
+         {"discs": ((Sun(90, 30, 1), (1.0, 1.0, 1.0)),), "light": "aperture"}),
+    ):  # fmt: skip
+        assert Scene.of(ground, view, **given) == Scene.of(ground, view, **made), given
+    orograph.render(ground, size=SIZE, layers=image, contours=25, **PLAIN)
+    with pytest.raises(UsageError, match="at most"):
+        orograph.render(ground, size=SIZE, layers=[image] * 99)
 
 
 def test_an_array_gives_its_name_to_the_title():
@@ -213,4 +241,4 @@ def test_ground_as_tall_as_planets_are_large_is_drawn_and_needles_are_explained(
     needle = terrain(tall, Affine(30, 0, 500_000, 0, -30, 5_000_000))
     with pytest.raises(NothingInViewError, match=r"thinner than a pixel") as said:
         cpu.draw(Scene.of(needle, whole(needle, (80, 50)), samples=1))
-    assert said.value.remedy is not None and "--vertical-unit" in said.value.remedy
+    assert said.value.remedy is not None and "`vertical_unit`" in said.value.remedy

@@ -188,7 +188,7 @@ def test_around_keeps_its_distance():
                                    {"distance": math.nan}, {"distance": math.inf}, {"azimuth": math.inf},
                                    {"azimuth": math.nan}, {"azimuth": math.nan, "distance": None}])  # fmt: skip
 def test_around_refuses_nonsense(wrong):
-    with pytest.raises(UsageError, match=r"--pitch|--distance|--from"):
+    with pytest.raises(UsageError, match=r"`pitch`|`distance`|`azimuth`"):
         camera.around(terrain(hills()), SIZE, **{"azimuth": 30, "pitch": 20, "distance": 7000, **wrong})
 
 

@@ -16,7 +16,7 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.memo import Memo
 from orograph.rendering.cpu.draw import draw
-from orograph.scene.contours import Contours, lines_of, steepness, suitable
+from orograph.scene.contours import Contours, steepness, suitable
 from orograph.scene.scene import Scene
 from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain
@@ -151,7 +151,10 @@ def test_what_makes_no_sense_is_refused() -> None:
                   {"color": (2.0, 0.0, 0.0)}):  # fmt: skip
         with pytest.raises(UsageError):
             Contours(**wrong)  # type: ignore[arg-type]
-    assert lines_of(None) is None and lines_of(20).interval == 20.0  # type: ignore[union-attr]
+    terrain, _ = cone()
+    view = View((0.0, 0.0, 9.0), (0.0, 1.0, 0.0))
+    assert Scene.of(terrain, view, contours=None).annotations.contours is None
+    assert Scene.of(terrain, view, contours=20).annotations.contours == Contours(20.0)
 
 
 def test_lines_over_a_coarse_mesh_in_plan_are_those_without_one() -> None:

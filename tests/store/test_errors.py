@@ -158,10 +158,10 @@ def test_kinds_share_their_spheres():
 def test_what_is_not_there_is_said(tmp_path, built):
     terrain = store.build(source(HEIGHTS[:90, :90]), tmp_path / "none", errors=())
     assert not (tmp_path / "none/diamonds").exists() and terrain.check() == []
-    with pytest.raises(StoreError, match=r"no exact errors.*--errors exact --overwrite"):
+    with pytest.raises(StoreError, match=r"no exact errors.*errors=.*'exact'.*overwrite=True"):
         terrain.diamonds("exact", 0, 0, 1, 0, 1)
     only = store.build(source(HEIGHTS[:90, :90]), tmp_path / "one", errors=["midpoint"])
-    with pytest.raises(StoreError, match=r"no wedgie errors.*--errors midpoint,wedgie"):
+    with pytest.raises(StoreError, match=r"no wedgie errors.*errors=\('midpoint', 'wedgie'\)"):
         only.diamonds("wedgie", 0, 0, 1, 0, 1)
     for terrain in (memory(HEIGHTS), store.open(built)):
         with pytest.raises(UsageError, match="no error called"):
@@ -185,7 +185,7 @@ def test_an_older_store_is_to_be_built_again(tmp_path):
     document = json.loads(root.read_text())
     document["attributes"]["orograph"]["format"] = 1
     root.write_text(json.dumps(document))
-    with pytest.raises(StoreError, match=r"format 1.*orograph build .* --overwrite"):
+    with pytest.raises(StoreError, match=r"format 1.*orograph\.build\(.*overwrite=True"):
         store.open(tmp_path / "s")
 
 

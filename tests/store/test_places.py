@@ -86,7 +86,7 @@ def test_between_the_two_renames_everything_is_named(tmp_path, cut):
     path = between(tmp_path, cut)
     assert is_store(path)
     for verb in (lambda: store.open(path), lambda: store.build(source(NEW), path)):
-        with pytest.raises(StoreError, match=SAID + r".*--resume.*rename the folder that you want to s\.oro"):
+        with pytest.raises(StoreError, match=SAID + r".*resume=True.*rename the folder that you want to s\.oro"):
             verb()
     with pytest.raises(StoreError, match="sources or options"):
         store.build(source(OTHER), path, resume=True)
@@ -154,5 +154,5 @@ def test_an_unfinished_build_is_said_to_be_one(tmp_path, monkeypatch):
         patch.setattr(FolderStorage, "put", stop)
         with pytest.raises(Cut):
             store.build(source(NEW), tmp_path / "s")
-    with pytest.raises(StoreError, match=r"incomplete: its build was interrupted. It is made in s\.partial.*--resume"):
+    with pytest.raises(StoreError, match=r"incomplete.*interrupted. It is made in s\.partial.*resume=True"):
         store.open(tmp_path / "s")

@@ -14,6 +14,7 @@ from surfaces import rough, source
 
 from orograph import store
 from orograph.cli import cli
+from orograph.cli.wording import spoken
 from orograph.errors import StoreError, UsageError
 from orograph.lighting.bake import bake
 from orograph.lighting.products import Options
@@ -116,7 +117,9 @@ def test_a_source_that_is_gone_or_another_is_said(made, area, tmp_path):
     whole = files(area)
     damage(area, "heights/0/height/c/0/0")
     (tmp_path / "dem.tif").rename(tmp_path / "moved.tif")
-    with pytest.raises(StoreError, match=r"dem\.tif is gone.*orograph build \S*dem\.tif -o \S*s\.oro --overwrite"):
+    with pytest.raises(
+        StoreError, match=r"dem\.tif is gone.*orograph\.build\(\[\S*dem\.tif\'\], \S*s\.oro\', overwrite=True\)"
+    ):
         repair(area)
     other = HEIGHTS.copy()
     other[3, 3] += 1
@@ -134,7 +137,7 @@ def test_layers_are_baked_again_and_the_rest_is_mended(area):
     bake(area, ["visible-sky"], Options(azimuths=4)).close()
     whole = files(area)
     damage(area, "layers/visible-sky/0/visible-sky/c/0/0", "heights/0/height/c/0/0")
-    with pytest.raises(StoreError, match=r"layers/visible-sky/0.*orograph bake \S*s\.oro --products visible-sky"):
+    with pytest.raises(StoreError, match=r"layers/visible-sky/0.*orograph\.bake\(\S*s\.oro\', \[\'visible-sky\'\]"):
         repair(area)
     assert [key.partition("/")[0] for key in store.open(area).check()] == ["layers"]
     bake(area, ["visible-sky"], Options(azimuths=4), overwrite=True).close()
@@ -174,16 +177,19 @@ def test_an_older_store_is_refused_with_the_command_that_rebuilds_it(area):
     root = json.loads((area / "zarr.json").read_text())
     root["attributes"]["orograph"] = {"format": 2}
     (area / "zarr.json").write_text(json.dumps(root))
-    again = rf"format 2, and this version reads format 3.*orograph build DEM\.\.\. -o {area} --overwrite"
+    again = rf"format 2, and this version reads format 3.*orograph\.build\(dem, '{area}', overwrite=True\)"
     for use in (store.open, repair, lambda path: bake(path, ["visible-sky"])):
         with pytest.raises(StoreError, match=again):
             use(area)
 
 
 def test_what_may_be_secret_is_not_kept():
-    from orograph.store.inputs import _file, command_line
+    from orograph.store.inputs import _file
+    from orograph.store.layout import rebuild
 
     said = _file("https://me:word@example.org/dem.tif?X-Amz-Signature=abc")
     assert said["path"] == "https://example.org/dem.tif"
     inputs = {"files": [{"path": "/a b.tif"}], "options": {"assume_crs": "EPSG:4326"}}
-    assert command_line(inputs) == "'/a b.tif' --assume-crs EPSG:4326"
+    again = rebuild({"inputs": inputs}, "s.oro")
+    assert again.endswith("`orograph.build(['/a b.tif'], 's.oro', assume_crs='EPSG:4326', overwrite=True)`.")
+    assert spoken(again).endswith("orograph build '/a b.tif' -o s.oro --assume-crs EPSG:4326 --overwrite.")

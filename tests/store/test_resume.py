@@ -96,9 +96,9 @@ def test_stopped_at_any_write(tmp_path, monkeypatch, whole, seed):
 def test_a_full_disk(tmp_path, monkeypatch, whole):
     with monkeypatch.context() as patch:
         patch.setattr(FolderStorage, "put", full_disk(FolderStorage.put, 25))
-        with pytest.raises(StoreError, match=r"No space left.*Make room.*--resume"):
+        with pytest.raises(StoreError, match=r"No space left.*Make room.*resume=True"):
             store.build(source(HEIGHTS), tmp_path / "s", **SIZES)
-    with pytest.raises(StoreError, match=r"incomplete.*--resume"):
+    with pytest.raises(StoreError, match=r"incomplete.*resume=True"):
         store.open(tmp_path / "s")
     store.build(source(HEIGHTS), tmp_path / "s", resume=True, **SIZES)
     assert files(tmp_path / "s") == whole
@@ -134,7 +134,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000))
 store.build(source(rough((300, 260), 9, missing=0.01)), sys.argv[1], shard=64, chunk=16)
 """
     ran = subprocess.run([sys.executable, "-c", code, tmp_path / "s"], capture_output=True, text=True)
-    assert ran.returncode == 1 and "File too large" in ran.stderr and "--resume" in ran.stderr
+    assert ran.returncode == 1 and "File too large" in ran.stderr and "`resume=True`" in ran.stderr
     with pytest.raises(StoreError, match="incomplete"):
         store.open(tmp_path / "s")
     store.build(source(HEIGHTS), tmp_path / "s", resume=True, **SIZES)
@@ -210,7 +210,7 @@ def test_other_sources_are_not_resumed(tmp_path, monkeypatch):
     other[5, 5] += 1
     with pytest.raises(StoreError, match="sources or options differ"):
         store.build(source(other), tmp_path / "s", resume=True, **SIZES)
-    with pytest.raises(StoreError, match=r"interrupted build.*--resume.*--overwrite"):
+    with pytest.raises(StoreError, match=r"interrupted build.*resume=True.*overwrite=True"):
         store.build(source(HEIGHTS), tmp_path / "s", **SIZES)
     terrain = store.build(source(other), tmp_path / "s", overwrite=True, **SIZES)
     np.testing.assert_array_equal(terrain.read(0, 0, 9, 0, 9), other[:9, :9])
@@ -219,7 +219,7 @@ def test_other_sources_are_not_resumed(tmp_path, monkeypatch):
 def test_overwriting_keeps_the_old_store_until_the_new_one_is_complete(tmp_path, monkeypatch, whole):
     old = rough((50, 50))
     store.build(source(old), tmp_path / "s")
-    with pytest.raises(StoreError, match=r"there already.*--overwrite"):
+    with pytest.raises(StoreError, match=r"there already.*overwrite=True"):
         store.build(source(HEIGHTS), tmp_path / "s", **SIZES)
     with monkeypatch.context() as patch:
         stopping(patch, 60, Stop())

@@ -90,7 +90,7 @@ def test_an_interrupted_build_at_a_url_is_resumed(local, monkeypatch):
         patch.setattr(RemoteStorage, "put", stop)
         with pytest.raises(KeyboardInterrupt):
             store.build(source(HEIGHTS), url, jobs=1, **SIZES)
-    with pytest.raises(StoreError, match=r"incomplete.*--resume"):
+    with pytest.raises(StoreError, match=r"incomplete.*resume=True"):
         store.open(url)
     with pytest.raises(StoreError, match="interrupted build"):
         store.build(source(HEIGHTS), url, **SIZES)

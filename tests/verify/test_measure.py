@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import plain
@@ -16,6 +17,7 @@ from orograph.lod.selection import TriangleMesh
 from orograph.lod.soar import Soar
 from orograph.store import MemoryTerrain
 from orograph.tessellation import Tessellation
+from orograph.verify import measure
 from orograph.verify.measure import elsewhere, fingerprints, measure_flight, measure_views
 from orograph.viewpoint import View
 
@@ -84,13 +86,23 @@ def test_a_flight_counts_what_changes(ground):
     assert m.triangles == np.mean([len(s) for s in sets])
 
 
-def test_rays_are_timed_and_not_judged(ground):
+def test_rays_are_judged_by_their_picture(ground):
     for m in (
         measure_views(RayCast(ground), ground, [VIEW], Goal(1.0)),
         measure_flight(RayCast(ground), ground, [VIEW] * 3, Goal(1.0)),
     ):
-        assert m.triangles is m.mtri_per_s is m.largest is m.rms is m.changes is m.kept is None
-        assert m.ms > 0 and m.conservative and m.tolerance == 1.0 and m.judged == 0
+        assert m.triangles is m.mtri_per_s is m.largest is m.rms is m.changes is None
+        assert m.ms > 0 and m.conservative and m.tolerance == 1.0 and m.judged == m.frames and m.kept is True
+        assert 0 <= m.largest_in_picture <= 1 and m.farthest <= 1 + math.sqrt(2)
+
+
+def test_rays_that_break_their_promise_are_found(ground, monkeypatch):
+    depth = measure.ray_depth(ground, VIEW, 1.0)
+    for spoilt in (np.where(np.isfinite(depth), depth * 0.9, depth), np.full_like(depth, np.nan)):
+        monkeypatch.setattr(measure, "ray_depth", lambda *_, told=spoilt, **__: told.astype(np.float32))
+        m = measure_views(RayCast(ground), ground, [VIEW], Goal(1.0))
+        assert m.kept is False
+    assert m.mismatches == np.isfinite(depth).sum()
 
 
 def test_fingerprints_are_of_samples_not_of_numbers(ground):

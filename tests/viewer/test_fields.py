@@ -42,22 +42,22 @@ def place_of(hand, monkeypatch, label: str) -> tuple[float, float]:
 
 def test_ctrl_and_a_quick_click_type_into_a_slider(window, hand, monkeypatch):
     """Ctrl may be let go before a frame was drawn: it was down when the button was."""
-    window.session.settings.light.mode = "placed"
+    window.session.settings.sun.mode = "placed"
     hand.rest()
     x, y = place_of(hand, monkeypatch, "azimuth")
-    before = window.session.settings.light.azimuth
+    before = window.session.settings.sun.azimuth
     hand.event("key_down", key="Control", modifiers=("Control",))
     hand.press(x, y, modifiers=("Control",))
     hand.release(x, y)
     hand.event("key_up", key="Control")
     hand.frames(8)
-    assert window.session.settings.light.azimuth == before  # it was not dragged there
+    assert window.session.settings.sun.azimuth == before  # it was not dragged there
     assert window.gui.typing
     for digit in "123":
         hand.event("char", data=digit)
     hand.key("Enter")
     hand.frames(4)
-    assert window.session.settings.light.azimuth == 123.0
+    assert window.session.settings.sun.azimuth == 123.0
 
 
 def test_what_is_typed_at_once_into_a_field_is_no_command(window, hand):
@@ -89,7 +89,7 @@ def test_whatever_is_typed_the_window_goes_on(window, hand, monkeypatch, caplog,
     """Every field of every panel is told a number that no slider has; those that clamp, clamp."""
     settings, touring = window.session.settings, window.touring
     settings.contours, settings.relief, settings.water = Contours(50.0), 1.0, 500.0
-    settings.budget, settings.light.mode = 50_000, "moment"
+    settings.budget, settings.sun.mode = 50_000, "moment"
     hand.key("k")
     window.session.nav.view = window.session.nav.home
     hand.key("k")
@@ -113,14 +113,14 @@ def test_whatever_is_typed_the_window_goes_on(window, hand, monkeypatch, caplog,
     monkeypatch.setattr(imgui, "drag_float", clamped(False, 6))
     monkeypatch.setattr(imgui, "input_int", lambda *a: (True, int(min(max(typed, -(2**31)), 2**31 - 1))))
     for mode in ("moment", "placed"):
-        settings.light.mode = mode
+        settings.sun.mode = mode
         for name in ("Camera", "Light", "Layers", "Detail", "Tour", "Statistics"):
             imgui.set_window_focus(name)
             hand.frames(2)
     monkeypatch.undo()
     hand.frames(3)
     assert not [r.getMessage() for r in caplog.records if r.levelname == "ERROR"]  # rendercanvas logs what frames raise
-    assert math.isfinite(settings.light.azimuth) and -90 <= settings.light.altitude <= 90
+    assert math.isfinite(settings.sun.azimuth) and -90 <= settings.sun.altitude <= 90
     assert 0 < settings.exaggeration <= 100
     assert np.isfinite(window.session.view.eye).all()
     said = [m.text for m in window.session.messages.shown if m.error]

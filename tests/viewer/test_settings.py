@@ -9,8 +9,9 @@ import pytest
 from orograph.errors import UsageError
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Placed, position
+from orograph.scene.parts import HOMES, OPTIONS
 from orograph.scene.prepare import prepare
-from orograph.viewer.settings import Light, Settings
+from orograph.viewer.settings import Settings, SunSetting
 
 
 @pytest.fixture(scope="module")
@@ -19,18 +20,18 @@ def terrain(dem):
 
 
 def test_a_day_played_ends_where_it_began(terrain):
-    light = Light.over(terrain)
+    light = SunSetting.over(terrain)
     assert light.place is not None
     light.mode, light.playing, light.speed = "moment", True, 3600.0
     begin = light.when
     for _ in range(240):
         assert light.advance(0.1)
     assert light.when == begin
-    assert not Light.over(terrain).advance(1.0)
+    assert not SunSetting.over(terrain).advance(1.0)
 
 
 def test_times_are_those_of_the_place(terrain):
-    light = Light.over(terrain)
+    light = SunSetting.over(terrain)
     assert light.zone == 1  # 14° east
     light.when = datetime.datetime(2024, 2, 29, 12, 30, tzinfo=light.when.tzinfo)
     assert light.hour == 12.5
@@ -46,12 +47,12 @@ def test_times_are_those_of_the_place(terrain):
 
 def test_the_sun_is_the_real_one(terrain):
     when = datetime.datetime(2026, 6, 21, 10, 0, tzinfo=datetime.UTC)
-    light = Light.over(terrain, Moment(when))
+    light = SunSetting.over(terrain, Moment(when))
     azimuth, altitude = position(when, *light.place)
     sun = light.sun(terrain)
     assert sun.altitude == pytest.approx(altitude)
     assert sun.azimuth == pytest.approx(azimuth, abs=1.5)  # grid north differs by the convergence
-    placed = Light.over(terrain, Placed(-45.0, 30.0))
+    placed = SunSetting.over(terrain, Placed(-45.0, 30.0))
     assert (placed.sun(terrain).azimuth, placed.sun(terrain).altitude) == (315.0, 30.0)
 
 
@@ -64,16 +65,17 @@ def test_a_terrain_without_a_place_says_why():
     from orograph.store import terrain as in_memory
 
     bare = in_memory(Dem(np.zeros((9, 9), np.float32), Grid((9, 9), Affine(1, 0, 0, 0, -1, 0))))
-    light = Light.over(bare)
+    light = SunSetting.over(bare)
     assert light.place is None
     assert "where on Earth" in light.trouble
     with pytest.raises(UsageError):
-        Light.over(bare, Moment(datetime.datetime.now(datetime.UTC)))
+        SunSetting.over(bare, Moment(datetime.datetime.now(datetime.UTC)))
 
 
 @pytest.mark.parametrize("power", [0.6, 1.0, 1.4])
 def test_a_budget_is_reached(terrain, power):
-    settings = Settings(Light.over(terrain), budget=100_000)
+    settings = Settings(terrain)
+    settings.budget = 100_000
 
     def triangles() -> int:
         return int(60_000 / settings.tolerance**power)
@@ -87,7 +89,36 @@ def test_a_budget_is_reached(terrain, power):
 def test_scenes(terrain):
     from orograph.scene import camera
 
-    settings = Settings(Light.over(terrain), exaggeration=2.0, layers=[Layer("x.tif", visible=False)])
+    settings = Settings(terrain, sun=(200.0, 30.0), exaggeration=2.0, layers=[Layer("x.tif", visible=False)])
+    settings.water = None
     scene = settings.scene(terrain, camera.whole(terrain, (100, 100)))
     assert scene.surface.exaggeration == 2.0
     assert scene.data.layers == (Layer("x.tif", visible=False),)
+    assert scene.data.water is None and scene.lighting.sky
+    assert (scene.lighting.sun.azimuth, scene.lighting.sun.altitude) == (200.0, 30.0)
+
+
+def test_every_option_of_a_scene_is_a_setting(terrain):
+    from orograph.scene import camera
+
+    settings = Settings(terrain)
+    for name in OPTIONS:
+        assert hasattr(settings, name), name
+    scene = settings.scene(terrain, camera.whole(terrain, (100, 100)))
+    for name, value in settings.options.items():
+        if name not in ("layers", "depths"):
+            assert getattr(getattr(scene, HOMES[name]), name) == value, name
+    with pytest.raises(UsageError, match="no option 'colour'"):
+        Settings(terrain, colour="grey")
+    with pytest.raises(AttributeError):
+        settings.colour  # noqa: B018
+
+
+def test_lamps_shine_where_the_light_knows_them(terrain):
+    from orograph.scene import camera
+
+    settings = Settings(terrain, light="aperture", lamps=[(13.93, 45.0, 900.0, 500.0)])
+    view = camera.whole(terrain, (100, 100))
+    assert len(settings.scene(terrain, view).lighting.lamps) == 1
+    settings.light = "relief"
+    assert settings.scene(terrain, view).lighting.lamps == ()

@@ -149,7 +149,7 @@ def test_a_window_of_another_size_goes_on_playing(session, touring):
 
 
 def test_light_and_exaggeration_go_along(session, touring):
-    light = session.settings.light
+    light = session.settings.sun
     light.mode = "moment"
     zone = light.when.tzinfo
     light.when = datetime.datetime(2026, 6, 21, 6, tzinfo=zone)
@@ -269,7 +269,7 @@ def test_movie_films_the_cameras_that_the_window_shows(session, touring, dem, tm
     for time, scene in filmed:
         touring.show(time)
         assert session.view.resized(32, 18) == scene.view
-        sun = session.settings.light.sun(session.terrain)
+        sun = session.settings.sun.sun(session.terrain)
         assert (scene.lighting.sun.azimuth, scene.lighting.sun.altitude) == pytest.approx((sun.azimuth, sun.altitude))
         assert scene.surface.exaggeration == session.settings.exaggeration
 
@@ -308,7 +308,7 @@ def test_the_command_line_is_one_that_movie_takes(session, touring, tmp_path):
     from orograph.cli.movie import command
 
     three(session, touring)
-    session.settings.way, session.settings.water, session.settings.colormap = "none", None, "mars"
+    session.settings.light, session.settings.water, session.settings.colormap = "none", None, "mars"
     session.settings.shadows = False
     words = shlex.split(touring.command(tmp_path / "a tour.json", ["my dem.tif"]))
     assert words[:3] == ["orograph", "movie", "my dem.tif"]

@@ -293,7 +293,7 @@ def test_every_key_does_something_and_is_in_the_help(window, hand):
         hand.key(b.key, *(("Control",) if b.control else ()))
         hand.frames(1)
     hand.key("Escape")
-    assert window.session.settings.light.playing
+    assert window.session.settings.sun.playing
     hand.key(" ")
     hand.still()
     assert not [m.text for m in window.session.messages.shown if m.error]
@@ -328,7 +328,7 @@ def test_a_terrain_that_says_not_where_it_is(device):
     hand.frames(4)
     hand.key(" ")
     assert "where on Earth" in window.session.messages.shown[-1].text
-    assert not window.session.settings.light.playing
+    assert not window.session.settings.sun.playing
     hand.key("t")
     hand.still()
     hand.move(200, 250)

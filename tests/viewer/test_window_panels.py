@@ -144,7 +144,7 @@ def test_layers_by_hand(window, hand, tmp_path):
 def test_every_panel_draws_in_every_state(window, hand):
     settings = window.session.settings
     for mode in ("placed", "moment"):
-        settings.light.mode = mode
+        settings.sun.mode = mode
         settings.water = 510.0
         settings.budget = 50_000 if mode == "moment" else None
         settings.contours = Contours(50.0)
@@ -203,7 +203,7 @@ def test_pictures(window, hand, tmp_path, monkeypatch):
 
 
 def test_a_played_day_moves_the_sun(window, hand):
-    light = window.session.settings.light
+    light = window.session.settings.sun
     hand.key(" ")
     before = light.when
     hand.frames(5)

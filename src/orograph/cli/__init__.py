@@ -14,7 +14,7 @@ import os
 import sys
 import traceback
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import click
 
@@ -64,7 +64,9 @@ class Verbs(click.Group):
             close = difflib.get_close_matches(name, VERBS, 2, 0.5)
             remedy = f"Did you mean {' or '.join(close)}?" if close else f"There are {', '.join(sorted(VERBS))}."
             ctx.fail(f"There is no verb {name!r}. {remedy}")
-        return super().resolve_command(ctx, args)
+        found = super().resolve_command(ctx, args)
+        _wording().speak(found[1])
+        return found
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Verbs"):
@@ -123,6 +125,11 @@ def main(argv: list[str] | None = None) -> None:
         _fail(error, debug)
 
 
+def _wording() -> Any:
+    """The module ``cli.wording``, which a verb's start need not wait for."""
+    return importlib.import_module("orograph.cli.wording")
+
+
 def _fail(failure: Exception, debug: bool) -> NoReturn:
     """Say what failed, and exit with its code."""
     try:
@@ -134,7 +141,7 @@ def _fail(failure: Exception, debug: bool) -> NoReturn:
         if debug:
             traceback.print_exc()
         else:
-            click.echo(f"orograph: {error}", err=True)
+            click.echo(f"orograph: {_wording().spoken(str(error))}", err=True)
         _leave(error.exit_code)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -7,13 +7,13 @@ makes the view once the terrain is known. Verbs that use them have ``exaggeratio
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from orograph.cli.options import FILE, F, Float, FloatRange, ParamType
+from orograph.scene.given import numbers
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
@@ -29,22 +29,16 @@ CAMERA = (*PLACES, "projection", "size")
 class Numbers(ParamType):
     """Numbers separated by commas, so many of them."""
 
-    def __init__(self, *names: str, optional: int = 0) -> None:
-        self.names, self.optional = names, optional
-        self.name = ",".join(names)
+    def __init__(self, names: str, optional: int = 0) -> None:
+        self.name, self.optional = names, optional
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         if isinstance(value, tuple):
             return value
         try:
-            numbers = tuple(float(part) for part in str(value).split(","))
-        except ValueError:
-            numbers = ()
-        if any(map(math.isnan, numbers)):
-            self.fail(f"{value!r} holds nan, which is not a number.", param, ctx)
-        if not len(self.names) - self.optional <= len(numbers) <= len(self.names):
-            self.fail(f"{value!r} is not {self.name}: numbers separated by commas.", param, ctx)
-        return numbers
+            return numbers(str(value), self.name, self.optional)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
 
 
 class Size(ParamType):
@@ -86,12 +80,12 @@ def camera_options(function: F) -> F:
             ),
             click.option(
                 "--lonlat",
-                type=Numbers("LON", "LAT", "HEIGHT"),
+                type=Numbers("LON,LAT,HEIGHT"),
                 help="Stand here, HEIGHT metres above the heights' own zero.",
             ),
             click.option(
                 "--look-at",
-                type=Numbers("LON", "LAT"),
+                type=Numbers("LON,LAT"),
                 help="With --lonlat: look at the ground here.  [default: the terrain's middle]",
             ),
             click.option(

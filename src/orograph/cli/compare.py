@@ -73,9 +73,13 @@ def command(
 ) -> None:  # fmt: skip
     """Measure methods side by side on a DEM (one file or many) or a store.
 
-    For each: triangles, milliseconds to select them (the median), millions of triangles per second, the largest and the
-    rms error in pixels over every full-resolution sample in view, as the referee finds them, tiles read, and whether
-    the tolerance is a promise; on a flight also the part of the mesh that changes from frame to frame.
+    For each: triangles, milliseconds to select them (the median), millions of triangles per second, errors in pixels as
+    the referee finds them, tiles read, and whether the tolerance is a promise; on a flight also the part of the mesh
+    that changes from frame to frame.
+
+    A mesh is judged at every full-resolution sample in view, and on all of the surface between them. Rays are judged by
+    the depth of the picture: how far from the surface a pixel's point is, and how many pixels show ground where there
+    is none, or none where there is some.
 
     \b
     Examples:
@@ -247,7 +251,7 @@ def _draw(
             mesh = selection.tessellation()
             report = verify.judge_mesh(mesh, terrain, view, exaggeration=options["exaggeration"], jobs=jobs)
             lines, alarm = caption(
-                len(mesh.triangles), selection.bound, selection.stats.get("tolerance"), report.largest_at_samples
+                len(mesh.triangles), selection.bound, selection.stats.get("tolerance"), report.largest
             )
             panels.append(Panel(str(choice), mesh, lines, alarm))
             task.note(panels[-1].title)
@@ -255,7 +259,7 @@ def _draw(
         rows, cols = terrain.grid.shape
         note = (
             f"{terrain.name}, {cols} × {rows} samples. Each mesh is refined for its panel of {view.width} × "
-            f"{view.height} pixels ({asked}); errors are the referee's, over every full-resolution sample in view."
+            f"{view.height} pixels ({asked}); errors are the referee's, over all of the surface in view."
         )
         pixels = sheet(
             terrain, view, panels, note=note,
@@ -283,15 +287,19 @@ def _table(told: dict[str, Any], found: dict[str, Measurement]) -> None:
     console.print(f"{told['terrain']}, {cols} × {rows} samples; {asked}; {what}", soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
     table.add_column("method", no_wrap=True)
-    heads = ["triangles", "ms", "Mtri/s", "largest px", "rms px"] + ["change/frame"] * flight + ["tiles"]
+    errors = ["rms px\nat samples", "largest px\nat samples", "largest px\non surface"]
+    errors += ["largest px\nin picture", "wrong\npixels"] * any(m.mismatches is not None for m in found.values())
+    heads = ["triangles", "ms", "Mtri/s", *errors, *["change/frame"] * flight, "tiles"]
     for head in heads:
         table.add_column(head, justify="right", no_wrap=True)
     table.add_column("conservative", no_wrap=True)
     for label, m in found.items():
         many = "-" if m.triangles is None else f"{m.triangles:,.0f}"
         pace = "-" if m.mtri_per_s is None else f"{m.mtri_per_s:,.1f}"
-        errors = [_px(m.largest), _px(m.rms)] if m.judged else ["-", "-"]
-        cells = [many, f"{m.ms:,.1f}", pace, *errors]
+        mesh, picture = m.judged and m.mismatches is None, m.mismatches is not None
+        pixels = [_px(v) if mesh else "-" for v in (m.rms, m.largest_at_samples, m.largest)]
+        pixels += [_px(m.largest_in_picture) if picture else "-", f"{m.mismatches:,}" if picture else "-"]
+        cells = [many, f"{m.ms:,.1f}", pace, *pixels[: len(errors)]]
         cells += [f"{100 * m.changes:.2f} %" if m.changes is not None else "-"] * flight + [f"{m.tiles_read:,}"]
         table.add_row(label, *cells, Text(*_promise(m)))
     console.print(table)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.options import jobs_option, progress_of, source_options
+from orograph.cli.wording import spoken
 from orograph.progress import Progress
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | No
     with Source.open(path, **options) as source:
         spacing = spacing_metres(source.grid)
         found = statistics(source, spacing[0], exact=exact, jobs=jobs, progress=progress)
-        warnings = suspicions(source, found)
+        warnings = [spoken(text) for text in suspicions(source, found)]
     crs = source.grid.crs
     return {
         "kind": "dem",

@@ -14,7 +14,6 @@ from orograph.cli.camera import Numbers
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
     FILE,
-    Float,
     grid_options,
     jobs_option,
     memory_option,
@@ -32,7 +31,8 @@ from orograph.cli.products import (
     once,
     ray_options,
 )
-from orograph.cli.suns import sun_option
+from orograph.cli.scenes import scene_option
+from orograph.scene import given
 
 if TYPE_CHECKING:
     from orograph.lighting.context import Context, Options, Values
@@ -62,18 +62,16 @@ AT_ONCE = ("normal", "slope", "aspect", "hillshade")
 )
 @click.option("--output", "-o", required=True, type=FILE, metavar="OUT.tif", help="The Cloud Optimized GeoTIFF.")
 @horizon_options
-@sun_option()
+@scene_option("sun")
 @click.option(
     "--light",
     "lights",
-    type=Numbers("AZ", "ALT", "WEIGHT", optional=1),
+    type=Numbers("AZ,ALT,WEIGHT", 1),
     multiple=True,
     help="A light of a hillshade with several, in place of --sun: degrees, and its share in the mean (1 if left out); "
     "give it again for each.",
 )
-@click.option(
-    "--exaggeration", type=Float(), default=1.0, show_default=True, help="Stretch heights, for hillshade only."
-)
+@scene_option("exaggeration", help="Stretch heights, for hillshade only.")
 @ray_options(
     ["horizon", "rays", "shadow-maps", "cone-tracing"],
     method="Of ambient occlusion, the last two on the GPU; of apertures, the first two.  [default: horizon]",
@@ -155,7 +153,7 @@ def command(
     for each in products:
         each.check(asked)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
-    place = options["sun"].over(terrain.grid) if {"hillshade", "shadow"} & set(wanted) else Sun()
+    place = given.sun(options["sun"], terrain) if {"hillshade", "shadow"} & set(wanted) else Sun()
     if place.altitude < -place.diameter / 2:
         progress.warn(
             f"the sun is {round(-place.altitude, 1):g}° below the horizon: no light of it falls on the ground."

@@ -32,6 +32,7 @@ from orograph.cli.options import (
     source_options,
     vertical_options,
 )
+from orograph.cli.scenes import scene_option
 from orograph.errors import UsageError
 
 
@@ -90,7 +91,7 @@ def command(ctx: click.Context, /, path: str, max_memory: int, jobs: int | None,
               "left corner.")  # fmt: skip
 @without("lonlat", "look_at")
 @camera_options
-@click.option("--exaggeration", type=Float(), default=1.0, show_default=True, help="That of the picture.")
+@scene_option("exaggeration", help="That of the picture.")
 @points_option
 @click.pass_context
 def pick(

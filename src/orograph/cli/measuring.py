@@ -29,7 +29,7 @@ class Point(Numbers):
     """Two numbers with a comma between."""
 
     def __init__(self) -> None:
-        super().__init__("X", "Y")
+        super().__init__("X,Y")
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         text = str(value)

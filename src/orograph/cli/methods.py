@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from orograph.cli.wording import spoken
+
 
 @click.command("methods")
 @click.argument("name", required=False)
@@ -20,4 +22,4 @@ def command(name: str | None) -> None:
     """
     from orograph.lod.describe import about, about_all
 
-    click.echo(about_all() if name is None else about(name))
+    click.echo(spoken(about_all() if name is None else about(name)))

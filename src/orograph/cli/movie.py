@@ -12,11 +12,11 @@ from click.core import ParameterSource
 
 from orograph.cli.camera import Size
 from orograph.cli.files import check_outputs
-from orograph.cli.layers import layer_files
 from orograph.cli.options import FILE, Float, jobs_option, memory_option, progress_of, source_options, vertical_options
 from orograph.cli.scenes import DRAWING, check_scene, scene_of, scene_options
 from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
 from orograph.errors import UsageError
+from orograph.scene import given
 
 OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 """What is said about the film; all other options are about reading."""
@@ -44,7 +44,7 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
     help="Constant rate factor: lower is better and larger.  [default: 18 for H.264, 28 for VP9]",
 )
 @click.option("--overwrite", is_flag=True, help="Draw pictures anew that are there already.")
-@scene_options
+@scene_options()
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
 @source_options
 @vertical_options
@@ -78,7 +78,7 @@ def command(
         )
     check_outputs(
         {"--output": output},
-        {"the input": paths, "a layer of --drape": layer_files(options), "the tour": [tour_path],
+        {"the input": paths, "a layer of --drape": [layer.path for layer in options["layers"]], "the tour": [tour_path],
          "the line": [options["line"]], "the camera of --mesh-view": [options["mesh_view"]],
          "the grid of --geoid": [options["geoid"]]},
     )  # fmt: skip
@@ -101,7 +101,7 @@ def command(
         Tour.readable(tour_path)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
     said = {name for name in options if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT}
-    sun = options["sun"].over(terrain.grid)
+    sun = given.sun(options["sun"], terrain)
     if tour_path is not None:
         tour = Tour.load(tour_path, crs=terrain.grid.crs)
         size = options["size"] or (tour.keys[0].view.width, tour.keys[0].view.height)

@@ -12,7 +12,6 @@ from typing import Any
 
 import click
 
-from orograph.cli.lights import rays_option
 from orograph.cli.options import F, Float
 
 MORE = ("rho", "method", "cones", "date", "step", "turbidity")
@@ -125,7 +124,7 @@ def ray_options(methods: Sequence[str], method: str, rays: str) -> Callable[[F],
     def give(function: F) -> F:
         return _with(
             function,
-            rays_option(256, rays),
+            click.option("--rays", type=click.IntRange(min=1), default=256, show_default=True, help=rays),
             click.option(
                 "--rho",
                 type=click.Choice(["step", "linear"]),

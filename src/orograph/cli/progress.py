@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
+from orograph.cli.wording import spoken
 from orograph.progress import Progress, Task
 
 
@@ -86,6 +87,7 @@ class LineProgress(Progress):
         return LineTask(self, what, total)
 
     def warn(self, text: str) -> None:
+        text = spoken(text)
         if text in self.warned:
             return
         self.warned.add(text)
@@ -93,4 +95,4 @@ class LineProgress(Progress):
         sys.stderr.flush()
 
     def note(self, text: str) -> None:
-        self.console.print(text, highlight=False, markup=False, soft_wrap=True)
+        self.console.print(spoken(text), highlight=False, markup=False, soft_wrap=True)

@@ -25,7 +25,7 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.errors import UsageError
-from orograph.lod.registry import METHODS
+from orograph.scene.given import read_method
 
 if TYPE_CHECKING:
     from orograph.error import ErrorKind
@@ -44,22 +44,27 @@ class MethodText(ParamType):
     name = "NAME[,key=value…]"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        name = str(value).partition(",")[0].strip()
-        if name != "auto" and name not in METHODS:
-            self.fail(f"There is no method {name!r}; there are {', '.join(METHODS)}.", param, ctx)
-        return str(value)
+        try:
+            return read_method(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+def conservative_option(function: F) -> F:
+    """``--conservative``."""
+    return click.option(
+        "--conservative",
+        is_flag=True,
+        help="Refuse a method with which the tolerance is no promise for every sample in view.",
+    )(function)
 
 
 def method_option(help: str, **settings: Any) -> Callable[[F], F]:
     """``--method`` and ``--conservative``; ``settings`` are click's (default, multiple…)."""
 
     def add(function: F) -> F:
-        function = click.option(
-            "--conservative", is_flag=True,
-            help="Refuse a method with which the tolerance is no promise for every sample in view.",
-        )(function)  # fmt: skip
         more = " The methods and their options: orograph methods."
-        return click.option("--method", type=MethodText(), help=help + more, **settings)(function)
+        return click.option("--method", type=MethodText(), help=help + more, **settings)(conservative_option(function))
 
     return add
 

@@ -12,7 +12,6 @@ from click.core import ParameterSource
 
 from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, check_camera
 from orograph.cli.files import check_ending, check_outputs
-from orograph.cli.layers import layer_files
 from orograph.cli.options import (
     FILE,
     jobs_option,
@@ -31,7 +30,7 @@ OWN = {*DRAWING, *CAMERA}
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--output", "-o", required=True, type=FILE, help="The picture: .png, .jpg, .webp or .tif.")
 @camera_options
-@scene_options
+@scene_options()
 @click.option(
     "--depth",
     type=FILE,
@@ -68,8 +67,8 @@ def command(
     errors = check_scene(options, progress)
     check_outputs(
         {"--output": output, "--depth": depth, "--save-view": save_view},
-        {"the input": paths, "a layer of --drape": layer_files(options), "the camera of --view": [options["view_path"]],
-         "the camera of --mesh-view": [options["mesh_view"]],
+        {"the input": paths, "a layer of --drape": [layer.path for layer in options["layers"]],
+         "the camera of --view": [options["view_path"]], "the camera of --mesh-view": [options["mesh_view"]],
          "the grid of --geoid": [options["geoid"]]},
     )  # fmt: skip
     if depth:

@@ -1,23 +1,23 @@
-"""What is drawn, on the command line: the options of all verbs that draw, each declared once.
+"""What is drawn, on the command line: the options of all verbs that draw, made from the fields of ``scene.parts``.
 
-``@scene_options`` gives a verb ``sun`` (a ``lighting.sun.SunSource``), what ``SCENE`` lists, ``water``, ``mesh_view``,
-and ``crs``, ``resolution`` and ``backend``; ``check_scene`` refuses what contradicts, before any work; ``scene_of``
-makes the scene of a view.
+``@scene_options()`` gives a verb a keyword argument for every option of a scene that has a flag, and ``crs``,
+``resolution``, ``conservative`` and ``backend``; ``scene_option`` gives one of them. ``check_scene`` refuses what
+contradicts, before any work; ``given_of`` and ``scene_of`` make a scene's options, and the scene of a view.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.layers import layers_of_options, layers_option
-from orograph.cli.lights import check_lights, light_options, lights_of
-from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
-from orograph.cli.options import FILE, F, Float, ParamType, grid_options
-from orograph.cli.refining import choice_of, error_kinds, method_option
-from orograph.cli.suns import sun_option
+from orograph.cli.options import F, Float, FloatRange, ParamType, grid_options
+from orograph.cli.refining import choice_of, conservative_option, error_kinds
+from orograph.cli.wording import spoken
+from orograph.lod.options import Described, described
+from orograph.scene.parts import HOMES, OPTIONS, check_options
 
 if TYPE_CHECKING:
     from orograph.error import ErrorKind
@@ -26,115 +26,125 @@ if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
 
+SCENE = {name: one for name, one in OPTIONS.items() if one.flag is not None and HOMES[name] != "budget"}
+"""The options that verbs take; those of the budget are those of all verbs (``cli.options``)."""
 
-class Water(ParamType):
-    """auto, none, or a level in metres."""
+DETAILS = {
+    name: {one.key.replace("-", "_"): one for one in described(whole.details) if one.flag}
+    for name, whole in SCENE.items()
+    if whole.details is not None
+}
+"""By an option, what goes beside it: by the name of the argument, an option of its value."""
 
-    name = "auto|none|METRES"
+DRAWING = {*SCENE, *(name for more in DETAILS.values() for name in more), "backend", "conservative"}
+"""All that is not about reading."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str | float:
-        if isinstance(value, float) or value in ("auto", "none"):
-            return float(value) if isinstance(value, float) else str(value)
+
+class Text(ParamType):
+    """What an option's ``read`` makes of a text."""
+
+    def __init__(self, one: Described) -> None:
+        self.one, self.name = one, one.metavar or one.name
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not isinstance(value, str) or self.one.read is None:
+            return value
         try:
-            return float(value)
-        except ValueError:
-            self.fail(f"{value!r} is neither auto, none nor a level in metres.", param, ctx)
+            return self.one.read(value)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
 
 
-SCENE = ("shadows", "light", "rays", "exaggeration", "colormap", "sky", "relief", "samples", "tolerance",
-         "method", "triangles", "wireframe", "furniture", "title")  # fmt: skip
-"""Options that are a scene's attributes of the same name."""
-
-DRAWING = {*SCENE, *LINES, "layers", "sun", "water", "lamps", "discs", "mesh_view", "backend", "conservative"}
-"""All of them that are not about reading."""
+def scene_option(name: str, **changes: Any) -> Callable[[F], F]:
+    """An option of a scene; ``changes``: of what is said of it (``lod.options.Described``)."""
+    return _option(replace(OPTIONS[name], **changes))
 
 
-def scene_options(function: F) -> F:
-    """Give a verb the options that say what is drawn, and how."""
-    for option in reversed(
-        [
-            sun_option(),
-            light_options,
-            click.option(
-                "--exaggeration",
-                type=Float(),
-                default=1.0,
-                show_default=True,
-                metavar="X",
-                help="Stretch heights on the screen.",
-            ),
-            click.option(
-                "--relief",
-                type=Float(),
-                metavar="X",
-                help="Stretch slopes for shading only; 1 is nature.  [default: 1 to 6, more for gentle land]",
-            ),
-            click.option(
-                "--colormap",
-                metavar="NAME",
-                help="Colours of heights: alpine, mars, grey or any name of the cmap catalogue.  [default: alpine]",
-            ),
-            layers_option,
-            click.option(
-                "--water",
-                type=Water(),
-                metavar="auto|none|METRES",
-                default="auto",
-                show_default=True,
-                help="auto: level areas are lakes and seas; a number: all ground up to that height.",
-            ),
-            *LINE_OPTIONS,
-            click.option("--sky", is_flag=True, help="Draw sky and haze, instead of paper."),
-            click.option("--furniture", is_flag=True, help="Add a title, a colour bar, a north arrow and a scale bar."),
-            click.option("--title", help="The title (with --furniture).  [default: the file's name]"),
-            click.option(
-                "--samples",
-                type=click.IntRange(1, 1024),
-                default=4,
-                show_default=True,
-                help="Rays per pixel where the picture has edges; 1: jagged ones.",
-            ),
-            click.option(
-                "--tolerance",
-                type=Float(),
-                metavar="PX",
-                help="Pixels by which the ground may be displaced; 0 draws every sample.  "
-                "[default: 0 up to 16.8 million samples, else 0.5; with a --method 1]",
-            ),
-            method_option(
-                "Draw the mesh that this method makes within --tolerance, with light on its faces; auto: the terrain "
-                "itself, by rays on the CPU, by patches on the GPU.",
-                default="auto",
-                show_default=True,
-            ),
-            click.option(
-                "--triangles",
-                type=click.IntRange(min=2),
-                metavar="N",
-                help="With a --method, instead: at most so many.",
-            ),
-            click.option(
-                "--wireframe", is_flag=True, help="With a --method: draw its triangles' edges over the relief."
-            ),
-            click.option(
-                "--mesh-view",
-                type=FILE,
-                metavar="VIEW.json",
-                help="With a --method: the camera to select for, to look at the mesh from elsewhere.  "
-                "[default: the picture's]",
-            ),
-            grid_options("draw"),
-            click.option(
-                "--backend",
-                type=click.Choice(["cpu", "gpu"]),
-                default="cpu",
-                show_default=True,
-                help="What draws; gpu: the CPU instead where there is none (see orograph doctor).",
-            ),
-        ]
-    ):
-        function = option(function)
-    return function
+def _option(one: Described, name: str = "") -> Callable[[F], F]:
+    """The option of the command line that a field describes."""
+    flag = f"--{one.key}"
+    more: dict[str, Any] = {"help": spoken(one.help) + " Give it again for each." * one.multiple}
+    if one.shown:
+        more["help"] += f"  [default: {spoken(one.shown)}]"
+    elif one.default not in (None, (), False):
+        more["show_default"] = True
+    if one.multiple:
+        more["multiple"] = True
+    elif one.default is not None:
+        more["default"] = one.default
+    if one.kind is bool or (one.details is not None and one.read is None):
+        if one.default is True:
+            flag = f"{flag}/--no-{one.key}"
+        else:
+            more["is_flag"] = True
+    else:
+        more["type"] = _type(one)
+        if one.metavar:
+            more["metavar"] = one.metavar
+    return click.option(flag, name or one.name, **more)
+
+
+def _type(one: Described) -> click.ParamType[Any]:
+    if one.read is not None:
+        return Text(one)
+    if one.choices:
+        return click.Choice(one.choices)
+    ranged = one.least is not None or one.most is not None
+    if one.kind is int:
+        least, most = (None if v is None else int(v) for v in (one.least, one.most))
+        return click.IntRange(least, most) if ranged else click.INT
+    if one.kind is float:
+        return FloatRange(one.least, one.most) if ranged else Float()
+    return click.STRING
+
+
+def scene_options(without: tuple[str, ...] = (), backend: bool = True, **changes: dict[str, Any]) -> Callable[[F], F]:
+    """Give a verb the options that say what is drawn, and how.
+
+    Args:
+        without: those that it does not have. backend: whether what draws can be chosen.
+        changes: by option, what the verb says otherwise (``scene_option``).
+    """
+
+    def give(function: F) -> F:
+        options: list[Callable[[Any], Any]] = []
+        for name in SCENE:
+            if name not in without:
+                options.append(scene_option(name, **changes.get(name, {})))
+                options += [_option(one, detail) for detail, one in DETAILS.get(name, {}).items()]
+                options += [conservative_option] if name == "method" else []
+        options.append(grid_options("draw"))
+        if backend:
+            options.append(
+                click.option(
+                    "--backend",
+                    type=click.Choice(["cpu", "gpu"]),
+                    default="cpu",
+                    show_default=True,
+                    help="What draws; gpu: the CPU instead where there is none (see orograph doctor).",
+                )
+            )
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return give
+
+
+def given_of(options: Mapping[str, Any]) -> dict[str, Any]:
+    """A scene's options as the command line gives them; those that it leaves open are left out."""
+    given = {}
+    for name in SCENE:
+        value = options.get(name)
+        if name in DETAILS and not value:
+            continue
+        if name in DETAILS:
+            more = {one.name: options[detail] for detail, one in DETAILS[name].items()}
+            kind = SCENE[name].details
+            value = replace(value, **more) if isinstance(value, kind) else kind(**more)  # type: ignore[arg-type, misc, type-var]
+        if value is not None and value != ():
+            given[name] = value
+    return given
 
 
 def check_scene(options: Mapping[str, Any], progress: Progress) -> tuple[ErrorKind, ...]:
@@ -142,43 +152,22 @@ def check_scene(options: Mapping[str, Any], progress: Progress) -> tuple[ErrorKi
 
     Returns: the kinds of errors of diamonds that its method needs, for ``scene.prepare``.
     """
-    from orograph.errors import UsageError
     from orograph.geovis.color import color_table
 
     choice = None
     if options["method"] != "auto":
-        choice = choice_of(options["method"], options["conservative"], options["backend"])
-    if choice is None or choice.info.kind == "rays":
-        for name in ("triangles", "wireframe", "mesh_view"):
-            if options[name]:
-                raise UsageError(
-                    f"--{name.replace('_', '-')} is about the mesh that a method makes.",
-                    remedy="Choose one, such as --method soar.",
-                )
-    else:
-        choice.info.check_goal("tolerance" if options["triangles"] is None else "triangles")
-    if options["triangles"] is not None and options["tolerance"] is not None:
-        raise UsageError("Give one goal: --tolerance or --triangles.")
+        choice = choice_of(options["method"], options["conservative"], options.get("backend", "gpu"))
+        if choice.info.kind != "rays":
+            choice.info.check_goal("tolerance" if options.get("triangles") is None else "triangles")
+    check_options(given_of(options))
     color_table(options["colormap"])
-    layers_of_options(options)
-    check_lights(options)
-    if options["title"] is not None and not options["furniture"]:
-        progress.warn("--title is drawn with --furniture only.")
+    if options.get("title") is not None and not options["furniture"]:
+        progress.warn("`title` is drawn with `furniture` only.")
     return () if choice is None else error_kinds([choice])
 
 
 def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memory: int, jobs: int | None) -> Scene:
     """The scene that the options describe, seen by a camera."""
     from orograph.scene.scene import Scene
-    from orograph.viewpoint import View
 
-    mesh_view = options["mesh_view"]
-    lamps, discs = lights_of(terrain, options)
-    return Scene.of(
-        terrain, view, sun=options["sun"].over(terrain.grid),
-        mesh_view=None if mesh_view is None else View.load(mesh_view, crs=terrain.grid.crs),
-        water=None if options["water"] == "none" else options["water"], max_memory=max_memory, jobs=jobs,
-        contours=contours_of(options), silhouettes=silhouettes_of(options), layers=layers_of_options(options),
-        lamps=lamps, discs=discs,
-        **{k: options[k] for k in SCENE},
-    )  # fmt: skip
+    return Scene.of(terrain, view, max_memory=max_memory, jobs=jobs, **given_of(options))

@@ -10,7 +10,8 @@ import click
 
 from orograph.cli.camera import Size
 from orograph.cli.files import check_outputs
-from orograph.cli.options import FILE, Float, grid_options, jobs_option, memory_option, progress_of, source_options
+from orograph.cli.options import FILE, grid_options, jobs_option, memory_option, progress_of, source_options
+from orograph.cli.scenes import scene_option
 from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
 from orograph.errors import UsageError
 
@@ -25,9 +26,7 @@ def command() -> None:
 @click.option("--output", "-o", required=True, type=FILE, metavar="TOUR.json", help="The tour.")
 @tour_options
 @click.option("--size", type=Size(), default="1280x720", show_default=True, help="The pictures' size in pixels.")
-@click.option(
-    "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X", help="Heights will be stretched so."
-)
+@scene_option("exaggeration", help="Heights will be stretched so.")
 @grid_options("draw")
 @source_options
 @memory_option

@@ -33,7 +33,7 @@ def tour_options(function: F) -> F:
             click.option(
                 "--point",
                 "points",
-                type=Numbers("LON", "LAT"),
+                type=Numbers("LON,LAT"),
                 multiple=True,
                 help="Fly over this place, then on to the next --point.",
             ),

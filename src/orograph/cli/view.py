@@ -8,63 +8,34 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
-from orograph.cli.layers import layers_of_options, layers_option
-from orograph.cli.lights import check_lights, light_options, lights_of
-from orograph.cli.lines import LINE_OPTIONS, LINES, contours_of, silhouettes_of
-from orograph.cli.options import (
-    Bytes,
-    F,
-    Float,
-    FloatRange,
-    grid_options,
-    jobs_option,
-    progress_of,
-    source_options,
-    vertical_options,
-)
-from orograph.cli.refining import choice_of, error_kinds, method_option
-from orograph.cli.scenes import Water
-from orograph.cli.suns import sun_option
+from orograph.cli.options import Bytes, jobs_option, progress_of, source_options, vertical_options
+from orograph.cli.scenes import DRAWING, check_scene, given_of, scene_options
+from orograph.scene.parts import check_options
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
 
 WINDOW = (1280, 800)
-OWN = {*CAMERA, *LINES, "sun", "exaggeration", "tolerance", "colormap", "layers", "adapter", "light", "shadows",
-       "rays", "lamps", "discs", "water", "method", "conservative"}  # fmt: skip
+OWN = {*DRAWING, *CAMERA, "adapter"}
 """What is said about the window; all other options are about reading."""
 
+NOT_HERE = ("relief", "sky", "furniture", "title", "samples", "triangles", "wireframe", "mesh_view")
+"""Options of pictures that the window's panels have, or that are not for a window."""
 
-def _line_options(function: F) -> F:
-    for option in reversed(LINE_OPTIONS):
-        function = option(function)
-    return function
+
+TOLERANCE = {"help": "Pixels by which the ground may be displaced on the screen.", "least": 1e-3, "shown": "1"}
+"""What a window says otherwise of this option."""
 
 
 @click.command("view")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @camera_options
-@sun_option()
-@click.option(
-    "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X", help="Stretch heights on the screen."
-)
-@click.option(
-    "--tolerance",
-    type=FloatRange(min=0, min_open=True),
-    metavar="PX",
-    help="Pixels by which the ground may be displaced on the screen.  [default: 1]",
-)
-@click.option("--colormap", metavar="NAME", help="Colours of heights.  [default: alpine]")
-@layers_option
-@light_options
-@click.option(
-    "--water", type=Water(), metavar="auto|none|METRES", default="auto", show_default=True, help="See render."
-)
-@_line_options
-@method_option("What makes the mesh.", default="auto", show_default=True)
+@scene_options(NOT_HERE, backend=False, tolerance=TOLERANCE)
 @click.option("--gpu-memory", type=Bytes(), default="512MiB", show_default=True, help="GPU memory for tiles.")
-@click.option("--memory", type=Bytes(), default="1GiB", show_default=True, help="Memory for tables and caches.")
+@click.option(
+    "--memory", "max_memory", type=Bytes(), default="1GiB", show_default=True, help="Memory for tables and caches."
+)
 @click.option(
     "--adapter",
     metavar="NAME",
@@ -80,14 +51,13 @@ def _line_options(function: F) -> F:
     show_default=True,
     help="Frames before the --screenshot, or fewer if nothing changes any more.",
 )
-@grid_options("draw")
 @source_options
 @vertical_options
 @jobs_option
 @click.pass_context
 def command(
-    ctx: click.Context, /, paths: tuple[str, ...], gpu_memory: int, memory: int, screenshot: str | None, frames: int,
-    jobs: int | None, **options: Any,
+    ctx: click.Context, /, paths: tuple[str, ...], gpu_memory: int, max_memory: int, screenshot: str | None,
+    frames: int, jobs: int | None, **options: Any,
 ) -> None:  # fmt: skip
     """Explore a DEM (one file or many) or a store in a window.
 
@@ -105,7 +75,7 @@ def command(
     hurry()
     progress = progress_of(ctx)
     check_camera(options)
-    check_lights(options)
+    check_options(given_of(options))
     if options["projection"] == "plan" and options["view_path"] is None:
         options["projection"] = "perspective"  # the window turns it straight down
         options["pitch"] = 90.0
@@ -113,26 +83,16 @@ def command(
         check()
         warm = Warm(options["adapter"])
         from orograph.errors import UsageError
-        from orograph.geovis.color import color_table
         from orograph.output import check_folder
         from orograph.scene.methods import mesh_choice
-        from orograph.scene.parts import check_exaggeration
         from orograph.scene.prepare import prepare
         from orograph.store.detect import is_store
         from orograph.viewer.session import Session
 
     # What is wrong with the command line is said before any work is done.
     warm.device()
-    choice = choice_of(options["method"], options["conservative"], "gpu")
+    errors = check_scene(options, progress)
     mesh_choice(options["method"], "gpu")
-    check_exaggeration(options["exaggeration"])
-    color_table(options["colormap"])
-    layers = layers_of_options(options)
-    more = {
-        "way": options["light"], "shadows": options["shadows"], "contours": contours_of(options),
-        "silhouettes": silhouettes_of(options), "water": None if options["water"] == "none" else options["water"],
-        "method": options["method"], "rays": options["rays"],
-    }  # fmt: skip
     if screenshot is not None:
         if Path(screenshot).suffix.lower() != ".png":
             raise UsageError("A screenshot is a PNG.", path=screenshot, remedy="Give it the ending .png.")
@@ -143,17 +103,10 @@ def command(
     size = options["size"] or WINDOW
     if len(paths) > 1 or not is_store(paths[0]):
         settle()  # what is built may take long, and is held to a budget of memory
-    terrain = prepare(
-        list(paths), max_memory=memory, jobs=jobs, progress=progress, errors=error_kinds([choice]), **source
-    )
-    more["lamps"], more["discs"] = lights_of(terrain, options)
+    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
     with progress.task("Looking at the terrain"):
-        session = Session(
-            terrain, _view(terrain, options, size), size=size, sun=options["sun"],
-            exaggeration=options["exaggeration"], tolerance=options["tolerance"], colormap=options["colormap"],
-            layers=layers, more=more, paths=paths,
-        )  # fmt: skip
-    make = renderer_of(gpu_memory, memory, jobs)
+        session = Session(terrain, _view(terrain, options, size), size=size, paths=paths, **given_of(options))
+    make = renderer_of(gpu_memory, max_memory, jobs)
     show(
         session, size=size, make=make, adapter=options["adapter"],
         screenshot=None if screenshot is None else Path(screenshot), frames=frames, warm=warm, progress=progress,

@@ -36,7 +36,7 @@ def _itemsize(dtype: str) -> int:
 def check_band(dataset: Any, band: int, path: str | os.PathLike[str]) -> None:
     if not 1 <= band <= dataset.count:
         raise UsageError(
-            f"There is no band {band}: {_list_bands(dataset)}.", path=path, remedy="Choose another with --band."
+            f"There is no band {band}: {_list_bands(dataset)}.", path=path, remedy="Choose another with `band`."
         )
     dtype = dataset.dtypes[band - 1]
     if dtype.startswith("complex"):
@@ -55,7 +55,7 @@ def check_encoding(dataset: Any, encoding: str, path: str | os.PathLike[str]) ->
             f"Encoding {encoding} needs three bands of 8 bits (and perhaps alpha), but {_list_bands(dataset)} of "
             f"{dataset.dtypes[0]}.",
             path=path,
-            remedy="Leave --encoding away.",
+            remedy="Leave `encoding` away.",
         )
 
 
@@ -107,5 +107,5 @@ def band_warnings(dataset: Any, band: int) -> list[str]:
     )
     if likely:
         name = names[likely[0] - 1]
-        return [f"{text}, but band {likely[0]} ({name!r}) sounds like the heights (give --band {likely[0]})."]
-    return [f"{text} (choose with --band)."]
+        return [f"{text}, but band {likely[0]} ({name!r}) sounds like the heights (give `band={likely[0]}`)."]
+    return [f"{text} (choose with `band`)."]

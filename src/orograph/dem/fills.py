@@ -64,7 +64,7 @@ def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDO
         number = (value / source.unit_factor - source.offset) / source.scale
         said.append(
             f"{share:.1%} of its heights are exactly {value:g} m, in flat patches, with no other within {gap:,.0f} m "
-            + ("." if source.encoding else f"(give --nodata {number:g} if they are missing).")
+            + ("." if source.encoding else f"(give `nodata={number:g}` if they are missing).")
         )
     return said
 

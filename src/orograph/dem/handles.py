@@ -246,6 +246,4 @@ def _remedy(location: str, error: BaseException) -> str:
         return "Name an archive that holds an elevation raster, or unpack it and name the raster."
     if "://" in location or location.startswith("/vsi"):
         return "Check the address, the network and the credentials."
-    return (
-        "Check that it is a raster that `gdalinfo` can read and that it is whole (fetch it again if it was cut short)."
-    )
+    return "Check that it is a raster that gdalinfo can read and that it is whole (fetch it again if it was cut short)."

@@ -57,11 +57,11 @@ def place_of(
     if transform.is_identity:
         return Place(_local(dataset, shape, spacing, full, assumed, warnings), False, False, False), None
     if spacing is not None:
-        warnings.append("It says where its samples lie, so --spacing is not used for it.")
+        warnings.append("It says where its samples lie, so `spacing` is not used for it.")
     if full is None:
         full = assumed
     elif assumed is not None and assumed != full:
-        warnings.append("It names its own CRS, so --assume-crs is not used for it.")
+        warnings.append("It names its own CRS, so `assume_crs` is not used for it.")
     a, b, c, d, e, f = transform[:6]
     turned = compose(_to_east_north(full), transform)
     if turned.b == 0 and turned.d == 0:
@@ -105,9 +105,9 @@ def _local(
     else:
         why = "It does not say where it lies"
     if spacing is None:
-        warnings.append(f"{why}: its samples are taken to be 1 m apart (give --spacing METRES).")
+        warnings.append(f"{why}: its samples are taken to be 1 m apart (give `spacing=METRES`).")
     if assumed is not None:
-        warnings.append("Without a place of its own, --assume-crs cannot be used for it.")
+        warnings.append("Without a place of its own, `assume_crs` cannot be used for it.")
     if crs is not None:
         warnings.append(f"Its CRS ({crs.name}) is not used, for it has no position in it.")
     step = 1.0 if spacing is None else float(spacing)
@@ -117,8 +117,8 @@ def _local(
 def _nameless(grid: Grid) -> str:
     west, south, east, north = grid.bounds()
     if max(-west, east) <= 360.5 and max(-south, north) <= 90.5 and abs(grid.transform.determinant) < 1:
-        return "It has no CRS; its coordinates look like degrees (give --assume-crs EPSG:4326 if they are)."
-    return "It has no CRS; its coordinates are taken to be metres (give --assume-crs CODE)."
+        return 'It has no CRS; its coordinates look like degrees (give `assume_crs="EPSG:4326"` if they are).'
+    return "It has no CRS; its coordinates are taken to be metres (give `assume_crs=CODE`)."
 
 
 @lru_cache(maxsize=64)

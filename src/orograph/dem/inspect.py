@@ -95,7 +95,7 @@ def _about_place(source: Source) -> list[str]:
         if source.unit_factor == 1 and not source.unit and 0.3 < factor < 0.31:
             said.append(
                 f"Its CRS is in feet ({name}), and the unit of its heights is not declared: taken to be metres "
-                "(give --vertical-unit ft or us-ft if they are feet)."
+                '(give `vertical_unit="ft"` or `vertical_unit="us-ft"` if they are feet).'
             )
         else:
             said.append(f"Its CRS is in units of {factor:.9g} m ({name}).")
@@ -104,7 +104,7 @@ def _about_place(source: Source) -> list[str]:
         if stretch > 1.02:
             said.append(
                 f"It is in Web Mercator, whose metres are up to {stretch:.2f} times too long here: distances and "
-                "relief are distorted (give --crs of a UTM zone to build or render)."
+                "relief are distorted (give `crs` of a UTM zone to build or render)."
             )
     return said
 
@@ -127,7 +127,7 @@ def _about_heights(source: Source, found: Statistics, windows: int = WINDOWS) ->
         which = "lowest" if _is(source, number, low) else "highest"
         said.append(
             f"Its {which} stored number is {number}, a usual nodata value that it does not declare "
-            f"(give --nodata {number} if it means missing)."
+            f"(give `nodata={number}` if it means missing)."
         )
     if low == high:
         said.append(f"All its valid heights are {low:g} m.")
@@ -153,22 +153,22 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
             f"{radius:,.0f} m), not heights above its surface."
         ]
     if source.driver in _GEOID_FORMATS or {"geoid", "undulation"} & set(_words(source.description)):
-        return ["It is a geoid grid: heights of a geoid above the ellipsoid (for --geoid), not of the ground."]
+        return ["It is a geoid grid: heights of a geoid above the ellipsoid (for `geoid`), not of the ground."]
     said: list[str] = []
     word = next((w for w in _words(source.name) if w in _UNIT_WORDS), None)
     if word is not None and source.unit_factor == 1 and not source.unit:
         unit = _UNIT_WORDS[word]
         said.append(
             f"Its name says {word!r}, but the unit of its heights is not declared: taken to be metres "
-            f"(give --vertical-unit {unit} if they are not)."
+            f"(give `vertical_unit={unit!r}` if they are not)."
         )
     on_earth = radius == math.inf or 6.3e6 < radius < 6.4e6
     if on_earth and (high > _HIGHEST or low < _DEEPEST):
         worst = high if high > _HIGHEST else low
         than = "higher than Mount Everest" if high > _HIGHEST else "deeper than any ocean"
         said.append(
-            f"Its heights reach {worst:,.0f} m, {than}: are they in feet or centimetres (--vertical-unit ft or cm), "
-            "or is there an undeclared nodata value (--nodata)?"
+            f"Its heights reach {worst:,.0f} m, {than}: are they in feet or centimetres "
+            '(`vertical_unit="ft"` or `vertical_unit="cm"`), or is there an undeclared nodata value (`nodata`)?'
         )
     dx, dy = spacing_metres(source.grid)
     extent = max(dx * source.grid.cols, dy * source.grid.rows)
@@ -176,7 +176,7 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
         said.append(
             f"From sample to sample it rises or falls {found.slope:.3g} times the spacing on average, steeper than any "
             "landscape: the spacing or the unit of the heights is not what it says"
-            + ("." if source.georeferenced else " (give --spacing METRES).")
+            + ("." if source.georeferenced else " (give `spacing=METRES`).")
         )
     elif 0 < high - low < 1e-4 * extent and extent > 1000 and low > _FLOOR_KM and high < _TOP_KM:
         said.append(

@@ -86,11 +86,11 @@ class Mosaic:
             raise ReadError(
                 "It has no CRS while other files have one: they cannot be put together.",
                 path=getattr(nameless, "path", nameless.name),
-                remedy="Give the CRS of such files with --assume-crs.",
+                remedy="Give the CRS of such files with `assume_crs`.",
             )
         if wanted is not None and grids[0].crs is None:
             raise UsageError(
-                "The files have no CRS, so they cannot be brought to another.", remedy="Give theirs: --assume-crs."
+                "The files have no CRS, so they cannot be brought to another.", remedy="Give theirs: `assume_crs`."
             )
         self._check_bodies(grids, wanted)
         lattices = sorted(group(self.sources, grids), key=lambda g: float(f"{ground_spacing(g.grid):.4g}"))
@@ -300,7 +300,7 @@ class Mosaic:
                 raise UsageError(
                     f"It is of another planet or moon ({grid.crs.name}) than the CRS asked for ({wanted.name}).",
                     path=path,
-                    remedy="Leave --crs away, or give a projected CRS of that body.",
+                    remedy="Leave `crs` away, or give a projected CRS of that body.",
                 )
 
     def _one_datum(self) -> str | None:
@@ -328,7 +328,7 @@ class Mosaic:
         if abs(scale - 1) > FALSE_SCALE or most > UNEVEN * least:
             assert self.grid.crs is not None
             uneven = most > UNEVEN * least
-            remedy = "draw a smaller area, in a --crs made for it," if uneven else "give --crs, e.g. the UTM zone,"
+            remedy = "draw a smaller area, in a `crs` made for it," if uneven else "give `crs`, e.g. the UTM zone,"
             true = f"{1 / most:.3g} to {1 / least:.3g}" if uneven else f"{1 / scale:.3g}"
             self.warnings.append(
                 f"A metre of {self.grid.crs.name} is {true} m on the ground here, so slopes come out wrong by "
@@ -363,16 +363,16 @@ def _placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Gri
             raise ReadError(
                 "It does not say where it lies or how far apart its samples are.",
                 path=path,
-                remedy="Give the distance between samples in metres (--spacing 30), or the CRS (--assume-crs).",
+                remedy="Give the distance between samples in metres (`spacing=30`), or the CRS (`assume_crs`).",
             )
         west, south, east, north = grid.bounds()
         if max(abs(west), abs(east)) <= 360 and max(abs(south), abs(north)) <= 90.01 and max(grid.spacing) < 1:
             raise ReadError(
                 f"It has no CRS and its extent ({west:.6g}…{east:.6g}, {south:.6g}…{north:.6g}) may be degrees.",
                 path=path,
-                remedy="Say so (--assume-crs EPSG:4326), or give the metres between samples (--spacing 30).",
+                remedy='Say so (`assume_crs="EPSG:4326"`), or give the metres between samples (`spacing=30`).',
             )
-        warnings.append("There is no CRS; its coordinates are taken for metres (give the CRS with --assume-crs).")
+        warnings.append("There is no CRS; its coordinates are taken for metres (give the CRS with `assume_crs`).")
         warnings[:] = list(dict.fromkeys(warnings))
         return Grid(grid.shape, grid.transform, None)
     crs = horizontal(grid.crs)
@@ -380,7 +380,7 @@ def _placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Gri
         return Grid(grid.shape, grid.transform, crs)
     if not crs.is_projected:
         raise ReadError(
-            f"Its CRS ({crs.name}) is neither projected nor geographic.", path=path, remedy="Give --assume-crs."
+            f"Its CRS ({crs.name}) is neither projected nor geographic.", path=path, remedy="Give `assume_crs`."
         )
     crs, turn = east_north(crs)
     crs, unit = in_metres(crs)

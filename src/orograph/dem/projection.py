@@ -151,7 +151,7 @@ def flat_crs(base: CRS, lon: Degrees, lat: Degrees) -> Flat:
         raise ReadError(
             f"The area ({east - west:.0f}° of longitude by {north - south:.0f}° of latitude) is too wide to be shown "
             "flat.",
-            remedy="Give a projected CRS of your choice with --crs (EPSG:8857, say), or name fewer files.",
+            remedy="Give a projected CRS of your choice with `crs` (EPSG:8857, say), or name fewer files.",
         )
     return best
 

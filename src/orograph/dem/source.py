@@ -138,7 +138,7 @@ class Source:
             elif vertical_unit is None and is_picture(dataset):
                 warnings.append(
                     "It looks like a picture, not heights: its bands are colours of 8 bits "
-                    "(give --encoding mapbox or terrarium if it is a terrain-RGB tile)."
+                    '(give `encoding="mapbox"` or `encoding="terrarium"` if it is a terrain-RGB tile).'
                 )
             elif is_palette(dataset, band):
                 warnings.append("It has a colour table: its numbers are classes or colours, not heights.")
@@ -328,7 +328,7 @@ def _vertical(declared: str | None, assumed: str | None, warnings: list[str]) ->
     if declared is None:
         return name
     if known_datum(declared) != name:
-        warnings.append(f"It names its own vertical datum ({declared}), so --assume-vertical is not used for it.")
+        warnings.append(f"It names its own vertical datum ({declared}), so `assume_vertical` is not used for it.")
     return declared
 
 
@@ -377,7 +377,7 @@ def read(
             f"Its {rows} × {cols} heights would take {rows * cols * 4 / 2**30:,.1f} GiB of memory "
             f"(the limit is {max_bytes / 2**30:.1f} GiB).",
             path=path,
-            remedy="Use `orograph build` or `orograph render`, which work in blocks, or read windows with Source.",
+            remedy="Use `orograph.build` or `orograph.render`, which work in blocks, or read windows with Source.",
         )
     with source:
         heights = source.read(0, rows, 0, cols)

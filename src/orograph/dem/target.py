@@ -53,7 +53,7 @@ def parse_crs(text: str | CRS) -> CRS:
     if not crs.is_projected:
         raise UsageError(
             f"{crs.name} is not a projected CRS, and a terrain is drawn in metres.",
-            remedy="Give a projected one, e.g. a UTM zone (EPSG:32633), or leave --crs away to have one chosen.",
+            remedy="Give a projected one, e.g. a UTM zone (EPSG:32633), or leave `crs` away to have one chosen.",
         )
     return in_metres(east_north(crs)[0])[0]
 
@@ -104,7 +104,7 @@ def choose(lattices: Sequence[Lattice], *, crs: CRS | None = None, resolution: f
     if resolution is not None and min(shape) < 2:
         raise UsageError(
             f"A resolution of {spacing:g} m is coarser than the terrain is large ({east - west:.4g} × "
-            f"{north - south:.4g} m).", remedy="Give a finer --resolution.",
+            f"{north - south:.4g} m).", remedy="Give a finer `resolution`.",
         )  # fmt: skip
     return Target(Grid(shape, Affine(spacing, 0, left * spacing, 0, -spacing, top * spacing), crs), reason, False)
 
@@ -113,7 +113,7 @@ def _check_size(shape: tuple[int, int], spacing: float) -> None:
     if max(shape) > MAX_SIDE:
         raise UsageError(
             f"The terrain would have {shape[0]} × {shape[1]} samples, {spacing:g} m apart.",
-            remedy="Give a coarser --resolution, another --crs, or files that lie nearer to each other.",
+            remedy="Give a coarser `resolution`, another `crs`, or files that lie nearer to each other.",
         )
 
 
@@ -161,7 +161,7 @@ def _project(points: tuple[Floats, Floats], source: CRS | None, target: CRS | No
     x, y = Transformer.from_crs(source, target, always_xy=True).transform(x, y)
     reached = np.isfinite(x) & np.isfinite(y)
     if not reached.any():
-        raise ReadError(f"The raster lies outside of what {target.name} can show.", remedy="Choose another --crs.")
+        raise ReadError(f"The raster lies outside of what {target.name} can show.", remedy="Choose another `crs`.")
     return x[reached], y[reached]
 
 

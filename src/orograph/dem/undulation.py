@@ -56,7 +56,7 @@ class Undulation:
                 "The terrain has no CRS, so its longitudes and latitudes are unknown and its heights cannot be "
                 "converted.",
                 path=geoid.path,
-                remedy="Give the CRS of the files: --assume-crs.",
+                remedy="Give the CRS of the files: `assume_crs`.",
             )
         base = geodetic_base(grid.crs)
         if base.ellipsoid is not None and abs(base.ellipsoid.semi_major_metre - 6.378e6) > 2e4:
@@ -160,14 +160,14 @@ def check_request(to: str | None, geoid: object | None) -> None:
     if to is None and geoid is not None:
         raise UsageError(
             "A geoid grid is given, but not what to convert to.",
-            remedy=f"Give --to-vertical {' or '.join(DIRECTIONS)}.",
+            remedy=f"Give {' or '.join(f'`to_vertical={d!r}`' for d in DIRECTIONS)}.",
         )
     if to is not None and to not in DIRECTIONS:
         raise UsageError(f"Heights can be made {' or '.join(DIRECTIONS)}, not {to!r}.")
     if to is not None and geoid is None:
         raise UsageError(
             f"Heights cannot be made {to} without a geoid grid.",
-            remedy="Name one: --geoid egm96_15.gtx (from cdn.proj.org).",
+            remedy='Name one: `geoid="egm96_15.gtx"` (from cdn.proj.org).',
         )
 
 
@@ -184,12 +184,12 @@ def check_datums(sources: Sequence[Raster], to: Direction, geoid: Geoid) -> None
             name = origin.split()[0] if origin in KNOWN_DATUMS else "NAME"
             raise UsageError(
                 f"{source.name} does not say above which datum its heights are, so they cannot be converted.",
-                remedy=f"If you know it, say so: --assume-vertical {name}.",
+                remedy=f"If you know it, say so: `assume_vertical={name!r}`.",
             )
         found = known_datum(source.vertical)
         if found == target:
             raise UsageError(
-                f"The heights of {source.name} are of {found!r} already.", remedy="Leave --to-vertical away."
+                f"The heights of {source.name} are of {found!r} already.", remedy="Leave `to_vertical` away."
             )
         # A geoid grid of a name that says nothing is taken to be of the datum that the heights are declared to be of.
         matches = found == origin or (origin not in KNOWN_DATUMS and found not in KNOWN_DATUMS)

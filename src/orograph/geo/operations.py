@@ -57,7 +57,7 @@ def approximation(
     good = f" (good to {best.accuracy:g} m)" if best.accuracy > 0 else ""
     return how + (
         f"the best way{good} needs {' and '.join(missing)}, which PROJ does not have; {now} "
-        f"(projsync --file {missing[0]} fetches it, or set PROJ_NETWORK=ON)."
+        f"(PROJ's projsync fetches it, or set PROJ_NETWORK=ON)."
     )
 
 

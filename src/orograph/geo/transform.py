@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from orograph.errors import UsageError
+from orograph.geo.grid import Grid
 from orograph.geo.operations import same_body
 
 Array = NDArray[np.float64]
@@ -35,7 +37,7 @@ def transformer(source: Any, target: Any) -> Callable[[ArrayLike, ArrayLike], tu
         UsageError: one is None or unknown, or no operation between them exists (other planet, local CRS).
     """
     if source is None or target is None:
-        raise UsageError("Positions cannot be brought to another CRS: the terrain has none. Give --assume-crs.")
+        raise UsageError("Positions cannot be brought to another CRS: the terrain has none. Give `assume_crs`.")
     a, b = crs_of(source), crs_of(target)
     if a == b:
         return lambda x, y: (np.asarray(x, np.float64), np.asarray(y, np.float64))
@@ -51,3 +53,36 @@ def transformer(source: Any, target: Any) -> Callable[[ArrayLike, ArrayLike], tu
         return np.asarray(u), np.asarray(v)
 
     return move
+
+
+def place(grid: Grid, lon: float, lat: float) -> tuple[float, float]:
+    """A longitude and a latitude (WGS 84, degrees) in a grid's CRS.
+
+    Raises:
+        UsageError: the grid has no CRS, the place cannot be brought to it, or its two numbers seem to be swapped.
+    """
+    move = transformer("EPSG:4326", grid.crs)
+
+    def inside(lon: float, lat: float) -> bool:
+        x, y = (float(v) for v in move(lon, lat))
+        return not far_outside(grid, x, y, 0.0)
+
+    x, y = (float(v) for v in move(lon, lat))
+    if far_outside(grid, x, y) and inside(lat, lon):
+        raise UsageError(
+            f"Longitude {lon:g}, latitude {lat:g} lies far outside the terrain, and {lat:g}, {lon:g} within it: "
+            "were the two swapped?",
+            remedy=f"Give the longitude first: {lat:g},{lon:g}.",
+        )
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise UsageError(f"Longitude {lon:g}, latitude {lat:g} cannot be brought to the terrain's projection.")
+    return x, y
+
+
+def far_outside(grid: Grid, x: float, y: float, beyond: float = 1.0) -> bool:
+    """Whether a place in the grid's CRS lies more than ``beyond`` of its width or height outside of it (or nowhere)."""
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return True
+    col, row = grid.index(x, y)
+    across, down = (float(col) + 0.5) / grid.cols, (float(row) + 0.5) / grid.rows
+    return not (-beyond <= across <= 1 + beyond and -beyond <= down <= 1 + beyond)

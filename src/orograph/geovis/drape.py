@@ -142,7 +142,7 @@ class Drape:
         if self.coarser:
             progress.warn(
                 f"{self.path} is drawn {2**self.coarser:.1f} times coarser than it could be: more of its pixels are in "
-                f"view than the {self.tiles.capacity * BYTES / 2**20:.0f} MiB for it hold (--max-memory)."
+                f"view than the {self.tiles.capacity * BYTES / 2**20:.0f} MiB for it hold (`max_memory`)."
             )
         kept = self.texels.kept
         if kept is None:

@@ -171,7 +171,7 @@ def check(names: Sequence[str]) -> None:
         _bakeable(name)
         if any(default is None for _, default in BAKED[name].more):
             raise UsageError(
-                f"{name} needs options.", remedy=f"Build first, then: orograph bake STORE --products {name} …"
+                f"{name} needs options.", remedy=f"Build first, then `orograph.bake(store, [{name!r}], ...)` with them."
             )
 
 
@@ -221,7 +221,7 @@ def _kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overw
         raise StoreError(
             "Another bake into this store was interrupted.",
             path=storage.url,
-            remedy="Run it again with the same products and options to finish it, or use --overwrite to begin anew.",
+            remedy="Run it again with the same products and options to finish it, or begin anew with `overwrite=True`.",
         ) from error
 
 

@@ -89,7 +89,7 @@ def _asked(options: Options) -> tuple[str, float, float]:
     """Period, step and turbidity of the options."""
     more = options.more
     if "date" not in more:
-        raise UsageError("Insolation is over a period.", remedy="Give a year, a month or a day (--date 2026-06-21).")
+        raise UsageError("Insolation is over a period.", remedy='Give a year, a month or a day (`date="2026-06-21"`).')
     asked = str(more["date"]), float(more.get("step", STEP)), float(more.get("turbidity", TURBIDITY))
     _checked(*asked)
     return asked
@@ -125,7 +125,7 @@ class Suns:
             longitude, latitude = place(grid)
         except UsageError as error:
             raise UsageError(
-                error.what, remedy="Insolation is of a place on Earth: give data with a CRS there (--assume-crs)."
+                error.what, remedy="Insolation is of a place on Earth: give data with a CRS there (`assume_crs`)."
             ) from None
         zone = datetime.timezone(datetime.timedelta(minutes=round(4 * longitude)))
         minutes = (end - begin).total_seconds() / 60

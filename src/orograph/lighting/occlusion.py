@@ -176,7 +176,7 @@ def flat_only(of: Context | Options) -> None:
     if options.curvature:
         raise UsageError(
             "Rays and walks go over flat ground; only swept horizons know the curvature of the Earth.",
-            remedy="Leave out --curvature, or sweep horizons: --by horizon, without a radius.",
+            remedy='Leave out `curvature`, or sweep horizons: `method="horizon"`, without a radius.',
         )
 
 
@@ -191,7 +191,7 @@ def check_reach(context: Context, reach: float, height: int, width: int, jobs: i
         raise UsageError(
             f"What is within reach of a block of samples is {tall} × {wide} samples, which takes {need >> 20} MiB in "
             f"{jobs} threads, more than the {context.budget >> 20} MiB there are.",
-            remedy="Give a radius or a smaller one, allow more memory (--max-memory), or use fewer threads (--jobs).",
+            remedy="Give a radius or a smaller one, allow more memory (`max_memory`), or use fewer threads (`jobs`).",
         )
 
 

@@ -240,7 +240,7 @@ def _earthly(grid: Grid) -> CRS:
     if crs is None or crs.geodetic_crs is None:
         raise UsageError(
             "The terrain does not say where on Earth it lies, so a time does not tell where the sun stands.",
-            remedy="Give the sun as azimuth,altitude, or the CRS with --assume-crs.",
+            remedy="Give the sun as azimuth,altitude, or the CRS with `assume_crs`.",
         )
     body = crs.geodetic_crs.ellipsoid
     if body is None or abs(body.semi_major_metre / _EARTH - 1.0) > 0.01:

@@ -119,7 +119,7 @@ class Pass:
             raise UsageError(
                 f"A radius of {radius:g} m is {reach} samples of a terrain {self.lanes} samples wide, for which "
                 f"{memory >> 20} MiB of memory are not enough.",
-                remedy="Allow more memory (--max-memory), or leave the radius unlimited, which takes less.",
+                remedy="Allow more memory (`max_memory`), or leave the radius unlimited, which takes less.",
             )
         self.lines, self.radius, self.stacks = group[:count], radius, third
         self.indices = np.array([a.index for a in self.lines])

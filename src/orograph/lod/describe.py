@@ -59,7 +59,7 @@ def about(name: str) -> str:
     options = described(info.options)
     if not options:
         return f"{text}\n\nIt has no options."
-    text += f"\n\nOptions, as --method {info.name},key=value:"
+    text += f'\n\nOptions, as `method="{info.name},key=value"`:'
     for one in options:
         head = f"{one.key}: {one.span}  [default: {one.text(one.default)}]"
         text += f"\n  {head}\n{_filled(one.help)}"

@@ -137,7 +137,7 @@ class Field:
             raise UsageError(
                 f"One view needs more than the {len(self._last)} tiles that fit into "
                 f"{len(self._last) * PAGE_BYTES >> 20} MiB.",
-                remedy="Allow more memory (--max-memory), or a larger tolerance.",
+                remedy="Allow more memory (`max_memory`), or a larger tolerance.",
             )
         slots = order[:count]
         for slot in slots:

@@ -1,8 +1,8 @@
-"""Looking ahead: the metric ``localised`` for engines that ask one question for a whole diamond.
+"""Looking ahead: the metric ``localised`` for methods that ask one question for a whole diamond.
 
 The bound over a diamond's nested sphere is too large where the sphere is large beside its distance: it puts the largest
 error of all at the place from which it looks worst. ``lod.localise`` takes the two triangles of a diamond apart instead
-and finds B, as tight as one likes; but B is not monotonic, and these engines need it to be. So B is *closed*:
+and finds B, as tight as one likes; but B is not monotonic, and these methods need it to be. So B is *closed*:
 
     a diamond d is active  ⟺  S(d) > τ, and it is far, or B(d) > τ, or any of its children in the diamond DAG is active,
 
@@ -14,12 +14,12 @@ who is not active has S ≤ τ or B ≤ τ. (docs/metrics.md)
 Spheres nest, so who is far has far children only. The others, the *near* diamonds with S > τ, are few: those within
 some sixteen radii of the eye, level by level, a number that does not depend on the size of the mesh. They are collected
 from the root down, each once, and decided from the finest up, so that B is asked only of those that have no active
-child. What comes out is a small table of the diamonds that are *pruned*: S > τ and yet inactive. Engines look up near
+child. What comes out is a small table of the diamonds that are *pruned*: S > τ and yet inactive. Methods look up near
 diamonds there, and are else what they were.
 
 Mixed diamonds, those whose colours are off by too much and those that straddle the border of a raster that is not 2^n +
 1 samples wide are active as S says, or at once. Roundings: here S is compared with a τ smaller by 10^-9, so that no
-engine, whatever its order of operations, finds a diamond active whose parents are pruned.
+method, whatever its order of operations, finds a diamond active whose parents are pruned.
 """
 
 from __future__ import annotations

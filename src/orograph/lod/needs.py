@@ -43,10 +43,11 @@ def _diamonds(terrain: Terrain, options: Mapping[str, Any], resources: Resources
     if needed > resources.max_memory:
         raise UsageError(
             f"The store has no {kind} errors, and to make them in memory takes {needed >> 20} MiB.", path=terrain.name,
-            remedy=f"Build it with them (orograph build --errors {','.join([*terrain.errors, kind])} --overwrite).",
+            remedy=f"Build it with them (`orograph.build(..., errors={(*terrain.errors, kind)}, overwrite=True)`).",
         )  # fmt: skip
     resources.progress.note(
-        f"the store has no {kind} errors: they are made in memory (orograph build --for keeps them)"
+        f"the store has no {kind} errors: they are made in memory "
+        f"(`orograph.build(..., errors={(*terrain.errors, kind)})` keeps them)"
     )
     with resources.progress.task(f"Finding {kind} errors"):
         terrain.supply(kind)

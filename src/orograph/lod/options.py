@@ -1,16 +1,18 @@
-"""Options of methods: each a field of the method's own dataclass, with its help, its unit and what it may be.
+"""Options, each a field of a dataclass with its help, its unit and what it may be: those of methods, and of scenes.
 
-They are declared once. ``split`` and ``parse`` read them as the command line has them, ``NAME[,key=value…]``; the
-window's panel, ``orograph methods``, the table of the manual and ``compare`` show ``described``.
+They are declared once. ``split`` and ``parse`` read a method's as the command line has them, ``NAME[,key=value…]``; the
+window's panel, ``orograph methods``, the table of the manual and ``compare`` show ``described``. A scene's
+(``scene.parts``) become keyword arguments and options of the command line: their help names others in backticks, as
+Python does.
 """
 
 from __future__ import annotations
 
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from numbers import Integral, Real
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any, Union, get_args, get_origin
 
 from orograph.errors import UsageError
 
@@ -18,19 +20,33 @@ from orograph.errors import UsageError
 def option(
     default: Any, help: str, *, unit: str = "", choices: Sequence[Any] = (), least: float | None = None,
     most: float | None = None, read: Callable[[str], Any] | None = None,
+    given: Callable[[Any, Any], Any] | None = None, flag: str | None = "", metavar: str = "", shown: str = "",
+    multiple: bool = False, details: type | None = None,
 ) -> Any:  # fmt: skip
     """A field of an options dataclass.
 
     Args:
+        default: a value, or a function that makes it.
         help: what it does, a sentence.
         unit: of a number ("pixels", "metres"…).
         choices: what it may be; none: anything.
         least, most: the range of a number, ends included.
         read: makes the value of a text, where the option is no yes or no, number or word; it raises ValueError with
             what is wrong.
+        given: makes the value for a terrain of what a user gave and the terrain (``scene.given``).
+        flag: its name on the command line where that is not its own; None: it is not there.
+        metavar: what stands for its value in the command line's help.
+        shown: the default in words, where the value does not say it.
+        multiple: the command line takes it several times.
+        details: the dataclass of its value, whose own options with a flag go beside it on the command line.
     """
-    about = {"help": help, "unit": unit, "choices": choices, "least": least, "most": most, "read": read}
-    return field(default=default, metadata=about)
+    about = {
+        "help": help, "unit": unit, "choices": tuple(choices), "least": least, "most": most, "read": read,
+        "given": given, "flag": flag, "metavar": metavar, "shown": shown, "multiple": multiple, "details": details,
+    }  # fmt: skip
+    return (
+        field(default_factory=default, metadata=about) if callable(default) else field(default=default, metadata=about)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +56,14 @@ class Described:
     Attributes:
         name: with underscores, as in Python. key: with hyphens, as on the command line.
         kind: bool, int, float, str, or of another (``read``) tuple; ``optional``: whether it may be None.
-        default, help, unit, choices, least, most, read: see ``option``.
+        annotation: its type, as it is written. default: None where a function makes it.
+        The others: see ``option``.
     """
 
     name: str
     kind: type
     optional: bool
+    annotation: str
     default: Any
     help: str
     unit: str
@@ -53,10 +71,16 @@ class Described:
     least: float | None
     most: float | None
     read: Callable[[str], Any] | None
+    given: Callable[[Any, Any], Any] | None
+    flag: str | None
+    metavar: str
+    shown: str
+    multiple: bool
+    details: type | None
 
     @property
     def key(self) -> str:
-        return self.name.replace("_", "-")
+        return self.flag or self.name.replace("_", "-")
 
     @property
     def span(self) -> str:
@@ -103,13 +127,14 @@ class Described:
         except ValueError as error:
             raise UsageError(f"{self.key} is {self.span}, not {text!r}." if self.read is None else str(error)) from None
 
-    def check(self, value: Any) -> None:
-        """Raise UsageError unless the option may have that value."""
+    def check(self, value: Any, called: str = "") -> None:
+        """Raise UsageError unless the option may have that value; ``called``: what the error calls it."""
+        called = called or self.key
         if value is None and self.optional:
             return
         if self.choices:
             if value not in self.choices:
-                raise UsageError(f"There is no {self.key} {value!r}; there are {', '.join(map(str, self.choices))}.")
+                raise UsageError(f"There is no {called} {value!r}; there are {', '.join(map(str, self.choices))}.")
             return
         wanted = {bool: bool, int: Integral, float: Real, str: str}.get(self.kind, object)
         fits = isinstance(value, wanted) and (self.kind is bool or not isinstance(value, bool))
@@ -118,7 +143,7 @@ class Described:
             fits = (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
             fits = fits and value == value and abs(value) != float("inf")
         if not fits:
-            raise UsageError(f"{self.key} is {self.span}, not {value!r}.")
+            raise UsageError(f"{called} is {self.span}, not {value!r}.")
 
 
 def described(options: type) -> tuple[Described, ...]:
@@ -132,21 +157,29 @@ _DESCRIBED: dict[type, tuple[Described, ...]] = {}
 
 
 def _described(options: type) -> Iterator[Described]:
-    hints = get_type_hints(options)
     for f in fields(options):
-        hint, optional = hints[f.name], False
-        if get_origin(hint) in (Union, types.UnionType):
-            parts = [part for part in get_args(hint) if part is not type(None)]
-            hint, optional = parts[0], True
-        kind = hint if hint in (bool, int, float, str) else tuple
-        m = {**f.metadata, "choices": tuple(f.metadata["choices"])}
-        yield Described(f.name, kind, optional, f.default, **m)
+        if "help" not in f.metadata:
+            continue
+        annotation = f.type if isinstance(f.type, str) else getattr(f.type, "__name__", "")
+        if get_origin(f.type) in (Union, types.UnionType):
+            annotation = " | ".join(getattr(part, "__name__", "") for part in get_args(f.type))
+        words = annotation.replace(" | NoneType", " | None").split(" | ")
+        kinds = [word for word in words if word != "None"]
+        kind = {"bool": bool, "int": int, "float": float, "str": str}.get(kinds[0], tuple) if len(kinds) == 1 else tuple
+        default = None if f.default is MISSING else f.default
+        yield Described(
+            name=f.name, kind=kind, optional="None" in words, annotation=annotation, default=default, **f.metadata
+        )
 
 
-def check(options: Any) -> None:
-    """Raise UsageError where a field is out of its range: call it in ``__post_init__``."""
+def check(options: Any, called: str = "{0.key}") -> None:
+    """Raise UsageError where a field is out of its range: call it in ``__post_init__``.
+
+    Args:
+        called: what an error calls an option, a format of ``Described``.
+    """
     for one in described(type(options)):
-        one.check(getattr(options, one.name))
+        one.check(getattr(options, one.name), called.format(one))
 
 
 def make(options: type, given: Mapping[str, Any], method: str) -> Any:

@@ -426,7 +426,7 @@ class TopDown(RightTriangleMeshes):
                 if stalls > len(self.field.pages.used) + 8:
                     raise UsageError(
                         "One split needs more tiles than memory allows.",
-                        remedy="Allow more memory (--max-memory), or a smaller depth.",
+                        remedy="Allow more memory (`max_memory`), or a smaller depth.",
                     )
             elif why in (DONE, FULL):
                 break

@@ -172,7 +172,7 @@ class Places:
         if self.degrees is None:
             raise UsageError(
                 f"{self.terrain.name} has no CRS, so longitudes and latitudes have no place on it.",
-                remedy="Give easting, northing, or the CRS with --assume-crs.",
+                remedy="Give easting, northing, or the CRS with `assume_crs`.",
             )
         given = np.atleast_2d(np.asarray(degrees, np.float64))
         found = np.stack(_way(self.degrees, self.grid.crs)(given[:, 0], given[:, 1]), axis=-1)
@@ -233,7 +233,7 @@ class Places:
         if strict and not np.isfinite(found).all():
             raise UsageError(
                 f"A place on {self.terrain.name} has no longitude and latitude in {crs.name}.",
-                remedy="The terrain's CRS is used beyond its area: build it in another one (--crs).",
+                remedy="The terrain's CRS is used beyond its area: build it in another one (`crs`).",
             )
         return found
 

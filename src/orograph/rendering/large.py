@@ -88,7 +88,7 @@ def draw_large(
                          remedy="Use .png or .tif.")  # fmt: skip
     if scene.surface.wireframe and draw is None:
         raise UsageError("A wireframe is drawn over a whole picture in memory.",
-                         remedy="Allow more (--max-memory), or make it smaller.")  # fmt: skip
+                         remedy="Allow more (`max_memory`), or make it smaller.")  # fmt: skip
     for file in filter(None, (out, None if depth is None else Path(depth))):
         check_folder(file)
     needed = 3 * view.width * view.height * 2 + (4 * view.width * view.height if depth is not None else 0)

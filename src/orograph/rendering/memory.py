@@ -32,7 +32,7 @@ def check_memory(size: tuple[int, int], max_memory: int | None = None) -> None:
     if free is not None and needed > free:
         limit, whose, remedy = free, "are free on this machine", "Make it smaller."
     elif max_memory is not None and needed > max_memory:
-        limit, whose = max_memory, "may be used (--max-memory)"
+        limit, whose = max_memory, "may be used (`max_memory`)"
         remedy = "Allow more, or make it smaller."
     else:
         return

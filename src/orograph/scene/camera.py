@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError, UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.transform import place
 from orograph.scene.parts import check_exaggeration
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
@@ -54,7 +54,7 @@ def outline(terrain: Terrain) -> Array:
         raise NothingInViewError(
             "None of the samples is valid, so there is nothing to draw.",
             path=terrain.name,
-            remedy="See what the file holds with orograph info; a wrong --nodata or --band hides everything.",
+            remedy="See what the file holds with orograph info; a wrong `nodata` or `band` hides everything.",
         )
     r, c = np.nonzero(np.isfinite(heights))
     tile = np.minimum(r // TILE, table.error.shape[0] - 1), np.minimum(c // TILE, table.error.shape[1] - 1)
@@ -213,46 +213,20 @@ def around(
         UsageError: a number is out of its range. NothingInViewError: no sample is valid.
     """
     if not math.isfinite(azimuth):
-        raise UsageError(f"--from is a direction in degrees clockwise from north, not {azimuth:g}.")
+        raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
     if not -90 <= pitch <= 90:
-        raise UsageError(f"--pitch is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
+        raise UsageError(f"`pitch` is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
     if distance is None:
         return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration, insets=insets)
     check_exaggeration(exaggeration)
     if not 0 < distance < math.inf:
-        raise UsageError(f"--distance is in metres, more than 0, not {distance:g}.")
+        raise UsageError(f"`distance` is in metres, more than 0, not {distance:g}.")
     points = outline(terrain)
     middle = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     target = np.array([*middle, ground(terrain, middle[0], middle[1], default=float(np.median(points[:, 2])))])
     forward = direction(azimuth, pitch)
     eye = target - forward * distance / np.array([1.0, 1.0, exaggeration])
     return View(tuple(eye), tuple(target), tuple(_skyward(forward, azimuth + 180.0)), fov_y, size[0], size[1])
-
-
-def place(terrain: Terrain, lon: float, lat: float) -> tuple[float, float]:
-    """A longitude and a latitude (WGS 84, degrees) in the terrain's CRS.
-
-    Raises:
-        UsageError: the terrain has no CRS, the place cannot be brought to it, or its two numbers seem to be swapped.
-    """
-    from orograph.geo.transform import transformer
-
-    move = transformer("EPSG:4326", terrain.grid.crs)
-
-    def inside(lon: float, lat: float) -> bool:
-        x, y = (float(v) for v in move(lon, lat))
-        return not far_outside(terrain.grid, x, y, 0.0)
-
-    x, y = (float(v) for v in move(lon, lat))
-    if far_outside(terrain.grid, x, y) and inside(lat, lon):
-        raise UsageError(
-            f"Longitude {lon:g}, latitude {lat:g} lies far outside the terrain, and {lat:g}, {lon:g} within it: "
-            "were the two swapped?",
-            remedy=f"Give the longitude first: {lat:g},{lon:g}.",
-        )
-    if not (math.isfinite(x) and math.isfinite(y)):
-        raise UsageError(f"Longitude {lon:g}, latitude {lat:g} cannot be brought to the terrain's projection.")
-    return x, y
 
 
 def standing(
@@ -274,12 +248,12 @@ def standing(
     Raises:
         UsageError: the terrain has no CRS, a place cannot be brought to it, or its two numbers seem to be swapped.
     """
-    x, y = place(terrain, eye[0], eye[1])
+    x, y = place(terrain.grid, eye[0], eye[1])
     points = outline(terrain)
     if look_at is None:
         tx, ty = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     else:
-        tx, ty = place(terrain, *look_at)
+        tx, ty = place(terrain.grid, *look_at)
     z = ground(terrain, tx, ty, default=float(np.median(points[:, 2])))
     return View((x, y, eye[2]), (tx, ty, z), fov_y=fov_y, width=size[0], height=size[1])
 
@@ -294,7 +268,7 @@ def plan(terrain: Terrain, size: tuple[int, int], *, azimuth: float = 180.0, ins
         UsageError: the azimuth is no angle, an inset not in [0, 0.5). NothingInViewError: no sample is valid.
     """
     if not math.isfinite(azimuth):
-        raise UsageError(f"--from is a direction in degrees clockwise from north, not {azimuth:g}.")
+        raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
     points = outline(terrain)
     up = direction(azimuth, 0.0)
     right = np.array([up[1], -up[0], 0.0])
@@ -312,15 +286,6 @@ def plan(terrain: Terrain, size: tuple[int, int], *, azimuth: float = 180.0, ins
     # The eye is above the highest summit; the target lies as far below it as makes a pixel the wanted size.
     eye = terrain.height_range[1] + max(10.0, 0.1 * distance)
     return View((x, y, eye), (x, y, eye - distance), tuple(up), fov_y, size[0], size[1], projection="plan")
-
-
-def far_outside(grid: Grid, x: float, y: float, beyond: float = 1.0) -> bool:
-    """Whether a place in the grid's CRS lies more than ``beyond`` of its width or height outside of it (or nowhere)."""
-    if not (math.isfinite(x) and math.isfinite(y)):
-        return True
-    col, row = grid.index(x, y)
-    across, down = (float(col) + 0.5) / grid.cols, (float(row) + 0.5) / grid.rows
-    return not (-beyond <= across <= 1 + beyond and -beyond <= down <= 1 + beyond)
 
 
 def ground(terrain: Terrain, x: float, y: float, default: float) -> float:

@@ -16,13 +16,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from orograph.errors import UsageError
-from orograph.memo import Memo
-from orograph.store.terrain import Terrain
-from orograph.viewpoint import View
+from orograph.lod.options import check, option
+
+if TYPE_CHECKING:  # the command line's help is made from these fields, before anything is loaded
+    from orograph.memo import Memo
+    from orograph.store.terrain import Terrain
+    from orograph.viewpoint import View
 
 APART = 5.0
 """Pixels that an interval found by itself leaves between lines on the steepest common slopes."""
@@ -49,10 +51,9 @@ class Contours:
 
     Attributes:
         interval: metres of height from line to line; None: what suits the relief and the scale.
-        index: every how many a thick one, an index contour; 0: none.
+        index, opacity, labels: see their help.
         width: of plain lines in pixels (index contours are twice as wide); larger in pictures for print (``USUAL``).
-        opacity: 0 to 1. colour: sRGB, 0 to 1.
-        labels: whether index contours bear their height.
+        color: sRGB, 0 to 1.
         type_size: of the labels, pixels; as ``width``.
         fading: labels come and go by degrees as the camera moves, as a film wants it; else each is there or is not.
 
@@ -61,23 +62,22 @@ class Contours:
     """
 
     interval: float | None = None
-    index: int = 5
+    index: int = option(
+        5, "Every how many contour lines a thick one; 0: none.", least=0, flag="contour-index", metavar="N"
+    )
     width: float = 1.0
-    opacity: float = 0.7
+    opacity: float = option(0.7, "Of the lines.", least=0, most=1, flag="contour-opacity")
     color: tuple[float, float, float] = (0.38, 0.30, 0.22)
-    labels: bool = True
+    labels: bool = option(True, "Whether thick contour lines bear their height.", flag="contour-labels")
     type_size: float = 12.0
     fading: bool = False
 
     def __post_init__(self) -> None:
+        check(self)
         if self.interval is not None and not 0 < self.interval < math.inf:
             raise UsageError(f"Contour lines are a number of metres apart, more than 0, not {self.interval:g}.")
-        if self.index < 0:
-            raise UsageError(f"Every how many contours a thick one comes is a whole number from 0, not {self.index}.")
         if not 0 < self.width < math.inf or not 0 < self.type_size < math.inf:
             raise UsageError("The width of contour lines and the size of their labels are pixels, more than 0.")
-        if not 0 <= self.opacity <= 1:
-            raise UsageError(f"The opacity of contour lines is from 0 to 1, not {self.opacity:g}.")
         if len(self.color) != 3 or not all(0 <= c <= 1 for c in self.color):
             raise UsageError(f"The colour of contour lines is three numbers from 0 to 1, not {self.color}.")
 
@@ -117,6 +117,8 @@ def suitable(steep: float, view: View) -> float:
 
 def steepness(terrain: Terrain) -> float:
     """tan of the slope that ``STEEP`` of a terrain does not exceed, on box means of ``WORKING`` samples a side."""
+    import numpy as np
+
     level = 0
     while level < terrain.levels - 1 and max(terrain.mean_shape(level)) > WORKING:
         level += 1
@@ -132,12 +134,3 @@ def steepness(terrain: Terrain) -> float:
         slope = np.hypot(gx, gy)
         slope = slope[np.isfinite(slope) & (slope > LEVEL)]
     return float(np.quantile(slope, STEEP)) if slope.size else 0.1
-
-
-def lines_of(given: Contours | float | None) -> Contours | None:
-    """Contour lines by their interval in metres, or as they are.
-
-    Raises:
-        UsageError: no interval can be that.
-    """
-    return given if given is None or isinstance(given, Contours) else Contours(float(given))

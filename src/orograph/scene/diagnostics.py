@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 
-from orograph.scene.camera import far_outside, ground
+from orograph.geo.transform import far_outside
+from orograph.scene.camera import ground
 from orograph.scene.scene import Scene
 
 TWILIGHT = -6.0
@@ -84,5 +85,5 @@ def what_to_do(scene: Scene) -> str:
     if _looks_like_degrees(scene):
         return 'Do these numbers stand for longitude and latitude? Then add "crs": "EPSG:4326" to the view.'
     if max(map(abs, scene.terrain.height_range)) > TALL:
-        return "Say what unit its heights have (--vertical-unit), or which number means missing data (--nodata)."
+        return "Say what unit its heights have (`vertical_unit`), or which number means missing data (`nodata`)."
     return LEAVE_CAMERA

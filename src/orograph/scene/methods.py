@@ -44,7 +44,7 @@ def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> 
         what = "the GPU draws triangles" if backend == "gpu" else f"the rays of {AUTO['cpu']} alone are drawn"
         raise UsageError(
             f"{choice.info.name} cannot be drawn so: {what}.",
-            remedy="Draw it by the CPU (--backend cpu)." if choice.info.name == AUTO["cpu"] else "Choose another.",
+            remedy='Draw it by the CPU (`backend="cpu"`).' if choice.info.name == AUTO["cpu"] else "Choose another.",
         )
     if own and backend == "gpu" and triangles is None:
         usual = choice.info.options()

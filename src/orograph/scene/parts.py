@@ -1,81 +1,44 @@
-"""The parts of a scene: surface, lighting, annotations, data, budget. Each option is declared here, once.
+"""The parts of a scene: lighting, data, annotations, surface, budget. Each option is declared here, once.
 
-Keyword arguments of ``orograph.render``, options of the command line and the window's settings come from these fields
-and their help. Units: metres, pixels, degrees; colours are sRGB from 0 to 1.
+Keyword arguments of ``orograph.render`` with their documentation, options of the command line with their help, and the
+window's settings come from these fields: a new option is a field here, and what draws it. This module loads quickly,
+for the command line's help. Units: metres, pixels, degrees; colours are sRGB from 0 to 1.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from orograph.errors import UsageError
-from orograph.geovis.layers import Layer, check_count
-from orograph.lighting.sun import Sun
+from orograph.lod.options import Described, check, described, option
 from orograph.lod.registry import AUTO
-from orograph.viewpoint import View
+from orograph.scene import given
+from orograph.scene.contours import Contours
+from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
+    from orograph.geovis.layers import Layer
     from orograph.lighting.aperture import Lamp
-    from orograph.scene.contours import Contours
-    from orograph.scene.silhouettes import Silhouettes
+    from orograph.lighting.sun import Sun
+    from orograph.viewpoint import View
 
 Light = Literal["relief", "ao", "aperture", "raytraced", "none"]
 """Ways of lighting a picture."""
 
+SHINING = ("aperture", "raytraced")
+"""Those with lamps and further discs."""
 
-def told(default: Any, help: str) -> Any:
-    """A field with its help."""
-    return field(default=default, metadata={"help": help})
+CALLED = "`{0.name}`"
+"""What errors call an option."""
 
 
 def check_exaggeration(factor: float) -> None:
     """Raise UsageError unless heights can be stretched by ``factor``."""
     if not 0 < factor < math.inf:
         raise UsageError(f"The exaggeration is a factor greater than 0, not {factor:g}.")
-
-
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """Which surface is drawn, by which method, and how finely.
-
-    Raises:
-        UsageError: a number is out of its range, or options contradict each other.
-    """
-
-    method: str = told(
-        "auto",
-        "NAME[,key=value…]: the method whose mesh is drawn, with light on its faces; auto, or what that is: the "
-        "terrain itself.",
-    )
-    tolerance: float | None = told(
-        None,
-        "Pixels by which the surface may be displaced; 0 draws every sample; None: 0 up to 16.8 million samples, "
-        "else 0.5, and 1 of a mesh.",
-    )
-    triangles: int | None = told(None, "Instead of a tolerance: at most so many triangles of a mesh.")
-    wireframe: bool = told(False, "Draw the edges of the mesh, over the terrain's own relief.")
-    mesh_view: View | None = told(
-        None, "The camera that the mesh is made for, to look at it from elsewhere; None: the scene's."
-    )
-    exaggeration: float = told(1.0, "Heights are stretched by this on the screen, never in what is measured.")
-    samples: int = told(4, "Samples per pixel where the picture has edges; 1: no antialiasing.")
-
-    def __post_init__(self) -> None:
-        check_exaggeration(self.exaggeration)
-        if self.samples < 1:
-            raise UsageError(f"A pixel needs at least one sample, not {self.samples}.")
-        if self.tolerance is not None and not self.tolerance >= 0:
-            raise UsageError(f"The tolerance is in pixels, 0 or more, not {self.tolerance:g}.")
-        if self.triangles is not None and (self.triangles < 2 or self.tolerance is not None):
-            raise UsageError("A mesh has a tolerance, or a number of triangles from 2.", remedy="Give one of them.")
-        meshed = self.mesh_view is not None or self.triangles is not None or self.wireframe
-        if meshed and self.method.partition(",")[0] in ("auto", AUTO["cpu"]):
-            raise UsageError(
-                "A mesh, its triangles, its wireframe and the view it is made for are a method's.",
-                remedy="Choose a method, such as soar.",
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,50 +49,52 @@ class Lighting:
         UsageError: a number is out of its range, or options contradict each other.
     """
 
-    sun: Sun = field(default_factory=Sun, metadata={"help": "Where the light comes from."})
-    shadows: bool = told(True, "Whether ground casts shadows.")
-    light: Light = told(
+    sun: Sun = option(
+        given.default_sun,
+        "Where the sun stands: degrees clockwise from grid north and degrees above the horizon (315,45), or a time "
+        "with its zone (2026-06-21T12:00+02:00), which means the real sun over the terrain's middle, refraction "
+        "included.",
+        read=given.read_sun, given=given.sun, metavar="AZ,ALT|TIME", shown="315,45",
+    )  # fmt: skip
+    light: Light = option(
         "relief",
-        '"relief": shadows by the skyline, the sky by a sky-view factor; "ao": ambient occlusion; "aperture": ambient '
-        'apertures; "raytraced": rays to the sun\'s disc and to the sky; "none": the bare colours.',
+        "How light falls: relief: shadows by the skyline, a sky-view factor for the sky; ao: ambient occlusion; "
+        "aperture: ambient apertures; raytraced: rays to the sun's disc and to the sky; none: bare colours. What "
+        "`orograph.bake` has put into a store is used.",
+        choices=get_args(Light),
     )
-    rays: int = told(64, 'Rays of "raytraced", to each disc and to the sky.')
-    lamps: tuple[Lamp, ...] = told((), 'Points of light, with "aperture" and "raytraced".')
-    discs: tuple[tuple[Sun, tuple[float, float, float]], ...] = told(
-        (), "More suns with their colours, (1, 1, 1) being about that of the sun at 45°."
-    )
-    relief: float | None = told(
-        None, "Factor on slopes for shading only; 1 is nature; None strengthens small scales and gentle land."
-    )
-    sky: bool = told(False, "Draw sky and haze, else the background is paper.")
-    depths: tuple[float, float] | None = told(
-        None, "Metres of depth of the nearest and the farthest ground, between which haze grows; None: of what is seen."
-    )
+    shadows: bool = option(True, "Whether the ground casts shadows.")
+    rays: int = option(64, 'With `light="raytraced"`: to each disc of light, and to the sky.', least=1)
+    lamps: tuple[Lamp, ...] = option(
+        (),
+        "A lamp, HEIGHT metres above the heights' own zero, as bright as a sun REACH metres away; its colour from 0 to "
+        '1. Needs `light="aperture"` or `light="raytraced"`.',
+        read=given.read_numbers(given.LAMP, 3), given=given.lamps, flag="light-at", metavar=given.LAMP, multiple=True,
+    )  # fmt: skip
+    discs: tuple[tuple[Sun, tuple[float, float, float]], ...] = option(
+        (),
+        'Another distant disc of light, so many degrees across. Needs `light="aperture"` or `light="raytraced"`.',
+        read=given.read_numbers(given.DISC, 3), given=given.discs, flag="disc", metavar=given.DISC, multiple=True,
+    )  # fmt: skip
+    relief: float | None = option(
+        None, "Stretch slopes for shading only; 1 is nature.", least=0, metavar="X",
+        shown="1 to 6, more for gentle land",
+    )  # fmt: skip
+    sky: bool = option(False, "Draw sky and haze, instead of paper.")
+    depths: tuple[float, float] | None = option(
+        None, "Metres of depth of the nearest and the farthest ground, between which haze grows.", flag=None,
+        shown="those of the ground in view",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
-        if self.relief is not None and not 0 <= self.relief < math.inf:
-            raise UsageError(f"The relief is a factor, 0 or more, not {self.relief:g}.")
-        if self.light not in get_args(Light):
-            raise UsageError(f"There is no light {self.light!r}; there are {', '.join(get_args(Light))}.")
-        if self.rays < 1:
-            raise UsageError(f"At least one ray is needed, not {self.rays}.")
-        if (self.lamps or self.discs) and self.light not in ("aperture", "raytraced"):
+        check(self, CALLED)
+        if (self.lamps or self.discs) and self.light not in SHINING:
             raise UsageError(
-                "Lamps and further discs of light shine through apertures or by rays.",
-                remedy='Choose the light "aperture" or "raytraced".',
+                f"`light={self.light!r}` knows no `{'lamps' if self.lamps else 'discs'}`.",
+                remedy=f"Use {' or '.join(f'`light={one!r}`' for one in SHINING)}.",
             )
         if self.depths is not None and not 0 <= self.depths[0] <= self.depths[1] < math.inf:
-            raise UsageError(f"depths are those of the nearest and the farthest ground in metres, not {self.depths}.")
-
-
-@dataclass(frozen=True, slots=True)
-class Annotations:
-    """Lines on the ground, and what stands around the picture."""
-
-    contours: Contours | None = told(None, "Lines of equal height on the ground.")
-    silhouettes: Silhouettes | None = told(None, "Lines where ridges hide what is behind them, and along creases.")
-    furniture: bool = told(False, "Add a title, a colour bar, a north arrow and a scale bar.")
-    title: str | None = told(None, "The title; None: the terrain's name.")
+            raise UsageError(f"The depths are those of the nearest and the farthest ground, metres, not {self.depths}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,24 +102,124 @@ class Data:
     """What the ground shows: its tint, layers over it, water.
 
     Raises:
-        UsageError: there are more layers than can be drawn, or a water level is no height.
+        UsageError: a water level is no height. (``Scene.of`` raises it where there are more layers than can be drawn.)
     """
 
-    colormap: str | None = told(None, "A cmap name, or alpine, mars, grey; None: the hypsometric tint.")
-    layers: tuple[Layer, ...] = told((), "Images and rasters laid over the ground, bottom to top.")
-    water: Literal["auto"] | float | None = told(
-        "auto", '"auto" finds seas and lakes by their flatness, None draws none, a number is a water level in metres.'
-    )
+    colormap: str | None = option(
+        None, "Colours of heights: alpine, mars, grey or any name of the cmap catalogue.", metavar="NAME",
+        shown="alpine",
+    )  # fmt: skip
+    layers: tuple[Layer, ...] = option(
+        (),
+        "Lay an image or a raster in any CRS over the ground; several bottom to top. Keys: opacity (0 "
+        "to 1), blend (normal, multiply), colormap, range (LOW:HIGH), band and nodata of a raster, visible, name: "
+        "rain.tif,colormap=viridis,range=0:80,opacity=0.6.",
+        read=given.read_layer, given=given.layers, flag="drape", metavar="IMAGE[,KEY=VALUE…]", multiple=True,
+    )  # fmt: skip
+    water: Literal["auto"] | float | None = option(
+        "auto", "auto: level areas are lakes and seas; a number: all ground up to that height.",
+        read=given.read_water, given=given.water, metavar="auto|none|METRES",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
-        check_count(self.layers)
         if isinstance(self.water, float) and not math.isfinite(self.water):
             raise UsageError(f"A water level is a height in metres, not {self.water:g}.")
+
+
+@dataclass(frozen=True, slots=True)
+class Annotations:
+    """Lines on the ground, and what stands around the picture."""
+
+    contours: Contours | None = option(
+        None, "Draw contour lines; auto: at the interval that suits the relief and the scale.",
+        read=given.read_contours, given=given.contours, metavar="auto|METRES", details=Contours,
+    )  # fmt: skip
+    silhouettes: Silhouettes | None = option(
+        None, "Draw lines along ridges and creases.", given=given.silhouettes, details=Silhouettes
+    )
+    furniture: bool = option(False, "Add a title, a colour bar, a north arrow and a scale bar.")
+    title: str | None = option(None, "The title (with `furniture`).", shown="the file's name")
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """Which surface is drawn, by which method, and how finely.
+
+    Raises:
+        UsageError: a number is out of its range, or options contradict each other.
+    """
+
+    exaggeration: float = option(1.0, "Stretch heights on the screen.", metavar="X")
+    samples: int = option(4, "Rays per pixel where the picture has edges; 1: jagged ones.", least=1, most=1024)
+    tolerance: float | None = option(
+        None, "Pixels by which the ground may be displaced; 0 draws every sample.", least=0, metavar="PX",
+        shown="0 up to 16.8 million samples, else 0.5; with a `method` 1",
+    )  # fmt: skip
+    method: str = option(
+        "auto",
+        "Draw the mesh that this method makes within `tolerance`, with light on its faces; auto: the terrain itself, "
+        "by rays on the CPU, by patches on the GPU. The methods and their options: `orograph.methods()`.",
+        read=given.read_method, metavar="NAME[,KEY=VALUE…]",
+    )  # fmt: skip
+    triangles: int | None = option(None, "With a `method`, instead: at most so many.", least=2, metavar="N")
+    wireframe: bool = option(False, "With a `method`: draw its triangles' edges over the relief.")
+    mesh_view: View | None = option(
+        None, "With a `method`: the camera to select for, to look at the mesh from elsewhere.", given=given.view,
+        read=str, metavar="VIEW.json", shown="the picture's",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self, CALLED)
+        check_exaggeration(self.exaggeration)
+        if self.triangles is not None and self.tolerance is not None:
+            raise UsageError("Give one goal: `tolerance` or `triangles`.")
+        if self.method.partition(",")[0] in ("auto", AUTO["cpu"]):
+            for name in ("triangles", "wireframe", "mesh_view"):
+                if getattr(self, name):
+                    raise UsageError(
+                        f"`{name}` is about the mesh that a method makes.",
+                        remedy='Choose one, such as `method="soar"`.',
+                    )
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
     """What drawing may take."""
 
-    max_memory: int | None = told(None, "Bytes that heights and pictures may take; None: no limit.")
-    jobs: int | None = told(None, "Threads; None: all processors.")
+    max_memory: int | None = option(None, "Bytes that heights and pictures may take.", least=1, shown="no limit")
+    jobs: int | None = option(None, "Threads.", least=1, shown="all processors")
+
+
+PARTS: dict[str, type] = {
+    "lighting": Lighting, "data": Data, "annotations": Annotations, "surface": Surface, "budget": Budget
+}  # fmt: skip
+"""The parts of a scene, by the names of its fields."""
+
+OPTIONS: dict[str, Described] = {one.name: one for kind in PARTS.values() for one in described(kind)}
+"""All options by their names: no two parts share one."""
+
+HOMES = {one.name: part for part, kind in PARTS.items() for one in described(kind)}
+"""The part that has an option, by the option's name."""
+
+
+def by_part(options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Options by the part that they belong to.
+
+    Raises:
+        UsageError: there is no such option.
+    """
+    parts: dict[str, dict[str, Any]] = {}
+    for name, value in options.items():
+        if name not in HOMES:
+            raise UsageError(f"A scene has no option {name!r}; there are {', '.join(HOMES)}.")
+        parts.setdefault(HOMES[name], {})[name] = value
+    return parts
+
+
+def check_options(options: Mapping[str, Any]) -> None:
+    """Raise UsageError where options contradict each other or a number is out of its range, before there is a terrain.
+
+    Values may be as users give them: which are given is what is looked at.
+    """
+    for part, values in by_part(options).items():
+        PARTS[part](**values)

@@ -67,11 +67,11 @@ def prepare(
     if len(paths) == 1 and is_store(paths[0]):
         given = {k: v for k, v in options.items() if v is not None}
         if given:
-            names = ", ".join("--" + k.replace("_", "-") for k in sorted(given))
+            names = ", ".join(f"`{k}`" for k in sorted(given))
             raise UsageError(
                 f"{names} cannot be used: a store is built already, and says itself what it is.",
                 path=paths[0],
-                remedy="Give such options to orograph build, or render the DEM files.",
+                remedy="Give such options to `orograph.build`, or render the DEM files.",
             )
         return store.open(paths[0], cache_bytes=cache_bytes(max_memory))
     from orograph.dem.mosaic import Mosaic
@@ -105,7 +105,7 @@ def prepare(
     except OSError as error:
         raise StoreError(
             f"The cache folder cannot be made: {error.strerror}.", path=kept.parent,
-            remedy="Set OROGRAPH_CACHE to a folder with room, or use orograph build and render the store.",
+            remedy="Set OROGRAPH_CACHE to a folder with room, or use `orograph.build` and render the store.",
         ) from error  # fmt: skip
     memory: dict[str, Any] = {} if max_memory is None else {"max_memory": max_memory}
     kinds: tuple[ErrorKind, ...] = ("exact", *more)

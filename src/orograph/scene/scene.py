@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
-from orograph.errors import ReadError, UsageError
-from orograph.scene.parts import Annotations, Budget, Data, Lighting, Surface
+from orograph.errors import ReadError
+from orograph.scene.parts import OPTIONS, PARTS, Annotations, Budget, Data, Lighting, Surface, by_part
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
@@ -15,12 +16,6 @@ EXACT_SAMPLES = 4100 * 4100
 
 DEFAULT_TOLERANCE = 0.5
 """Pixels: what larger terrains may be displaced by on the screen."""
-
-PARTS = {"surface": Surface, "lighting": Lighting, "annotations": Annotations, "data": Data, "budget": Budget}
-"""The parts of a scene, by the names of its fields."""
-
-HOMES = {f.name: part for part, kind in PARTS.items() for f in fields(kind)}
-"""The part that has an option, by the option's name: no two parts share one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +48,12 @@ class Scene:
 
     @classmethod
     def of(cls, terrain: Terrain, view: View, **options: Any) -> Self:
-        """A scene by its options' names, whichever parts they belong to.
+        """A scene by its options' names, whichever parts they belong to, as users give them (``scene.given``).
 
         Raises:
             UsageError: there is no such option, or as the parts.
         """
-        parts = _sorted(options)
+        parts = _sorted(options, terrain)
         return cls(terrain, view, **{part: PARTS[part](**given) for part, given in parts.items()})
 
     def but(self, *, terrain: Terrain | None = None, view: View | None = None, **options: Any) -> Self:
@@ -67,7 +62,8 @@ class Scene:
         Raises: as ``of``.
         """
         parts: dict[str, Any] = {
-            part: replace(getattr(self, part), **given) for part, given in _sorted(options).items()
+            part: replace(getattr(self, part), **given)
+            for part, given in _sorted(options, terrain or self.terrain).items()
         }
         if terrain is not None:
             parts["terrain"] = terrain
@@ -84,11 +80,12 @@ class Scene:
         return 0.0 if rows * cols <= EXACT_SAMPLES else DEFAULT_TOLERANCE
 
 
-def _sorted(options: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Options by the part that they belong to."""
-    parts: dict[str, dict[str, Any]] = {}
-    for name, value in options.items():
-        if name not in HOMES:
-            raise UsageError(f"A scene has no option {name!r}; there are {', '.join(HOMES)}.")
-        parts.setdefault(HOMES[name], {})[name] = value
-    return parts
+def _sorted(options: Mapping[str, Any], terrain: Terrain) -> dict[str, dict[str, Any]]:
+    """Options by the part that they belong to, each made what it is over a terrain."""
+    return {
+        part: {
+            name: value if (made := OPTIONS[name].given) is None else made(value, terrain)
+            for name, value in own.items()
+        }
+        for part, own in by_part(options).items()
+    }

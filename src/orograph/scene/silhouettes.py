@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from orograph.errors import UsageError
-from orograph.geovis.color import srgb_to_linear
-from orograph.viewpoint import View
+from orograph.lod.options import check, option
 
-Colors = NDArray[np.float32]
+if TYPE_CHECKING:  # the command line's help is made from these fields, before anything is loaded
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from orograph.viewpoint import View
 
 USUAL = 1100
 """Pixels of a picture's shorter side beyond which lines are wider: such pictures are for print."""
@@ -26,26 +27,29 @@ class Silhouettes:
     """How silhouettes are drawn.
 
     Attributes:
-        width: of the nearest ones, pixels; more in pictures for print (``USUAL``). opacity: of those, 0 to 1.
-        colour: sRGB, 0 to 1. creases: how heavy lines are where ground turns away and back but hides nothing, as a part
-            of those where it hides something; 0: none.
+        width: in pixels; more in pictures for print (``USUAL``). opacity: of the nearest ones, 0 to 1.
+        color: sRGB, 0 to 1. creases: see its help; as a part of how heavy lines are where ground hides something.
 
     Raises:
         UsageError: a number is out of its range.
     """
 
-    width: float = 2.0
+    width: float = option(
+        2.0, "Of the nearest ones; farther ones are thinner.", unit="pixels", least=0.25, most=32,
+        flag="silhouette-width", metavar="PX",
+    )  # fmt: skip
     opacity: float = 0.8
     color: tuple[float, float, float] = (0.20, 0.18, 0.20)
-    creases: float = 0.6
+    creases: float = option(
+        0.6,
+        "How heavy silhouettes are where ground turns away and back but hides nothing; 0: none there.", least=0, most=1,
+        flag="creases",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
-        if not 0 < self.width <= 32:
-            raise UsageError(f"Silhouettes are a number of pixels wide, more than 0 and at most 32, not {self.width}.")
+        check(self)
         if not 0 <= self.opacity <= 1:
             raise UsageError(f"The opacity of silhouettes is from 0 to 1, not {self.opacity:g}.")
-        if not 0 <= self.creases <= 1:
-            raise UsageError(f"Creases are a part of silhouettes from 0 to 1, not {self.creases:g}.")
         if len(self.color) != 3 or not all(0 <= c <= 1 for c in self.color):
             raise UsageError(f"The colour of silhouettes is three numbers from 0 to 1, not {self.color}.")
 
@@ -55,8 +59,12 @@ class Silhouettes:
         return replace(self, width=min(self.width * max(1.0, min(width, height) / USUAL), 32.0))
 
     @property
-    def ink(self) -> Colors:
+    def ink(self) -> NDArray[np.float32]:
         """The colour (3,), linear light."""
+        import numpy as np
+
+        from orograph.geovis.color import srgb_to_linear
+
         return np.asarray(srgb_to_linear(np.array(self.color, np.float32)), np.float32)
 
     @property

@@ -261,21 +261,21 @@ def _compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: bo
             raise StoreError(
                 f"The interrupted build cannot be resumed: its {differing} differ from these.",
                 path=storage.url,
-                remedy="Run it with the same files and options, or start anew with --overwrite.",
+                remedy="Run it with the same files and options, or start anew with `overwrite=True`.",
             )
         return plan, False
     if is_store(final):
         if not resume:
             if begun(storage) and not final.remote:
                 raise _interrupted(final)
-            raise StoreError("A store is there already.", path=final.url, remedy="Use --overwrite to replace it.")
+            raise StoreError("A store is there already.", path=final.url, remedy="Use `overwrite=True` to replace it.")
         before = _plan_of(read_record(final))
         differing = _differing({**plan, "shard": before["shard"], "chunk": before["chunk"]}, before)
         if differing:
             raise StoreError(
                 f"A complete store of other sources or options is there: its {differing} differ from these.",
                 path=final.url,
-                remedy="Use --overwrite to replace it.",
+                remedy="Use `overwrite=True` to replace it.",
             )
         return plan, True
     if isinstance(final, FolderStorage) and left_over(final.path):
@@ -300,7 +300,7 @@ def _interrupted(final: Storage) -> StoreError:
     return StoreError(
         "An interrupted build of this store is there.",
         path=final.url,
-        remedy="Finish it with --resume, or start anew with --overwrite.",
+        remedy="Finish it with `resume=True`, or start anew with `overwrite=True`.",
     )
 
 

@@ -6,7 +6,6 @@ Paths are absolute; of URLs what may be secret (user, password, query) is left o
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -67,11 +66,3 @@ def changes(inputs: Mapping[str, Any]) -> list[str]:
         elif now != file:
             told.append(f"{file['path']} was changed.")
     return told
-
-
-def command_line(inputs: Mapping[str, Any]) -> str:
-    """The arguments of ``orograph build`` that name these inputs."""
-    words = [file["path"] for file in inputs["files"]]
-    for name, value in inputs["options"].items():
-        words += [f"--{name.replace('_', '-')}", str(value)]
-    return shlex.join(words)

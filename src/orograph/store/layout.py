@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -44,7 +43,6 @@ from orograph.store.conventions import (
 )
 from orograph.store.diamonds import metric
 from orograph.store.digests import Digests, crc32c, digest_of
-from orograph.store.inputs import command_line
 from orograph.store.layers import GROUP, LayerRecord, layer_spec
 from orograph.store.places import ROOT
 from orograph.store.storage import Storage
@@ -211,10 +209,11 @@ def _understood(record: dict[str, Any], url: str) -> None:
 def rebuild(record: dict[str, Any], url: str) -> str:
     """The command that builds a store again, as far as its record tells."""
     inputs = record.get("inputs")
-    files = "DEM..."
+    files, options = "dem", ""
     if isinstance(inputs, dict):
-        files = command_line(inputs)
-    return f"Build it again: orograph build {files} -o {shlex.quote(url)} --overwrite"
+        files = repr([file["path"] for file in inputs["files"]])
+        options = "".join(f"{name}={value!r}, " for name, value in inputs["options"].items())
+    return f"Build it again: `orograph.build({files}, {url!r}, {options}overwrite=True)`."
 
 
 def _checksum(record: dict[str, Any]) -> str:

@@ -209,7 +209,7 @@ def _own(path: Path, url: str, doing: str, shared: str | None) -> _Owner:
     if shared is not None:
         raise StoreError(
             "This file system has no locks, which the parts of one build share.", path=url,
-            remedy="Build on another file system (or mount Lustre with -o flock), or without --part.",
+            remedy="Build on another file system (or mount Lustre with -o flock), or in one part.",
         )  # fmt: skip
     for _ in range(2):
         try:

@@ -72,23 +72,24 @@ def missing(storage: Storage) -> StoreError:
         return StoreError("There is no such store.", path=path, remedy=_BUILD)
     ways = []
     if begun(made):
-        ways.append("run the same orograph build with --resume to finish")
+        ways.append("run the same `orograph.build(..., resume=True)` to finish")
     if complete or kept:
         ways.append(f"rename the folder that you want to {path.name}")
+    remedy = " or ".join(ways)
     return StoreError(
         f"The store is not there: a build was cut off while it took its place. {'; '.join(there)}.",
         path=storage.url,
-        remedy=f"{' or '.join(ways).capitalize()}.",
+        remedy=f"{remedy[0].upper()}{remedy[1:]}.",
     )
 
 
-_BUILD = "Build one with orograph build DEM... -o STORE."
+_BUILD = "Build one: `orograph.build(dem, store)`."
 
 
 def _unfinished(url: str, where: str = "") -> StoreError:
     return StoreError(
         f"This store is incomplete: its build was interrupted.{where}", path=url,
-        remedy="Finish it by running the same orograph build with --resume.",
+        remedy="Finish it: the same `orograph.build(..., resume=True)`.",
     )  # fmt: skip
 
 

@@ -250,9 +250,9 @@ def _remedies(left: Iterable[str], record: Record, url: str) -> list[str]:
     colors = any(key.startswith("diamonds/") and key.split("/")[2:3] == ["color"] for key in left)
     told = []
     if layers:
-        told.append(f"Bake again: orograph bake {url} --products {','.join(layers)} --overwrite")
+        told.append(f"Bake again: `orograph.bake({url!r}, {layers}, overwrite=True)`.")
     if colors:
-        told.append("Make its color errors again (geovis.color_store.store_colors with overwrite=True).")
+        told.append("Make its color errors again (`orograph.geovis.color_store.store_colors`).")
     if any(not key.startswith("layers/") and "/color/" not in key for key in left):
         told.append(f"Give the files it was built from, as they were, or restore those files from a copy. "
                     f"{rebuild(record.to_json(), url)}")  # fmt: skip

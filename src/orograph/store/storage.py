@@ -215,7 +215,7 @@ class FolderStorage(Storage):
         return StoreError(
             f"{key or 'The folder'} could not be {what}: {error.strerror or error}.",
             path=self.path,
-            remedy="Make room, then run the same command with --resume." if full else "",
+            remedy="Make room, then run it again with `resume=True`." if full else "",
         )
 
 

@@ -138,11 +138,11 @@ class StoredTerrain(Terrain):
             return self.supplied[kind].diamonds(kind, level, row0, row1, col0, col1)
         code, radius = self.record.errors.get(kind), self.record.radius
         if code is None or radius is None:
-            wanted = ",".join([*self.record.errors, kind])
+            wanted = (*self.record.errors, kind)
             raise StoreError(
                 f"This store has no {kind} errors.",
                 path=self.url,
-                remedy=f"Build it again with them (orograph build --errors {wanted} --overwrite).",
+                remedy=f"Build it again with them (`orograph.build(..., errors={wanted}, overwrite=True)`).",
             )
         window = row0, row1, col0, col1
         errors = code.decode(self._array(kind, level).read(*window))
@@ -172,7 +172,9 @@ class StoredTerrain(Terrain):
         """
         if not self.record.colors:
             raise StoreError(
-                "This store has no color errors.", path=self.url, remedy="Build it with them (--color-errors)."
+                "This store has no color errors.",
+                path=self.url,
+                remedy="Make them: `orograph.geovis.color_store.store_colors`.",
             )
         self._inside(self.diamond_shape(level), row0, row1, col0, col1)
         codes: NDArray[np.uint8] = self._array("color", level).read(row0, row1, col0, col1)
@@ -214,7 +216,7 @@ class StoredTerrain(Terrain):
         record = self.record.layers.get(name)
         if record is None:
             return super().layer(name)
-        again = f"Bake it again (orograph bake {self.url} --products {name})."
+        again = f"Bake it again (`orograph.bake({self.url!r}, [{name!r}])`)."
         if record.source != self.record.source:
             raise StoreError(f"Its layer {name!r} was made from other heights.", path=self.url, remedy=again)
         for key, wanted in options.items():
@@ -328,6 +330,6 @@ def read_record(storage: Storage) -> Record:
         raise StoreError(
             "This is a Zarr hierarchy, but not an Orograph store.",
             path=url,
-            remedy="Build one from the DEM with orograph build DEM... -o STORE.",
+            remedy="Build one from the DEM: `orograph.build(dem, store)`.",
         )
     return Record.from_json(record, url)

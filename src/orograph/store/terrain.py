@@ -221,7 +221,7 @@ class Terrain(ABC):
         raise StoreError(
             f"This terrain has no layer {name!r}{there}.",
             path=self.name,
-            remedy=f"Put it into a store: orograph bake STORE --products {name}.",
+            remedy=f"Put it into a store: `orograph.bake(store, [{name!r}])`.",
         )
 
     def has_patch_errors(self, kind: ErrorKind, legs: int) -> bool:

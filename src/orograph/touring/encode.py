@@ -78,7 +78,7 @@ def check_movie(path: str | Path, size: tuple[int, int] | None, crf: int | None)
                 "The name of the frames has one number in it, such as %05d.", path=out, remedy="Write %% for a %."
             ) from error
         if crf is not None:
-            raise UsageError("--crf is about video; pictures have no rate.")
+            raise UsageError("`crf` is about video; pictures have no rate.")
         return
     suffix = out.suffix.lower()
     if suffix not in CODECS:
@@ -87,14 +87,14 @@ def check_movie(path: str | Path, size: tuple[int, int] | None, crf: int | None)
             remedy="Use .mp4, .webm, .gif, or frames/%05d.png for pictures.",
         )  # fmt: skip
     if crf is not None and suffix == ".gif":
-        raise UsageError("--crf is about video; a .gif has no rate.")
+        raise UsageError("`crf` is about video; a .gif has no rate.")
     check_folder(out)
     codec = CODECS[suffix][0]
     if size is not None and codec != "gif" and (size[0] % 2 or size[1] % 2):
         w, h = (v + v % 2 for v in size)
         raise UsageError(
             f"Video has even numbers of pixels, and {size[0]} × {size[1]} is not.", path=out,
-            remedy=f"Use --size {w}x{h}.",
+            remedy=f"Use `size={(w, h)}`.",
         )  # fmt: skip
     _av()
     try:
@@ -268,7 +268,7 @@ class Pictures:
             if not self.overwrite and (others or known not in (None, self.fingerprint)):
                 raise UsageError(
                     "There are frames of another film (or of another size, light, …) here.", path=folder,
-                    remedy="Choose another folder, or draw over them with --overwrite.",
+                    remedy="Choose another folder, or draw over them with `overwrite=True`.",
                 )  # fmt: skip
             with Beside(sign) as part:
                 part.write_text(self.fingerprint + "\n", encoding="ascii")

@@ -21,7 +21,8 @@ from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
 from orograph.rendering.picture import Picture
 from orograph.scene.contours import Contours
-from orograph.scene.scene import HOMES, Scene
+from orograph.scene.parts import HOMES
+from orograph.scene.scene import Scene
 from orograph.touring.course import Course, Grading
 from orograph.touring.tour import Tour
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
+from orograph.geo.transform import far_outside
 from orograph.lighting.sun import Placed
 from orograph.scene import camera
 from orograph.store.terrain import Terrain
@@ -115,18 +116,18 @@ def flyover(
     if not np.isfinite(highest(terrain, line)).any():
         raise UsageError(
             "The line lies beside the terrain.", path=terrain.name,
-            remedy="Its places are longitude and latitude (or in the terrain's CRS, with --line-crs).",
+            remedy="Its places are longitude and latitude (or in the terrain's CRS, with `line_crs`).",
         )  # fmt: skip
     for x, y in line:
-        if camera.far_outside(terrain.grid, x, y):
+        if far_outside(terrain.grid, x, y):
             raise UsageError(
                 f"The line goes far beyond the terrain, to {x:.10g}, {y:.10g} in its CRS.", path=terrain.name,
-                remedy="Longitude comes first, then latitude; --line-crs says if they are in another CRS.",
+                remedy="Longitude comes first, then latitude; `line_crs` says if they are in another CRS.",
             )  # fmt: skip
     if height is None:
         height = min(max(far[-1] / 15, 50.0), 3000.0)
     if not 0 < height < math.inf:
-        raise UsageError(f"--height is in metres above the ground, more than 0, not {height:g}.")
+        raise UsageError(f"`height` is in metres above the ground, more than 0, not {height:g}.")
     if seconds is not None and not 0 < seconds < math.inf:
         raise UsageError(f"A tour takes some seconds, more than 0, not {seconds:g}.")
     ahead = AHEAD * height

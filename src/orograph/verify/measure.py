@@ -6,7 +6,8 @@ Before each of these the method is taken far away and looks the other way, so th
 has to come back from little. A *flight* is taken frame by frame, and the clock runs for each: what a method saves from
 frame to frame, it saves here. Tiles are counted from the method's making.
 
-A selection that makes no triangles (rays) is timed, and that is all.
+A mesh is judged by its triangles (``judge_mesh``). A selection that makes none, for rays, is drawn by the CPU and
+judged by the depth of its picture (``judge_depth``).
 
 Units: milliseconds; pixels; fractions of a mesh.
 """
@@ -17,16 +18,20 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.errors import NothingInViewError
 from orograph.lod.method import Goal
 from orograph.lod.selection import RayWindows, Selection
 from orograph.progress import Task
+from orograph.rendering.backends import backend_of
+from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
+from orograph.verify.depth import DepthReport, judge_depth
 from orograph.verify.judge import judge_mesh
 from orograph.verify.report import ROUNDING, Report
 from orograph.viewpoint import Camera, View
@@ -55,11 +60,15 @@ class Measurement:
         triangles: of a mesh, the mean; None where none are made.
         ms: to select, the median; ``ms_worst``: the largest.
         mtri_per_s: millions of triangles per second, over all; None where none are made.
-        conservative: whether the method promises the tolerance for every sample in view, in every frame.
+        conservative: whether the method promises the tolerance for all that is in view, in every frame.
         tolerance: pixels, the largest that was asked for, or reached under a budget.
-        largest, rms: pixels, by the referee, over all samples in view of the frames judged; None: beyond any
-            bound, or none was judged.
-        largest_on_surface: the same over all points of the full-resolution surface.
+        largest: of meshes, pixels, by the referee, over the full-resolution surface in view of the frames judged; None:
+            beyond any bound, or none was judged.
+        largest_at_samples, rms: the same over samples.
+        largest_in_picture: of rays, pixels between the points that the pictures' pixels show and the full-resolution
+            surface on their verticals; None: as ``largest``.
+        mismatches: of rays, pixels that show ground where there is none, or none where there is some.
+        farthest: of rays, pixels from such a one to the nearest that agrees, the largest; None: as ``largest``.
         judged: how many frames were.
         changes: triangles that a frame and the one before do not share, over the frame's own, both summed over frames.
             None without a flight.
@@ -76,8 +85,11 @@ class Measurement:
     conservative: bool
     tolerance: float | None
     largest: float | None
-    largest_on_surface: float | None
+    largest_at_samples: float | None
     rms: float | None
+    largest_in_picture: float | None
+    mismatches: int | None
+    farthest: float | None
     judged: int
     changes: float | None
     tiles_read: int
@@ -89,7 +101,11 @@ class Measurement:
         """Whether what was promised holds; None if nothing was promised, or nothing was judged."""
         if not self.conservative or self.tolerance is None or not self.judged:
             return None
-        return self.largest is not None and self.largest <= self.tolerance * (1 + ROUNDING) and not self.defects
+        bound = self.tolerance * (1 + ROUNDING)
+        if self.mismatches is not None:  # (an outline moved by the tolerance changes whole pixels: ``DepthReport.ok``)
+            near = self.farthest is not None and self.farthest <= bound + math.sqrt(2)
+            return near and self.largest_in_picture is not None and self.largest_in_picture <= bound
+        return self.largest is not None and self.largest <= bound and not self.defects
 
 
 def measure_views(
@@ -173,6 +189,7 @@ class _Tally:
         self.within: list[bool] = []
         self.reached: list[float | None] = []
         self.reports: list[Report] = []
+        self.depths: list[DepthReport] = []
         self.tiles = 0
 
     def timed(self, selection: Selection, ms: float) -> Tessellation | None:
@@ -188,17 +205,18 @@ class _Tally:
         return mesh
 
     def judge(self, selection: Selection, view: View) -> None:
-        """Have the referee look at a selection, if it makes triangles."""
-        if not isinstance(selection, RayWindows):
-            mesh = selection.tessellation()
-            self.reports.append(judge_mesh(mesh, self.terrain, view, exaggeration=self.exaggeration, jobs=self.jobs))
+        """Have the referee look at a selection: at its triangles, or at the depth of its picture."""
+        about: dict[str, Any] = {"exaggeration": self.exaggeration, "jobs": self.jobs}
+        if isinstance(selection, RayWindows):
+            depth = ray_depth(self.terrain, view, selection.bound or 0.0, **about)
+            self.depths.append(judge_depth(depth, self.terrain, view, **about))
+        else:
+            self.reports.append(judge_mesh(selection.tessellation(), self.terrain, view, **about))
 
     def result(self, changes: float | None) -> Measurement:
         covered = [r.samples - r.uncovered for r in self.reports]
         squares = sum(r.rms**2 * n for r, n in zip(self.reports, covered))
         rms = math.sqrt(squares / max(1, sum(covered)))
-        largest = max((r.largest_at_samples for r in self.reports), default=0.0)
-        on_surface = max((r.largest for r in self.reports), default=0.0)
         defects: dict[str, int] = {}
         for report in self.reports:
             for name, n in report.defects.items():
@@ -212,15 +230,37 @@ class _Tally:
             mtri_per_s=sum(self.triangles) / max(sum(self.ms), 1e-9) / 1e3 if self.triangles else None,
             conservative=None not in self.bounds,
             tolerance=None if len(tolerances) < len(self.reached) else max(tolerances),
-            largest=largest if math.isfinite(largest) and self.reports else None,
-            largest_on_surface=on_surface if math.isfinite(on_surface) and self.reports else None,
+            largest=_most([r.largest for r in self.reports]),
+            largest_at_samples=_most([r.largest_at_samples for r in self.reports]),
             rms=rms if math.isfinite(rms) and self.reports else None,
-            judged=len(self.reports),
+            largest_in_picture=_most([r.largest for r in self.depths]),
+            mismatches=sum(r.mismatches for r in self.depths) if self.depths else None,
+            farthest=_most([r.farthest for r in self.depths]),
+            judged=len(self.reports) + len(self.depths),
             changes=changes,
             tiles_read=self.tiles,
             defects=defects,
             beyond=max((n for n, within in zip(self.triangles, self.within) if not within), default=None),
         )
+
+
+def _most(values: Sequence[float]) -> float | None:
+    """The largest; None if that is infinite, or there is none."""
+    most = max(values, default=math.inf)
+    return most if math.isfinite(most) else None
+
+
+def ray_depth(
+    terrain: Terrain, view: View, tolerance: float, *, exaggeration: float = 1.0, jobs: int | None = None
+) -> NDArray[np.float32]:
+    """The depth (height, width) of the picture that rays make of a terrain, metres; NaN where they meet nothing."""
+    scene = Scene.of(
+        terrain, view, tolerance=tolerance, exaggeration=exaggeration, jobs=jobs, samples=1, light="none", water=None
+    )
+    try:
+        return backend_of("cpu")(scene).depth
+    except NothingInViewError:
+        return np.full((view.height, view.width), np.nan, np.float32)
 
 
 def elsewhere(view: View) -> View:

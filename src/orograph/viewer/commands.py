@@ -17,7 +17,7 @@ def zoom_middle(window: Window, notches: float) -> None:
 def copy_view(window: Window) -> None:
     """The view, as JSON, into the clipboard."""
     window.clipboard[1](window.session.view_json())
-    window.session.messages.say("The view is in the clipboard: render --view takes it from a file.")
+    window.session.messages.say("The view is in the clipboard: pictures take it from a file.")
 
 
 def paste_view(window: Window) -> None:
@@ -51,7 +51,7 @@ def toggle_freeze(window: Window) -> None:
 
 def play_day(window: Window) -> None:
     """Let the sun's time pass, or stop it."""
-    light = window.session.settings.light
+    light = window.session.settings.sun
     if light.place is None:
         window.session.messages.say(light.trouble)
         return

@@ -9,14 +9,10 @@ still is drawn by the CPU.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from orograph.errors import OrographError
-from orograph.geovis.layers import Given as GivenLayer
-from orograph.geovis.layers import layers_of
-from orograph.lighting.sun import Given, Moment, Placed, SunSource, sun_of
 from orograph.progress import SILENT
 from orograph.rendering.picture import Picture
 from orograph.scene.scene import Scene
@@ -87,13 +83,9 @@ def view(
     camera: View | None = None,
     *,
     size: tuple[int, int] = SIZE,
-    sun: Given = (315.0, 45.0),
-    exaggeration: float = 1.0,
-    colormap: str | None = None,
-    layers: GivenLayer | Iterable[GivenLayer] = (),
-    tolerance: float | None = None,
     panels: bool = False,
     gpu_memory: int = 256 << 20,
+    **options: Any,
 ) -> Widget | Still:
     """A terrain to be explored in a cell; a still picture where that cannot be.
 
@@ -101,21 +93,16 @@ def view(
         terrain: what.
         camera: where from; None: all of it, from the south.
         size: of the cell's picture, pixels.
-        sun, exaggeration, colormap, layers, tolerance: as for ``orograph.render``.
         panels: whether panels are shown at first (Tab shows and hides them).
         gpu_memory: bytes of GPU memory for tiles.
+        options: of the scene, as for ``orograph.render`` (sun, exaggeration, layers…).
 
     Raises:
         UsageError: an option makes no sense. NothingInViewError: the terrain has no valid sample.
     """
     from orograph.viewer.session import Session
 
-    light = sun if isinstance(sun, Placed | Moment) else sun_of(sun, terrain.grid)
-    source: SunSource = light if isinstance(light, Placed | Moment) else Placed(light.azimuth, light.altitude)
-    session = Session(
-        terrain, camera, size=size, sun=source, exaggeration=exaggeration, colormap=colormap, layers=layers_of(layers),
-        tolerance=tolerance,
-    )  # fmt: skip
+    session = Session(terrain, camera, size=size, **options)
     session.settings.panels = panels
     scene = session.scene()
     try:

@@ -9,14 +9,12 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from orograph.documents import parse
 from orograph.errors import OrographError, UsageError
-from orograph.geovis.layers import Layer
-from orograph.lighting.sun import SunSource
 from orograph.scene import camera
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
@@ -24,7 +22,7 @@ from orograph.viewer.bookmarks import Bookmarks
 from orograph.viewer.navigation import Limits
 from orograph.viewer.navigator import Navigator
 from orograph.viewer.probe import Probe
-from orograph.viewer.settings import Light, Settings
+from orograph.viewer.settings import Settings
 from orograph.viewpoint import Point, View
 
 HOME_PITCH, HOME_FOV = 42.0, 30.0
@@ -84,10 +82,9 @@ class Session:
         terrain: what.
         view: where from; None: all of it, from the south.
         size: (width, height), pixels.
-        sun, exaggeration, tolerance, layers, colormap: as the settings begin.
-        more: how other attributes of the settings begin, by name.
         paths: what the terrain was opened from, for command lines that are shown.
         changed: called, from any thread, when the picture should be drawn again.
+        options: how the settings begin, by name (``Settings``); None: as they do by themselves.
     """
 
     def __init__(
@@ -96,23 +93,15 @@ class Session:
         view: View | None = None,
         *,
         size: tuple[int, int] = (1280, 720),
-        sun: SunSource | None = None,
-        exaggeration: float = 1.0,
-        tolerance: float | None = None,
-        colormap: str | None = None,
-        layers: Sequence[Layer] = (),
-        more: Mapping[str, Any] | None = None,
         paths: Sequence[str] = (),
         changed: Callable[[], None] = lambda: None,
+        **options: Any,
     ) -> None:
         self.terrain = terrain
         self.paths = tuple(paths)
         self.changed = changed
-        self.settings = Settings(
-            Light.over(terrain, sun), exaggeration=exaggeration, colormap=colormap, layers=list(layers), **(more or {}),
-        )  # fmt: skip
-        if tolerance is not None:
-            self.settings.tolerance = tolerance
+        self.settings = Settings(terrain, **{name: value for name, value in options.items() if value is not None})
+        exaggeration = self.settings.exaggeration
         self._outline = camera.outline(terrain)
         home = self._home(size, exaggeration)
         self.settings.scene(terrain, home)  # says what cannot be drawn before there is a window
@@ -160,12 +149,12 @@ class Session:
     def advance(self, seconds: float) -> None:
         """Let time pass."""
         self.nav.advance(seconds)
-        self.settings.light.advance(seconds)
+        self.settings.sun.advance(seconds)
 
     @property
     def moving(self) -> bool:
         """Whether time changes the picture."""
-        light = self.settings.light
+        light = self.settings.sun
         return self.nav.moving or (light.playing and light.mode == "moment")
 
     def stretch(self, exaggeration: float, *, hold: bool = True) -> None:

@@ -14,14 +14,11 @@ from typing import Any, Literal
 
 from orograph.errors import OrographError, UsageError
 from orograph.geovis.layers import Layer
-from orograph.lighting.aperture import Lamp
-from orograph.lighting.sun import Moment, Placed, Sun, SunSource, place
+from orograph.lighting.sun import Moment, Sun, place, sun_of
 from orograph.rendering.gpu.frame import Normals
-from orograph.scene.contours import Contours
 from orograph.scene.methods import mesh_choice
-from orograph.scene.parts import Light as Way
+from orograph.scene.parts import OPTIONS, SHINING, check_options
 from orograph.scene.scene import Scene
-from orograph.scene.silhouettes import Silhouettes
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
@@ -33,7 +30,7 @@ PLAY = 3600.0
 
 
 @dataclass(slots=True)
-class Light:
+class SunSetting:
     """Where the light comes from.
 
     Attributes:
@@ -55,8 +52,8 @@ class Light:
     trouble: str = ""
 
     @classmethod
-    def over(cls, terrain: Terrain, given: SunSource | None = None) -> Light:
-        """The light of a terrain; ``given``: what the command line says."""
+    def over(cls, terrain: Terrain, given: Any = None) -> SunSetting:
+        """The light of a terrain; ``given``: a sun as ``sun_of`` takes it."""
         light = cls()
         try:
             light.place = place(terrain.grid)
@@ -64,12 +61,13 @@ class Light:
             light.when = light.when.replace(hour=12, minute=0, second=0, microsecond=0)
         except OrographError as error:
             light.trouble = str(error)
-        if isinstance(given, Placed):
-            light.azimuth, light.altitude = given.azimuth % 360.0, given.altitude
-        elif isinstance(given, Moment):
+        if isinstance(given, Moment):
             if light.place is None:
                 raise UsageError(light.trouble)
             light.mode, light.when = "moment", given.when
+        elif given is not None:
+            sun = sun_of(given, terrain.grid)
+            light.azimuth, light.altitude = sun.azimuth % 360.0, sun.altitude
         return light
 
     @property
@@ -120,50 +118,55 @@ class Light:
         return Sun(self.azimuth, self.altitude)
 
 
-@dataclass(slots=True)
 class Settings:
-    """All that can be set about the picture.
+    """All that can be set about the picture: a scene's options by their names (``scene.parts``), and the window's own.
+
+    Args:
+        terrain: what is looked at.
+        options: as ``Scene.of`` takes them; ``tolerance`` and ``sky`` have defaults of the window's.
 
     Attributes:
-        light: see ``Light``.
-        exaggeration, shadows, colormap, layers, water, sky, relief, tolerance: as in ``Scene``.
+        sun: see ``SunSetting``. layers: a list. lamps, discs: shine where ``light`` knows them.
         painted: a layer above all others for as long as a tool shows its result, or None.
-        wireframe, levels: as in ``rendering.gpu.frame.Overlay``. contours, silhouettes: as in ``Scene``; a window's
-        labels fade.
-        way: how light falls, as ``Scene.light``. rays, lamps, discs: as in ``Scene``; the last two shine where ``way``
-            knows them. occlusion: strength of what screen space darkens.
+        wireframe, levels, normals: as in ``rendering.gpu.frame.Overlay``. occlusion: strength of what screen space
+            darkens.
         budget: triangles to keep near instead of a tolerance, or None.
         method: as in ``Scene``; "auto": patches, the window's own.
-        normals: as in ``rendering.gpu.frame.Overlay``.
         frozen: the view that the mesh is made for while one flies around it, or None.
         panels: whether panels are shown at all; ``furniture``: north arrow, scale bar and colour bar.
+
+    Raises:
+        UsageError: there is no such option, or it makes no sense.
     """
 
-    light: Light
-    exaggeration: float = 1.0
-    shadows: bool = True
-    colormap: str | None = None
-    layers: list[Layer] = field(default_factory=list)
-    painted: Layer | None = None
-    water: Literal["auto"] | float | None = "auto"
-    sky: bool = True
-    relief: float | None = None
-    tolerance: float = DEFAULT_TOLERANCE
-    budget: int | None = None
-    wireframe: bool = False
-    levels: bool = False
-    contours: Contours | None = None
-    silhouettes: Silhouettes | None = None
-    way: Way = "relief"
-    rays: int = 64
-    lamps: tuple[Lamp, ...] = ()
-    discs: tuple[tuple[Sun, tuple[float, float, float]], ...] = ()
-    occlusion: float = 0.0
-    method: str = "auto"
-    normals: Normals = "computed"
-    frozen: View | None = None
-    panels: bool = True
-    furniture: bool = True
+    def __init__(self, terrain: Terrain, **options: Any) -> None:
+        self.sun = SunSetting.over(terrain, options.pop("sun", None))
+        self.painted: Layer | None = None
+        self.budget: int | None = None
+        self.wireframe = self.levels = False
+        self.occlusion = 0.0
+        self.normals: Normals = "computed"
+        self.frozen: View | None = None
+        self.panels = self.furniture = True
+        own = {"sun", *vars(self)}
+        self.options: dict[str, Any] = {name: one.default for name, one in OPTIONS.items() if name not in own}
+        self.options |= {"tolerance": DEFAULT_TOLERANCE, "sky": True}
+        check_options(options)
+        for name, value in options.items():
+            made = OPTIONS[name].given
+            setattr(self, name, value if made is None else made(value, terrain))
+        self.options["layers"] = list(self.options["layers"])
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "options" or name not in self.options:
+            raise AttributeError(f"There is no setting {name!r}.")
+        return self.options[name]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self.__dict__.get("options", ()):
+            self.options[name] = value
+        else:
+            super().__setattr__(name, value)
 
     def scene(self, terrain: Terrain, view: View) -> Scene:
         """The picture as it is set.
@@ -173,16 +176,13 @@ class Settings:
         """
         west, south, east, north = terrain.grid.bounds()
         low, high = terrain.height_range
-        shining = self.way in ("aperture", "raytraced")
         near = max(view.eye[2] - (low + high) / 2, 0.0) * self.exaggeration if math.isfinite(low) else 0.0
-        return Scene.of(
-            terrain, view, sun=self.light.sun(terrain), shadows=self.shadows, exaggeration=self.exaggeration,
-            colormap=self.colormap, layers=self.stack, sky=self.sky, water=self.water,
-            contours=self.contours and replace(self.contours, fading=True), silhouettes=self.silhouettes,
-            relief=self.relief, tolerance=self.tolerance, light=self.way, method=self.method,
-            rays=self.rays, lamps=self.lamps if shining else (), discs=self.discs if shining else (),
-            depths=(near, near + HAZE * math.hypot(east - west, north - south)),
-        )  # fmt: skip
+        depths = (near, near + HAZE * math.hypot(east - west, north - south))
+        lines = self.contours and replace(self.contours, fading=True)
+        changed = {"sun": self.sun.sun(terrain), "layers": self.stack, "contours": lines, "depths": depths}
+        if self.light not in SHINING:
+            changed |= {"lamps": (), "discs": ()}
+        return Scene.of(terrain, view, **{**self.options, **changed})
 
     @property
     def streams(self) -> bool:
@@ -214,5 +214,5 @@ class Settings:
             return False
         wanted = min(max(self.tolerance * ratio**0.8, 0.05), 100.0)
         moved: bool = abs(wanted - self.tolerance) > 1e-3 * self.tolerance
-        self.tolerance = wanted
+        self.options["tolerance"] = wanted
         return moved

@@ -22,6 +22,7 @@ from orograph.errors import OrographError
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Placed
 from orograph.output import Beside
+from orograph.scene.parts import HOMES, OPTIONS
 from orograph.touring.course import Course
 from orograph.touring.keys import Key
 from orograph.touring.tour import DEFAULT_FPS, Tour
@@ -33,6 +34,13 @@ if TYPE_CHECKING:
 LEG = 4.0
 """Seconds from a stop to the next, unless said otherwise."""
 SHORTEST = 0.1
+FILMED = tuple(
+    one
+    for name, one in OPTIONS.items()
+    if HOMES[name] in ("lighting", "data") and one.flag is not None and not one.multiple
+    and name != "sun"
+)  # fmt: skip
+"""What the window says of a film: of light and ground, what the tour itself does not."""
 ALONG = 240
 """Places along the way that is drawn in the plan."""
 
@@ -171,7 +179,7 @@ class Touring:
             view = replace(
                 view.resized(first.width, first.height), near=first.near, far=first.far, projection=first.projection
             )
-        light = settings.light
+        light = settings.sun
         sun: Placed | Moment | None = (
             Moment(light.when) if light.mode == "moment" else Placed(light.azimuth % 360.0, light.altitude)
         )
@@ -235,7 +243,7 @@ class Touring:
         layers = tour.layers(time)
         if layers is not None:
             settings.layers = _laid(settings.layers, layers)
-        sun, light = tour.sun(time), settings.light
+        sun, light = tour.sun(time), settings.sun
         if isinstance(sun, Placed):
             light.mode, light.azimuth, light.altitude = "placed", sun.azimuth, sun.altitude
         elif sun is not None and light.place is not None:
@@ -328,18 +336,10 @@ class Touring:
         settings = self.session.settings
         words = ["orograph", "movie", *(paths or [self.session.terrain.name]), "--tour", str(path)]
         words += ["-o", str(path.with_suffix(".mp4")), "--size", "1920x1080"]
-        if settings.sky:
-            words.append("--sky")
-        if settings.colormap is not None:
-            words += ["--colormap", settings.colormap]
-        if not settings.shadows:
-            words.append("--no-shadows")
-        if settings.way != "relief":
-            words += ["--light", settings.way]
-        if settings.way == "raytraced":
-            words += ["--rays", str(settings.rays)]
-        if settings.water is None:
-            words += ["--water", "none"]
+        for one in FILMED:
+            value = getattr(settings, one.name)
+            if value != one.default:
+                words += [f"--{'no-' * (value is False)}{one.key}", *([] if one.kind is bool else [one.text(value)])]
         return shlex.join(words)
 
 

@@ -72,7 +72,7 @@ def test_a_layer_that_lacks_chunks_is_told(device: Device, store: Path, tmp_path
     shutil.copytree(store, torn)
     for level in (torn / "layers" / "aperture").glob("[0-9]*"):
         shutil.rmtree(level / "up" / "c")
-    with pytest.raises(DamagedChunkError, match=r"layers/aperture/\d/up.*not there.*orograph bake"):
+    with pytest.raises(DamagedChunkError, match=r"layers/aperture/\d/up.*not there.*orograph\.bake"):
         told(torn, backend, light="aperture")
 
 

@@ -266,7 +266,7 @@ class Tracer:
         if max(row1 - row0, col1 - col0) < 2:
             raise UsageError(
                 "Voxels as tall as this ground do not fit on the GPU.",
-                remedy="Use --by horizon or rays, which have none.",
+                remedy='Use `method="horizon"` or `method="rays"`, which have none.',
             )
         if row1 - row0 >= col1 - col0:
             half = (row0 + row1) // 2

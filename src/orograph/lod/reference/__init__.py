@@ -1,6 +1,6 @@
 """The published right-triangle algorithms, each in one page of plain Python, as its paper prints it.
 
-Read a page beside its paper; then the engine in ``orograph.lod`` that does the same fast. The engines are tested
+Read a page beside its paper; then the method in ``orograph.lod`` that does the same fast. The methods are tested
 against these pages, so they are right, and slow: dictionaries, sets and recursion, for rasters of some hundred samples.
 
 ====================  ==================================================================================

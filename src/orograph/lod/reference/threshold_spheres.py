@@ -12,7 +12,7 @@ a small step hardly any is. Corrected:
   point is far enough away. (The printed 0 of leaves is that of the finest triangles, which are not split.)
 - *λ* is printed c/τ, which holds on the axis of view. In the picture's corner, at angle θ from the axis, the same
   movement is seen 1/cos² θ times as large: λ = c / (τ·cos² θ) + 1 / cos θ, the last term for samples that move towards
-  the eye (docs/engines/blow.md).
+  the eye (docs/methods/threshold-spheres.md).
 
 The clusters are ours: spheres of one level that lie side by side, and how far the eye may go before one is crossed.
 """

@@ -107,11 +107,11 @@ def draw(
         if ground.tolerance > scene.pixel_tolerance:
             progress.warn(
                 f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not "
-                "fit into --max-memory."
+                "fit into `max_memory`."
             )
     least = fixed_memory(scene) + LEAST_MEMORY
     if scene.budget.max_memory is not None and scene.budget.max_memory < least:
-        progress.warn(f"a picture of this size takes about {least >> 20} MiB, more than --max-memory allows.")
+        progress.warn(f"a picture of this size takes about {least >> 20} MiB, more than `max_memory` allows.")
     lap("heights")
     inner = frame(scene)
     lines = (

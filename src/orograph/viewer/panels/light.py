@@ -26,7 +26,7 @@ WAYS: tuple[tuple[str, Light], ...] = (
 
 def draw(window: Window) -> None:
     """The content of the panel."""
-    light = window.session.settings.light
+    light = window.session.settings.sun
     if imgui.radio_button("placed", light.mode == "placed"):
         sun = light.sun(window.session.terrain)
         light.mode, light.azimuth, light.altitude = "placed", sun.azimuth, max(sun.altitude, 0.0)
@@ -52,17 +52,17 @@ def draw(window: Window) -> None:
     imgui.same_line()
     _, settings.sky = imgui.checkbox("sky and haze", settings.sky)
     names = [name for name, _ in WAYS]
-    here = next(k for k, (_, way) in enumerate(WAYS) if way == settings.way)
+    here = next(k for k, (_, way) in enumerate(WAYS) if way == settings.light)
     changed, chosen = imgui.combo("light", here, names)
     if changed:
-        settings.way = WAYS[chosen][1]
+        settings.light = WAYS[chosen][1]
     _, settings.occlusion = imgui.slider_float("dark corners", settings.occlusion, 0.0, 1.0, "%.2f", CLAMPED)
     if imgui.is_item_hovered():
         imgui.set_tooltip("Ambient occlusion in screen space: quick, and only of what is in the picture.")
 
 
 def _moment(window: Window) -> None:
-    light = window.session.settings.light
+    light = window.session.settings.sun
     imgui.text(f"{light.when:%d %B %Y  %H:%M}  UTC{light.zone:+g}".replace("-", "−"))
     moved, hour = imgui.slider_float("time", light.hour, 0.0, 24.0, "%.2f h", CLAMPED)
     if moved:

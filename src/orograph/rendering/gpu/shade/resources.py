@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 LEVELS, WINDOWS = 32, 64
-"""Entries of the tables of levels and of windows (``shaders/slopes.wgsl``, ``shade.wgsl``), more than there ever are."""
+"""Entries of the tables of levels and windows (``shaders/slopes.wgsl``, ``shade.wgsl``), more than there ever are."""
 
 
 class Resources:

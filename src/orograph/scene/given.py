@@ -1,0 +1,162 @@
+"""What users give for a scene's options: texts of the command line, and what Python takes besides an option's own type.
+
+A text is read before there is a terrain (``read`` of ``lod.options.option``; ValueError says what is wrong with the
+text, other errors what is wrong with a file that it names). What it stands for follows from the terrain (``given``):
+the sun of a moment, a place by longitude and latitude.
+What is an option's own value already stays as it is. Units: degrees, metres; colours are sRGB from 0 to 1.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, Literal
+
+from orograph.errors import UsageError
+from orograph.lod.registry import METHODS
+from orograph.scene.contours import Contours
+from orograph.scene.silhouettes import Silhouettes
+
+if TYPE_CHECKING:
+    from orograph.geovis.layers import Layer
+    from orograph.lighting.aperture import Lamp
+    from orograph.lighting.sun import Moment, Placed, Sun
+    from orograph.store.terrain import Terrain
+    from orograph.viewpoint import View
+
+Disc = tuple["Sun", tuple[float, float, float]]
+
+WHITE = (1.0, 1.0, 1.0)
+
+LAMP = "LON,LAT,HEIGHT,REACH,RED,GREEN,BLUE"
+DISC = "AZ,ALT,DIAMETER,RED,GREEN,BLUE"
+
+
+def numbers(text: str, names: str, optional: int = 0) -> tuple[float, ...]:
+    """Numbers with commas between, as ``names`` are; the last ``optional`` of them may be missing together.
+
+    Raises:
+        ValueError: the text is not that.
+    """
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if any(map(math.isnan, found)):
+        raise ValueError(f"{text!r} holds nan, which is not a number.")
+    count = names.count(",") + 1
+    if len(found) not in (count, count - optional):
+        but = f" (or without the last {optional})" if optional else ""
+        raise ValueError(f"{text!r} is not {names}: numbers separated by commas{but}.")
+    return found
+
+
+def read_numbers(names: str, optional: int = 0) -> Callable[[str], tuple[float, ...]]:
+    """The reader of ``numbers``."""
+    return lambda text: numbers(text, names, optional)
+
+
+def read_sun(text: str) -> Placed | Moment:
+    from orograph.lighting.sun import parse
+
+    try:
+        return parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
+
+
+def read_layer(text: str) -> Layer:
+    """A layer as ``Layer.parse`` reads it, whose file is there."""
+    from orograph.dem.handles import locate
+    from orograph.geovis.layers import Layer
+
+    layer = Layer.parse(text)
+    locate(layer.path)
+    return layer
+
+
+def read_water(text: str) -> str | float:
+    try:
+        return text if text in ("auto", "none") else float(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is neither auto, none nor a level in metres.") from None
+
+
+def read_contours(text: str) -> Contours:
+    try:
+        return Contours() if text == "auto" else Contours(float(text))
+    except ValueError:
+        raise ValueError(f"{text!r} is neither auto nor a number of metres.") from None
+
+
+def read_method(text: str) -> str:
+    """``NAME[,key=value…]``: the name is looked at at once, the options when the method is loaded."""
+    name = text.partition(",")[0].strip()
+    if name != "auto" and name not in METHODS:
+        raise ValueError(f"There is no method {name!r}; there are {', '.join(METHODS)}.")
+    return text
+
+
+def default_sun() -> Sun:
+    from orograph.lighting.sun import Sun
+
+    return Sun()
+
+
+def sun(value: Any, terrain: Terrain) -> Sun:
+    """Takes (azimuth, altitude), a datetime with its zone, such a text, or a `Sun`."""
+    from orograph.lighting.sun import Sun, sun_of
+
+    return Sun() if value is None else sun_of(value, terrain.grid)
+
+
+def view(value: View | str | os.PathLike[str] | None, terrain: Terrain) -> View | None:
+    """Takes a `View`, or the path of one."""
+    from orograph.viewpoint import View
+
+    return View.load(os.fspath(value), crs=terrain.grid.crs) if isinstance(value, (str, os.PathLike)) else value
+
+
+def lamps(value: Iterable[Lamp | tuple[float, ...]], terrain: Terrain) -> tuple[Lamp, ...]:
+    """Takes several: such numbers, or each a `Lamp`."""
+    from orograph.geo.transform import place
+    from orograph.lighting.aperture import Lamp
+
+    def lamp(lon: float, lat: float, height: float, reach: float, *color: float) -> Lamp:
+        x, y = place(terrain.grid, lon, lat)
+        return Lamp.at(terrain.grid, x, y, height, reach, (color[0], color[1], color[2]) if color else WHITE)
+
+    return tuple(one if isinstance(one, Lamp) else lamp(*one) for one in value)
+
+
+def discs(value: Iterable[Disc | tuple[float, ...]], terrain: Terrain) -> tuple[Disc, ...]:
+    """Takes several: such numbers, or each a `Sun` with its colour, (1, 1, 1) being about that of the sun at 45°."""
+    from orograph.lighting.sun import Sun
+
+    def disc(azimuth: float, altitude: float, diameter: float, *color: float) -> Disc:
+        return Sun(azimuth, altitude, diameter), (color[0], color[1], color[2]) if color else WHITE
+
+    return tuple(one if isinstance(one[0], Sun) else disc(*one) for one in value)
+
+
+def layers(value: Any, terrain: Terrain) -> tuple[Layer, ...]:
+    """Takes one or several: paths, or `Layer`s, which say what keys say."""
+    from orograph.geovis.layers import layers_of
+
+    return layers_of(value)
+
+
+def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:
+    """None: there is none."""
+    return None if value == "none" else value
+
+
+def contours(value: Contours | float | None, terrain: Terrain) -> Contours | None:
+    """Takes metres from line to line, or a `Contours`: without an interval it finds one itself."""
+    return value if value is None or isinstance(value, Contours) else Contours(float(value))
+
+
+def silhouettes(value: Silhouettes | bool | None, terrain: Terrain) -> Silhouettes | None:
+    """Takes True, or a `Silhouettes`."""
+    return Silhouettes() if value is True else value or None
