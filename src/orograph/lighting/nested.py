@@ -5,7 +5,7 @@ and beyond that at the resolution of the windows around it, out to the border of
 walked from its far end towards the light's lee; the upper convex hull of what was passed holds every possible horizon
 (Timonen & Westerholm 2010, §4), so a sample costs amortised constant time. Lines run one sample apart; a sample's value
 is interpolated between the two lines that pass it, its profile between the two samples beside the line. What stands in
-its own cell is taken from the surface (``sweep_kernels.cell_slope``).
+its own cell is taken from the surface (``own_cell``).
 
 Heights are metres, NaN where missing (nothing stands there); slopes are tangents of elevation angles.
 """
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.lighting.sweep_kernels import Beside, cell_slope
+from orograph.lighting.own_cell import Beside, cell_slope
 from orograph.parallel import map_ordered
 
 Heights = NDArray[np.float32]

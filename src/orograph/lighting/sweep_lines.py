@@ -9,8 +9,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.lighting.own_cell import Beside
 from orograph.lighting.raster import scratch
-from orograph.lighting.sweep_kernels import PAGE, Beside
+from orograph.lighting.sweep_kernels import PAGE
 
 T = TypeVar("T")
 

@@ -1,0 +1,52 @@
+"""What a sample sees of its own cell towards the light: the horizon up to one step away, from the surface's triangles.
+
+Lines of a sweep pass beside a sample, and are as far off there as the ground is rough. Beyond one step that evens out.
+Slopes are tangents of elevation angles; heights are metres, NaN where missing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orograph._numba import inlined
+
+
+class Beside(NamedTuple):
+    """Where the samples beside one are that its own cell towards the light has, and how far.
+
+    Attributes:
+        own: steps that the own cell reaches: 1, or 0 where lines run through the samples and see all that there is.
+        toward: 1 or −1, from a step to the one nearer to the light. edge: the step that has no such one.
+        side: 1, −1 or 0, lanes to the sample on that side. part: lanes that a line moves by in a step, from 0 to 1.
+        odd: 1 if row + column of the sample in lane 0 at step 0 is odd.
+        scale: steps per metre. sag: what a round body takes off the slope to a point one step away.
+    """
+
+    own: np.float64
+    toward: int
+    edge: int
+    side: int
+    part: np.float32
+    odd: int
+    scale: np.float32
+    sag: np.float32
+
+
+@inlined
+def cell_slope(z, major, both, minor, odd, beside):  # type: ignore[no-untyped-def]
+    """The slope of what a sample sees of its own cell: of its triangle, and up to one step away. NaN: nothing.
+
+    The cell's diagonal runs through samples of even row + column. From those the triangle's far side is at one step,
+    from the others it is the diagonal. A missing sample of the far side is replaced by the other one.
+
+    Args:
+        z: height of the sample. major, both, minor: of those one step towards the light, there and to the side, to the
+            side.
+    """
+    m = major if major == major else both
+    d = both if both == both else m
+    slope = (m + beside.part * (d - m) - z) * beside.scale - beside.sag
+    own = ((major - z) + beside.part * (minor - z)) * beside.scale - beside.sag / (np.float32(1.0) + beside.part)
+    return own if odd & 1 and own > slope else slope
