@@ -111,6 +111,17 @@ def test_nothing_depends_on_blocks_and_threads(monkeypatch):
         np.testing.assert_array_equal(ambient_occlusion(h, CELL, jobs=3, **how), whole)
 
 
+def test_on_rough_ground_sweeps_see_what_rays_see():
+    """Noise from sample to sample: most of what hides the sky stands in a sample's own cell."""
+    y, x = np.mgrid[:61, :83]
+    noise = np.random.default_rng(0).normal(0, 0.06, y.shape)
+    h = (250 * (np.sin(x / 9) * np.cos(y / 7) + 0.5 * np.sin(x / 3.1 + y / 4.3) + noise)).astype(np.float32)
+    linear = np.diag([30.0, -30.0])
+    swept = ambient_occlusion(h, linear, method="horizon", azimuths=64)[8:-8, 8:-8]
+    off = swept - ambient_occlusion(h, linear, method="rays", rays=2048)[8:-8, 8:-8]
+    assert abs(off.mean()) < 0.004 and np.abs(off).mean() < 0.01
+
+
 def test_seeds_change_rays_and_holes_do_not_occlude():
     h = np.zeros((30, 30), np.float32)
     h[:, 15:] = 60.0

@@ -131,12 +131,15 @@ def test_rays_find_a_walls_shadow_and_its_penumbra():
 
 
 def test_rays_and_skylines_agree():
-    """Sun by rays to the disc, and by the skyline; the sky by rays, and by swept ambient occlusion."""
+    """Sun by rays to the disc, and by the skyline; the sky by rays, and by swept ambient occlusion.
+
+    Rays begin beyond the hit's own facet, sweeps see their own cell: swept skies are darker by what stands there.
+    """
     ground = terrain(hills(tall=250.0))
     sun = Sun(300, 25)
     options = {"sun": sun, "view": camera.plan(ground, (120, 80))}
     rays, ao = (light_on(ground, light=light, **options)[6:-6, 23:-23, 0] for light in ("raytraced", "ao"))
-    assert abs(np.nanmean(rays - ao)) < 0.01 and np.nanmean(np.abs(rays - ao)) < 0.03
+    assert 0 < np.nanmean(rays - ao) < 0.015 and np.nanmean(np.abs(rays - ao)) < 0.03
     shaded = light_on(ground, light="ao", shadows=False, **options)[6:-6, 23:-23, 0]
     assert np.nanmean(shaded - ao) > 0.01  # there are shadows to speak of
 
@@ -250,9 +253,9 @@ def test_what_makes_no_sense_is_refused():
     ground = plane()
     lamp = Lamp(0, 0, 0)
     for options, word in (
-        ({"light": "sunshine"}, "no light"),
-        ({"lamps": (lamp,)}, 'light "aperture"'),
-        ({"discs": ((Sun(), (1.0, 1.0, 1.0)),), "light": "ao"}, 'light "aperture"'),
+        ({"light": "sunshine"}, "no `light`"),
+        ({"lamps": (lamp,)}, "light='aperture'"),
+        ({"discs": ((Sun(), (1.0, 1.0, 1.0)),), "light": "ao"}, "light='aperture'"),
         ({"rays": 0, "light": "raytraced"}, "ray"),
     ):
         with pytest.raises(UsageError, match=word):
