@@ -105,8 +105,8 @@ def square(z, row, col, s, falling):
 
 
 @inlined
-def _between(z, row0, col0, y, x, down, across, f, on):
-    """Distance (bits) of a point on a side of a finest triangle from a height; 0 if the side is not in the window.
+def _off_side(z, row0, col0, y, x, down, across, f, on):
+    """Distance (bits) of a height from a point on a side of a finest triangle; 0 if the side is not in the window.
 
     Args:
         y, x: the sample where the side begins. down, across: from it to where the side ends, −1, 0 or 1.
@@ -120,43 +120,55 @@ def _between(z, row0, col0, y, x, down, across, f, on):
     return bits(abs(here + f * (there - here) - on))
 
 
+@inlined
+def _within(low, high, first, last, p, d):
+    """The part of low … high (shares of a way from p to p + d) that lies between first and last."""
+    if d == 0:
+        return low, high
+    a, b = (first - p) / d, (last - p) / d
+    return max(low, min(a, b)), min(high, max(a, b))
+
+
 @leaf
-def along_side(z, row0, col0, py, px, pz, qy, qx, qz):
-    """Deviation (as bits) of the surface from a straight side p, q where that crosses sides of finest triangles.
+def off_crossings(z, row0, col0, py, px, pz, qy, qx, qz):
+    """Deviation (as bits) of a window's surface from a straight side p, q where that crosses sides of finest triangles.
 
     Crossings at samples are left out. The finest triangles' hypotenuses alternate: that of a cell falls (to the
     south-east) if row + column of its north-western sample is even.
     """
     dy, dx = qy - py, qx - px
-    if dy == 0 or dx == 0:
+    along = (py + px) & 1 == 0  # of a diagonal side: whether it is made of hypotenuses (its points are all alike)
+    if dy == 0 or dx == 0 or (abs(dy) == abs(dx) and along):
         return NOTHING  # it is made of such sides
+    low, high = _within(0.0, 1.0, row0, row0 + z.shape[0] - 1, py, dy)
+    low, high = _within(low, high, col0, col0 + z.shape[1] - 1, px, dx)
     worst = NOTHING
     # Rows, columns, falling and rising diagonals are where y, x, x − y and x + y are whole numbers c.
     for family in range(4):
         first = py if family == 0 else px if family == 1 else px - py if family == 2 else px + py
         span = dy if family == 0 else dx if family == 1 else dx - dy if family == 2 else dx + dy
-        step = 1 if span > 0 else -1
-        for k in range(1, abs(span)):
+        step, count = (1 if span > 0 else -1), abs(span)
+        for k in range(max(1, int(low * count)), min(count, int(high * count) + 2)):
             c = first + k * step
-            on = pz + (qz - pz) * (k / abs(span))
-            # The other coordinate (of diagonals: y) is whole + rest / |span|.
+            on = pz + (qz - pz) * (k / count)
+            # The other coordinate (of diagonals: y) is whole + rest / count.
             reach = (dx if family == 0 else dy) * k
-            whole = reach // abs(span)
-            rest = reach - whole * abs(span)
+            whole = reach // count
+            rest = reach - whole * count
             if rest == 0:
                 continue
-            f = rest / abs(span)
+            f = rest / count
             if family == 0:
-                worst = max(worst, _between(z, row0, col0, c, px + whole, 0, 1, f, on))
+                worst = max(worst, _off_side(z, row0, col0, c, px + whole, 0, 1, f, on))
             elif family == 1:
-                worst = max(worst, _between(z, row0, col0, py + whole, c, 1, 0, f, on))
+                worst = max(worst, _off_side(z, row0, col0, py + whole, c, 1, 0, f, on))
             else:
                 y = py + whole
                 x = c + y if family == 2 else c - y
                 # A rising line meets row y at x and runs through the cell on x's left.
                 falls = (y + (x if family == 2 else x - 1)) & 1 == 0
                 if falls == (family == 2):
-                    worst = max(worst, _between(z, row0, col0, y, x, 1, 1 if family == 2 else -1, f, on))
+                    worst = max(worst, _off_side(z, row0, col0, y, x, 1, 1 if family == 2 else -1, f, on))
     return worst
 
 
@@ -207,9 +219,9 @@ def triangle(z, row0, col0, ay, ax, az, by, bx, bz, cy, cx, cz):
                 high = low - 1
         base = az + gy * (y - ay)
         worst = _off_row(z, y - row0, low - col0, high + 1 - low, base + gx * (low - ax), gx, worst)
-    worst = max(worst, along_side(z, row0, col0, ay, ax, az, by, bx, bz))
-    worst = max(worst, along_side(z, row0, col0, by, bx, bz, cy, cx, cz))
-    worst = max(worst, along_side(z, row0, col0, cy, cx, cz, ay, ax, az))
+    worst = max(worst, off_crossings(z, row0, col0, ay, ax, az, by, bx, bz))
+    worst = max(worst, off_crossings(z, row0, col0, by, bx, bz, cy, cx, cz))
+    worst = max(worst, off_crossings(z, row0, col0, cy, cx, cz, ay, ax, az))
     return distance(worst)
 
 

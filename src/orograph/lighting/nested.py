@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.lighting.own_cell import Beside, cell_slope
+from orograph.lighting.own_cell import OwnCell, cell_slope
 from orograph.parallel import map_ordered
 
 Heights = NDArray[np.float32]
@@ -147,7 +147,7 @@ def _sweep(
 
 
 @kernel
-def _gather(lines, line0, major_is_col, slant, heights, beside, out, first, last):
+def _gather(lines, line0, major_is_col, slant, heights, cell, out, first, last):
     """Values on the grid, rows [first, last), between the lines that pass a sample, and of its own cell."""
     rows, cols = out.shape
     for i in range(first, last):
@@ -161,8 +161,8 @@ def _gather(lines, line0, major_is_col, slant, heights, beside, out, first, last
                 a = b
             if b != b:
                 b = a
-            if beside.own > 0.0:
-                down, across = (beside.side, beside.toward) if major_is_col else (beside.toward, beside.side)
+            if cell.reach > 0.0:
+                down, across = (cell.side, cell.toward) if major_is_col else (cell.toward, cell.side)
                 i1, k1 = i + down, k + across
                 if (0 <= k1 < cols) if major_is_col else (0 <= i1 < rows):
                     nan = np.float32(np.nan)
@@ -170,7 +170,7 @@ def _gather(lines, line0, major_is_col, slant, heights, beside, out, first, last
                     major = heights[i, k1] if major_is_col else heights[i1, k]
                     minor = (heights[i1, k] if major_is_col else heights[i, k1]) if inside else nan
                     both = heights[i1, k1] if inside else nan
-                    near = cell_slope(heights[i, k], major, both, minor, beside.odd + i + k, beside)
+                    near = cell_slope(heights[i, k], major, both, minor, cell.odd + i + k, cell)
                     a = near if near > a else a
                     b = near if near > b else b
             out[i, k] = a + (b - a) * f
@@ -219,7 +219,7 @@ def _one(
     pool, ints, floats = _around(outer, window, majors, major_is_col, forward)
     places = slant * np.arange(majors)
     toward = 1 if forward else -1
-    beside = Beside(
+    cell = OwnCell(
         np.float64(np.abs(places - np.round(places)).max(initial=0.0) > 1e-6), toward, -1, int(np.sign(slant * toward)),
         np.float32(abs(slant)), (window.row0 + window.col0) & 1, np.float32(1.0 / metres), np.float32(0.0),
     )  # fmt: skip
@@ -230,14 +230,14 @@ def _one(
 
     def some(first: int) -> None:
         _sweep(
-            heights, major_is_col, forward, slant, metres, beside.own * metres * (1.0 + 1e-9), first,
+            heights, major_is_col, forward, slant, metres, cell.reach * metres * (1.0 + 1e-9), first,
             min(first + _LINES, line0 + count), line0, pool, ints, floats, lowest, lines,
         )  # fmt: skip
 
     for _ in map_ordered(some, range(line0, line0 + count, _LINES), jobs):
         pass
     result = np.empty(heights.shape, np.float32)
-    _gather(lines, line0, major_is_col, slant, heights, beside, result, 0, rows)
+    _gather(lines, line0, major_is_col, slant, heights, cell, result, 0, rows)
     return result
 
 

@@ -13,18 +13,18 @@ import numpy as np
 from orograph._numba import inlined
 
 
-class Beside(NamedTuple):
-    """Where the samples beside one are that its own cell towards the light has, and how far.
+class OwnCell(NamedTuple):
+    """How samples find the other three corners of their own cells, those on the side of the light.
 
     Attributes:
-        own: steps that the own cell reaches: 1, or 0 where lines run through the samples and see all that there is.
+        reach: steps to where the cell ends: 1, or 0 where lines run through the samples and see all that there is.
         toward: 1 or −1, from a step to the one nearer to the light. edge: the step that has no such one.
         side: 1, −1 or 0, lanes to the sample on that side. part: lanes that a line moves by in a step, from 0 to 1.
         odd: 1 if row + column of the sample in lane 0 at step 0 is odd.
         scale: steps per metre. sag: what a round body takes off the slope to a point one step away.
     """
 
-    own: np.float64
+    reach: np.float64
     toward: int
     edge: int
     side: int
@@ -35,7 +35,7 @@ class Beside(NamedTuple):
 
 
 @inlined
-def cell_slope(z, major, both, minor, odd, beside):  # type: ignore[no-untyped-def]
+def cell_slope(z, major, both, minor, odd, cell):  # type: ignore[no-untyped-def]
     """The slope of what a sample sees of its own cell: of its triangle, and up to one step away. NaN: nothing.
 
     The cell's diagonal runs through samples of even row + column. From those the triangle's far side is at one step,
@@ -47,6 +47,6 @@ def cell_slope(z, major, both, minor, odd, beside):  # type: ignore[no-untyped-d
     """
     m = major if major == major else both
     d = both if both == both else m
-    slope = (m + beside.part * (d - m) - z) * beside.scale - beside.sag
-    own = ((major - z) + beside.part * (minor - z)) * beside.scale - beside.sag / (np.float32(1.0) + beside.part)
+    slope = (m + cell.part * (d - m) - z) * cell.scale - cell.sag
+    own = ((major - z) + cell.part * (minor - z)) * cell.scale - cell.sag / (np.float32(1.0) + cell.part)
     return own if odd & 1 and own > slope else slope

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
-from orograph.lighting.own_cell import Beside, cell_slope
+from orograph.lighting.own_cell import OwnCell, cell_slope
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -229,52 +229,54 @@ def _limited(
 
 
 @inlined
-def _seen(one, other, f, near):  # type: ignore[no-untyped-def]
-    """The horizon of a sample: of its own cell, or what the lines on both sides of it see beyond theirs."""
+def _horizon(heights, k, ahead, aside, odd, cell, one, other, f):  # type: ignore[no-untyped-def]
+    """The horizon of sample k: of its own cell, or what the lines on both sides of it see beyond theirs; NaN at NaN.
+
+    Args:
+        ahead, aside: to the sample one step towards the light, and to that at its side; 0: there is none.
+        one, other: what the lines see. f: the second one's share.
+    """
+    nan = np.float32(np.nan)
+    z, near = heights[k], nan
+    if ahead != 0:
+        both, minor = (heights[k + ahead + aside], heights[k + aside]) if aside != 0 else (nan, nan)
+        near = cell_slope(z, heights[k + ahead], both, minor, odd, cell)
     a = near if near > one else one
     b = near if near > other else other
-    return a * (np.float32(1.0) - f) + b * f if f > 0 else a
+    v = a * (np.float32(1.0) - f) + b * f if f > 0 else a
+    return v if z == z else nan
 
 
 @kernel
 def _scatter(
     values: F32, heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32,
-    beside: Beside, begin: int, lines: int, first: int, last: int, skip: int, out_lane: int, out_step: int, out: F32,
+    cell: OwnCell, begin: int, lines: int, first: int, last: int, skip: int, out_lane: int, out_step: int, out: F32,
 ) -> None:  # fmt: skip
-    """Horizons of samples from values (1 + lines, steps), of lines begin − 1 …, and own cells; NaN where they are.
+    """Horizons of samples from values (1 + lines, steps), of lines begin − 1 …, and own cells; NaN where heights are.
 
     ``skip`` steps of the heights have no place in ``out``, whose lanes are ``out_lane`` apart, and steps ``out_step``.
     """
-    nan = np.float32(np.nan)
     for i in range(first, last):
         lane0, f = begin + shift[i], part[i]
         b0, b1 = max(-lane0, 0), min(lanes - lane0, lines)
-        ahead = 0 if beside.own == 0.0 or i == beside.edge else beside.toward * step_stride
+        ahead = 0 if cell.reach == 0.0 or i == cell.edge else cell.toward * step_stride
         # Lanes that have one to the side.
-        s0 = min(max(b0, 1 - lane0), b1) if beside.side < 0 else b0
-        s1 = max(min(b1, lanes - 1 - lane0), s0) if beside.side > 0 else b1
+        s0 = min(max(b0, 1 - lane0), b1) if cell.side < 0 else b0
+        s1 = max(min(b1, lanes - 1 - lane0), s0) if cell.side > 0 else b1
         base, target = start + lane0 * lane_stride + i * step_stride, lane0 * out_lane + (i - skip) * out_step
-        aside, odd = beside.side * lane_stride, beside.odd + lane0 + i
-        if ahead == 0:
-            for b in range(b0, b1):
-                h = heights[base + b * lane_stride]
-                out[target + b * out_lane] = _seen(values[b + 1, i], values[b, i], f, nan) if h == h else nan
-            continue
+        aside, odd = cell.side * lane_stride, cell.odd + lane0 + i
         for b in range(b0, s0):
-            k = base + b * lane_stride
-            near = cell_slope(heights[k], heights[k + ahead], nan, nan, odd + b, beside)
-            v = _seen(values[b + 1, i], values[b, i], f, near)
-            out[target + b * out_lane] = v if heights[k] == heights[k] else nan
+            out[target + b * out_lane] = _horizon(
+                heights, base + b * lane_stride, ahead, 0, odd + b, cell, values[b + 1, i], values[b, i], f
+            )
         for b in range(s0, s1):
-            k = base + b * lane_stride
-            z, major, both, minor = heights[k], heights[k + ahead], heights[k + ahead + aside], heights[k + aside]
-            v = _seen(values[b + 1, i], values[b, i], f, cell_slope(z, major, both, minor, odd + b, beside))
-            out[target + b * out_lane] = v if z == z else nan
+            out[target + b * out_lane] = _horizon(
+                heights, base + b * lane_stride, ahead, aside, odd + b, cell, values[b + 1, i], values[b, i], f
+            )
         for b in range(s1, b1):
-            k = base + b * lane_stride
-            near = cell_slope(heights[k], heights[k + ahead], nan, nan, odd + b, beside)
-            v = _seen(values[b + 1, i], values[b, i], f, near)
-            out[target + b * out_lane] = v if heights[k] == heights[k] else nan
+            out[target + b * out_lane] = _horizon(
+                heights, base + b * lane_stride, ahead, 0, odd + b, cell, values[b + 1, i], values[b, i], f
+            )
 
 
 @kernel
@@ -290,7 +292,7 @@ def _range(shift: I64, lanes: int, line0: int, lines: int) -> tuple[int, int]:
 
 @kernel
 def sweep_lines(
-    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, beside: Beside,
+    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, cell: OwnCell,
     backward: bool, origin: int, scale: float, lowest: float, bend: float, line0: int, lines: int, begin: int, top: I64,
     position: I32, height: F64, link: I64, free: I64, profile: F64, slope: F32, out_lane: int, out_step: int, out: F32,
 ) -> int:  # fmt: skip
@@ -313,16 +315,16 @@ def sweep_lines(
         if begin == 0:
             first, last = _range(shift, lanes, line0 - 1, 1)
             _gather(heights, start, lane_stride, step_stride, lanes, shift, part, line0 - 1, 1, first, last, profile)
-            _unlimited(profile[0], first, last, backward, origin, scale, lowest, bend, beside.own, 0, top, position,
+            _unlimited(profile[0], first, last, backward, origin, scale, lowest, bend, cell.reach, 0, top, position,
                        height, link, free, slope[0])  # fmt: skip
         first, last = _range(shift, lanes, line0 + begin, count)
         _gather(
             heights, start, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, profile
         )
         for b in range(count):
-            _unlimited(profile[b], first, last, backward, origin, scale, lowest, bend, beside.own, begin + b + 1, top,
+            _unlimited(profile[b], first, last, backward, origin, scale, lowest, bend, cell.reach, begin + b + 1, top,
                        position, height, link, free, slope[b + 1])  # fmt: skip
-        _scatter(slope, heights, start, lane_stride, step_stride, lanes, shift, part, beside, line0 + begin, count,
+        _scatter(slope, heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 + begin, count,
                  first, last, 0, out_lane, out_step, out)  # fmt: skip
         for i in range(first, last):
             slope[0, i] = slope[count, i]
@@ -332,7 +334,7 @@ def sweep_lines(
 
 @kernel
 def sweep_windows(
-    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, beside: Beside,
+    heights: F32, start: int, lane_stride: int, step_stride: int, lanes: int, shift: I64, part: F32, cell: OwnCell,
     backward: bool, origin: int, scale: float, lowest: float, bend: float, line0: int, lines: int, reach: int,
     skip: int, own: int, out_lane: int, out_step: int, out: F32,
 ) -> None:  # fmt: skip
@@ -352,10 +354,10 @@ def sweep_windows(
             heights, start, lane_stride, step_stride, lanes, shift, part, line0 + begin, count, first, last, profile
         )
         for b in range(count):
-            _limited(profile[b], first, last, backward, origin, scale, lowest, bend, beside.own, reach, near, end, undo,
+            _limited(profile[b], first, last, backward, origin, scale, lowest, bend, cell.reach, reach, near, end, undo,
                      slope[b + 1])  # fmt: skip
         # The first line of all only takes part in interpolation.
         a = 1 if begin < 0 else 0
-        _scatter(slope[a:], heights, start, lane_stride, step_stride, lanes, shift, part, beside, line0 + begin + a,
+        _scatter(slope[a:], heights, start, lane_stride, step_stride, lanes, shift, part, cell, line0 + begin + a,
                  count - a, skip, skip + own, skip, out_lane, out_step, out)  # fmt: skip
         slope[0] = slope[count]

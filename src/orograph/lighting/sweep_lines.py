@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.lighting.own_cell import Beside
+from orograph.lighting.own_cell import OwnCell
 from orograph.lighting.raster import scratch
 from orograph.lighting.sweep_kernels import PAGE
 
@@ -55,12 +55,12 @@ class Lines:
         """Steps between the light's end of the raster and a step."""
         return self.steps - 1 - step if self.backward else step
 
-    def beside(self, step0: int, curvature: float) -> Beside:
+    def own_cell(self, step0: int, curvature: float) -> OwnCell:
         """The samples of own cells towards the light, for steps counted from ``step0``."""
         toward = 1 if self.backward else -1
         across = self.tilt * toward
         edge = (self.steps - 1 if self.backward else 0) - step0
-        return Beside(
+        return OwnCell(
             np.float64(self.part.any()), toward, edge, int(np.sign(across)), np.float32(abs(across)), step0 & 1,
             np.float32(self.scale), np.float32(0.5 * curvature / self.scale),
         )  # fmt: skip

@@ -215,7 +215,7 @@ class Pass:
             while True:
                 done = sweep_lines(
                     flat, (s0 - strip.first) * step, lane, step, self.lanes, a.shift[s0:s1], a.part[s0:s1],
-                    a.beside(s0, self.curvature), a.backward, a.position(s0), a.scale, self.lowest, self.curvature,
+                    a.own_cell(s0, self.curvature), a.backward, a.position(s0), a.scale, self.lowest, self.curvature,
                     s * self.share, self.share, done, pool.top, pool.position,
                     pool.height, pool.link, pool.free, profile, slope, out_lane, out_step, out,
                 )  # fmt: skip
@@ -259,7 +259,7 @@ class Pass:
             reach, h0, h1 = self._reach(a, s0, s1)
             sweep = partial(
                 sweep_windows, strip.flat, (h0 - strip.first) * step, lane, step, self.lanes, a.shift[h0:h1],
-                a.part[h0:h1], a.beside(h0, self.curvature), a.backward, a.position(h0), a.scale, self.lowest,
+                a.part[h0:h1], a.own_cell(h0, self.curvature), a.backward, a.position(h0), a.scale, self.lowest,
                 self.curvature, lines=self.share,
                 reach=reach, skip=s0 - h0, own=s1 - s0, out_lane=out_lane, out_step=out_step,
                 out=slopes[k].reshape(-1),

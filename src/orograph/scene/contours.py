@@ -75,9 +75,7 @@ class Contours:
     def __post_init__(self) -> None:
         check(self)
         if self.interval is not None and not 0 < self.interval < math.inf:
-            raise UsageError(
-                f"Contour lines (`contours`) are a number of metres apart, more than 0, not {self.interval:g}."
-            )
+            raise UsageError(f"Contour lines (`contours`) lie more than 0 metres apart, not {self.interval:g}.")
         if not 0 < self.width < math.inf or not 0 < self.type_size < math.inf:
             raise UsageError("The width of contour lines and the size of their labels are pixels, more than 0.")
         if len(self.color) != 3 or not all(0 <= c <= 1 for c in self.color):
