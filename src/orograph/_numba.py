@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -18,12 +19,12 @@ Function = Callable[..., Any]
 
 def kernel(function: Function) -> Function:
     """Compile ``function`` on first call (nopython, no GIL, cached on disk, NumPy's rules for division)."""
-    return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+    return _cached(numba.njit(nogil=True, cache=True, error_model="numpy")(function))
 
 
 def inlined(function: Function) -> Function:
     """Compile a helper that is always inlined into the kernels that call it."""
-    return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")(function))
+    return _cached(numba.njit(nogil=True, cache=True, error_model="numpy", inline="always")(function))
 
 
 def leaf(function: Function) -> Function:
@@ -32,7 +33,28 @@ def leaf(function: Function) -> Function:
     A small kernel that others call millions of times would spend most of its time on that.
     """
     options: dict[str, Any] = {"nogil": True, "cache": True, "error_model": "numpy", "_nrt": False}
-    return cast(Function, numba.njit(**options)(function))
+    return _cached(numba.njit(**options)(function))
+
+
+def _cached(dispatcher: Any) -> Function:
+    """A dispatcher whose cache begins anew where its index cannot be read.
+
+    Numba reads the whole index before it sees that the source is another. An index that names a class which is gone by
+    now (an argument's type in an older version) would end every call.
+    """
+    if not isinstance(dispatcher, numba.core.registry.CPUDispatcher):  # NUMBA_DISABLE_JIT
+        return cast(Function, dispatcher)
+    file = dispatcher._cache._cache_file
+    load = file._load_index
+
+    def load_index() -> Any:
+        try:
+            return load()
+        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+            return {}
+
+    file._load_index = load_index
+    return cast(Function, dispatcher)
 
 
 def paired(function: Function) -> Function:
