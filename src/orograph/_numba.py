@@ -42,9 +42,10 @@ def _cached(dispatcher: Any) -> Function:
     Numba reads the whole index before it sees that the source is another. An index that names a class which is gone by
     now (an argument's type in an older version) would end every call.
     """
-    if not isinstance(dispatcher, numba.core.registry.CPUDispatcher):  # NUMBA_DISABLE_JIT
+    cache = getattr(dispatcher, "_cache", None)
+    if cache is None:  # NUMBA_DISABLE_JIT leaves the function as it is
         return cast(Function, dispatcher)
-    file = dispatcher._cache._cache_file
+    file = cache._cache_file
     load = file._load_index
 
     def load_index() -> Any:
