@@ -34,6 +34,7 @@ SETS = {
     "n44w072": "n44w072-hgt/N44W072.hgt",
     "rainier": "osgearth-srtm90m-volcano-voids/mt_rainier_90m.tif",
     "fortbragg": "fortbragg-1m-dem-ortho/elevation_2016.tif",
+    "city": "nrw-dom1-1m/dom1_32_356_5699_1_nw_2020.tif",
     "fuji": "osgearth-srtm90m-volcano-voids/mt_fuji_90m.tif",
 }
 
@@ -133,6 +134,25 @@ def test_light_falls_as_on_the_cpu(device: Device, shared_data: Path, light: str
     difference = np.linalg.norm(lab(ours.pixels) - lab(caster.pixels), axis=-1)
     assert difference.mean() < 1.0
     assert np.percentile(difference, 95) < 3.0
+
+
+@pytest.mark.parametrize("name", ["bigtujunga", "city"])
+def test_edges_of_long_shadows_lie_where_the_cpus_do(device: Device, shared_data: Path, name: str) -> None:
+    """The sun low, the ground seen from the side: hardly more pixels differ visibly than where rays find all light.
+
+    Most of either are silhouettes, where samples of a pixel meet other triangles. (Maps of horizons: ten times as many.)
+    """
+    terrain = open_set(shared_data, name)
+    far = 0.35 * max(terrain.grid.shape) * min(terrain.grid.spacing)
+    view = around(terrain, SIZE, azimuth=225, pitch=8, distance=far)
+    plainly: dict[str, Any] = {"sky": False, "colormap": "grey", "water": None, "samples": 4, "tolerance": 0.5}
+
+    def differing(light: Any) -> float:
+        scene = Scene.of(terrain, view, sun=Sun(300, 6), light=light, **plainly)
+        difference = lab(gpu_draw(scene, device=device).pixels) - lab(cpu_draw(scene).pixels)
+        return float((np.linalg.norm(difference, axis=-1) > 6).mean())
+
+    assert differing("ao") <= 1.1 * differing("raytraced")
 
 
 def test_missing_ground_is_hatched_and_has_no_depth(device: Device, shared_data: Path) -> None:

@@ -126,13 +126,45 @@ fn sky_by_rays(from_: From, normal: vec3<f32>, shift: vec2<f32>) -> f32 {
   return f32(free) / f32(ray.rays);
 }
 
+fn start_at(at: Place, footprint: f32) -> From {
+  let foot = foot_of(at);
+  return From(at, foot.height, max(foot.scale, min(footprint, 4.0)) * ray.spacing);
+}
+
+// The part of the sun's disc above the skyline towards it. Of a height field's rays from one place all below a blocked
+// one are blocked, so bisection between the disc's limbs finds the skyline: to 1/32 of the disc's radius.
+fn sun_above_skyline(at: Place, footprint: f32) -> f32 {
+  let start = start_at(at, footprint);
+  let level = length(shade.sun.xy);
+  let from_ = From(start.place, start.height, start.skip / max(level, 0.01));   // as far over the ground
+  let side = select(vec2<f32>(0.0, 1.0), shade.sun.xy / level, level > 1e-6);
+  let upward = vec3<f32>(-side * shade.sun.z, level);
+  var low = -1.0;
+  var high = 1.0;
+  var between = 0.0;
+  for (var k = 0u; k < 8u; k++) {
+    between = select(0.5 * (low + high), select(1.0, -1.0, k == 0u), k < 2u);
+    let turn = sine_cosine(between * shade.sun.w);
+    let free = sees(from_, turn.y * shade.sun.xyz + turn.x * upward, 1e9);
+    if (k < 2u) {
+      if (free == (k == 0u)) {   // the lower limb is seen, or the upper one is not
+        return f32(free);
+      }
+    } else if (free) {
+      high = between;
+    } else {
+      low = between;
+    }
+  }
+  return disc_part(0.5 * (low + high));
+}
+
 // All light on a place: normals of the stretched ground and of what is shaded, the place relative to the eye, the
 // pixel position it is seen at.
 fn light_by_rays(
   at: Place, footprint: f32, normal: vec3<f32>, shaded: vec3<f32>, position: vec3<f32>, pixel: vec2<f32>
 ) -> vec3<f32> {
-  let foot = foot_of(at);
-  let from_ = From(at, foot.height, max(foot.scale, min(footprint, 4.0)) * ray.spacing);
+  let from_ = start_at(at, footprint);
   let number = vec2<u32>(vec2<i32>(floor((pixel + ray.corner) * 64.0)));
   let around = shade.skylight.w * (shade.sunlight.rgb + shade.skylight.rgb);
   let share = sky_by_rays(from_, normal, shift_of(number, 2u));

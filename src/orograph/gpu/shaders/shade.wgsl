@@ -65,7 +65,7 @@ struct Window { offset: i32, rows: i32, cols: i32, level: i32, row0: i32, col0: 
 // 512 contour lines, 1024 missing ground, 2048 slopes as given, 4096 labels, 8192 silhouettes, 16384 lines of ``field``,
 // 32768 of the smooth surface where samples are large.
 const FLAGS: u32 = {{FLAGS}}u;
-// Lights, too: 131072 lamps; discs of light from the bit of 2²⁰ up, 7: as many as there are.
+// Lights, too: 131072 lamps; 262144 the sun's shadows by rays; discs of light from the bit of 2²⁰ up, 7: as many as there are.
 const SUNS: u32 = (FLAGS >> 20u) & 7u;
 // include: lines.wgsl
 // include: slopes.wgsl
@@ -89,8 +89,13 @@ fn disc_part(d: f32) -> f32 {
   return (acos(c) - c * sqrt(1.0 - c * c)) / PI;
 }
 
-// How much of the sun is seen: the finest window of horizons that holds the place.
-fn sunlit(at: Place) -> f32 {
+// How much of the sun is seen: by rays, or by the finest window of horizons that holds the place.
+fn sunlit(at: Place, footprint: f32) -> f32 {
+  // when: RAYS
+  if ((FLAGS & 262144u) != 0u) {
+    return sun_above_skyline(at, footprint);
+  }
+  // end: RAYS
   for (var w = i32(shade.windows) - 1; w >= 0; w--) {
     let window = windows[w];
     let p = in_blocks(at, u32(window.level));
@@ -208,7 +213,7 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
   } else if ((FLAGS & 32u) == 0u) {
     var lit = cosine;
     if ((FLAGS & 1u) != 0u && cosine > 0.0) {
-      lit *= sunlit(at);
+      lit *= sunlit(at, footprint);
     }
     if ((FLAGS & 64u) != 0u) {
       let share = field_value(at, footprint).x;
@@ -219,10 +224,12 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
     }
   }
   // when: RAYS
-  let steep = g * camera.forward.w;   // flags 65536 and 32: rays are all the light there is
-  let tilt = inverseSqrt(1.0 + dot(steep, steep));
-  light = light_by_rays(at, footprint, vec3<f32>(-steep * tilt, tilt), vec3<f32>(-stretched * up, up), position,
-    vec2<f32>(pixel) + 0.5);
+  if ((FLAGS & 65536u) != 0u) {   // (with 32) rays are all the light there is
+    let steep = g * camera.forward.w;
+    let tilt = inverseSqrt(1.0 + dot(steep, steep));
+    light = light_by_rays(at, footprint, vec3<f32>(-steep * tilt, tilt), vec3<f32>(-stretched * up, up), position,
+      vec2<f32>(pixel) + 0.5);
+  }
   // end: RAYS
   var albedo = tint_of(height);
   var wet = 0.0;

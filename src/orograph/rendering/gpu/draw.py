@@ -24,6 +24,7 @@ from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
 from orograph.rendering.gpu.frame import PLAIN, Overlay
 from orograph.rendering.gpu.overview import rimmed
 from orograph.rendering.gpu.renderer import Renderer
+from orograph.rendering.gpu.shade.tracing import casts
 from orograph.rendering.picture import Picture, plan_grid
 from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
 from orograph.scene.methods import mesh_choice
@@ -79,7 +80,7 @@ def draw(
     renderer = renderer or Renderer(device, scene.terrain, jobs=scene.budget.jobs)
     renderer.imagery.progress = progress
     try:
-        by_rays = scene.lighting.light == "raytraced"
+        by_rays = casts(scene)
         with progress.task(f"Drawing on {device.adapter.name}", total=1.0 if by_rays else None) as task:
             texture = device.texture((around.width, around.height), "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")
             target = texture.create_view()

@@ -36,7 +36,7 @@ from orograph.rendering.gpu.shade.look_cache import SLOPES, Looks
 from orograph.rendering.gpu.shade.outlines import BreakPass
 from orograph.rendering.gpu.shade.passes import SHOWN, ResolvePass, ScreenOcclusion, ShadePass
 from orograph.rendering.gpu.shade.resources import Resources
-from orograph.rendering.gpu.shade.tracing import RAYS, Around, Share, parts_of
+from orograph.rendering.gpu.shade.tracing import RAYS, TRACED, Around, Share, parts_of
 from orograph.rendering.gpu.stream.image_tiles import SIDE
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.stream.residency import Residency
@@ -341,7 +341,7 @@ class Renderer(Reading):
         if flags & SILHOUETTES:
             self._breaks.draw(encoder, targets)
         self._samples.enough = SAMPLES
-        if not flags & RAYS:
+        if not flags & TRACED:
             self._shading.draw(encoder, targets, group, flags, frame=k)
             return encoder
         share = Share.of(self.device, scene, k, SAMPLES, samples=samples, shift=shift)

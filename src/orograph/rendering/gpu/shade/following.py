@@ -34,6 +34,7 @@ RENEWED = 1.0
 SHARE = 4.0
 """How many times as long as making them takes they serve."""
 QUICK = "quick"
+"""In place of a camera's place: maps that frames are to be drawn with only until there are others."""
 DETAIL = 1.5
 """Pixels that a sample of the sun's finest window may be as large as; of the quick ones: ``COARSE``."""
 COARSE = 12.0
@@ -93,7 +94,8 @@ class Following:
         self.range = found or self.range
         self.maps = light_maps(scene, points if found else whole(self.terrain), self.memo)
         self.void_fill.load(*self._veils(scene, self.memo))
-        self._aside.done = self._wish = self._key(scene)
+        self._wish = self._key(scene)
+        self._aside.done = (*self._wish[:KINDS], QUICK) if self.maps.by_rays else self._wish
 
     def begin(self) -> LightMaps:
         """The maps to draw with: those of an open sky, until there are others."""

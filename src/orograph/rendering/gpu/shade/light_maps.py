@@ -1,11 +1,12 @@
 """Maps of light for the GPU: what of the sky and of the sun ground sees, water, over windows of a terrain.
 
 The sky-view factor and the water are those of the CPU's pictures (``rendering.cpu.mapgrid``). Whether the sun is seen
-is a horizon towards its azimuth, swept over nested windows from the coarsest, which holds the whole terrain, to the
-finest around what is in view (``lighting.nested``): shadows reach as far as the terrain does, their resolution is that
-of the pixels, and they are as soft as the sun's disc is wide. None of it depends on the camera but the choice of
-windows, so it is made aside, when the sun or what is in view has changed, while pictures go on being drawn with what
-there is.
+is for frames of the window a horizon towards its azimuth, swept over nested windows from the coarsest, which holds the
+whole terrain, to the finest around what is in view (``lighting.nested``): shadows reach as far as the terrain does,
+their resolution is that of the pixels, and they are as soft as the sun's disc is wide. None of it depends on the camera
+but the choice of windows, so it is made aside, when the sun or what is in view has changed, while frames go on being
+drawn with what there is. A picture that is waited for asks rays instead (``shaders/rays.wgsl``), as the CPU does: where
+the sun is low and the ground seen from the side, a horizon interpolated between samples is off by pixels.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ class LightMaps:
         windows: (n, 8) int32: offset, rows, cols, level, first row and column, two unused; outermost first.
         fields: (n, 8) int32: windows of a share of the sky or of caps (``lighting.field``): offset, rows, cols, level,
             first row and column, words per sample, unused; outermost first. told: what they are.
+        by_rays: whether rays find the sun's shadows, without windows.
         strength: factor on slopes for shading that suits the ground in view.
         water_fraction: of the map.
     """
@@ -66,15 +68,16 @@ class LightMaps:
     told: str
     strength: float
     water_fraction: float
+    by_rays: bool = False
 
 
-def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float = 1.0) -> LightMaps:
+def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None = None) -> LightMaps:
     """Make the maps for a scene.
 
     Args:
         points: (n, ≥ 2) sample coordinates of the ground in view.
         kept: what earlier maps left.
-        detail: pixels that a sample of the sun's finest window may be as large as.
+        detail: pixels that a sample of the sun's finest window may be as large as; None: rays find its shadows.
     """
     grid = MapGrid(scene, _ground(scene), _Seen(points), memo)  # type: ignore[arg-type]
     level, row0, row1, col0, col1 = grid.window
@@ -86,7 +89,8 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float = 1.0) 
         parts.append(grid.water.ravel())
     offset = sum(p.size for p in parts)
     windows: NDArray[np.int32] = np.zeros((0, 8), np.int32)
-    if scene.lighting.shadows and scene.lighting.light in ("relief", "ao"):
+    sunlit = has_sun_maps(scene)
+    if sunlit and detail is not None:
         sun, stretch = scene.lighting.sun, scene.surface.exaggeration
         chosen = sun_windows(scene.terrain, scene.view, stretch, detail)
         found = memo(
@@ -122,8 +126,13 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float = 1.0) 
         parts.append(packed(values) if channels == 4 else values.ravel())
     return LightMaps(
         np.concatenate(parts), (0, rows, cols, level), (row0, col0), wet, windows, fields, told, grid.strength,
-        grid.water_fraction,
+        grid.water_fraction, sunlit and detail is None,
     )  # fmt: skip
+
+
+def has_sun_maps(scene: Scene) -> bool:
+    """Whether a scene's light is one whose shadows frames look up in maps."""
+    return scene.lighting.shadows and scene.lighting.light in ("relief", "ao")
 
 
 def quick_maps(scene: Scene, points: Array, memo: Memo, *, detail: float) -> LightMaps:
@@ -133,7 +142,7 @@ def quick_maps(scene: Scene, points: Array, memo: Memo, *, detail: float) -> Lig
         points, kept, detail: as ``light_maps`` has them.
     """
     plain = plain_maps()
-    if not scene.lighting.shadows or scene.lighting.light not in ("relief", "ao"):
+    if not has_sun_maps(scene):
         return plain
     strength = scene.lighting.relief
     if strength is None:

@@ -12,7 +12,7 @@ from orograph.geovis.color import Tint, tint_of
 from orograph.lighting.aperture import Lights
 from orograph.memo import Memo
 from orograph.rendering.gpu.shade.light_maps import LightMaps
-from orograph.rendering.gpu.shade.tracing import RAYS
+from orograph.rendering.gpu.shade.tracing import RAYS, SHADOW_RAYS
 from orograph.rendering.lookup import SHORE
 from orograph.rendering.palette import BOUNCE, MISSING, PAPER, WATER, illumination, ink
 from orograph.rendering.sky import FADE, Atmosphere
@@ -96,7 +96,8 @@ class Look:
             u["edge"] = *silhouettes.ink, silhouettes.opacity
             u["edge_range"] = near, max(visible_range[1], near * 1.001, 2e-3), silhouettes.width, silhouettes.reach
         u["levels"] = terrain.levels
-        flags = (SHADOWS if len(maps.windows) else 0) | (WATERS if maps.wet else 0)
+        flags = (SHADOWS if len(maps.windows) else 0) | (SHADOWS | SHADOW_RAYS if maps.by_rays else 0)
+        flags |= WATERS if maps.wet else 0
         flags |= (WIREFRAME if wireframe else 0) | (LEVELS if levels else 0)
         lamplit = scene.lighting.light in ("aperture", "raytraced")
         flags |= LIGHTS[scene.lighting.light] | (SHADOWS if scene.lighting.shadows and lamplit else 0)

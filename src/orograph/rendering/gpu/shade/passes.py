@@ -17,7 +17,7 @@ from orograph.gpu.layouts import stage, storage, texture, uniform
 from orograph.gpu.recording import KEEP, Attachments, write
 from orograph.rendering.gpu.shade.ray_field import RayBindings
 from orograph.rendering.gpu.shade.ssao import Ssao
-from orograph.rendering.gpu.shade.tracing import RAYS
+from orograph.rendering.gpu.shade.tracing import TRACED
 from orograph.rendering.gpu.targets import DEPTH, EMPTY, LIGHT, Targets
 
 SHOWN = "fragment", "background"
@@ -114,7 +114,7 @@ class ShadePass:
         """
         found = self._pipelines.get((flags, entry))
         if found is None:
-            by_rays = bool(flags & RAYS)
+            by_rays = bool(flags & TRACED)
             module = self.device.shader(
                 "shade", {"FLAGS": flags, "RAYS": int(by_rays), "RAY_GROUP": 2, "MISSING": self.missing}
             )
@@ -156,7 +156,7 @@ class ShadePass:
         ).begin(encoder)
         pass_.set_bind_group(0, self.camera_group)
         pass_.set_bind_group(1, group)
-        if flags & RAYS:
+        if flags & TRACED:
             pass_.set_bind_group(2, self.rays.group)
         if part is not None:
             pass_.set_scissor_rect(*part)

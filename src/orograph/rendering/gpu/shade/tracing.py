@@ -15,13 +15,20 @@ import numpy as np
 from orograph.gpu.background import BackgroundTask
 from orograph.gpu.device import Device
 from orograph.rendering.cpu.mesh_surface import surface_of
+from orograph.rendering.gpu.shade.light_maps import has_sun_maps
 from orograph.rendering.gpu.shade.ray_field import EXACT, NOTHING, RayField, field_of, samples_in
+from orograph.rendering.gpu.temporal.jitter import SAMPLES
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 
-RAYS = 1 << 16
-"""The flag of ``shaders/shade.wgsl`` for light by rays."""
+RAYS, SHADOW_RAYS = 1 << 16, 1 << 18
+"""Flags of ``shaders/shade.wgsl``: all light by rays; the sun's shadows only."""
+
+TRACED = RAYS | SHADOW_RAYS
+
+SKYLINE = 8
+"""Rays that find the skyline before the sun's disc, at most (``shaders/rays.wgsl``)."""
 
 WORK = {True: 1 << 21, False: 1 << 23}
 """Rays that one submission traces, and a frame of the window if it can help it, on slow devices (software, GPUs in
@@ -59,7 +66,7 @@ class Around:
 
     def at_once(self, scene: Scene, mesh: Tessellation | None = None) -> None:
         """Have what a scene's rays meet, if it has rays: the terrain, or a mesh that is drawn in its place."""
-        key = self._key(scene)
+        key = self._key(scene) if casts(scene) else None
         self._wish = key if key is None or mesh is None else (*key, id(mesh))
         if self._wish is not None and self._wish != self._made:
             self.field, self._made, self._mesh = self._make(scene, mesh), self._wish, mesh
@@ -69,7 +76,7 @@ class Around:
         done = self._aside.take()
         if done is not None:
             self._made, self.field = done
-        key = self._wish = self._key(scene)
+        key = self._wish = self._key(scene) if scene.lighting.light == "raytraced" else None
         if key is not None and key != self._made and self._aside.wants(key):
             self._aside.start(key, lambda: (key, self._make(scene)))
 
@@ -89,16 +96,19 @@ class Around:
         return made[1]()  # type: ignore[no-any-return]
 
     def _key(self, scene: Scene) -> Any:
-        """What the choice of windows depends on; None if there are no rays. Where the camera is counts by steps."""
+        """What the choice of windows depends on. Where the camera is counts by steps."""
         rows, cols = self.terrain.grid.shape
-        if scene.lighting.light != "raytraced":
-            return None
         if rows * cols <= min(EXACT, samples_in(self.most)):
             return (scene.surface.exaggeration,)
         view = scene.view
         step = 0.15 * max(view.distance, 1.0)
         where = (tuple(np.floor(np.asarray(p) / step).tolist()) for p in (view.eye, view.target))
         return scene.surface.exaggeration, scene.surface.tolerance, *where
+
+
+def casts(scene: Scene) -> bool:
+    """Whether a picture of a scene traces rays: for all of its light, or for the sun's shadows."""
+    return scene.lighting.light == "raytraced" or has_sun_maps(scene)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +138,8 @@ class Share:
         """
         view = scene.view
         left, top, _, _ = view.frame
+        if scene.lighting.light != "raytraced":
+            return cls(0, SKYLINE, SKYLINE, SAMPLES, 1, (left, top))
         lights = 1 + (1 + len(scene.lighting.discs) if scene.lighting.shadows else 0)
         if samples is not None:
             rays = max(-(-scene.lighting.rays // samples), min(scene.lighting.rays, 8))
