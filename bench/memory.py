@@ -16,6 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 import rasterio
 
 from orograph.folders import parse_bytes
@@ -24,15 +25,33 @@ HERE = "where the limit goes"
 OROGRAPH = [sys.executable, "-m", "orograph", "--quiet"]
 
 
+def write_image(dem: str, path: str) -> None:
+    """Write an image of three bands that lies on a raster, by strips."""
+    with rasterio.open(dem) as file:
+        like = {**file.profile, "count": 3, "dtype": "uint8", "nodata": None, "compress": "deflate"}
+        with rasterio.open(path, "w", **like) as image:
+            for _, window in file.block_windows():
+                image.write(np.repeat(file.read(window=window) % 256, 3, 0).astype(np.uint8), window=window)
+
+
 def verbs(dem: str, store: str, work: Path, size: int, picture: str) -> dict[str, list[str]]:
     """The commands by name, each without its limit."""
+    large = ["render", store, "-o", str(work / "l.png"), "--size", picture]
     with rasterio.open(dem) as file:
         x, y = file.xy(size // 2, size // 2)
     return {
         "build": ["build", dem, "-o", str(work / "b.oro"), "--overwrite"],
         "render": ["render", dem, "-o", str(work / "a.png")],
         "render, kept": ["render", store, "-o", str(work / "a.png")],
-        f"render {picture}, kept": ["render", store, "-o", str(work / "l.png"), "--size", picture],
+        f"render {picture}, kept": large,
+        f"render {picture}, image and depth": [
+            *large,
+            "--drape",
+            str(work / "image.tif"),
+            "--depth",
+            str(work / "depth.tif"),
+        ],
+        f"render {picture}, gpu": [*large, "--backend", "gpu"],
         "light": ["light", store, "-o", str(work / "l.tif"), "--product", "sky-view-factor"],
         "bake": ["bake", store, "--products", "sky-view-factor"],
         "movie": ["movie", store, "-o", str(work / "m.mp4"), "--size", "320x180", "--orbit", "--seconds", "0.2"],
@@ -83,6 +102,7 @@ def main() -> None:
             [*OROGRAPH, "synth", "-o", dem, "--size", str(given.size)], check=True, stdout=subprocess.DEVNULL
         )
         subprocess.run([*OROGRAPH, "build", dem, "-o", store], check=True, stdout=subprocess.DEVNULL)
+        write_image(dem, str(work / "image.tif"))
         print(f"{given.size}² samples, {given.allowed} allowed")
         print("| verb | seconds | peak, MiB | of what is allowed |\n|---|---|---|---|")
         for name, command in verbs(dem, store, work, given.size, given.picture).items():

@@ -140,7 +140,7 @@ def test_light_falls_as_on_the_cpu(device: Device, shared_data: Path, light: str
 def test_edges_of_long_shadows_lie_where_the_cpus_do(device: Device, shared_data: Path, name: str) -> None:
     """The sun low, the ground seen from the side: hardly more pixels differ visibly than where rays find all light.
 
-    Most of either are silhouettes, where samples of a pixel meet other triangles. (Of maps of horizons ten times as many.)
+    Most of either are silhouettes, where samples meet other triangles. (Of maps of horizons ten times as many.)
     """
     terrain = open_set(shared_data, name)
     far = 0.35 * max(terrain.grid.shape) * min(terrain.grid.spacing)
