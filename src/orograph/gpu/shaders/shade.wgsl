@@ -290,7 +290,7 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let position = hit.position;
   if ((FLAGS & 1024u) != 0u && (mark & 2u) != 0u) {   // a patch over missing data
     let place = in_picture(at.xy);
-    let across = f32(place.x + place.y) + 1.0;
+    let across = f32(place.x + place.y) + 1.0 + camera.shift.x + camera.shift.y;
     let line = across - 7.0 * floor(across / 7.0) < 2.0;
     var hatched = select(rgb(shade.hatch), rgb(shade.hatch + 3u), line);
     if ((FLAGS & 256u) != 0u) {
