@@ -59,6 +59,17 @@ def open_set(shared_data: Path, name: str) -> Terrain:
     return prepare([str(path)])
 
 
+def scene_of(terrain: Terrain, kind: str) -> Scene:
+    """All of a terrain, a part from near by, or a plan."""
+    reach = min(terrain.grid.shape) * float(np.mean(terrain.grid.spacing))
+    views = {
+        "whole": lambda: whole(terrain, SIZE),
+        "near": lambda: around(terrain, SIZE, azimuth=200, pitch=18, distance=0.2 * reach),
+        "plan": lambda: plan(terrain, SIZE),
+    }
+    return Scene.of(terrain, views[kind](), sky=kind != "plan", tolerance=1.0)
+
+
 def displacement(terrain: Terrain, view: View, depth: NDArray[np.float32]) -> NDArray[np.float64]:
     """Pixels on the screen between what was hit and the surface above or below it."""
     y, x = np.nonzero(np.isfinite(depth))
@@ -84,13 +95,7 @@ def beside_edges(seen: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
 @pytest.mark.parametrize("kind", ["whole", "near", "plan"])
 def test_it_is_the_cpus_picture(device: Device, shared_data: Path, name: str, kind: str) -> None:
     terrain = open_set(shared_data, name)
-    reach = min(terrain.grid.shape) * float(np.mean(terrain.grid.spacing))
-    views = {
-        "whole": lambda: whole(terrain, SIZE),
-        "near": lambda: around(terrain, SIZE, azimuth=200, pitch=18, distance=0.2 * reach),
-        "plan": lambda: plan(terrain, SIZE),
-    }
-    scene = Scene.of(terrain, views[kind](), sky=kind != "plan", tolerance=1.0)
+    scene = scene_of(terrain, kind)
     ours = gpu_draw(scene, device=device)
     caster = cpu_draw(Scene.of(terrain, scene.view, sky=scene.lighting.sky, tolerance=0.0))
 
@@ -150,6 +155,24 @@ def test_missing_ground_is_hatched_and_has_no_depth(device: Device, shared_data:
     truth[y[inside].astype(int), x[inside].astype(int)] = True
     assert not ours.void_filled[~binary_dilation(truth, np.ones((5, 5), bool))].any()
     assert not np.isfinite(ours.depth[ours.void_filled]).any()
+
+
+@pytest.mark.parametrize("kind", ["whole", "near", "plan"])
+@pytest.mark.parametrize("name", ["rainier", "fuji"])
+def test_voids_look_as_on_the_cpu(device: Device, shared_data: Path, name: str, kind: str) -> None:
+    """Also where hundreds of them are a few pixels large: their hatching, and where they end."""
+    terrain = open_set(shared_data, name)
+    scene = scene_of(terrain, kind)
+    ours = gpu_draw(scene, device=device)
+    caster = cpu_draw(Scene.of(terrain, scene.view, sky=scene.lighting.sky, tolerance=0.0))
+    voids = np.zeros(SIZE[::-1], bool)
+    for picture in (ours, caster):
+        if picture.void_filled is not None:
+            voids |= picture.void_filled
+    if not voids.any():
+        pytest.skip("no voids are in view")
+    difference = np.linalg.norm(lab(ours.pixels) - lab(caster.pixels), axis=-1)
+    assert difference[voids].mean() < 1.0
 
 
 def test_heights_may_be_radii_of_a_body(device: Device, shared_data: Path) -> None:

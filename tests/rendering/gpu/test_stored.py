@@ -1,4 +1,4 @@
-"""A picture drawn from a store is the one drawn from its raster, to the byte: both decide by the same rounded errors."""
+"""A picture drawn from a store is the one drawn from its raster, to the byte: both go by the same rounded errors."""
 
 from __future__ import annotations
 
