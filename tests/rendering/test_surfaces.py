@@ -64,13 +64,13 @@ def test_a_patch_is_a_second_layer_where_it_is_in_front() -> None:
     assert bare.over is None
     assert one.over is not None and other.over is not None
     assert np.array_equal(one.depth, bare.depth, equal_nan=True)
-    veiled = np.isfinite(one.over.depth)
-    assert veiled.sum() > 50
-    assert not (one.over.depth[veiled] >= bare.depth[veiled]).any()
-    assert np.array_equal(one.over.marks, np.where(veiled, np.uint8(Mark.VOID_FILL), np.uint8(0)))
-    assert (one.over.objects[~veiled] == -1).all()
+    void_filled = np.isfinite(one.over.depth)
+    assert void_filled.sum() > 50
+    assert not (one.over.depth[void_filled] >= bare.depth[void_filled]).any()
+    assert np.array_equal(one.over.marks, np.where(void_filled, np.uint8(Mark.VOID_FILL), np.uint8(0)))
+    assert (one.over.objects[~void_filled] == -1).all()
     # The mesh's edges are on the caster's, so only what lies on them can differ.
-    assert (np.isfinite(other.over.depth) != veiled).mean() < 1e-3
+    assert (np.isfinite(other.over.depth) != void_filled).mean() < 1e-3
     assert rays.side == ground.side
 
 

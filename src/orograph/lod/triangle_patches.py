@@ -261,8 +261,8 @@ class TrianglePatches(RightTriangles):
                 positive inside), a light's for example. What the eye does not see is judged by its distance.
             geomorph: split at τ/κ already, and let new points grow until τ.
             rim: how much of a triangle's longest edge counts as the error where ground ends: 1 where triangles with a
-                missing corner are left out, 0.5 for a renderer that fills corners whose surroundings are half there;
-                None: edges of missing ground are kept to the sample.
+                missing corner are left out, 0.5 for a renderer that fills corners whose surroundings are half there,
+                more for edges right to a part of a pixel; None: edges of missing ground are kept to the sample.
 
         Raises:
             UsageError: an argument makes no sense, or more pages are needed than memory allows.

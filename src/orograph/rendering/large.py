@@ -159,8 +159,8 @@ class Sheet:
             here = slice(left, left + wide)
             pixels[:, here], depth[:, here] = picture.pixels, picture.depth
             ground[:, here] = np.isfinite(picture.depth)
-            if picture.veiled is not None:
-                ground[:, here] |= picture.veiled
+            if picture.void_filled is not None:
+                ground[:, here] |= picture.void_filled
             self.tint = picture.tint
             self._add(picture.facts, wide * tall / (view.width * view.height), progress)
         self.scratch.write(pixels)

@@ -12,7 +12,7 @@ from pathlib import Path
 from orograph.errors import UsageError
 
 BYTES_PER_PIXEL = 50
-"""Of a picture while it is drawn: depth, window, veil, linear light, bytes and masks."""
+"""Of a picture while it is drawn: depth, window, void fill, linear light, bytes and masks."""
 
 
 def band_pixels(max_memory: int | None) -> int:

@@ -29,7 +29,7 @@ class Picture:
         view: the camera.
         facts: what was measured while drawing (windows, rays, seconds by stage), and "warnings": sentences.
         grid: where the pixels of a plan lie, in the terrain's CRS; None in perspective.
-        veiled: (height, width), where missing data is shown (which has no depth); None: nowhere.
+        void_filled: (height, width), where missing data is shown (which has no depth); None: nowhere.
         tint: the colours of heights that were drawn; None: not known.
     """
 
@@ -38,7 +38,7 @@ class Picture:
     view: View
     facts: dict[str, Any] = field(default_factory=dict)
     grid: Grid | None = None
-    veiled: NDArray[np.bool_] | None = None
+    void_filled: NDArray[np.bool_] | None = None
     tint: Tint | None = None
 
     def __repr__(self) -> str:

@@ -123,23 +123,30 @@ class MemoryTerrain(Terrain):
         return self._once("nested", level, make) if level else self.heights
 
     def _diamonds(self, kind: ErrorKind) -> tuple[list[Heights], list[Heights]]:
-        """Errors of a kind, and the radii that all kinds share, per level."""
+        """Errors of a kind, and the radii that all kinds share, per level: rounded up as a store has them, so that what
+        is drawn of a raster is what is drawn of its store."""
 
         def make() -> tuple[list[Heights], list[Heights]]:
             from orograph.error.diamonds import diamonds
-            from orograph.store.diamonds import NESTED, gather, surface
+            from orograph.error.encode import Encoder
+            from orograph.error.quantise import ErrorCode, RadiusCode
+            from orograph.store.diamonds import NESTED, gather, metric, surface
             from orograph.store.levels import subsample
 
             known = self._made.get(("radii", 0))
-            ground = surface(self.grid, self.tiles(0).minimum, self.height_range[0])
+            low, high = self.height_range
+            code = ErrorCode.of(high - low, kind, self.n)
+            encoder = Encoder({kind: code}, RadiusCode.of(high - low, metric(self.grid), self.n))
             parts = diamonds(
                 lambda row0, row1, col0, col1: self.heights[row0:row1, col0:col1],
                 subsample(self.heights, NESTED),
-                ground,
+                surface(self.grid, self.tiles(0).minimum, low),
                 (kind,),
                 radii=known is None,
+                rounding=encoder,
             )
             errors, radii = gather(self.grid.shape, parts, kind)
+            errors = [code.decode(encoder.errors(kind, level)) for level in errors]
             for array in (*errors, *radii):
                 _frozen(array)
             return errors, self._once("radii", 0, lambda: radii)

@@ -132,7 +132,7 @@ def test_a_jump_leaves_no_ghost(camera: Camera) -> None:
     shown, plain = camera.draw(there), camera.draw(there, wait=True, samples=1)
     for k in range(8):
         camera.draw(camera.moved(2.0 * k))
-    camera.renderer._steady.forget()
+    camera.renderer._antialiasing.forget()
     alone = camera.draw(there)
     # As far from the plain frame as one that knows nothing of what was before.
     assert np.abs(shown - plain).mean() < np.abs(alone - plain).mean() + 3.0

@@ -82,7 +82,7 @@ def test_what_is_away_from_new_tiles_does_not_flicker(flight: Flight, monkeypatc
     band = (np.arange(SIZE[1])[:, None] >= top - 1) & (np.arange(SIZE[1])[:, None] < top + 10)
 
     def flown() -> list[Floats]:
-        flight.renderer._steady.forget()
+        flight.renderer._antialiasing.forget()
         return [flight.draw(scene) for scene in scenes][-FRAMES:]
 
     settled = flown()
@@ -123,7 +123,7 @@ def test_tiles_that_come_leave_nothing_of_what_was_there(flight: Flight, monkeyp
         shown = flight.draw(flight.moved(k))
         k += 1
     fine = flight.draw(flight.moved(k - 1), wait=True, samples=16)
-    flight.renderer._steady.forget()
+    flight.renderer._antialiasing.forget()
     for frame in range(k - 13, k):
         begun = flight.draw(flight.moved(frame))
     off = [float(np.abs(picture - fine).mean()) for picture in (shown, begun)]

@@ -23,7 +23,7 @@ from orograph.store import terrain as in_memory
 NONE = np.zeros(0, INSTANCE)
 
 
-class Veil:
+class VoidFill:
     """Takes membranes, and keeps how often it was given some."""
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ def settle(follow, scene, what, seconds=60.0):
 
 
 def test_quick_shadows_come_first_and_then_all_of_the_light(terrain):
-    void_fill = Veil()
+    void_fill = VoidFill()
     follow = Following(terrain, Memo(), void_fill, 32)
     scene = scene_of(terrain)
     seen = []
@@ -79,7 +79,7 @@ def test_quick_shadows_come_first_and_then_all_of_the_light(terrain):
 
 
 def test_no_maps_of_shadows_are_made_where_none_fall(terrain):
-    follow = Following(terrain, Memo(), Veil(), 32)
+    follow = Following(terrain, Memo(), VoidFill(), 32)
     scene = scene_of(terrain).but(shadows=False)
     settle(follow, scene, lambda: follow.maps is not None and not follow.busy)
     assert len(follow.maps.windows) == 0
@@ -87,7 +87,7 @@ def test_no_maps_of_shadows_are_made_where_none_fall(terrain):
 
 def test_a_camera_that_never_rests_is_followed(terrain, monkeypatch):
     monkeypatch.setattr(following, "RENEWED", 0.05)
-    follow = Following(terrain, Memo(), Veil(), 32)
+    follow = Following(terrain, Memo(), VoidFill(), 32)
     scene = scene_of(terrain)
     settle(follow, scene, lambda: follow.maps is not None and not follow.busy)
     met = {id(follow.maps): follow.maps}
@@ -109,7 +109,7 @@ def test_a_camera_that_never_rests_is_followed(terrain, monkeypatch):
 
 def test_a_flight_gets_new_maps_only_so_often(terrain, monkeypatch):
     monkeypatch.setattr(following, "RENEWED", 1e6)
-    follow = Following(terrain, Memo(), Veil(), 32)
+    follow = Following(terrain, Memo(), VoidFill(), 32)
     scene = scene_of(terrain)
     settle(follow, scene, lambda: follow.maps is not None and not follow.busy)
     first = follow.maps

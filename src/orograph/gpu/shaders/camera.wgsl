@@ -17,6 +17,7 @@ struct Camera {
   size: vec2<f32>,           // pixels
   plan: u32,                 // 1: parallel rays
   pixel: f32,                // metres: a pixel at unit depth, or anywhere in a plan
+  shift: vec2<f32>,          // where in a pixel its sample lies, pixels from its centre
 };
 
 @group(0) @binding(0) var<uniform> camera: Camera;

@@ -297,16 +297,16 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let position = hit.position;
   if ((FLAGS & 1024u) != 0u && (mark & 2u) != 0u) {   // a patch over missing data
     let place = in_picture(at.xy);
-    let across = f32(place.x + place.y) + 1.0;
+    let across = f32(place.x + place.y) + 1.0 + camera.shift.x + camera.shift.y;
     let line = across - 7.0 * floor(across / 7.0) < 2.0;
-    var veil = select(rgb(shade.hatch), rgb(shade.hatch + 3u), line);
+    var hatched = select(rgb(shade.hatch), rgb(shade.hatch + 3u), line);
     if ((FLAGS & 256u) != 0u) {
-      veil = haze(veil, d, depth);
+      hatched = haze(hatched, d, depth);
     }
     if ((FLAGS & 8192u) != 0u) {
-      veil = outlined(veil, pixel, d);
+      hatched = outlined(hatched, pixel, d);
     }
-    return vec4<f32>(veil, 1.0);
+    return vec4<f32>(hatched, 1.0);
   }
   let seen = ground(hit.place, hit.height, hit.footprint, position, depth, pixel);
   var color = seen.color;

@@ -2,7 +2,7 @@
 // last frame is known, so what was gathered there goes on (see rendering/gpu/temporal/antialiasing.py).
 // include: camera.wgsl
 
-struct Steady {
+struct Temporal {
   right: vec4<f32>,      // the last frame's axes and focal lengths, as the camera has them
   up: vec4<f32>,
   forward: vec4<f32>,    // w: 1 if there is a last frame, 2 if what it showed has changed since
@@ -13,7 +13,7 @@ struct Steady {
   areas: array<vec4<f32>, 64>,   // columns and rows from the eye: west, north, east, south
 };
 
-@group(1) @binding(0) var<uniform> steady: Steady;
+@group(1) @binding(0) var<uniform> temporal: Temporal;
 @group(1) @binding(1) var light: texture_2d<f32>;
 @group(1) @binding(2) var depth: texture_depth_2d;
 @group(1) @binding(3) var before: texture_2d<f32>;
@@ -76,8 +76,8 @@ fn seen_before(nearest: vec2<i32>, last: vec2<i32>, z: f32) -> bool {
 // Whether ground, metres east and north of the eye, looks otherwise than in the last frame.
 fn changed(p: vec2<f32>) -> bool {
   let at = vec2<f32>(dot(camera.inverse.xy, p), dot(camera.inverse.zw, p));
-  for (var k = 0u; k < steady.fresh.x; k++) {
-    let area = steady.areas[k];
+  for (var k = 0u; k < temporal.fresh.x; k++) {
+    let area = temporal.areas[k];
     if (all(at >= area.xy) && all(at <= area.zw)) {
       return true;
     }
@@ -93,29 +93,29 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
   let ground = stored > 0.0;
   let depth_now = select(SKY, depth_of(stored), ground);
   let alone = Mean(vec4<f32>(now, 1.0), depth_now);
-  if (steady.forward.w == 0.0 || steady.moved.w >= 1.0) {
+  if (temporal.forward.w == 0.0 || temporal.moved.w >= 1.0) {
     return alone;
   }
   // Where this pixel's ground was.
-  let ray = ray_of(position.xy - steady.shift);
+  let ray = ray_of(position.xy - temporal.shift);
   var p = ray.direction;
   var scaled = 0.0;
   if (ground) {
     let here = ray.origin + ray.direction * depth_now;
-    p = here + steady.moved.xyz;
+    p = here + temporal.moved.xyz;
     scaled = abs(1.0 - length(here) / max(length(p), 1e-6));
   } else if (camera.plan == 1u) {
     return alone;
   }
-  let z = dot(steady.forward.xyz, p);
-  var clip = vec2<f32>(dot(steady.right.xyz, p) * steady.right.w, dot(steady.up.xyz, p) * steady.up.w);
+  let z = dot(temporal.forward.xyz, p);
+  var clip = vec2<f32>(dot(temporal.right.xyz, p) * temporal.right.w, dot(temporal.up.xyz, p) * temporal.up.w);
   if (camera.plan == 0u) {
     if (z <= 0.0) {
       return alone;
     }
     clip /= z;
   }
-  clip += steady.centre;
+  clip += temporal.centre;
   let at = vec2<f32>(0.5 + 0.5 * clip.x, 0.5 - 0.5 * clip.y) * camera.size;
   if (any(at < vec2<f32>(-1.0)) || any(at > camera.size + 1.0)) {
     return alone;   // it came into the picture
@@ -125,10 +125,10 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
   var mean = gathered(at);
   // (Of what is sky now, the ground that was there.)
   let then = select(textureLoad(far_before, nearest, 0).r, depth_now, ground);
-  let anew = then < SKY && steady.fresh.x > 0u && changed((ray.origin + ray.direction * then).xy);
+  let anew = then < SKY && temporal.fresh.x > 0u && changed((ray.origin + ray.direction * then).xy);
   // It was hidden, or is drawn or lit otherwise now: what is nothing like what lies around the pixel is left. (Software
   // renderers work through a condition's body whether it is taken or not, but not through a loop that no pixel enters.)
-  let strange = anew || steady.forward.w > 1.0 || !seen_before(nearest, last, select(SKY, z, ground));
+  let strange = anew || temporal.forward.w > 1.0 || !seen_before(nearest, last, select(SKY, z, ground));
   var low = select(vec3<f32>(0.0), now, strange);
   var high = select(vec3<f32>(FULL), now, strange);
   for (var k = select(9, 0, strange); k < 9; k++) {
@@ -139,6 +139,6 @@ fn fragment(@builtin(position) position: vec4<f32>) -> Mean {
   mean = clamp(mean, low, high);
   let count = min(textureLoad(before, nearest, 0).a, select(1023.0, ANEW, anew)) + 1.0;
   let fast = min(length(at - position.xy), 1.0) * FAST;
-  let share = max(max(steady.moved.w, 1.0 / count), max(min(SCALE * scaled, 1.0), fast));
+  let share = max(max(temporal.moved.w, 1.0 / count), max(min(SCALE * scaled, 1.0), fast));
   return Mean(vec4<f32>(mix(max(mean, vec3<f32>(0.0)), now, share), count), depth_now);
 }

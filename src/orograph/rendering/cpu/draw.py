@@ -182,7 +182,7 @@ def draw(
                 linear, np.where(np.isfinite(void_fill), void_fill, t), pattern(scene.surface.samples), shader.air
             )
             lap("silhouettes")
-    linear, t, veiled = linear[own], t[own], np.isfinite(void_fill[own])
+    linear, t, void_filled = linear[own], t[own], np.isfinite(void_fill[own])
     if mesh is not None and scene.surface.wireframe:
         from orograph.rendering.cpu.wireframe import draw_edges
 
@@ -205,13 +205,13 @@ def draw(
         from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
 
         drawn = Drawn(shader.tint, shader.shown, bool(shader.drapes), sampled(t, *t.shape), t[:, t.shape[1] // 2])
-        pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(t) | veiled)
+        pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(t) | void_filled)
         lap("furniture")
     facts["shader"] = shader.facts
     facts["shown"] = shader.shown
     place = plan_grid(scene.view, scene.terrain.grid.crs)
     return Picture(
-        pixels, t.astype(np.float32), scene.view, facts, place, veiled if veiled.any() else None, shader.tint
+        pixels, t.astype(np.float32), scene.view, facts, place, void_filled if void_filled.any() else None, shader.tint
     )
 
 
@@ -263,13 +263,13 @@ def find_edges(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def find_depth_edges(
-    depth: Array, view: View, wet: NDArray[np.bool_], veiled: NDArray[np.bool_]
+    depth: Array, view: View, wet: NDArray[np.bool_], void_filled: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Pixels (height, width) beside which the ground breaks off (by ``BREAK`` widths of a pixel along the ray), water,
-    a veil or the terrain begins; depths are NaN where no ground is."""
+    a void fill or the terrain begins; depths are NaN where no ground is."""
     far = np.where(np.isnan(depth), np.inf, depth)
     pixel = np.full((), view.pixel_metres) if view.projection == "plan" else view.pixel_slope * far
-    kind = wet.astype(np.int8) + 2 * veiled + 4 * np.isinf(far)
+    kind = wet.astype(np.int8) + 2 * void_filled + 4 * np.isinf(far)
     out = np.zeros(depth.shape, bool)
     for a, b in (((slice(None), slice(1, None)), (slice(None), slice(-1))), ((slice(1, None),), (slice(-1),))):
         with np.errstate(invalid="ignore"):

@@ -153,13 +153,13 @@ class Shader:
             if wet is not None and self.maps.water.size:
                 met = np.flatnonzero(~np.isnan(hits.t))
                 wet[met] = self._wet(hits.points[met])
-        veiled = np.flatnonzero(~np.isnan(hits.void_fill))
-        if len(veiled):
+        void_filled = np.flatnonzero(~np.isnan(hits.void_fill))
+        if len(void_filled):
             if counted is not None:
-                self._count(missing=int(np.count_nonzero(counted[veiled])))
-            out[veiled] = hatching(px[veiled], py[veiled])
+                self._count(missing=int(np.count_nonzero(counted[void_filled])))
+            out[void_filled] = hatching(px[void_filled], py[void_filled])
             if self.air is not None:
-                out[veiled] = self.air.haze(out[veiled], hits.rays[veiled], hits.void_fill[veiled])
+                out[void_filled] = self.air.haze(out[void_filled], hits.rays[void_filled], hits.void_fill[void_filled])
         return out
 
     def _lit(self, hits: Hits, px: Array, py: Array, out: Colors, counted: NDArray[np.bool_] | None) -> None:

@@ -21,12 +21,12 @@ CAMERA = np.dtype(
         ("right", "<f4", 4), ("up", "<f4", 4), ("forward", "<f4", 4), ("linear", "<f4", 4), ("inverse", "<f4", 4),
         ("eye_frac", "<f4", 2), ("centre", "<f4", 2), ("eye_cell", "<i4", 2), ("last", "<i4", 2),
         ("eye_height", "<f4", 2), ("near", "<f4"), ("far", "<f4"), ("size", "<f4", 2), ("plan", "<u4"),
-        ("pixel", "<f4"),
+        ("pixel", "<f4"), ("shift", "<f4", 2), ("pad", "<u4", 2),
     ]
 )  # fmt: skip
 """The uniform ``Camera`` of ``shaders/camera.wgsl``."""
 
-_PACKED = Struct("<24f4i6fIf")
+_PACKED = Struct("<24f4i6fIf2f8x")
 """The same, packed in one go and not field by field: a frame has little time."""
 
 
@@ -78,7 +78,7 @@ def camera_of(
         a, b, d, e, e / area, -b / area, -d / area, a / area,
         col - math.floor(col), row - math.floor(row), *centre,
         math.floor(col), math.floor(row), grid.cols - 1, grid.rows - 1, high, view.eye[2] - high, near, far,
-        view.width * scale, view.height * scale, plan, pixel,
+        view.width * scale, view.height * scale, plan, pixel, *shift,
     )  # fmt: skip
     out: NDArray[np.void] = np.frombuffer(packed, CAMERA).reshape(())
     return out

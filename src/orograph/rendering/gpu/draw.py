@@ -93,7 +93,7 @@ def draw(
             for warning in notes:
                 progress.warn(warning)
             warnings += notes
-            depth, veiled = renderer.depth(), renderer.veiled()
+            depth, void_filled = renderer.depth(), renderer.void_filled()
             if not np.isfinite(depth).any() and (whole or renderer.overview(scene)[1] is None):
                 raise NothingInViewError(why_empty(scene), path=scene.terrain.name, remedy=what_to_do(scene))
             if scene.surface.samples > 1 or by_rays:
@@ -107,14 +107,14 @@ def draw(
                     advance=task.advance,
                 )
             pixels = device.read_texture(texture, np.uint8, 4)[..., :3][own_pixels].copy()
-            depth, veiled, scene = depth[own_pixels], veiled[own_pixels], scene.but(view=view)
-            shown = renderer.shown(scene, depth, veiled)
+            depth, void_filled, scene = depth[own_pixels], void_filled[own_pixels], scene.but(view=view)
+            shown = renderer.shown(scene, depth, void_filled)
             if scene.annotations.furniture:
                 drawn = Drawn(
                     renderer.tint, shown, bool(visible(scene.data.layers)), sampled(depth, *depth.shape),
                     depth[:, view.width // 2].astype(np.float64),
                 )  # fmt: skip
-                pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | veiled)
+                pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | void_filled)
     finally:
         if own:
             renderer.close()
@@ -128,7 +128,7 @@ def draw(
         mesh = renderer.mesh
         facts["mesh"] = {"method": scene.surface.method, "triangles": len(mesh.triangles), **mesh.stats}
     place = plan_grid(view, scene.terrain.grid.crs)
-    return Picture(pixels, depth, view, facts, place, veiled if veiled.any() else None, tint=renderer.tint)
+    return Picture(pixels, depth, view, facts, place, void_filled if void_filled.any() else None, tint=renderer.tint)
 
 
 def largest(device: Device) -> int:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 from orograph.rendering.gpu.targets import Targets
 
-VEIL = 2
+VOID_FILL = 2
 """The bit of a pixel's marks that says: a patch over missing ground."""
 
 
@@ -38,6 +38,6 @@ def depth_of(
     return metres(np.frombuffer(data, np.float32).reshape(height, width), camera)
 
 
-def veiled_of(device: Device, targets: Targets) -> NDArray[np.bool_]:
+def void_filled_of(device: Device, targets: Targets) -> NDArray[np.bool_]:
     """Pixels (height, width) that show missing ground."""
-    return np.asarray(device.read_texture(targets.marks, np.uint32, 1)[..., 0] & VEIL > 0)
+    return np.asarray(device.read_texture(targets.marks, np.uint32, 1)[..., 0] & VOID_FILL > 0)

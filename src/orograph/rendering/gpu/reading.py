@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 from orograph.rendering.gpu.camera import camera_of
 from orograph.rendering.gpu.overview import Seen, seen_by
-from orograph.rendering.gpu.readback import depth_of, veiled_of
+from orograph.rendering.gpu.readback import depth_of, void_filled_of
 from orograph.rendering.gpu.shade.following import Following
 from orograph.rendering.gpu.shade.visible import points_of, wet_at
 from orograph.rendering.gpu.stream.imagery import Imagery
@@ -35,7 +35,7 @@ class Reading:
     terrain: Terrain
     imagery: Imagery
     _targets: Targets | None
-    _veil: VoidFillPass
+    _void_fill: VoidFillPass
     _light: Following
     _samples: Jitter
     _meshes: Meshes
@@ -51,15 +51,17 @@ class Reading:
     def depth(self) -> NDArray[np.float32]:
         """View-space depth (height, width) of the last frame, metres, NaN where there is no ground."""
         assert self._targets is not None
-        return np.where(self.veiled(), np.float32(np.nan), depth_of(self.device, self._targets, self._camera_drawn))
+        return np.where(
+            self.void_filled(), np.float32(np.nan), depth_of(self.device, self._targets, self._camera_drawn)
+        )
 
-    def veiled(self) -> NDArray[np.bool_]:
+    def void_filled(self) -> NDArray[np.bool_]:
         """Pixels (height, width) of the last frame that show missing ground."""
         t = self._targets
         assert t is not None
-        return veiled_of(self.device, t) if self._veil.count else np.zeros((t.height, t.width), bool)
+        return void_filled_of(self.device, t) if self._void_fill.count else np.zeros((t.height, t.width), bool)
 
-    def shown(self, scene: Scene, depth: NDArray[np.float32], veiled: NDArray[np.bool_]) -> dict[str, int]:
+    def shown(self, scene: Scene, depth: NDArray[np.float32], void_filled: NDArray[np.bool_]) -> dict[str, int]:
         """How many pixels show ground, of it water and imagery, and missing ground; the middle two by a sample."""
         ground = int(np.isfinite(depth).sum())
         points, share = points_of(self.terrain, scene.view, scene.surface.exaggeration, depth)
@@ -70,7 +72,7 @@ class Reading:
             wet, covered = wet & ~hidden, int(hidden.sum())
         return {
             "ground": ground, "water": round(int(wet.sum()) * share), "draped": round(covered * share),
-            "missing": int(veiled.sum()),
+            "missing": int(void_filled.sum()),
         }  # fmt: skip
 
     @property

@@ -114,18 +114,18 @@ class Renderer(Reading):
         self._field = False
         self._letters = Letters(device, terrain)
         self._breaks = BreakPass(device, self._camera, terrain, self._resources.stored_slopes)
-        self._veil = VoidFillPass(device, self._camera)
+        self._void_fill = VoidFillPass(device, self._camera)
         self._shading = ShadePass(device, self._camera, missing(terrain))
         self._corners = ScreenOcclusion(device, self._shading)
         self._resolves: dict[str, ResolvePass] = {}
         self._targets: Targets | None = None
         self._light = Following(
-            terrain, self.memo, self._veil, legs, upload=lambda pool: self._resources.upload("maps", pool)
+            terrain, self.memo, self._void_fill, legs, upload=lambda pool: self._resources.upload("maps", pool)
         )
-        self._looks = Looks(terrain, self.memo, self._light, self._veil)
+        self._looks = Looks(terrain, self.memo, self._light, self._void_fill)
         self._flags = 0
         self._samples = Jitter()
-        self._steady = TemporalAntialiasing(device, self._camera)
+        self._antialiasing = TemporalAntialiasing(device, self._camera)
         self._around = Around(terrain, device.largest)
         self._missing = self._late = 0
         self._lit: Scene | None = None
@@ -164,7 +164,7 @@ class Renderer(Reading):
         resolve = self._resolve(format)
         encoder = self.device.handle.create_command_encoder()
         for k in range(begin, begin + count):
-            shift = self._samples.place(k, samples, (0.0, 0.0) if wait else self._steady.shift)
+            shift = self._samples.place(k, samples, (0.0, 0.0) if wait else self._antialiasing.shift)
             encoder = self._pass(encoder, targets, scene, instances, group, flags, shift, k, samples, advance)
             if k + 1 < begin + count:  # the camera is written before the next pass
                 self.device.queue.submit([encoder.finish()])
@@ -178,12 +178,12 @@ class Renderer(Reading):
             )  # fmt: skip
         light = None
         if wait or samples is not None or flags & RAYS:
-            self._steady.forget()
+            self._antialiasing.forget()
         else:
             settings = overlay, freeze is None, chosen.layers, flags
             came = np.concatenate([self.tiles.areas, self.imagery.areas]) if chosen.loaded else NONE
             made, there = (self._light.maps, self._meshes.mesh), self._samples
-            light = self._steady.encode(
+            light = self._antialiasing.encode(
                 encoder, targets, scene, settings, there.shift, there.gathered, came, made
             )  # fmt: skip
         resolve.draw(encoder, targets, target, occlusion=dark, strength=overlay.occlusion, light=light)
@@ -337,7 +337,7 @@ class Renderer(Reading):
         camera = camera_of(scene.view, self.terrain, scene.surface.exaggeration, shift=shift)
         write(self.device, self._camera, camera)
         self._ground(encoder, targets, instances, edges=bool(flags & WIREFRAME), slopes=self._slopes)
-        self._veil.draw(encoder, targets)
+        self._void_fill.draw(encoder, targets)
         if flags & SILHOUETTES:
             self._breaks.draw(encoder, targets)
         self._samples.enough = SAMPLES

@@ -85,7 +85,7 @@ class Outlines:
         """Draw over a picture.
 
         Args:
-            linear: (rows, cols, 3) of the area. depth: of the ground or the veil at pixel centres, NaN: none.
+            linear: (rows, cols, 3) of the area. depth: of the ground or the void fill at pixel centres, NaN: none.
             samples: (n, 2) positions in a pixel that its coverage is averaged over.
             air: what comes before lines (``rendering.sky.Atmosphere``), or None.
         """

@@ -61,7 +61,7 @@ class Following:
     """What is made for where the camera is.
 
     Args:
-        kept: what earlier maps left. veil: takes the membranes. legs: segments of a patch's leg.
+        kept: what earlier maps left. void_fill: takes the membranes. legs: segments of a patch's leg.
         upload: is given the pool of maps made aside, in their thread: frames have no time for so many bytes.
 
     Attributes:
@@ -93,7 +93,7 @@ class Following:
         points, found = seen()
         self.range = found or self.range
         self.maps = light_maps(scene, points if found else whole(self.terrain), self.memo)
-        self.void_fill.load(*self._veils(scene, self.memo))
+        self.void_fill.load(*self._void_fills(scene, self.memo))
         self._wish = self._key(scene)
         self._aside.done = (*self._wish[:KINDS], QUICK) if self.maps.by_rays else self._wish
 
@@ -128,7 +128,7 @@ class Following:
             if quick:
                 return self._uploaded(quick_maps(scene, points, self._own, detail=COARSE)), visible, None
             maps = self._uploaded(light_maps(scene, points, self._own, detail=DETAIL))
-            return maps, visible, self._veils(scene, self._own)
+            return maps, visible, self._void_fills(scene, self._own)
 
         self._due_now = (*key[:KINDS], QUICK) if quick else key, make
 
@@ -159,7 +159,7 @@ class Following:
         points, found = about(self.terrain, scene.view, scene.surface.exaggeration, instances, self.legs)
         return points, found or self.range
 
-    def _veils(self, scene: Scene, memo: Memo) -> tuple[NDArray[Any], NDArray[np.uint32]]:
+    def _void_fills(self, scene: Scene, memo: Memo) -> tuple[NDArray[Any], NDArray[np.uint32]]:
         """Patches over the holes in view."""
         view, terrain, tolerance = scene.view, self.terrain, scene.surface.tolerance or 1.0
         known = (
@@ -167,7 +167,9 @@ class Following:
             if terrain.grid.shape[0] * terrain.grid.shape[1] <= EXACT
             else (view, scene.surface.exaggeration, tolerance)
         )
-        return memo("veils", known, lambda: void_fills(terrain, view, scene.surface.exaggeration, tolerance), terrain)
+        return memo(
+            "void fills", known, lambda: void_fills(terrain, view, scene.surface.exaggeration, tolerance), terrain
+        )
 
     def _key(self, scene: Scene) -> Any:
         view = scene.view

@@ -37,7 +37,7 @@ SHADOWS, WATERS, DRAPE, WIREFRAME, LEVELS = 1, 2, 4, 8, 16
 LIGHTS = {"relief": 0, "none": 32, "ao": 64, "aperture": 128, "raytraced": 32 | RAYS}
 """Flags of the shader."""
 
-SKY, CONTOURS, VEILED, GIVEN, LABELS, SILHOUETTES, FIELD, SMOOTH = 256, 512, 1024, 2048, 4096, 8192, 16384, 32768
+SKY, CONTOURS, VOIDS, GIVEN, LABELS, SILHOUETTES, FIELD, SMOOTH = 256, 512, 1024, 2048, 4096, 8192, 16384, 32768
 
 LAMPS, SUNS = 1 << 17, 20
 """A flag, and the bit from which three say how many discs of light there are (7: any number); loops that are not there

@@ -7,7 +7,7 @@ import math
 from orograph.memo import Memo
 from orograph.rendering.gpu.frame import Normals, Overlay
 from orograph.rendering.gpu.shade.following import Following
-from orograph.rendering.gpu.shade.look import GIVEN, VEILED, Look
+from orograph.rendering.gpu.shade.look import GIVEN, VOIDS, Look
 from orograph.rendering.gpu.surface.patches import Slopes
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.lines.smooth import SMALL
@@ -23,7 +23,7 @@ class Looks:
     """The looks of scenes on a terrain.
 
     Args:
-        kept: what earlier pictures left. light: the maps of light there are. veil: the membranes over holes.
+        kept: what earlier pictures left. light: the maps of light there are. void_fill: the membranes over holes.
     """
 
     def __init__(self, terrain: Terrain, memo: Memo, light: Following, void_fill: VoidFillPass) -> None:
@@ -61,7 +61,7 @@ class Looks:
 
     def features(self, look: Look, given: bool) -> int:
         """What the shading shader is compiled for; ``given``: slopes are those that the targets hold."""
-        return int(look.uniform["flags"]) | (VEILED if self.void_fill.count else 0) | (GIVEN if given else 0)
+        return int(look.uniform["flags"]) | (VOIDS if self.void_fill.count else 0) | (GIVEN if given else 0)
 
     def contours(self, scene: Scene) -> Contours | None:
         return scene.annotations.contours and scene.annotations.contours.fitted(self.terrain, scene.view, self.memo)

@@ -38,9 +38,10 @@ UPLOADING = 0.002
 AHEAD = 0.5
 """What a pixel of error counts that will be missing in a moment; one that is missing now counts 1."""
 
-RIM = 0.5
+RIM, WAITED_RIM = 0.5, 4.0
 """Of a triangle's longest edge, what counts as the error where ground ends: corners whose surroundings are half there
-are filled (``surface.void_fill``)."""
+are filled (``surface.void_fill``). In a picture that is waited for triangles there are no larger than a quarter of a
+pixel, so that voids end where those of the raster do."""
 
 ASK = 64
 """Tiles of a kind that a frame asks for, at most: until they are read it will be another frame that asks."""
@@ -185,7 +186,7 @@ class Residency:
         self, view: View, tolerance: float, exaggeration: float, frustum: Array | None, ready: Ready
     ) -> Patches:  # fmt: skip
         camera = Camera.over(self.terrain.grid, view, exaggeration)
-        return self.method.patches(camera, tolerance, ready, frustum=frustum, rim=RIM)
+        return self.method.patches(camera, tolerance, ready, frustum=frustum, rim=WAITED_RIM if ready.wait else RIM)
 
     def _ask(self) -> None:
         """Have what is lacking read, now and in a moment."""

@@ -117,7 +117,7 @@ class VoidFillPass:
         handle = device.handle
         module = device.shader("void_fill")
         self.pipeline = handle.create_render_pipeline(
-            label="veil",
+            label="void fill",
             layout="auto",
             vertex={
                 "module": module,
@@ -148,8 +148,9 @@ class VoidFillPass:
         self.count = int(triangles.size)
         if self.count:
             self._buffers = (
-                self.device.buffer(vertices, "VERTEX", "veil"), self.device.buffer(triangles, "INDEX", "veil"),
-            )  # fmt: skip
+                self.device.buffer(vertices, "VERTEX", "void fill"),
+                self.device.buffer(triangles, "INDEX", "void fill"),
+            )
 
     def draw(self, encoder: Any, targets: Targets) -> None:
         if not self.count or self._buffers is None:

@@ -84,7 +84,7 @@ class TemporalAntialiasing:
         )  # fmt: skip
         module = device.shader("temporal_antialiasing")
         self._pipeline = handle.create_render_pipeline(
-            label="steady",
+            label="temporal antialiasing",
             layout=handle.create_pipeline_layout(bind_group_layouts=[first, self._layout]),
             vertex={"module": module, "entry_point": "vertex"},
             primitive={"topology": "triangle-list"},
@@ -92,7 +92,7 @@ class TemporalAntialiasing:
         )
         self._camera = handle.create_bind_group(layout=first, entries=[{"binding": 0, "resource": {"buffer": camera}}])
         self._sampler = handle.create_sampler(mag_filter="linear", min_filter="linear")
-        self._uniform = device.buffer(_UNIFORM.size, "UNIFORM", "steady")
+        self._uniform = device.buffer(_UNIFORM.size, "UNIFORM", "temporal antialiasing")
         self._targets: Targets | None = None
         self._views: list[Any] = []
         self._far: list[Any] = []
@@ -164,7 +164,9 @@ class TemporalAntialiasing:
         size = targets.width, targets.height
         self._views, self._far = (
             [
-                self.device.texture(size, kind, "RENDER_ATTACHMENT|TEXTURE_BINDING", label="steady").create_view()
+                self.device.texture(
+                    size, kind, "RENDER_ATTACHMENT|TEXTURE_BINDING", label="temporal antialiasing"
+                ).create_view()
                 for _ in range(2)
             ]
             for kind in (LIGHT, FAR)
