@@ -45,10 +45,14 @@ def stamped(location: str) -> Key:
     return location, _stamp(location)
 
 
+def bounded_cache() -> dict[str, Any]:
+    """GDAL's settings that keep its block cache small, for those who write."""
+    return {} if "GDAL_CACHEMAX" in os.environ else {"GDAL_CACHEMAX": CACHE}
+
+
 def _settings() -> dict[str, Any]:
     """What GDAL is told: damaged JPEGs are errors; text is read as doubles, not as what its first lines look like."""
-    settings: dict[str, Any] = {"GDAL_ERROR_ON_LIBJPEG_WARNING": True, "AAIGRID_DATATYPE": "Float64"}
-    return settings if "GDAL_CACHEMAX" in os.environ else settings | {"GDAL_CACHEMAX": CACHE}
+    return {"GDAL_ERROR_ON_LIBJPEG_WARNING": True, "AAIGRID_DATATYPE": "Float64", **bounded_cache()}
 
 
 class Handles:

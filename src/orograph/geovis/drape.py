@@ -24,7 +24,7 @@ from orograph.geovis import mipmap
 from orograph.geovis.coarse import FINEST, wanted
 from orograph.geovis.image_tiles import BYTES, ImageTiles
 from orograph.geovis.imagery import step_for
-from orograph.geovis.layers import Layer
+from orograph.geovis.layers import IMAGES, Layer
 from orograph.geovis.laying import Laid
 from orograph.geovis.placement import TOLERANCE, interpolate, slopes_into
 from orograph.geovis.texels import Texels
@@ -94,7 +94,7 @@ class Drape:
     def plan(laid: Laid, max_memory: int | None = None, metres: float | None = None) -> tuple[int, int]:
         """The finest level to hold of an image, and bytes for tiles of finer ones (0: none are wanted)."""
         window, _ = laid.aligned()
-        budget = BUDGET if max_memory is None else max(max_memory // 4, 1 << 16)
+        budget = BUDGET if max_memory is None else max(max_memory // IMAGES, 1 << 16)
         least = 1.0 if metres is None else metres * float(laid.lattice.density().max())
         size = window.row1 - window.row0, window.col1 - window.col0
         step = step_for(*size, budget, least)

@@ -30,6 +30,9 @@ Colors = NDArray[np.float32]
 
 Blend = Literal["normal", "multiply"]
 
+IMAGES = 4
+"""Of the memory allowed, the part (one of so many) that images may take."""
+
 MOST = 8
 """Layers that a picture shows at once."""
 

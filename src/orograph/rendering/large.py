@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.dem.handles import bounded_cache
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.layers import drawn as visible
@@ -267,6 +268,8 @@ class DepthFile:
         import rasterio
 
         part = self.beside.__enter__()
+        self.env = rasterio.Env(**bounded_cache())
+        self.env.__enter__()
         with quiet():
             self.file: Any = rasterio.open(
                 part, "w", driver="GTiff", width=self.width, height=self.height, count=1, dtype="float32",
@@ -285,6 +288,7 @@ class DepthFile:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         with quiet():
             self.file.close()
+        self.env.__exit__()
         self.beside.__exit__(kind, error, trace)
 
 
@@ -306,7 +310,7 @@ def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None) -> None:
     }
     driver = {"TIFF": "GTiff"}.get(kind, kind)
     try:
-        with rasterio.Env(GDAL_PAM_ENABLED="NO"), quiet():
+        with rasterio.Env(GDAL_PAM_ENABLED="NO", **bounded_cache()), quiet():
             if kind == "TIFF":
                 with rasterio.open(scratch.path) as source, rasterio.open(
                     part, "w", driver=driver, width=scratch.width, height=scratch.height, count=3, dtype="uint8",

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.geovis.layers import IMAGES, drawn
 from orograph.geovis.missing import patches
 from orograph.lighting.relief import Relief
 from orograph.lighting.sun import Sun
@@ -51,7 +52,8 @@ def fixed_memory(scene: Scene) -> int:
     pixels = width * height
     if scene.view.part is not None:  # the same for all tiles, so that all are drawn from the same heights
         pixels = min(pixels, band_pixels(scene.budget.max_memory))
-    return FIXED_MEMORY + BYTES_PER_PIXEL * pixels
+    images = (scene.budget.max_memory or 0) // IMAGES if drawn(scene.data.layers) else 0
+    return FIXED_MEMORY + BYTES_PER_PIXEL * pixels + images
 
 
 class Ground:

@@ -20,8 +20,7 @@ from orograph.gpu.recording import write
 from orograph.rendering.gpu.camera import camera_of
 from orograph.rendering.gpu.readback import depth_of
 from orograph.rendering.gpu.shade.visible import points_of
-from orograph.rendering.gpu.stream.residency import Residency
-from orograph.rendering.gpu.surface.patches import PatchPass
+from orograph.rendering.gpu.surface.ground import Ground
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.lines.silhouettes import rim
 from orograph.scene.scene import Scene
@@ -42,11 +41,11 @@ def seen_by(terrain: Terrain, view: View, exaggeration: float, depth: NDArray[np
     return points, (float(np.nanmin(depth)), float(np.nanmax(depth))) if len(points) else None
 
 
-def overview(device: Device, tiles: Residency, patches: PatchPass, camera: Any, scene: Scene) -> Seen:
+def overview(device: Device, ground: Ground, camera: Any, scene: Scene) -> Seen:
     """What a scene's whole view shows, by a small picture of it.
 
     Args:
-        camera: the buffer that ``patches`` looks at; it is written.
+        camera: the buffer that ``ground`` looks at; it is written.
 
     Raises:
         StoreError: a tile cannot be read.
@@ -54,11 +53,11 @@ def overview(device: Device, tiles: Residency, patches: PatchPass, camera: Any, 
     terrain, view, exaggeration = scene.terrain, scene.view.whole, scene.surface.exaggeration
     smaller = SIDE / max(view.width, view.height, SIDE)
     small = view.resized(max(round(smaller * view.width), 1), max(round(smaller * view.height), 1))
-    chosen = tiles.choose(small, 1.0, exaggeration, wait=True)
+    chosen = ground.tiles.choose(small, 1.0, exaggeration, wait=True)
     targets, eye = Targets(device, small.width, small.height), camera_of(small, terrain, exaggeration)
     write(device, camera, eye)
     encoder = device.handle.create_command_encoder()
-    patches.draw(encoder, targets, chosen.patches.instances, edges=False, slopes="")
+    ground.draw_patches(encoder, targets, chosen.patches)
     device.queue.submit([encoder.finish()])
     return seen_by(terrain, small, exaggeration, depth_of(device, targets, eye))
 

@@ -15,7 +15,7 @@ from orograph.rendering.gpu.readback import depth_of, void_filled_of
 from orograph.rendering.gpu.shade.following import Following
 from orograph.rendering.gpu.shade.visible import points_of, wet_at
 from orograph.rendering.gpu.stream.imagery import Imagery
-from orograph.rendering.gpu.surface.meshes import Meshes
+from orograph.rendering.gpu.surface.ground import Ground
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.gpu.temporal.jitter import Jitter
@@ -38,7 +38,7 @@ class Reading:
     _void_fill: VoidFillPass
     _light: Following
     _samples: Jitter
-    _meshes: Meshes
+    _ground: Ground
 
     def depth_at(self, x: float, y: float) -> float | None:
         """View-space depth of the last frame at a pixel position, metres; None where there is no ground."""
@@ -78,7 +78,7 @@ class Reading:
     @property
     def mesh(self) -> Tessellation | None:
         """The mesh of the scene's method that the last frame drew; None: patches."""
-        return self._meshes.mesh
+        return self._ground.mesh
 
     @property
     def light(self) -> str:

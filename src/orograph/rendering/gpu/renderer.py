@@ -17,13 +17,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orograph.errors import UsageError
 from orograph.gpu.device import Device
 from orograph.gpu.recording import write
-from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
-from orograph.lod.triangle_patches import Patches
 from orograph.memo import Memo
 from orograph.rendering.gpu.camera import CAMERA, camera_of
 from orograph.rendering.gpu.frame import PLAIN, FrameStats, Overlay
@@ -41,13 +37,12 @@ from orograph.rendering.gpu.stream.image_tiles import SIDE
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.stream.residency import Residency
 from orograph.rendering.gpu.stream.tiles import missing
-from orograph.rendering.gpu.surface.meshes import Meshes, MeshPass
-from orograph.rendering.gpu.surface.patches import PatchPass, Slopes
+from orograph.rendering.gpu.surface.ground import Drawn, Ground
+from orograph.rendering.gpu.surface.left import Left
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.gpu.temporal.antialiasing import NONE, TemporalAntialiasing
 from orograph.rendering.gpu.temporal.jitter import SAMPLES, Jitter
-from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -61,18 +56,17 @@ class _Choice:
     """What a frame draws.
 
     Attributes:
-        patches: of the ground. tolerance: that they were chosen by, pixels. layers: on the ground.
+        ground: what of it. tolerance: that patches were chosen by, pixels. layers: on the ground.
         lettered: whether contours are labelled. loaded: tiles that came for it, of so many ``bytes``.
-        seconds: that selecting patches took. state: two frames of one camera are one picture while it is the same.
+        state: two frames of one camera are one picture while it is the same.
     """
 
-    patches: Patches
+    ground: Drawn
     tolerance: float
     layers: Any
     lettered: bool
     loaded: int
     bytes: int
-    seconds: float
     state: tuple[Any, ...]
 
 
@@ -102,16 +96,11 @@ class Renderer(Reading):
         self.imagery = Imagery(device, terrain, gpu_memory // 4, jobs)
         self.heights, self.slopes, self.method = self.tiles.heights, self.tiles.slopes, self.tiles.method
         self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
-        legs = self.method.legs
         self._resources = Resources(device, terrain, self.heights, self.slopes, self.imagery, self.memo)
-        self._patches = PatchPass(
-            device, self._camera, self.heights.texture, self._resources.stored_slopes, patch_vertices(legs),
-            patch_indices(legs), INSTANCE.itemsize, missing(terrain),
-        )  # fmt: skip
-        self._slopes: Slopes = ""
-        field = self.heights.texture.create_view(dimension="2d-array"), self.heights.page_buffer, self._resources.levels
-        self._meshes, self._triangles = Meshes(terrain), MeshPass(device, self._camera, field, missing(terrain))
-        self._field = False
+        self._ground = Ground(
+            device, terrain, self._camera, self.tiles, self._resources.stored_slopes, self._resources.levels
+        )
+        self._left = Left()
         self._letters = Letters(device, terrain)
         self._breaks = BreakPass(device, self._camera, terrain, self._resources.stored_slopes)
         self._void_fill = VoidFillPass(device, self._camera)
@@ -120,8 +109,9 @@ class Renderer(Reading):
         self._resolves: dict[str, ResolvePass] = {}
         self._targets: Targets | None = None
         self._light = Following(
-            terrain, self.memo, self._void_fill, legs, upload=lambda pool: self._resources.upload("maps", pool)
-        )
+            terrain, self.memo, self._void_fill, self.method.legs,
+            upload=lambda pool: self._resources.upload("maps", pool),
+        )  # fmt: skip
         self._looks = Looks(terrain, self.memo, self._light, self._void_fill)
         self._flags = 0
         self._samples = Jitter()
@@ -153,10 +143,9 @@ class Renderer(Reading):
         """
         begun = time.perf_counter()
         view, chosen = scene.view, self._choose(scene, freeze, wait=wait)
-        instances = chosen.patches.instances
         targets = self._fit(view.width, view.height)
         begin, count = self._samples.next((scene, overlay, freeze, *chosen.state, maps_key(scene)), samples, self.busy)
-        self._light_for(scene, targets, instances, wait=wait)
+        self._light_for(scene, targets, chosen.ground, wait=wait)
         group, flags = self._shaded(scene, overlay, targets, chosen, wait=wait)
         if begin and flags != self._flags:  # it was compiled meanwhile: what was gathered looks otherwise
             begin, count = 0, 1
@@ -165,7 +154,7 @@ class Renderer(Reading):
         encoder = self.device.handle.create_command_encoder()
         for k in range(begin, begin + count):
             shift = self._samples.place(k, samples, (0.0, 0.0) if wait else self._antialiasing.shift)
-            encoder = self._pass(encoder, targets, scene, instances, group, flags, shift, k, samples, advance)
+            encoder = self._pass(encoder, targets, scene, chosen.ground, group, flags, shift, k, samples, advance)
             if k + 1 < begin + count:  # the camera is written before the next pass
                 self.device.queue.submit([encoder.finish()])
                 encoder = self.device.handle.create_command_encoder()
@@ -182,7 +171,7 @@ class Renderer(Reading):
         else:
             settings = overlay, freeze is None, chosen.layers, flags
             came = np.concatenate([self.tiles.areas, self.imagery.areas]) if chosen.loaded else NONE
-            made, there = (self._light.maps, self._meshes.mesh), self._samples
+            made, there = (self._light.maps, chosen.ground.mesh), self._samples
             light = self._antialiasing.encode(
                 encoder, targets, scene, settings, there.shift, there.gathered, came, made
             )  # fmt: skip
@@ -197,7 +186,7 @@ class Renderer(Reading):
         """What a scene's whole view shows: all tiles of it have their light and their haze by that."""
         return self.memo(
             "overview", (scene.view.whole, scene.surface.exaggeration),
-            lambda: overview(self.device, self.tiles, self._patches, self._camera, scene), self.terrain,
+            lambda: overview(self.device, self._ground, self._camera, scene), self.terrain,
         )  # fmt: skip
 
     def prepare(self, format: str, scene: Scene, *, overlay: Overlay = PLAIN) -> None:
@@ -213,7 +202,7 @@ class Renderer(Reading):
         def compile() -> None:
             with contextlib.suppress(Exception):  # the frame says what is wrong
                 self._resolve(format)
-                self._patches.pipeline(bool(flags & WIREFRAME), slopes)
+                self._ground.compile(bool(flags & WIREFRAME), slopes)
                 for entry in SHOWN:
                     self._shading.pipeline(flags, entry)
 
@@ -226,7 +215,7 @@ class Renderer(Reading):
     def busy(self) -> bool:
         """Whether tiles or maps are on their way: the next frame will be better."""
         waiting = self._missing > 0 or self.tiles.waiting > 0 or self.imagery.waiting > 0
-        parts = self._light, self._around, self._meshes, self._letters, self._shading
+        parts = self._light, self._around, self._ground, self._letters, self._shading
         return waiting or any(part.busy for part in parts)
 
     @property
@@ -236,11 +225,10 @@ class Renderer(Reading):
 
     def close(self) -> None:
         """Stop reading."""
-        self.tiles.close()
+        self._ground.close()
         self.imagery.close()
         self._light.close()
         self._around.close()
-        self._meshes.close()
         self._letters.close()
 
     # ---- parts of a frame ------------------------------------------------------------------------------------------
@@ -253,30 +241,26 @@ class Renderer(Reading):
         tolerance = scene.surface.tolerance or 1.0
         if scene.annotations.contours is not None:
             tolerance *= scene.annotations.contours.finer(self.terrain, view, self.memo)
-        chosen = self.tiles.choose(
-            freeze or scene.surface.mesh_view or view, tolerance, scene.surface.exaggeration, wait=wait, later=True
-        )
+        ground = self._ground.choose(scene, freeze, tolerance, wait=wait)
+        tiles, mesh = ground.streamed, ground.mesh
         layers = self.imagery.prepare(scene.data.layers, view, scene.surface.exaggeration, wait=wait)
-        self._missing = chosen.missing + self.imagery.missing
-        loaded = chosen.loaded + self.imagery.loaded
-        self._mesh_for(scene, freeze, wait=wait)
-        mesh = self._meshes.mesh
-        self._field = mesh is not None and scene.annotations.contours is not None  # lines are the terrain's
+        self._missing = tiles.missing + self.imagery.missing
+        loaded = tiles.loaded + self.imagery.loaded
         lettered = self._letters.prepare(scene, self._looks.contours(scene), wait=wait, mesh=mesh)
-        state = loaded, layers, len(chosen.patches.instances), mesh, self._letters.state
+        state = loaded, layers, len(ground.patches.instances), mesh, self._letters.state
         return _Choice(
-            chosen.patches, tolerance, layers, bool(lettered), loaded, chosen.bytes + 4 * SIDE**2 * self.imagery.loaded,
-            chosen.seconds, state,
-        )  # fmt: skip
+            ground, tolerance, layers, bool(lettered), loaded, tiles.bytes + 4 * SIDE**2 * self.imagery.loaded, state
+        )
 
     def _shaded(
         self, scene: Scene, overlay: Overlay, targets: Targets, chosen: _Choice, *, wait: bool
     ) -> tuple[Any, int]:  # fmt: skip
         """Bring what the shading looks up to the GPU: its bind group, and the flags of the shader to draw with."""
-        view, maps, mesh = scene.view, self._light.maps, self._meshes.mesh
+        view, maps, mesh = scene.view, self._light.maps, chosen.ground.mesh
         assert maps is not None
-        self._slopes = slopes = SLOPES[overlay.normals]
-        given, field = bool(slopes), self._field
+        slopes = SLOPES[overlay.normals]
+        given = bool(slopes)
+        field = mesh is not None and scene.annotations.contours is not None  # lines are the terrain's
         if wait:
             self._around.at_once(scene, mesh if overlay.normals == "faces" else None)
         else:
@@ -304,7 +288,8 @@ class Renderer(Reading):
         flags |= (LABELS if chosen.lettered else 0) | (DRAPE if chosen.layers else 0)
         flags |= (FIELD if field else 0) | (SMOOTH if self._looks.beyond_samples(scene) else 0)
         edges = bool(flags & WIREFRAME)
-        return group, self._shading.at_hand(flags, lambda: self._patches.pipeline(edges, slopes), wait=wait)
+        self._left = Left(slopes=slopes, field=field)
+        return group, self._shading.at_hand(flags, lambda: self._ground.compile(edges, slopes), wait=wait)
 
     def _go_on(self, view: View, tolerance: float, exaggeration: float, taken: float) -> float:
         """Have threads read, also for a moment later if there is time, and make maps; the seconds that took."""
@@ -317,26 +302,26 @@ class Renderer(Reading):
 
     def _told(self, scene: Scene, chosen: _Choice, to_submit: float, after: float) -> FrameStats:
         """What a frame took: seconds of Python until it was handed over, and after that."""
-        patches, mesh = chosen.patches, self._meshes.mesh
+        patches, mesh = chosen.ground.patches, chosen.ground.mesh
         return FrameStats(
             len(patches.instances) if mesh is None else 0,
             patches.stats["triangles"] if mesh is None else len(mesh.triangles),
-            patches.stats["pixels"] if mesh is None else scene.surface.tolerance or 1.0, chosen.seconds * 1e3,
-            (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,
+            patches.stats["pixels"] if mesh is None else scene.surface.tolerance or 1.0,
+            chosen.ground.streamed.seconds * 1e3, (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,
             self.tiles.count + self.imagery.count, self._missing,
-            self._samples.gathered, failed=self.tiles.failure or self.imagery.failure or self._meshes.failure,
-            current=_streamed(scene) or self._meshes.current, notes=tuple(self.imagery.told()),
+            self._samples.gathered, failed=self._ground.failure or self.imagery.failure,
+            current=self._ground.current(scene), notes=tuple(self.imagery.told()),
             submit_ms=to_submit * 1e3, making=self.imagery.making,
         )  # fmt: skip
 
     def _pass(
-        self, encoder: Any, targets: Targets, scene: Scene, instances: NDArray[Any], group: Any, flags: int,
+        self, encoder: Any, targets: Targets, scene: Scene, ground: Drawn, group: Any, flags: int,
         shift: tuple[float, float], k: int, samples: int | None, advance: Callable[[float], None],
     ) -> Any:  # fmt: skip
         """Add a pass to the mean of the ``k`` before it; the encoder to go on with."""
         camera = camera_of(scene.view, self.terrain, scene.surface.exaggeration, shift=shift)
         write(self.device, self._camera, camera)
-        self._ground(encoder, targets, instances, edges=bool(flags & WIREFRAME), slopes=self._slopes)
+        self._ground.draw(encoder, targets, ground, self._left._replace(edges=bool(flags & WIREFRAME)))
         self._void_fill.draw(encoder, targets)
         if flags & SILHOUETTES:
             self._breaks.draw(encoder, targets)
@@ -358,23 +343,6 @@ class Renderer(Reading):
                     advance(1 / (len(parts) * samples))
         return encoder
 
-    def _ground(
-        self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False, slopes: Slopes = ""
-    ) -> None:
-        """Depth and marks of the ground: the method's mesh, or patches."""
-        if self._meshes.mesh is None:
-            self._patches.draw(encoder, targets, instances, edges=edges, slopes=slopes)
-        else:
-            mesh, given = self._meshes.mesh, bool(slopes)
-            self._triangles.draw(encoder, targets, mesh, edges=edges, given=given, field=self._field)
-
-    def _mesh_for(self, scene: Scene, freeze: View | None, *, wait: bool) -> None:
-        """Have the mesh of the scene's method: at once if ``wait``, else aside while the old one serves."""
-        if _streamed(scene):
-            self._meshes.none()
-            return
-        (self._meshes.at_once if wait else self._meshes.aside)(scene, freeze or scene.surface.mesh_view or scene.view)
-
     def _resolve(self, format: str) -> ResolvePass:
         if format not in self._resolves:
             self._resolves[format] = ResolvePass(self.device, format)
@@ -387,7 +355,7 @@ class Renderer(Reading):
         return self._targets
 
     def _light_for(
-        self, scene: Scene, targets: Targets, instances: NDArray[Any], *, wait: bool
+        self, scene: Scene, targets: Targets, ground: Drawn, *, wait: bool
     ) -> None:  # fmt: skip
         """Have maps of light for the scene: at once if ``wait``, else aside while old ones serve."""
         if wait and scene.view.part is not None:
@@ -398,18 +366,10 @@ class Renderer(Reading):
             return
         self._lit = None
         if not wait:
-            self._light.aside(scene, instances)
+            self._light.aside(scene, ground.patches.instances)
             return
         write(self.device, self._camera, camera_of(scene.view, self.terrain, scene.surface.exaggeration))
         encoder = self.device.handle.create_command_encoder()
-        self._ground(encoder, targets, instances)
+        self._ground.draw(encoder, targets, ground)
         self.device.queue.submit([encoder.finish()])
         self._light.at_once(scene, lambda: self._seen(scene))
-
-
-def _streamed(scene: Scene) -> bool:
-    """Whether patches are drawn, and no mesh."""
-    try:
-        return mesh_choice(scene.surface.method, "gpu", scene.surface.triangles) is None
-    except UsageError:  # ``Meshes`` says why
-        return False

@@ -8,7 +8,7 @@ from orograph.memo import Memo
 from orograph.rendering.gpu.frame import Normals, Overlay
 from orograph.rendering.gpu.shade.following import Following
 from orograph.rendering.gpu.shade.look import GIVEN, VOIDS, Look
-from orograph.rendering.gpu.surface.patches import Slopes
+from orograph.rendering.gpu.surface.left import Slopes
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.lines.smooth import SMALL
 from orograph.scene.contours import Contours

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -25,6 +26,8 @@ from orograph.gpu.device import Device
 from orograph.lod.method import Method, Resources
 from orograph.lod.options import described
 from orograph.lod.registry import Choice
+from orograph.lod.selection import Selection, TriangleMesh
+from orograph.rendering.gpu.surface.left import Left
 from orograph.rendering.gpu.targets import DEPTH, FIELD, GIVEN, MARKS, Targets
 from orograph.scene.methods import MEMORY, goal_of, made, mesh_choice
 from orograph.scene.scene import Scene
@@ -43,17 +46,20 @@ def packed(mesh: Tessellation) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
     return points, np.ascontiguousarray(mesh.triangles, np.uint32).reshape(-1)
 
 
-class Meshes:
-    """The method of a scene, and what it made last.
+class Selected:
+    """The method of a scene, and what it selected last.
+
+    Args:
+        own: the types of selections that have a surface of their own; others are turned into their triangles.
 
     Attributes:
-        mesh: to be drawn; None until one is there. current: whether it is the one that the last scene asked for.
-        failure: why the method made none, or "".
+        selection: to be drawn; None until one is there. current: whether it is what the last scene asked for.
+        failure: why the method selected nothing, or "".
     """
 
-    def __init__(self, terrain: Terrain) -> None:
-        self.terrain = terrain
-        self.mesh: Tessellation | None = None
+    def __init__(self, terrain: Terrain, own: Collection[type]) -> None:
+        self.terrain, self.own = terrain, own
+        self.selection: Selection | None = None
         self.current = False
         self.failure = ""
         self._aside = BackgroundTask()
@@ -73,8 +79,8 @@ class Meshes:
             UsageError: there is no such method. StoreError: the store was built without errors of diamonds.
         """
         key = self._asked(scene, view)
-        if self.mesh is None or self._aside.done != key:
-            self.mesh = self._refined(scene, view, smooth=False)
+        if self.selection is None or self._aside.done != key:
+            self.selection = self._refined(scene, view, smooth=False)
         self._aside.done, self.current = key, True
 
     def aside(self, scene: Scene, view: View) -> None:
@@ -84,11 +90,11 @@ class Meshes:
         if isinstance(made, str):
             self.failure = made
         elif made is not None:
-            self.mesh = made
-        self.current = self.mesh is not None and self._aside.done == key
+            self.selection = made
+        self.current = self.selection is not None and self._aside.done == key
         if self._aside.wants(key) and not self.failure:
 
-            def make() -> Tessellation | str:
+            def make() -> Selection | str:
                 try:
                     return self._refined(scene, view, smooth=True)
                 except OrographError as error:
@@ -98,7 +104,7 @@ class Meshes:
 
     def none(self) -> None:
         """No method is wanted: forget the mesh."""
-        self.mesh, self._wish, self.failure = None, None, ""
+        self.selection, self._wish, self.failure = None, None, ""
         self._method = None, None
 
     def close(self) -> None:
@@ -107,11 +113,11 @@ class Meshes:
     def _asked(self, scene: Scene, view: View) -> Any:
         key = scene.surface.method, scene.surface.exaggeration, scene.surface.tolerance, scene.surface.triangles, view
         if self._wish is None or self._wish[:2] != key[:2]:
-            self.failure, self.mesh = "", None
+            self.failure, self.selection = "", None
         self._wish = key
         return key
 
-    def _refined(self, scene: Scene, view: View, *, smooth: bool) -> Tessellation:
+    def _refined(self, scene: Scene, view: View, *, smooth: bool) -> Selection:
         choice = mesh_choice(scene.surface.method, "gpu", scene.surface.triangles)
         assert choice is not None
         if smooth:
@@ -123,7 +129,11 @@ class Meshes:
                 method = made(choice, self.terrain, Resources(memory, scene.budget.jobs))
                 self._method = (str(choice), memory, scene.budget.jobs), method
             camera = Camera.over(self.terrain.grid, view.whole, scene.surface.exaggeration)
-            return method.select(camera, goal_of(scene.surface.tolerance, scene.surface.triangles)).tessellation()
+            selection = method.select(camera, goal_of(scene.surface.tolerance, scene.surface.triangles))
+            if type(selection) in self.own:
+                return selection
+            mesh = selection.tessellation()
+            return TriangleMesh(method=selection.method, bound=selection.bound, stats=mesh.stats, mesh=mesh)
 
 
 def _grown(choice: Choice) -> Choice:
@@ -136,8 +146,7 @@ def _grown(choice: Choice) -> Choice:
 
 
 class MeshPass:
-    """Draws a mesh into depth and marks; with ``given`` the slope of each triangle besides, with ``field`` also the
-    terrain's own height in each pixel.
+    """Draws a mesh into depth and marks; its slopes are those of the triangles.
 
     Args:
         camera: the uniform buffer (``camera.CAMERA``).
@@ -152,11 +161,9 @@ class MeshPass:
         self._pipelines: dict[tuple[bool, bool, bool], Any] = {}
         self._held: tuple[Tessellation | None, Any, int] = (None, None, 0)
 
-    def draw(
-        self, encoder: Any, targets: Targets, mesh: Tessellation, *, edges: bool, given: bool, field: bool = False
-    ) -> None:
-        """Clear the targets and draw; ``edges``: mark those of triangles; ``given``: leave their slopes; ``field``: and
-        the terrain's own heights."""
+    def draw(self, encoder: Any, targets: Targets, selection: TriangleMesh, left: Left) -> None:
+        """Clear the targets and draw."""
+        mesh, edges, given, field = selection.mesh, left.edges, bool(left.slopes), left.field
         if self._held[0] is not mesh:
             points, corners = packed(mesh)
             some = (a if a.size else np.zeros(4, np.uint32) for a in (points, corners))

@@ -6,7 +6,7 @@ flat triangles by the derivatives of their position on the screen (``frame.Overl
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 from orograph.gpu.layouts import stage, texture, uniform
 from orograph.gpu.recording import Attachments, write
+from orograph.lod.triangle_patches import Patches
+from orograph.rendering.gpu.surface.left import Left, Slopes
 from orograph.rendering.gpu.targets import DEPTH, EMPTY, GIVEN, MARKS, Targets
-
-Slopes = Literal["", "stored", "flat"]
-"""Which slopes are left, if any."""
 
 
 class PatchPass:
@@ -109,10 +108,9 @@ class PatchPass:
             )  # fmt: skip
         return self._pipelines[edges, slopes]
 
-    def draw(
-        self, encoder: Any, targets: Targets, instances: NDArray[Any], *, edges: bool = False, slopes: Slopes = ""
-    ) -> None:
-        """Clear the targets and draw; ``edges``: mark those of triangles; ``slopes``: those to leave."""
+    def draw(self, encoder: Any, targets: Targets, selection: Patches, left: Left) -> None:
+        """Clear the targets and draw; what lines are of the terrain is what is drawn: no ``field`` is left."""
+        instances, slopes = selection.instances, left.slopes
         n = len(instances)
         if n > self.capacity:
             self.capacity = max(256, 1 << (n - 1).bit_length())
@@ -123,7 +121,7 @@ class PatchPass:
             "patches with slopes" if slopes else "patches", lambda: self._attachments(targets, bool(slopes))
         ).begin(encoder)
         if n:
-            pass_.set_pipeline(self.pipeline(edges, slopes))
+            pass_.set_pipeline(self.pipeline(left.edges, slopes))
             for k, group in enumerate(self.groups):
                 pass_.set_bind_group(k, group)
             pass_.set_vertex_buffer(0, self.vertices)

@@ -1,0 +1,156 @@
+"""The ground of a frame: what is selected of it, and the surface that draws such a selection.
+
+A *surface* draws one kind of selection into depth and marks. The terrain's own patches are streamed and drawn as
+instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind, or is
+drawn by its triangles (``meshes``). All that comes after (light, lines, voids) reads the targets only. A new kind of
+selection gets its surface by a line in ``Ground.surfaces``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from orograph.errors import UsageError
+from orograph.gpu.device import Device
+from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
+from orograph.lod.selection import Selection, TriangleMesh
+from orograph.lod.triangle_patches import Patches
+from orograph.rendering.gpu.stream.residency import Chosen, Residency
+from orograph.rendering.gpu.stream.tiles import missing
+from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
+from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
+from orograph.rendering.gpu.surface.patches import PatchPass
+from orograph.rendering.gpu.targets import Targets
+from orograph.scene.methods import mesh_choice
+from orograph.scene.scene import Scene
+from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
+from orograph.viewpoint import View
+
+
+class Surface(Protocol):
+    """Draws selections of one kind."""
+
+    def draw(self, encoder: Any, targets: Targets, selection: Any, left: Left) -> None:
+        """Clear the targets and draw a selection into depth and marks, and what else is to be ``left``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What a frame draws.
+
+    Attributes:
+        streamed: the terrain's patches, which tell what is in view even if another method's selection is drawn.
+        selection: what is drawn. missing: tiles that would make it better.
+    """
+
+    streamed: Chosen
+    selection: Patches | Selection
+
+    @property
+    def patches(self) -> Patches:
+        """The terrain's own."""
+        return self.streamed.patches
+
+    @property
+    def mesh(self) -> Tessellation | None:
+        """The triangles of another method's selection; None: patches are drawn."""
+        return None if isinstance(self.selection, Patches) else self.selection.tessellation()
+
+
+class Ground:
+    """The ground of one terrain on one device.
+
+    Args:
+        camera: the uniform buffer (``camera.CAMERA``).
+        tiles: of the terrain. stored_slopes, levels: of ``shade.resources.Resources``.
+
+    Attributes:
+        surfaces: what draws a selection, by its type.
+    """
+
+    def __init__(
+        self, device: Device, terrain: Terrain, camera: Any, tiles: Residency, stored_slopes: tuple[Any, Any, Any],
+        levels: Any,
+    ) -> None:  # fmt: skip
+        self.tiles = tiles
+        legs, heights, absent = tiles.method.legs, tiles.heights, missing(terrain)
+        self._patches = PatchPass(
+            device, camera, heights.texture, stored_slopes, patch_vertices(legs), patch_indices(legs),
+            INSTANCE.itemsize, absent,
+        )  # fmt: skip
+        field = heights.texture.create_view(dimension="2d-array"), heights.page_buffer, levels
+        self.surfaces: Mapping[type, Surface] = {
+            Patches: self._patches,
+            TriangleMesh: MeshPass(device, camera, field, absent),
+        }
+        self._selected = Selected(terrain, own=self.surfaces.keys())
+        self._drawn: Drawn | None = None
+
+    def choose(self, scene: Scene, freeze: View | None, tolerance: float, *, wait: bool) -> Drawn:
+        """What a frame of a scene draws.
+
+        Args:
+            freeze: the camera it is selected for, if not the scene's. tolerance: of patches, pixels.
+            wait: until it is all there.
+
+        Raises:
+            OrographError: with ``wait``, a tile cannot be read or the method cannot do it.
+        """
+        view, surface = scene.view, scene.surface
+        chosen = self.tiles.choose(
+            freeze or surface.mesh_view or view, tolerance, surface.exaggeration, wait=wait, later=True
+        )
+        if streamed(scene):
+            self._selected.none()
+        else:
+            have = self._selected.at_once if wait else self._selected.aside
+            have(scene, freeze or surface.mesh_view or view)
+        self._drawn = Drawn(chosen, self._selected.selection or chosen.patches)
+        return self._drawn
+
+    def draw(self, encoder: Any, targets: Targets, drawn: Drawn, left: Left = DEPTH_ONLY) -> None:
+        """Clear the targets and draw the ground."""
+        self.surfaces[type(drawn.selection)].draw(encoder, targets, drawn.selection, left)
+
+    def draw_patches(self, encoder: Any, targets: Targets, patches: Patches) -> None:
+        """Clear the targets and draw the terrain's own patches."""
+        self._patches.draw(encoder, targets, patches, DEPTH_ONLY)
+
+    def compile(self, edges: bool, slopes: Slopes) -> None:
+        """Compile what draws patches."""
+        self._patches.pipeline(edges, slopes)
+
+    @property
+    def mesh(self) -> Tessellation | None:
+        """The triangles of another method's selection that the last frame drew; None: patches."""
+        return None if self._drawn is None else self._drawn.mesh
+
+    @property
+    def busy(self) -> bool:
+        """Whether another selection is on its way."""
+        return self._selected.busy
+
+    @property
+    def failure(self) -> str:
+        """What of the ground could not be had, and why; "" if there is nothing."""
+        return self.tiles.failure or self._selected.failure
+
+    def current(self, scene: Scene) -> bool:
+        """Whether what is drawn is what the scene asked for; patches always are."""
+        return streamed(scene) or self._selected.current
+
+    def close(self) -> None:
+        """Stop reading and selecting."""
+        self.tiles.close()
+        self._selected.close()
+
+
+def streamed(scene: Scene) -> bool:
+    """Whether the terrain's own patches are drawn."""
+    try:
+        return mesh_choice(scene.surface.method, "gpu", scene.surface.triangles) is None
+    except UsageError:  # ``Selected`` says why
+        return False

@@ -1,0 +1,23 @@
+"""What a surface leaves for those who come after, besides depth and marks."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+Slopes = Literal["", "stored", "flat"]
+"""Which slopes are left: none; those at vertices, blended between; those of the triangles that are drawn."""
+
+
+class Left(NamedTuple):
+    """What is wanted of a surface.
+
+    Attributes:
+        edges: marks of triangles' edges. slopes: of what is drawn. field: the terrain's own height in each pixel.
+    """
+
+    edges: bool = False
+    slopes: Slopes = ""
+    field: bool = False
+
+
+DEPTH_ONLY = Left()
