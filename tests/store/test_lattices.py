@@ -233,7 +233,7 @@ def test_without_the_source_heights_say_how_far_off_they_are(made, tmp_path):
     assert hit.height == hit.surface_height == own.surface_height != own.height
     assert hit.height_error == terrain.resampled.largest and own.height_error is None
     text = f"resampled, ± {hit.height_error:.3g} m"
-    assert text in dict((name, value) for name, value, _ in lines(hit))["height"]
+    assert text in {name: value for name, value, _ in lines(hit)}["height"]
     assert not any("resampled" in value for _, value, _ in lines(own))
     line = measuring.profile(terrain, points)
     np.testing.assert_allclose(line.heights, line.surface_heights, atol=1e-9)

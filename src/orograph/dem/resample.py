@@ -28,16 +28,14 @@ def sample(method: str, window: Heights, row0: int, col0: int, u: Floats, v: Flo
     """Give each still missing (NaN) sample of ``out`` the raster's value at its position, where there is one.
 
     Args:
-        method: one of ``METHODS``; or, of a terrain's own samples, "surface" (on its triangles) or "highest" (the
-            highest sample of the cell).
+        method: one of ``METHODS``; or "ground", of a terrain's level 0: ``out`` is then (rows, cols, 2), the surface
+            made of its triangles (NaN in a hole), and the highest of the four samples around.
         window: (h, w) float32 part of the raster, NaN where missing; beyond it everything counts as missing.
         row0, col0: index of the window's first sample in the raster.
         u, v: (rows, cols) float64: column and row positions in the raster; NaN for nowhere.
         out: (rows, cols) float32, changed in place.
     """
-    kernels = {
-        "nearest": _nearest, "bilinear": _bilinear, "cubic": _cubic, "surface": _surface, "highest": _highest,
-    }  # fmt: skip
+    kernels = {"nearest": _nearest, "bilinear": _bilinear, "cubic": _cubic, "ground": _ground}
     kernels[method](window, row0, col0, u, v, out)
 
 
@@ -147,12 +145,12 @@ def _row(window: Heights, j: int, i: int, s: float) -> float:
 
 
 @kernel
-def _surface(window: Heights, row0: int, col0: int, u: Floats, v: Floats, out: Heights) -> None:
-    """The plane of the triangle: (even, even) and (odd, odd) corners of a cell are joined. None in a hole."""
+def _ground(window: Heights, row0: int, col0: int, u: Floats, v: Floats, out: Heights) -> None:
+    """The triangle's plane (a cell's (even, even) and (odd, odd) corners are joined), and the cell's highest sample."""
     for r in range(out.shape[0]):
         for c in range(out.shape[1]):
             x, y = u[r, c], v[r, c]
-            if math.isnan(x + y) or not math.isnan(out[r, c]):
+            if math.isnan(x + y) or not math.isnan(out[r, c, 1]):
                 continue
             left, top = math.floor(x), math.floor(y)
             s, t = x - left, y - top
@@ -160,26 +158,16 @@ def _surface(window: Heights, row0: int, col0: int, u: Floats, v: Floats, out: H
             p, q = _at(window, j, i), _at(window, j, i + 1)
             m, n = _at(window, j + 1, i), _at(window, j + 1, i + 1)
             if (left + top) % 2 == 0:
-                out[r, c] = p + s * (q - p) + t * (n - q) if s >= t else p + t * (m - p) + s * (n - m)
+                height = p + s * (q - p) + t * (n - q) if s >= t else p + t * (m - p) + s * (n - m)
             elif s + t <= 1:
-                out[r, c] = p + s * (q - p) + t * (m - p)
+                height = p + s * (q - p) + t * (m - p)
             else:
-                out[r, c] = n + (1 - s) * (m - n) + (1 - t) * (q - n)
-
-
-@kernel
-def _highest(window: Heights, row0: int, col0: int, u: Floats, v: Floats, out: Heights) -> None:
-    for r in range(out.shape[0]):
-        for c in range(out.shape[1]):
-            x, y = u[r, c], v[r, c]
-            if math.isnan(x + y) or not math.isnan(out[r, c]):
-                continue
-            i, j = math.floor(x) - col0, math.floor(y) - row0
-            highest = -np.inf
-            for k in range(4):
-                height = _at(window, j + k // 2, i + k % 2)
-                highest = height if height > highest else highest
-            out[r, c] = highest if highest > -np.inf else np.nan
+                height = n + (1 - s) * (m - n) + (1 - t) * (q - n)
+            highest = p
+            for other in (q, m, n):
+                if not highest >= other and not math.isnan(other):
+                    highest = other
+            out[r, c, 0], out[r, c, 1] = height, highest
 
 
 @kernel

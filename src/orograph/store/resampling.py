@@ -125,13 +125,12 @@ class _Look:
         if self.keep:
             digest = self.writer.shard(self.spec, spot, self.record.encode(own))
             facts["digest"] = np.frombuffer(digest, np.uint8)
-        covered, drawn, highest = (np.full(own.shape, np.nan, np.float32) for _ in range(3))
+        covered, ground = (np.full(shape, np.nan, np.float32) for shape in (own.shape, (*own.shape, 2)))
         for layer in self.finer:
             fill("nearest", layer, row0, row1, col0, col1, covered)
         if not np.isnan(own).all():
-            fill("surface", self.surface, row0, row1, col0, col1, drawn)
-            fill("highest", self.surface, row0, row1, col0, col1, highest)
-        facts["found"] = _compared(around, np.isnan(covered), drawn, highest)
+            fill("ground", self.surface, row0, row1, col0, col1, ground)
+        facts["found"] = _compared(around, np.isnan(covered), ground[..., 0], ground[..., 1])
         self.writer.keep(self._part(spot), pack(facts))
         return facts
 

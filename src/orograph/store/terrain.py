@@ -113,6 +113,14 @@ class Resampled:
     highest: float
     highest_loss: float
 
+    def __str__(self) -> str:
+        if math.isnan(self.rms):
+            return "no sample of the source has ground beside it"
+        return (
+            f"{self.rms:.2g} m rms from the source's samples, at most {self.largest:.3g} m; summits lose at most "
+            f"{self.summit_loss:.3g} m, the highest {self.highest_loss:.3g} of {self.highest:.6g} m"
+        )
+
     def to_json(self) -> dict[str, float | None]:
         return {name: None if math.isnan(value) else value for name, value in asdict(self).items()}
 
