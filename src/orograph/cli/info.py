@@ -218,7 +218,7 @@ def describe(facts: Facts) -> str:
     if facts["kind"] == "store":
         if facts["_resampled"] is not None:
             kept = "its samples are kept" if facts["keeps_source"] else "its samples are not kept"
-            line("resampled", f" {facts['_resampled']} ({kept})")
+            line("source", f"resampled: {facts['_resampled']}; {kept}")
         line("errors", ", ".join(facts["errors"]) or "none (orograph build --errors)")
         line("colors", _colors(facts["colors"]) or "none (orograph build --color-errors)")
         line("layers", ", ".join(_layer(layer) for layer in facts["_layers"].values()) or "none (orograph bake)")
