@@ -16,7 +16,7 @@ from surfaces import surface as plain_surface
 
 from orograph import measuring, store
 from orograph.dem.mosaic import Mosaic
-from orograph.errors import DamagedChunkError, StoreError
+from orograph.errors import DamagedChunkError, StoreError, StoreReplacedError
 from orograph.geo.grid import Grid
 from orograph.measuring.told import lines
 from orograph.store.repair import repair
@@ -361,3 +361,23 @@ def test_a_bake_leaves_them_alone(area):
     bake(area, ["sky-view-factor"]).close()
     assert {key: data for key, data in files(area).items() if key.startswith("source/")} == before
     assert store.open(area).check() == []
+
+
+def test_samples_of_a_store_that_was_replaced_are_not_given(area):
+    terrain = store.open(area)
+    x, y = terrain.grid.xy(50, 60)
+    before = terrain.samples.heights_at(x, y)
+    store.build(Mosaic([degrees(rough((130, 205), 5))]), area, overwrite=True, errors=(), **SIZES).close()
+    with pytest.raises(StoreReplacedError):
+        terrain.samples.heights_at(x, y)
+    with terrain.reopen() as new:
+        assert new.samples.heights_at(x, y) != before
+
+
+def test_they_are_read_from_a_url(made, tmp_path):
+    url = f"memory://lattices-{tmp_path.name}"
+    inputs = [made / "a.tif", made / "b.tif"]
+    terrain, local = store.build(inputs, url, errors=(), **SIZES), store.open(made / "s.oro")
+    x, y = terrain.grid.xy(np.array([90.2, 12.0]), np.array([33.1, 90.0]))
+    np.testing.assert_array_equal(terrain.samples.heights_at(x, y), local.samples.heights_at(x, y))
+    assert terrain.check() == []
