@@ -381,3 +381,33 @@ def test_they_are_read_from_a_url(made, tmp_path):
     x, y = terrain.grid.xy(np.array([90.2, 12.0]), np.array([33.1, 90.0]))
     np.testing.assert_array_equal(terrain.samples.heights_at(x, y), local.samples.heights_at(x, y))
     assert terrain.check() == []
+
+
+@pytest.mark.parametrize(
+    ("shape", "cell", "west", "north", "resolution"),
+    [
+        ((2, 2), 0.01, 7.0, 46.0, None),
+        ((3, 70), 0.01, 179.8, 46.0, None),  # across the antimeridian
+        ((40, 120), 3.0, -180.0, 90.0, 200_000.0),  # half a globe, closed in longitude: around the pole
+    ],
+)
+def test_odd_rasters(tmp_path, shape, cell, west, north, resolution):
+    source = degrees(rough(shape, 3), west, north, cell)
+    mosaic = Mosaic([source], resolution=resolution, crs="EPSG:3995" if cell == 3.0 else None)
+    terrain = store.build(mosaic, tmp_path / "s.oro", errors=(), **SIZES)
+    rows, cols = terrain.grid.shape
+    x, y = terrain.grid.xy(*np.indices((rows, cols)).reshape(2, -1)[::-1])
+    found = terrain.samples.heights_at(x, y)
+    np.testing.assert_array_equal(found, mosaic.heights_at(x, y))
+    assert np.isfinite(found).any() and terrain.check() == []
+    assert terrain.resampled.largest >= terrain.resampled.rms >= 0
+
+
+def test_where_nothing_is_known_nothing_is_said_to_be_lost(tmp_path):
+    terrain = store.build(
+        Mosaic([degrees(np.full((20, 30), np.nan, np.float32))]), tmp_path / "s.oro", keep_source=False
+    )
+    assert math.isnan(terrain.resampled.rms) and terrain.resampled.to_json()["largest"] is None
+    assert "no sample of the source has ground" in str(terrain.resampled)
+    hit = measuring.place(terrain, terrain.grid.xy(4, 5))
+    assert hit.height is None and hit.height_error is None
