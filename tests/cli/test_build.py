@@ -16,6 +16,7 @@ from affine import Affine
 from click.testing import CliRunner
 
 from orograph import store
+from orograph.cli import cli
 from orograph.cli.build import command
 
 
@@ -77,6 +78,19 @@ def test_degrees_become_metres(tmp_path):
     ran = CliRunner().invoke(command, [str(dem), "-o", str(tmp_path / "a.oro"), "--json"], obj={"quiet": True})
     assert ran.exit_code == 0, ran.output
     assert json.loads(ran.stdout)["crs"] == "EPSG:32632"
+
+
+def test_whether_the_source_is_kept(tmp_path):
+    dem, area = write(tmp_path / "dem.tif", HEIGHTS * 90, crs="EPSG:4326"), tmp_path / "area.oro"
+    runner, place = CliRunner(), ["measure", str(area), "pick", "--lonlat", "8.504,46.503"]
+    ran = runner.invoke(cli, ["build", str(dem), "-o", str(area)], catch_exceptions=False)
+    assert "resampled: " in ran.output and "m rms from the source's samples, at most" in ran.output
+    assert "(resampled" not in runner.invoke(cli, place, catch_exceptions=False).output
+    line = ["build", str(dem), "-o", str(area), "--overwrite", "--no-keep-source", "--json"]
+    told = json.loads(runner.invoke(cli, ["--quiet", *line], catch_exceptions=False).stdout)
+    assert told["keeps_source"] is False and told["resampled"]["largest"] > 0
+    said = runner.invoke(cli, place, catch_exceptions=False).output
+    assert f"(resampled, ± {told['resampled']['largest']:.3g} m)" in said
 
 
 @pytest.mark.parametrize("flags", [[], ["--resume"]])

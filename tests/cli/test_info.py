@@ -40,6 +40,8 @@ KEYS = {
     "colors",
     "layers",
     "parts",
+    "resampled",
+    "keeps_source",
     "levels",
     "side",
     "size_bytes",
@@ -272,6 +274,24 @@ def test_a_store_is_told_from_a_raster(tmp_path: Path) -> None:
     for key in ("crs", "shape", "transform", "spacing_m", "height_range", "valid_fraction", "levels", "side"):
         assert found[key] == of_dem[key], key
     assert found["size_bytes"] == sum(p.stat().st_size for p in url.rglob("*") if p.is_file())
+
+
+def test_what_resampling_has_lost_is_told(tmp_path: Path) -> None:
+    from orograph import store
+
+    degrees = Affine(0.001, 0, 8, 0, -0.001, 47)
+    dem = write(tmp_path / "a.tif", hills() * 40, transform=degrees, crs="EPSG:4326")
+    assert (info(dem)["resampled"], info(dem)["keeps_source"]) == (None, None)
+    for keep in (True, False):
+        terrain = store.build(dem, tmp_path / "a.oro", keep_source=keep, overwrite=True)
+        facts = info(tmp_path / "a.oro")
+        assert facts["resampled"] == terrain.resampled.to_json() and facts["keeps_source"] is keep
+        assert ("samples of the source" in facts["parts"]) is keep
+        assert sum(facts["parts"].values()) == facts["size_bytes"]
+        text = CliRunner().invoke(cli, ["info", str(tmp_path / "a.oro")], catch_exceptions=False).output
+        lost = terrain.resampled
+        assert f"at most {lost.largest:.3g} m; summits lose at most {lost.summit_loss:.3g} m" in text
+        assert f"its samples are {'' if keep else 'not '}kept" in text
 
 
 def test_what_a_store_consists_of(tmp_path: Path) -> None:

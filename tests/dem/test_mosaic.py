@@ -19,7 +19,7 @@ from pyproj import CRS, Transformer
 from rasterio.warp import Resampling, reproject
 from scipy.ndimage import map_coordinates
 
-from orograph.dem import mosaic as mosaic_module
+from orograph.dem import layers as layers_module
 from orograph.dem.mosaic import Mosaic
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
@@ -369,9 +369,9 @@ def test_threads_and_internal_pieces_do_not_matter(
     tricky: tuple[Mosaic, NDArray[np.float32]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     m, whole = tricky
-    monkeypatch.setattr(mosaic_module, "PIECE", 3000)
-    monkeypatch.setattr(mosaic_module, "BUDGET", 20_000)
-    monkeypatch.setattr(mosaic_module, "STRIP", 7)
+    monkeypatch.setattr(layers_module, "PIECE", 3000)
+    monkeypatch.setattr(layers_module, "BUDGET", 20_000)
+    monkeypatch.setattr(layers_module, "STRIP", 7)
     rows, cols = m.grid.shape
     windows = [(r, min(r + 61, rows), c, min(c + 83, cols)) for r in range(0, rows, 61) for c in range(0, cols, 83)]
     with ThreadPoolExecutor(4) as pool:

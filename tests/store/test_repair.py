@@ -177,7 +177,7 @@ def test_an_older_store_is_refused_with_the_command_that_rebuilds_it(area):
     root = json.loads((area / "zarr.json").read_text())
     root["attributes"]["orograph"] = {"format": 2}
     (area / "zarr.json").write_text(json.dumps(root))
-    again = rf"format 2, and this version reads format 3.*orograph\.build\(dem, '{area}', overwrite=True\)"
+    again = rf"format 2, and this version reads format 4.*orograph\.build\(dem, '{area}', overwrite=True\)"
     for use in (store.open, repair, lambda path: bake(path, ["visible-sky"])):
         with pytest.raises(StoreError, match=again):
             use(area)

@@ -73,6 +73,12 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
     help="Store also how much coarser triangles change colours (for --color-tolerance), of --drape or the tint, lit.",
 )
 @click.option("--drape", type=FILE, metavar="IMAGE", help="With --color-errors: the image laid over the terrain.")
+@click.option(
+    "--keep-source/--no-keep-source",
+    default=True,
+    show_default=True,
+    help="Of files that are brought to another grid, keep the samples as they are, for the heights of places.",
+)
 @source_options
 @vertical_options
 @memory_option
@@ -110,13 +116,16 @@ def command(
     color_errors: bool,
     drape: str | None,
     products: tuple[str, ...] | None,
+    keep_source: bool,
     as_json: bool,
     **options: Any,
 ) -> None:
     """Build a terrain store from DEM files: one raster at all its resolutions, read tile by tile.
 
     Many files become one terrain; degrees become metres (the UTM zone, unless --crs says otherwise); a projected raster
-    is kept sample for sample. The store is a Zarr v3 hierarchy that other tools read as well.
+    is kept sample for sample. The samples of what is brought to another grid are kept as well: the surface is drawn
+    from the grid, the height of a place comes from the samples. The store is a Zarr v3
+    hierarchy that other tools read as well.
 
     A build that is interrupted (Ctrl-C, a full disk, a crash) leaves STORE.partial, and --resume finishes it to the
     same bytes. Nothing that is incomplete opens as a store.
@@ -160,6 +169,7 @@ def command(
             max_memory=max_memory,
             jobs=jobs,
             errors=errors,
+            keep_source=keep_source,
             progress=progress,
         )
     except KeyboardInterrupt:
@@ -199,6 +209,8 @@ def command(
         "color_errors": terrain.record.colors or None,
         "layers": list(terrain.layers),
         "vertical_datum": terrain.vertical,
+        "resampled": None if terrain.resampled is None else terrain.resampled.to_json(),
+        "keeps_source": terrain.samples is not None,
         "seconds": round(time.perf_counter() - started, 3),
         "peak_memory_bytes": peak_memory(),
     }
@@ -213,7 +225,8 @@ def command(
         f"{terrain.levels} levels, side {terrain.side}; "
         + (f"heights {low:.1f} to {high:.1f} m, " if known else "no valid height, ")
         + f"{100 * terrain.valid_fraction:.4g} % valid\n"
-        f"built in {result['seconds']:.1f} s, peak memory {megabytes(peak_memory())}"
+        + (f"resampled: {terrain.resampled}\n" if terrain.resampled is not None else "")
+        + f"built in {result['seconds']:.1f} s, peak memory {megabytes(peak_memory())}"
     )
 
 
@@ -225,7 +238,16 @@ def _repair(
     from orograph.store.build import as_source
     from orograph.store.repair import repair
 
-    others = {"overwrite", "resume", "products", "errors", "color_errors", "drape", *(() if dem else options)}
+    others = {
+        "overwrite",
+        "resume",
+        "products",
+        "errors",
+        "keep_source",
+        "color_errors",
+        "drape",
+        *(() if dem else options),
+    }
     for option in ctx.command.params:
         name = str(option.name)
         if name in others and ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:

@@ -3,7 +3,9 @@
 The keys of the JSON object are fixed: kind ("dem" or "store"), path, crs, transform (a b c d e f as in GDAL and
 affine), shape [rows, cols], spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction,
 dtype, nodata, vertical_datum, levels, side, errors (the kinds that a store has), colors (what its color errors are of:
-drape, colormap, sun, relief), layers (those baked into it), parts (what of a store takes how many bytes), size_bytes,
+drape, colormap, sun, relief), resampled (what a store lost when its source was brought to another grid, metres: rms,
+largest, summit_loss, highest, highest_loss), keeps_source (whether the source's samples are in it), layers (those baked
+into it), parts (what of a store takes how many bytes), size_bytes,
 warnings. What is unknown or absent, and every number that is not finite, is null. Several paths give a list.
 """
 
@@ -94,6 +96,8 @@ def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | No
         "side": (1 << exponent(source.shape)) + 1,
         "errors": [],
         "colors": None,
+        "resampled": None,
+        "keeps_source": None,
         "layers": [],
         "parts": None,
         "size_bytes": _size(path),
@@ -132,7 +136,10 @@ def _store_facts(path: str) -> Facts:
             "side": terrain.side,
             "errors": list(terrain.errors),
             "colors": terrain.record.colors or None,
+            "resampled": None if terrain.resampled is None else terrain.resampled.to_json(),
+            "keeps_source": terrain.samples is not None,
             "layers": list(terrain.layers),
+            "_resampled": terrain.resampled,
             "parts": _parts(path, terrain.errors, tuple(terrain.layers)),
             "_layers": terrain.record.layers,
             "size_bytes": _size(path),
@@ -169,6 +176,8 @@ def _parts(path: str, errors: Sequence[str], layers: Sequence[str]) -> dict[str,
             parts[{"radius": "spheres", "color": "color errors"}.get(kind, f"{kind} errors")] = found
     for name in layers:
         parts[name] = _files(folder / "layers" / name)
+    if (folder / "source").is_dir():
+        parts["samples of the source"] = _files(folder / "source")
     rest = _files(folder) - sum(parts.values())
     return {**parts, "means, extremes and the rest": rest}
 
@@ -207,6 +216,9 @@ def describe(facts: Facts) -> str:
         "terrain", f"{facts['levels']} level{'s' if facts['levels'] > 1 else ''} in a square of {facts['side']} samples"
     )
     if facts["kind"] == "store":
+        if facts["_resampled"] is not None:
+            kept = "its samples are kept" if facts["keeps_source"] else "its samples are not kept"
+            line("source", f"resampled: {facts['_resampled']}; {kept}")
         line("errors", ", ".join(facts["errors"]) or "none (orograph build --errors)")
         line("colors", _colors(facts["colors"]) or "none (orograph build --color-errors)")
         line("layers", ", ".join(_layer(layer) for layer in facts["_layers"].values()) or "none (orograph bake)")

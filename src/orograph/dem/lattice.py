@@ -21,6 +21,7 @@ from orograph.geo.grid import Grid, apply, compose
 
 SPACING_TOLERANCE = 1e-6
 OFFSET_TOLERANCE = 1e-3
+FLOAT = ("float32", math.nan)
 
 Heights = NDArray[np.float32]
 
@@ -38,6 +39,23 @@ class Raster(Protocol):
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights: ...
 
 
+class SourceLattice(Protocol):
+    """Samples on one lattice, as a terrain is made of them.
+
+    Attributes:
+        grid: where they lie.
+        code: (dtype, nodata) of the smallest numbers that hold all of them exactly; ("float32", nan) where none do.
+    """
+
+    @property
+    def grid(self) -> Grid: ...
+    @property
+    def code(self) -> tuple[str, float]: ...
+
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """A window, which may reach beyond the grid: its shape, float32 metres, NaN where there is none."""
+
+
 @dataclass(slots=True)
 class Lattice:
     """Rasters of one lattice.
@@ -53,6 +71,11 @@ class Lattice:
     members: list[Raster] = field(default_factory=list)
     corners: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 4), np.int64))
     circle: int = 0
+
+    @property
+    def code(self) -> tuple[str, float]:
+        codes = {getattr(member, "code", FLOAT) for member in self.members}
+        return codes.pop() if len(codes) == 1 else FLOAT
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
         """Samples of a window, which may reach beyond the grid: its shape, float32, NaN where there is none."""

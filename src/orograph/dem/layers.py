@@ -13,28 +13,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.dem.coordinates import Coordinates, NodeMesh
-from orograph.dem.lattice import Lattice, offset_between
-from orograph.dem.resample import box_means
+from orograph.dem.lattice import SourceLattice, offset_between
+from orograph.dem.resample import box_means, sample
 from orograph.geo.grid import Grid
 
 COARSER = 1.5  # from this ratio of spacings on, sources are averaged before they are sampled
 BUDGET = 3 << 23  # source samples held at once (float32: 96 MiB)
+PIECE = 1 << 22  # target samples resampled at once
+STRIP = 256  # rows whose coordinates are held at once
 
 Heights = NDArray[np.float32]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class LatticeMap:
     """A lattice and how to take it to the target grid: by a whole offset, or by coordinates (and averaging before)."""
 
-    lattice: Lattice
+    lattice: SourceLattice
     offset: tuple[int, int] | None  # (row, col) of the target's first sample in the lattice
     coordinates: Coordinates | None
     means: tuple[int, int]  # rows, cols of the blocks averaged first
     box: tuple[int, int, int, int]  # target rows and columns it can reach
 
+    def positions(self, col: Floats, row: Floats) -> tuple[Floats, Floats]:
+        """(col, row) (n,) in the lattice of fractional samples (n,) of the target."""
+        if self.offset is not None:
+            return col + self.offset[1], row + self.offset[0]
+        assert self.coordinates is not None
+        return self.coordinates.exact(col, row)
 
-def layer_of(lattice: Lattice, target: Grid, resampling: str) -> LatticeMap:
+
+def layer_of(lattice: SourceLattice, target: Grid, resampling: str) -> LatticeMap:
     """How ``lattice`` is taken to ``target``."""
     everything = (0, target.rows, 0, target.cols)
     offset = offset_between(target, lattice.grid)
@@ -103,3 +113,45 @@ def needed(layer: LatticeMap, mesh: NodeMesh) -> tuple[int, int, int, int] | Non
     i0, i1 = math.floor((u0 - (k_cols - 1) / 2) / k_cols) - 1, math.floor((u1 - (k_cols - 1) / 2) / k_cols) + 3
     j0, j1, i0, i1 = max(j0, -2), min(j1, rows + 2), max(i0, -2), min(i1, cols + 2)
     return (j0, j1, i0, i1) if j0 < j1 and i0 < i1 else None
+
+
+def fill(method: str, layer: LatticeMap, row0: int, row1: int, col0: int, col1: int, out: Heights) -> None:
+    """Give the missing samples of ``out`` (that window of the target) the values of one lattice, where it has any.
+
+    Args:
+        method: one of ``resample.sample``'s.
+    """
+    if layer.offset is not None:
+        r, c = layer.offset
+        found = layer.lattice.read(row0 + r, row1 + r, col0 + c, col1 + c)
+        np.copyto(out, found, where=np.isnan(out))
+        return
+    assert layer.coordinates is not None
+    reach = mesh = None
+    if (row1 - row0) * (col1 - col0) <= PIECE:
+        mesh = layer.coordinates.mesh(row0, row1, col0, col1)
+        reach = needed(layer, mesh)
+        if reach is None:
+            return
+    if (
+        mesh is None
+        or reach is None
+        or ((reach[1] - reach[0]) * (reach[3] - reach[2]) > BUDGET and max(out.shape) > 16)
+    ):
+        if row1 - row0 >= col1 - col0:
+            middle = (row0 + row1) // 2
+            fill(method, layer, row0, middle, col0, col1, out[: middle - row0])
+            fill(method, layer, middle, row1, col0, col1, out[middle - row0 :])
+        else:
+            middle = (col0 + col1) // 2
+            fill(method, layer, row0, row1, col0, middle, out[:, : middle - col0])
+            fill(method, layer, row0, row1, middle, col1, out[:, middle - col0 :])
+        return
+    window = averaged(layer, *reach)
+    k_rows, k_cols = layer.means
+    for r in range(row0, row1, STRIP):
+        end = min(r + STRIP, row1)
+        u, v = mesh.positions(r, end, col0, col1)
+        if layer.means != (1, 1):
+            u, v = (u - (k_cols - 1) / 2) / k_cols, (v - (k_rows - 1) / 2) / k_rows
+        sample(method, window, reach[0], reach[2], u, v, out[r - row0 : end - row0])

@@ -13,30 +13,27 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from affine import Affine
 from numpy.typing import ArrayLike, NDArray
-from pyproj import CRS, Proj
+from pyproj import CRS
 
-from orograph.dem.axes import east_north
-from orograph.dem.lattice import Lattice, Raster, full_turn, group
-from orograph.dem.layers import BUDGET, LatticeMap, averaged, layer_of, needed
-from orograph.dem.points import heights_between
-from orograph.dem.projection import horizontal, in_metres, unwrapped
-from orograph.dem.resample import METHODS, sample
+from orograph.dem.lattice import Lattice, Raster, SourceLattice, group
+from orograph.dem.layers import fill, layer_of
+from orograph.dem.placing import placed, scale_at_centre, scales, turned
+from orograph.dem.points import heights_at
+from orograph.dem.resample import METHODS
 from orograph.dem.target import choose, ground_spacing, parse_crs
-from orograph.dem.undulation import Direction, Undulation, check_datums, check_request, latitudes_of
+from orograph.dem.undulation import ConvertedLattice, Direction, Undulation, check_datums, check_request, latitudes_of
 from orograph.errors import ReadError, UsageError
-from orograph.geo.grid import Grid, compose
+from orograph.geo.grid import Grid
 from orograph.geo.operations import approximation, same_body
 from orograph.geo.vertical import Geoid
 from orograph.progress import SILENT, Progress
 
-PIECE = 1 << 22  # target samples resampled at once
-STRIP = 256  # rows whose coordinates are held at once
 UNEVEN = 1.1  # ratio of scales within a kept projection that is worth one, too
 FALSE_SCALE = 0.01  # scale error of a kept projection from which on it is worth a warning
 
@@ -80,7 +77,7 @@ class Mosaic:
         self.sources: tuple[Raster, ...] = tuple(sources)
         self.resampling = resampling
         self.warnings: list[str] = []
-        grids = _turned([_placed(s, options or {}, self.warnings) for s in self.sources])
+        grids = turned([placed(s, options or {}, self.warnings) for s in self.sources])
         if len({g.crs is None for g in grids}) == 2:
             nameless = next(s for s, g in zip(self.sources, grids) if g.crs is None)
             raise ReadError(
@@ -104,11 +101,16 @@ class Mosaic:
         self.dtypes = tuple(sorted({str(getattr(s, "dtype", "float32")) for s in self.sources}))
         self.vertical = self._one_datum()
         self.undulation: Undulation | None = None
+        self._own = self._layers
         if to_vertical is not None and geoid is not None:
             grid = geoid if isinstance(geoid, Geoid) else Geoid.open(geoid, latitudes=latitudes_of(lattices))
             check_datums(self.sources, to_vertical, grid)
             self.undulation = Undulation(grid, to_vertical, self.grid, lattices)
             self.vertical = self.undulation.vertical
+            self._own = [
+                replace(layer, lattice=ConvertedLattice(lattice, grid, to_vertical))
+                for layer, lattice in zip(self._layers, lattices)
+            ]
         self._options = {
             "crs": None if wanted is None else wanted.to_wkt(),
             "resolution": resolution,
@@ -191,7 +193,7 @@ class Mosaic:
             if a < b and c < d:
                 part = out[a - row0 : b - row0, c - col0 : d - col0]
                 if i == 0 or np.isnan(part).any():
-                    self._fill(layer, a, b, c, d, part)
+                    fill(self.resampling, layer, a, b, c, d, part)
         if self.undulation is not None:
             self.undulation.apply(row0, col0, out)
         return out
@@ -203,21 +205,12 @@ class Mosaic:
         Raises:
             ReadError: a source is damaged there.
         """
-        col, row = self.grid.index(np.atleast_1d(x), np.atleast_1d(y))
-        out = np.full(col.shape, np.nan)
-        for layer in self._layers:
-            lost = np.flatnonzero(np.isnan(out))
-            if not len(lost):
-                break
-            if layer.coordinates is None:
-                assert layer.offset is not None
-                u, v = col[lost] + layer.offset[1], row[lost] + layer.offset[0]
-            else:
-                u, v = layer.coordinates.exact(col[lost], row[lost])
-            out[lost] = heights_between(layer.lattice.read, layer.lattice.grid.shape, u, v)
-        if self.undulation is not None:
-            self.undulation.apply_at(col, row, out)
-        return out
+        return heights_at(self.grid, self._own, x, y)
+
+    @property
+    def resampled_from(self) -> tuple[SourceLattice, ...]:
+        """The lattices that were resampled, the finest first; none if every sample is a source's own."""
+        return () if self.lossless else tuple(layer.lattice for layer in self._own)
 
     def fingerprint(self) -> str:
         """A hash of the files (absolute path, size, time of change) and all options: if equal, so are the samples."""
@@ -244,43 +237,6 @@ class Mosaic:
         if self.undulation is not None:
             options["geoid"] = str(Path(self.undulation.geoid.path).absolute())
         return paths, options
-
-    def _fill(self, layer: LatticeMap, row0: int, row1: int, col0: int, col1: int, out: Heights) -> None:
-        """Give the missing samples of ``out`` (that window) the values of one lattice."""
-        if layer.offset is not None:
-            r, c = layer.offset
-            found = layer.lattice.read(row0 + r, row1 + r, col0 + c, col1 + c)
-            np.copyto(out, found, where=np.isnan(out))
-            return
-        assert layer.coordinates is not None
-        reach = mesh = None
-        if (row1 - row0) * (col1 - col0) <= PIECE:
-            mesh = layer.coordinates.mesh(row0, row1, col0, col1)
-            reach = needed(layer, mesh)
-            if reach is None:
-                return
-        if (
-            mesh is None
-            or reach is None
-            or ((reach[1] - reach[0]) * (reach[3] - reach[2]) > BUDGET and max(out.shape) > 16)
-        ):
-            if row1 - row0 >= col1 - col0:
-                middle = (row0 + row1) // 2
-                self._fill(layer, row0, middle, col0, col1, out[: middle - row0])
-                self._fill(layer, middle, row1, col0, col1, out[middle - row0 :])
-            else:
-                middle = (col0 + col1) // 2
-                self._fill(layer, row0, row1, col0, middle, out[:, : middle - col0])
-                self._fill(layer, row0, row1, middle, col1, out[:, middle - col0 :])
-            return
-        window = averaged(layer, *reach)
-        k_rows, k_cols = layer.means
-        for r in range(row0, row1, STRIP):
-            end = min(r + STRIP, row1)
-            u, v = mesh.positions(r, end, col0, col1)
-            if layer.means != (1, 1):
-                u, v = (u - (k_cols - 1) / 2) / k_cols, (v - (k_rows - 1) / 2) / k_rows
-            sample(self.resampling, window, reach[0], reach[2], u, v, out[r - row0 : end - row0])
 
     def _check_bodies(self, grids: Sequence[Grid], wanted: CRS | None) -> None:
         """Raise ReadError or UsageError unless everything lies on one planet or moon."""
@@ -321,10 +277,10 @@ class Mosaic:
                 if text not in seen:
                     seen.add(text)
                     self.warnings.append(text if len(self.sources) == 1 else f"{source.name}: {text}")
-        scale = _scale_at_centre(self.grid)
+        scale = scale_at_centre(self.grid)
         if self.projection == "as asked for":
             return
-        least, most = _scales(self.grid)
+        least, most = scales(self.grid)
         if abs(scale - 1) > FALSE_SCALE or most > UNEVEN * least:
             assert self.grid.crs is not None
             uneven = most > UNEVEN * least
@@ -345,88 +301,3 @@ class Mosaic:
                     said.setdefault(text, lattice.members[0].name)
         several = len(lattices) > 1
         self.warnings.extend(f"{name}: {text}" if several else text for text, name in said.items())
-
-
-def _placed(source: Raster, options: dict[str, Any], warnings: list[str]) -> Grid:
-    """A source's grid in a horizontal CRS; if it is projected, in metres east and north.
-
-    Raises:
-        ReadError: the file does not say where or how large it is.
-    """
-    grid, path = source.grid, getattr(source, "path", source.name)
-    if grid.crs is None or not (
-        grid.crs.is_projected or grid.crs.is_geographic or grid.crs.is_bound or grid.crs.is_compound
-    ):
-        if options.get("spacing") is not None:
-            return Grid(grid.shape, grid.transform, None)
-        if not getattr(source, "georeferenced", True) or grid.transform == Affine.identity():
-            raise ReadError(
-                "It does not say where it lies or how far apart its samples are.",
-                path=path,
-                remedy="Give the distance between samples in metres (`spacing=30`), or the CRS (`assume_crs`).",
-            )
-        west, south, east, north = grid.bounds()
-        if max(abs(west), abs(east)) <= 360 and max(abs(south), abs(north)) <= 90.01 and max(grid.spacing) < 1:
-            raise ReadError(
-                f"It has no CRS and its extent ({west:.6g}…{east:.6g}, {south:.6g}…{north:.6g}) may be degrees.",
-                path=path,
-                remedy='Say so (`assume_crs="EPSG:4326"`), or give the metres between samples (`spacing=30`).',
-            )
-        warnings.append("There is no CRS; its coordinates are taken for metres (give the CRS with `assume_crs`).")
-        warnings[:] = list(dict.fromkeys(warnings))
-        return Grid(grid.shape, grid.transform, None)
-    crs = horizontal(grid.crs)
-    if crs.is_geographic:
-        return Grid(grid.shape, grid.transform, crs)
-    if not crs.is_projected:
-        raise ReadError(
-            f"Its CRS ({crs.name}) is neither projected nor geographic.", path=path, remedy="Give `assume_crs`."
-        )
-    crs, turn = east_north(crs)
-    crs, unit = in_metres(crs)
-    plain = unit == 1 and turn.is_identity
-    return Grid(grid.shape, grid.transform if plain else compose(Affine.scale(unit), turn, grid.transform), crs)
-
-
-def _turned(grids: list[Grid]) -> list[Grid]:
-    """Geographic grids moved by whole turns of longitude so that neighbours across the antimeridian are neighbours."""
-    which = [i for i, g in enumerate(grids) if g.crs is not None and g.crs.is_geographic]
-    if len(which) < 2:
-        return grids
-    turn = np.array([full_turn(grids[i]) for i in which])
-    middle = np.array([float(grids[i].xy((grids[i].cols - 1) / 2, 0)[0]) for i in which])
-    wanted = unwrapped(middle / turn * 360.0) / 360.0 * turn
-    out = list(grids)
-    for i, turns, full in zip(which, np.round((wanted - middle) / turn), turn):
-        if turns:
-            out[i] = Grid(
-                grids[i].shape, compose(Affine.translation(turns * full, 0), grids[i].transform), grids[i].crs
-            )
-    return out
-
-
-def _scale_at_centre(grid: Grid) -> float:
-    """Map metres per ground metre at the centre of a projected grid; 1 where that is not defined."""
-    scale = _scale(grid, np.array([(grid.cols - 1) / 2]), np.array([(grid.rows - 1) / 2]))
-    return float(scale[0]) if scale.size else 1.0
-
-
-def _scales(grid: Grid) -> tuple[float, float]:
-    """The smallest and the largest map metres per ground metre over a projected grid; 1, 1 where none are defined."""
-    col, row = np.meshgrid(np.linspace(0, grid.cols - 1, 5), np.linspace(0, grid.rows - 1, 9))
-    scale = _scale(grid, col.ravel(), row.ravel())
-    return (float(scale.min()), float(scale.max())) if scale.size else (1.0, 1.0)
-
-
-def _scale(grid: Grid, col: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Map metres per ground metre at those samples where that is defined."""
-    if grid.crs is None or not grid.crs.is_projected:
-        return np.ones(0)
-    proj = Proj(grid.crs)
-    lon, lat = proj(*grid.xy(col, row), inverse=True)
-    known = np.isfinite(lon) & np.isfinite(lat) & (np.abs(lat) <= 89.9)
-    if not known.any():
-        return np.ones(0)
-    factors = proj.get_factors(lon[known], lat[known])
-    scale = np.sqrt(np.abs(np.asarray(factors.areal_scale)))
-    return np.asarray(scale[np.isfinite(scale) & (scale > 0)])

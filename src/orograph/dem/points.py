@@ -6,12 +6,14 @@ samples; metres.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from orograph.dem.layers import LatticeMap
 from orograph.dem.resample import sample
+from orograph.geo.grid import Grid
 
 BLOCK = 256
 """Samples along the side of the blocks by which places are taken."""
@@ -43,4 +45,22 @@ def heights_between(read: Read, shape: tuple[int, int], col: Array, row: Array) 
         found = np.full(u.shape, np.nan, np.float32)
         sample("bilinear", np.ascontiguousarray(read(r0, r1, c0, c1)), r0, c0, u, v, found)
         out[part] = found[0]
+    return out
+
+
+def heights_at(grid: Grid, layers: Sequence[LatticeMap], x: ArrayLike, y: ArrayLike) -> Array:
+    """Heights (n,) at places (n,) in a terrain's CRS out of the samples it was made of; NaN where there is none.
+
+    Args:
+        grid: of the terrain.
+        layers: its lattices; of several that have a height the first counts.
+    """
+    col, row = grid.index(np.atleast_1d(x), np.atleast_1d(y))
+    out = np.full(col.shape, np.nan)
+    for layer in layers:
+        lost = np.flatnonzero(np.isnan(out))
+        if len(lost):
+            out[lost] = heights_between(
+                layer.lattice.read, layer.lattice.grid.shape, *layer.positions(col[lost], row[lost])
+            )
     return out

@@ -28,13 +28,15 @@ def sample(method: str, window: Heights, row0: int, col0: int, u: Floats, v: Flo
     """Give each still missing (NaN) sample of ``out`` the raster's value at its position, where there is one.
 
     Args:
-        method: one of ``METHODS``.
+        method: one of ``METHODS``; or "ground", of a terrain's level 0: ``out`` is then (rows, cols, 2), the surface
+            made of its triangles (NaN in a hole), and the highest of the four samples around.
         window: (h, w) float32 part of the raster, NaN where missing; beyond it everything counts as missing.
         row0, col0: index of the window's first sample in the raster.
         u, v: (rows, cols) float64: column and row positions in the raster; NaN for nowhere.
         out: (rows, cols) float32, changed in place.
     """
-    {"nearest": _nearest, "bilinear": _bilinear, "cubic": _cubic}[method](window, row0, col0, u, v, out)
+    kernels = {"nearest": _nearest, "bilinear": _bilinear, "cubic": _cubic, "ground": _ground}
+    kernels[method](window, row0, col0, u, v, out)
 
 
 @kernel
@@ -140,6 +142,32 @@ def _row(window: Heights, j: int, i: int, s: float) -> float:
         s,
     )
     return value
+
+
+@kernel
+def _ground(window: Heights, row0: int, col0: int, u: Floats, v: Floats, out: Heights) -> None:
+    """The triangle's plane (a cell's (even, even) and (odd, odd) corners are joined), and the cell's highest sample."""
+    for r in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            x, y = u[r, c], v[r, c]
+            if math.isnan(x + y) or not math.isnan(out[r, c, 1]):
+                continue
+            left, top = math.floor(x), math.floor(y)
+            s, t = x - left, y - top
+            i, j = int(left) - col0, int(top) - row0
+            p, q = _at(window, j, i), _at(window, j, i + 1)
+            m, n = _at(window, j + 1, i), _at(window, j + 1, i + 1)
+            if (left + top) % 2 == 0:
+                height = p + s * (q - p) + t * (n - q) if s >= t else p + t * (m - p) + s * (n - m)
+            elif s + t <= 1:
+                height = p + s * (q - p) + t * (m - p)
+            else:
+                height = n + (1 - s) * (m - n) + (1 - t) * (q - n)
+            highest = p
+            for other in (q, m, n):
+                if not highest >= other and not math.isnan(other):
+                    highest = other
+            out[r, c, 0], out[r, c, 1] = height, highest
 
 
 @kernel

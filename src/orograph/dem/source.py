@@ -34,6 +34,7 @@ from orograph.dem.bands import (
 from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, cause_of, locate, stamped
 from orograph.dem.header import assumed_vertical, place_of, unit_of, vertical_of
+from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
 from orograph.dem.whole import DAMAGED, check_blocks
@@ -180,6 +181,17 @@ class Source:
     def masked(self) -> bool:
         """Whether a mask or alpha band, besides any nodata value, says where samples are missing."""
         return self._mask != "none"
+
+    @property
+    def code(self) -> tuple[str, float]:
+        """(dtype, nodata) of its numbers where they are whole metres of 8 or 16 bits and a nodata value says which of
+        them are missing; else ("float32", nan), which is what is read of them."""
+        plain = self.encoding is None and (self.scale, self.offset, self.unit_factor) == (1.0, 0.0, 1.0)
+        if plain and self.nodata is not None and self.dtype in ("int8", "uint8", "int16", "uint16"):
+            limits = np.iinfo(self.dtype)
+            if limits.min <= self.nodata <= limits.max and self.nodata == int(self.nodata):
+                return self.dtype, int(self.nodata)
+        return FLOAT
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -19,7 +19,7 @@ from pyproj import CRS, Transformer
 
 from orograph._numba import kernel
 from orograph.dem.coordinates import Coordinates
-from orograph.dem.lattice import Lattice, Raster
+from orograph.dem.lattice import FLOAT, Lattice, Raster
 from orograph.dem.projection import geodetic_base
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
@@ -86,20 +86,6 @@ class Undulation:
                 x, y = self.geoid.grid.xy(u.ravel()[bad], v.ravel()[bad])
                 raise self._off(float(x), float(y), "lies off the geoid grid, or in a hole of it")
 
-    def apply_at(self, col: NDArray[np.float64], row: NDArray[np.float64], heights: NDArray[np.float64]) -> None:
-        """Convert heights (n,) at fractional samples (n,) in place; missing ones stay missing.
-
-        Raises:
-            ReadError: as ``apply``.
-        """
-        u, v = self._coordinates.exact(col, row)
-        lift = np.where(np.isnan(heights), np.nan, 0.0).astype(np.float32)[None]
-        bad = add(self.geoid.values, self._around, self._closed, self._sign, u[None], v[None], lift)
-        if bad >= 0:
-            x, y = self.geoid.grid.xy(u[bad], v[bad])
-            raise self._off(float(x), float(y), "lies off the geoid grid, or in a hole of it")
-        heights += lift[0]
-
     def _check(self, lattice: Lattice, geoid: Grid) -> None:
         """The borders of every member of a lattice, half a sample beyond its outermost samples, lie on the grid."""
         lon, lat = _rims(lattice, geoid.crs)
@@ -120,6 +106,26 @@ class Undulation:
             path=self.geoid.path,
             remedy="Use a geoid grid that covers the terrain.",
         )
+
+
+class ConvertedLattice:
+    """A lattice whose heights are moved to another datum.
+
+    Args:
+        lattice: of the sources.
+        geoid, to: as of ``Undulation``.
+    """
+
+    code = FLOAT
+
+    def __init__(self, lattice: Lattice, geoid: Geoid, to: Direction) -> None:
+        self.grid, self._lattice = lattice.grid, lattice
+        self._undulation = Undulation(geoid, to, lattice.grid, [lattice])
+
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.float32]:
+        heights = self._lattice.read(row0, row1, col0, col1)
+        self._undulation.apply(row0, col0, heights)
+        return heights
 
 
 def latitudes_of(lattices: Sequence[Lattice]) -> tuple[float, float] | None:

@@ -104,13 +104,24 @@ def heights(terrain: Terrain, x: Array, y: Array) -> Array:
 
 
 def own_heights(terrain: Terrain, points: Array) -> Array:
-    """Heights (n,) at points (n, 2) = easting, northing out of the samples that the terrain was made of, bilinear; of
-    its own samples where those are not at hand. NaN where there is none."""
+    """Heights (n,) at points (n, 2) = easting, northing out of the samples that the terrain was made of, bilinear; NaN
+    where there is none. Where those are not at hand: of the surface if they were resampled, which is as far off as
+    ``height_error`` says, else of the terrain's own samples."""
     x, y = points[:, 0], points[:, 1]
     if terrain.samples is not None:
         return terrain.samples.heights_at(x, y)
     col, row = terrain.grid.index(x, y)
+    if terrain.resampled is not None:
+        rows, cols = terrain.grid.shape
+        return heights(terrain, np.clip(col, 0, cols - 1), np.clip(row, 0, rows - 1))
     return heights_between(lambda *window: terrain.read(0, *window), terrain.grid.shape, col, row)
+
+
+def height_error(terrain: Terrain) -> float | None:
+    """Metres by which ``own_heights`` are off at most at the samples that the terrain was made of; None where they are
+    those samples' own."""
+    lost = terrain.resampled
+    return None if lost is None or terrain.samples is not None or np.isnan(lost.largest) else lost.largest
 
 
 def crossings(start: Array, end: Array) -> Array:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.measuring.ground import facets, own_heights
+from orograph.measuring.ground import facets, height_error, own_heights
 from orograph.measuring.places import Places, lift
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
@@ -37,14 +37,16 @@ class Hit:
 
     Attributes:
         easting, northing: in the terrain's CRS, metres.
-        height: metres, bilinear between the samples that the terrain was made of, as they are in its files (of the
-            terrain's own where these are not at hand); None where they have none.
+        height: metres, bilinear between the samples that the terrain was made of, as they are in its files; None where
+            they have none. Where they are not at hand after resampling, it is the surface's.
         surface_height: metres, of the surface that is drawn; None in a hole.
         longitude, latitude: degrees, WGS 84 (the body's own if it is not the Earth); None without a CRS.
         column, row: sample coordinates, fractional.
         slope: degrees, in true metres; aspect: the azimuth in which the ground falls, clockwise from grid north;
             true_aspect: from true north. None in a hole, aspects also where it is level.
         depth: view-space depth in metres; distance: from the eye in a straight line, metres. None without a view.
+        height_error: metres by which ``height`` is off at most at the samples of the source, where these were resampled
+            and are not at hand; else None.
     """
 
     easting: float
@@ -60,6 +62,7 @@ class Hit:
     true_aspect: float | None
     depth: float | None = None
     distance: float | None = None
+    height_error: float | None = None
 
     @property
     def point(self) -> tuple[float, float]:
@@ -132,7 +135,7 @@ def _at(
     lon, lat = (None, None) if degrees is None else (float(v) for v in degrees[0])
     return Hit(
         float(point[0]), float(point[1]), height, surface, lon, lat, float(x), float(y), slope, aspect, true_aspect,
-        depth, distance,
+        depth, distance, height_error(places.terrain),
     )  # fmt: skip
 
 

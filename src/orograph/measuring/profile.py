@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.measuring.ground import Line, line, own_heights
+from orograph.measuring.ground import Line, height_error, line, own_heights
 from orograph.measuring.ground import heights as surface
 from orograph.measuring.places import Places, lift
 from orograph.output import Beside
@@ -94,6 +94,11 @@ class Profile:
     def heights(self) -> Array:
         """(n,) metres at the places, bilinear between the samples that the terrain was made of (``own_heights``)."""
         return own_heights(self.places.terrain, self.points)
+
+    @property
+    def height_error(self) -> float | None:
+        """Metres by which ``heights`` are off at most; None where they are the source's own (``Hit.height_error``)."""
+        return height_error(self.places.terrain)
 
     @property
     def lowest(self) -> float | None:
@@ -166,7 +171,7 @@ class Profile:
             "grid_scale": self.scale, "climb_m": self.climb, "descent_m": self.descent, "lowest_m": self.lowest,
             "highest_m": self.highest, "first_m": None if math.isnan(first) else float(first),
             "last_m": None if math.isnan(last) else float(last), "missing_m": self.missing, "bridged_m": self.bridged,
-            "places": len(self.heights),
+            "places": len(self.heights), "height_error_m": self.height_error,
         }  # fmt: skip
 
 

@@ -19,6 +19,11 @@ def metres(value: float | None, digits: int = 2) -> str:
     return "–" if value is None else f"{value:,.{digits}f} m"
 
 
+def about(error: float | None) -> str:
+    """How far off heights are that were resampled; nothing if they were not."""
+    return "" if error is None else f"resampled, ± {error:.3g} m" if error < 1000 else f"resampled, ± {error:.0f} m"
+
+
 def square(value: float) -> str:
     """An area."""
     return f"{value:,.1f} m²" + (f"  ({value / 1e6:,.4f} km²)" if value >= 1e5 else "")
@@ -41,8 +46,9 @@ def lines(result: Hit | Profile | Area | Sight) -> list[Row]:
 
 def _hit(hit: Hit) -> list[Row]:
     found = place(hit.longitude, hit.latitude, hit.easting, hit.northing)
-    for name, height in (("height", hit.height), ("of the surface", hit.surface_height)):
-        found.append((name, metres(height, 3) if height is not None else "no data here", ""))
+    for name, height, error in (("height", hit.height, hit.height_error), ("of the surface", hit.surface_height, None)):
+        aside = "" if error is None else f" ({about(error)})"
+        found.append((name, metres(height, 3) + aside if height is not None else "no data here", ""))
     if hit.slope is not None:
         aspect = "level" if hit.aspect is None else f"{hit.aspect:.1f}° grid, {hit.true_aspect:.1f}° true"
         found += [("slope", f"{hit.slope:.2f}°", ""), ("aspect", aspect, "")]
@@ -59,6 +65,8 @@ def _profile(line: Profile) -> list[Row]:
         ("climb, descent", f"+{metres(line.climb)}, −{metres(line.descent)}", ""),
         ("lowest, highest", f"{metres(line.lowest)}, {metres(line.highest)}", ""),
     ]  # fmt: skip
+    if line.height_error is not None:
+        found.append(("heights", about(line.height_error), ""))
     return (
         [
             *found,

@@ -109,7 +109,9 @@ def prepare(
         ) from error  # fmt: skip
     memory: dict[str, Any] = {} if max_memory is None else {"max_memory": max_memory}
     kinds: tuple[ErrorKind, ...] = ("exact", *more)
-    terrain = store.build(mosaic, kept, resume=True, errors=kinds, jobs=jobs, progress=progress, **memory)
+    terrain = store.build(
+        mosaic, kept, resume=True, errors=kinds, keep_source=False, jobs=jobs, progress=progress, **memory
+    )
     terrain.use = Use(kept)
     make_room(progress)
     size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())

@@ -74,6 +74,11 @@ class ArraySpec:
     def key(self, shard: Spot) -> str:
         return f"{self.path}/c/{shard[0]}/{shard[1]}"
 
+    def window(self, shard: Spot) -> tuple[int, int, int, int]:
+        """The samples of a shard: row0, row1, col0, col1."""
+        row, col = shard[0] * self.shard, shard[1] * self.shard
+        return row, min(row + self.shard, self.shape[0]), col, min(col + self.shard, self.shape[1])
+
     def metadata(self, attributes: dict[str, Any]) -> dict[str, Any]:
         """The array's ``zarr.json``."""
         little = {"name": "bytes", "configuration": {"endian": "little"}}

@@ -24,6 +24,7 @@ from orograph.geo.grid import Grid
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.inputs import inputs_of
+from orograph.store.lattices import LatticeRecord
 from orograph.store.layout import CHUNK, FORMAT, PARTS, Record, dumps
 from orograph.store.layout import publish as publish_record
 from orograph.store.lock import alone
@@ -38,6 +39,7 @@ from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:
     from orograph.dem import Dem
+    from orograph.dem.lattice import SourceLattice
     from orograph.store.survey import Errors
 
 MEMORY = 1 << 30
@@ -57,6 +59,7 @@ def build(
     max_memory: int = MEMORY,
     jobs: int | None = None,
     errors: Sequence[ErrorKind] = ("exact",),
+    keep_source: bool = True,
     progress: Progress = SILENT,
     storage_options: dict[str, Any] | None = None,
     shard: int | None = None,
@@ -74,6 +77,8 @@ def build(
         jobs: threads (default: all processors). The store's bytes do not depend on it.
         errors: of which kinds the errors of all diamonds are stored (with their spheres), for methods that refine by
             them; none for ().
+        keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
+            heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
         storage_options: for the fsspec file system.
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
         options: for ``Mosaic.open`` where ``source`` is files: ``crs``, ``resolution``, ``nodata``…
@@ -93,13 +98,14 @@ def build(
     if isinstance(final, FolderStorage) and final.path.is_symlink():
         final = FolderStorage(os.path.realpath(final.path))  # what the link means is replaced, not the link
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
+    keep = keep_source and bool(_lattices(raster))
     needed = _memory(raster.grid.shape, shard, jobs, len(kinds))
     if needed > max_memory:
         progress.warn(
             f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
-    plan = _plan(raster, shard, chunk, kinds)
+    plan = _plan(raster, shard, chunk, kinds, keep)
     with alone(final, "building this store"):
         storage = final if final.remote else FolderStorage(partial(final.url))
         if overwrite:
@@ -195,7 +201,14 @@ def _memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
     return BASE + max(heights, READER + memory(shape, shard, jobs, kinds) if kinds else 0)
 
 
-def _plan(raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, ...]) -> dict[str, Any]:
+def _lattices(raster: HeightSource) -> Sequence[SourceLattice]:
+    """What a source was resampled from (``Mosaic.resampled_from``); nothing if its samples are its own."""
+    return getattr(raster, "resampled_from", ())
+
+
+def _plan(
+    raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, ...], keep_source: bool
+) -> dict[str, Any]:
     grid = raster.grid
     return {
         "format": FORMAT,
@@ -208,6 +221,7 @@ def _plan(raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, 
         "shard": shard,
         "chunk": chunk,
         "errors": list(kinds),
+        "keep_source": keep_source,
     }
 
 
@@ -225,6 +239,7 @@ def _plan_of(record: Record) -> dict[str, Any]:
         "shard": record.shard,
         "chunk": record.chunk,
         "errors": list(record.errors),
+        "keep_source": bool(record.lattices),
     }
 
 
@@ -292,7 +307,10 @@ def _compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: bo
 
 def _differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
     """What of a plan is not as before, in words; empty if all is."""
-    names = {"source": "sources or options", "format": "store format", "errors": "kinds of errors"}
+    names = {
+        "source": "sources or options", "format": "store format", "errors": "kinds of errors",
+        "keep_source": "source samples to keep",
+    }  # fmt: skip
     return ", ".join(names.get(key, key) for key in plan if plan[key] != before.get(key))
 
 
@@ -309,6 +327,7 @@ def _fill(
 ) -> None:
     """Do all tasks and write all metadata, the root's last."""
     from orograph.store.pyramid import Pyramid, tasks
+    from orograph.store.resampling import look_back
 
     kinds = tuple(plan["errors"])
     writer = ShardWriter(storage)
@@ -318,6 +337,9 @@ def _fill(
     first = pyramid.finish()
     valid_samples = pyramid.valid_samples
     del pyramid
+    lattices = _lattices(raster)
+    sizes, keep = (plan["shard"], plan["chunk"]), plan["keep_source"]
+    lost = look_back(lattices, raster.grid, writer, sizes, keep, jobs, resume, progress) if lattices else None
     survey = _survey(raster.grid, writer, plan, first, jobs, resume, progress) if kinds else None
     seen = bool(first.valid.any())
     record = Record(
@@ -331,6 +353,8 @@ def _fill(
         source=plan["source"],
         errors={} if survey is None else survey.codes,
         radius=None if survey is None else survey.radius,
+        resampled=lost,
+        lattices=tuple(LatticeRecord.of(lattice) for lattice in lattices) if keep else (),
         inputs=inputs_of(raster),
         digests=writer.digests,
     )

@@ -116,8 +116,11 @@ def put_coordinates(path: str, grid: Grid, nodes: dict[str, dict[str, Any]], dat
     if b == 0 and d == 0:
         x = grid.xy(np.arange(grid.cols), 0)[0]
         y = grid.xy(0, np.arange(grid.rows))[1]
-        for name, values, title in (("x", x, "projection_x_coordinate"), ("y", y, "projection_y_coordinate")):
-            attributes = {"standard_name": title, "axis": name.upper(), "units": "m"}
+        titles = ("projection_x_coordinate", "m"), ("projection_y_coordinate", "m")
+        if grid.crs is not None and grid.crs.is_geographic:
+            titles = ("longitude", "degrees_east"), ("latitude", "degrees_north")
+        for name, values, (title, units) in zip(("x", "y"), (x, y), titles):
+            attributes = {"standard_name": title, "axis": name.upper(), "units": units}
             nodes[f"{path}/{name}"] = _small(values, (name,), attributes)
             data[f"{path}/{name}/c/0"] = _with_checksum(values)
     reference = np.zeros((), np.int64)

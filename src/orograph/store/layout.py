@@ -11,6 +11,7 @@ A store is a Zarr v3 group::
     diamonds/{k}/exact…        uint8, coded: their errors, of each kind that was built
     diamonds/{k}/color         uint8, coded: how much coarser triangles change colours (``geovis.color_store``)
     patches/{k}/exact…         float32, metres: errors of patches of 16 segments a leg (see ``store.patches``)
+    source/{i}/height          the samples of a source lattice that was resampled, in its own type (see ``lattices``)
     layers/NAME/{k}/BAND       uint8 or uint16, coded: layers that were put in later, such as baked light (``layers``)
 
 so that ``xarray.open_zarr(store, group="heights/3")`` opens a level with its coordinates. The root carries the
@@ -43,12 +44,22 @@ from orograph.store.conventions import (
 )
 from orograph.store.diamonds import metric
 from orograph.store.digests import Digests, crc32c, digest_of
+from orograph.store.lattices import SOURCE, LatticeRecord
 from orograph.store.layers import GROUP, LayerRecord, layer_spec
 from orograph.store.places import ROOT
 from orograph.store.storage import Storage
-from orograph.store.terrain import Shape, diamond_shape, exponent, level_count, level_shape, mean_shape, tile_shape
+from orograph.store.terrain import (
+    Resampled,
+    Shape,
+    diamond_shape,
+    exponent,
+    level_count,
+    level_shape,
+    mean_shape,
+    tile_shape,
+)
 
-FORMAT = 3
+FORMAT = 4
 """The version of this layout; a reader refuses others."""
 
 KNOWN: frozenset[str] = frozenset()
@@ -98,6 +109,8 @@ class Record:
         layers: by name.
         patches: of which patches it has the errors: legs and kappa (``store.patches``); empty if of none.
         colors: of which colours it has the errors (``geovis.color_store``); empty if of none.
+        resampled: what was lost when its sources were resampled; None if every sample is a source's own.
+        lattices: the source lattices that it keeps.
         inputs: the files and options it was built with (``store.inputs``); None if from no files.
         digests: of all its objects but the root.
     """
@@ -115,6 +128,8 @@ class Record:
     layers: dict[str, LayerRecord] = field(default_factory=dict)
     patches: dict[str, float] = field(default_factory=dict)
     colors: dict[str, Any] = field(default_factory=dict)
+    resampled: Resampled | None = None
+    lattices: tuple[LatticeRecord, ...] = ()
     inputs: dict[str, Any] | None = None
     digests: Digests = field(default_factory=Digests, compare=False)
 
@@ -143,6 +158,8 @@ class Record:
             "inputs": self.inputs,
             "errors": {kind: code.to_json() for kind, code in self.errors.items()},
             "radius": None if self.radius is None else self.radius.to_json(),
+            "resampled": None if self.resampled is None else self.resampled.to_json(),
+            "lattices": [lattice.to_json() for lattice in self.lattices],
         }
         if self.layers:
             record["layers"] = {name: layer.to_json() for name, layer in self.layers.items()}
@@ -185,6 +202,8 @@ class Record:
             {name: LayerRecord.from_json(name, layer) for name, layer in record.get("layers", {}).items()},
             record.get("patches", {}),
             record.get("colors", {}),
+            None if record["resampled"] is None else Resampled.from_json(record["resampled"]),
+            tuple(LatticeRecord.from_json(lattice) for lattice in record["lattices"]),
             record["inputs"],
             Digests.from_json(record["digests"]),
         )
@@ -242,7 +261,7 @@ def array_specs(record: Record) -> list[ArraySpec]:
         if record.patches and level in stored_levels(shape, int(record.patches["legs"])):
             found += [patch_spec(shape, level, kind, *sizes) for kind in record.errors]
         found += [layer_spec(shape, x.name, level, band, *sizes) for x in record.layers.values() for band in x.bands]
-    return found
+    return [*found, *(lattice.spec(number, *sizes) for number, lattice in enumerate(record.lattices))]
 
 
 def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
@@ -304,6 +323,12 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
                 spec = patch_spec(grid.shape, level, kind, shard, chunk)
                 about = f"{kind} of patches, saturated; negative where ground is missing"
                 nodes[spec.path] = spec.metadata({"units": "m", "long_name": about})
+    for number, lattice in enumerate(record.lattices):
+        path = f"{SOURCE}/{number}"
+        nodes.setdefault(SOURCE, group())
+        nodes[path] = group(spatial_attributes(lattice.grid))
+        nodes[f"{path}/height"] = lattice.spec(number, shard, chunk).metadata(lattice.attributes())
+        put_coordinates(path, lattice.grid, nodes, data)
     for layer in record.layers.values():
         nodes.setdefault(GROUP, group())
         _layer(record, layer, nodes, data)

@@ -1,15 +1,15 @@
 """Mending a store: what is damaged is made again, from its sources or from what of the store is sound.
 
-Only shards of level 0 need the sources; all others follow from them. What is made takes a damaged shard's place only if
-its digest is the one that the root lists, so a mended store is the store that was built, to the byte, and a source that
-was changed meanwhile cannot creep in. Readers may be at work all the time.
+Only shards of level 0, and the samples of source lattices, need the sources; all others follow from them. What is made
+takes a damaged shard's place only if its digest is the one that the root lists, so a mended store is the store that was
+built, to the byte, and a source that was changed meanwhile cannot creep in. Readers may be at work all the time.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from orograph.store.cache import ChunkCache
 from orograph.store.checking import Damage, check, check_shard
 from orograph.store.digests import Digests, Spot, digest_of
 from orograph.store.inputs import changes, reopened
+from orograph.store.lattices import LatticeRecord
 from orograph.store.layout import Record, array_specs, heights_spec, metadata, rebuild
 from orograph.store.lock import alone
 from orograph.store.places import ROOT
@@ -33,6 +34,9 @@ from orograph.store.storage import Storage, storage_at
 from orograph.store.stored import StoredTerrain, open
 from orograph.store.terrain import Heights
 from orograph.store.writer import ShardWriter
+
+if TYPE_CHECKING:
+    from orograph.dem.lattice import SourceLattice
 
 
 def repair(
@@ -137,6 +141,8 @@ class _Repair:
             self._finest()
         if self._any("heights/0/height/c/"):
             raise self._left()
+        if self._any("source/"):
+            self._lattices()
         if self._any("heights/", "mean/", "tiles/"):
             self._coarse()
         if self._any(*(f"diamonds/{k}/{name}/c/" for k in range(self.terrain.levels) for name in self._diamonds())):
@@ -168,11 +174,9 @@ class _Repair:
 
     def _finest(self) -> None:
         """Shards of level 0, from the source."""
-        source = self.source
+        source = self._opened()
         if source is None:
-            source = self._opened()
-            if source is None:
-                return
+            return
         record = self.record
         if source.grid.shape != record.grid.shape:
             self.why = f"{source.name} has {source.grid.shape} samples and the store {record.grid.shape}."
@@ -180,25 +184,45 @@ class _Repair:
         spec = heights_spec(record.grid.shape, 0, record.shard, record.chunk)
 
         def make(spot: Spot) -> None:
-            row, col = (at * record.shard for at in spot)
-            end = min(row + record.shard, spec.shape[0]), min(col + record.shard, spec.shape[1])
-            self.mender.shard(spec, spot, np.ascontiguousarray(source.read(row, end[0], col, end[1]), np.float32))
+            self.mender.shard(spec, spot, np.ascontiguousarray(source.read(*spec.window(spot)), np.float32))
 
         spots = [spot for spot in tasks(record.grid.shape, record.shard) if spec.key(spot) in self.mender.damaged]
         go_through("Mending heights", spots, make, self.jobs, self.progress)
 
+    def _lattices(self) -> None:
+        """Shards of source lattices, from the source."""
+        source = self._opened()
+        if source is None:
+            return
+        record, lattices = self.record, getattr(source, "resampled_from", ())
+        if [each.grid.shape for each in lattices] != [each.grid.shape for each in record.lattices]:
+            self.why = f"{source.name} lies on other lattices than what the store was made of."
+            return
+        for number, (kept, lattice) in enumerate(zip(record.lattices, lattices, strict=True)):
+            spec = kept.spec(number, record.shard, record.chunk)
+            spots = [spot for spot in tasks(spec.shape, spec.shard) if spec.key(spot) in self.mender.damaged]
+
+            def make(
+                spot: Spot, spec: ArraySpec = spec, kept: LatticeRecord = kept, lattice: SourceLattice = lattice
+            ) -> None:
+                self.mender.shard(spec, spot, kept.encode(lattice.read(*spec.window(spot))))
+
+            go_through("Mending samples of the source", spots, make, self.jobs, self.progress)
+
     def _opened(self) -> HeightSource | None:
-        """The source that the record names; None if it cannot be opened, and ``why`` says so."""
+        """The source that was given, or the record names; None if it cannot be opened, and ``why`` says so."""
+        if self.source is not None:
+            return self.source
         inputs = self.record.inputs
         if inputs is None:
             self.why = "It was built from heights in memory: give them again."
             return None
         self.why = " ".join(changes(inputs))
         try:
-            return reopened(inputs, self.progress)
+            self.source = reopened(inputs, self.progress)
         except OrographError as error:
             self.why = self.why or str(error)
-            return None
+        return self.source
 
     def _coarse(self) -> None:
         """Coarser levels, means and tables, from level 0."""

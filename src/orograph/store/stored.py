@@ -17,6 +17,7 @@ from orograph.progress import SILENT, Progress
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
 from orograph.store.diamonds import place
+from orograph.store.lattices import StoredLattice, StoredSamples
 from orograph.store.layers import LayerBand, LayerRecord, StoredLayer, layer_spec
 from orograph.store.layout import (
     TABLES_AND_VALID,
@@ -69,6 +70,9 @@ class StoredTerrain(Terrain):
         self._top: Heights | None = None
         self._coarsest: Heights | None = None
         self.supplied: dict[ErrorKind, Terrain] = {}
+        self.resampled = record.resampled
+        if record.lattices:
+            self.samples = StoredSamples(self.grid, [self._lattice(number) for number in range(len(record.lattices))])
 
     @property
     def url(self) -> str:
@@ -267,6 +271,11 @@ class StoredTerrain(Terrain):
             found = ShardedArray(spec(), self.storage, self.record.digests, self.cache, self._jobs, self.watch)
             found = self._arrays.setdefault((name, level), found)
         return found
+
+    def _lattice(self, number: int) -> StoredLattice:
+        """A source lattice that is kept."""
+        record, sizes = self.record.lattices[number], (self.record.shard, self.record.chunk)
+        return StoredLattice(record.grid, self._opened("source", number, lambda: record.spec(number, *sizes)))
 
     def check(self, progress: Progress = SILENT) -> list[str]:
         """Read everything, and return the keys of what is damaged (``checking.check`` says why, too)."""

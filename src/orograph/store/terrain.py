@@ -12,8 +12,9 @@ open.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 
@@ -95,6 +96,39 @@ class TileTable:
     valid: NDArray[np.uint8]
 
 
+@dataclass(frozen=True, slots=True)
+class Resampled:
+    """What a terrain lost when it was brought to another grid (``store.resampling`` has the definitions); metres, nan
+    where nothing could be compared.
+
+    Attributes:
+        rms, largest: of the deviations of the surface from all samples it was made of.
+        summit_loss: the largest loss of a summit.
+        highest: the highest of those samples; highest_loss: its loss.
+    """
+
+    rms: float
+    largest: float
+    summit_loss: float
+    highest: float
+    highest_loss: float
+
+    def __str__(self) -> str:
+        if math.isnan(self.rms):
+            return "no sample of the source has ground beside it"
+        return (
+            f"{self.rms:.2g} m rms from the source's samples, at most {self.largest:.3g} m; summits lose at most "
+            f"{self.summit_loss:.3g} m, the highest {self.highest_loss:.3g} of {self.highest:.6g} m"
+        )
+
+    def to_json(self) -> dict[str, float | None]:
+        return {name: None if math.isnan(value) else value for name, value in asdict(self).items()}
+
+    @classmethod
+    def from_json(cls, record: dict[str, float | None]) -> Resampled:
+        return cls(**{name: math.nan if value is None else value for name, value in record.items()})
+
+
 class Terrain(ABC):
     """An elevation raster at all its resolutions. Reading is safe from any number of threads.
 
@@ -111,6 +145,8 @@ class Terrain(ABC):
     """Whether it is read over a network: many reads at once take hardly longer than one."""
     samples: Samples | None = None
     """Those it was made of, while they are at hand; None where its own are all that is known."""
+    resampled: Resampled | None = None
+    """How far it is from the samples it was made of; None where it has these, or nobody has looked."""
 
     @property
     @abstractmethod

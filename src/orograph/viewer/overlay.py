@@ -13,6 +13,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from orograph.geovis.color import linear_to_srgb, tint_of
+from orograph.measuring.told import about
 from orograph.rendering.furniture.legend import north_on_screen, stretch
 from orograph.rendering.furniture.pieces import bar_length, number, ticks
 from orograph.viewer.keys import HELD, MOUSE, help_rows
@@ -136,7 +137,7 @@ def _readout(window: Window, draw: Any, middle: float, y: float) -> None:
     if hit.longitude is not None and hit.latitude is not None:
         parts.append(lonlat(hit.longitude, hit.latitude))
     if hit.height is not None:
-        parts.append(f"{hit.height:.1f} m")
+        parts.append(f"{hit.height:.1f} m" + (f" ({about(hit.height_error)})" if hit.height_error is not None else ""))
     if hit.slope is not None:
         parts.append(f"slope {hit.slope:.0f}°")
     lines = ["    ".join(parts)]

@@ -1,0 +1,197 @@
+"""The stage of a build that looks back at what was resampled: it keeps the source lattices and says what was lost.
+
+One task per shard of a lattice: it writes the shard (unless the source is not to be kept) and compares its samples with
+the finished level 0. At every sample that counts, one that no finer lattice has a height for, *deviation* is the drawn
+surface minus the sample, where there is a surface. A *summit* is a sample that none of its eight neighbours exceeds;
+its *loss* is by how much it exceeds the highest of the four samples of the terrain around it, at least 0. Where a
+sample lies on the terrain's grid is known to ``EXACT`` samples of it. What a task found is kept in ``parts/`` until the
+build is complete, and sums are taken in one order, so that a resumed build says the same. Units: metres; samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import DamagedChunkError
+from orograph.geo.grid import Grid
+from orograph.progress import Progress
+from orograph.store.arrays import ShardedArray
+from orograph.store.cache import ChunkCache
+from orograph.store.digests import Spot
+from orograph.store.lattices import LatticeRecord, StoredLattice
+from orograph.store.layout import PARTS, heights_spec
+from orograph.store.parts import pack, unpack
+from orograph.store.pyramid import tasks
+from orograph.store.shards import go_through
+from orograph.store.terrain import Heights, Resampled
+from orograph.store.writer import ShardWriter
+
+if TYPE_CHECKING:
+    from orograph.dem.lattice import SourceLattice
+
+EXACT = 1e-3
+STRIP = 256  # rows that are compared at once
+
+Facts = dict[str, NDArray[Any]]
+
+
+def look_back(
+    lattices: Sequence[SourceLattice], grid: Grid, writer: ShardWriter, sizes: tuple[int, int], keep: bool,
+    jobs: int, resume: bool, progress: Progress,
+) -> Resampled:  # fmt: skip
+    """Keep the lattices a terrain was resampled from, and compare it with them.
+
+    Args:
+        lattices: the finest first.
+        grid: of the terrain, whose level 0 is complete.
+        writer: of its shards.
+        sizes: samples along the sides of shards and chunks.
+        keep: whether the samples are written.
+        resume: use what an interrupted build left.
+    """
+    level = heights_spec(grid.shape, 0, *sizes)
+    surface = StoredLattice(grid, ShardedArray(level, writer.storage, writer.digests, ChunkCache(0), 1))
+    total = _Total()
+    for number, lattice in enumerate(lattices):
+        look = _Look(number, lattice, lattices[:number], surface, writer, sizes, keep, resume)
+        spots = tasks(lattice.grid.shape, sizes[0])
+        label = "Keeping the source's samples" if keep else "Comparing with the source"
+        go_through(label, spots, look.run, jobs, progress)
+        for spot in sorted(spots):
+            total.add(look.found[spot])
+    return total.result()
+
+
+class _Total:
+    """What all tasks found, added up."""
+
+    def __init__(self) -> None:
+        self.count, self.squares = 0, [0.0]
+        self.largest = self.summit_loss = self.highest_loss = 0.0
+        self.highest = -math.inf
+
+    def add(self, facts: Facts) -> None:
+        count, squares, largest, summit_loss, highest, highest_loss = facts["found"].tolist()
+        self.count += int(count)
+        self.squares.append(squares)
+        self.largest, self.summit_loss = max(self.largest, largest), max(self.summit_loss, summit_loss)
+        if highest > self.highest:
+            self.highest, self.highest_loss = highest, highest_loss
+
+    def result(self) -> Resampled:
+        if not self.count:
+            return Resampled(math.nan, math.nan, math.nan, math.nan, math.nan)
+        rms = math.sqrt(math.fsum(self.squares) / self.count)
+        highest = self.highest if self.highest > -math.inf else math.nan
+        return Resampled(rms, self.largest, self.summit_loss, highest, self.highest_loss)
+
+
+class _Look:
+    """The tasks of one lattice; ``found`` has what they found."""
+
+    def __init__(
+        self, number: int, lattice: SourceLattice, finer: Sequence[SourceLattice], surface: StoredLattice,
+        writer: ShardWriter, sizes: tuple[int, int], keep: bool, resume: bool,
+    ) -> None:  # fmt: skip
+        from orograph.dem.coordinates import Coordinates
+        from orograph.dem.layers import LatticeMap, layer_of
+
+        self.number, self.lattice, self.writer, self.keep, self.resume = number, lattice, writer, keep, resume
+        self.record = LatticeRecord.of(lattice)
+        self.spec = self.record.spec(number, *sizes)
+        self.finer = [layer_of(each, lattice.grid, "nearest") for each in finer]
+        rows, cols = lattice.grid.shape
+        self.surface = LatticeMap(
+            surface, None, Coordinates(lattice.grid, surface.grid, EXACT), (1, 1), (0, rows, 0, cols)
+        )
+        self.found: dict[Spot, Facts] = {}
+
+    def run(self, spot: Spot) -> None:
+        """Do one task, or take over what an interrupted build did of it."""
+        self.found[spot] = (self._finished(spot) if self.resume else None) or self._make(spot)
+
+    def _make(self, spot: Spot) -> Facts:
+        from orograph.dem.layers import fill
+
+        row0, row1, col0, col1 = self.spec.window(spot)
+        around = self.lattice.read(row0 - 1, row1 + 1, col0 - 1, col1 + 1)
+        own = around[1:-1, 1:-1]
+        facts: Facts = {}
+        if self.keep:
+            digest = self.writer.shard(self.spec, spot, self.record.encode(own))
+            facts["digest"] = np.frombuffer(digest, np.uint8)
+        covered, ground = (np.full(shape, np.nan, np.float32) for shape in (own.shape, (*own.shape, 2)))
+        for layer in self.finer:
+            fill("nearest", layer, row0, row1, col0, col1, covered)
+        if not np.isnan(own).all():
+            fill("ground", self.surface, row0, row1, col0, col1, ground)
+        facts["found"] = _compared(around, np.isnan(covered), ground[..., 0], ground[..., 1])
+        self.writer.keep(self._part(spot), pack(facts))
+        return facts
+
+    def _finished(self, spot: Spot) -> Facts | None:
+        """What an interrupted build found; None if it did not come to it, or its shard is damaged."""
+        data = self.writer.storage.get(self._part(spot))
+        if data is None:
+            return None
+        try:
+            facts = unpack(data)
+            if self.keep:
+                self.writer.take(self.spec, spot, facts["digest"].tobytes())
+                array = ShardedArray(self.spec, self.writer.storage, self.writer.digests, ChunkCache(0), 1)
+                array.read(*self.spec.window(spot))
+        except (DamagedChunkError, ValueError):
+            return None
+        return facts
+
+    def _part(self, spot: Spot) -> str:
+        return f"{PARTS}/source/{self.number}.{spot[0]}.{spot[1]}.part"
+
+
+def _compared(around: Heights, counts: NDArray[np.bool_], drawn: Heights, highest: Heights) -> NDArray[np.float64]:
+    """Number of deviations, the sum of their squares, the largest; the largest loss of a summit; the highest sample and
+    its loss.
+
+    Args:
+        around: (rows + 2, cols + 2) samples, with their neighbours.
+        counts: (rows, cols) which of them count.
+        drawn, highest: (rows, cols) the surface, and the highest of the four samples of the terrain around.
+    """
+    count, squares, largest, summit_loss, top, top_loss = 0, 0.0, 0.0, 0.0, -math.inf, 0.0
+    for r in range(0, len(drawn), STRIP):
+        strip = slice(r, min(r + STRIP, len(drawn)))
+        part = around[r : strip.stop + 2]
+        own = np.where(counts[strip], part[1:-1, 1:-1], np.nan).astype(np.float64)
+        off = np.abs(drawn[strip] - own)
+        off = off[~np.isnan(off)]
+        if len(off):
+            count, squares, largest = (
+                count + len(off),
+                squares + float(np.sum(off * off)),
+                max(largest, float(off.max())),
+            )
+        lost = own - highest[strip]
+        known = ~np.isnan(lost)
+        if not known.any():
+            continue
+        lost = np.maximum(lost, 0.0)
+        summit_loss = max(summit_loss, float(lost[known & (own >= _neighbours(part))].max(initial=0.0)))
+        at = np.unravel_index(int(np.argmax(np.where(known, own, -np.inf))), own.shape)
+        if own[at] > top:
+            top, top_loss = float(own[at]), float(lost[at])
+    return np.array([count, squares, largest, summit_loss, top, top_loss])
+
+
+def _neighbours(heights: Heights) -> Heights:
+    """(rows − 2, cols − 2): the highest of each sample's eight neighbours, −inf where there is none."""
+    rows, cols = heights.shape
+    filled = np.where(np.isnan(heights), np.float32(-np.inf), heights)
+    out = np.full((rows - 2, cols - 2), -np.inf, np.float32)
+    for i, j in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)):
+        np.maximum(out, filled[i : i + rows - 2, j : j + cols - 2], out=out)
+    return out
