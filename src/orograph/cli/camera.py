@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.options import FILE, F, Float, FloatRange, ParamType
+from orograph.cli.options import FILE, F, Float, FloatRange, ParamType, with_options
 from orograph.scene.given import numbers
 
 if TYPE_CHECKING:
@@ -57,66 +57,61 @@ class Size(ParamType):
 
 def camera_options(function: F) -> F:
     """Give a verb the options that say where to look from."""
-    for option in reversed(
-        [
-            click.option(
-                "--from",
-                "azimuth",
-                type=Float(),
-                metavar="AZIMUTH",
-                help="Look from this side, degrees clockwise from north.  [default: 180, the south]",
-            ),
-            click.option(
-                "--pitch",
-                type=Float(),
-                metavar="DEG",
-                help="Look down by this angle; 90 is straight down.  [default: 42]",
-            ),
-            click.option(
-                "--distance",
-                type=Float(),
-                metavar="M",
-                help="Metres from the ground in the terrain's middle.  [default: such that all of it is in view]",
-            ),
-            click.option(
-                "--lonlat",
-                type=Numbers("LON,LAT,HEIGHT"),
-                help="Stand here, HEIGHT metres above the heights' own zero.",
-            ),
-            click.option(
-                "--look-at",
-                type=Numbers("LON,LAT"),
-                help="With --lonlat: look at the ground here.  [default: the terrain's middle]",
-            ),
-            click.option(
-                "--view",
-                "view_path",
-                type=FILE,
-                metavar="VIEW.json",
-                help='The camera in a file: {"eye": [E, N, height], "target": […], "up": […], "fov_y": 40, "width": …, '
-                '"height": …, "near": …, "far": …}, in the terrain\'s CRS, or longitude, latitude and height with '
-                '"crs": "EPSG:4326".',
-            ),
-            click.option(
-                "--fov",
-                type=FloatRange(0, 180, min_open=True, max_open=True),
-                metavar="DEG",
-                help="Vertical field of view.  [default: 30; with --lonlat 45; with --view the view's]",
-            ),
-            click.option(
-                "--projection",
-                type=click.Choice(["perspective", "plan"]),
-                default="perspective",
-                show_default=True,
-                help="plan: a map, straight down with parallel rays; --from says which side is at its foot.",
-            ),
-            click.option(
-                "--size", type=Size(), help="The picture's size in pixels.  [default: 1280x720, or the view's]"
-            ),
-        ]
-    ):
-        function = option(function)
-    return function
+    return with_options(
+        function,
+        click.option(
+            "--from",
+            "azimuth",
+            type=Float(),
+            metavar="AZIMUTH",
+            help="Look from this side, degrees clockwise from north.  [default: 180, the south]",
+        ),
+        click.option(
+            "--pitch",
+            type=Float(),
+            metavar="DEG",
+            help="Look down by this angle; 90 is straight down.  [default: 42]",
+        ),
+        click.option(
+            "--distance",
+            type=Float(),
+            metavar="M",
+            help="Metres from the ground in the terrain's middle.  [default: such that all of it is in view]",
+        ),
+        click.option(
+            "--lonlat",
+            type=Numbers("LON,LAT,HEIGHT"),
+            help="Stand here, HEIGHT metres above the heights' own zero.",
+        ),
+        click.option(
+            "--look-at",
+            type=Numbers("LON,LAT"),
+            help="With --lonlat: look at the ground here.  [default: the terrain's middle]",
+        ),
+        click.option(
+            "--view",
+            "view_path",
+            type=FILE,
+            metavar="VIEW.json",
+            help='The camera in a file: {"eye": [E, N, height], "target": […], "up": […], "fov_y": 40, "width": …, '
+            '"height": …, "near": …, "far": …}, in the terrain\'s CRS, or longitude, latitude and height with '
+            '"crs": "EPSG:4326".',
+        ),
+        click.option(
+            "--fov",
+            type=FloatRange(0, 180, min_open=True, max_open=True),
+            metavar="DEG",
+            help="Vertical field of view.  [default: 30; with --lonlat 45; with --view the view's]",
+        ),
+        click.option(
+            "--projection",
+            type=click.Choice(["perspective", "plan"]),
+            default="perspective",
+            show_default=True,
+            help="plan: a map, straight down with parallel rays; --from says which side is at its foot.",
+        ),
+        click.option("--size", type=Size(), help="The picture's size in pixels.  [default: 1280x720, or the view's]"),
+    )
 
 
 def check_camera(options: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ import click
 
 from orograph.cli.camera import Numbers
 from orograph.cli.files import check_outputs
-from orograph.cli.options import FILE, F, Float, progress_of
+from orograph.cli.options import FILE, F, Float, progress_of, with_options
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
@@ -53,18 +53,15 @@ def output_option(what: str) -> Callable[[F], F]:
 
 def sight_options(function: F) -> F:
     """What line of sight and viewshed have in common."""
-    for option in reversed(
-        [
-            click.option("--eye", type=Float(), default=1.7, show_default=True, metavar="M", help="Eye above ground."),
-            click.option("--target", type=Float(), default=0.0, show_default=True, metavar="M",
-                         help="What is looked at, above ground."),
-            click.option("--flat", is_flag=True, help="No curvature of the body and no refraction."),
-            click.option("--refraction", type=Float(), default=0.13, show_default=True, metavar="K",
-                         help="How much rays bend, relative to the ground; 0 without air."),
-        ]
-    ):  # fmt: skip
-        function = option(function)
-    return function
+    return with_options(
+        function,
+        click.option("--eye", type=Float(), default=1.7, show_default=True, metavar="M", help="Eye above ground."),
+        click.option("--target", type=Float(), default=0.0, show_default=True, metavar="M",
+                     help="What is looked at, above ground."),
+        click.option("--flat", is_flag=True, help="No curvature of the body and no refraction."),
+        click.option("--refraction", type=Float(), default=0.13, show_default=True, metavar="K",
+                     help="How much rays bend, relative to the ground; 0 without air."),
+    )  # fmt: skip
 
 
 def opened(ctx: click.Context, outputs: tuple[str, ...] = (), others: tuple[str | None, ...] = ()) -> Terrain:

@@ -96,45 +96,49 @@ class Nodata(ParamType):
             self.fail(f"{value!r} is neither a number nor 'none'.", param, ctx)
 
 
-def source_options(function: F) -> F:
-    """Give a verb the options that say how elevation files are to be understood."""
-    for option in reversed(
-        [
-            click.option(
-                "--band", type=click.IntRange(min=1), default=1, show_default=True, help="Which band holds the heights."
-            ),
-            click.option(
-                "--nodata",
-                type=Nodata(),
-                help="The stored number that means 'no height here', instead of the one the file declares; "
-                "'none': there is no such number.",
-            ),
-            click.option(
-                "--spacing",
-                type=Float(),
-                metavar="METRES",
-                help="Distance between samples, for files that do not say where they lie.  [default: 1]",
-            ),
-            click.option("--assume-crs", metavar="CRS", help="The CRS of files that name none, e.g. EPSG:4326."),
-            click.option(
-                "--encoding",
-                type=click.Choice(_ENCODINGS),
-                help="Decode heights from the colours of terrain-RGB pictures.",
-            ),
-            click.option(
-                "--vertical-unit",
-                metavar="UNIT",
-                help="The unit of the heights (m, ft, us-ft, cm…), instead of the one the file declares.",
-            ),
-            click.option(
-                "--assume-vertical",
-                metavar="DATUM",
-                help="The vertical datum of files that name none: EGM96, EGM2008, ellipsoidal, EPSG:5703…",
-            ),
-        ]
-    ):
+def with_options(function: F, *options: Callable[[F], F]) -> F:
+    """Give a verb options, which its help lists in this order."""
+    for option in reversed(options):
         function = option(function)
     return function
+
+
+def source_options(function: F) -> F:
+    """Give a verb the options that say how elevation files are to be understood."""
+    return with_options(
+        function,
+        click.option(
+            "--band", type=click.IntRange(min=1), default=1, show_default=True, help="Which band holds the heights."
+        ),
+        click.option(
+            "--nodata",
+            type=Nodata(),
+            help="The stored number that means 'no height here', instead of the one the file declares; "
+            "'none': there is no such number.",
+        ),
+        click.option(
+            "--spacing",
+            type=Float(),
+            metavar="METRES",
+            help="Distance between samples, for files that do not say where they lie.  [default: 1]",
+        ),
+        click.option("--assume-crs", metavar="CRS", help="The CRS of files that name none, e.g. EPSG:4326."),
+        click.option(
+            "--encoding",
+            type=click.Choice(_ENCODINGS),
+            help="Decode heights from the colours of terrain-RGB pictures.",
+        ),
+        click.option(
+            "--vertical-unit",
+            metavar="UNIT",
+            help="The unit of the heights (m, ft, us-ft, cm…), instead of the one the file declares.",
+        ),
+        click.option(
+            "--assume-vertical",
+            metavar="DATUM",
+            help="The vertical datum of files that name none: EGM96, EGM2008, ellipsoidal, EPSG:5703…",
+        ),
+    )
 
 
 def vertical_options(function: F) -> F:

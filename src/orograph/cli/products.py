@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from orograph.cli.options import F, Float
+from orograph.cli.options import F, Float, with_options
 
 MORE = ("rho", "method", "cones", "date", "step", "turbidity")
 """Options of single products, of which only those given are passed on."""
@@ -91,7 +91,7 @@ def more_of(options: dict[str, Any]) -> dict[str, Any]:
 
 def horizon_options(function: F) -> F:
     """Give a verb the options of horizons."""
-    return _with(
+    return with_options(
         function,
         click.option(
             "--azimuths",
@@ -122,7 +122,7 @@ def ray_options(methods: Sequence[str], method: str, rays: str) -> Callable[[F],
     """
 
     def give(function: F) -> F:
-        return _with(
+        return with_options(
             function,
             click.option("--rays", type=click.IntRange(min=1), default=256, show_default=True, help=rays),
             click.option(
@@ -139,7 +139,7 @@ def ray_options(methods: Sequence[str], method: str, rays: str) -> Callable[[F],
 
 def insolation_options(function: F) -> F:
     """Give a verb the options of insolation."""
-    return _with(
+    return with_options(
         function,
         click.option(
             "--date",
@@ -155,9 +155,3 @@ def insolation_options(function: F) -> F:
             help="Of insolation: Linke's, of the air: 2 clean and cold, 5 hazy, 0 none.  [default: 3]",
         ),
     )
-
-
-def _with(function: F, *options: Callable[[F], F]) -> F:
-    for option in reversed(options):
-        function = option(function)
-    return function

@@ -23,6 +23,7 @@ from orograph.cli.options import (
     memory_option,
     source_options,
     vertical_options,
+    with_options,
 )
 from orograph.errors import UsageError
 from orograph.scene.given import read_method
@@ -71,30 +72,27 @@ def method_option(help: str, **settings: Any) -> Callable[[F], F]:
 
 def goal_options(function: F) -> F:
     """Give a verb the options that say how fine a mesh is to be, and whose colours count."""
-    for option in reversed(
-        [
-            click.option(
-                "--tolerance",
-                type=click.FloatRange(min=0),
-                metavar="PX",
-                help="Pixels by which the mesh may be off on the screen.  [default: 1]",
-            ),
-            click.option("--triangles", type=click.IntRange(min=2), metavar="N", help="Instead: at most so many."),
-            click.option(
-                "--drape",
-                type=FILE,
-                metavar="IMAGE",
-                help="The image whose colours a method's color-tolerance looks at, in any CRS.  "
-                "[default: the tint of heights]",
-            ),
-            click.option(
-                "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X",
-                help="Stretch heights on the screen.",
-            ),
-        ]
-    ):  # fmt: skip
-        function = option(function)
-    return function
+    return with_options(
+        function,
+        click.option(
+            "--tolerance",
+            type=click.FloatRange(min=0),
+            metavar="PX",
+            help="Pixels by which the mesh may be off on the screen.  [default: 1]",
+        ),
+        click.option("--triangles", type=click.IntRange(min=2), metavar="N", help="Instead: at most so many."),
+        click.option(
+            "--drape",
+            type=FILE,
+            metavar="IMAGE",
+            help="The image whose colours a method's color-tolerance looks at, in any CRS.  "
+            "[default: the tint of heights]",
+        ),
+        click.option(
+            "--exaggeration", type=Float(), default=1.0, show_default=True, metavar="X",
+            help="Stretch heights on the screen.",
+        ),
+    )  # fmt: skip
 
 
 def terrain_options(doing: str) -> Callable[[F], F]:
@@ -105,9 +103,7 @@ def terrain_options(doing: str) -> Callable[[F], F]:
     """
 
     def add(function: F) -> F:
-        for option in (jobs_option, memory_option, vertical_options, source_options, grid_options(doing)):
-            function = option(function)
-        return function
+        return with_options(function, grid_options(doing), source_options, vertical_options, memory_option, jobs_option)
 
     return add
 

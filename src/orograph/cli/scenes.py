@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.options import F, Float, FloatRange, ParamType, grid_options
+from orograph.cli.options import F, Float, FloatRange, ParamType, grid_options, with_options
 from orograph.cli.refining import choice_of, conservative_option, error_kinds
 from orograph.cli.wording import spoken
 from orograph.lod.options import Described, described
@@ -124,9 +124,7 @@ def scene_options(without: tuple[str, ...] = (), backend: bool = True, **changes
                     help="What draws; gpu: the CPU instead where there is none (see orograph doctor).",
                 )
             )
-        for option in reversed(options):
-            function = option(function)
-        return function
+        return with_options(function, *options)
 
     return give
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.camera import Numbers
-from orograph.cli.options import FILE, F, Float, FloatRange
+from orograph.cli.options import FILE, F, Float, FloatRange, with_options
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
@@ -21,63 +21,54 @@ WAY = (*KINDS, "azimuth", "pitch", "distance", "fov", "seconds", "height", "spee
 
 def tour_options(function: F) -> F:
     """Give a verb the options that make a tour."""
-    for option in reversed(
-        [
-            click.option("--orbit", is_flag=True, help="Once round the terrain, all of it in view; a loop."),
-            click.option(
-                "--turntable", is_flag=True, help="The same with the light turning too, as if the terrain were turned."
-            ),
-            click.option(
-                "--line", type=FILE, metavar="FILE", help="Fly along the longest line of a GPX or GeoJSON file."
-            ),
-            click.option(
-                "--point",
-                "points",
-                type=Numbers("LON,LAT"),
-                multiple=True,
-                help="Fly over this place, then on to the next --point.",
-            ),
-            click.option(
-                "--line-crs",
-                metavar="CRS",
-                help="The CRS of --line and --point.  [default: longitude and latitude, EPSG:4326]",
-            ),
-            click.option(
-                "--seconds", type=Float(), metavar="S", help="How long it takes.  [default: 12 for once round]"
-            ),
-            click.option(
-                "--speed", type=Float(), metavar="M/S", help="Along a line.  [default: one that suits --height]"
-            ),
-            click.option(
-                "--height",
-                type=Float(),
-                metavar="M",
-                help="Above the ground, along a line.  [default: a fifteenth of its length, 50 to 3000]",
-            ),
-            click.option(
-                "--side",
-                "azimuth",
-                type=Float(),
-                metavar="AZIMUTH",
-                help="The side an orbit begins from, degrees clockwise from north.  [default: 180, the south]",
-            ),
-            click.option("--pitch", type=Float(), metavar="DEG", help="How far an orbit looks down.  [default: 35]"),
-            click.option(
-                "--distance",
-                type=Float(),
-                metavar="M",
-                help="From an orbit to the terrain's middle.  [default: such that all of it is in view]",
-            ),
-            click.option(
-                "--fov",
-                type=FloatRange(0, 180, min_open=True, max_open=True),
-                metavar="DEG",
-                help="Vertical field of view.  [default: 30, along a line 45]",
-            ),
-        ]
-    ):
-        function = option(function)
-    return function
+    return with_options(
+        function,
+        click.option("--orbit", is_flag=True, help="Once round the terrain, all of it in view; a loop."),
+        click.option(
+            "--turntable", is_flag=True, help="The same with the light turning too, as if the terrain were turned."
+        ),
+        click.option("--line", type=FILE, metavar="FILE", help="Fly along the longest line of a GPX or GeoJSON file."),
+        click.option(
+            "--point",
+            "points",
+            type=Numbers("LON,LAT"),
+            multiple=True,
+            help="Fly over this place, then on to the next --point.",
+        ),
+        click.option(
+            "--line-crs",
+            metavar="CRS",
+            help="The CRS of --line and --point.  [default: longitude and latitude, EPSG:4326]",
+        ),
+        click.option("--seconds", type=Float(), metavar="S", help="How long it takes.  [default: 12 for once round]"),
+        click.option("--speed", type=Float(), metavar="M/S", help="Along a line.  [default: one that suits --height]"),
+        click.option(
+            "--height",
+            type=Float(),
+            metavar="M",
+            help="Above the ground, along a line.  [default: a fifteenth of its length, 50 to 3000]",
+        ),
+        click.option(
+            "--side",
+            "azimuth",
+            type=Float(),
+            metavar="AZIMUTH",
+            help="The side an orbit begins from, degrees clockwise from north.  [default: 180, the south]",
+        ),
+        click.option("--pitch", type=Float(), metavar="DEG", help="How far an orbit looks down.  [default: 35]"),
+        click.option(
+            "--distance",
+            type=Float(),
+            metavar="M",
+            help="From an orbit to the terrain's middle.  [default: such that all of it is in view]",
+        ),
+        click.option(
+            "--fov",
+            type=FloatRange(0, 180, min_open=True, max_open=True),
+            metavar="DEG",
+            help="Vertical field of view.  [default: 30, along a line 45]",
+        ),
+    )
 
 
 def chosen(options: Mapping[str, Any]) -> list[str]:
