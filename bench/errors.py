@@ -122,7 +122,11 @@ def tolerances(terrain: store.MemoryTerrain, built: store.StoredTerrain) -> None
             total = 0
             for level in range(one.levels):
                 rows, cols = one.diamond_shape(level)
-                total += int((one.diamonds("exact", level, 0, rows, 0, cols)[0] > (high - low) * share).sum())
+                total += int(
+                    (
+                        one.derived("diamonds", error="exact").read(level, 0, rows, 0, cols)[0] > (high - low) * share
+                    ).sum()
+                )
             counts.append(total)
         more = 100 * (counts[1] / max(counts[0], 1) - 1)
         print(f"  error > {(high - low) * share:8.3f} m: {counts[0]:9} diamonds, {more:+.1f} % with stored errors")

@@ -101,7 +101,7 @@ def row_major(terrain: MemoryTerrain) -> NDArray[np.float32]:
     whole[..., 0], whole[..., 3] = terrain.heights, 0.0
     for level in range(top, -1, -1):
         rows, cols = terrain.diamond_shape(level)
-        errors, radii = terrain.diamonds("exact", level, 0, rows, 0, cols)
+        errors, radii = terrain.derived("diamonds", error="exact").read(level, 0, rows, 0, cols)
         target = whole[:: 1 << level, :: 1 << level]
         odd = slice(1, None, 2)
         places = [(slice(None), slice(None))] if level == top else [(odd, slice(None)), (slice(None), odd)]

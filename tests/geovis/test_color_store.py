@@ -15,6 +15,7 @@ from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color_errors import ColorErrors
 from orograph.geovis.color_store import made_with, store_colors, stored
+from orograph.store.colors import COLORS
 from orograph.store.memory import MemoryTerrain
 from orograph.store.source import ArraySource
 from orograph.store.storage import FolderStorage
@@ -107,8 +108,8 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(tmp_path, monkeypatch) -> 
         monkeypatch.setattr(FolderStorage, "put", put)
         with store.open(path) as terrain:  # the store is as it was
             assert stored(terrain) is None
-            assert not terrain.record.colors
-    kept = len(list((path / "diamonds" / ".color").glob("*.part")))
+            assert not COLORS.of(terrain.record)
+    kept = len(list((path / "colors" / ".partial").glob("*.part")))
     assert kept > 10
     # What is kept is not made again.
     made = [0]
@@ -168,7 +169,7 @@ def test_what_cannot_be_done_is_said(tmp_path) -> None:
         store_colors(tmp_path / "none.oro")
     path = built(tmp_path, (40, 40), shard=32)
     with store.open(path) as terrain, pytest.raises(StoreError, match="no color errors"):
-        terrain.color_codes(0, 0, 1, 0, 1)
+        terrain.derived("colors").read(0, 0, 1, 0, 1)
     with rasterio.MemoryFile() as memory:
         with memory.open(driver="GTiff", width=10, height=10, count=1, dtype="uint8", crs="EPSG:32611",
                          transform=TRANSFORM) as file:  # fmt: skip

@@ -4,6 +4,7 @@ an interrupted bake leaves the store as it was and goes on to the same bytes."""
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from orograph.lighting.arrays import context_of
 from orograph.lighting.bake import BAKED, PARTIAL, bake
 from orograph.lighting.context import Options
 from orograph.lighting.products import compute, names
-from orograph.store.layers import LayerBand
+from orograph.store.layers import LAYERS, LayerBand
 from orograph.store.storage import FolderStorage
 
 CELL = np.diag([20.0, -20.0])
@@ -250,9 +251,8 @@ def test_damage_and_other_heights_are_noticed(tmp_path):
     bake(folder, ["visible-sky"], FEW, overwrite=True)
     with store.open(folder) as terrain:
         assert terrain.check() == []
-        terrain.record.layers["visible-sky"] = __import__("dataclasses").replace(
-            terrain.record.layers["visible-sky"], source="others"
-        )
+        there = LAYERS.of(terrain.record)
+        there["visible-sky"] = replace(there["visible-sky"], source="others")
         with pytest.raises(StoreError, match="other heights"):
             terrain.layer("visible-sky")
 

@@ -155,7 +155,7 @@ class Plain:
         octave = np.array([[diamonds.octave(r, c) if r | c else 99 for c in range(side)] for r in range(side)])
         for level in range(t.levels):
             shape = t.diamond_shape(level)
-            errors, radii = t.diamonds(error, level, 0, shape[0], 0, shape[1])
+            errors, radii = t.derived("diamonds", error=error).read(level, 0, shape[0], 0, shape[1])
             mine = octave == level if level < t.levels - 1 else octave >= level
             inside = mine & (self.row >> level < shape[0]) & (self.col >> level < shape[1])
             self.e[inside] = errors[self.row[inside] >> level, self.col[inside] >> level]

@@ -211,8 +211,8 @@ class Quantised(MemoryTerrain):
         super().__init__(heights, grid, "quantised")
         self.store = store
 
-    def diamonds(self, *window):
-        return self.store.diamonds(*window)
+    def derived(self, name, **options):
+        return self.store.derived(name, **options)
 
 
 def test_a_store_gives_the_mesh_of_its_quantised_errors(tmp_path, large):

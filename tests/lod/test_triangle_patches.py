@@ -508,12 +508,12 @@ def test_stores_have_the_same_tables(tmp_path, gaps):
     heights = plain.rough(np.random.default_rng(14), (700, 450), gaps=gaps)
     t = plain.terrain(heights)
     store = build(t_source(t), tmp_path / "t.oro", shard=512, chunk=256, jobs=2)
-    assert store.has_patch_errors("exact", 16) and not store.has_patch_errors("exact", 8)
-    assert not t.has_patch_errors("exact", 16) and not store.check()
+    assert store.has("patches", error="exact", legs=16) and not store.has("patches", error="exact", legs=8)
+    assert not t.has("patches", error="exact", legs=16) and not store.check()
     made = patch_errors(store, "exact", 16)
     for level, wanted in enumerate(made):
         if wanted.size:
-            found = store.patch_errors("exact", level, 0, wanted.shape[0], 0, wanted.shape[1])
+            found = store.derived("patches", error="exact", legs=16).read(level, 0, wanted.shape[0], 0, wanted.shape[1])
             assert np.array_equal(found, wanted)
     # Errors of stores are rounded up: what they decide is conservative as well.
     view = plain.random_view(np.random.default_rng(15), t)
@@ -536,12 +536,23 @@ class Slow(MemoryTerrain):
     gate: threading.Event | None = None
     broken = False
 
-    def diamonds(self, *what):
-        if self.gate is not None:
-            self.gate.wait()
-        if self.broken:
+    def derived(self, name, **options):
+        table = super().derived(name, **options)
+        return Gated(self, table) if name == "diamonds" else table
+
+
+class Gated:
+    """A table behind a terrain's gate."""
+
+    def __init__(self, terrain, table):
+        self.terrain, self.table = terrain, table
+
+    def read(self, *what):
+        if self.terrain.gate is not None:
+            self.terrain.gate.wait()
+        if self.terrain.broken:
             raise StoreError("The disk is on fire.")
-        return super().diamonds(*what)
+        return self.table.read(*what)
 
 
 def test_a_view_need_not_wait_for_errors(monkeypatch):

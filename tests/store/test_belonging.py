@@ -84,8 +84,8 @@ def test_swapped_shards(area, one, other):
                 terrain.read_mean(level, 0, h, 0, w)
                 terrain.tiles(level)
                 h, w = terrain.diamond_shape(level)
-                terrain.diamonds("exact", level, 0, h, 0, w)
-                terrain.patch_errors("exact", level, 0, h, 0, w)
+                terrain.derived("diamonds", error="exact").read(level, 0, h, 0, w)
+                terrain.derived("patches", error="exact", legs=16).read(level, 0, h, 0, w)
 
 
 def _order(terrain):

@@ -15,6 +15,7 @@ from orograph.error import KINDS
 from orograph.error.diamonds import diamonds
 from orograph.error.encode import Encoder
 from orograph.errors import StoreError, UsageError
+from orograph.store.diamond_table import DIAMONDS
 from orograph.store.diamonds import NESTED, gather, surface
 from orograph.store.levels import subsample
 
@@ -27,7 +28,7 @@ def memory(heights):
 
 def whole(terrain, kind, level):
     rows, cols = terrain.diamond_shape(level)
-    return terrain.diamonds(kind, level, 0, rows, 0, cols)
+    return terrain.derived("diamonds", error=kind).read(level, 0, rows, 0, cols)
 
 
 def quantised(heights, terrain, kind):
@@ -39,11 +40,11 @@ def quantised(heights, terrain, kind):
         subsample(heights, NESTED),
         ground,
         (kind,),
-        rounding=Encoder({}, record.radius),
+        rounding=Encoder({}, DIAMONDS.of(record).radius),
         jobs=1,
     )
     errors, radii = gather(heights.shape, parts, kind)
-    table = record.errors[kind].table
+    table = DIAMONDS.of(record).errors[kind].table
     return [table[np.searchsorted(table, e)] for e in errors], radii
 
 
@@ -90,7 +91,9 @@ def test_any_window(built, data):
         r0, c0 = data.draw(st.integers(0, rows)), data.draw(st.integers(0, cols))
         r1, c1 = data.draw(st.integers(r0, rows)), data.draw(st.integers(c0, cols))
         for ours, all_of_it in zip(
-            terrain.diamonds("exact", level, r0, r1, c0, c1), whole(terrain, "exact", level), strict=True
+            terrain.derived("diamonds", error="exact").read(level, r0, r1, c0, c1),
+            whole(terrain, "exact", level),
+            strict=True,
         ):
             np.testing.assert_array_equal(ours, all_of_it[r0:r1, c0:c1])
 
@@ -159,15 +162,15 @@ def test_what_is_not_there_is_said(tmp_path, built):
     terrain = store.build(source(HEIGHTS[:90, :90]), tmp_path / "none", errors=())
     assert not (tmp_path / "none/diamonds").exists() and terrain.check() == []
     with pytest.raises(StoreError, match=r"no exact errors.*errors=.*'exact'.*overwrite=True"):
-        terrain.diamonds("exact", 0, 0, 1, 0, 1)
+        terrain.derived("diamonds", error="exact").read(0, 0, 1, 0, 1)
     only = store.build(source(HEIGHTS[:90, :90]), tmp_path / "one", errors=["midpoint"])
     with pytest.raises(StoreError, match=r"no wedgie errors.*errors=\('midpoint', 'wedgie'\)"):
-        only.diamonds("wedgie", 0, 0, 1, 0, 1)
+        only.derived("diamonds", error="wedgie").read(0, 0, 1, 0, 1)
     for terrain in (memory(HEIGHTS), store.open(built)):
         with pytest.raises(UsageError, match="no error called"):
-            terrain.diamonds("worst", 0, 0, 1, 0, 1)
+            terrain.derived("diamonds", error="worst").read(0, 0, 1, 0, 1)
         with pytest.raises(UsageError, match="not inside"):
-            terrain.diamonds("exact", 0, 0, 701, 0, 1)
+            terrain.derived("diamonds", error="exact").read(0, 0, 701, 0, 1)
     with pytest.raises(UsageError, match="kinds exact, wedgie, midpoint, not exact, best"):
         store.build(source(HEIGHTS), tmp_path / "x", errors=("exact", "best"))
 
@@ -204,9 +207,9 @@ def test_zarr_reads_the_codes(built):
     with store.open(built) as terrain:
         for level in range(terrain.levels):
             array = group[f"diamonds/{level}/wedgie"]
-            errors = terrain.record.errors["wedgie"].table[array[:]]
+            errors = DIAMONDS.of(terrain.record).errors["wedgie"].table[array[:]]
             np.testing.assert_array_equal(errors, whole(terrain, "wedgie", level)[0])
-            assert array.attrs["code"] == terrain.record.errors["wedgie"].to_json()
+            assert array.attrs["code"] == DIAMONDS.of(terrain.record).errors["wedgie"].to_json()
 
 
 def test_levels_that_have_no_patches_are_no_damage(built):
@@ -217,9 +220,10 @@ def test_levels_that_have_no_patches_are_no_damage(built):
         assert list(stored_levels(HEIGHTS.shape)) == [2] and terrain.check() == []
         for level in range(terrain.levels):
             rows, cols = terrain.diamond_shape(level)
-            found = terrain.patch_errors("exact", level, 1, rows, 2, cols)
+            found = terrain.derived("patches", error="exact", legs=16).read(level, 1, rows, 2, cols)
             assert found.shape == (rows - 1, cols - 2) and found.dtype == np.float32
             assert found.any() == (level == 2)
         np.testing.assert_array_equal(
-            terrain.patch_errors("exact", 2, 0, 257, 0, 257), patch_errors(terrain, "exact", 16)[2]
+            terrain.derived("patches", error="exact", legs=16).read(2, 0, 257, 0, 257),
+            patch_errors(terrain, "exact", 16)[2],
         )

@@ -21,8 +21,8 @@ READS = {
     "the top": lambda t: t.read(t.levels - 1, 0, 9, 0, 9),
     "read_mean": lambda t: t.read_mean(1, 0, 99, 0, 99),
     "tiles": lambda t: t.tiles(0),
-    "diamonds": lambda t: t.diamonds("exact", 0, 0, 99, 0, 99),
-    "patches": lambda t: t.patch_errors("exact", 1, 0, 99, 0, 99),
+    "diamonds": lambda t: t.derived("diamonds", error="exact").read(0, 0, 99, 0, 99),
+    "patches": lambda t: t.derived("patches", error="exact", legs=16).read(1, 0, 99, 0, 99),
 }
 
 

@@ -87,8 +87,9 @@ def command(
     seconds = time.perf_counter() - began
     if as_json:
         from orograph.cli.memory import peak_memory
+        from orograph.store.layers import LAYERS
 
-        layers = {name: terrain.record.layers[name].to_json() for name in wanted}
+        layers = {name: LAYERS.of(terrain.record)[name].to_json() for name in wanted}
         told = {"path": terrain.url, "layers": layers, "size_bytes": terrain.size_bytes, "seconds": round(seconds, 3),
                 "peak_memory_bytes": peak_memory()}  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))

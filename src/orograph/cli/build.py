@@ -195,6 +195,8 @@ def command(
     grid, size = terrain.grid, terrain.size_bytes
     low, high = terrain.height_range
     known = low == low
+    from orograph.store.colors import COLORS
+
     result = {
         "path": terrain.url,
         "size_bytes": size,
@@ -206,7 +208,7 @@ def command(
         "height_range": [low, high] if known else None,
         "valid_fraction": terrain.valid_fraction,
         "errors": list(terrain.errors),
-        "color_errors": terrain.record.colors or None,
+        "color_errors": COLORS.of(terrain.record) or None,
         "layers": list(terrain.layers),
         "vertical_datum": terrain.vertical,
         "resampled": None if terrain.resampled is None else terrain.resampled.to_json(),

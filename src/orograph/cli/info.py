@@ -116,6 +116,8 @@ def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | No
 def _store_facts(path: str) -> Facts:
     from orograph import store
     from orograph.dem.inspect import crs_text, spacing_metres
+    from orograph.store.colors import COLORS
+    from orograph.store.layers import LAYERS
 
     with store.open(path) as terrain:
         low, high = terrain.height_range
@@ -135,13 +137,13 @@ def _store_facts(path: str) -> Facts:
             "levels": terrain.levels,
             "side": terrain.side,
             "errors": list(terrain.errors),
-            "colors": terrain.record.colors or None,
+            "colors": COLORS.of(terrain.record) or None,
             "resampled": None if terrain.resampled is None else terrain.resampled.to_json(),
             "keeps_source": terrain.samples is not None,
             "layers": list(terrain.layers),
             "_resampled": terrain.resampled,
             "parts": _parts(path, terrain.errors, tuple(terrain.layers)),
-            "_layers": terrain.record.layers,
+            "_layers": LAYERS.of(terrain.record),
             "size_bytes": _size(path),
             "warnings": [],
             "_format": "terrain store",

@@ -1,7 +1,7 @@
 """Color errors kept with the terrain: made once, out of core, and used for the same colours only.
 
 What ``color_errors`` computes in memory, a byte for each diamond, is put into a store beside the errors of heights, as
-``diamonds/{k}/color``: one task per shard, which keeps what it found until all is complete, so that an interrupted run
+``colors/{k}/color``: one task per shard, which keeps what it found until all is complete, so that an interrupted run
 goes on. The bytes are those of the computation in memory, whatever the shards and threads.
 
 Color errors hold for one image, one light and one tint. The store says which (``made_with``): of an image a digest of
@@ -28,9 +28,10 @@ from orograph.errors import UsageError
 from orograph.geovis.color_errors import SUN, Colors, blank, codes_of, decoded
 from orograph.parallel import cpu_count
 from orograph.progress import SILENT, Progress
+from orograph.store.colors import COLORS, color_spec
 from orograph.store.diamonds import blank_top, place
 from orograph.store.digests import Spot
-from orograph.store.layout import Record, diamond_spec, dumps, publish
+from orograph.store.layout import Record, dumps, publish
 from orograph.store.lock import alone
 from orograph.store.parts import pack, unpack
 from orograph.store.pyramid import spans, tasks
@@ -40,8 +41,7 @@ from orograph.store.stored import StoredTerrain, open, read_record
 from orograph.store.terrain import Terrain, diamond_shape, level_count, level_shape
 from orograph.store.writer import Canvas, ShardWriter
 
-COLOR = "color"
-PARTIAL = "diamonds/.color"
+PARTIAL = "colors/.partial"
 """Where the plan and the parts of a run are until it is complete."""
 SAMPLE = 160
 """Bytes a task holds for each sample of its block."""
@@ -98,10 +98,10 @@ class StoredColorErrors:
     """Color errors of a store, called as methods want them: ``(level, row0, row1, col0, col1) → float32``, ΔE."""
 
     def __init__(self, terrain: StoredTerrain) -> None:
-        self.terrain = terrain
+        self.terrain, self.codes = terrain, terrain.derived("colors")
 
     def __call__(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Floats:
-        return decoded(self.terrain.color_codes(level, row0, row1, col0, col1))
+        return decoded(self.codes.read(level, row0, row1, col0, col1))
 
 
 def stored(
@@ -114,10 +114,10 @@ def stored(
         drape, options: as for ``made_with``.
         progress: is told if there are some of other colours.
     """
-    if not isinstance(terrain, StoredTerrain) or not terrain.record.colors:
+    if not isinstance(terrain, StoredTerrain) or not COLORS.of(terrain.record):
         return None
     wanted = made_with(drape, **options)
-    if wanted is not None and same(wanted, terrain.record.colors):
+    if wanted is not None and same(wanted, COLORS.of(terrain.record)):
         return StoredColorErrors(terrain)
     progress.note("The store has color errors of other colours; those of these are computed.")
     return None
@@ -162,10 +162,10 @@ def store_colors(
     read_record(storage)  # a store that is not there is said before anything is written beside it
     with alone(storage, "putting color errors into this store"):
         before = read_record(storage)
-        if overwrite or not before.colors or not same(wanted, before.colors):
+        if overwrite or not COLORS.of(before) or not same(wanted, COLORS.of(before)):
             with open(store, jobs=1, storage_options=storage_options) as terrain:
-                if before.colors:
-                    publish(storage, replace(before, colors={}))
+                if COLORS.of(before):
+                    publish(storage, COLORS.put(before, {}))
                     before = read_record(storage)
                 colors = Colors(terrain, drape=drape, max_memory=max_memory, progress=progress, **options)
                 plan = dumps({**wanted, "step": colors.step, "source": before.source, "shard": before.shard})
@@ -175,7 +175,8 @@ def store_colors(
                 at_once = max(1, min(jobs or cpu_count(), max_memory // 2 // (SAMPLE * min(BLOCK, before.shard) ** 2)))
                 writer = ShardWriter(storage)
                 _Run(colors, writer, before).all(at_once, progress)
-                publish(storage, replace(before, colors=wanted, digests=before.digests.joined(writer.digests)))
+                after = replace(COLORS.put(before, wanted), digests=before.digests.joined(writer.digests))
+                publish(storage, after)
                 storage.remove(PARTIAL)
         storage.close()
         return open(store, storage_options=storage_options)
@@ -291,7 +292,7 @@ class _Run:
         return codes, rests
 
     def _spec(self, level: int) -> Any:
-        return diamond_spec(self.shape, level, COLOR, self.record.shard, self.record.chunk)
+        return color_spec(self.shape, level, self.record.shard, self.record.chunk)
 
 
 def _coded(parts: tuple[Part, ...]) -> Codes:

@@ -35,7 +35,7 @@ from orograph.lighting.raster import trim
 from orograph.lighting.raster_resume import Checkpoint
 from orograph.progress import SILENT, Progress
 from orograph.store.digests import Digests
-from orograph.store.layers import GROUP, Bits, Codes, LayerBand, LayerRecord, layer_spec
+from orograph.store.layers import GROUP, LAYERS, Bits, Codes, LayerBand, LayerRecord, layer_spec
 from orograph.store.layout import Record, publish
 from orograph.store.levels import BoxMeans, divide, halve_sums
 from orograph.store.lock import alone
@@ -132,7 +132,7 @@ def bake(
         before = read_record(storage)
         made = [_record(p, chosen, bits, before) for p in products]
         if not overwrite:
-            there = [layer for layer in made if before.layers.get(layer.name) == layer]
+            there = [layer for layer in made if LAYERS.of(before).get(layer.name) == layer]
             for layer in there:
                 progress.note(f"{layer.name} is in {storage.url} already, made with the same options.")
             made = [layer for layer in made if layer not in there]
@@ -231,7 +231,8 @@ def _finished(storage: FolderStorage, record: Record) -> bool:
         plan: dict[str, Any] = json.loads(storage.get(f"{PARTIAL}/plan.json") or b"")
     except ValueError:
         return False
-    return all(name in record.layers and record.layers[name].to_json() == layer for name, layer in plan.items())
+    there = LAYERS.of(record)
+    return all(name in there and there[name].to_json() == layer for name, layer in plan.items())
 
 
 def _write(
@@ -343,11 +344,11 @@ def _caps(means: Values) -> Values:
 
 def _publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str], digests: Digests) -> Record:
     """Let layers take their place: the old ones go first, the record that names the new ones is written last."""
-    left = {name: layer for name, layer in before.layers.items() if name not in gone}
-    record = replace(before, layers=left)
-    if gone & set(before.layers):
+    left = {name: layer for name, layer in LAYERS.of(before).items() if name not in gone}
+    record = LAYERS.put(before, left)
+    if gone & set(LAYERS.of(before)):
         publish(storage, record)
-        for name in gone & set(before.layers):
+        for name in gone & set(LAYERS.of(before)):
             storage.remove(f"{GROUP}/{name}")
         record = read_record(storage)
     if isinstance(storage, FolderStorage):
@@ -356,7 +357,7 @@ def _publish(storage: Storage, before: Record, made: list[LayerRecord], gone: se
             storage.rename(f"{PARTIAL}/{GROUP}/{layer.name}", f"{GROUP}/{layer.name}")
     if made:
         layers = dict(sorted({**left, **{layer.name: layer for layer in made}}.items()))
-        record = replace(record, layers=layers, digests=record.digests.joined(digests))
+        record = replace(LAYERS.put(record, layers), digests=record.digests.joined(digests))
         publish(storage, record)
     return record
 

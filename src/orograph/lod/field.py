@@ -6,7 +6,7 @@ shares its page with its like (the hierarchical layout of Lindstrom & Pascucci 2
 a table; one that is not resident is noted as a *miss* and its diamonds pass for accurate, and the method reads the
 pages and refines again until nothing is missed. Memory is bounded: pages not used last leave first.
 
-In a page: height is filled where the sample is missing (spheres need one); error as in ``Terrain.diamonds`` (+inf
+In a page: height is filled where the sample is missing (spheres need one); error as in ``store.diamond_table`` (+inf
 mixed); radius negative if the diamond is empty; color error c as −1 − c if the vertex's own sample is missing.
 """
 
@@ -22,6 +22,7 @@ from orograph.error import ErrorKind
 from orograph.errors import UsageError
 from orograph.lod.pages import BEYOND, PAGE_BYTES, SHIFT, SIDE, Pages, find
 from orograph.parallel import map_ordered
+from orograph.store.diamond_table import DiamondTable
 from orograph.store.terrain import Terrain, level_shape
 
 __all__ = ["ColorErrors", "Field", "Pages", "check_surface", "find"]
@@ -35,7 +36,7 @@ class Field:
     Args:
         terrain: what is refined.
         kind: which error: exact, wedgie, midpoint.
-        color: ``color(level, row0, row1, col0, col1)``, color errors in the layout of ``Terrain.diamonds``.
+        color: ``color(level, row0, row1, col0, col1)``, color errors in the layout of ``store.diamond_table``.
         max_memory: bytes of pages.
         jobs: threads that read.
 
@@ -60,6 +61,7 @@ class Field:
         check_surface(terrain)
         rows, cols = terrain.grid.shape
         self.terrain, self.kind, self.color, self.jobs = terrain, cast(ErrorKind, kind), color, jobs
+        self.diamonds: DiamondTable = terrain.derived("diamonds", error=self.kind)
         self.n, self.top = terrain.n, terrain.levels - 1
         self.shapes = [level_shape(terrain.grid.shape, level) for level in range(self.top)]
         side = (1 << (self.n - self.top)) + 1
@@ -179,7 +181,7 @@ class Field:
         data[..., 2] = -1.0  # empty, where the level has nothing
         here = data[: row1 - row0, : col1 - col0]
         here[..., 0] = heights
-        here[..., 1], here[..., 2] = self.terrain.diamonds(self.kind, level, row0, row1, col0, col1)
+        here[..., 1], here[..., 2] = self.diamonds.read(level, row0, row1, col0, col1)
         color = 0.0 if self.color is None else self.color(level, row0, row1, col0, col1)
         here[..., 3] = np.where(missing, -1.0 - color, color)
         place = self.pages.down[:, None] + self.pages.across >> 2

@@ -37,7 +37,7 @@ def kinds_of(needs: Iterable[Need]) -> tuple[ErrorKind, ...]:
 
 def _diamonds(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
     kind = options["error"]
-    if not isinstance(terrain, StoredTerrain) or kind in terrain.errors or kind in terrain.supplied:
+    if not isinstance(terrain, StoredTerrain) or terrain.has("diamonds", error=kind):
         return
     needed = int(terrain.grid.rows * terrain.grid.cols * BYTES_PER_SAMPLE)
     if needed > resources.max_memory:
@@ -50,11 +50,11 @@ def _diamonds(terrain: Terrain, options: Mapping[str, Any], resources: Resources
         f"(`orograph.build(..., errors={(*terrain.errors, kind)})` keeps them)"
     )
     with resources.progress.task(f"Finding {kind} errors"):
-        terrain.supply(kind)
+        terrain.supply("diamonds", error=kind)
 
 
 def _patches(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
-    if isinstance(terrain, StoredTerrain) and not terrain.has_patch_errors(options["error"], options["legs"]):
+    if isinstance(terrain, StoredTerrain) and not terrain.has("patches", **options):
         resources.progress.note("the store has no errors of such patches: they are made in memory")
     # (The method's own table makes them: ``lod.patches.tables``.)
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,9 +19,10 @@ import numpy as np
 
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
-from orograph.geo.grid import Grid
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
+from orograph.store.derived import Work
+from orograph.store.diamond_table import DIAMONDS
 from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
 from orograph.store.layout import CHUNK, FORMAT, PARTS, Record, dumps
@@ -30,17 +30,17 @@ from orograph.store.layout import publish as publish_record
 from orograph.store.lock import alone
 from orograph.store.memory import MemoryTerrain, check_metric, is_metric
 from orograph.store.places import PLAN, ROOT, begun, is_store, left_over, missing, occupied, partial, publish
+from orograph.store.registry import BUILT
 from orograph.store.shards import go_through
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open, read_record
-from orograph.store.terrain import Samples, Shape, TileTable, exponent, level_count, level_shape
+from orograph.store.terrain import Samples, Shape, level_count, level_shape
 from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:
     from orograph.dem import Dem
     from orograph.dem.lattice import SourceLattice
-    from orograph.store.survey import Errors
 
 MEMORY = 1 << 30
 SHARDS = (2048, 1024, 512)
@@ -238,7 +238,7 @@ def _plan_of(record: Record) -> dict[str, Any]:
         "crs": None if grid.crs is None else grid.crs.to_wkt(),
         "shard": record.shard,
         "chunk": record.chunk,
-        "errors": list(record.errors),
+        "errors": list(DIAMONDS.of(record).errors),
         "keep_source": bool(record.lattices),
     }
 
@@ -340,7 +340,6 @@ def _fill(
     lattices = _lattices(raster)
     sizes, keep = (plan["shard"], plan["chunk"]), plan["keep_source"]
     lost = look_back(lattices, raster.grid, writer, sizes, keep, jobs, resume, progress) if lattices else None
-    survey = _survey(raster.grid, writer, plan, first, jobs, resume, progress) if kinds else None
     seen = bool(first.valid.any())
     record = Record(
         grid=raster.grid,
@@ -351,45 +350,11 @@ def _fill(
         height_range=(float(np.nanmin(first.minimum)), float(np.nanmax(first.maximum))) if seen else (np.nan, np.nan),
         valid_fraction=valid_samples / (raster.grid.rows * raster.grid.cols),
         source=plan["source"],
-        errors={} if survey is None else survey.codes,
-        radius=None if survey is None else survey.radius,
         resampled=lost,
         lattices=tuple(LatticeRecord.of(lattice) for lattice in lattices) if keep else (),
         inputs=inputs_of(raster),
         digests=writer.digests,
     )
-    if kinds and seen:
-        record = patches(record, writer, jobs, progress)
+    for kind in BUILT:
+        record = kind.make(record, kinds, Work(writer, jobs, resume, progress))
     publish_record(storage, record)
-
-
-def patches(record: Record, writer: ShardWriter, jobs: int, progress: Progress) -> Record:
-    """The errors of patches, from those of diamonds that are there by now; the record with them."""
-    from orograph.store.patches import KAPPA, LEGS, patch_errors, spec, stored_levels
-
-    shape = record.grid.shape
-    if 1 << exponent(shape) <= LEGS:
-        return record
-    terrain = StoredTerrain(writer.storage, record, CACHE_BYTES, 1)
-    for kind in record.errors:
-        found = patch_errors(terrain, kind, LEGS, jobs=jobs, progress=progress)
-        for level in stored_levels(shape):
-            writer.array(spec(shape, level, kind, record.shard, record.chunk), found[level])
-    return replace(record, patches={"legs": LEGS, "kappa": KAPPA})
-
-
-def _survey(
-    grid: Grid,
-    writer: ShardWriter,
-    plan: dict[str, Any],
-    first: TileTable,
-    jobs: int,
-    resume: bool,
-    progress: Progress,
-) -> Errors:
-    """The errors of all diamonds, from the heights that are there by now."""
-    from orograph.store.survey import Errors
-
-    survey = Errors(grid, writer, plan["shard"], plan["chunk"], first, tuple(plan["errors"]), resume)
-    go_through("Finding errors", survey.tasks(), survey.run, jobs, progress, survey.finish)
-    return survey

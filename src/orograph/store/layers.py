@@ -12,16 +12,21 @@ largest error, and is stated as ``quantisation_error``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import UsageError
+from orograph.errors import StoreError, UsageError
+from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec, ShardedArray
+from orograph.store.derived import At, Attributes, Derived, Nodes
 from orograph.store.terrain import Heights, Shape, level_count, mean_shape
+
+if TYPE_CHECKING:
+    from orograph.store.stored import StoredTerrain
 
 Codes = NDArray[np.uint8] | NDArray[np.uint16]
 Bits = Literal[8, 16]
@@ -181,3 +186,83 @@ class StoredLayer:
     def __repr__(self) -> str:
         said = ", ".join(f"{key} {value}" for key, value in self.options.items() if value is not None)
         return f"<Layer {self.name!r} ({said}), {len(self.bands)} bands, {self.levels} levels>"
+
+
+class Layers(Derived[dict[str, LayerRecord]]):
+    """Layers by name. Options: ``layer``, a name, and what it must have been made with."""
+
+    name, version, group, shared = "layers", 1, GROUP, True
+
+    def nothing(self) -> dict[str, LayerRecord]:
+        return {}
+
+    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, LayerRecord]:
+        return {name: LayerRecord.from_json(name, layer) for name, layer in told["layers"].items()}
+
+    def to_json(self, what: dict[str, LayerRecord]) -> dict[str, Any]:
+        return {"layers": {name: layer.to_json() for name, layer in what.items()}}
+
+    def arrays(self, what: dict[str, LayerRecord], at: At) -> Iterator[tuple[ArraySpec, Attributes]]:
+        for layer in what.values():
+            for level in range(level_count(at.grid.shape)):
+                for band in layer.bands:
+                    about = {"long_name": f"{layer.doc}, {band.name}, level {level}"}
+                    spec = layer_spec(at.grid.shape, layer.name, level, band, at.shard, at.chunk)
+                    yield spec, {**about, **band.attributes()}
+
+    def groups(self, what: dict[str, LayerRecord], at: At) -> tuple[Nodes, dict[str, bytes]]:
+        from orograph.store.conventions import group, level_transform, put_coordinates, spatial_attributes
+
+        nodes: Nodes = {GROUP: group()}
+        data: dict[str, bytes] = {}
+        for layer in what.values():
+            said = {"long_name": layer.doc, "averaging": layer.averaging, "made_with": layer.options}
+            nodes[f"{GROUP}/{layer.name}"] = group(said)
+            for level in range(level_count(at.grid.shape)):
+                transform = level_transform(at.grid, level, mean=True)
+                grid = Grid(mean_shape(at.grid.shape, level), transform, at.grid.crs)
+                path = f"{GROUP}/{layer.name}/{level}"
+                nodes[path] = group(spatial_attributes(grid))
+                put_coordinates(path, grid, nodes, data)
+        return nodes, data
+
+    def open(self, terrain: StoredTerrain, **options: Any) -> StoredLayer:
+        name = options.pop("layer")
+        there = self.of(terrain.record)
+        if name not in there:
+            others = f"; it has {', '.join(there)}" if there else ""
+            raise StoreError(
+                f"This terrain has no layer {name!r}{others}.",
+                path=terrain.url,
+                remedy=f"Put it into a store: `orograph.bake(store, [{name!r}])`.",
+            )
+        record = there[name]
+        again = f"Bake it again (`orograph.bake({terrain.url!r}, [{name!r}])`)."
+        if record.source != terrain.record.source:
+            raise StoreError(f"Its layer {name!r} was made from other heights.", path=terrain.url, remedy=again)
+        for key, wanted in options.items():
+            if key not in record.options:
+                raise UsageError(f"Layer {name!r} is not made with {key!r}, but {', '.join(record.options)}.")
+            if record.options[key] != wanted:
+                raise StoreError(
+                    f"Its layer {name!r} was made with {key} {_said(record.options[key])}, not {_said(wanted)}.",
+                    path=terrain.url,
+                    remedy=again,
+                )
+        shape, sizes = terrain.grid.shape, (terrain.record.shard, terrain.record.chunk)
+
+        def array(band: LayerBand, level: int) -> ShardedArray:
+            return terrain.opened(f"{name}/{band.name}", level, lambda: layer_spec(shape, name, level, band, *sizes))
+
+        return StoredLayer(record, shape, array)
+
+    def remedy(self, url: str, keys: list[str]) -> str | None:
+        layers = sorted({key.split("/")[1] for key in keys if key.count("/") > 1})
+        return f"Bake again: `orograph.bake({url!r}, {layers}, overwrite=True)`." if layers else None
+
+
+def _said(value: Any) -> str:
+    return "unlimited" if value is None else str(value)
+
+
+LAYERS = Layers()

@@ -7,9 +7,9 @@ A store is a Zarr v3 group::
     heights/{k}/x, y           sample coordinates (unless the grid is rotated); spatial_ref: the CRS, as CF has it
     mean/{k}/height            box means of 2^k × 2^k samples, k ≥ 1; x, y and spatial_ref as above
     tiles/{k}/minimum, maximum, error (float32), valid (uint8)
-    diamonds/{k}/radius        uint8, coded: spheres of the diamonds of octave k (see ``Terrain.diamonds``)
+    diamonds/{k}/radius        uint8, coded: spheres of the diamonds of octave k (``diamond_table``)
     diamonds/{k}/exact…        uint8, coded: their errors, of each kind that was built
-    diamonds/{k}/color         uint8, coded: how much coarser triangles change colours (``geovis.color_store``)
+    colors/{k}/color           uint8, coded: how much coarser triangles change colours (``geovis.color_store``)
     patches/{k}/exact…         float32, metres: errors of patches of 16 segments a leg (see ``store.patches``)
     source/{i}/height          the samples of a source lattice that was resampled, in its own type (see ``lattices``)
     layers/NAME/{k}/BAND       uint8 or uint16, coded: layers that were put in later, such as baked light (``layers``)
@@ -23,14 +23,13 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from affine import Affine
 from pyproj import CRS
 
-from orograph.error import ErrorKind
-from orograph.error.quantise import ErrorCode, RadiusCode, nominal_radii
 from orograph.errors import StoreError
 from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec
@@ -42,17 +41,15 @@ from orograph.store.conventions import (
     root_attributes,
     spatial_attributes,
 )
-from orograph.store.diamonds import metric
+from orograph.store.derived import At, Derived
 from orograph.store.digests import Digests, crc32c, digest_of
 from orograph.store.lattices import SOURCE, LatticeRecord
-from orograph.store.layers import GROUP, LayerRecord, layer_spec
 from orograph.store.places import ROOT
+from orograph.store.registry import KINDS
 from orograph.store.storage import Storage
 from orograph.store.terrain import (
     Resampled,
     Shape,
-    diamond_shape,
-    exponent,
     level_count,
     level_shape,
     mean_shape,
@@ -87,11 +84,6 @@ def table_spec(shape: Shape, level: int, name: str, shard: int, chunk: int) -> A
     return ArraySpec(f"tiles/{level}/{name}", tile_shape(shape, level), shard, chunk, dtype, fill, ("tile_y", "tile_x"))
 
 
-def diamond_spec(shape: Shape, level: int, name: str, shard: int, chunk: int) -> ArraySpec:
-    """The codes of a level's diamonds: of a kind of errors, or "radius"."""
-    return ArraySpec(f"diamonds/{level}/{name}", diamond_shape(shape, level), shard, chunk, "uint8", 0.0)
-
-
 @dataclass(frozen=True, slots=True)
 class Record:
     """What a complete store says of itself under ``orograph``.
@@ -104,11 +96,7 @@ class Record:
         height_range: lowest and highest valid sample, nan if there is none.
         valid_fraction: of all samples.
         source: fingerprint of what it was built from.
-        errors: the kinds of errors it has of its diamonds, and how they are coded.
-        radius: how their radii are coded; None if it has no errors.
-        layers: by name.
-        patches: of which patches it has the errors: legs and kappa (``store.patches``); empty if of none.
-        colors: of which colours it has the errors (``geovis.color_store``); empty if of none.
+        derived: what it has of derived data, by name (``store.derived``).
         resampled: what was lost when its sources were resampled; None if every sample is a source's own.
         lattices: the source lattices that it keeps.
         inputs: the files and options it was built with (``store.inputs``); None if from no files.
@@ -123,11 +111,7 @@ class Record:
     height_range: tuple[float, float]
     valid_fraction: float
     source: str
-    errors: dict[ErrorKind, ErrorCode] = field(default_factory=dict)
-    radius: RadiusCode | None = None
-    layers: dict[str, LayerRecord] = field(default_factory=dict)
-    patches: dict[str, float] = field(default_factory=dict)
-    colors: dict[str, Any] = field(default_factory=dict)
+    derived: dict[str, Any] = field(default_factory=dict)
     resampled: Resampled | None = None
     lattices: tuple[LatticeRecord, ...] = ()
     inputs: dict[str, Any] | None = None
@@ -156,17 +140,14 @@ class Record:
             "valid_fraction": self.valid_fraction,
             "source": self.source,
             "inputs": self.inputs,
-            "errors": {kind: code.to_json() for kind, code in self.errors.items()},
-            "radius": None if self.radius is None else self.radius.to_json(),
             "resampled": None if self.resampled is None else self.resampled.to_json(),
             "lattices": [lattice.to_json() for lattice in self.lattices],
         }
-        if self.layers:
-            record["layers"] = {name: layer.to_json() for name, layer in self.layers.items()}
-        if self.patches:
-            record["patches"] = self.patches
-        if self.colors:
-            record["colors"] = self.colors
+        record["derived"] = {
+            kind.name: {"version": kind.version, **kind.to_json(kind.of(self))}
+            for kind in KINDS.values()
+            if kind.name in self.derived
+        }
         record["digests"] = self.digests.to_json()
         return {**record, "checksum": _checksum(record)}
 
@@ -187,7 +168,11 @@ class Record:
         rows, cols = record["shape"]
         low, high = record["height_range"] or (math.nan, math.nan)
         grid = Grid((rows, cols), Affine(*record["transform"]), crs)
-        radius = record["radius"]
+        derived = {
+            name: KINDS[name].parse(told, grid)
+            for name, told in record["derived"].items()
+            if name in KINDS and told["version"] == KINDS[name].version
+        }
         return cls(
             grid,
             record["name"],
@@ -197,11 +182,7 @@ class Record:
             (low, high),
             record["valid_fraction"],
             record["source"],
-            {kind: ErrorCode(**code) for kind, code in record["errors"].items()},
-            None if radius is None else RadiusCode(nominal_radii(metric(grid), exponent(grid.shape)), **radius),
-            {name: LayerRecord.from_json(name, layer) for name, layer in record.get("layers", {}).items()},
-            record.get("patches", {}),
-            record.get("colors", {}),
+            derived,
             None if record["resampled"] is None else Resampled.from_json(record["resampled"]),
             tuple(LatticeRecord.from_json(lattice) for lattice in record["lattices"]),
             record["inputs"],
@@ -244,23 +225,25 @@ def dumps(document: dict[str, Any]) -> bytes:
     return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
 
 
+def derived_arrays(record: Record) -> Iterator[tuple[Derived[Any], ArraySpec, dict[str, Any]]]:
+    """Every array of derived data with its kind and its attributes."""
+    at = At(record.grid, record.shard, record.chunk)
+    for kind in KINDS.values():
+        if kind.name in record.derived:
+            for spec, attributes in kind.arrays(kind.of(record), at):
+                yield kind, spec, attributes
+
+
 def array_specs(record: Record) -> list[ArraySpec]:
     """Every array of a store that lies in shards."""
-    from orograph.store.patches import spec as patch_spec
-    from orograph.store.patches import stored_levels
-
     shape, sizes = record.grid.shape, (record.shard, record.chunk)
-    diamonds = [*record.errors, *(["radius"] if record.radius else []), *(["color"] if record.colors else [])]
     found = []
     for level in range(level_count(shape)):
         found.append(heights_spec(shape, level, *sizes))
         if level:
             found.append(mean_spec(shape, level, *sizes))
         found += [table_spec(shape, level, name, *sizes) for name in TABLES_AND_VALID]
-        found += [diamond_spec(shape, level, name, *sizes) for name in diamonds]
-        if record.patches and level in stored_levels(shape, int(record.patches["legs"])):
-            found += [patch_spec(shape, level, kind, *sizes) for kind in record.errors]
-        found += [layer_spec(shape, x.name, level, band, *sizes) for x in record.layers.values() for band in x.bands]
+    found += [spec for _, spec, _ in derived_arrays(record)]
     return [*found, *(lattice.spec(number, *sizes) for number, lattice in enumerate(record.lattices))]
 
 
@@ -293,48 +276,21 @@ def metadata(record: Record) -> tuple[dict[str, bytes], dict[str, bytes]]:
         for name in TABLES_AND_VALID:
             spec = table_spec(grid.shape, level, name, shard, chunk)
             nodes[spec.path] = spec.metadata({"units": "m"} if name != "valid" else {"flag_values": [0, 1, 2]})
-    if record.radius is not None:
-        nodes["diamonds"] = group()
-        codes: dict[str, dict[str, Any]] = {kind: code.to_json() for kind, code in record.errors.items()}
-        codes["radius"] = record.radius.to_json()
-        for level in range(levels):
-            nodes[f"diamonds/{level}"] = group()
-            for diamond, code in codes.items():
-                spec = diamond_spec(grid.shape, level, diamond, shard, chunk)
-                nodes[spec.path] = spec.metadata({"long_name": f"{diamond} of diamonds, coded", "code": code})
-    if record.colors:
-        nodes.setdefault("diamonds", group())
-        for level in range(levels):
-            nodes.setdefault(f"diamonds/{level}", group())
-            spec = diamond_spec(grid.shape, level, "color", shard, chunk)
-            told: dict[str, Any] = {
-                "long_name": "color errors of diamonds, (code / 15.9)² ΔE",
-                "made_with": record.colors,
-            }
-            nodes[spec.path] = spec.metadata(told)
-    if record.patches:
-        from orograph.store.patches import spec as patch_spec
-        from orograph.store.patches import stored_levels
-
-        nodes["patches"] = group(dict(record.patches))
-        for level in stored_levels(grid.shape, int(record.patches["legs"])):
-            nodes[f"patches/{level}"] = group()
-            for kind in record.errors:
-                spec = patch_spec(grid.shape, level, kind, shard, chunk)
-                about = f"{kind} of patches, saturated; negative where ground is missing"
-                nodes[spec.path] = spec.metadata({"units": "m", "long_name": about})
+    for each in KINDS.values():
+        if each.name in record.derived:
+            groups, objects = each.groups(each.of(record), At(grid, shard, chunk))
+            nodes.update(groups)
+            data.update(objects)
+    for _, spec, attributes in derived_arrays(record):
+        nodes[spec.path] = spec.metadata(attributes)
     for number, lattice in enumerate(record.lattices):
         path = f"{SOURCE}/{number}"
         nodes.setdefault(SOURCE, group())
         nodes[path] = group(spatial_attributes(lattice.grid))
         nodes[f"{path}/height"] = lattice.spec(number, shard, chunk).metadata(lattice.attributes())
         put_coordinates(path, lattice.grid, nodes, data)
-    for layer in record.layers.values():
-        nodes.setdefault(GROUP, group())
-        _layer(record, layer, nodes, data)
-    for path in [path for path, node in nodes.items() if node["node_type"] == "group"]:
-        if path == GROUP or path.split("/")[0] == "diamonds":
-            continue  # what comes later must not change them
+    shared = {kind.group for kind in KINDS.values() if kind.shared}
+    for path in [path for path, node in nodes.items() if node["node_type"] == "group" and path not in shared]:
         below = {p[len(path) + 1 :]: node for p, node in nodes.items() if p.startswith(path + "/")}
         nodes[path] = {**nodes[path], "consolidated_metadata": consolidated(below)}
     data.update({f"{path}/{ROOT}": dumps(node) for path, node in nodes.items()})
@@ -365,20 +321,3 @@ def publish(storage: Storage, record: Record) -> None:
             storage.put(key, [content])
     for key, content in root.items():
         storage.put(key, [content])
-
-
-def _layer(record: Record, layer: LayerRecord, nodes: dict[str, dict[str, Any]], data: dict[str, bytes]) -> None:
-    """The groups and arrays of a layer."""
-    said = {"long_name": layer.doc, "averaging": layer.averaging, "made_with": layer.options}
-    nodes[f"{GROUP}/{layer.name}"] = group(said)
-    for level in range(level_count(record.grid.shape)):
-        grid = Grid(
-            mean_shape(record.grid.shape, level), level_transform(record.grid, level, mean=True), record.grid.crs
-        )  # fmt: skip
-        path = f"{GROUP}/{layer.name}/{level}"
-        nodes[path] = group(spatial_attributes(grid))
-        for band in layer.bands:
-            spec = layer_spec(record.grid.shape, layer.name, level, band, record.shard, record.chunk)
-            name = {"long_name": f"{layer.doc}, {band.name}, level {level}"}
-            nodes[spec.path] = spec.metadata({**name, **band.attributes()})
-        put_coordinates(path, grid, nodes, data)

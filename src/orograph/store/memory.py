@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.error import KINDS, ErrorKind
+from orograph.error import ErrorKind
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.parallel import map_ordered
@@ -85,25 +85,22 @@ class MemoryTerrain(Terrain):
         return self._once("valid", 0, count)
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        self._inside(self.shape(level), row0, row1, col0, col1)
+        self.check_window(self.shape(level), row0, row1, col0, col1)
         return self._nested(level)[row0:row1, col0:col1]
 
     def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        self._inside(self.mean_shape(level), row0, row1, col0, col1)
+        self.check_window(self.mean_shape(level), row0, row1, col0, col1)
         return (self._means()[level - 1] if level else self.heights)[row0:row1, col0:col1]
 
     def tiles(self, level: int) -> TileTable:
         self._check(level)
         return self._once("tiles", level, lambda: self._tiles(level))
 
-    def diamonds(
-        self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int
-    ) -> tuple[Heights, Heights]:
-        if kind not in KINDS:
-            raise UsageError(f"There is no error called {kind!r}; there are {', '.join(KINDS)}.")
-        self._inside(self.diamond_shape(level), row0, row1, col0, col1)
-        errors, radii = self._diamonds(kind)
-        return errors[level][row0:row1, col0:col1], radii[level][row0:row1, col0:col1]
+    def derived(self, name: str, **options: Any) -> Any:
+        from orograph.store.registry import kind_of
+
+        kind, made_with = kind_of(name), sorted(options.items())
+        return self._once(f"{name} {made_with}", 0, lambda: kind.compute(self, **options))
 
     def _once(self, what: str, level: int, make: Callable[[], T]) -> T:
         """Make a thing on first use, in one thread."""
@@ -122,7 +119,7 @@ class MemoryTerrain(Terrain):
 
         return self._once("nested", level, make) if level else self.heights
 
-    def _diamonds(self, kind: ErrorKind) -> tuple[list[Heights], list[Heights]]:
+    def diamonds(self, kind: ErrorKind) -> tuple[list[Heights], list[Heights]]:
         """Errors of a kind, and the radii that all kinds share, per level: rounded up as a store has them, so that what
         is drawn of a raster is what is drawn of its store."""
 

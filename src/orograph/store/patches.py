@@ -18,17 +18,27 @@ memory it is made when it is first asked for. Metres, float32.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error import ErrorKind
+from orograph.errors import StoreError
+from orograph.geo.grid import Grid
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.arrays import ArraySpec
+from orograph.store.derived import At, Attributes, Derived, Nodes, Work
+from orograph.store.diamond_table import DIAMONDS, DiamondTable, check_kind
 from orograph.store.diamonds import blank_top, place
-from orograph.store.terrain import Heights, Shape, Terrain, TileTable, diamond_shape, level_count
+from orograph.store.terrain import Heights, Shape, Terrain, TileTable, diamond_shape, exponent, level_count
+
+if TYPE_CHECKING:
+    from orograph.store.layout import Record
+    from orograph.store.memory import MemoryTerrain
+    from orograph.store.stored import StoredTerrain
 
 KAPPA = 1.25
 """κ: a patch is morphed while the bound of its parent's error grows from 1/κ of the tolerance to all of it."""
@@ -52,7 +62,7 @@ LEGS = 16
 
 
 def spec(shape: Shape, level: int, kind: ErrorKind, shard: int, chunk: int) -> ArraySpec:
-    """The stored P′ of a level, float32 in the layout of ``Terrain.diamonds``."""
+    """The stored P′ of a level, float32 in the layout of ``diamond_table``."""
     return ArraySpec(f"patches/{level}/{kind}", diamond_shape(shape, level), shard, chunk, "float32", 0.0)
 
 
@@ -65,7 +75,7 @@ def stored_levels(shape: Shape, legs: int = LEGS) -> range:
 def patch_errors(
     terrain: Terrain, kind: ErrorKind, legs: int, *, jobs: int | None = None, progress: Progress = SILENT
 ) -> list[Heights]:
-    """P′ of all patch diamonds, in the layout of ``Terrain.diamonds``: an array for each level.
+    """P′ of all patch diamonds, in the layout of ``diamond_table``: an array for each level.
 
     Diamonds of octaves below log2(L) are none (their patches would be finer than the raster) and have 0. Errors are
     read block by block, by several threads; what is kept is 1/L² of the raster.
@@ -75,6 +85,7 @@ def patch_errors(
         jobs: threads (default: all processors). progress: is told of blocks.
     """
     q, n, top = legs.bit_length() - 1, terrain.n, terrain.levels - 1
+    table: DiamondTable = terrain.derived("diamonds", error=kind)
     octaves = range(q, n)
     found = [np.zeros(_octave_shape(terrain, k), np.float32) for k in octaves]
     size = max(BLOCK, 1024 >> q)
@@ -90,7 +101,7 @@ def patch_errors(
         k, i, j = what
         rows, cols = found[k - q].shape
         end = min(i + size, rows), min(j + size, cols)
-        found[k - q][i : end[0], j : end[1]] = _block(terrain, kind, k, q, (i, j), end, spread)
+        found[k - q][i : end[0], j : end[1]] = _block(terrain, table, k, q, (i, j), end, spread)
 
     with progress.task("Errors of patches", len(work)) as task:
         for _ in map_ordered(one, work, jobs):
@@ -102,7 +113,7 @@ def patch_errors(
         _saturate(P, last)
         last = P
         rows, cols = P.shape
-        mixed = np.isinf(_window(terrain, kind, k, (0, 0), (rows, cols)))
+        mixed = np.isinf(_window(terrain, table, k, (0, 0), (rows, cols)))
         signed = np.where(mixed, -np.maximum(P, NOTHING), P)
         if k < top:
             result[k] = signed
@@ -118,16 +129,18 @@ def _octave_shape(terrain: Terrain, k: int) -> Shape:
     return ((rows - 1) >> (k - level)) + 1, ((cols - 1) >> (k - level)) + 1
 
 
-def _window(terrain: Terrain, kind: ErrorKind, k: int, begin: Shape, end: Shape) -> Heights:
+def _window(terrain: Terrain, table: DiamondTable, k: int, begin: Shape, end: Shape) -> Heights:
     """The errors of an octave's entries ``[begin, end)``."""
     level = min(k, terrain.levels - 1)
     s = k - level
     spans = [(a << s, ((b - 1) << s) + 1) for a, b in zip(begin, end, strict=True)]
-    errors, _ = terrain.diamonds(kind, level, *spans[0], *spans[1])
+    errors, _ = table.read(level, *spans[0], *spans[1])
     return errors[:: 1 << s, :: 1 << s]
 
 
-def _block(terrain: Terrain, kind: ErrorKind, k: int, q: int, begin: Shape, end: Shape, spread: float) -> Heights:
+def _block(
+    terrain: Terrain, table: DiamondTable, k: int, q: int, begin: Shape, end: Shape, spread: float
+) -> Heights:  # fmt: skip
     """P of the patch diamonds ``[begin, end)`` of an octave."""
     shapes = [_octave_shape(terrain, j) for j in range(k - q, k + 1)]
     first = [max(v - REACH, 0) for v in begin]
@@ -138,7 +151,7 @@ def _block(terrain: Terrain, kind: ErrorKind, k: int, q: int, begin: Shape, end:
     if min(windows[0]) <= 0:  # the padded square goes on where finer levels end
         return np.zeros((end[0] - begin[0], end[1] - begin[1]), np.float32)
     at = first[0] << q, first[1] << q
-    errors = _window(terrain, kind, k - q, at, (at[0] + windows[0][0], at[1] + windows[0][1]))
+    errors = _window(terrain, table, k - q, at, (at[0] + windows[0][0], at[1] + windows[0][1]))
     lifted = _lifted(_finite(errors, terrain, k - q, at, spread), q, windows)
     here = begin[0] - first[0], begin[1] - first[1]
     return lifted[here[0] : here[0] + end[0] - begin[0], here[1] : here[1] + end[1] - begin[1]]
@@ -212,3 +225,95 @@ def _saturate(here: Heights, below: Heights | None) -> None:
     edges[1::2, 1::2] = 0.0
     close(np.zeros((0, 0), np.float32), 0, edges)
     np.maximum(here[1::2, 1::2], edges[1::2, 1::2], out=here[1::2, 1::2])
+
+
+class Patches(Derived[dict[str, Any]]):
+    """P′ of patches of ``LEGS`` segments, of every kind of errors that the store has. Options: ``error``, ``legs``."""
+
+    name, version, group, needs = "patches", 1, "patches", ("diamonds",)
+
+    def nothing(self) -> dict[str, Any]:
+        return {}
+
+    def parse(self, told: dict[str, Any], grid: Grid) -> dict[str, Any]:
+        return {"legs": told["legs"], "kappa": told["kappa"], "errors": told["errors"]}
+
+    def to_json(self, what: dict[str, Any]) -> dict[str, Any]:
+        return what
+
+    def arrays(self, what: dict[str, Any], at: At) -> Iterator[tuple[ArraySpec, Attributes]]:
+        for level in stored_levels(at.grid.shape, what["legs"]):
+            for kind in what["errors"]:
+                about = f"{kind} of patches, saturated; negative where ground is missing"
+                yield spec(at.grid.shape, level, kind, at.shard, at.chunk), {"units": "m", "long_name": about}
+
+    def groups(self, what: dict[str, Any], at: At) -> tuple[Nodes, dict[str, bytes]]:
+        from orograph.store.conventions import group
+
+        nodes, data = super().groups(what, at)
+        return {**nodes, self.group: group({name: what[name] for name in ("legs", "kappa")})}, data
+
+    def open(self, terrain: StoredTerrain, **options: Any) -> PatchTable:
+        said, kind = self.of(terrain.record), check_kind(options["error"])
+        here = said.get("legs"), said.get("kappa")
+        if here != (options["legs"], KAPPA) or kind not in said["errors"]:
+            raise StoreError(
+                f"This store has no {kind} errors of patches of {options['legs']} segments.", path=terrain.url,
+                remedy="They can be made in memory: `orograph.store.patches.patch_errors`.",
+            )  # fmt: skip
+        return PatchTable(terrain, kind, int(options["legs"]))
+
+    def compute(self, terrain: MemoryTerrain, **options: Any) -> MemoryPatches:
+        kind = check_kind(options["error"])
+        return MemoryPatches(terrain, patch_errors(terrain, kind, options["legs"]))
+
+    def make(self, record: Record, kinds: tuple[str, ...], work: Work) -> Record:
+        from orograph.store.stored import CACHE_BYTES, StoredTerrain
+
+        shape, low = record.grid.shape, record.height_range[0]
+        if not kinds or np.isnan(low) or 1 << exponent(shape) <= LEGS:
+            return record
+        terrain = StoredTerrain(work.writer.storage, record, CACHE_BYTES, 1)
+        for kind in DIAMONDS.of(record).errors:
+            found = patch_errors(terrain, kind, LEGS, jobs=work.jobs, progress=work.progress)
+            for level in stored_levels(shape):
+                work.writer.array(spec(shape, level, kind, record.shard, record.chunk), found[level])
+        return self.put(record, {"legs": LEGS, "kappa": KAPPA, "errors": list(DIAMONDS.of(record).errors)})
+
+
+class MemoryPatches:
+    """P′ in memory, an array for each level."""
+
+    def __init__(self, terrain: Terrain, errors: list[Heights]) -> None:
+        self.terrain, self.errors = terrain, errors
+
+    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """See ``PatchTable.read``; levels finer than patches are empty."""
+        return self.errors[level][row0:row1, col0:col1]
+
+
+class PatchTable:
+    """P′ of a store."""
+
+    def __init__(self, terrain: StoredTerrain, kind: ErrorKind, legs: int) -> None:
+        self.terrain, self.kind, self.levels = terrain, kind, stored_levels(terrain.grid.shape, legs)
+
+    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """P′ of the entries ``[row0, row1) × [col0, col1)`` of a level, negative where mixed, 0 of levels finer than
+        patches are.
+
+        Raises: as ``diamond_table.DiamondTable.read``.
+        """
+        terrain, record = self.terrain, self.terrain.record
+        terrain.check_window(terrain.diamond_shape(level), row0, row1, col0, col1)
+        if level not in self.levels:
+            return np.zeros((row1 - row0, col1 - col0), np.float32)
+        array = terrain.opened(
+            f"patches/{self.kind}", level,
+            lambda: spec(terrain.grid.shape, level, self.kind, record.shard, record.chunk),
+        )  # fmt: skip
+        found: Heights = array.read(row0, row1, col0, col1)
+        return found
+
+
+PATCHES = Patches()

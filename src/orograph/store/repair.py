@@ -18,16 +18,19 @@ from orograph.errors import OrographError, StoreError
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.arrays import ArraySpec, ShardedArray
-from orograph.store.build import MEMORY, patches, sizes
+from orograph.store.build import MEMORY, sizes
 from orograph.store.cache import ChunkCache
 from orograph.store.checking import Damage, check, check_shard
+from orograph.store.derived import Work
+from orograph.store.diamond_table import DIAMONDS
 from orograph.store.digests import Digests, Spot, digest_of
 from orograph.store.inputs import changes, reopened
 from orograph.store.lattices import LatticeRecord
-from orograph.store.layout import Record, array_specs, heights_spec, metadata, rebuild
+from orograph.store.layout import Record, array_specs, derived_arrays, heights_spec, metadata, rebuild
 from orograph.store.lock import alone
 from orograph.store.places import ROOT
 from orograph.store.pyramid import Pyramid, tasks
+from orograph.store.registry import BUILT, KINDS
 from orograph.store.shards import go_through
 from orograph.store.source import HeightSource
 from orograph.store.storage import Storage, storage_at
@@ -126,7 +129,7 @@ class _Repair:
         self.terrain, self.record, self.found, self.source = terrain, terrain.record, found, source
         self.progress = progress
         record = self.record
-        _, self.jobs = sizes(record.grid.shape, max_memory, jobs, record.shard, len(record.errors))
+        _, self.jobs = sizes(record.grid.shape, max_memory, jobs, record.shard, len(DIAMONDS.of(record).errors))
         self.mender = _Mender(terrain.storage, record.digests, {damage.object for damage in found})
         self.why = ""
 
@@ -145,10 +148,10 @@ class _Repair:
             self._lattices()
         if self._any("heights/", "mean/", "tiles/"):
             self._coarse()
-        if self._any(*(f"diamonds/{k}/{name}/c/" for k in range(self.terrain.levels) for name in self._diamonds())):
-            self._errors()
-        if self._any("patches/"):
-            patches(self.record, self.mender, self.jobs, self.progress)
+        for kind in BUILT:
+            if self._any(*(f"{spec.path}/c/" for of, spec, _ in derived_arrays(self.record) if of is kind)):
+                kinds = tuple(DIAMONDS.of(self.record).errors)
+                kind.make(self.record, kinds, Work(self.mender, self.jobs, False, self.progress))
         self._prove()
         if self.mender.damaged:
             raise self._left()
@@ -156,9 +159,6 @@ class _Repair:
     def _any(self, *beginnings: str) -> bool:
         """Whether there is damage left below these keys."""
         return any(key.startswith(beginnings) for key in self.mender.damaged)
-
-    def _diamonds(self) -> list[str]:
-        return [*self.record.errors, "radius"]
 
     def _small(self) -> None:
         """Coordinates and metadata, from the record."""
@@ -231,16 +231,6 @@ class _Repair:
         spots = tasks(record.grid.shape, record.shard)
         go_through("Mending levels", spots, pyramid.run, self.jobs, self.progress, pyramid.finish)
 
-    def _errors(self) -> None:
-        """Errors and spheres of diamonds, from the heights."""
-        from orograph.store.survey import Errors
-
-        record = self.record
-        kinds = tuple(record.errors)
-        first = self.terrain.tiles(0)
-        survey = Errors(record.grid, self.mender, record.shard, record.chunk, first, kinds, resume=False)
-        go_through("Mending errors", survey.tasks(), survey.run, self.jobs, self.progress, survey.finish)
-
     def _prove(self) -> None:
         """Read back what was written."""
         mended = {damage.object for damage in self.found} - self.mender.damaged
@@ -270,14 +260,14 @@ class _Repair:
 
 def _remedies(left: Iterable[str], record: Record, url: str) -> list[str]:
     """Commands that make what cannot be mended."""
-    layers = sorted({key.split("/")[1] for key in left if key.startswith("layers/") and key.count("/") > 1})
-    colors = any(key.startswith("diamonds/") and key.split("/")[2:3] == ["color"] for key in left)
-    told = []
-    if layers:
-        told.append(f"Bake again: `orograph.bake({url!r}, {layers}, overwrite=True)`.")
-    if colors:
-        told.append("Make its color errors again (`orograph.geovis.color_store.store_colors`).")
-    if any(not key.startswith("layers/") and "/color/" not in key for key in left):
+    told, others = [], set(left)
+    for kind in KINDS.values():
+        keys = [key for key in left if key.partition("/")[0] == kind.group]
+        remedy = kind.remedy(url, keys) if keys else None
+        if remedy is not None:
+            told.append(remedy)
+            others -= set(keys)
+    if others:
         told.append(f"Give the files it was built from, as they were, or restore those files from a copy. "
                     f"{rebuild(record.to_json(), url)}")  # fmt: skip
     return told

@@ -7,30 +7,24 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from orograph.error import KINDS, ErrorKind
-from orograph.error.quantise import RadiusCode
-from orograph.errors import StoreError, UsageError
+from orograph.error import ErrorKind
+from orograph.errors import StoreError
 from orograph.progress import SILENT, Progress
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
-from orograph.store.diamonds import place
+from orograph.store.diamond_table import DIAMONDS
 from orograph.store.lattices import StoredLattice, StoredSamples
-from orograph.store.layers import LayerBand, LayerRecord, StoredLayer, layer_spec
+from orograph.store.layers import LAYERS, StoredLayer
 from orograph.store.layout import (
     TABLES_AND_VALID,
     Record,
-    diamond_spec,
     heights_spec,
     mean_spec,
     rebuild,
     table_spec,
 )
-from orograph.store.patches import KAPPA, stored_levels
-from orograph.store.patches import spec as patch_spec
 from orograph.store.places import ROOT, missing
+from orograph.store.registry import kind_of
 from orograph.store.storage import Storage, storage_at
 from orograph.store.terrain import Heights, Terrain, TileTable
 from orograph.store.watch import Watch
@@ -50,7 +44,7 @@ class StoredTerrain(Terrain):
         watch: whether the store is still the same; None: nobody replaces it.
 
     Attributes:
-        supplied: errors of diamonds that the store lacks and that were made in memory (``supply``), by their kind.
+        supplied: derived data that the store lacks and that were made in memory (``supply``), by name and options.
     """
 
     use: object | None = None
@@ -67,9 +61,9 @@ class StoredTerrain(Terrain):
         self._jobs = jobs
         self._arrays: dict[tuple[str, int], ShardedArray] = {}
         self._tables: dict[int, TileTable] = {}
-        self._top: Heights | None = None
         self._coarsest: Heights | None = None
-        self.supplied: dict[ErrorKind, Terrain] = {}
+        self.supplied: dict[tuple[str, tuple[tuple[str, Any], ...]], Terrain] = {}
+        self._opened_data: dict[tuple[str, tuple[tuple[str, Any], ...]], Any] = {}
         self.resampled = record.resampled
         if record.lattices:
             self.samples = StoredSamples(self.grid, [self._lattice(number) for number in range(len(record.lattices))])
@@ -90,7 +84,7 @@ class StoredTerrain(Terrain):
     @property
     def errors(self) -> tuple[ErrorKind, ...]:
         """The kinds of errors it has of its diamonds."""
-        return tuple(self.record.errors)
+        return tuple(DIAMONDS.of(self.record).errors)
 
     @property
     def size_bytes(self) -> int | None:
@@ -99,7 +93,7 @@ class StoredTerrain(Terrain):
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         array = self._array("heights", level)
-        self._inside(array.spec.shape, row0, row1, col0, col1)
+        self.check_window(array.spec.shape, row0, row1, col0, col1)
         if level < self._last:
             return array.read(row0, row1, col0, col1)
         if self.watch is not None:
@@ -111,7 +105,7 @@ class StoredTerrain(Terrain):
 
     def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         array = self._array("mean" if level else "heights", level)
-        self._inside(array.spec.shape, row0, row1, col0, col1)
+        self.check_window(array.spec.shape, row0, row1, col0, col1)
         return array.read(row0, row1, col0, col1)
 
     def tiles(self, level: int) -> TileTable:
@@ -132,30 +126,20 @@ class StoredTerrain(Terrain):
             table = self._tables[level] = TileTable(**columns)
         return table
 
-    def diamonds(
-        self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int
-    ) -> tuple[Heights, Heights]:
-        if kind not in KINDS:
-            raise UsageError(f"There is no error called {kind!r}; there are {', '.join(KINDS)}.")
-        self._inside(self.diamond_shape(level), row0, row1, col0, col1)
-        if kind in self.supplied:
-            return self.supplied[kind].diamonds(kind, level, row0, row1, col0, col1)
-        code, radius = self.record.errors.get(kind), self.record.radius
-        if code is None or radius is None:
-            wanted = (*self.record.errors, kind)
-            raise StoreError(
-                f"This store has no {kind} errors.",
-                path=self.url,
-                remedy=f"Build it again with them (`orograph.build(..., errors={wanted}, overwrite=True)`).",
-            )
-        window = row0, row1, col0, col1
-        errors = code.decode(self._array(kind, level).read(*window))
-        if level == self.levels - 1:
-            return errors, self._top_radii(radius)[row0:row1, col0:col1]
-        return errors, radius.decode(self._array("radius", level).read(*window), row0, col0, level)
+    def derived(self, name: str, **options: Any) -> Any:
+        key = name, tuple(sorted(options.items()))
+        if key not in self._opened_data:
+            made = self.supplied.get(key)
+            source = kind_of(name).open(self, **options) if made is None else made.derived(name, **options)
+            self._opened_data[key] = source
+        return self._opened_data[key]
 
-    def supply(self, kind: ErrorKind) -> None:
-        """Make errors of diamonds that the store lacks, in memory: about 19 bytes per sample.
+    def has(self, name: str, **options: Any) -> bool:
+        made = (name, tuple(sorted(options.items()))) in self.supplied
+        return made or kind_of(name).has(self, **options)
+
+    def supply(self, name: str, **options: Any) -> None:
+        """Make derived data that the store lacks, in memory: of diamonds about 19 bytes per sample.
 
         Raises:
             DamagedChunkError: as ``read``.
@@ -165,80 +149,18 @@ class StoredTerrain(Terrain):
         rows, cols = self.grid.shape
         made = next(iter(self.supplied.values()), None)
         made = made or MemoryTerrain(self.read(0, 0, rows, 0, cols), self.grid, self.name)
-        made.diamonds(kind, 0, 0, 1, 0, 1)
-        self.supplied[kind] = made
-
-    def color_codes(self, level: int, row0: int, row1: int, col0: int, col1: int) -> NDArray[np.uint8]:
-        """The codes of color errors of diamonds (see ``geovis.color_store``), a window of ``diamond_shape(level)``.
-
-        Raises:
-            StoreError: the store has none.
-        """
-        if not self.record.colors:
-            raise StoreError(
-                "This store has no color errors.",
-                path=self.url,
-                remedy="Make them: `orograph.geovis.color_store.store_colors`.",
-            )
-        self._inside(self.diamond_shape(level), row0, row1, col0, col1)
-        codes: NDArray[np.uint8] = self._array("color", level).read(row0, row1, col0, col1)
-        return codes
-
-    def has_patch_errors(self, kind: ErrorKind, legs: int) -> bool:
-        said = self.record.patches
-        return said == {"legs": legs, "kappa": KAPPA} and kind in self.record.errors
-
-    def patch_errors(self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        if not self.record.patches or kind not in self.record.errors:
-            return super().patch_errors(kind, level, row0, row1, col0, col1)
-        self._inside(self.diamond_shape(level), row0, row1, col0, col1)
-        if level not in stored_levels(self.grid.shape, int(self.record.patches["legs"])):
-            return np.zeros((row1 - row0, col1 - col0), np.float32)  # finer than patches are
-        sizes = self.record.shard, self.record.chunk
-        array = self._opened(f"patches/{kind}", level, lambda: patch_spec(self.grid.shape, level, kind, *sizes))
-        return array.read(row0, row1, col0, col1)
-
-    def _top_radii(self, radius: RadiusCode) -> Heights:
-        """The decoded radii of the top level, several octaves."""
-        if self._top is None:
-            level = self.levels - 1
-            side, _ = self.diamond_shape(level)
-            codes = self._array("radius", level).read(0, side, 0, side)
-            radii = np.zeros((side, side), np.float32)
-            for octave in range(level, self.n):
-                step = 1 << (octave - level)
-                place(radii, radius.decode(codes[::step, ::step], 0, 0, octave), octave, 0, 0, level)
-            radii.flags.writeable = False
-            self._top = radii
-        return self._top
+        made.derived(name, **options)
+        self.supplied[name, tuple(sorted(options.items()))] = made
 
     @property
     def layers(self) -> tuple[str, ...]:
-        return tuple(self.record.layers)
+        return tuple(LAYERS.of(self.record))
 
     def layer(self, name: str, **options: Any) -> StoredLayer:
-        record = self.record.layers.get(name)
-        if record is None:
+        if name not in self.layers:
             return super().layer(name)
-        again = f"Bake it again (`orograph.bake({self.url!r}, [{name!r}])`)."
-        if record.source != self.record.source:
-            raise StoreError(f"Its layer {name!r} was made from other heights.", path=self.url, remedy=again)
-        for key, wanted in options.items():
-            if key not in record.options:
-                raise UsageError(f"Layer {name!r} is not made with {key!r}, but {', '.join(record.options)}.")
-            if record.options[key] != wanted:
-                raise StoreError(
-                    f"Its layer {name!r} was made with {key} {_said(record.options[key])}, not {_said(wanted)}.",
-                    path=self.url,
-                    remedy=again,
-                )
-        return StoredLayer(record, self.grid.shape, lambda band, level: self._coded(record, band, level))
-
-    def _coded(self, record: LayerRecord, band: LayerBand, level: int) -> ShardedArray:
-        sizes = self.record.shard, self.record.chunk
-        return self._opened(
-            f"{record.name}/{band.name}", level, lambda: layer_spec(self.grid.shape, record.name, level, band, *sizes)
-        )
+        layer: StoredLayer = LAYERS.open(self, layer=name, **options)
+        return layer
 
     def close(self) -> None:
         self.cache.clear()
@@ -259,12 +181,10 @@ class StoredTerrain(Terrain):
         self._check(level)
         at = self.grid.shape, level, self.record.shard, self.record.chunk
         if kind == "heights":
-            return self._opened(kind, level, lambda: heights_spec(*at))
-        if kind == "mean":
-            return self._opened(kind, level, lambda: mean_spec(*at))
-        return self._opened(kind, level, lambda: diamond_spec(*at[:2], kind, *at[2:]))
+            return self.opened(kind, level, lambda: heights_spec(*at))
+        return self.opened(kind, level, lambda: mean_spec(*at))
 
-    def _opened(self, name: str, level: int, spec: Callable[[], ArraySpec]) -> ShardedArray:
+    def opened(self, name: str, level: int, spec: Callable[[], ArraySpec]) -> ShardedArray:
         """An array, the same one each time."""
         found = self._arrays.get((name, level))
         if found is None:
@@ -275,17 +195,13 @@ class StoredTerrain(Terrain):
     def _lattice(self, number: int) -> StoredLattice:
         """A source lattice that is kept."""
         record, sizes = self.record.lattices[number], (self.record.shard, self.record.chunk)
-        return StoredLattice(record.grid, self._opened("source", number, lambda: record.spec(number, *sizes)))
+        return StoredLattice(record.grid, self.opened("source", number, lambda: record.spec(number, *sizes)))
 
     def check(self, progress: Progress = SILENT) -> list[str]:
         """Read everything, and return the keys of what is damaged (``checking.check`` says why, too)."""
         from orograph.store.checking import check
 
         return [found.key for found in check(self, jobs=self._jobs, progress=progress)]
-
-
-def _said(value: Any) -> str:
-    return "unlimited" if value is None else str(value)
 
 
 def open(

@@ -21,9 +21,10 @@ from orograph.errors import DamagedChunkError
 from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.cache import ChunkCache
+from orograph.store.diamond_table import diamond_spec
 from orograph.store.diamonds import NESTED, blank_top, metric, place, surface
 from orograph.store.digests import Spot
-from orograph.store.layout import PARTS, diamond_spec, heights_spec
+from orograph.store.layout import PARTS, heights_spec
 from orograph.store.levels import subsample
 from orograph.store.parts import pack, unpack
 from orograph.store.pyramid import spans, tasks

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orograph.error import ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
 
@@ -205,38 +204,25 @@ class Terrain(ABC):
         """The tile table of a level."""
 
     def diamond_shape(self, level: int) -> Shape:
-        """(rows, cols) of the arrays of ``diamonds``: of ``shape(level)``, at the top level the whole padded square."""
+        """(rows, cols) of the arrays of diamonds: of ``shape(level)``, at the top level the whole padded square."""
         return diamond_shape(self.grid.shape, self._check(level))
 
-    @abstractmethod
-    def diamonds(
-        self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int
-    ) -> tuple[Heights, Heights]:
-        """Errors and radii of the diamonds whose vertices are the entries ``[row0, row1) × [col0, col1)`` of a level.
-
-        Entry (i, j) of level k belongs to the vertex (i·2^k, j·2^k). Where i or j is odd it is the diamond of octave k
-        at that vertex; where both are even it is 0 and means nothing, but for the top level (``levels`` − 1): its
-        arrays are the padded square of side 2^(n − top) + 1 and hold the octaves above as well, the diamond at (row,
-        col) in entry (row >> top, col >> top). The square's four corners are no diamonds (0).
+    def derived(self, name: str, **options: Any) -> Any:
+        """A reader of data that follow from the heights: of a store read from it, of a raster in memory made now.
 
         Args:
-            kind: "exact" (a bound, the tightest), "wedgie" (ROAM's looser one) or "midpoint" (no bound).
-            level: a nested level.
-            row0, row1, col0, col1: a window inside ``diamond_shape(level)``.
-
-        Returns:
-            errors: float32, metres of height, no less than those of the diamond's children; +inf where the diamond is
-                *mixed* (part of its region is surface, part hole).
-            radii: float32, metres; the sphere of this radius around the vertex (squeezed, its height filled where it is
-                missing) holds the region's corners and the children's spheres. Negative where the diamond is *empty*
-                (no surface in its region, which may lie beyond the raster); then its size means nothing.
-            Both may be shared with a cache: they are read-only, copy them to change them.
+            name: "diamonds" (``error``), "patches" (``error``, ``legs``)…; see ``store.registry``.
+            options: what it must have been made with.
 
         Raises:
-            UsageError: there is no such kind or level, or the window is not inside it.
-            StoreError: the store was built without errors of that kind.
-            DamagedChunkError: a chunk of a store fails its checksum.
+            UsageError: there is no such kind, error or option.
+            StoreError: the store was built without it.
         """
+        raise UsageError(f"{self.name} has no {name}.")
+
+    def has(self, name: str, **options: Any) -> bool:
+        """Whether a store holds such data, so that ``derived`` need not make them."""
+        return False
 
     @property
     def layers(self) -> tuple[str, ...]:
@@ -260,17 +246,6 @@ class Terrain(ABC):
             remedy=f"Put it into a store: `orograph.bake(store, [{name!r}])`.",
         )
 
-    def has_patch_errors(self, kind: ErrorKind, legs: int) -> bool:
-        """Whether ``patch_errors`` has errors of that kind for patches of ``legs`` segments (``store.patches``)."""
-        return False
-
-    def patch_errors(self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        """Saturated errors of patches, negative where mixed; windows as for ``diamonds``. See ``store.patches``.
-
-        Raises: as ``diamonds``.
-        """
-        raise UsageError(f"{self.name} has no errors of patches; store.patches.patch_errors makes them.")
-
     def close(self) -> None:  # noqa: B027 (most terrains have nothing to close)
         """Let go of files and caches; the terrain cannot be read afterwards."""
 
@@ -292,7 +267,8 @@ class Terrain(ABC):
             raise UsageError(f"Terrain {self.name!r} has levels 0 to {self.levels - 1}, not {level}.")
         return level
 
-    def _inside(self, shape: Shape, row0: int, row1: int, col0: int, col1: int) -> None:
+    def check_window(self, shape: Shape, row0: int, row1: int, col0: int, col1: int) -> None:
+        """Raise UsageError unless a window is inside an array of that shape."""
         if not (0 <= row0 <= row1 <= shape[0] and 0 <= col0 <= col1 <= shape[1]):
             raise UsageError(
                 f"The window of rows {row0} to {row1} and columns {col0} to {col1} is not inside "

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from orograph.error import ErrorKind
 from orograph.progress import SILENT, Progress
-from orograph.store.patches import patch_errors
+from orograph.store.diamond_table import DiamondTable
+from orograph.store.patches import MemoryPatches, PatchTable, patch_errors
 from orograph.store.terrain import Heights, Terrain
+
+
+class PatchDiamonds(NamedTuple):
+    """Patch diamonds as a table of diamonds: P′ (negative where mixed) and radii."""
+
+    errors: PatchTable | MemoryPatches
+    diamonds: DiamondTable
+
+    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, Heights]:
+        """See ``DiamondTable.read``."""
+        window = level, row0, row1, col0, col1
+        return self.errors.read(*window), self.diamonds.read(*window)[1]
 
 
 class PatchTerrain:
@@ -24,22 +37,19 @@ class PatchTerrain:
     def __init__(
         self, terrain: Terrain, kind: ErrorKind, legs: int, *, jobs: int | None = None, progress: Progress = SILENT
     ) -> None:
-        self._terrain, self._kind, self._legs = terrain, kind, legs
-        self._errors: list[Heights] | None = None
-        if not terrain.has_patch_errors(kind, legs):
-            self._errors = patch_errors(terrain, kind, legs, jobs=jobs, progress=progress)
+        self._terrain = terrain
+        if terrain.has("patches", error=kind, legs=legs):
+            errors = terrain.derived("patches", error=kind, legs=legs)
+        else:
+            errors = MemoryPatches(terrain, patch_errors(terrain, kind, legs, jobs=jobs, progress=progress))
+        self._diamonds = PatchDiamonds(errors, terrain.derived("diamonds", error=kind))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._terrain, name)
 
-    def diamonds(
-        self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int
-    ) -> tuple[Heights, Heights]:
-        """P′ (negative where mixed) and radii; see ``Terrain.diamonds``."""
-        _, radii = self._terrain.diamonds(self._kind, level, row0, row1, col0, col1)
-        if self._errors is None:
-            return self._terrain.patch_errors(self._kind, level, row0, row1, col0, col1), radii
-        return self._errors[level][row0:row1, col0:col1], radii
+    def derived(self, name: str, **options: Any) -> PatchDiamonds:
+        """The table of its diamonds."""
+        return self._diamonds
 
 
 def cell_size(terrain: Terrain) -> float:

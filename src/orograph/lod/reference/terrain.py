@@ -8,7 +8,7 @@ mesh needs a special case at the border; triangles that lose their area by it ar
 - an *empty* one has no surface under it, and is never drawn.
 
 Errors are closed over the diamond DAG (a parent's is no less than a child's) and spheres nested, as Lindstrom &
-Pascucci 2001 want them; ``terrain.diamonds`` of a store has both. Metres; an exaggeration stretches heights and errors
+Pascucci 2001 want them; ``terrain.derived("diamonds")`` has both. Metres; an exaggeration stretches heights and errors
 here, once, and nothing else has to know of it.
 """
 
@@ -68,7 +68,7 @@ def diamonds_of(terrain: Terrain, error: ErrorKind) -> dict[Vertex, tuple[float,
     found, highest = {}, terrain.levels - 1
     for level in range(terrain.levels):
         rows, cols = terrain.diamond_shape(level)
-        errors, radii = terrain.diamonds(error, level, 0, rows, 0, cols)
+        errors, radii = terrain.derived("diamonds", error=error).read(level, 0, rows, 0, cols)
         for i, j in np.ndindex(rows, cols):
             if level == highest or i % 2 or j % 2:
                 found[j << level, i << level] = float(errors[i, j]), float(radii[i, j])

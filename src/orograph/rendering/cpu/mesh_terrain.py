@@ -18,8 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.error import ErrorKind
-from orograph.errors import UsageError
 from orograph.store.levels import reduce_tiles
 from orograph.store.terrain import TILE, Heights, Terrain, TileTable
 from orograph.tessellation import Tessellation
@@ -65,7 +63,7 @@ class MeshTerrain(Terrain):
         return heights
 
     def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        self._inside(self.mean_shape(level), row0, row1, col0, col1)
+        self.check_window(self.mean_shape(level), row0, row1, col0, col1)
         if level == 0:
             return self.read(0, row0, row1, col0, col1)
         means = np.empty((row1 - row0, col1 - col0), np.float32)
@@ -115,11 +113,6 @@ class MeshTerrain(Terrain):
             low, high, valid = reduce_tiles(low, high, valid)
             found.append((low, high))
         return found
-
-    def diamonds(
-        self, kind: ErrorKind, level: int, row0: int, row1: int, col0: int, col1: int
-    ) -> tuple[Heights, Heights]:
-        raise UsageError(f"A mesh of {self.name} has no errors to refine it by.")
 
 
 @kernel

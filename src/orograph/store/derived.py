@@ -1,0 +1,139 @@
+"""Data that follow from a terrain's heights and lie beside them in its store: what each kind is, said once.
+
+A kind says under which name a store's record and the methods' needs have it, which version its arrays have, what it is
+made of, where its arrays lie, how it is opened, and, if a build makes it, how. Records, metadata, checks, repairs and
+readers go through the registry (``registry.KINDS``) and name no kind. What a store has of another version counts as not
+there.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
+
+from orograph.errors import StoreError
+from orograph.geo.grid import Grid
+from orograph.store.arrays import ArraySpec
+
+if TYPE_CHECKING:
+    from orograph.progress import Progress
+    from orograph.store.layout import Record
+    from orograph.store.memory import MemoryTerrain
+    from orograph.store.stored import StoredTerrain
+    from orograph.store.writer import ShardWriter
+
+T = TypeVar("T")
+
+Attributes = dict[str, Any]
+Nodes = dict[str, dict[str, Any]]
+
+
+class At(NamedTuple):
+    """Where arrays lie: the grid of level 0, and samples along the sides of shards and chunks."""
+
+    grid: Grid
+    shard: int
+    chunk: int
+
+
+class Work(NamedTuple):
+    """How a build makes a kind of data.
+
+    Attributes:
+        writer: of shards; all heights, means and tables are written.
+        jobs: threads. resume: use what an interrupted build left. progress: is told of tasks.
+    """
+
+    writer: ShardWriter
+    jobs: int
+    resume: bool
+    progress: Progress
+
+
+class Derived(ABC, Generic[T]):
+    """A kind of derived data. What a record says of it is a ``T``; ``nothing`` if the store has none.
+
+    Attributes:
+        name: in records and needs. version: of its arrays. group: the group of a store that holds them.
+        needs: names of the kinds that it is made of, besides heights.
+        shared: whether several are put into its group one by one, so that the group's own document must not list them.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    group: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]] = ()
+    shared: ClassVar[bool] = False
+
+    @abstractmethod
+    def nothing(self) -> T:
+        """What a record says that has none."""
+
+    @abstractmethod
+    def parse(self, told: dict[str, Any], grid: Grid) -> T:
+        """What the JSON of a record says."""
+
+    @abstractmethod
+    def to_json(self, what: T) -> dict[str, Any]:
+        """The JSON of a record."""
+
+    @abstractmethod
+    def arrays(self, what: T, at: At) -> Iterator[tuple[ArraySpec, Attributes]]:
+        """All its arrays, with their attributes."""
+
+    def groups(self, what: T, at: At) -> tuple[Nodes, dict[str, bytes]]:
+        """Its groups, and objects besides (coordinates)."""
+        from orograph.store.conventions import group
+
+        paths = [spec.path for spec, _ in self.arrays(what, at)]
+        inner = {path.rpartition("/")[0] for path in paths}
+        return {path: group() for path in sorted({self.group, *inner})}, {}
+
+    @abstractmethod
+    def open(self, terrain: StoredTerrain, **options: Any) -> Any:
+        """A reader of what a store has.
+
+        Raises:
+            StoreError: it has none made with these options.
+        """
+
+    def compute(self, terrain: MemoryTerrain, **options: Any) -> Any:
+        """The same for a terrain in memory, made now.
+
+        Raises:
+            StoreError: only stores have such data.
+        """
+        raise StoreError(f"A raster in memory has no {self.name}.", path=terrain.name)
+
+    def make(self, record: Record, kinds: tuple[str, ...], work: Work) -> Record:
+        """Make and write it; the record with it, or as it was if it cannot have any. (Those that verbs of their own put
+        into complete stores have their own makers.)
+
+        Args:
+            kinds: of errors, for those that come in several.
+        """
+        raise NotImplementedError
+
+    def has(self, terrain: StoredTerrain, **options: Any) -> bool:
+        """Whether a store has it, made with these options."""
+        try:
+            self.open(terrain, **options)
+        except StoreError:
+            return False
+        return True
+
+    def remedy(self, url: str, keys: list[str]) -> str | None:
+        """What makes damaged objects of it again; None: they follow from the heights, and a repair makes them."""
+        return None
+
+    def of(self, record: Record) -> T:
+        """What a record says of it."""
+        found = record.derived.get(self.name)
+        return self.nothing() if found is None else found
+
+    def put(self, record: Record, what: T) -> Record:
+        """A record that says so of it."""
+        others = {name: other for name, other in record.derived.items() if name != self.name}
+        return replace(record, derived={**others, self.name: what} if what else others)

@@ -1,0 +1,29 @@
+"""The kinds of derived data that a store can have: a new one is a class, and a line here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from orograph.errors import UsageError
+from orograph.store.colors import COLORS
+from orograph.store.derived import Derived
+from orograph.store.diamond_table import DIAMONDS
+from orograph.store.layers import LAYERS
+from orograph.store.patches import PATCHES
+
+KINDS: dict[str, Derived[Any]] = {kind.name: kind for kind in (DIAMONDS, PATCHES, COLORS, LAYERS)}
+"""By name, each after those that it needs."""
+
+BUILT: tuple[Derived[Any], ...] = (DIAMONDS, PATCHES)
+"""Those that a build makes, and a repair again."""
+
+
+def kind_of(name: str) -> Derived[Any]:
+    """The kind of that name.
+
+    Raises:
+        UsageError: there is none.
+    """
+    if name not in KINDS:
+        raise UsageError(f"There are no derived data called {name!r}; there are {', '.join(KINDS)}.")
+    return KINDS[name]
