@@ -18,6 +18,7 @@ from orograph.errors import OrographError
 from orograph.rendering.furniture.pieces import bar_length
 from orograph.rendering.picture import plan_grid
 from orograph.scene import camera
+from orograph.viewer.wording import spoken
 from orograph.viewpoint import Point, View
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class Plan:
             left, top, wide, tall = self._map
             canvas.add_image(self._texture[0], (left, top), (left + wide, top + tall))
         elif self.trouble:
-            imgui.text_wrapped(self.trouble)
+            imgui.text_wrapped(spoken(self.trouble))
         if self.view is not None:
             canvas.push_clip_rect((x, y), (x + w, y + h), True)
             self._tour(canvas)

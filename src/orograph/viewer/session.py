@@ -23,6 +23,7 @@ from orograph.viewer.navigation import Limits
 from orograph.viewer.navigator import Navigator
 from orograph.viewer.probe import Probe
 from orograph.viewer.settings import Settings
+from orograph.viewer.wording import spoken
 from orograph.viewpoint import Point, View
 
 HOME_PITCH, HOME_FOV = 42.0, 30.0
@@ -51,7 +52,8 @@ class Messages:
     shown: list[Message] = field(default_factory=list)
 
     def say(self, text: str, *, error: bool = False) -> None:
-        """Show a sentence."""
+        """Show a sentence, in the window's words."""
+        text = spoken(text)
         self.shown = [m for m in self.shown if m.text != text]
         self.shown.append(Message(text, error, math.inf if error else time.monotonic() + SHOWN))
         del self.shown[:-5]
@@ -68,6 +70,7 @@ class Messages:
 
     def drop(self, beginning: str) -> None:
         """Drop those that begin so."""
+        beginning = spoken(beginning)
         self.shown = [m for m in self.shown if not beginning or not m.text.startswith(beginning)]
 
     def dismiss(self, message: Message) -> None:

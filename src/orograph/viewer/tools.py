@@ -29,6 +29,7 @@ from orograph.progress import Progress, Task
 from orograph.viewer.panels.tips import CLAMPED, beside
 from orograph.viewer.results import KINDS, Kind, paint, rows, save, save_rgba
 from orograph.viewer.traces import trace
+from orograph.viewer.wording import spoken
 from orograph.viewpoint import Point
 
 if TYPE_CHECKING:
@@ -271,7 +272,7 @@ class Tools:
         if self.kind in ("los", "viewshed"):
             self._heights()
         if self.trouble:
-            imgui.text_wrapped(self.trouble)
+            imgui.text_wrapped(spoken(self.trouble))
         elif self.result is None:
             waiting = "Measuring …" if self.part is None else f"Measuring … {self.part:.0%}"
             imgui.text_disabled(waiting if self.busy else HINTS[self.kind])

@@ -185,6 +185,8 @@ class Window:
         self._ask(now, moving)
         size = self.canvas.get_physical_size()
         self.events.decide()
+        if self.canvas.get_closed():  # by a key that waited for this frame
+            return
         self.gui.begin(self.canvas.get_logical_size(), self.ratio, min(max(passed, 1 / 240), 0.1))
         try:
             self._panels()
