@@ -27,7 +27,7 @@ WORD = re.compile(r"--[a-z-]+")
 def messages() -> Iterator[tuple[str, str]]:
     """Every string in the library but docstrings, with where it is; what is filled in is X."""
     for path in SOURCES.rglob("*.py"):
-        if "cli" in path.relative_to(SOURCES).parts:
+        if "cli" in path.relative_to(SOURCES).parts or path == SOURCES / "scene/wording.py":
             continue
         tree = ast.parse(path.read_text(encoding="utf-8"))
         alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
@@ -46,7 +46,7 @@ def messages() -> Iterator[tuple[str, str]]:
 
 def test_no_message_of_the_library_names_an_option_of_the_command_line() -> None:
     named = [(where, text) for text, where in messages() if OPTION.search(text) and not WORD.fullmatch(text)]
-    built = [(where, text) for where, text in named if not where.startswith(("viewer/touring", "scene/wording"))]
+    built = [(where, text) for where, text in named if not where.startswith("viewer/touring")]
     assert built == []
 
 
