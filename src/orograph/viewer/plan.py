@@ -166,17 +166,21 @@ class Plan:
         from orograph.scene.scene import Scene
 
         session = self.window.session
+        terrain = session.terrain
         try:
-            view = camera.plan(session.terrain, size)
-            picture = draw(Scene.of(session.terrain, view, samples=1, tolerance=1.0, jobs=1, max_memory=256 << 20))
+            view = camera.plan(terrain, size)
+            picture = draw(Scene.of(terrain, view, samples=1, tolerance=1.0, jobs=1, max_memory=256 << 20))
             pixels = np.full((*picture.pixels.shape[:2], 4), 255, np.uint8)
             pixels[..., :3] = picture.pixels
             pixels[~np.isfinite(picture.depth)] = (26, 29, 33, 255)
-            self.view, self._pixels = view, pixels
+            if session.terrain is terrain:
+                self.view, self._pixels = view, pixels
         except (OrographError, OSError) as error:
-            self.trouble = f"There is no plan: {error}"
+            if session.terrain is terrain:
+                self.trouble = f"There is no plan: {error}"
         finally:
-            self._drawing = None
+            if session.terrain is terrain:
+                self._drawing = None
         session.changed()
 
     def _upload(self, pixels: NDArray[np.uint8]) -> None:
@@ -194,6 +198,11 @@ class Plan:
     def forget_texture(self) -> None:
         """The device was lost: the relief is drawn again."""
         self._texture, self.view, self._pixels = None, None, None
+
+    def forget(self) -> None:
+        """The terrain is another one: its relief is drawn."""
+        self.forget_texture()
+        self.trouble, self._drawing = "", None
 
     # ---- what is over it -------------------------------------------------------------------------------------------
 

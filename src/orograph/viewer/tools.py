@@ -99,6 +99,15 @@ class Tools:
         self._asked += 1
         self.window.session.settings.painted = None
 
+    def renew(self, move: Callable[[Point], Point | None]) -> None:
+        """The terrain is another one: what was clicked is measured on that, if all of it is there."""
+        places = [move(point) for point in self.points]
+        self.clear()
+        self._running = 0
+        if None not in places:
+            self.points = [point for point in places if point is not None]
+            self.measure()
+
     def choose(self, kind: Kind) -> None:
         """Measure something else."""
         self.clear()
@@ -163,7 +172,7 @@ class Tools:
                 if asked == self._asked:
                     self.trouble = str(error)
             finally:
-                self._running -= 1
+                self._running = max(self._running - 1, 0)  # the terrain may have been replaced meanwhile
                 self.part = None
                 self.window.session.changed()
 
