@@ -393,7 +393,7 @@ def test_nothing_jumps_when_patches_are_split_or_merged(legs, size, seed):
         return View(eye, target, fov_y=50.0, width=320, height=200)
 
     def select(where):
-        return method.patches(at(where), 4.0).instances.copy()
+        return method.patches(at(where), 5.0).instances.copy()
 
     def same(one, other):
         return len(one) == len(other) and all((one[v] == other[v]).all() for v in ("row", "col", "omega", "step"))

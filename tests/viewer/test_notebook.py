@@ -67,6 +67,30 @@ def test_a_cell_holds_the_widget_and_a_still(terrain, device, front_end):
     widget.window.gui.close()
 
 
+def test_a_cell_goes_on_with_a_store_that_was_replaced(terrain, device, front_end, tmp_path, monkeypatch):
+    from orograph import store
+    from orograph.dem import Dem
+    from orograph.viewer import replacing
+
+    monkeypatch.setattr(replacing, "EVERY", 0.05)
+    rows, cols = terrain.grid.shape
+    z, path = terrain.read(0, 0, rows, 0, cols), tmp_path / "a.oro"
+    store.build(Dem(z, terrain.grid, name="a"), path).close()
+    widget = orograph.view(store.open(path), size=(200, 150))
+    widget.canvas.draw()
+    old = widget.window.session.terrain
+    store.build(Dem(z + np.float32(40), terrain.grid, name="a"), path, overwrite=True).close()
+    for _ in range(1000):
+        widget.canvas._process_events()
+        widget.canvas.draw()
+        if widget.window.session.terrain is not old:
+            break
+    assert widget.window.session.terrain.height_range[0] == pytest.approx(old.height_range[0] + 40)
+    assert widget.window.drawing.renderer.terrain is widget.window.session.terrain
+    widget.close()
+    widget.window.gui.close()
+
+
 def test_a_still_where_the_extra_is_missing(terrain, monkeypatch):
     monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", None)
     still = orograph.view(terrain, size=(200, 150))

@@ -160,6 +160,14 @@ def test_resizing_hiding_and_closing_at_once(person):
     assert someone.close() == 0
 
 
+def test_closing_by_key_right_after_a_click_on_a_panel(person):
+    someone = person()
+    someone.settled()
+    someone.do("mousemove", "300", "300", "click", "4", "mousemove", "1100", "300", "click", "1", "key", "ctrl+q")
+    assert someone.program.wait(30) == 0
+    assert "Error" not in someone.log.read_text()
+
+
 def test_a_store_that_vanishes_is_said_and_survived(person, dem, tmp_path):
     import orograph
 

@@ -299,6 +299,24 @@ def test_every_key_does_something_and_is_in_the_help(window, hand):
     assert not [m.text for m in window.session.messages.shown if m.error]
 
 
+def test_a_key_that_waits_for_a_frame_may_close_the_window(window, hand, monkeypatch, capsys):
+    """Keys that follow a press on a panel are decided some frames later, the last of which has nothing to draw on."""
+    hand.rest()
+    composed: list[int] = []
+    monkeypatch.setattr(window, "compose", lambda *args: composed.append(1))
+    hand.press(800, 300)
+    hand.event("key_down", key="q", modifiers=("Control",))
+    window.canvas._process_events()
+    assert not window.canvas.get_closed()
+    frames = 0
+    while not window.canvas.get_closed():
+        window._frame()
+        frames += 1
+        assert frames < 10
+    assert len(composed) == frames - 1
+    assert "Traceback" not in capsys.readouterr().err
+
+
 def test_keys_that_are_held_fly(window, hand):
     before = window.session.view
     hand.event("key_down", key="w")

@@ -21,7 +21,6 @@ from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
-from orograph.store.derived import Work
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
@@ -30,7 +29,6 @@ from orograph.store.layout import publish as publish_record
 from orograph.store.lock import alone
 from orograph.store.memory import MemoryTerrain, check_metric, is_metric
 from orograph.store.places import PLAN, ROOT, begun, is_store, left_over, missing, occupied, partial, publish
-from orograph.store.registry import BUILT
 from orograph.store.shards import go_through
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
@@ -326,6 +324,7 @@ def _fill(
     raster: HeightSource, storage: Storage, plan: dict[str, Any], jobs: int, resume: bool, progress: Progress
 ) -> None:
     """Do all tasks and write all metadata, the root's last."""
+    from orograph.store.makers import MAKERS, Work
     from orograph.store.pyramid import Pyramid, tasks
     from orograph.store.resampling import look_back
 
@@ -355,6 +354,6 @@ def _fill(
         inputs=inputs_of(raster),
         digests=writer.digests,
     )
-    for kind in BUILT:
-        record = kind.make(record, kinds, Work(writer, jobs, resume, progress))
+    for make in MAKERS.values():
+        record = make(record, Work(kinds, writer, jobs, resume, progress))
     publish_record(storage, record)

@@ -1,9 +1,9 @@
 """Data that follow from a terrain's heights and lie beside them in its store: what each kind is, said once.
 
 A kind says under which name a store's record and the methods' needs have it, which version its arrays have, what it is
-made of, where its arrays lie, how it is opened, and, if a build makes it, how. Records, metadata, checks, repairs and
-readers go through the registry (``registry.KINDS``) and name no kind. What a store has of another version counts as not
-there.
+made of, where its arrays lie and how it is opened. Records, metadata, checks and readers go through the registry
+(``registry.KINDS``) and name no kind. What makes a kind by tasks over shards is in ``makers``, or, of those that are
+put into complete stores, a verb of its own. What a store has of another version counts as not there.
 """
 
 from __future__ import annotations
@@ -18,11 +18,9 @@ from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec
 
 if TYPE_CHECKING:
-    from orograph.progress import Progress
     from orograph.store.layout import Record
     from orograph.store.memory import MemoryTerrain
     from orograph.store.stored import StoredTerrain
-    from orograph.store.writer import ShardWriter
 
 T = TypeVar("T")
 
@@ -36,20 +34,6 @@ class At(NamedTuple):
     grid: Grid
     shard: int
     chunk: int
-
-
-class Work(NamedTuple):
-    """How a build makes a kind of data.
-
-    Attributes:
-        writer: of shards; all heights, means and tables are written.
-        jobs: threads. resume: use what an interrupted build left. progress: is told of tasks.
-    """
-
-    writer: ShardWriter
-    jobs: int
-    resume: bool
-    progress: Progress
 
 
 class Derived(ABC, Generic[T]):
@@ -106,15 +90,6 @@ class Derived(ABC, Generic[T]):
             StoreError: only stores have such data.
         """
         raise StoreError(f"A raster in memory has no {self.name}.", path=terrain.name)
-
-    def make(self, record: Record, kinds: tuple[str, ...], work: Work) -> Record:
-        """Make and write it; the record with it, or as it was if it cannot have any. (Those that verbs of their own put
-        into complete stores have their own makers.)
-
-        Args:
-            kinds: of errors, for those that come in several.
-        """
-        raise NotImplementedError
 
     def has(self, terrain: StoredTerrain, **options: Any) -> bool:
         """Whether a store has it, made with these options."""

@@ -27,12 +27,11 @@ from orograph.error.quantise import ErrorCode, RadiusCode, nominal_radii
 from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
 from orograph.store.arrays import ArraySpec
-from orograph.store.derived import At, Attributes, Derived, Work
+from orograph.store.derived import At, Attributes, Derived
 from orograph.store.diamonds import metric, place
 from orograph.store.terrain import Heights, Shape, diamond_shape, exponent, level_count
 
 if TYPE_CHECKING:
-    from orograph.store.layout import Record
     from orograph.store.memory import MemoryTerrain
     from orograph.store.stored import StoredTerrain
 
@@ -124,19 +123,6 @@ class Diamonds(Derived[DiamondCodes]):
     def compute(self, terrain: MemoryTerrain, **options: Any) -> DiamondTable:
         kind = check_kind(options["error"])
         return MemoryDiamonds(terrain, *terrain.diamonds(kind))
-
-    def make(self, record: Record, kinds: tuple[str, ...], work: Work) -> Record:
-        from orograph.store.shards import go_through
-        from orograph.store.stored import CACHE_BYTES, StoredTerrain
-        from orograph.store.survey import Errors
-
-        if not kinds:
-            return record
-        first = StoredTerrain(work.writer.storage, record, CACHE_BYTES, 1).tiles(0)
-        wanted = tuple(check_kind(kind) for kind in kinds)
-        survey = Errors(record.grid, work.writer, record.shard, record.chunk, first, wanted, work.resume)
-        go_through("Finding errors", survey.tasks(), survey.run, work.jobs, work.progress, survey.finish)
-        return self.put(record, DiamondCodes(survey.codes, survey.radius))
 
 
 class MemoryDiamonds:

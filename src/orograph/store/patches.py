@@ -30,13 +30,12 @@ from orograph.geo.grid import Grid
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.arrays import ArraySpec
-from orograph.store.derived import At, Attributes, Derived, Nodes, Work
-from orograph.store.diamond_table import DIAMONDS, DiamondTable, check_kind
+from orograph.store.derived import At, Attributes, Derived, Nodes
+from orograph.store.diamond_table import DiamondTable, check_kind
 from orograph.store.diamonds import blank_top, place
-from orograph.store.terrain import Heights, Shape, Terrain, TileTable, diamond_shape, exponent, level_count
+from orograph.store.terrain import Heights, Shape, Terrain, TileTable, diamond_shape, level_count
 
 if TYPE_CHECKING:
-    from orograph.store.layout import Record
     from orograph.store.memory import MemoryTerrain
     from orograph.store.stored import StoredTerrain
 
@@ -266,19 +265,6 @@ class Patches(Derived[dict[str, Any]]):
     def compute(self, terrain: MemoryTerrain, **options: Any) -> MemoryPatches:
         kind = check_kind(options["error"])
         return MemoryPatches(terrain, patch_errors(terrain, kind, options["legs"]))
-
-    def make(self, record: Record, kinds: tuple[str, ...], work: Work) -> Record:
-        from orograph.store.stored import CACHE_BYTES, StoredTerrain
-
-        shape, low = record.grid.shape, record.height_range[0]
-        if not kinds or np.isnan(low) or 1 << exponent(shape) <= LEGS:
-            return record
-        terrain = StoredTerrain(work.writer.storage, record, CACHE_BYTES, 1)
-        for kind in DIAMONDS.of(record).errors:
-            found = patch_errors(terrain, kind, LEGS, jobs=work.jobs, progress=work.progress)
-            for level in stored_levels(shape):
-                work.writer.array(spec(shape, level, kind, record.shard, record.chunk), found[level])
-        return self.put(record, {"legs": LEGS, "kappa": KAPPA, "errors": list(DIAMONDS.of(record).errors)})
 
 
 class MemoryPatches:

@@ -14,9 +14,6 @@ from orograph.store.patches import PATCHES
 KINDS: dict[str, Derived[Any]] = {kind.name: kind for kind in (DIAMONDS, PATCHES, COLORS, LAYERS)}
 """By name, each after those that it needs."""
 
-BUILT: tuple[Derived[Any], ...] = (DIAMONDS, PATCHES)
-"""Those that a build makes, and a repair again."""
-
 
 def kind_of(name: str) -> Derived[Any]:
     """The kind of that name.

@@ -21,16 +21,16 @@ from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.build import MEMORY, sizes
 from orograph.store.cache import ChunkCache
 from orograph.store.checking import Damage, check, check_shard
-from orograph.store.derived import Work
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.digests import Digests, Spot, digest_of
 from orograph.store.inputs import changes, reopened
 from orograph.store.lattices import LatticeRecord
 from orograph.store.layout import Record, array_specs, derived_arrays, heights_spec, metadata, rebuild
 from orograph.store.lock import alone
+from orograph.store.makers import MAKERS, Work
 from orograph.store.places import ROOT
 from orograph.store.pyramid import Pyramid, tasks
-from orograph.store.registry import BUILT, KINDS
+from orograph.store.registry import KINDS
 from orograph.store.shards import go_through
 from orograph.store.source import HeightSource
 from orograph.store.storage import Storage, storage_at
@@ -148,10 +148,10 @@ class _Repair:
             self._lattices()
         if self._any("heights/", "mean/", "tiles/"):
             self._coarse()
-        for kind in BUILT:
-            if self._any(*(f"{spec.path}/c/" for of, spec, _ in derived_arrays(self.record) if of is kind)):
-                kinds = tuple(DIAMONDS.of(self.record).errors)
-                kind.make(self.record, kinds, Work(self.mender, self.jobs, False, self.progress))
+        for name, make in MAKERS.items():
+            if self._any(*(f"{spec.path}/c/" for kind, spec, _ in derived_arrays(self.record) if kind.name == name)):
+                errors = tuple(DIAMONDS.of(self.record).errors)
+                make(self.record, Work(errors, self.mender, self.jobs, False, self.progress))
         self._prove()
         if self.mender.damaged:
             raise self._left()

@@ -32,11 +32,15 @@ class Watch:
         record: as it was when the store was opened.
         stamp: of the root, from before the record was read.
         read: reads the record.
+
+    Attributes:
+        replaced: whether it was found that the store is another by now.
     """
 
     def __init__(self, storage: Storage, record: Record, stamp: Any, read: Callable[[Storage], Record]) -> None:
         self.storage, self.record, self.stamp, self._read = storage, record, stamp, read
         self._due = math.inf if storage.remote else 0.0
+        self.replaced = False
 
     def __call__(self) -> None:
         """Raise StoreReplacedError if the store is another by now, StoreError if it is gone."""
@@ -67,6 +71,7 @@ class Watch:
             raise self._replaced()
 
     def _replaced(self) -> StoreReplacedError:
+        self.replaced = True
         return StoreReplacedError(
             "The store was replaced since it was opened.", path=self.storage.url,
             remedy="Open it again (in Python: terrain.reopen()).",

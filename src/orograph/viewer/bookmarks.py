@@ -11,6 +11,7 @@ import json
 import os
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from orograph.documents import load_object
@@ -83,6 +84,13 @@ class Bookmarks:
         """
         self._views[slot] = view
         self._write()
+
+    def carry(self, others: Bookmarks, moved: Callable[[View], View | None]) -> None:
+        """Have the views of another terrain, too, until the window closes: those that ``moved`` finds here, and that
+        do not take the place of this terrain's own."""
+        for slot in others.slots:
+            if slot not in self and (view := moved(others._views[slot])) is not None:
+                self._views[slot] = view
 
     def forget(self, slot: str) -> None:
         """Drop a view.

@@ -29,6 +29,7 @@ PATIENCE = 0.4
 """Seconds of rest after which a slow device makes a picture smoother."""
 
 UNREAD = "A part of the picture cannot be read:"
+UNDRAWN = "The terrain could not be drawn."
 RENEWING = "The GPU was lost; the terrain is being made ready for a new device."
 
 
@@ -87,7 +88,7 @@ class Drawing:
     @property
     def eager(self) -> bool:
         """Whether the next frame should come at once: there is more to be seen, and the device is quick."""
-        return not (self._resting or self._patient or self.coming)
+        return not (self._resting or self._patient or self.coming or self.window.renewal.replaced())
 
     @property
     def done(self) -> bool:
@@ -114,7 +115,7 @@ class Drawing:
 
     def draw(self, scale: float, now: float) -> None:
         """Draw the terrain if its picture would be another one; ``scale``: of the picture's size."""
-        if self.coming:
+        if self.coming or self.window.renewal.replaced():
             return
         session, settings = self.window.session, self.window.session.settings
         state: tuple[Any, ...] = ()
@@ -143,7 +144,9 @@ class Drawing:
             for note in getattr(self.stats, "notes", ()):
                 if own is None or own not in note:  # of a layer that a tool paints there is nothing to be told
                     session.messages.say(note)
-            if trouble and trouble != before:
+            if self.window.renewal.replaced():
+                self._trouble = before
+            elif trouble and trouble != before:
                 session.messages.drop(UNREAD)
                 session.messages.say(f"{UNREAD} {trouble}", error=True)
             elif before and not trouble:
@@ -186,14 +189,25 @@ class Drawing:
         if self.lost(error):
             self.reopen()
             return
+        if self.window.renewal.replaced():
+            return
         first, self.failed = not self.failed, now
         expected = isinstance(error, (OrographError, OSError))
         what = str(error) if expected else f"{type(error).__name__}: {error}"
-        self.window.session.messages.say(f"The terrain could not be drawn. {what}", error=True)
+        self.window.session.messages.say(f"{UNDRAWN} {what}", error=True)
         if first and not expected:
             import traceback
 
             traceback.print_exc()
+
+    def renew(self, renderer: Drawer) -> None:
+        """Go on with another renderer, of another terrain."""
+        if not self.coming:
+            self.renderer.close()
+        self.renderer, self.stats, self._scene, self._resting, self.failed = renderer, None, None, False, 0.0
+        self._trouble = self._making = ""
+        for said in (UNREAD, UNDRAWN):
+            self.window.session.messages.drop(said)
 
     def check(self) -> None:
         """Raise wgpu's error if the device is lost: making a buffer says so, writing to one may end the process."""

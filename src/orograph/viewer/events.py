@@ -108,6 +108,7 @@ class Events:
             nav.key_down(key, modifiers)
 
     def _on_close(self, event: dict[str, Any]) -> None:
+        self.window.renewal.close()
         self.window.session.close()
         self.window.drawing.renderer.close()
 

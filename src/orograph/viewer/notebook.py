@@ -120,13 +120,14 @@ def view(
         from orograph.rendering.gpu.renderer import Renderer
 
         device = open_device()
-        made = renderer_of(gpu_memory)(device, terrain)
+        again = renderer_of(gpu_memory)
+        made = again(device, terrain)
         assert isinstance(made, Renderer)
-        still = draw(scene, SILENT, device=device, renderer=made)
+        still, first = draw(scene, SILENT, device=device, renderer=made), [made]
         canvas = make_canvas(size, title="", update_mode="ondemand", max_fps=30)
         clipboard = Clipboard(canvas)
         window = Window(
-            session, canvas, lambda d, t: made if d is device else renderer_of(gpu_memory)(d, t), device=device,
+            session, canvas, lambda d, t: first.pop() if first else again(d, t), device=device,
             clipboard=(clipboard.get, clipboard.put),
         )  # fmt: skip
     except OrographError as error:

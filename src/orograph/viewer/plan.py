@@ -18,6 +18,7 @@ from orograph.errors import OrographError
 from orograph.rendering.furniture.pieces import bar_length
 from orograph.rendering.picture import plan_grid
 from orograph.scene import camera
+from orograph.viewer.wording import spoken
 from orograph.viewpoint import Point, View
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class Plan:
             left, top, wide, tall = self._map
             canvas.add_image(self._texture[0], (left, top), (left + wide, top + tall))
         elif self.trouble:
-            imgui.text_wrapped(self.trouble)
+            imgui.text_wrapped(spoken(self.trouble))
         if self.view is not None:
             canvas.push_clip_rect((x, y), (x + w, y + h), True)
             self._tour(canvas)
@@ -165,17 +166,21 @@ class Plan:
         from orograph.scene.scene import Scene
 
         session = self.window.session
+        terrain = session.terrain
         try:
-            view = camera.plan(session.terrain, size)
-            picture = draw(Scene.of(session.terrain, view, samples=1, tolerance=1.0, jobs=1, max_memory=256 << 20))
+            view = camera.plan(terrain, size)
+            picture = draw(Scene.of(terrain, view, samples=1, tolerance=1.0, jobs=1, max_memory=256 << 20))
             pixels = np.full((*picture.pixels.shape[:2], 4), 255, np.uint8)
             pixels[..., :3] = picture.pixels
             pixels[~np.isfinite(picture.depth)] = (26, 29, 33, 255)
-            self.view, self._pixels = view, pixels
+            if session.terrain is terrain:
+                self.view, self._pixels = view, pixels
         except (OrographError, OSError) as error:
-            self.trouble = f"There is no plan: {error}"
+            if session.terrain is terrain:
+                self.trouble = f"There is no plan: {error}"
         finally:
-            self._drawing = None
+            if session.terrain is terrain:
+                self._drawing = None
         session.changed()
 
     def _upload(self, pixels: NDArray[np.uint8]) -> None:
@@ -193,6 +198,11 @@ class Plan:
     def forget_texture(self) -> None:
         """The device was lost: the relief is drawn again."""
         self._texture, self.view, self._pixels = None, None, None
+
+    def forget(self) -> None:
+        """The terrain is another one: its relief is drawn."""
+        self.forget_texture()
+        self.trouble, self._drawing = "", None
 
     # ---- what is over it -------------------------------------------------------------------------------------------
 

@@ -23,6 +23,7 @@ from orograph.viewer.navigation import Limits
 from orograph.viewer.navigator import Navigator
 from orograph.viewer.probe import Probe
 from orograph.viewer.settings import Settings
+from orograph.viewer.wording import spoken
 from orograph.viewpoint import Point, View
 
 HOME_PITCH, HOME_FOV = 42.0, 30.0
@@ -51,7 +52,8 @@ class Messages:
     shown: list[Message] = field(default_factory=list)
 
     def say(self, text: str, *, error: bool = False) -> None:
-        """Show a sentence."""
+        """Show a sentence, in the window's words."""
+        text = spoken(text)
         self.shown = [m for m in self.shown if m.text != text]
         self.shown.append(Message(text, error, math.inf if error else time.monotonic() + SHOWN))
         del self.shown[:-5]
@@ -68,11 +70,49 @@ class Messages:
 
     def drop(self, beginning: str) -> None:
         """Drop those that begin so."""
+        beginning = spoken(beginning)
         self.shown = [m for m in self.shown if not beginning or not m.text.startswith(beginning)]
 
     def dismiss(self, message: Message) -> None:
         """Drop one."""
         self.shown = [m for m in self.shown if m is not message]
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """What a session knows of its terrain.
+
+    Attributes:
+        terrain: it. outline: what a view of all of it must hold. home: that view. probe: its ground.
+    """
+
+    terrain: Terrain
+    outline: Any
+    home: View
+    probe: Probe
+
+    @classmethod
+    def of(cls, terrain: Terrain, session: Session, size: tuple[int, int] | None = None) -> Ground:
+        """Look at a terrain, for a session; ``size``: of its picture (None: as it is).
+
+        Raises:
+            NothingInViewError: it has no valid sample. UsageError: it cannot be drawn as is set.
+        """
+        size = size or (session.view.width, session.view.height)
+        outline = camera.outline(terrain)
+        home = home_of(outline, size, session.settings.exaggeration)
+        session.settings.scene(terrain, home)  # says what cannot be drawn before there is a window
+        return cls(terrain, outline, home, Probe(terrain, lambda: session.changed()))
+
+    @property
+    def limits(self) -> Limits:
+        """Where a camera may go."""
+        return Limits(self.probe.ground, farthest=20.0 * max(math.dist(self.home.eye, self.home.target), 1000.0))
+
+
+def home_of(outline: Any, size: tuple[int, int], exaggeration: float) -> View:
+    """All of a terrain in a picture of this size."""
+    return camera.fit(outline, camera.direction(180.0, HOME_PITCH), HOME_FOV, size, exaggeration)
 
 
 class Session:
@@ -97,19 +137,11 @@ class Session:
         changed: Callable[[], None] = lambda: None,
         **options: Any,
     ) -> None:
-        self.terrain = terrain
         self.paths = tuple(paths)
         self.changed = changed
         self.settings = Settings(terrain, **{name: value for name, value in options.items() if value is not None})
-        exaggeration = self.settings.exaggeration
-        self._outline = camera.outline(terrain)
-        home = self._home(size, exaggeration)
-        self.settings.scene(terrain, home)  # says what cannot be drawn before there is a window
-        self.probe = Probe(terrain, lambda: self.changed())
-        farthest = 20.0 * max(math.dist(home.eye, home.target), 1000.0)
-        self.nav = Navigator(
-            home, home, self._pick, Limits(self.probe.ground, farthest=farthest), exaggeration
-        )  # fmt: skip
+        self._ground = ground = Ground.of(terrain, self, size)
+        self.nav = Navigator(ground.home, ground.home, self._pick, ground.limits, self.settings.exaggeration)
         if view is not None:
             self.nav.jump(view.resized(*size))
         self.messages = Messages()
@@ -117,9 +149,43 @@ class Session:
         if self.bookmarks.trouble:
             self.messages.say(f"Kept views cannot be read: {self.bookmarks.trouble}", error=True)
 
+    @property
+    def terrain(self) -> Terrain:
+        """What is looked at."""
+        return self._ground.terrain
+
+    @property
+    def probe(self) -> Probe:
+        """What its ground is like."""
+        return self._ground.probe
+
     def _home(self, size: tuple[int, int], exaggeration: float) -> View:
         """All of the terrain in a picture of this size."""
-        return camera.fit(self._outline, camera.direction(180.0, HOME_PITCH), HOME_FOV, size, exaggeration)
+        return home_of(self._ground.outline, size, exaggeration)
+
+    def renew(self, ground: Ground, moved: Callable[[View], View | None]) -> str:
+        """Go on with another terrain: camera, light, and kept views stay, as far as they make sense there.
+
+        Args:
+            moved: a view of the old terrain as one of the new; None where it does not look at that.
+
+        Returns:
+            What does not stay, a sentence; "" if all does.
+        """
+        nav, at_home = self.nav, self.nav.view == self.nav.home
+        nav.stop()
+        self._ground.probe.close()
+        before, self._ground = self._ground.terrain.grid, ground
+        nav.home = self._home((self.view.width, self.view.height), nav.exaggeration)
+        nav.limits = ground.limits
+        view = None if at_home else moved(nav.view)
+        nav.jump(nav.home if view is None else view)
+        lost = self.settings.renew(ground.terrain, before)
+        kept, self.bookmarks = self.bookmarks, Bookmarks(ground.terrain.grid, ground.terrain.name)
+        self.bookmarks.carry(kept, moved)
+        if view is None and not at_home:
+            lost.insert(0, "the camera, which looked elsewhere")
+        return f"It does not keep {' and '.join(lost)}." if lost else ""
 
     def resize(self, width: int, height: int) -> None:
         """The picture has another size; who has not left home sees all of the terrain in it."""

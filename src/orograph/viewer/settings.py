@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from orograph.errors import OrographError, UsageError
+from orograph.geo.grid import Grid
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Sun, place, sun_of
 from orograph.rendering.gpu.frame import Normals
@@ -183,6 +184,18 @@ class Settings:
         if self.light not in SHINING:
             changed |= {"lamps": (), "discs": ()}
         return Scene.of(terrain, view, **{**self.options, **changed})
+
+    def renew(self, terrain: Terrain, before: Grid) -> list[str]:
+        """The terrain is another one: what does not stay of what was set over the grid ``before``."""
+        there = SunSetting.over(terrain)
+        self.sun.place, self.sun.trouble = there.place, there.trouble
+        if self.sun.place is None and self.sun.mode == "moment":
+            self.sun.mode, self.sun.playing = "placed", False
+        self.frozen = self.painted = None
+        if self.options["lamps"] and before.crs != terrain.grid.crs:
+            self.options["lamps"] = ()
+            return ["lamps, which stood at places of another CRS"]
+        return []
 
     @property
     def streams(self) -> bool:

@@ -29,6 +29,7 @@ from orograph.progress import Progress, Task
 from orograph.viewer.panels.tips import CLAMPED, beside
 from orograph.viewer.results import KINDS, Kind, paint, rows, save, save_rgba
 from orograph.viewer.traces import trace
+from orograph.viewer.wording import spoken
 from orograph.viewpoint import Point
 
 if TYPE_CHECKING:
@@ -98,6 +99,15 @@ class Tools:
         self._asked += 1
         self.window.session.settings.painted = None
 
+    def renew(self, move: Callable[[Point], Point | None]) -> None:
+        """The terrain is another one: what was clicked is measured on that, if all of it is there."""
+        places = [move(point) for point in self.points]
+        self.clear()
+        self._running = 0
+        if None not in places:
+            self.points = [point for point in places if point is not None]
+            self.measure()
+
     def choose(self, kind: Kind) -> None:
         """Measure something else."""
         self.clear()
@@ -162,7 +172,7 @@ class Tools:
                 if asked == self._asked:
                     self.trouble = str(error)
             finally:
-                self._running -= 1
+                self._running = max(self._running - 1, 0)  # the terrain may have been replaced meanwhile
                 self.part = None
                 self.window.session.changed()
 
@@ -271,7 +281,7 @@ class Tools:
         if self.kind in ("los", "viewshed"):
             self._heights()
         if self.trouble:
-            imgui.text_wrapped(self.trouble)
+            imgui.text_wrapped(spoken(self.trouble))
         elif self.result is None:
             waiting = "Measuring …" if self.part is None else f"Measuring … {self.part:.0%}"
             imgui.text_disabled(waiting if self.busy else HINTS[self.kind])

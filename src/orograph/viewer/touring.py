@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -166,6 +166,16 @@ class Touring:
             self.stops[k].key = replace(self.stops[k].key, **values)  # type: ignore[arg-type]
         except OrographError as error:
             self.session.messages.say(str(error))
+
+    def renew(self, moved: Callable[[View], View | None]) -> None:
+        """The terrain is another one: the tour stays if all of its cameras look at that."""
+        self.playing, self._course = False, (None, None)
+        views = [moved(stop.key.view) for stop in self.stops]
+        for stop, view in zip(self.stops, views, strict=True):
+            if view is None:
+                self.clear()
+                return
+            stop.key = replace(stop.key, view=view)
 
     def clear(self) -> None:
         """Begin anew."""

@@ -24,6 +24,7 @@ from orograph.viewer.events import Events
 from orograph.viewer.opening import Opened, open_canvas
 from orograph.viewer.pictures import Pictures
 from orograph.viewer.plan import Plan
+from orograph.viewer.replacing import Move, Renewal
 from orograph.viewer.session import Session
 from orograph.viewer.tools import Tools
 from orograph.viewer.touring import Touring
@@ -57,6 +58,7 @@ class Window:
 
     Attributes:
         drawing: the terrain's picture; pictures: what saves it; plan, tools: the map inset and the measuring tool.
+        renewal: what sees to it that the store is still the same.
         touring: the tour that is being made or played. cover: what layers hide of the colours of heights.
         area: where the terrain is: (x, y, width, height), logical pixels.
         pointer: where the mouse is over the terrain, pixels of the view, or None.
@@ -81,6 +83,7 @@ class Window:
         self.device = device or open_device(adapter)
         self.gui, self.context, format = opened or open_canvas(canvas, self.device, clipboard)
         self.drawing = Drawing(self, make, format)
+        self.renewal = Renewal(self, make)
         self.plan = Plan(self)
         self.tools = Tools(self)
         self.touring = Touring(session)
@@ -151,6 +154,23 @@ class Window:
             held = self._cache[kind] = key, make()
         return held[1]
 
+    def renew(self, renderer: Drawer, move: Move, moved: Callable[[View], View | None]) -> None:
+        """Show the session's new terrain.
+
+        Args:
+            renderer: what draws it.
+            move, moved: from places on the old terrain, and views of it, to those of the new one.
+        """
+        self.drawing.renew(renderer)
+        self.cover = Cover(self.session)
+        self.plan.forget()
+        self.tools.renew(move)
+        self.touring.renew(moved)
+        self._cache.clear()
+        self._viewed = self._asked = None
+        self.canvas.set_title(f"{self.session.terrain.name} — Orograph")
+        self.touch()
+
     # ---- frames --------------------------------------------------------------------------------------------------
 
     def _frame(self) -> None:
@@ -159,6 +179,7 @@ class Window:
             return
         try:
             self.drawing.check()
+            self.renewal.take()
             self._draw()
         except Exception as error:
             if not self.drawing.lost(error):
@@ -185,6 +206,8 @@ class Window:
         self._ask(now, moving)
         size = self.canvas.get_physical_size()
         self.events.decide()
+        if self.canvas.get_closed():  # by a key that waited for this frame
+            return
         self.gui.begin(self.canvas.get_logical_size(), self.ratio, min(max(passed, 1 / 240), 0.1))
         try:
             self._panels()

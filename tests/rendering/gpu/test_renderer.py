@@ -267,6 +267,47 @@ def test_the_first_frame_has_an_open_sky(bench, light: str, monkeypatch: pytest.
     assert np.abs(first - b.pixels())[30:-30, 30:-30].max() < 12
 
 
+def test_lakes_and_voids_are_unknown_until_they_are_known(bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At first sight they are hatched, and no plain ground."""
+    drawn, quick = threading.Event(), following.quick_maps
+
+    def held_back(*args: object, **how: object) -> object:
+        drawn.wait(60)
+        return quick(*args, **how)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(following, "quick_maps", held_back)
+    row, col = np.mgrid[:400, :400]
+    heights = (300 + 0.002 * ((row - 200.0) ** 2 + (col - 120.0) ** 2)).astype(np.float32)
+    heights[np.hypot(row - 200, col - 120) < 60] = heights[200, 60]  # a lake
+    heights[170:230, 250:310] = np.nan
+    terrain = make(heights)
+    b = bench(terrain)
+    scene = Scene.of(terrain, above(terrain), tolerance=1.0)
+
+    def lines(col: int) -> float:
+        """By how much pixels around a sample differ where hatching has lines."""
+        x, y = scene.view.project((*(float(v) for v in terrain.grid.xy(col, 200)), 330.0))[0].round().astype(int)
+        seen = b.pixels().astype(float).mean(-1)[y - 8 : y + 9, x - 8 : x + 9]
+        return float(seen.max() - seen.min())
+
+    try:
+        for _ in range(200):  # tiles come
+            b.draw(scene)
+            if not b.renderer.tiles.waiting:
+                break
+            time.sleep(0.02)
+        lake, void, land = lines(120), lines(280), lines(210)
+    finally:
+        drawn.set()
+    assert lake > 50 and void > 50 and land < 20
+    for _ in range(500):
+        b.draw(scene)
+        if not b.renderer.busy:
+            break
+        time.sleep(0.02)
+    assert lines(120) < 20 and lines(280) > 50
+
+
 def test_screen_space_occlusion_darkens_hollows_and_not_plains(bench) -> None:
     heights = np.zeros((400, 400), np.float32)
     heights[150:250, 150:250] = -400.0  # a shaft of two kilometres

@@ -12,7 +12,7 @@ struct Shade {
   extinction: vec4<f32>,    // per metre; w: depth where the air begins
   mist: vec4<f32>,          // w: how fast it fades
   disc: vec4<f32>,          // radiance of the sun's disc; w: 1 if there is a sky
-  tint: vec4<f32>,          // low, high, floor (metres)
+  tint: vec4<f32>,          // low, high, floor (metres); w: 1 until it is known which level ground is water
   contour: vec4<f32>,       // interval (metres, 0: none), every how many an index contour, width in pixels, opacity
   contour_colour: vec4<f32>,
   edge: vec4<f32>,          // of silhouettes: color, opacity
@@ -285,6 +285,21 @@ fn background(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   return vec4<f32>(color, 1.0);
 }
 
+// The sign for what is not known, at a depth.
+fn hatched(at: vec2<f32>, d: vec3<f32>, depth: f32) -> vec4<f32> {
+  let place = in_picture(at);
+  let across = f32(place.x + place.y) + 1.0 + camera.shift.x + camera.shift.y;
+  let line = across - 7.0 * floor(across / 7.0) < 2.0;
+  var color = select(rgb(shade.hatch), rgb(shade.hatch + 3u), line);
+  if ((FLAGS & 256u) != 0u) {
+    color = haze(color, d, depth);
+  }
+  if ((FLAGS & 8192u) != 0u) {
+    color = outlined(color, vec2<i32>(at), d);
+  }
+  return vec4<f32>(color, 1.0);
+}
+
 @fragment
 fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let pixel = vec2<i32>(at.xy);
@@ -296,19 +311,12 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
   let depth = hit.depth;
   let position = hit.position;
   if ((FLAGS & 1024u) != 0u && (mark & 2u) != 0u) {   // a patch over missing data
-    let place = in_picture(at.xy);
-    let across = f32(place.x + place.y) + 1.0 + camera.shift.x + camera.shift.y;
-    let line = across - 7.0 * floor(across / 7.0) < 2.0;
-    var hatched = select(rgb(shade.hatch), rgb(shade.hatch + 3u), line);
-    if ((FLAGS & 256u) != 0u) {
-      hatched = haze(hatched, d, depth);
-    }
-    if ((FLAGS & 8192u) != 0u) {
-      hatched = outlined(hatched, pixel, d);
-    }
-    return vec4<f32>(hatched, 1.0);
+    return hatched(at.xy, d, depth);
   }
   let seen = ground(hit.place, hit.height, hit.footprint, position, depth, pixel);
+  if (shade.tint.w > 0.5 && all(seen.slope == vec2<f32>(0.0))) {   // a lake, or level ground
+    return hatched(at.xy, d, depth);
+  }
   var color = seen.color;
   if ((FLAGS & 16u) != 0u) {
     color = mix(color, level_colour((mark >> 8u) & 255u, (mark >> 4u) & 1u) * dot(color, vec3<f32>(0.4)), 0.65);

@@ -66,9 +66,7 @@ class MapGrid:
         )
         self.water, self.water_fraction = np.empty((0, 0), np.float32), 0.0
         if scene.data.water is not None:
-            self.water, self.water_fraction = memo(
-                "water", (window, scene.data.water), lambda: _water(ground.bare, ground, window), ground.bare.terrain
-            )
+            self.water, self.water_fraction = water_map(scene, ground, window, memo)
 
 
 def working_window(terrain: Terrain, points: Array) -> tuple[int, int, int, int, int]:
@@ -94,6 +92,15 @@ def working_window(terrain: Terrain, points: Array) -> tuple[int, int, int, int,
     r1 = min(-(-(int(south / scale) + 2) // grain) * grain, total_rows)
     c1 = min(-(-(int(east / scale) + 2) // grain) * grain, total_cols)
     return level, r0, r1, c0, c1
+
+
+def water_map(
+    scene: Scene, ground: Ground, window: tuple[int, int, int, int, int], memo: Memo
+) -> tuple[NDArray[np.float32], float]:
+    """``_water``, once for a window."""
+    return memo(
+        "water", (window, scene.data.water), lambda: _water(ground.bare, ground, window), ground.bare.terrain
+    )  # fmt: skip
 
 
 def _water(scene: Scene, ground: Ground, window: tuple[int, int, int, int, int]) -> tuple[NDArray[np.float32], float]:

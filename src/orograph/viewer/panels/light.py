@@ -8,6 +8,7 @@ from imgui_bundle import imgui
 
 from orograph.scene.parts import Light
 from orograph.viewer.panels.tips import CLAMPED
+from orograph.viewer.wording import spoken
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -36,7 +37,7 @@ def draw(window: Window) -> None:
         light.mode = "moment"
     imgui.end_disabled()
     if light.place is None and imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled):
-        imgui.set_tooltip(light.trouble)
+        imgui.set_tooltip(spoken(light.trouble))
     if light.mode == "placed":
         _, light.azimuth = imgui.slider_float("azimuth", light.azimuth, 0.0, 360.0, "%.0f°", CLAMPED)
         _, light.altitude = imgui.slider_float("altitude", light.altitude, 0.0, 90.0, "%.0f°", CLAMPED)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from imgui_bundle import imgui
 
+from orograph.viewer.wording import spoken
+
 CLAMPED = imgui.SliderFlags_.always_clamp
 """What is typed into a slider (Ctrl + click) keeps within it."""
 
@@ -13,7 +15,7 @@ CLAMPED = imgui.SliderFlags_.always_clamp
 def tip(text: str) -> None:
     """A tool tip on the last item, also where it is disabled."""
     if imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled | imgui.HoveredFlags_.delay_short):
-        imgui.set_tooltip(text)
+        imgui.set_tooltip(spoken(text))
 
 
 def beside(wide: float) -> None:

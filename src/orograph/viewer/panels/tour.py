@@ -10,6 +10,7 @@ from imgui_bundle import imgui
 from orograph.lighting.sun import Placed
 from orograph.viewer.panels.tips import CLAMPED, path_of, tip
 from orograph.viewer.touring import SHORTEST
+from orograph.viewer.wording import spoken
 
 if TYPE_CHECKING:
     from orograph.touring.keys import Key
@@ -48,7 +49,7 @@ def draw(window: Window) -> None:
 def _scrub(touring: Touring) -> None:
     """The time line."""
     if touring.trouble:
-        imgui.text_wrapped(touring.trouble)
+        imgui.text_wrapped(spoken(touring.trouble))
     duration = touring.duration
     imgui.set_next_item_width(-1)
     moved, time = imgui.slider_float(

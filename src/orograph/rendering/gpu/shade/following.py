@@ -1,9 +1,10 @@
 """Maps of light and membranes over holes that follow the camera: made at once for a picture that may take its time, in
 a thread of their own for frames that may not wait; the old ones serve until new ones are there.
 
-The first that a window gets are quick ones: coarse shadows under an open sky, in a tenth of the time. Where the camera
-comes to rest maps are made for what is seen there; while it moves on and on they are renewed now and then, so seldom
-that the thread leaves three quarters of the time to others.
+The first that a window gets are quick ones: water, and coarse shadows under an open sky, in a tenth of the time. Before
+these are there level ground is hatched, which may be water, and so are the holes that the coarsest level shows. Where
+the camera comes to rest maps are made for what is seen there; while it moves on and on they are renewed now and then,
+so seldom that the thread leaves three quarters of the time to others.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from orograph.gpu.background import BackgroundTask
 from orograph.memo import Memo
 from orograph.rendering.gpu.shade.light_maps import LightMaps, light_maps, plain_maps, quick_maps, whole
 from orograph.rendering.gpu.shade.visible import about
-from orograph.rendering.gpu.surface.void_fill import EXACT, VoidFillPass, void_fills
+from orograph.rendering.gpu.surface.void_fill import EXACT, VoidFillPass, coarse_void_fills, void_fills
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -98,9 +99,11 @@ class Following:
         self._aside.done = (*self._wish[:KINDS], QUICK) if self.maps.by_rays else self._wish
 
     def begin(self) -> LightMaps:
-        """The maps to draw with: those of an open sky, until there are others."""
+        """The maps to draw with: those of an open sky, and coarse membranes, until there are others."""
         if self.maps is None:
             self.maps = plain_maps()
+            if self.terrain.valid_fraction < 1:
+                self.void_fill.load(*coarse_void_fills(self.terrain))
         return self.maps
 
     def aside(self, scene: Scene, instances: NDArray[Any]) -> None:

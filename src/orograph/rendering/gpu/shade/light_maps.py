@@ -24,7 +24,7 @@ from orograph.memo import Memo
 from orograph.progress import SILENT
 from orograph.raycast.select import Rectangle, rectangles
 from orograph.rendering.cpu.lighting import SKIES, field_of
-from orograph.rendering.cpu.mapgrid import MapGrid, strength_of, working_window
+from orograph.rendering.cpu.mapgrid import MapGrid, strength_of, water_map, working_window
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -56,7 +56,7 @@ class LightMaps:
             first row and column, words per sample, unused; outermost first. told: what they are.
         by_rays: whether rays find the sun's shadows, without windows.
         strength: factor on slopes for shading that suits the ground in view.
-        water_fraction: of the map.
+        water_fraction: of the map. known: whether water was looked for.
     """
 
     pool: Values
@@ -68,6 +68,7 @@ class LightMaps:
     told: str
     strength: float
     water_fraction: float
+    known: bool = True
     by_rays: bool = False
 
 
@@ -126,7 +127,7 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None 
         parts.append(packed(values) if channels == 4 else values.ravel())
     return LightMaps(
         np.concatenate(parts), (0, rows, cols, level), (row0, col0), wet, windows, fields, told, grid.strength,
-        grid.water_fraction, sunlit and detail is None,
+        grid.water_fraction, by_rays=sunlit and detail is None,
     )  # fmt: skip
 
 
@@ -136,12 +137,12 @@ def has_sun_maps(scene: Scene) -> bool:
 
 
 def quick_maps(scene: Scene, points: Array, memo: Memo, *, detail: float) -> LightMaps:
-    """Maps for the first moment: the sun's shadows, coarsely, under an open sky, and no water.
+    """Maps for the first moment: water, and the sun's shadows, coarsely, under an open sky.
 
     Args:
         points, kept, detail: as ``light_maps`` has them.
     """
-    plain = plain_maps()
+    plain = _watered(scene, working_window(scene.terrain, points), memo)
     if not has_sun_maps(scene):
         return plain
     strength = scene.lighting.relief
@@ -162,9 +163,24 @@ def quick_maps(scene: Scene, points: Array, memo: Memo, *, detail: float) -> Lig
 
 
 def plain_maps() -> LightMaps:
-    """Light before any map of it is there: an open sky, no water, no shadows."""
+    """Light before any map of it is there: an open sky, no shadows; where water is, is not known."""
     nothing: NDArray[np.int32] = np.zeros((0, 8), np.int32)
-    return LightMaps(np.ones(1, np.float32), (0, 1, 1, 0), (0, 0), False, nothing, nothing, "", 1.0, 0.0)
+    return LightMaps(np.ones(1, np.float32), (0, 1, 1, 0), (0, 0), False, nothing, nothing, "", 1.0, 0.0, False)
+
+
+def _watered(scene: Scene, window: tuple[int, int, int, int, int], memo: Memo) -> LightMaps:
+    """An open sky over a window, with the water in it, if there is any."""
+    plain = replace(plain_maps(), known=True)
+    if scene.data.water is None:
+        return plain
+    water, fraction = water_map(scene, _ground(scene), window, memo)  # type: ignore[arg-type]
+    if not water.size:
+        return plain
+    level, row0, _, col0, _ = window
+    pool = np.concatenate([np.ones(water.size, np.float32), water.ravel()])
+    return replace(
+        plain, pool=pool, light=(0, *water.shape, level), first=(row0, col0), wet=True, water_fraction=fraction
+    )
 
 
 def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float) -> list[Rectangle]:

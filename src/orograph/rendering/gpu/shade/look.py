@@ -75,7 +75,8 @@ class Look:
         u["skylight"] = *skylight, BOUNCE
         u["water"] = *WATER, SHORE
         u["paper"] = *PAPER, math.sqrt(abs(terrain.grid.transform.determinant))
-        u["tint"] = self.tint.low, self.tint.high, self.tint.floor, 0.0
+        unknown = scene.data.water == "auto" and not maps.known
+        u["tint"] = self.tint.low, self.tint.high, self.tint.floor, float(unknown)
         u["land_at"], u["land_count"] = put(self.tint.land), len(self.tint.land)
         u["sea_at"], u["sea_count"] = put(self.tint.sea), len(self.tint.sea)
         u["hatch"] = put(MISSING)

@@ -30,23 +30,34 @@ EXACT = 4_000_000
 """Samples up to which holes are looked for at full resolution."""
 
 
-def void_fills(
-    terrain: Terrain, view: View, exaggeration: float, tolerance: float
-) -> tuple[NDArray[Any], NDArray[np.uint32]]:
-    """Vertices (n,) of ``VERTEX`` and triangles (m, 3) over the holes in view; empty if there are none."""
+Fills = tuple[NDArray[Any], NDArray[np.uint32]]
+"""Vertices (n,) of ``VERTEX``, and triangles (m, 3) of them."""
+
+
+def void_fills(terrain: Terrain, view: View, exaggeration: float, tolerance: float) -> Fills:
+    """The membranes over the holes in view; empty if there are none."""
+    rows, cols = terrain.grid.shape
+    if terrain.valid_fraction < 1 and rows * cols > EXACT:
+        return _fills(terrain, rectangles(terrain, view, exaggeration, tolerance), MARGIN)
+    return _fills(terrain, [Rectangle(0, 0, rows, 0, cols)], MARGIN)
+
+
+def coarse_void_fills(terrain: Terrain) -> Fills:
+    """Those over the holes that the coarsest level shows, for a moment in which no others are known."""
+    top = terrain.levels - 1
+    rows, cols = terrain.shape(top)
+    return _fills(terrain, [Rectangle(top, 0, rows, 0, cols)], 1)
+
+
+def _fills(terrain: Terrain, chosen: list[Rectangle], margin: int) -> Fills:
     none = np.zeros(0, VERTEX), np.zeros((0, 3), np.uint32)
     if terrain.valid_fraction >= 1:
         return none
-    rows, cols = terrain.grid.shape
-    if rows * cols <= EXACT:
-        chosen = [Rectangle(0, 0, rows, 0, cols)]
-    else:
-        chosen = rectangles(terrain, view, exaggeration, tolerance)
     windows = load(terrain, chosen)
     found = patches(tuple(windows), terrain.grid.shape)
     if not found:
         return none
-    found = [_reaching(patch, window) for patch, window in zip(found, windows, strict=True)]
+    found = [_reaching(patch, window, margin) for patch, window in zip(found, windows, strict=True)]
     vertices: list[NDArray[Any]] = []
     triangles: list[NDArray[np.uint32]] = []
     count = 0
@@ -58,12 +69,12 @@ def void_fills(
     return np.concatenate(vertices), np.concatenate(triangles)
 
 
-def _reaching(patch: HeightWindow, window: HeightWindow) -> HeightWindow:
-    """A patch with the samples of the ground around it."""
+def _reaching(patch: HeightWindow, window: HeightWindow, margin: int) -> HeightWindow:
+    """A patch with the samples of the ground around it, so many steps wide."""
     there = np.isfinite(patch.heights)
     if not there.any():
         return patch
-    around = _grown(there, MARGIN) & ~there
+    around = _grown(there, margin) & ~there
     return HeightWindow(patch.level, patch.col0, patch.row0, np.where(around, window.heights, patch.heights))
 
 

@@ -1,0 +1,84 @@
+"""Python's names in messages, put into other words: those of the command line, or of the window.
+
+The library writes Python in backticks: an argument (```tolerance```), with a value (```tolerance=2```), or a call
+(```orograph.bake(store, ["openness"], overwrite=True)```). ``spoken`` calls arguments as it is told; a call becomes the
+command line that does the same (``orograph bake STORE --products openness --overwrite``), wherever it is read.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+from collections.abc import Callable
+
+from orograph.scene.parts import OPTIONS
+
+VERBS = {
+    "orograph.store.repair.repair": "orograph build --repair",
+    "orograph.geovis.color_store.store_colors": "orograph build --color-errors",
+}
+"""Functions that are options of a verb; others are called as their verb."""
+
+PLACES = {"orograph.bake": ("", "--products"), "orograph.build": ("", "-o")}
+"""The options of arguments that a call gives by their places; "": the verb takes it by its place, too."""
+
+Call = Callable[[str], str]
+"""What an argument is called, by its name in Python."""
+
+
+def flag(name: str) -> str:
+    """What an argument is called on the command line, unless a verb calls it otherwise."""
+    return f"--{OPTIONS[name].key if name in OPTIONS else name.replace('_', '-')}"
+
+
+def spoken(text: str, call: Call) -> str:
+    """A text with its Python in backticks in other words."""
+    return re.sub("`([^`]+)`", lambda found: _said(found[1], call), text)
+
+
+def _said(code: str, call: Call) -> str:
+    try:
+        tree = ast.parse(f"f({code})", mode="eval").body
+    except SyntaxError:
+        return f"`{code}`"
+    assert isinstance(tree, ast.Call)
+    words = [_word(one, call) for one in tree.args]
+    for given in tree.keywords:
+        words += _option(given, call)
+    return " ".join(words)
+
+
+def _word(tree: ast.expr, call: Call) -> str:
+    """An argument by its name; or a function of the package, called or not."""
+    if isinstance(tree, ast.Name):
+        return call(tree.id)
+    made = tree if isinstance(tree, ast.Call) else ast.Call(tree, [], [])
+    name = ast.unparse(made.func)
+    if not name.startswith("orograph."):
+        return ast.unparse(tree)
+    words = [VERBS.get(name, name.replace(".", " "))]
+    for one, place in zip(made.args, [*PLACES.get(name, ()), *[""] * len(made.args)], strict=False):
+        if not (isinstance(one, ast.Constant) and one.value is ...):
+            words += [*filter(None, [place]), _value(one, "," if place else " ").strip()]
+    for given in made.keywords:
+        words += _option(given, flag)
+    return " ".join(words)
+
+
+def _option(given: ast.keyword, call: Call) -> list[str]:
+    name = call(given.arg or "")
+    if isinstance(given.value, ast.Constant) and given.value.value is True:
+        return [name]
+    if isinstance(given.value, ast.Constant) and given.value.value is False:
+        return [f"--no-{name[2:]}" if name.startswith("--") else f"no {name}"]
+    return [name, _value(given.value, "x" if given.arg == "size" else ",")]
+
+
+def _value(tree: ast.expr, between: str = ",") -> str:
+    """A value as words of the command line; a name stands for what the user has."""
+    if isinstance(tree, ast.Tuple | ast.List):
+        return between.join(_value(one) for one in tree.elts)
+    if isinstance(tree, ast.Constant):
+        return "none" if tree.value is None else shlex.quote(str(tree.value))
+    return ast.unparse(tree).upper() if isinstance(tree, ast.Name) else ast.unparse(tree)

@@ -1,0 +1,70 @@
+"""How a build makes derived data, and a repair again: tasks over shards, from what is written by then.
+
+Each maker writes the arrays of its kind and gives the record with it, or as it was if the terrain cannot have any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from orograph.error import ErrorKind
+from orograph.progress import Progress
+from orograph.store.diamond_table import DIAMONDS, DiamondCodes
+from orograph.store.layout import Record
+from orograph.store.patches import KAPPA, LEGS, PATCHES, patch_errors, spec, stored_levels
+from orograph.store.shards import go_through
+from orograph.store.stored import CACHE_BYTES, StoredTerrain
+from orograph.store.terrain import exponent
+from orograph.store.writer import ShardWriter
+
+
+class Work(NamedTuple):
+    """How data are made.
+
+    Attributes:
+        errors: the kinds of errors that are wanted.
+        writer: of shards; all heights, means and tables are written.
+        jobs: threads. resume: use what an interrupted build left. progress: is told of tasks.
+    """
+
+    errors: tuple[ErrorKind, ...]
+    writer: ShardWriter
+    jobs: int
+    resume: bool
+    progress: Progress
+
+    def terrain(self, record: Record) -> StoredTerrain:
+        """What is written by now."""
+        return StoredTerrain(self.writer.storage, record, CACHE_BYTES, 1)
+
+
+def make_diamonds(record: Record, work: Work) -> Record:
+    """Errors and spheres of all diamonds."""
+    from orograph.store.survey import Errors
+
+    if not work.errors:
+        return record
+    first = work.terrain(record).tiles(0)
+    survey = Errors(record.grid, work.writer, record.shard, record.chunk, first, work.errors, work.resume)
+    go_through("Finding errors", survey.tasks(), survey.run, work.jobs, work.progress, survey.finish)
+    return DIAMONDS.put(record, DiamondCodes(survey.codes, survey.radius))
+
+
+def make_patches(record: Record, work: Work) -> Record:
+    """Errors of patches, from those of diamonds."""
+    shape = record.grid.shape
+    if not work.errors or np.isnan(record.height_range[0]) or 1 << exponent(shape) <= LEGS:
+        return record
+    terrain = work.terrain(record)
+    for kind in work.errors:
+        found = patch_errors(terrain, kind, LEGS, jobs=work.jobs, progress=work.progress)
+        for level in stored_levels(shape):
+            work.writer.array(spec(shape, level, kind, record.shard, record.chunk), found[level])
+    return PATCHES.put(record, {"legs": LEGS, "kappa": KAPPA, "errors": list(work.errors)})
+
+
+MAKERS: dict[str, Callable[[Record, Work], Record]] = {DIAMONDS.name: make_diamonds, PATCHES.name: make_patches}
+"""By name of the kind, each after those that it needs."""

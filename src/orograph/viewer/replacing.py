@@ -1,0 +1,153 @@
+"""Going on with the store that is there now, when the one that is looked at was replaced.
+
+A thread looks every ``EVERY`` seconds whether the store is still the same; at a URL, where that cannot be seen, a read
+that fails tells. Then the same thread opens the new store, and makes what a window needs of it (the probe, a renderer
+that is ready for its first frame), while the last picture stays; the next frame takes all of it. A new store that
+cannot be opened, or shown, is a message, and is tried again.
+
+Coordinates are metres in the terrains' CRSs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from orograph.errors import OrographError
+from orograph.geo.grid import Grid
+from orograph.geo.transform import transformer
+from orograph.gpu.device import Device
+from orograph.store.stored import StoredTerrain
+from orograph.store.terrain import Terrain
+from orograph.viewer.session import Ground
+from orograph.viewpoint import Point, View
+
+if TYPE_CHECKING:
+    from orograph.viewer.drawing import Drawer
+    from orograph.viewer.window import Window
+
+EVERY = 1.0
+REPLACED = "The store was replaced"
+AROUND = 0.5
+"""Of a terrain's extent, how far beyond its border a camera may look and still see something of it."""
+
+Move = Callable[[Point], Point | None]
+
+
+def move_of(old: Grid, new: Grid) -> Move:
+    """From places on the old grid to the same ones on the new grid; None: they are not near it."""
+    if old.crs == new.crs:
+        to = None
+    else:
+        try:
+            to = transformer(old.crs, new.crs)
+        except OrographError:
+            return lambda point: None
+    west, south, east, north = new.bounds()
+    wide, tall = AROUND * (east - west), AROUND * (north - south)
+
+    def move(point: Point) -> Point | None:
+        x, y = point[:2] if to is None else (float(v) for v in to(*point[:2]))
+        near = west - wide <= x <= east + wide and south - tall <= y <= north + tall
+        return (x, y, point[2]) if near else None
+
+    return move
+
+
+def moved(view: View, old: Grid, new: Grid) -> View | None:
+    """A view of the old grid's terrain as one of the new grid's; None if it does not look at that."""
+    target = move_of(old, new)(view.target)
+    if target is None:
+        return None
+    if old.crs == new.crs:
+        return view
+    x, y = (float(v) for v in transformer(old.crs, new.crs)(*view.eye[:2]))
+    return replace(view, eye=(x, y, view.eye[2]), target=target) if math.isfinite(x + y) else None
+
+
+class Renewal:
+    """Looks whether a window's store is still the same, and makes what stands for it if not.
+
+    Args:
+        window: whose terrain.
+        make: makes the renderer on a device.
+    """
+
+    def __init__(self, window: Window, make: Callable[[Device, Terrain], Drawer]) -> None:
+        self.window, self.make = window, make
+        self._made: tuple[Ground, Drawer, Device] | None = None
+        self._told = ""
+        self._closed = False
+        self._wake = threading.Event()
+        if getattr(window.session.terrain, "watch", None) is not None:
+            threading.Thread(target=self._work, name="replaced", daemon=True).start()
+
+    def replaced(self) -> bool:
+        """Whether the terrain is of a store that is another by now; then it is no use reading on."""
+        watch = getattr(self.window.session.terrain, "watch", None)
+        found = watch is not None and watch.replaced
+        if found:
+            self._wake.set()
+        return found
+
+    def close(self) -> None:
+        """Let the thread end."""
+        self._closed = True
+        self._wake.set()
+
+    def take(self) -> None:
+        """Have the window go on with the new store, if it is ready."""
+        window, session = self.window, self.window.session
+        if self._made is None or window.drawing.coming:
+            return
+        (ground, renderer, device), self._made = self._made, None
+        if device is not window.device:  # it was lost meanwhile: the renderer is made again
+            renderer.close()
+            ground.probe.close()
+            return
+        old, new = session.terrain.grid, ground.terrain.grid
+        lost = session.renew(ground, lambda view: moved(view, old, new))
+        window.renew(renderer, move_of(old, new), lambda view: moved(view, old, new))
+        session.messages.drop(REPLACED)
+        session.messages.say(f"{REPLACED}; it was opened again, and this is the new one. {lost}".strip())
+        self._told = ""
+
+    def _work(self) -> None:
+        while not self._closed:
+            self._wake.wait(EVERY)
+            self._wake.clear()
+            terrain = self.window.session.terrain
+            assert isinstance(terrain, StoredTerrain) and terrain.watch is not None
+            with contextlib.suppress(OrographError, OSError):  # what is gone for now is said by those who read
+                terrain.watch()
+            if terrain.watch.replaced and self._made is None and not self._closed and not self._renewed(terrain):
+                time.sleep(EVERY)
+
+    def _renewed(self, terrain: StoredTerrain) -> bool:
+        """Make what the next frame takes, or say why not; whether it was made."""
+        session, device = self.window.session, self.window.device
+        try:
+            ground = Ground.of(terrain.reopen(), session)
+            renderer = self.make(device, ground.terrain)
+            if hasattr(renderer, "prepare"):
+                with contextlib.suppress(Exception):  # the first frame says what is wrong
+                    scene = session.settings.scene(ground.terrain, ground.home)
+                    renderer.prepare(self.window.drawing.screen.format, scene, overlay=session.settings.overlay())
+        except Exception as error:
+            what = str(error) if isinstance(error, (OrographError, OSError)) else f"{type(error).__name__}: {error}"
+            if what != self._told:
+                self._told = what
+                session.messages.drop(REPLACED)
+                session.messages.say(f"{REPLACED}, and what is there now cannot be shown: {what}", error=True)
+                self.window.refresh()
+            return False
+        self._made = ground, renderer, device
+        if self._closed:
+            renderer.close()
+        self.window.refresh()
+        return True
