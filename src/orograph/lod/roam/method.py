@@ -21,6 +21,7 @@ from orograph.error.screen import CAMERA, LOCALISED, WEDGIE
 from orograph.lod import look_ahead as ahead
 from orograph.lod.localise import STACK
 from orograph.lod.method import Goal, MethodInfo
+from orograph.lod.pace import EASE, Deadline, Pace
 from orograph.lod.right_triangles import BOUNDS, Mesh, RightTriangleMeshes
 from orograph.lod.roam import bounds, frame, mesh, queues, terms
 from orograph.lod.roam import strips as stripping
@@ -36,11 +37,11 @@ BAND = 1.1
 """With a budget of triangles, priorities within this factor of the last crossing of the queues are kept up to date, to
 the width of a bucket (``bounds.STALE``)."""
 
-STEPS = 500
-"""Steps between two looks at the clock."""
+PARTS = 4.0
+"""One in so many parts of the time left is what splits may take until the next look at the clock."""
 
-LEARNT = 1000
-"""Triangles that come in a frame, from which on it tells how long the strips of a triangle take."""
+CAPACITY = 1 << 20
+"""Nodes there is room for at first, where the raster has as many: memory that is not used takes none."""
 
 
 UP = 1e12
@@ -86,7 +87,7 @@ class Roam(RightTriangleMeshes):
         """Forget the mesh: the next view begins from two triangles."""
         low, high = self.terrain.height_range
         low, high = (0.0, 0.0) if math.isnan(low) else (low, high)
-        capacity = 1 << 14
+        capacity = max(1 << 10, min(CAPACITY, 4 << 2 * self.field.n))
         counts = np.zeros(mesh.COUNTS, np.int64)
         counts[[mesh.TOP, mesh.FREED, mesh.LEAVES, mesh.UNUSED]] = 2, -1, 2, -1
         options = np.zeros(mesh.OPTIONS)
@@ -122,26 +123,25 @@ class Roam(RightTriangleMeshes):
         )
         self._crossing = 0.0
         self._blind = False  # memory is too small to look ahead
-        self._pace = 0.0  # seconds that the strips of a triangle that comes take
+        self._pace, self._stripping, self._reading = Pace(), Pace(5e-7), Pace(2e-3)
         self._seen: tuple[Any, ...] | None = None
         self._pose: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     # ---- a frame -----------------------------------------------------------------------------------------------------
 
     def _refine(self, camera: Camera, goal: Goal) -> Mesh:
-        began = time.perf_counter()
-        tolerance, triangles, seconds = goal.tolerance, goal.triangles, goal.seconds
+        deadline = Deadline(goal.seconds)
+        triangles = goal.triangles
         self._look(camera, goal)
         c = self._state.counts
         c[[mesh.SPLITS, mesh.MERGES, mesh.COMPUTED, mesh.SHOWN, mesh.LABELS]] = 0
         c[mesh.FRAME] = (c[mesh.FRAME] + 1) % (1 << 31)
         budget = -1 if triangles is None else triangles
-        steps = -1 if seconds is None else STEPS
         reason, drifts, settled = frame.ROOM, 0, False
         most = self.field.tiles_read + ahead.PATIENCE * len(self.field.pages.used)
         while reason != frame.DONE:
             self.field.begin()
-            reason = int(frame.run_frame(self._state, budget, steps))
+            reason = self._go_on(budget, deadline)
             if reason == frame.ROOM:
                 self._grow()
             elif reason == frame.DRIFT:
@@ -155,13 +155,34 @@ class Roam(RightTriangleMeshes):
                 self._blind = True
                 self._state.options[mesh.NEARNESS] = 0.0
                 self._renew()
-            spent = time.perf_counter() - began + self._pace * int(c[mesh.SHOWN])
-            late = seconds is not None and spent >= seconds
-            if late and c[mesh.RELABELLED]:
+            if deadline.is_near(self._strips()) and c[mesh.RELABELLED]:
                 self._split_mixed()
                 break
-            self.field.fetch(resumes=True)  # nodes keep what they need
-        return self._result(tolerance, triangles, seconds, reason == frame.DONE)
+            self._fetch(deadline)
+        return self._result(goal, reason == frame.DONE)
+
+    def _strips(self) -> float:
+        """Seconds that the strips of what has come in this frame will take."""
+        return self._stripping.unit * int(self._state.counts[mesh.SHOWN]) if self.strips else 0.0
+
+    def _go_on(self, budget: int, deadline: Deadline) -> int:
+        """``run_frame``, with as many steps as fit."""
+        c = self._state.counts
+        left, done = deadline.left(self._strips()), int(c[mesh.COMPUTED])
+        # (What is due, splits, and merges may each take so many.)
+        steps = -1 if deadline.seconds is None else self._pace.fitting(left / PARTS)
+        reason = int(frame.run_frame(self._state, budget, steps))
+        if deadline.seconds is not None:
+            self._pace.learn(left - deadline.left(self._strips()), int(c[mesh.COMPUTED]) - done)
+        return reason
+
+    def _fetch(self, deadline: Deadline) -> None:
+        """Read the pages that are missed, of which nodes keep what they need; with a deadline those that fit."""
+        left, read = deadline.left(self._strips()), self.field.tiles_read
+        most = None if deadline.seconds is None else max(1, int(left / self._reading.unit))
+        self.field.fetch(resumes=True, most=most)
+        if deadline.seconds is not None and (count := self.field.tiles_read - read):
+            self._reading.unit += EASE * ((left - deadline.left(self._strips())) / count - self._reading.unit)
 
     def _split_mixed(self) -> None:
         """Split what is part surface and part hole, late or not: a mesh that bridges or leaves out ground is none."""
@@ -301,19 +322,21 @@ class Roam(RightTriangleMeshes):
         """Whether the last frame ran out of time before all that was due was computed."""
         return bool(self._state.counts[mesh.STAGE] == 0)
 
-    def _result(self, tolerance: float | None, triangles: int | None, seconds: float | None, done: bool) -> Mesh:
+    def _result(self, goal: Goal, done: bool) -> Mesh:
         self._restrip()
         s = self._state
         c = s.counts
         worst = int(queues.highest(s.occupied, queues.SPLIT))
-        reached: float | None = tolerance
-        if triangles is not None:
+        reached, within = goal.tolerance, True
+        if goal.triangles is not None:
             self._crossing = queues.largest_in(worst) if worst >= 0 else 0.0
             reached = max(self._crossing, float(s.options[mesh.LEAST])) * (1.0 + bounds.STALE)
-        elif seconds is not None:
-            reached = FINEST * max(1.0, queues.largest_in(worst))
-        within = done if seconds is not None else triangles is None or int(c[mesh.DRAWN]) <= triangles
-        if reached is not None and not math.isfinite(reached):
+            within = int(c[mesh.DRAWN]) <= goal.triangles
+        elif goal.seconds is not None:
+            # Of what was not computed again, or waits for a page, nothing is known.
+            known = done or not (self._is_behind or c[mesh.WAITING])
+            reached = FINEST * max(1.0, queues.largest_in(worst)) if known else None
+        if reached is None or not math.isfinite(reached):
             reached, within = None, False
         stats = {
             "splits": int(c[mesh.SPLITS]), "merges": int(c[mesh.MERGES]), "changed": int(c[mesh.SHOWN]),
@@ -340,5 +363,4 @@ class Roam(RightTriangleMeshes):
         while not stripping.restrip(self._state):
             self._grow()
             began = time.perf_counter()
-        if (shown := int(self._state.counts[mesh.SHOWN])) >= LEARNT:
-            self._pace = (time.perf_counter() - began) / shown
+        self._stripping.learn(time.perf_counter() - began, int(self._state.counts[mesh.SHOWN]))
