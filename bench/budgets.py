@@ -1,6 +1,6 @@
 """Budgets of time on a smooth flight: how well each method keeps them, and how fine its meshes are for the time.
 
-    python bench/budgets.py [HEIGHTS.npy | DEM | --size 4097] [--cell 30] [--frames 100] [--ms 5 --ms 10 …] [--method M]…
+    python bench/budgets.py [HEIGHTS.npy | DEM | --size 4097] [--cell 30] [--frames 100] [--ms 5 …] [--method M …]
 
 The flight is that of ``bench/roam.py``. Every method that can aim at a time is asked for a mesh in each of so many
 milliseconds; told are the median and the 95th percentile of a frame (milliseconds of the thread's own processor time;
