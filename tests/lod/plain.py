@@ -56,6 +56,30 @@ def terrain(heights, cell=30.0, angle=0.0, stretch=1.0) -> MemoryTerrain:
     return MemoryTerrain(np.ascontiguousarray(heights), Grid(heights.shape, transform, None), "test")
 
 
+def surface(z: np.ndarray, col: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Heights of the full-resolution surface: cells cut from their (even, even) to their (odd, odd) corner."""
+    i = np.minimum(row.astype(int), z.shape[0] - 2)
+    j = np.minimum(col.astype(int), z.shape[1] - 2)
+    v, u = row - i, col - j
+    a, b, c, d = z[i, j], z[i, j + 1], z[i + 1, j], z[i + 1, j + 1]
+    falling = (i + j) % 2 == 0  # cut from a to d
+    on_fall = np.where(u >= v, a + u * (b - a) + v * (d - b), a + v * (c - a) + u * (d - c))
+    on_rise = np.where(u + v <= 1, a + u * (b - a) + v * (c - a), d + (1 - u) * (c - d) + (1 - v) * (b - d))
+    return np.where(falling, on_fall, on_rise)
+
+
+def on_mesh(t, col: np.ndarray, row: np.ndarray) -> np.ndarray:
+    """Heights of a mesh over points; NaN off it."""
+    height = np.full(len(col), np.nan)
+    for p, q, r in t.vertices[t.triangles]:
+        area = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+        v = ((col - p[0]) * (r[1] - p[1]) - (row - p[1]) * (r[0] - p[0])) / area
+        w = ((q[0] - p[0]) * (row - p[1]) - (q[1] - p[1]) * (col - p[0])) / area
+        inside = (v >= -1e-12) & (w >= -1e-12) & (v + w <= 1 + 1e-12)
+        height[inside] = (p[2] + v * (q[2] - p[2]) + w * (r[2] - p[2]))[inside]
+    return height
+
+
 class Refiner:
     """A method that is asked for meshes of views, at one exaggeration; it has the method's attributes, too."""
 

@@ -15,30 +15,6 @@ from orograph.lod.roam import Roam
 from orograph.viewpoint import View
 
 
-def surface(z: np.ndarray, col: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Heights of the full-resolution surface: cells cut from their (even, even) to their (odd, odd) corner."""
-    i = np.minimum(row.astype(int), z.shape[0] - 2)
-    j = np.minimum(col.astype(int), z.shape[1] - 2)
-    v, u = row - i, col - j
-    a, b, c, d = z[i, j], z[i, j + 1], z[i + 1, j], z[i + 1, j + 1]
-    falling = (i + j) % 2 == 0  # cut from a to d
-    on_fall = np.where(u >= v, a + u * (b - a) + v * (d - b), a + v * (c - a) + u * (d - c))
-    on_rise = np.where(u + v <= 1, a + u * (b - a) + v * (c - a), d + (1 - u) * (c - d) + (1 - v) * (b - d))
-    return np.where(falling, on_fall, on_rise)
-
-
-def on_mesh(t, col: np.ndarray, row: np.ndarray) -> np.ndarray:
-    """Heights of a mesh over points; NaN off it."""
-    height = np.full(len(col), np.nan)
-    for p, q, r in t.vertices[t.triangles]:
-        area = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
-        v = ((col - p[0]) * (r[1] - p[1]) - (row - p[1]) * (r[0] - p[0])) / area
-        w = ((q[0] - p[0]) * (row - p[1]) - (q[1] - p[1]) * (col - p[0])) / area
-        inside = (v >= -1e-12) & (w >= -1e-12) & (v + w <= 1 + 1e-12)
-        height[inside] = (p[2] + v * (q[2] - p[2]) + w * (r[2] - p[2]))[inside]
-    return height
-
-
 def crossings(p, q) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(col, row, height) of a line where it meets any edge a mesh can have: all that is linear bends nowhere else."""
     p, q = np.array(p, float), np.array(q, float)
@@ -65,7 +41,7 @@ def test_lines_of_sight_on_the_mesh_are_those_on_the_surface(shape):
     lines = []
     for _ in range(24):
         ends = rng.uniform(0, 1, (2, 2)) * (shape[1] - 1, shape[0] - 1)
-        heights = surface(z, ends[:, 0], ends[:, 1]) + rng.choice([1.0, 5.0, 15.0])
+        heights = plain.surface(z, ends[:, 0], ends[:, 1]) + rng.choice([1.0, 5.0, 15.0])
         lines.append(tuple((float(c), float(r), float(h)) for (c, r), h in zip(ends, heights)))
     method = plain.refiner(Roam, t, line_of_sight=lines, cull=False)
     coarse = plain.refiner(Roam, t, cull=False).refine(far_view(t), tolerance=50)
@@ -75,9 +51,9 @@ def test_lines_of_sight_on_the_mesh_are_those_on_the_surface(shape):
     seen, wrong = [], 0
     for p, q in lines:
         col, row, height = crossings(p, q)
-        free = bool((surface(z, col, row) <= height).all())
-        assert bool((on_mesh(found, col, row) <= height).all()) == free
-        wrong += bool((on_mesh(coarse, col, row) <= height).all()) != free
+        free = bool((plain.surface(z, col, row) <= height).all())
+        assert bool((plain.on_mesh(found, col, row) <= height).all()) == free
+        wrong += bool((plain.on_mesh(coarse, col, row) <= height).all()) != free
         seen.append(free)
     assert 3 < sum(seen) < 21 and wrong > 0  # there was something to decide, and without the term it is wrong
 
@@ -95,8 +71,8 @@ def test_the_ground_beneath_objects_is_exact(metres):
     )
     at, turn = np.sqrt(rng.uniform(0, 1, 800)) * radius, rng.uniform(0, 2 * np.pi, 800)
     c, r = col + at * np.cos(turn), row + at * np.sin(turn)
-    assert np.abs(on_mesh(found, c, r) - surface(z, c, r)).max() <= metres + 1e-4
-    assert np.abs(on_mesh(plainly, c, r) - surface(z, c, r)).max() > 5
+    assert np.abs(plain.on_mesh(found, c, r) - plain.surface(z, c, r)).max() <= metres + 1e-4
+    assert np.abs(plain.on_mesh(plainly, c, r) - plain.surface(z, c, r)).max() > 5
     assert len(found.triangles) < 2000
 
 
@@ -109,15 +85,23 @@ def facing(t, found, view) -> np.ndarray:
         c0, r0 = corners[:, :2].min(0).astype(int)
         c1, r1 = corners[:, :2].max(0).astype(int)
         signs = set()
+        (x0, y0), (x1, y1), (x2, y2) = corners[:, :2]
         for i in range(r0, r1):
             for j in range(c0, c1):
-                for a, b in (
-                    (z[i, j + 1] - z[i, j], z[i + 1, j] - z[i, j]),
-                    (z[i + 1, j + 1] - z[i + 1, j], z[i + 1, j + 1] - z[i, j + 1]),
-                    (z[i, j + 1] - z[i, j], z[i + 1, j + 1] - z[i, j + 1]),
-                    (z[i + 1, j + 1] - z[i + 1, j], z[i + 1, j] - z[i, j]),
-                ):
-                    signs.add(view.eye[2] - z[i, j] - a * (col - j) - b * (row - i) > 0)
+                a, b, c, d = z[i, j], z[i, j + 1], z[i + 1, j], z[i + 1, j + 1]
+                # (gradients, where the middle is; b and c lie on both triangles or on one each)
+                two = (
+                    ((b - a, d - b, 2, 1), (d - c, c - a, 1, 2)) if (i + j) % 2 == 0
+                    else ((b - a, c - a, 1, 1), (d - c, d - b, 2, 2))
+                )  # fmt: skip
+                for h_c, h_r, u, v in two:
+                    x, y = j + u / 3, i + v / 3
+                    sides = [(p - x) * (s - y) - (q - y) * (r - x)
+                             for p, q, r, s in ((x0, y0, x1, y1), (x1, y1, x2, y2), (x2, y2, x0, y0))]  # fmt: skip
+                    if min(sides) < 0 < max(sides):
+                        continue
+                    k, m, height = (i + 1, j, c) if v == 2 else (i, j + 1, b)
+                    signs.add(view.eye[2] - height - h_c * (col - m) - h_r * (row - k) > 0)
         result.append(1 if signs == {True} else -1 if signs == {False} else 0)
     return np.array(result)
 
@@ -166,16 +150,32 @@ def test_only_what_is_hidden_is_taken_for_hidden():
     known = plain.triangles_of(usual)
     coarser = [v for v in found.vertices[found.triangles] if frozenset(map(tuple, v[:, :2])) not in known]
     checked = 0
-    for corners in coarser[:40]:
+    for corners in coarser:
         for c, r, h in corners:
             s = np.linspace(0, 1, 2000)[1:-1]
             cs, rs = col + s * (c - col), row + s * (r - row)
             on = (cs >= 0) & (cs <= 128) & (rs >= 0) & (rs <= 128)
-            above = surface(z, cs[on], rs[on]) - (view.eye[2] + s[on] * (h - view.eye[2]))
+            above = plain.surface(z, cs[on], rs[on]) - (view.eye[2] + s[on] * (h - view.eye[2]))
             if min(corners[:, 1]) < 55:
                 assert above.max() > 0
                 checked += 1
     assert checked > 10
+
+
+def test_ground_turned_away_gets_coarser_wherever_it_lies():
+    """Waves, seen from low: their far sides are turned away, and near sides of the same blocks are not."""
+    rng = np.random.default_rng(3)
+    rows = np.arange(129)[:, None]
+    z = 120 * np.cos(rows * 2 * np.pi / 32) + 2 * rng.normal(size=(129, 129))
+    t = plain.terrain(z.astype(np.float32), cell=30)
+    x, y = (float(v) for v in t.grid.xy(64, 128))
+    view = View((x, y - 500, 300.0), (x, y + 4000, 0.0), fov_y=60, width=800, height=600)
+    usual = plain.refiner(Roam, t).refine(view, tolerance=0.5)
+    found = plain.refiner(Roam, t, back_facing=0.0).refine(view, tolerance=0.5)
+    turned, left = (facing(t, mesh, view) for mesh in (usual, found))
+    assert (turned == -1).sum() > 1000 and (left == -1).sum() < 0.5 * (turned == -1).sum()
+    towards = {frozenset(map(tuple, v[:, :2])) for v in usual.vertices[usual.triangles[turned == 1]]}
+    assert len(towards) > 1000 and len(towards & plain.triangles_of(found)) > 0.95 * len(towards)
 
 
 def test_silhouettes_get_finer_and_only_where_they_can_run():

@@ -471,6 +471,28 @@ def test_a_raster_smaller_than_a_patch():
         assert method.legs <= 16 and report.ok(1.0)
 
 
+@pytest.mark.parametrize("holes", [False, True])
+def test_budgets_are_kept_by_an_eye_near_the_ground(holes):
+    """Errors around it have no bound, and no tolerance leads to few triangles; edges of missing ground stay."""
+    rng = np.random.default_rng(17)
+    z = plain.rough(rng, (1025, 1025))
+    if holes:
+        z[300:308, 500:511] = z[700:703, 90:94] = np.nan
+    t = plain.terrain(z)
+    x, y = (float(v) for v in t.grid.xy(512, 900))
+    height = float(z[900, 512]) + 2
+    view = View((x, y, height), (x, y + 1000, height - 50), fov_y=50, width=1280, height=720)
+    method = plain.refiner("triangle-patches", t)
+    least = len(method.refine(view, tolerance=1e6).triangles)
+    for budget in (least // 4, 2 * least):
+        mesh = method.refine(view, triangles=budget)
+        within = mesh.stats["within_budget"]
+        assert within == (len(mesh.triangles) <= budget) and within >= (budget > least or not holes)
+        assert budget / 4 < len(mesh.triangles) < max(budget + 1, 0.75 * least)
+        assert not verify.judge_mesh(mesh, t, view).defects
+        assert mesh.stats["conservative"] == (budget > least)
+
+
 def test_budgets():
     t = plain.terrain(plain.rough(np.random.default_rng(12), (257, 257)))
     view = plain.random_view(np.random.default_rng(14), t)  # the eye is above the ground, not in it

@@ -114,12 +114,13 @@ class Field:
         self.pages.count[0] = 0
         return asked
 
-    def fetch(self, *, resumes: bool = False) -> bool:
+    def fetch(self, *, resumes: bool = False, most: int | None = None) -> bool:
         """Read the pages that were missed since ``begin``; whether there were any.
 
         Args:
             resumes: the refinement goes on from where it missed them and asks again for what it still lacks, so any
                 other page may leave, and only as many are read as there is room for.
+            most: of those that resume, at most so many.
 
         Raises:
             UsageError: the pages one refinement needs do not fit into the memory allowed.
@@ -131,7 +132,7 @@ class Field:
             return False
         order = np.lexsort((np.arange(len(self._last)), self._last, self._holds >= 0))  # free ones, then oldest
         if resumes:
-            wanted = wanted[: len(order)]
+            wanted = wanted[: len(order) if most is None else min(most, len(order))]
             count = len(wanted)
         else:
             order = order[(self._holds[order] < 0) | (self._last[order] < self._round)]

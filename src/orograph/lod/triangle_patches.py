@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Self
 
 import numpy as np
@@ -203,12 +203,16 @@ class TrianglePatches(RightTriangles):
         """
         began = time.perf_counter()
 
-        def at(tolerance: float) -> Patches:
-            return self.patches(camera, tolerance, ready, geomorph=self.geomorph)
+        def at(tolerance: float, estimated: bool = False) -> Patches:
+            return self.patches(camera, tolerance, ready, geomorph=self.geomorph, estimated=estimated)
 
         patches = at(goal.tolerance) if goal.tolerance is not None else by_tolerance(at, goal, self._last)
-        tolerance = goal.tolerance if goal.tolerance is not None else patches.tolerance
-        promised = self.conservative and patches.within
+        bounded = goal.triangles is None or patches.within
+        if not bounded:
+            # Around an eye near the ground errors have no bound: where they count for all that, it takes too many.
+            patches = by_tolerance(partial(at, estimated=True), goal, self._last)
+        tolerance = goal.tolerance if goal.tolerance is not None else patches.tolerance if bounded else None
+        promised = self.conservative and patches.within and bounded
         stats: dict[str, Any] = {
             "method": self.info.name, "error": self.error, "metric": self.metric.name, "tolerance": tolerance,
             "conservative": promised, "exaggeration": camera.exaggeration,
@@ -246,6 +250,7 @@ class TrianglePatches(RightTriangles):
         frustum: NDArray[np.float64] | None = None,
         geomorph: bool = True,
         rim: float | None = None,
+        estimated: bool = False,
     ) -> Patches:
         """The patches of a view, for renderers and benches.
 
@@ -263,6 +268,8 @@ class TrianglePatches(RightTriangles):
             rim: how much of a triangle's longest edge counts as the error where ground ends: 1 where triangles with a
                 missing corner are left out, 0.5 for a renderer that fills corners whose surroundings are half there,
                 more for edges right to a part of a pixel; None: edges of missing ground are kept to the sample.
+            estimated: take a guess at errors that have no bound, for budgets that no tolerance keeps: diamonds around
+                an eye near the ground are else split to the end.
 
         Raises:
             UsageError: an argument makes no sense, or more pages are needed than memory allows.
@@ -278,6 +285,7 @@ class TrianglePatches(RightTriangles):
             lens, eye, frustum is not None, self.metric.number, bool(self.cull if cull is None else cull),
             float(tolerance / KAPPA if geomorph else tolerance), float(tolerance), plan,
             self._unbounded if rim is None else rim * self._holes,
+            self.legs * cell_size(self.terrain) if estimated else 0.0,
         )  # fmt: skip
         there = self._all if ready.tiles is None else ready.tiles
         if there.shape != self._all.shape or there.dtype != np.uint8:

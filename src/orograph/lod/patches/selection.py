@@ -52,6 +52,8 @@ class Bounds(NamedTuple):
         split_at, whole_at: pixels at which diamonds are split, and at which their geomorph is over.
         plan: pixels per metre in a plan, else 0.
         holes: float64 (2n + 1,), the longest edge of the triangles of a level's patches, metres.
+        away: metres from which an error without a bound is taken to be seen, the same for all diamonds, so that none
+            counts for more than its parents; 0: such a diamond is split whatever the tolerance.
     """
 
     camera: CameraParameters
@@ -63,6 +65,7 @@ class Bounds(NamedTuple):
     whole_at: float
     plan: float
     holes: NDArray[np.float64]
+    away: float
 
 
 class Tiles(NamedTuple):
@@ -201,6 +204,8 @@ def error_in_view(pages, bounds, key, level, z, e, r, inside):
         away, _ = outside(bounds.eye, col, row, z, r * (1.0 + 1e-9), 0)
         seen = not away
     pixels = sphere_bound(camera, bounds.metric if seen else ISOTROPIC_PUBLISHED, x, y, w, abs(e), r)
+    if bounds.away > 0.0 and pixels == np.inf:
+        pixels = camera.focal * abs(e) * camera.exaggeration / bounds.away
     if e < 0.0:
         # What is missing shows to the longest edge.
         edge = bounds.holes[level]

@@ -32,7 +32,8 @@ from orograph.error.screen import (
 from orograph.lod.criterion import color_error
 from orograph.lod.roam.mesh import EMPTY, LOADED, METRIC, RATE
 from orograph.lod.roam.queues import PER_OCTAVE
-from orograph.lod.roam.volumes import corner, straddles
+from orograph.lod.roam.terms import HEIGHT, STEEPNESS
+from orograph.lod.roam.volumes import corner, seen_from, straddles
 
 STALE = 2.0 ** (1.0 / PER_OCTAVE) - 1.0
 """How far, as a share of it, a priority between the thresholds may have moved before it is computed again: the width of
@@ -127,3 +128,18 @@ def screen(node, edge, camera, options, low, high):
             if color_exceeds(camera, c, w, r):
                 bound = max(bound, options[RATE] * c / max(camera.color_tolerance, 1e-6))
     return bound, slack
+
+
+@leaf
+def around(node, edge, terms, camera, low, high):
+    """(the bound in pixels at a volume's least distance, the motion for which it stays out of (low, high))."""
+    e = np.float64(node.error) * camera.focal * camera.exaggeration
+    if not 0.0 < e < np.inf:
+        return 0.0, np.inf
+    flat = seen_from(node, edge, terms)[0]
+    up = max(max(node.low - terms.eye[HEIGHT], terms.eye[HEIGHT] - node.high), 0.0) / terms.eye[STEEPNESS]
+    d = np.sqrt(flat * flat + up * up)
+    bound = e / d if d > 0.0 else np.inf
+    if bound <= low:
+        return bound, d - e / low
+    return bound, e / high - d if bound > high and high > 0.0 else (np.inf if bound > high else 0.0)

@@ -12,6 +12,7 @@ import numpy as np
 from orograph._numba import leaf
 from orograph.lod.roam.changes import assess, force_split, merge_diamond, wait
 from orograph.lod.roam.mesh import (
+    COMPUTED,
     CULL,
     DRAWN,
     EMPTY,
@@ -181,29 +182,32 @@ def is_full(s):
 
 @leaf
 def by_tolerance(s, steps):
-    """Split what exceeds the tolerance, then merge what need not be split, at most so many of each."""
-    left = steps
+    """Split what exceeds the tolerance, then merge what need not be split, for at most so many steps each.
+
+    Each is a step, and so is every priority that has to be computed for it.
+    """
+    taken, begun = 0, s.counts[COMPUTED]
     while True:
         bucket = highest(s.occupied, SPLIT)
-        if bucket < UNITY or left == 0:
+        more = bucket >= UNITY
+        if not more or 0 <= steps <= taken + s.counts[COMPUTED] - begun:
             break
         if is_full(s):
             return ROOM
-        left -= 1
+        taken += 1
         i = np.int64(s.heads[SPLIT, bucket])
         if not force_split(s, i):
             wait(s, i)
-    more = left == 0
-    left = steps
+    taken, begun = 0, s.counts[COMPUTED]
     while True:
         bucket = lowest(s.occupied, MERGE)
         if bucket >= UNITY:
             break
-        if left == 0:
+        if 0 <= steps <= taken + s.counts[COMPUTED] - begun:
             return LIMIT
         if is_full(s):
             return ROOM
-        left -= 1
+        taken += 1
         merge_diamond(s, np.int64(s.heads[MERGE, bucket]))
     return LIMIT if more else DONE
 
@@ -301,7 +305,7 @@ def run_frame(s, budget, steps):
         s: the state; ``counts[STAGE]`` is 0 until all that is due has been computed, ``counts[RENEW]`` the number of
             the next node to compute, from 1, if all are; ``counts[RELABELLED]`` is 0 until nothing in view is left out.
         budget: drawn triangles, or −1: the tolerance is the goal.
-        steps: how many priorities, splits and merges are allowed; −1 all that are needed.
+        steps: how many are allowed, of what is due, for splits and for merges; −1 all that are needed.
 
     Returns:
         DONE, PAGES, ROOM, LIMIT or DRIFT.

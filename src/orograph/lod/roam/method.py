@@ -12,22 +12,23 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error.screen import CAMERA, LOCALISED, WEDGIE
-from orograph.errors import UsageError
 from orograph.lod import look_ahead as ahead
 from orograph.lod.localise import STACK
 from orograph.lod.method import Goal, MethodInfo
-from orograph.lod.options import option
-from orograph.lod.right_triangles import BOUNDS, EVERY, METRIC, Mesh, MeshOptions, RightTriangleMeshes
+from orograph.lod.pace import EASE, Deadline, Pace
+from orograph.lod.right_triangles import BOUNDS, Mesh, RightTriangleMeshes
 from orograph.lod.roam import bounds, frame, mesh, queues, terms
 from orograph.lod.roam import strips as stripping
-from orograph.viewpoint import Camera, Point
+from orograph.lod.roam.blocks import NO_BLOCKS, blocks_of
+from orograph.lod.roam.horizon import find_hidden
+from orograph.lod.roam.options import RoamOptions
+from orograph.viewpoint import Camera
 
 FINEST = 0.25
 """Pixels to which a budget of time refines at most: finer is not seen, and would fill the memory of a still camera."""
@@ -36,73 +37,18 @@ BAND = 1.1
 """With a budget of triangles, priorities within this factor of the last crossing of the queues are kept up to date, to
 the width of a bucket (``bounds.STALE``)."""
 
-STEPS = 500
-"""Steps between two looks at the clock."""
+PARTS = 4.0
+"""One in so many parts of the time left is what splits may take until the next look at the clock."""
 
-LEARNT = 1000
-"""Triangles that come in a frame, from which on it tells how long the strips of a triangle take."""
-
-
-def _places(text: str) -> tuple[Point, ...]:
-    """Places ``COL:ROW:NUMBER`` with + between them."""
-    found = tuple(tuple(float(part) for part in place.split(":")) for place in text.split("+"))
-    if not all(len(place) == 3 and all(map(math.isfinite, place)) for place in found):
-        raise ValueError(f"Places are COL:ROW:NUMBER, with + between them, not {text!r}.")
-    return found  # type: ignore[return-value]
+CAPACITY = 1 << 20
+"""Nodes there is room for at first, where the raster has as many: memory that is not used takes none."""
 
 
-def _lines(text: str) -> tuple[tuple[Point, Point], ...]:
-    """Lines ``COL:ROW:METRES/COL:ROW:METRES`` with + between them."""
-    found = tuple(tuple(_places(end)[0] for end in line.split("/")) for line in text.split("+"))
-    if not all(len(line) == 2 for line in found):
-        raise ValueError(f"Lines of sight are COL:ROW:METRES/COL:ROW:METRES, with + between them, not {text!r}.")
-    return found  # type: ignore[return-value]
+UP = 1e12
+"""Metres: the height of the eye in a plan, from where nothing is turned away or hidden."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RoamOptions(MeshOptions):
-    """Options of ``roam``. See ``MeshOptions``; besides:
-
-    Raises:
-        UsageError: objects or lines of sight with an error that is no bound.
-    """
-
-    metric: str | None = option(None, METRIC, choices=EVERY)
-    deferral: bool = option(
-        True, "Compute priorities again only where they can have crossed the threshold (sec. 5.3); the mesh is the "
-        "same without.",
-    )  # fmt: skip
-    strips: str | None = option(
-        "kept", "Triangle strips: kept from frame to frame (sec. 5.2), rebuilt in each, or none: a list of triangles.",
-        choices=("kept", "rebuilt"),
-    )  # fmt: skip
-    back_facing: float = option(1.0, "Factor on priorities of ground that faces away from the eye.", least=0, most=1)
-    silhouette: float = option(1.0, "Factor on priorities where a silhouette can run.", least=1)
-    occluded: float = option(1.0, "Factor on priorities of ground hidden behind other ground.", least=0, most=1)
-    outside: float | None = option(
-        None, "Factor on priorities of ground out of view; what is in view counts for no less. None: 0, without "
-        "culling 1.", least=0, most=1,
-    )  # fmt: skip
-    objects: tuple[Point, ...] = option(
-        (), "What stands on the ground, which is there exact to object-tolerance: COL:ROW:RADIUS in cells, with + "
-        "between them.", read=_places,
-    )  # fmt: skip
-    object_tolerance: float = option(0.0, "Exactness of the ground under objects.", unit="metres", least=0)
-    line_of_sight: tuple[tuple[Point, Point], ...] = option(
-        (), "Lines that are free on the mesh if and only if they are on the full-resolution surface; what of them is "
-        "out of view is in the mesh with cull=no. COL:ROW:METRES/COL:ROW:METRES, with + between them.", read=_lines,
-    )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        super(RoamOptions, self).__post_init__()  # (super() alone fails in a dataclass with slots)
-        if (len(self.objects) or len(self.line_of_sight)) and self.error not in BOUNDS:
-            raise UsageError(f"Lines of sight and objects need an error that is a bound, not {self.error!r}.")
-
-    @property
-    def conservative(self) -> bool:
-        """As ``MeshOptions.conservative``; what is turned away or hidden is not held to the tolerance if it counts
-        less."""
-        return super(RoamOptions, self).conservative and min(self.back_facing, self.occluded) == 1.0
+SHARE = 16
+"""The share of the memory allowed that what lies under blocks may take: one in so many."""
 
 
 class Roam(RightTriangleMeshes):
@@ -128,23 +74,20 @@ class Roam(RightTriangleMeshes):
         a, b, _, d, e, _ = self.terrain.grid.samples[:6]
         inverse = np.linalg.inv([[a, b], [d, e]])
         self._terms = terms.Terms(
-            np.array(demands, np.float64).reshape(-1, 7), np.zeros((1, 6), np.float32), np.zeros(1, np.int64),
-            np.ones(1, np.int64), np.zeros((terms.SECTORS, terms.RINGS), np.float32),
+            np.array(demands, np.float64).reshape(-1, 7), NO_BLOCKS,
+            np.zeros((terms.SECTORS, terms.RINGS) if o.occluded < 1 else (1, 1), np.float32), np.zeros(5),
             np.array([o.back_facing, o.silhouette, o.occluded, outside]),
-            np.array([0, 0, 0, np.abs(inverse).max() * math.sqrt(2), 1.0,
-                      (1 << terms.SHIFT) * max(self.terrain.grid.spacing)]),
-            np.array([a, b, d, e]),
+            np.array([0, 0, 0, np.abs(inverse).max() * math.sqrt(2), 1.0]), np.array([a, b, d, e]),
         )  # fmt: skip
         if o.back_facing < 1 or o.silhouette > 1 or o.occluded < 1:
-            blocks, base, width = terms.blocks_of(self.terrain)
-            self._terms = self._terms._replace(blocks=blocks, base=base, width=width)
+            self._terms = self._terms._replace(blocks=blocks_of(self.terrain, self.resources.max_memory // SHARE))
         self.restart()
 
     def restart(self) -> None:
         """Forget the mesh: the next view begins from two triangles."""
         low, high = self.terrain.height_range
         low, high = (0.0, 0.0) if math.isnan(low) else (low, high)
-        capacity = 1 << 14
+        capacity = max(1 << 10, min(CAPACITY, 4 << 2 * self.field.n))
         counts = np.zeros(mesh.COUNTS, np.int64)
         counts[[mesh.TOP, mesh.FREED, mesh.LEAVES, mesh.UNUSED]] = 2, -1, 2, -1
         options = np.zeros(mesh.OPTIONS)
@@ -180,26 +123,25 @@ class Roam(RightTriangleMeshes):
         )
         self._crossing = 0.0
         self._blind = False  # memory is too small to look ahead
-        self._pace = 0.0  # seconds that the strips of a triangle that comes take
+        self._pace, self._stripping, self._reading = Pace(), Pace(5e-7), Pace(2e-3)
         self._seen: tuple[Any, ...] | None = None
         self._pose: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     # ---- a frame -----------------------------------------------------------------------------------------------------
 
     def _refine(self, camera: Camera, goal: Goal) -> Mesh:
-        began = time.perf_counter()
-        tolerance, triangles, seconds = goal.tolerance, goal.triangles, goal.seconds
+        deadline = Deadline(goal.seconds)
+        triangles = goal.triangles
         self._look(camera, goal)
         c = self._state.counts
         c[[mesh.SPLITS, mesh.MERGES, mesh.COMPUTED, mesh.SHOWN, mesh.LABELS]] = 0
         c[mesh.FRAME] = (c[mesh.FRAME] + 1) % (1 << 31)
         budget = -1 if triangles is None else triangles
-        steps = -1 if seconds is None else STEPS
         reason, drifts, settled = frame.ROOM, 0, False
         most = self.field.tiles_read + ahead.PATIENCE * len(self.field.pages.used)
         while reason != frame.DONE:
             self.field.begin()
-            reason = int(frame.run_frame(self._state, budget, steps))
+            reason = self._go_on(budget, deadline)
             if reason == frame.ROOM:
                 self._grow()
             elif reason == frame.DRIFT:
@@ -213,13 +155,34 @@ class Roam(RightTriangleMeshes):
                 self._blind = True
                 self._state.options[mesh.NEARNESS] = 0.0
                 self._renew()
-            spent = time.perf_counter() - began + self._pace * int(c[mesh.SHOWN])
-            late = seconds is not None and spent >= seconds
-            if late and c[mesh.RELABELLED]:
+            if deadline.is_near(self._strips()) and c[mesh.RELABELLED]:
                 self._split_mixed()
                 break
-            self.field.fetch(resumes=True)  # nodes keep what they need
-        return self._result(tolerance, triangles, seconds, reason == frame.DONE)
+            self._fetch(deadline)
+        return self._result(goal, reason == frame.DONE)
+
+    def _strips(self) -> float:
+        """Seconds that the strips of what has come in this frame will take."""
+        return self._stripping.unit * int(self._state.counts[mesh.SHOWN]) if self.strips else 0.0
+
+    def _go_on(self, budget: int, deadline: Deadline) -> int:
+        """``run_frame``, with as many steps as fit."""
+        c = self._state.counts
+        left, done = deadline.left(self._strips()), int(c[mesh.COMPUTED])
+        # (What is due, splits, and merges may each take so many.)
+        steps = -1 if deadline.seconds is None else self._pace.fitting(left / PARTS)
+        reason = int(frame.run_frame(self._state, budget, steps))
+        if deadline.seconds is not None:
+            self._pace.learn(left - deadline.left(self._strips()), int(c[mesh.COMPUTED]) - done)
+        return reason
+
+    def _fetch(self, deadline: Deadline) -> None:
+        """Read the pages that are missed, of which nodes keep what they need; with a deadline those that fit."""
+        left, read = deadline.left(self._strips()), self.field.tiles_read
+        most = None if deadline.seconds is None else max(1, int(left / self._reading.unit))
+        self.field.fetch(resumes=True, most=most)
+        if deadline.seconds is not None and (count := self.field.tiles_read - read):
+            self._reading.unit += EASE * ((left - deadline.left(self._strips())) / count - self._reading.unit)
 
     def _split_mixed(self) -> None:
         """Split what is part surface and part hole, late or not: a mesh that bridges or leaves out ground is none."""
@@ -252,9 +215,10 @@ class Roam(RightTriangleMeshes):
         self._seen, self._pose = seen, (axes, eye)
         s.cameras[0] = lens
         s.terms.eye[:2] = np.ravel(self.terrain.grid.index(*view.eye[:2]))
-        s.terms.eye[terms.HEIGHT], s.terms.eye[terms.STEEPNESS] = view.eye[2], 1.0 / camera.exaggeration
-        if s.terms.factors[terms.OCCLUDED] < 1:
-            terms.hide_behind(s.terms, s.pages.edge)
+        height = view.eye[2] if view.projection == "perspective" else UP
+        s.terms.eye[terms.HEIGHT], s.terms.eye[terms.STEEPNESS] = height, 1.0 / camera.exaggeration
+        if s.terms.factors[terms.OCCLUDED] < 1 and (renew or moved or turned):
+            find_hidden(s.terms, camera, s.pages.edge, s.terms.factors[terms.OUTSIDE] > 0)
         s.options[mesh.TOLERANCE] = s.options[mesh.RATE] = goal
         if goal == 0:
             s.options[mesh.RATE] = 1.0
@@ -277,7 +241,7 @@ class Roam(RightTriangleMeshes):
 
         It is a matter of a tolerance; and where factors weigh what is seen, the bounds over volumes decide alone.
         """
-        plainly = self._terms.factors.tolist() == [1.0, 1.0, 1.0, 0.0]
+        plainly = self._terms.factors[[terms.SILHOUETTE, terms.OUTSIDE]].tolist() == [1.0, 0.0]
         looks = self.metric.number == LOCALISED and plainly and tolerance > 0.0
         return ahead.nearness(tolerance) if looks else 0.0
 
@@ -358,19 +322,21 @@ class Roam(RightTriangleMeshes):
         """Whether the last frame ran out of time before all that was due was computed."""
         return bool(self._state.counts[mesh.STAGE] == 0)
 
-    def _result(self, tolerance: float | None, triangles: int | None, seconds: float | None, done: bool) -> Mesh:
+    def _result(self, goal: Goal, done: bool) -> Mesh:
         self._restrip()
         s = self._state
         c = s.counts
         worst = int(queues.highest(s.occupied, queues.SPLIT))
-        reached: float | None = tolerance
-        if triangles is not None:
+        reached, within = goal.tolerance, True
+        if goal.triangles is not None:
             self._crossing = queues.largest_in(worst) if worst >= 0 else 0.0
             reached = max(self._crossing, float(s.options[mesh.LEAST])) * (1.0 + bounds.STALE)
-        elif seconds is not None:
-            reached = FINEST * max(1.0, queues.largest_in(worst))
-        within = done if seconds is not None else triangles is None or int(c[mesh.DRAWN]) <= triangles
-        if reached is not None and not math.isfinite(reached):
+            within = int(c[mesh.DRAWN]) <= goal.triangles
+        elif goal.seconds is not None:
+            # Of what was not computed again, or waits for a page, nothing is known.
+            known = done or not (self._is_behind or c[mesh.WAITING])
+            reached = FINEST * max(1.0, queues.largest_in(worst)) if known else None
+        if reached is None or not math.isfinite(reached):
             reached, within = None, False
         stats = {
             "splits": int(c[mesh.SPLITS]), "merges": int(c[mesh.MERGES]), "changed": int(c[mesh.SHOWN]),
@@ -397,5 +363,4 @@ class Roam(RightTriangleMeshes):
         while not stripping.restrip(self._state):
             self._grow()
             began = time.perf_counter()
-        if (shown := int(self._state.counts[mesh.SHOWN])) >= LEARNT:
-            self._pace = (time.perf_counter() - began) / shown
+        self._stripping.learn(time.perf_counter() - began, int(self._state.counts[mesh.SHOWN]))

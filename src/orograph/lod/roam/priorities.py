@@ -13,7 +13,9 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import leaf
-from orograph.lod.roam.bounds import screen
+from orograph.lod.roam.bounds import around, screen
+from orograph.lod.roam.facing import factor_of
+from orograph.lod.roam.horizon import is_hidden
 from orograph.lod.roam.lookahead import ABSENT, ACTIVE, foresee
 from orograph.lod.roam.mesh import (
     COMPUTED,
@@ -34,7 +36,7 @@ from orograph.lod.roam.mesh import (
     WAITING,
 )
 from orograph.lod.roam.queues import class_of, reach_of
-from orograph.lod.roam.terms import OCCLUDED, OUTSIDE, around, factor_of, is_hidden, is_pinned
+from orograph.lod.roam.terms import OCCLUDED, OUTSIDE, is_pinned
 from orograph.lod.roam.volumes import GAP, LABEL, ROOM, distance, frustum, inherited, load
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -106,7 +108,7 @@ def priority_of(nodes, pages, camera, clock, counts, options, terms, stack, work
             bound, slack = around(node, edge, terms, camera, options[LOW] / factor, options[HIGH] / factor)
         bound *= factor
         if terms.factors[OCCLUDED] < 1.0 and bound > options[LOW]:
-            slack = 0.0
+            lasting = 0.0
             if is_hidden(node, edge, terms):
                 bound *= terms.factors[OCCLUDED]
     else:
@@ -120,7 +122,7 @@ def priority_of(nodes, pages, camera, clock, counts, options, terms, stack, work
         )  # fmt: skip
         absent = verdict == ABSENT
         if not absent:
-            slack = holds
+            slack = min(holds, lasting) if verdict == ACTIVE else holds
             if verdict != ACTIVE:
                 bound = options[LOW]
     slack = min(slack, room)

@@ -20,7 +20,7 @@ from orograph.error.screen import plane_of, to_camera
 from orograph.lod.field import find
 from orograph.lod.roam.mesh import BOUND, EMPTY, LABELS, LOADED, PINNED, N
 from orograph.lod.roam.queues import class_of, reach_of
-from orograph.lod.roam.terms import is_pinned
+from orograph.lod.roam.terms import COL, ROW, is_pinned
 
 GAP, ROOM, LABEL = range(3)
 """What ``frustum`` leaves in ``State.work``."""
@@ -151,6 +151,37 @@ def distance(node, edge, camera):
         x, y, w = to_camera(camera, col, row, middle)
         most = max(most, x * x + y * y + w * w)
     return np.sqrt(most) * (1.0 + 1e-12) + (np.float64(node.high) - middle) * camera.exaggeration
+
+
+@leaf
+def seen_from(node, edge, terms):
+    """Of a footprint, seen from the eye: least and most distance, direction of its middle, angles from there.
+
+    The least distance is 0 where the eye is over it.
+    """
+    eye, to_metres = terms.eye, terms.to_metres
+    count = 4 if straddles(node, edge) else 3
+    xm = ym = 0.0
+    for k in range(count):
+        row, col = corner(node, edge, k)
+        xm += to_metres[0] * (col - eye[COL]) + to_metres[1] * (row - eye[ROW])
+        ym += to_metres[2] * (col - eye[COL]) + to_metres[3] * (row - eye[ROW])
+    near, far, left, right, px, py = np.inf, 0.0, np.inf, -np.inf, 0.0, 0.0
+    for at in range(count + 1):  # round it, and back to where it began
+        k = at % count
+        row, col = corner(node, edge, k ^ k >> 1 if count == 4 else k)
+        x = to_metres[0] * (col - eye[COL]) + to_metres[1] * (row - eye[ROW])
+        y = to_metres[2] * (col - eye[COL]) + to_metres[3] * (row - eye[ROW])
+        if at:
+            ex, ey = x - px, y - py
+            t = min(max(-(px * ex + py * ey) / max(ex * ex + ey * ey, 1e-300), 0.0), 1.0)
+            near = min(near, (px + t * ex) ** 2 + (py + t * ey) ** 2)
+        far = max(far, x * x + y * y)
+        turn = np.arctan2(xm * y - ym * x, xm * x + ym * y)
+        left, right = min(left, turn), max(right, turn)
+        px, py = x, y
+    over = right - left >= np.pi or (xm == 0.0 and ym == 0.0)
+    return 0.0 if over else np.sqrt(near), np.sqrt(far), np.arctan2(ym, xm), left, right
 
 
 @leaf

@@ -1,0 +1,110 @@
+"""Budgets of time on a smooth flight: how well each method keeps them, and how fine its meshes are for the time.
+
+    python bench/budgets.py [HEIGHTS.npy | DEM | --size 4097] [--cell 30] [--frames 100] [--ms 5 …] [--method M …]
+
+The flight is that of ``bench/roam.py``. Every method that can aim at a time is asked for a mesh in each of so many
+milliseconds; told are the median and the 95th percentile of a frame (milliseconds of the thread's own processor time;
+one thread), the triangles, and the tolerance that a frame says it kept, pixels: medians. *At best* is the tolerance
+with which the same method, asked for it outright, takes as long in the median of a flight: found by bisection, to 5 %.
+Frames before the tenth are left out: they compile, and learn what a pass takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from orograph.lod.method import Goal, Method, Resources
+from orograph.lod.registry import chosen, method_of, names
+from orograph.lod.right_triangles import FINEST
+from orograph.store.memory import MemoryTerrain
+from orograph.viewpoint import Camera, View
+from roam import flight, load
+from synthetic import synthetic
+
+FIRST = 10
+"""Frames that are left out."""
+
+NEAR = 1.05
+"""How near the bisection comes to the tolerance at best, as a factor."""
+
+
+def frames(method: Method, views: Sequence[View], goal: Goal) -> np.ndarray:
+    """(n, 3): milliseconds, triangles and the tolerance said, of the frames that count."""
+    rows = []
+    for view in views:
+        camera = Camera.over(method.terrain.grid, view)
+        began = time.thread_time()
+        if method.info.kind == "triangles":
+            mesh, _ = method.mesh(camera, goal)  # type: ignore[attr-defined]
+            count, reached = mesh.triangles, mesh.tolerance if mesh.within or method.info.incremental else None
+        else:
+            selection = method.select(camera, goal)
+            count, reached = selection.stats["triangles"], selection.stats["tolerance"]
+        took = (time.thread_time() - began) * 1e3
+        rows.append((took, count, math.nan if reached is None else reached))
+    return np.array(rows[FIRST:])
+
+
+def make(text: str, t: MemoryTerrain) -> Method:
+    return chosen(text).make(t, Resources(jobs=1))
+
+
+def at_best(text: str, t: MemoryTerrain, views: Sequence[View], ms: float) -> float:
+    """The finest tolerance that takes at most so many milliseconds in the median."""
+    method = make(text, t)
+
+    def takes(tolerance: float) -> float:
+        return float(np.median(frames(method, views, Goal(tolerance))[:, 0]))
+
+    low, high = FINEST, 1.0
+    while takes(high) > ms and high < 1024.0:
+        low, high = high, 2.0 * high
+    if high == 1.0:
+        while high > FINEST and takes(high / 2.0) <= ms:
+            high /= 2.0
+        low = high / 2.0
+    while high / low > NEAR:
+        middle = math.sqrt(low * high)
+        if takes(middle) <= ms:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("heights", nargs="?", help="default: a synthetic terrain")
+    parser.add_argument("--size", type=int, default=4097, help="samples along a side of that")
+    parser.add_argument("--cell", type=float, default=30.0)
+    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--speed", type=float, default=100.0)
+    parser.add_argument("--ms", type=float, action="append", help="budgets; default: 5, 10, 20 and 50")
+    parser.add_argument("--method", action="append", help="default: all that can aim at a time")
+    parser.add_argument("--no-best", action="store_true", help="leave out what the time allows at best")
+    given = parser.parse_args()
+    t = load(given.heights, given.cell) if given.heights else synthetic(given.size, cell=given.cell)
+    views = flight(t, FIRST + given.frames, given.speed)
+    few = views[: FIRST + max(given.frames // 5, 5)]
+    print(f"{Path(t.name).name}, {given.frames} frames, {given.speed:.0f} m/s")
+    print(f"{'':28s} {'asked':>6s} {'median':>8s} {'95th':>8s} {'triangles':>10s} {'px':>8s} {'at best':>8s}")
+    for text in given.method or [name for name in names() if "seconds" in method_of(name).info.goals]:
+        for ms in given.ms or (5.0, 10.0, 20.0, 50.0):
+            found = frames(make(text, t), views, Goal(seconds=ms / 1e3))
+            taken, count, reached = np.nanmedian(found, axis=0)
+            best = "" if given.no_best else f"{at_best(text, t, few, ms):8.2f}"
+            print(
+                f"{text:28s} {ms:6.0f} {taken:8.2f} {np.quantile(found[:, 0], 0.95):8.2f} {count:10,.0f} "
+                f"{reached:8.2f} {best}",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
