@@ -30,7 +30,7 @@ def color_spec(shape: Shape, level: int, shard: int, chunk: int) -> ArraySpec:
 class Colors(Derived[dict[str, Any]]):
     """Color errors of one choice of colours, which a record tells (``color_store.made_with``). No options."""
 
-    name, version, group = "colors", 1, "colors"
+    name, version, group, later = "colors", 1, "colors", True
 
     def nothing(self) -> dict[str, Any]:
         return {}

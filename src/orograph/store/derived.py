@@ -42,6 +42,7 @@ class Derived(ABC, Generic[T]):
     Attributes:
         name: in records and needs. version: of its arrays. group: the group of a store that holds them.
         needs: names of the kinds that it is made of, besides heights.
+        later: whether it is put into complete stores, whose terrain stays the same.
         shared: whether several are put into its group one by one, so that the group's own document must not list them.
     """
 
@@ -49,6 +50,7 @@ class Derived(ABC, Generic[T]):
     version: ClassVar[int]
     group: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
+    later: ClassVar[bool] = False
     shared: ClassVar[bool] = False
 
     @abstractmethod

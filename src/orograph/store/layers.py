@@ -191,7 +191,7 @@ class StoredLayer:
 class Layers(Derived[dict[str, LayerRecord]]):
     """Layers by name. Options: ``layer``, a name, and what it must have been made with."""
 
-    name, version, group, shared = "layers", 1, GROUP, True
+    name, version, group, later, shared = "layers", 1, GROUP, True, True
 
     def nothing(self) -> dict[str, LayerRecord]:
         return {}

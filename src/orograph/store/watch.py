@@ -16,12 +16,10 @@ from typing import Any
 from orograph.errors import StoreError, StoreReplacedError
 from orograph.store.layout import Record
 from orograph.store.places import ROOT, left_over, missing
+from orograph.store.registry import KINDS
 from orograph.store.storage import FolderStorage, Storage
 
 EVERY = 0.02
-
-COMES_LATER = ("layers/", "diamonds/")
-"""What may be put into a store without replacing it lies below these."""
 
 
 class Watch:
@@ -81,9 +79,11 @@ class Watch:
 def _ground(record: Record) -> dict[str, Any]:
     """What does not change as long as it is the same terrain."""
     said = record.to_json()
+    groups = {kind.group for kind in KINDS.values() if kind.later}
     digests = {
         path: digest
         for path, digest in said["digests"].items()
-        if not path.startswith(COMES_LATER) and not path.endswith("zarr.json")
+        if path.partition("/")[0] not in groups and not path.endswith("zarr.json")
     }
-    return {**said, "digests": digests, "layers": None, "colors": None, "checksum": None}
+    derived = {name: told for name, told in said["derived"].items() if not KINDS[name].later}
+    return {**said, "digests": digests, "derived": derived, "checksum": None}
