@@ -3,7 +3,7 @@
 The array of level k has the level's shape and holds the diamonds of octave k: entry (i, j), i or j odd, belongs to the
 vertex (i·2^k, j·2^k). That of the top level is the whole padded square of side 2^(n − top) + 1; the octaves above have
 their entries there too, each vertex (row, col) at (row >> top, col >> top), where every diamond finds a place of its
-own because a vertex belongs to one octave only. See ``Terrain.diamonds`` for what the numbers mean.
+own because a vertex belongs to one octave only. See ``diamond_table`` for what the numbers mean.
 """
 
 from __future__ import annotations
