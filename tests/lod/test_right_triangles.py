@@ -202,3 +202,18 @@ def test_what_a_store_lacks_is_made_and_said(tmp_path):
         ]  # fmt: skip
         with pytest.raises(UsageError, match="no midpoint errors, and to make them in memory"):
             chosen("soar,error=midpoint").make(store, Resources(max_memory=1000))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "roam,objects=3:4:5+6.5:7:0.125", "roam,cull=no,line-of-sight=1:2:3/4:5:6.25+7:8:9/123456.5:1:2",
+        "roam,back-facing=0.2,occluded=0", "soar,geomorph=no",
+    ],
+)  # fmt: skip
+def test_a_choice_is_told_as_it_is_given(text):
+    """Windows and reports tell choices by their text."""
+    choice = chosen(text, "cpu")
+    again = chosen(str(choice), "cpu")
+    assert again.options == choice.options and str(again) == str(choice)
+    assert chosen("roam,objects=none", "cpu").options == chosen("roam", "cpu").options

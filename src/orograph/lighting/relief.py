@@ -125,6 +125,10 @@ def _gradients(pool, ints, floats, points, footprint, out, first, last):
         out[k, 0], out[k, 1] = gx, gy
 
 
+STRIP = 1 << 22
+"""Samples that are read at a time."""
+
+
 @dataclass(frozen=True, slots=True)
 class Tables:
     """Nested windows of rasters of box means, as kernels take them.
@@ -198,13 +202,22 @@ class Relief:
     def load(cls, terrain: Terrain, rectangles: list[Rectangle], jobs: int | None = None) -> Relief:
         """Read the means over ``rectangles`` (outermost first) and the levels between them that filtering needs."""
         tables = Tables.over(terrain, rectangles)
+        pool = np.empty(sum(r.samples for r in tables.windows), np.float32)
+        strips = [
+            (r, int(base), row, min(row + max(STRIP // (r.col1 - r.col0), 1), r.row1))
+            for r, (base, *_) in zip(tables.windows, tables.ints, strict=True)
+            for row in range(r.row0, r.row1, max(STRIP // (r.col1 - r.col0), 1))
+        ]
 
-        def read(r: Rectangle) -> NDArray[np.float32]:
-            return terrain.read_mean(r.level, r.row0, r.row1, r.col0, r.col1)
+        def read(strip: tuple[Rectangle, int, int, int]) -> None:
+            r, base, row0, row1 = strip
+            begin = base + (row0 - r.row0) * (r.col1 - r.col0)
+            values = terrain.read_mean(r.level, row0, row1, r.col0, r.col1)
+            pool[begin : begin + values.size] = values.ravel()
 
-        arrays = list(map_ordered(read, tables.windows, jobs))
-        pool = arrays[0].ravel() if len(arrays) == 1 else np.concatenate([a.ravel() for a in arrays])
-        return cls(np.ascontiguousarray(pool), tables.ints, tables.floats)
+        for _ in map_ordered(read, strips, jobs):
+            pass
+        return cls(pool, tables.ints, tables.floats)
 
     def gradient(self, points: Array, footprint: Array) -> Array:
         """Slope at points (n, 3) in sample coordinates, averaged over a footprint (n,) in samples.

@@ -105,6 +105,8 @@ class Described:
             return "none"
         if isinstance(value, bool):
             return "yes" if value else "no"
+        if isinstance(value, tuple):
+            return "+".join(_written(part) for part in value)
         return f"{value:g}" if isinstance(value, float) else str(value)
 
     def value(self, text: str) -> Any:
@@ -115,6 +117,8 @@ class Described:
         """
         if self.optional and text == "none":
             return None
+        if self.default == () and text in ("", "none"):
+            return ()
         if self.kind is bool:
             words = {"yes": True, "true": True, "on": True, "": True, "no": False, "false": False, "off": False}
             if text.lower() not in words:
@@ -144,6 +148,13 @@ class Described:
             fits = fits and value == value and abs(value) != float("inf")
         if not fits:
             raise UsageError(f"{called} is {self.span}, not {value!r}.")
+
+
+def _written(value: tuple[Any, ...]) -> str:
+    """A place of numbers, or a line of places, as methods' options have them."""
+    if isinstance(value[0], tuple):
+        return "/".join(map(_written, value))
+    return ":".join(repr(number).removesuffix(".0") for number in value)
 
 
 def described(options: type) -> tuple[Described, ...]:

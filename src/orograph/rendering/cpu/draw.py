@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.color import linear_to_srgb
 from orograph.memo import Memo
 from orograph.parallel import map_ordered
-from orograph.progress import SILENT, Progress
+from orograph.progress import SILENT, Progress, Task
 from orograph.rendering.cpu.ground import LEAST_MEMORY, Ground, fixed_memory
 from orograph.rendering.cpu.shading import Shader
 from orograph.rendering.gbuffer import Area
@@ -31,6 +32,7 @@ from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
 from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
 from orograph.store.memory import MemoryTerrain
+from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import View
 
@@ -67,43 +69,91 @@ def draw(
             furniture, or a mesh's edges.
         DamagedChunkError: a chunk that is needed fails its checksum.
     """
-    clock = [time.perf_counter()]
-    facts: dict[str, Any] = {}
+    clock, view = _Clock(), scene.view
     methods = memo  # of a single picture, the method's tiles need not stay
     memo = Memo() if memo is None else memo
-
-    def lap(name: str) -> None:
-        clock.append(time.perf_counter())
-        facts.setdefault("seconds", {})[name] = round(clock[-1] - clock[-2], 4)
-
-    view = scene.view
     if view.part is not None and (scene.annotations.furniture or scene.surface.wireframe):
         what = "furniture" if scene.annotations.furniture else "a wireframe"
         raise UsageError(f"A tile has no {what}: that belongs to the whole picture.")
     check_memory((view.width, view.height))
-    facts["warnings"] = diagnose(scene)
+    facts: dict[str, Any] = {"warnings": diagnose(scene)}
     for warning in facts["warnings"]:
         progress.warn(warning)
-    surface = bare = None
+    subject = _Subject(scene)
     if mesh is not None or mesh_choice(scene.surface.method, "cpu") is not None:
-        from orograph.rendering.cpu.mesh_surface import WINDOWS, refined, surface_of
+        subject = _meshed(scene, mesh, memo, methods, progress)
+        assert subject.mesh is not None
+        facts["mesh"] = {
+            "method": scene.surface.method, "triangles": len(subject.mesh.triangles), **subject.mesh.stats
+        }  # fmt: skip
+        clock.lap("mesh")
+    ground = _ground(subject, memo, progress)
+    clock.lap("heights")
+    canvas = _Canvas(subject, ground, memo, progress, clock)
+    facts |= canvas.facts
+    pixels, depth, void_filled = canvas.finished()
+    facts |= {"shader": canvas.shader.facts, "shown": canvas.shader.shown, "seconds": clock.seconds}
+    place = plan_grid(view, scene.terrain.grid.crs)
+    return Picture(
+        pixels, depth.astype(np.float32), view, facts, place, void_filled if void_filled.any() else None,
+        canvas.shader.tint,
+    )  # fmt: skip
 
-        if mesh is None:
-            asked = scene.surface, view.whole
-            mesh = memo("mesh", asked, lambda: refined(scene, progress, methods), scene.terrain)
-        made, terrain = mesh, scene.terrain
-        bare = scene.but(tolerance=None, method="auto", triangles=None, mesh_view=None, wireframe=False
-        )  # fmt: skip
-        facts["mesh"] = {"method": scene.surface.method, "triangles": len(mesh.triangles), **mesh.stats}
-        surface = memo("surface", id(terrain), lambda: surface_of(made, terrain, scene.budget.max_memory), mesh)
-        lap("mesh")
-        scene = scene.but(tolerance=0.0 if isinstance(surface, MemoryTerrain) else WINDOWS, triangles=None,
-            terrain=scene.terrain if scene.surface.wireframe else surface,
-        )  # fmt: skip
+
+class _Clock:
+    """Seconds of the parts of the work, by name."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        """What was done since the last one is so called."""
+        now = time.perf_counter()
+        self.seconds[name] = round(now - self._last, 4)
+        self._last = now
+
+
+@dataclass(frozen=True, slots=True)
+class _Subject:
+    """What a picture is of.
+
+    Attributes:
+        scene: as it is drawn. surface: a mesh's heights, if a mesh is drawn; bare: the scene of the terrain itself.
+    """
+
+    scene: Scene
+    surface: Terrain | None = None
+    bare: Scene | None = None
+    mesh: Tessellation | None = None
+
+
+def _meshed(
+    scene: Scene, mesh: Tessellation | None, memo: Memo, methods: Memo | None, progress: Progress
+) -> _Subject:  # fmt: skip
+    """The subject where a mesh is drawn: the one that is given, or the one that the scene's method makes."""
+    from orograph.rendering.cpu.mesh_surface import WINDOWS, refined, surface_of
+
+    terrain = scene.terrain
+    made = mesh or memo(
+        "mesh", (scene.surface, scene.view.whole), lambda: refined(scene, progress, methods), terrain
+    )  # fmt: skip
+    bare = scene.but(tolerance=None, method="auto", triangles=None, mesh_view=None, wireframe=False)
+    surface = memo("surface", id(terrain), lambda: surface_of(made, terrain, scene.budget.max_memory), made)
+    drawn = scene.but(
+        tolerance=0.0 if isinstance(surface, MemoryTerrain) else WINDOWS, triangles=None,
+        terrain=terrain if scene.surface.wireframe else surface,
+    )  # fmt: skip
+    return _Subject(drawn, surface, bare, made)
+
+
+def _ground(subject: _Subject, memo: Memo, progress: Progress) -> Ground:
+    """The ground of a picture, within its budget of memory; it is said where that is not enough."""
+    scene = subject.scene
     with progress.task("Reading heights"):
         # Edges of a mesh that was made for another camera are drawn over the ground that it leaves out, too.
         elsewhere = scene.surface.wireframe and scene.surface.mesh_view is not None
-        ground = Ground.load(scene, surface, memo, bare, None if elsewhere else mesh)
+        ground = Ground.load(scene, subject.surface, memo, subject.bare, None if elsewhere else subject.mesh)
         if ground.tolerance > scene.pixel_tolerance:
             progress.warn(
                 f"drawn within {ground.tolerance:.2g} pixels instead of {scene.pixel_tolerance:.2g}: more would not "
@@ -112,107 +162,132 @@ def draw(
     least = fixed_memory(scene) + LEAST_MEMORY
     if scene.budget.max_memory is not None and scene.budget.max_memory < least:
         progress.warn(f"a picture of this size takes about {least >> 20} MiB, more than `max_memory` allows.")
-    lap("heights")
-    inner = frame(scene)
-    lines = (
-        scene.annotations.silhouettes.fitted(view)
-        if scene.annotations.silhouettes and view.projection != "plan"
-        else None
-    )
-    # What is antialiased depends on the pixels around, and silhouettes do: a tile is drawn with a rim, left out then.
-    area = _rimmed(inner, view.whole, max(int(scene.surface.samples > 1), 0 if lines is None else rim(lines)))
-    with progress.task("Casting rays"):
-        survey = Survey.of(ground.rays)
-        if survey is None:
-            raise NothingInViewError(why_empty(scene), path=scene.terrain.name, remedy=what_to_do(scene))
-        buffer = ground.rays.surface.draw(area)
-        t, void_fill = buffer.depth, buffer.void_fill
-    lap("rays")
-    facts["windows"] = [{"level": r.level, "rows": r.row1 - r.row0, "cols": r.col1 - r.col0} for r in ground.windows]
-    facts["tolerance_px"] = ground.tolerance
-    own = slice(inner[0] - area[0], inner[1] - area[0]), slice(inner[2] - area[2], inner[3] - area[2])
-    facts["hit_fraction"] = float(np.isfinite(t[own]).mean())
-    with progress.task("Light and colour", total=2 * t.size) as task:
-        shader = Shader(scene, ground, survey, memo, progress)
-        lap("light")
-        wide = area[3] - area[2]
-        linear = np.empty((*t.shape, 3), np.float32)
-        flat, ft, fv = linear.reshape(-1, 3), t.ravel(), void_fill.ravel()
-        mine = np.zeros(t.shape, bool)
-        mine[own] = True
-        counted = mine.ravel()
-        wet = np.zeros(t.shape if shader.smooth else (0, 0), bool)
-        shores = wet.ravel()
+    return ground
+
+
+class _Canvas:
+    """A picture's pixels while they are drawn: cast, shaded, antialiased, outlined.
+
+    Raises:
+        NothingInViewError: no ground is in view.
+
+    Attributes:
+        shader: what gave the colours. facts: of the picture.
+    """
+
+    def __init__(self, subject: _Subject, ground: Ground, memo: Memo, progress: Progress, clock: _Clock) -> None:
+        scene = subject.scene
+        self.scene, self.mesh, self.ground, self.progress, self.clock = scene, subject.mesh, ground, progress, clock
+        view, inner = scene.view, frame(scene)
+        silhouettes = scene.annotations.silhouettes
+        self.lines = silhouettes.fitted(view) if silhouettes and view.projection != "plan" else None
+        # What is antialiased depends on the pixels around, and silhouettes do: a tile is drawn with a rim.
+        rim_ = max(int(scene.surface.samples > 1), 0 if self.lines is None else rim(self.lines))
+        self.area = area = _rimmed(inner, view.whole, rim_)
+        self.own = slice(inner[0] - area[0], inner[1] - area[0]), slice(inner[2] - area[2], inner[3] - area[2])
+        with progress.task("Casting rays"):
+            survey = Survey.of(ground.rays)
+            if survey is None:
+                raise NothingInViewError(why_empty(scene), path=scene.terrain.name, remedy=what_to_do(scene))
+            buffer = ground.rays.surface.draw(area)
+        self.survey, self.depth, self.void_fill = survey, buffer.depth, buffer.void_fill
+        clock.lap("rays")
+        self.facts: dict[str, Any] = {
+            "windows": [{"level": r.level, "rows": r.row1 - r.row0, "cols": r.col1 - r.col0} for r in ground.windows],
+            "tolerance_px": ground.tolerance,
+            "hit_fraction": float(np.isfinite(self.depth[self.own]).mean()),
+        }
+        self.linear = np.empty((*self.depth.shape, 3), np.float32)
+        mine = np.zeros(self.depth.shape, bool)
+        mine[self.own] = True
+        self.counted = mine.ravel()
+        with progress.task("Light and colour", total=2 * self.depth.size) as task:
+            self.shader = Shader(scene, ground, survey, memo, progress)
+            clock.lap("light")
+            self.wet = np.zeros(self.depth.shape if self.shader.smooth else (0, 0), bool)
+            self._shade(task)
+            if scene.surface.samples > 1:
+                self._antialias(task)
+            if self.lines is not None:
+                self._outline()
+
+    def _shade(self, task: Task) -> None:
+        """Colour all pixels by the rays through their centres."""
+        flat, depth, void_fill = self.linear.reshape(-1, 3), self.depth.ravel(), self.void_fill.ravel()
+        shader, rays, area = self.shader, self.ground.rays, self.area
+        wide, shores = area[3] - area[2], self.wet.ravel()
 
         def block(start: int) -> int:
-            i = np.arange(start, min(start + BLOCK, len(ft)))
+            i = np.arange(start, min(start + BLOCK, len(depth)))
             px, py = (a.astype(np.float64) + 0.5 for a in (area[2] + i % wide, area[0] + i // wide))
             water = shores[i[0] : i[-1] + 1] if shader.smooth else None
-            flat[i] = shader.color(ground.rays.meet(px, py, ft[i], fv[i]), px, py, counted[i], water)
+            flat[i] = shader.color(rays.meet(px, py, depth[i], void_fill[i]), px, py, self.counted[i], water)
             return len(i)
 
-        for n in map_ordered(block, range(0, len(ft), BLOCK), scene.budget.jobs):
+        for n in map_ordered(block, range(0, len(depth), BLOCK), self.scene.budget.jobs):
             task.advance(n)
-        lap("color")
-        if scene.surface.samples > 1:
-            found = find_edges(encode(linear))
-            if shader.smooth:
-                found &= find_depth_edges(t, view.whole, wet, np.isfinite(void_fill))
-            edges = by_squares(np.flatnonzero(found.ravel() & counted), area, ground.rays.surface.side)
-            facts["edge_fraction"] = len(edges) / (view.width * view.height)
-            offsets = pattern(scene.surface.samples)
-            few = max(1, EDGES // scene.surface.samples)
+        self.clock.lap("color")
 
-            def refine(start: int) -> int:
-                chosen = edges[start : start + few]
-                px = (area[2] + chosen % wide)[:, None] + offsets[None, :, 0]
-                py = (area[0] + chosen // wide)[:, None] + offsets[None, :, 1]
-                u, v = px.ravel(), py.ravel()
-                seen = ground.rays.surface.at(u, v)
-                colors = shader.color(ground.rays.meet(u, v, seen.depth, seen.void_fill), u, v)
-                flat[chosen] = colors.reshape(len(chosen), scene.surface.samples, 3).mean(1)
-                return len(chosen)
+    def _antialias(self, task: Task) -> None:
+        """Colour the pixels at edges anew, by several rays each."""
+        scene, shader, rays, area = self.scene, self.shader, self.ground.rays, self.area
+        flat, wide, samples = self.linear.reshape(-1, 3), area[3] - area[2], scene.surface.samples
+        found = find_edges(encode(self.linear))
+        if shader.smooth:
+            found &= find_depth_edges(self.depth, scene.view.whole, self.wet, np.isfinite(self.void_fill))
+        edges = by_squares(np.flatnonzero(found.ravel() & self.counted), area, rays.surface.side)
+        self.facts["edge_fraction"] = len(edges) / (scene.view.width * scene.view.height)
+        offsets, few = pattern(samples), max(1, EDGES // samples)
 
-            for n in map_ordered(refine, range(0, len(edges), few), scene.budget.jobs):
-                task.advance(n * len(ft) / max(1, len(edges)))
-            lap("antialiasing")
-        if lines is not None:
-            outlines = Outlines(lines, ground, area, scene.lighting.depths or survey.range)
-            outlines.draw(
-                linear, np.where(np.isfinite(void_fill), void_fill, t), pattern(scene.surface.samples), shader.air
-            )
-            lap("silhouettes")
-    linear, t, void_filled = linear[own], t[own], np.isfinite(void_fill[own])
-    if mesh is not None and scene.surface.wireframe:
-        from orograph.rendering.cpu.wireframe import draw_edges
+        def refine(start: int) -> int:
+            chosen = edges[start : start + few]
+            px = (area[2] + chosen % wide)[:, None] + offsets[None, :, 0]
+            py = (area[0] + chosen // wide)[:, None] + offsets[None, :, 1]
+            u, v = px.ravel(), py.ravel()
+            seen = rays.surface.at(u, v)
+            colors = shader.color(rays.meet(u, v, seen.depth, seen.void_fill), u, v)
+            flat[chosen] = colors.reshape(len(chosen), samples, 3).mean(1)
+            return len(chosen)
 
-        with progress.task("Drawing edges"):
-            free = None if shader.lines is None else shader.lines.gaps()
-            draw_edges(
-                linear,
-                t,
-                mesh,
-                scene.terrain.grid,
-                view,
-                exaggeration=scene.surface.exaggeration,
-                gaps=free,
-                jobs=scene.budget.jobs,
-            )
-        lap("edges")
-    pixels = encode(linear)
-    if scene.annotations.furniture:
-        from orograph.rendering.furniture.furnish import furnish
-        from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
+        for n in map_ordered(refine, range(0, len(edges), few), scene.budget.jobs):
+            task.advance(n * self.depth.size / max(1, len(edges)))
+        self.clock.lap("antialiasing")
 
-        drawn = Drawn(shader.tint, shader.shown, bool(shader.drapes), sampled(t, *t.shape), t[:, t.shape[1] // 2])
-        pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(t) | void_filled)
-        lap("furniture")
-    facts["shader"] = shader.facts
-    facts["shown"] = shader.shown
-    place = plan_grid(scene.view, scene.terrain.grid.crs)
-    return Picture(
-        pixels, t.astype(np.float32), scene.view, facts, place, void_filled if void_filled.any() else None, shader.tint
-    )
+    def _outline(self) -> None:
+        """Draw silhouettes."""
+        assert self.lines is not None
+        depths = self.scene.lighting.depths or self.survey.range
+        seen = np.where(np.isfinite(self.void_fill), self.void_fill, self.depth)
+        outlines = Outlines(self.lines, self.ground, self.area, depths)
+        outlines.draw(self.linear, seen, pattern(self.scene.surface.samples), self.shader.air)
+        self.clock.lap("silhouettes")
+
+    def finished(self) -> tuple[NDArray[np.uint8], Array, NDArray[np.bool_]]:
+        """The view's own pixels with edges of a mesh and furniture: bytes, depths, and where missing ground is."""
+        scene, view = self.scene, self.scene.view
+        linear, depth = self.linear[self.own], self.depth[self.own]
+        void_filled = np.isfinite(self.void_fill[self.own])
+        if self.mesh is not None and scene.surface.wireframe:
+            from orograph.rendering.cpu.wireframe import draw_edges
+
+            with self.progress.task("Drawing edges"):
+                free = None if self.shader.lines is None else self.shader.lines.gaps()
+                draw_edges(
+                    linear, depth, self.mesh, scene.terrain.grid, view, exaggeration=scene.surface.exaggeration,
+                    gaps=free, jobs=scene.budget.jobs,
+                )  # fmt: skip
+            self.clock.lap("edges")
+        pixels = encode(linear)
+        if scene.annotations.furniture:
+            from orograph.rendering.furniture.furnish import furnish
+            from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
+
+            shader = self.shader
+            seen = sampled(depth, *depth.shape), depth[:, depth.shape[1] // 2]
+            drawn = Drawn(shader.tint, shader.shown, bool(shader.drapes), *seen)
+            pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | void_filled)
+            self.clock.lap("furniture")
+        return pixels, depth, void_filled
 
 
 def session() -> Callable[[Scene], Picture]:

@@ -42,6 +42,9 @@ COARSEST = 1000.0
 FIXED_MEMORY = 300 << 20
 """Bytes a picture takes whatever the terrain: the interpreter and its libraries, maps of light, blocks of samples."""
 
+MEAN_BYTES = 4 * 4 / 3
+"""Of a sample of means, with the coarser levels around it."""
+
 LEAST_MEMORY = 24 << 20
 """Bytes of heights that are loaded even where --max-memory leaves no room for them."""
 
@@ -54,6 +57,23 @@ def fixed_memory(scene: Scene) -> int:
         pixels = min(pixels, band_pixels(scene.budget.max_memory))
     images = (scene.budget.max_memory or 0) // IMAGES if drawn(scene.data.layers) else 0
     return FIXED_MEMORY + BYTES_PER_PIXEL * pixels + images
+
+
+def budget_of(scene: Scene) -> float:
+    """Bytes that there are for heights and means."""
+    most = scene.budget.max_memory
+    return math.inf if most is None else max(most - fixed_memory(scene), LEAST_MEMORY)
+
+
+def means_of(scene: Scene, terrain: Terrain) -> list[Rectangle]:
+    """Windows of means about as fine as pixels, outermost first, or as fine as half of the memory for heights holds."""
+    pixels, most = 1.0, budget_of(scene) / 2
+    while True:
+        found = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, pixels, by="spacing")
+        fits = MEAN_BYTES * sum(r.samples for r in found) <= most
+        if fits or pixels > COARSEST or found[-1].level == terrain.levels - 1:
+            return found
+        pixels *= 1.25
 
 
 class Ground:
@@ -79,7 +99,7 @@ class Ground:
         self.caster = memo(
             "caster", (tuple(windows), jobs), lambda: Caster(load(surface, windows, jobs), shape, jobs), surface
         )
-        means = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, 1.0, by="spacing")
+        means = means_of(scene, terrain)
         self.relief = memo("relief", tuple(means), lambda: Relief.load(terrain, means, jobs), terrain)
         self.drawn = self.own = self.relief
         self.single = copy.copy(self.caster)
@@ -135,7 +155,7 @@ class Ground:
             ground = cls.load(scene.but(contours=None, max_memory=half), surface, memo, mesh=mesh)
             ground.bare = bare
             if scene.annotations.silhouettes is not None and scene.terrain is not bare.terrain:
-                means = rectangles(bare.terrain, scene.view.whole, scene.surface.exaggeration, 1.0, by="spacing")
+                means = means_of(scene, bare.terrain)
                 ground.own = memo(
                     "own relief",
                     tuple(means),
@@ -146,7 +166,7 @@ class Ground:
                 return ground
             ground.under = cls.load(bare.but(max_memory=half), None, memo)
             if surface is not None and surface is not scene.terrain:
-                means = rectangles(surface, scene.view.whole, scene.surface.exaggeration, 1.0, by="spacing")
+                means = means_of(scene, surface)
                 ground.drawn = memo(
                     "relief", tuple(means), lambda: Relief.load(surface, means, scene.budget.jobs), surface
                 )
@@ -159,13 +179,9 @@ class Ground:
                 tolerance, by = 0.7, "spacing"
             else:
                 tolerance *= scene.annotations.contours.finer(terrain, scene.view.whole, memo)
-        # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together, the means.
-        bytes_per_sample = 4 * (1 + 5 / 12) + 4 + 4
-        budget = (
-            math.inf
-            if scene.budget.max_memory is None
-            else max(scene.budget.max_memory - fixed_memory(scene), LEAST_MEMORY)
-        )
+        # Heights 4 bytes and their pyramids 5/12 of that, as much again while they are put together.
+        bytes_per_sample = 4 * (1 + 5 / 12) + 4
+        budget = budget_of(scene) - MEAN_BYTES * sum(r.samples for r in means_of(scene, terrain))
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
             return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0, memo, mesh)
         tolerance = tolerance or 0.05

@@ -79,19 +79,18 @@ def _method(window: Window) -> None:
         kind = method_of(every[at])
         choice = Choice(kind, kind.info.options())
         settings.method = str(choice)
-    options = [one for one in described(choice.info.options) if one.read is None]
+    options = described(choice.info.options)
     if not options or not imgui.tree_node("its options"):
         return
     for one in options:
-        moved, value = _widget(one, getattr(choice.options, one.name))
-        tip(f"{one.help} ({one.span})")
-        if moved:
-            try:
+        try:
+            moved, value = _widget(one, getattr(choice.options, one.name))
+            tip(f"{one.help} ({one.span})")
+            if moved:
                 choice = replace_option(choice, one.name, value)
-            except UsageError as error:  # it does not go with another option
-                window.session.messages.say(str(error))
-            else:
                 settings.method = str(choice)
+        except UsageError as error:  # it makes no sense, or does not go with another option
+            window.session.messages.say(str(error))
     imgui.tree_pop()
 
 
@@ -114,6 +113,9 @@ def _widget(one: Described, value: Any) -> tuple[bool, Any]:
         values = [*([None] if one.optional else []), *one.choices]
         moved, at = imgui.combo(label, values.index(value), [one.text(v) for v in values])
         return moved, values[at]
+    if one.read is not None:
+        moved, text = imgui.input_text(label, one.text(value), imgui.InputTextFlags_.enter_returns_true)
+        return moved, one.value(text) if moved else value
     if one.kind is str:
         return imgui.input_text(label, value or "", imgui.InputTextFlags_.enter_returns_true)
     if one.optional:
