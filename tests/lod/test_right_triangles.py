@@ -14,7 +14,7 @@ from orograph.errors import UsageError
 from orograph.lod import right_triangles
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.options import option
-from orograph.lod.registry import method_of, names
+from orograph.lod.registry import chosen, method_of, names
 from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
 from orograph.viewpoint import View
 
@@ -176,7 +176,6 @@ def test_methods_say_the_same_of_a_plain(name):
 def test_what_a_store_lacks_is_made_and_said(tmp_path):
     from orograph.dem.raster import Dem
     from orograph.lod.method import Resources
-    from orograph.lod.registry import chosen
     from orograph.progress import Progress
     from orograph.store.build import build
     from orograph.viewpoint import Camera
