@@ -84,7 +84,8 @@ def build(
         options: for ``Mosaic.open`` where ``source`` is files: ``crs``, ``resolution``, ``nodata``…
 
     Raises:
-        StoreError: something is there already, what was begun differs, or it cannot be written (disk full).
+        StoreError: something is there already, what was begun differs, the sources were changed meanwhile, or it cannot
+            be written (disk full).
         ReadError, UsageError: a source cannot be read or is not metric.
     """
     if overwrite and resume:
@@ -360,6 +361,12 @@ def _fill(
     )
     if kinds and seen:
         record = patches(record, writer, jobs, progress)
+    if raster.fingerprint() != plan["source"]:
+        storage.remove()
+        raise StoreError(
+            "Its sources were changed while it was built; what was built of them is removed.",
+            path=storage.url, remedy="Build it again when they are complete.",
+        )  # fmt: skip
     publish_record(storage, record)
 
 
