@@ -33,13 +33,20 @@ Key = tuple[str, tuple[int, int, int] | None]
 
 
 def _stamp(location: str) -> tuple[int, int, int] | None:
-    if location.startswith("/vsizip/{"):
-        location = location.removeprefix("/vsizip/{").partition("}")[0]
     try:
-        found = Path(location.removeprefix("/vsigzip/")).stat()
+        found = _on_disk(location).stat()
     except (OSError, ValueError):
         return None
     return found.st_mtime_ns, found.st_size, found.st_ino
+
+
+def _on_disk(name: str) -> Path:
+    """The file of a name of GDAL's: of what lies in an archive the archive."""
+    inside = re.match(r"/vsi(?:zip|tar|gzip|7z|rar)/\{?(.*)", name)
+    if inside is None:
+        return Path(name)
+    path = Path(inside[1].partition("}")[0])
+    return next((at for at in (path, *path.parents) if at.is_file()), path)
 
 
 def stamped(location: str) -> Key:
@@ -136,7 +143,7 @@ def states(names: Iterable[str]) -> list[str]:
     said = []
     for name in names:
         try:
-            found = Path(name).stat()
+            found = _on_disk(name).stat()
         except (OSError, ValueError):
             said.append(name)
         else:
@@ -151,6 +158,9 @@ def locate(path: str | os.PathLike[str]) -> str:
         ReadError: there is no such file, it is a directory, or a zip archive holds no or several rasters.
     """
     text = os.fspath(path)
+    packed = re.fullmatch(r"/vsizip/([^{].*?\.zip)/(.+)", text, re.IGNORECASE)
+    if packed is not None and Path(packed[1]).is_file():
+        return f"/vsizip/{{{packed[1]}}}/{packed[2]}"
     if "://" in text or text.startswith("/vsi") or (":" in text and not Path(text).exists() and text[1:2] != ":"):
         return text
     file = Path(text)

@@ -10,6 +10,7 @@ of a GeoTIFF of Deflate as they are read. Which formats need it was found by cut
   (``sizes``, ``hfa``, ``netcdf``).
 - GeoTIFF of Deflate: a stream that yields more than its block is taken for whole, its checksum unread (``deflate``).
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
+- VRT: what it is made of is read by the drivers above (``virtual``).
 - MRF of Deflate: a tile that does not decode is uninitialised. It has no checksum that could be compared: refused.
 
 Formats without checksums (raw samples, LZW…) cannot tell an altered number from a true one.
@@ -22,9 +23,10 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
-from orograph.dem.whole import hfa, netcdf, png, sizes, text
-from orograph.dem.whole.deflate import check_archived, check_blocks, deflated
+from orograph.dem.whole import deflate, hfa, netcdf, png, sizes, text
+from orograph.dem.whole.deflate import check_archived, deflated
 from orograph.dem.whole.files import DAMAGED, archived, local_file, main_file
+from orograph.dem.whole.virtual import check_parts
 from orograph.errors import ReadError
 
 __all__ = ["DAMAGED", "check_blocks", "check_file"]
@@ -83,3 +85,30 @@ def check_file(dataset: Any, location: str, key: object) -> None:
         _whole[key] = None
         while len(_whole) > _KNOWN:
             _whole.popitem(last=False)
+
+
+def check_blocks(dataset: Any, key: object, band: int, window: tuple[int, int, int, int], step: int = 1) -> None:
+    """Raise ReadError if what holds the samples of a window is damaged, in a way that GDAL would not notice.
+
+    Args:
+        dataset: of rasterio, open.
+        key: the file's name and state.
+        band: of the samples, from 1.
+        window: top, left, height, width; of which every ``step``-th row is wanted.
+    """
+    if dataset.driver == "VRT":
+        check_parts(dataset, key, window, _check_part)
+    else:
+        deflate.check_blocks(dataset, key, band, window, step)
+
+
+def _check_part(location: str, band: int, window: tuple[int, int, int, int] | None) -> None:
+    """Look at a window (None: all) of a file that a VRT is made of."""
+    from orograph.dem.handles import HANDLES, stamped
+
+    with HANDLES.borrow(location) as dataset:
+        top, left, height, width = window or (0, 0, dataset.height, dataset.width)
+        bottom, right = min(top + height, dataset.height), min(left + width, dataset.width)
+        top, left = max(top, 0), max(left, 0)
+        if top < bottom and left < right:
+            check_blocks(dataset, stamped(location), min(band, dataset.count), (top, left, bottom - top, right - left))
