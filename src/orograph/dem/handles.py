@@ -42,6 +42,7 @@ def _stamp(location: str) -> tuple[int, int, int] | None:
 
 def _on_disk(name: str) -> Path:
     """The file of a name of GDAL's: of what lies in an archive the archive."""
+    name = re.sub(r"^GTIFF_DIR:\d+:", "", name)
     inside = re.match(r"/vsi(?:zip|tar|gzip|7z|rar)/\{?(.*)", name)
     if inside is None:
         return Path(name)

@@ -37,7 +37,7 @@ from orograph.dem.header import assumed_vertical, place_of, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
-from orograph.dem.whole import DAMAGED, check_blocks
+from orograph.dem.whole import DAMAGED, check_blocks, check_mask
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
 from orograph.geo.vertical import known_datum
@@ -234,6 +234,8 @@ class Source:
                 out[i0:i1, j0:j1] = self._decode(dataset, top, left, height, width, step)
                 for band in self._bands_read(dataset):  # (after GDAL has seen that they are there)
                     check_blocks(dataset, key, band, (top, left, height, width), step)
+                if self._mask == "gdal":
+                    check_mask(dataset, (top, left, height, width))
         if stamped(self.location) != self._opened:
             raise ReadError("The file was changed after it was opened.", path=self.path, remedy="Open it again.")
         if self._flip_rows:

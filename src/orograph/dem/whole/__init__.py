@@ -25,11 +25,11 @@ from typing import Any
 
 from orograph.dem.whole import deflate, hfa, netcdf, png, sizes, text
 from orograph.dem.whole.deflate import check_archived, deflated
-from orograph.dem.whole.files import DAMAGED, archived, local_file, main_file
+from orograph.dem.whole.files import DAMAGED, archived, here, local_file, main_file
 from orograph.dem.whole.virtual import check_parts
 from orograph.errors import ReadError
 
-__all__ = ["DAMAGED", "check_blocks", "check_file"]
+__all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask"]
 
 
 def _refuse_deflate(dataset: Any, path: str) -> None:
@@ -56,6 +56,7 @@ _CHECKS: dict[str, Callable[[Any, str], str | None]] = {
 """Format → what is wrong with an open dataset of it, given the path of its file on this disk; None: nothing."""
 
 _KNOWN = 1024
+_DIRECTORIES = 8  # the mask comes before the overviews, or right behind the raster
 _whole: OrderedDict[object, None] = OrderedDict()
 _lock = threading.Lock()
 
@@ -102,8 +103,34 @@ def check_blocks(dataset: Any, key: object, band: int, window: tuple[int, int, i
         deflate.check_blocks(dataset, key, band, window, step)
 
 
+def check_mask(dataset: Any, window: tuple[int, int, int, int]) -> None:
+    """Raise ReadError if a window (as above) of the mask of a GeoTIFF is damaged: GDAL writes masks as Deflate."""
+    name = main_file(dataset)
+    if dataset.driver != "GTiff" or not here(name):
+        return
+    beside = next((file for file in dataset.files if str(file).endswith(".msk")), None)
+    location = _inner_mask(name, dataset.shape) if beside is None else str(beside)
+    if location is not None:
+        _check_part(location, 1, window)
+
+
+def _inner_mask(name: str, shape: tuple[int, int]) -> str | None:
+    """GDAL's name of the mask in a GeoTIFF: a directory behind the first, one byte or bit for each sample."""
+    from orograph.dem.handles import HANDLES
+
+    for number in range(2, _DIRECTORIES):
+        location = f"GTIFF_DIR:{number}:{name}"
+        try:
+            with HANDLES.borrow(location) as directory:
+                if (directory.shape, directory.count, directory.dtypes[0]) == (shape, 1, "uint8"):
+                    return location
+        except ReadError:
+            return None
+    return None
+
+
 def _check_part(location: str, band: int, window: tuple[int, int, int, int] | None) -> None:
-    """Look at a window (None: all) of a file that a VRT is made of."""
+    """Look at a window (None: all) of a file that is a part of another."""
     from orograph.dem.handles import HANDLES, stamped
 
     with HANDLES.borrow(location) as dataset:

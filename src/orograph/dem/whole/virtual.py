@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from orograph.dem.whole.files import DAMAGED, archived, main_file, stream
+from orograph.dem.whole.files import DAMAGED, here, main_file, stream
 from orograph.errors import ReadError
 
 Rect = tuple[float, float, float, float]
@@ -58,7 +58,7 @@ def check_parts(dataset: Any, key: object, window: Window, check: Check) -> None
     """
     for part in _parts_of(dataset, key):
         mapped = _mapped(part, window)
-        if mapped == () or not _here(part.location):
+        if mapped == () or not here(part.location):
             continue
         if part.needs:
             if Path(part.location).stat().st_size < part.needs:
@@ -67,13 +67,9 @@ def check_parts(dataset: Any, key: object, window: Window, check: Check) -> None
             check(part.location, part.band, mapped or None)
 
 
-def _here(location: str) -> bool:
-    return archived(location) or Path(location.removeprefix("/vsigzip/")).is_file()
-
-
 def _parts_of(dataset: Any, key: object) -> list[Part]:
     name = main_file(dataset)
-    if not _here(name):
+    if not here(name):
         return []
     with _lock:
         found = _parts.get(key)

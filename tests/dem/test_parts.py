@@ -1,4 +1,4 @@
-"""VRTs of files that are damaged: what is noticed of a file is noticed where it is a part of another, too."""
+"""Parts of rasters (files of a VRT, masks) that are damaged: what is noticed of a file is noticed of a part as well."""
 
 from __future__ import annotations
 
@@ -124,3 +124,27 @@ def test_the_name_that_gdal_has_for_what_is_in_a_zip_is_looked_at_as_well(tmp_pa
             archive.write(tmp_path / name, name)
     with pytest.raises(ReadError, match="bytes that its header promises"):
         read(f"/vsizip/{packed}/part.img")
+
+
+@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("compress", ["deflate", "lzw"])
+def test_a_damaged_mask_is_noticed(tmp_path: Path, beside: bool, compress: str) -> None:
+    path = tmp_path / "masked.tif"
+    profile = {"width": SIZE, "height": SIZE, "count": 1, "dtype": "uint16", "transform": UTM, "compress": compress}
+    valid = np.random.default_rng(7).random((SIZE, SIZE)) < 0.5
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=not beside), rasterio.open(path, "w", driver="GTiff", **profile) as file:
+        file.write(heights(), 1)
+        file.write_mask(valid)
+    assert np.array_equal(read(path), np.where(valid, heights(), np.nan), equal_nan=True)
+    mask = tmp_path / "masked.tif.msk"
+    assert mask.exists() == beside
+    with rasterio.open(mask if beside else f"GTIFF_DIR:2:{path}") as file:
+        at = int(file.get_tag_item("BLOCK_OFFSET_0_0", "TIFF", bidx=1))
+        size = int(file.get_tag_item("BLOCK_SIZE_0_0", "TIFF", bidx=1))
+    damaged = mask if beside else path
+    data = damaged.read_bytes()
+    longer = zlib.compress(bytes(4 * SIZE * SIZE))
+    broken = (longer[:-1] + bytes([longer[-1] ^ 1])).ljust(size, b"\0")
+    damaged.write_bytes(data[:at] + broken + data[at + size :])
+    with pytest.raises(ReadError, match="Deflate stream is damaged"):
+        read(path)
