@@ -122,6 +122,13 @@ class Handles:
 HANDLES = Handles()
 
 
+@contextmanager
+def lent(location: str) -> Iterator[tuple[Any, Key]]:
+    """A dataset of ``location`` for this thread alone, and the file's name and state."""
+    with HANDLES.borrow(location) as dataset:
+        yield dataset, stamped(location)
+
+
 def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
     """All files that decide a raster's samples: its own, those beside it (headers, masks), and of a VRT its sources'.
 

@@ -32,7 +32,7 @@ from orograph.dem.bands import (
     is_picture,
 )
 from orograph.dem.encode import decode_rgb
-from orograph.dem.handles import HANDLES, cause_of, locate, stamped
+from orograph.dem.handles import HANDLES, cause_of, lent, locate, stamped
 from orograph.dem.header import assumed_vertical, place_of, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
@@ -233,9 +233,9 @@ class Source:
                 height, width = (i1 - i0 - 1) * step + 1, (j1 - j0 - 1) * step + 1
                 out[i0:i1, j0:j1] = self._decode(dataset, top, left, height, width, step)
                 for band in self._bands_read(dataset):  # (after GDAL has seen that they are there)
-                    check_blocks(dataset, key, band, (top, left, height, width), step)
+                    check_blocks(dataset, key, band, (top, left, height, width), step, lent)
                 if self._mask == "gdal":
-                    check_mask(dataset, (top, left, height, width))
+                    check_mask(dataset, (top, left, height, width), lent)
         if stamped(self.location) != self._opened:
             raise ReadError("The file was changed after it was opened.", path=self.path, remedy="Open it again.")
         if self._flip_rows:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 from orograph.dem.whole import deflate, hfa, netcdf, png, sizes, text
@@ -28,6 +29,10 @@ from orograph.dem.whole.deflate import check_archived, deflated
 from orograph.dem.whole.files import DAMAGED, archived, here, local_file, main_file
 from orograph.dem.whole.virtual import check_parts
 from orograph.errors import ReadError
+
+Window = tuple[int, int, int, int]
+Lend = Callable[[str], AbstractContextManager[tuple[Any, object]]]
+"""Opens what GDAL calls by a name: a dataset, and the file's name and state (``handles.lent``)."""
 
 __all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask"]
 
@@ -88,7 +93,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
             _whole.popitem(last=False)
 
 
-def check_blocks(dataset: Any, key: object, band: int, window: tuple[int, int, int, int], step: int = 1) -> None:
+def check_blocks(dataset: Any, key: object, band: int, window: Window, step: int, lend: Lend) -> None:
     """Raise ReadError if what holds the samples of a window is damaged, in a way that GDAL would not notice.
 
     Args:
@@ -96,32 +101,31 @@ def check_blocks(dataset: Any, key: object, band: int, window: tuple[int, int, i
         key: the file's name and state.
         band: of the samples, from 1.
         window: top, left, height, width; of which every ``step``-th row is wanted.
+        lend: opens the files of which a VRT is made.
     """
     if dataset.driver == "VRT":
-        check_parts(dataset, key, window, _check_part)
+        check_parts(dataset, key, window, lambda *part: _check_part(lend, *part))
     else:
         deflate.check_blocks(dataset, key, band, window, step)
 
 
-def check_mask(dataset: Any, window: tuple[int, int, int, int]) -> None:
+def check_mask(dataset: Any, window: Window, lend: Lend) -> None:
     """Raise ReadError if a window (as above) of the mask of a GeoTIFF is damaged: GDAL writes masks as Deflate."""
     name = main_file(dataset)
     if dataset.driver != "GTiff" or not here(name):
         return
     beside = next((file for file in dataset.files if str(file).endswith(".msk")), None)
-    location = _inner_mask(name, dataset.shape) if beside is None else str(beside)
+    location = _inner_mask(name, dataset.shape, lend) if beside is None else str(beside)
     if location is not None:
-        _check_part(location, 1, window)
+        _check_part(lend, location, 1, window)
 
 
-def _inner_mask(name: str, shape: tuple[int, int]) -> str | None:
+def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
     """GDAL's name of the mask in a GeoTIFF: a directory behind the first, one byte or bit for each sample."""
-    from orograph.dem.handles import HANDLES
-
     for number in range(2, _DIRECTORIES):
         location = f"GTIFF_DIR:{number}:{name}"
         try:
-            with HANDLES.borrow(location) as directory:
+            with lend(location) as (directory, _):
                 if (directory.shape, directory.count, directory.dtypes[0]) == (shape, 1, "uint8"):
                     return location
         except ReadError:
@@ -129,13 +133,12 @@ def _inner_mask(name: str, shape: tuple[int, int]) -> str | None:
     return None
 
 
-def _check_part(location: str, band: int, window: tuple[int, int, int, int] | None) -> None:
+def _check_part(lend: Lend, location: str, band: int, window: Window | None) -> None:
     """Look at a window (None: all) of a file that is a part of another."""
-    from orograph.dem.handles import HANDLES, stamped
-
-    with HANDLES.borrow(location) as dataset:
+    with lend(location) as (dataset, key):
         top, left, height, width = window or (0, 0, dataset.height, dataset.width)
         bottom, right = min(top + height, dataset.height), min(left + width, dataset.width)
         top, left = max(top, 0), max(left, 0)
         if top < bottom and left < right:
-            check_blocks(dataset, stamped(location), min(band, dataset.count), (top, left, bottom - top, right - left))
+            window = top, left, bottom - top, right - left
+            check_blocks(dataset, key, min(band, dataset.count), window, 1, lend)
