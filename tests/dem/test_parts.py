@@ -148,3 +148,17 @@ def test_a_damaged_mask_is_noticed(tmp_path: Path, beside: bool, compress: str) 
     damaged.write_bytes(data[:at] + broken + data[at + size :])
     with pytest.raises(ReadError, match="Deflate stream is damaged"):
         read(path)
+
+
+@pytest.mark.parametrize("size", [0, 100, 300])
+def test_a_mask_that_cannot_be_opened_is_noticed(tmp_path: Path, size: int) -> None:
+    """GDAL goes on without it, and what is missing would be heights."""
+    path = tmp_path / "masked.tif"
+    profile = {"width": SIZE, "height": SIZE, "count": 1, "dtype": "uint16", "transform": UTM}
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False), rasterio.open(path, "w", driver="GTiff", **profile) as file:
+        file.write(heights(), 1)
+        file.write_mask(np.arange(SIZE * SIZE).reshape(SIZE, SIZE) % 3 > 0)
+    mask = tmp_path / "masked.tif.msk"
+    mask.write_bytes(mask.read_bytes()[:size])
+    with pytest.raises(ReadError, match=r"masked\.tif"):
+        read(path)

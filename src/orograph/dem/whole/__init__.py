@@ -22,6 +22,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Any
 
 from orograph.dem.whole import deflate, hfa, netcdf, png, sizes, text
@@ -43,6 +44,16 @@ def _refuse_deflate(dataset: Any, path: str) -> None:
             "It is an MRF of Deflate, whose damage cannot be noticed.", path=path,
             remedy="Make a GeoTIFF of it where it is known to be whole (gdal_translate).",
         )  # fmt: skip
+
+
+def _refuse_lost_mask(dataset: Any) -> None:
+    """GDAL goes on without a mask file that it cannot open: what is missing would be heights."""
+    from rasterio.enums import MaskFlags
+
+    mask = Path(f"{main_file(dataset)}.msk")
+    used = any(MaskFlags.per_dataset in flags for flags in dataset.mask_flag_enums)
+    if mask.is_file() and not used:
+        raise ReadError("Its mask, which lies beside it, cannot be read.", path=mask, remedy=DAMAGED)
 
 
 _CHECKS: dict[str, Callable[[Any, str], str | None]] = {
@@ -77,6 +88,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
     with _lock:
         if key in _whole:
             return
+    _refuse_lost_mask(dataset)
     if dataset.driver == "MRF":
         _refuse_deflate(dataset, location)
     elif deflated(dataset) and archived(main_file(dataset)):
