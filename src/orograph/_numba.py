@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import pickle
 from collections.abc import Callable
 from typing import Any, cast
@@ -37,7 +38,7 @@ def leaf(function: Function) -> Function:
 
 
 def _cached(dispatcher: Any) -> Function:
-    """A dispatcher whose cache begins anew where its index cannot be read.
+    """A dispatcher whose cache begins anew where its index cannot be read, and may lie on a disk that is full.
 
     Numba reads the whole index before it sees that the source is another. An index that names a class which is gone by
     now (an argument's type in an older version) would end every call.
@@ -55,6 +56,13 @@ def _cached(dispatcher: Any) -> Function:
             return {}
 
     file._load_index = load_index
+    save = cache.save_overload
+
+    def save_overload(signature: object, data: object) -> None:
+        with contextlib.suppress(OSError):  # what cannot be kept is compiled again next time
+            save(signature, data)
+
+    cache.save_overload = save_overload
     return cast(Function, dispatcher)
 
 

@@ -385,15 +385,6 @@ def test_many_threads_and_files(tmp_path: Path) -> None:
         assert not any(str(p).startswith(str(tmp_path)) for p in opened)
 
 
-def test_a_rewritten_file_is_read_anew(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", np.zeros((3, 4), np.int16), transform=UTM)
-    source = Source.open(path)
-    assert source.read(0, 1, 0, 1)[0, 0] == 0
-    write(path, np.full((3, 4), 9, np.int16), transform=UTM)
-    os.utime(path, ns=(1, 1))
-    assert source.read(0, 1, 0, 1)[0, 0] == 9
-
-
 def test_opening_reads_no_samples(shared_data: Path) -> None:
     source = Source.open(shared_data / "nasty-gdal" / "huge4GB.tif")  # any sample of it is an error
     assert source.shape == (65535, 65535) and source.block == (1, 65535)

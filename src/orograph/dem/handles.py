@@ -3,7 +3,8 @@
 A GDAL dataset must not be used by two threads at once, opening one costs most of a small read, and a mosaic has more
 files than a process may hold open. So datasets are *borrowed*: a thread gets an idle one of that file or opens
 another, and gives it back; of the idle ones only the ``IDLE`` most recently used stay open. A file that was rewritten
-meanwhile (other time, size or inode) is opened anew.
+meanwhile (other time, size or inode) is opened anew; what was read of its header before is no more true, so those who
+keep that compare its state (``stamped``), and ``states`` that of all files that decide the samples.
 
 GDAL's block cache is left at ``CACHE`` bytes unless GDAL_CACHEMAX says otherwise: its default, 5 % of the machine's
 memory, would break any promise about ours.
@@ -11,13 +12,14 @@ memory, would break any promise about ours.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
 import threading
 import warnings
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -31,13 +33,21 @@ Key = tuple[str, tuple[int, int, int] | None]
 
 
 def _stamp(location: str) -> tuple[int, int, int] | None:
-    if location.startswith("/vsizip/{"):
-        location = location.removeprefix("/vsizip/{").partition("}")[0]
     try:
-        found = Path(location.removeprefix("/vsigzip/")).stat()
+        found = _on_disk(location).stat()
     except (OSError, ValueError):
         return None
     return found.st_mtime_ns, found.st_size, found.st_ino
+
+
+def _on_disk(name: str) -> Path:
+    """The file of a name of GDAL's: of what lies in an archive the archive."""
+    name = re.sub(r"^GTIFF_DIR:\d+:", "", name)
+    inside = re.match(r"/vsi(?:zip|tar|gzip|7z|rar)/\{?(.*)", name)
+    if inside is None:
+        return Path(name)
+    path = Path(inside[1].partition("}")[0])
+    return next((at for at in (path, *path.parents) if at.is_file()), path)
 
 
 def stamped(location: str) -> Key:
@@ -112,6 +122,43 @@ class Handles:
 HANDLES = Handles()
 
 
+@contextmanager
+def lent(location: str) -> Iterator[tuple[Any, Key]]:
+    """A dataset of ``location`` for this thread alone, and the file's name and state."""
+    with HANDLES.borrow(location) as dataset:
+        yield dataset, stamped(location)
+
+
+def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
+    """All files that decide a raster's samples: its own, those beside it (headers, masks), and of a VRT its sources'.
+
+    Raises:
+        ReadError: it cannot be opened.
+    """
+    with HANDLES.borrow(location) as dataset:
+        names, virtual = [str(name) for name in dataset.files], dataset.driver == "VRT"
+    found = dict.fromkeys([location, *sorted(names)])
+    if virtual:
+        for name in names:
+            if name not in known and name != location:
+                with contextlib.suppress(ReadError):  # a source that is not there matters when it is read
+                    found.update(dict.fromkeys(files_of(name, known | {location})))
+    return list(found)
+
+
+def states(names: Iterable[str]) -> list[str]:
+    """What files are now, a text for each: absolute path, size and time of change; of others their names."""
+    said = []
+    for name in names:
+        try:
+            found = _on_disk(name).stat()
+        except (OSError, ValueError):
+            said.append(name)
+        else:
+            said.append(f"{Path(name).absolute()} {found.st_size} {found.st_mtime_ns}")
+    return said
+
+
 def locate(path: str | os.PathLike[str]) -> str:
     """What GDAL should open for ``path``: the raster inside a .zip or .gz, else the path itself (URLs pass through).
 
@@ -119,6 +166,9 @@ def locate(path: str | os.PathLike[str]) -> str:
         ReadError: there is no such file, it is a directory, or a zip archive holds no or several rasters.
     """
     text = os.fspath(path)
+    packed = re.fullmatch(r"/vsizip/([^{].*?\.zip)/(.+)", text, re.IGNORECASE)
+    if packed is not None and Path(packed[1]).is_file():
+        return f"/vsizip/{{{packed[1]}}}/{packed[2]}"
     if "://" in text or text.startswith("/vsi") or (":" in text and not Path(text).exists() and text[1:2] != ":"):
         return text
     file = Path(text)

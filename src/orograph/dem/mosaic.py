@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
+from orograph.dem.handles import files_of, states
 from orograph.dem.lattice import Lattice, Raster, SourceLattice, group
 from orograph.dem.layers import fill, layer_of
 from orograph.dem.placing import placed, scale_at_centre, scales, turned
@@ -213,17 +214,15 @@ class Mosaic:
         return () if self.lossless else tuple(layer.lattice for layer in self._own)
 
     def fingerprint(self) -> str:
-        """A hash of the files (absolute path, size, time of change) and all options: if equal, so are the samples."""
+        """A hash of all files (``handles.files_of``: absolute path, size, time of change) and all options: if equal, so
+        are the samples."""
         said: list[str] = [repr(sorted(self._options.items(), key=str)), self.resampling, repr(self.grid.transform[:6])]
         said += [repr(self.grid.shape), "" if self.grid.crs is None else self.grid.crs.to_wkt()]
-        paths = [getattr(source, "path", source.name) for source in self.sources]
+        for source in self.sources:
+            location = getattr(source, "location", None)
+            said += states([getattr(source, "path", source.name), *(files_of(location) if location else ())])
         if self.undulation is not None:
-            paths.append(self.undulation.geoid.path)
-        for path in map(Path, paths):
-            said.append(str(path.absolute()))
-            if path.exists():
-                found = path.stat()
-                said.append(f"{found.st_size} {found.st_mtime_ns}")
+            said += states([os.fspath(self.undulation.geoid.path)])
         return hashlib.sha256("\n".join(said).encode()).hexdigest()
 
     def recipe(self) -> tuple[list[str], dict[str, Any]] | None:

@@ -32,12 +32,12 @@ from orograph.dem.bands import (
     is_picture,
 )
 from orograph.dem.encode import decode_rgb
-from orograph.dem.handles import HANDLES, cause_of, locate, stamped
+from orograph.dem.handles import HANDLES, cause_of, lent, locate, stamped
 from orograph.dem.header import assumed_vertical, place_of, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
-from orograph.dem.whole import DAMAGED, check_blocks
+from orograph.dem.whole import DAMAGED, check_blocks, check_mask
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
 from orograph.geo.vertical import known_datum
@@ -99,6 +99,7 @@ class Source:
     _flip_cols: bool = False
     _mask: Literal["none", "gdal", "alpha"] = "none"
     _alpha: int = 0
+    _opened: object = None
 
     @classmethod
     def open(
@@ -130,6 +131,8 @@ class Source:
             UsageError: an option that does not fit the file.
         """
         location = locate(path)
+        HANDLES.close(location)  # what lies beside it, or in a VRT, may have changed, and an open dataset would not see
+        opened = stamped(location)
         warnings: list[str] = []
         with HANDLES.borrow(location) as dataset:
             check_size(dataset, path)
@@ -175,6 +178,7 @@ class Source:
                 _flip_cols=place.flip_cols,
                 _mask=mask if plain else "none",
                 _alpha=alpha,
+                _opened=opened,
             )
 
     @property
@@ -212,7 +216,7 @@ class Source:
             (ceil((row1 − row0) / step), ceil((col1 − col0) / step)) float32.
 
         Raises:
-            ReadError: the file is damaged there; names the block.
+            ReadError: the file is damaged there (names the block), or was changed since it was opened.
             ValueError: a window that is empty or not inside the raster, or a step below 1.
         """
         rows, cols = self.grid.shape
@@ -229,7 +233,11 @@ class Source:
                 height, width = (i1 - i0 - 1) * step + 1, (j1 - j0 - 1) * step + 1
                 out[i0:i1, j0:j1] = self._decode(dataset, top, left, height, width, step)
                 for band in self._bands_read(dataset):  # (after GDAL has seen that they are there)
-                    check_blocks(dataset, key, band, (top, left, height, width), step)
+                    check_blocks(dataset, key, band, (top, left, height, width), step, lent)
+                if self._mask == "gdal":
+                    check_mask(dataset, (top, left, height, width), lent)
+        if stamped(self.location) != self._opened:
+            raise ReadError("The file was changed after it was opened.", path=self.path, remedy="Open it again.")
         if self._flip_rows:
             out = out[::-1]
         if self._flip_cols:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.dem.handles import HANDLES
+from orograph.dem.handles import HANDLES, files_of, states
 from orograph.errors import StoreError
 from orograph.folders import cache_folder
 from orograph.geovis.imagery import PICKS, ImageWindow, pieces, shrink
@@ -379,12 +379,5 @@ def _fingerprint(laid: Laid) -> str:
     said += [
         "" if table is None else hashlib.sha256(table.tobytes()).hexdigest() for table in (bands.palette, bands.table)
     ]
-    with HANDLES.borrow(laid.location) as file:
-        names = [laid.location, *sorted(file.files)]
-    for name in names:
-        path = Path(name)
-        said.append(str(path.absolute()) if path.exists() else name)
-        with contextlib.suppress(OSError, ValueError):
-            found = path.stat()
-            said.append(f"{found.st_size} {found.st_mtime_ns}")
+    said += states(files_of(laid.location))
     return hashlib.sha256("\n".join(said).encode()).hexdigest()

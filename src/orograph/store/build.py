@@ -82,7 +82,8 @@ def build(
         options: for ``Mosaic.open`` where ``source`` is files: ``crs``, ``resolution``, ``nodata``…
 
     Raises:
-        StoreError: something is there already, what was begun differs, or it cannot be written (disk full).
+        StoreError: something is there already, what was begun differs, the sources were changed meanwhile, or it cannot
+            be written (disk full).
         ReadError, UsageError: a source cannot be read or is not metric.
     """
     if overwrite and resume:
@@ -356,4 +357,10 @@ def _fill(
     )
     for make in MAKERS.values():
         record = make(record, Work(kinds, writer, jobs, resume, progress))
+    if raster.fingerprint() != plan["source"]:
+        storage.remove()
+        raise StoreError(
+            "Its sources were changed while it was built; what was built of them is removed.",
+            path=storage.url, remedy="Build it again when they are complete.",
+        )  # fmt: skip
     publish_record(storage, record)

@@ -10,6 +10,7 @@ of a GeoTIFF of Deflate as they are read. Which formats need it was found by cut
   (``sizes``, ``hfa``, ``netcdf``).
 - GeoTIFF of Deflate: a stream that yields more than its block is taken for whole, its checksum unread (``deflate``).
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
+- VRT: what it is made of is read by the drivers above (``virtual``).
 - MRF of Deflate: a tile that does not decode is uninitialised. It has no checksum that could be compared: refused.
 
 Formats without checksums (raw samples, LZW…) cannot tell an altered number from a true one.
@@ -20,14 +21,21 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Any
 
-from orograph.dem.whole import hfa, netcdf, png, sizes, text
-from orograph.dem.whole.deflate import check_archived, check_blocks, deflated
-from orograph.dem.whole.files import DAMAGED, archived, local_file, main_file
+from orograph.dem.whole import deflate, hfa, netcdf, png, sizes, text
+from orograph.dem.whole.deflate import check_archived, deflated
+from orograph.dem.whole.files import DAMAGED, archived, here, local_file, main_file
+from orograph.dem.whole.virtual import check_parts
 from orograph.errors import ReadError
 
-__all__ = ["DAMAGED", "check_blocks", "check_file"]
+Window = tuple[int, int, int, int]
+Lend = Callable[[str], AbstractContextManager[tuple[Any, object]]]
+"""Opens what GDAL calls by a name: a dataset, and the file's name and state (``handles.lent``)."""
+
+__all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask"]
 
 
 def _refuse_deflate(dataset: Any, path: str) -> None:
@@ -36,6 +44,16 @@ def _refuse_deflate(dataset: Any, path: str) -> None:
             "It is an MRF of Deflate, whose damage cannot be noticed.", path=path,
             remedy="Make a GeoTIFF of it where it is known to be whole (gdal_translate).",
         )  # fmt: skip
+
+
+def _refuse_lost_mask(dataset: Any) -> None:
+    """GDAL goes on without a mask file that it cannot open: what is missing would be heights."""
+    from rasterio.enums import MaskFlags
+
+    mask = Path(f"{main_file(dataset)}.msk")
+    used = any(MaskFlags.per_dataset in flags for flags in dataset.mask_flag_enums)
+    if mask.is_file() and not used:
+        raise ReadError("Its mask, which lies beside it, cannot be read.", path=mask, remedy=DAMAGED)
 
 
 _CHECKS: dict[str, Callable[[Any, str], str | None]] = {
@@ -54,6 +72,7 @@ _CHECKS: dict[str, Callable[[Any, str], str | None]] = {
 """Format → what is wrong with an open dataset of it, given the path of its file on this disk; None: nothing."""
 
 _KNOWN = 1024
+_DIRECTORIES = 8  # the mask comes before the overviews, or right behind the raster
 _whole: OrderedDict[object, None] = OrderedDict()
 _lock = threading.Lock()
 
@@ -69,6 +88,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
     with _lock:
         if key in _whole:
             return
+    _refuse_lost_mask(dataset)
     if dataset.driver == "MRF":
         _refuse_deflate(dataset, location)
     elif deflated(dataset) and archived(main_file(dataset)):
@@ -83,3 +103,54 @@ def check_file(dataset: Any, location: str, key: object) -> None:
         _whole[key] = None
         while len(_whole) > _KNOWN:
             _whole.popitem(last=False)
+
+
+def check_blocks(dataset: Any, key: object, band: int, window: Window, step: int, lend: Lend) -> None:
+    """Raise ReadError if what holds the samples of a window is damaged, in a way that GDAL would not notice.
+
+    Args:
+        dataset: of rasterio, open.
+        key: the file's name and state.
+        band: of the samples, from 1.
+        window: top, left, height, width; of which every ``step``-th row is wanted.
+        lend: opens the files of which a VRT is made.
+    """
+    if dataset.driver == "VRT":
+        check_parts(dataset, key, window, lambda *part: _check_part(lend, *part))
+    else:
+        deflate.check_blocks(dataset, key, band, window, step)
+
+
+def check_mask(dataset: Any, window: Window, lend: Lend) -> None:
+    """Raise ReadError if a window (as above) of the mask of a GeoTIFF is damaged: GDAL writes masks as Deflate."""
+    name = main_file(dataset)
+    if dataset.driver != "GTiff" or not here(name):
+        return
+    beside = next((file for file in dataset.files if str(file).endswith(".msk")), None)
+    location = _inner_mask(name, dataset.shape, lend) if beside is None else str(beside)
+    if location is not None:
+        _check_part(lend, location, 1, window)
+
+
+def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
+    """GDAL's name of the mask in a GeoTIFF: a directory behind the first, one byte or bit for each sample."""
+    for number in range(2, _DIRECTORIES):
+        location = f"GTIFF_DIR:{number}:{name}"
+        try:
+            with lend(location) as (directory, _):
+                if (directory.shape, directory.count, directory.dtypes[0]) == (shape, 1, "uint8"):
+                    return location
+        except ReadError:
+            return None
+    return None
+
+
+def _check_part(lend: Lend, location: str, band: int, window: Window | None) -> None:
+    """Look at a window (None: all) of a file that is a part of another."""
+    with lend(location) as (dataset, key):
+        top, left, height, width = window or (0, 0, dataset.height, dataset.width)
+        bottom, right = min(top + height, dataset.height), min(left + width, dataset.width)
+        top, left = max(top, 0), max(left, 0)
+        if top < bottom and left < right:
+            window = top, left, bottom - top, right - left
+            check_blocks(dataset, key, min(band, dataset.count), window, 1, lend)

@@ -30,6 +30,11 @@ def archived(name: str) -> bool:
     return name.startswith(("/vsizip/{", "/vsigzip/"))
 
 
+def here(name: str) -> bool:
+    """Whether a file of GDAL's name lies on this disk, in an archive or not."""
+    return archived(name) or Path(name).is_file()
+
+
 @contextmanager
 def stream(name: str) -> Iterator[IO[bytes]]:
     """The bytes of a file on this disk, or of one in an archive: best read forwards.

@@ -1,0 +1,138 @@
+"""VRTs: the parts of other files that a window is made of are looked at as those files themselves would be.
+
+GDAL reads the sources of a VRT with their own drivers, and so reads past the same damage. The VRT's XML says which
+rectangle of which file lies where (https://gdal.org/drivers/raster/vrt.html). Files whose rectangles are not simply
+mapped (warped, pansharpened) are looked at as a whole. Units: samples.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import xml.etree.ElementTree as ET
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from orograph.dem.whole.files import DAMAGED, here, main_file, stream
+from orograph.errors import ReadError
+
+Rect = tuple[float, float, float, float]
+Window = tuple[int, int, int, int]
+Check = Callable[[str, int, Window | None], None]
+
+MARGIN = 2
+"""Samples around a mapped window that resampling may look at."""
+
+_KNOWN = 64
+_parts: OrderedDict[object, list[Part]] = OrderedDict()
+_lock = threading.Lock()
+
+
+class Part(NamedTuple):
+    """A source of a VRT.
+
+    Attributes:
+        location: what GDAL opens.
+        band: of it, from 1.
+        source, target: left, top, width, height in it and in the VRT; None: all of it.
+        needs: bytes that a file of raw samples must have; 0 of other files.
+    """
+
+    location: str
+    band: int
+    source: Rect | None
+    target: Rect | None
+    needs: int
+
+
+def check_parts(dataset: Any, key: object, window: Window, check: Check) -> None:
+    """Raise ReadError if a part of a file that a window of a VRT is made of is damaged.
+
+    Args:
+        dataset: of rasterio, open, of the VRT.
+        key: the VRT's name and state.
+        window: top, left, height, width.
+        check: looks at a window (None: all) of a band of a file that lies on this disk.
+    """
+    for part in _parts_of(dataset, key):
+        mapped = _mapped(part, window)
+        if mapped == () or not here(part.location):
+            continue
+        if part.needs:
+            if Path(part.location).stat().st_size < part.needs:
+                raise ReadError("It has fewer samples than the VRT says.", path=part.location, remedy=DAMAGED)
+        else:
+            check(part.location, part.band, mapped or None)
+
+
+def _parts_of(dataset: Any, key: object) -> list[Part]:
+    name = main_file(dataset)
+    if not here(name):
+        return []
+    with _lock:
+        found = _parts.get(key)
+    if found is None:
+        with stream(name) as file:
+            found = list(_read(ET.fromstring(file.read()), name))
+        with _lock:
+            _parts[key] = found
+            while len(_parts) > _KNOWN:
+                _parts.popitem(last=False)
+    return found
+
+
+def _read(root: ET.Element, name: str) -> Iterator[Part]:
+    """The parts that a VRT of this name has."""
+    shape = int(root.get("rasterXSize", 0)), int(root.get("rasterYSize", 0))
+    for element in root.iter():
+        file = element.find("SourceFilename")
+        file = element.find("SourceDataset") if file is None else file
+        if file is None or not file.text:
+            continue
+        location = file.text
+        if file.get("relativeToVRT", file.get("relativetoVRT")) == "1":
+            location = f"{name.rpartition('/')[0] or '.'}/{location}"
+        band = (element.findtext("SourceBand") or "1").rpartition(",")[2]
+        mapped = element.tag in ("SimpleSource", "ComplexSource")
+        source, target = (_rect(element.find(tag)) if mapped else None for tag in ("SrcRect", "DstRect"))
+        needs = _raw_bytes(element, *shape) if element.tag == "VRTRasterBand" else 0
+        yield Part(location, int(band) if band.isdigit() else 1, source, target, needs)
+
+
+def _rect(element: ET.Element | None) -> Rect | None:
+    if element is None:
+        return None
+    left, top, width, height = (float(element.get(side, 0)) for side in ("xOff", "yOff", "xSize", "ySize"))
+    return left, top, width, height
+
+
+def _raw_bytes(band: ET.Element, cols: int, rows: int) -> int:
+    """Bytes up to the end of the last sample of a raw band."""
+    kind = band.get("dataType", "Byte")
+    bits = kind.lstrip("CUIntFloa")
+    item = (int(bits) // 8 if bits.isdigit() else 1) * (2 if kind.startswith("C") else 1)
+    first, pixel = int(band.findtext("ImageOffset") or 0), int(band.findtext("PixelOffset") or item)
+    line = int(band.findtext("LineOffset") or pixel * cols)
+    return first + max((rows - 1) * line, 0) + max((cols - 1) * pixel, 0) + item
+
+
+def _mapped(part: Part, window: Window) -> Window | tuple[()] | None:
+    """The window of a part's file that a window of the VRT needs; None: all of it; (): nothing."""
+    if part.source is None or part.target is None or not part.target[2] or not part.target[3]:
+        return None
+    top, left, height, width = window
+    x0, x1 = _along(left, left + width, part.target[0], part.target[2], part.source[0], part.source[2])
+    y0, y1 = _along(top, top + height, part.target[1], part.target[3], part.source[1], part.source[3])
+    return (y0, x0, y1 - y0, x1 - x0) if x0 < x1 and y0 < y1 else ()
+
+
+def _along(begin: float, end: float, onto: float, onto_size: float, of: float, of_size: float) -> tuple[int, int]:
+    """Where [begin, end) of the VRT lies in a file, along one axis; nothing if they do not meet."""
+    a, b = max(begin, onto), min(end, onto + onto_size)
+    if a >= b:
+        return 0, 0
+    scale = of_size / onto_size
+    first, last = of + (a - onto) * scale, of + (b - onto) * scale
+    return math.floor(first) - MARGIN, math.ceil(last) + MARGIN

@@ -1,0 +1,123 @@
+"""Files that change: what a terrain was made of is known by all its files, and none is read as if it were another."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from affine import Affine
+
+from orograph import store
+from orograph.dem import Source
+from orograph.dem.mosaic import Mosaic
+from orograph.errors import ReadError, StoreError
+
+UTM = Affine(30, 0, 500000, 0, -30, 4000000)
+SHAPE = (300, 280)
+
+
+def write(path: Path, value: int, driver: str = "GTiff", **more: object) -> Path:
+    heights = np.full(SHAPE, value, np.int16)
+    profile = {"width": SHAPE[1], "height": SHAPE[0], "count": 1, "dtype": "int16", "transform": UTM}
+    with rasterio.open(path, "w", driver=driver, crs="EPSG:32633", **profile, **more) as file:
+        file.write(heights, 1)
+    return path
+
+
+def virtual(path: Path, *sources: str) -> Path:
+    """A VRT of the rasters, each all over it."""
+    each = "".join(
+        f'<SimpleSource><SourceFilename relativeToVRT="1">{name}</SourceFilename><SourceBand>1</SourceBand>'
+        "</SimpleSource>"
+        for name in sources
+    )
+    path.write_text(
+        f'<VRTDataset rasterXSize="{SHAPE[1]}" rasterYSize="{SHAPE[0]}"><SRS>EPSG:32633</SRS>'
+        f"<GeoTransform>{', '.join(map(str, UTM.to_gdal()))}</GeoTransform>"
+        f'<VRTRasterBand dataType="Int16" band="1">{each}</VRTRasterBand></VRTDataset>'
+    )
+    return path
+
+
+def replace(path: Path, value: int) -> None:
+    """Another file takes its place, in one moment."""
+    write(path.with_name("other.tif"), value)
+    path.with_name("other.tif").replace(path)
+
+
+def print_of(path: Path) -> str:
+    return Mosaic.open(path).fingerprint()
+
+
+def test_tiles_of_a_vrt_count(tmp_path: Path) -> None:
+    tile = write(tmp_path / "tile.tif", 100)
+    area, outer = virtual(tmp_path / "area.vrt", "tile.tif"), virtual(tmp_path / "outer.vrt", "area.vrt")
+    before = print_of(area), print_of(outer)
+    assert before == (print_of(area), print_of(outer))
+    replace(tile, 900)
+    assert print_of(area) != before[0] and print_of(outer) != before[1]
+    assert Mosaic.open(outer).read(0, 2, 0, 2).tolist() == [[900, 900], [900, 900]]
+
+
+def test_headers_and_masks_beside_a_raster_count(tmp_path: Path) -> None:
+    raw = write(tmp_path / "raw.img", 1, "ENVI")
+    header = raw.with_suffix(".hdr")
+    before = print_of(raw)
+    header.write_text(header.read_text().replace("byte order = 0", "byte order = 1"))
+    assert print_of(raw) != before
+    assert Source.open(raw).read(0, 1, 0, 1)[0, 0] == 256
+
+    masked = write(tmp_path / "masked.tif", 5)
+    time = masked.stat().st_mtime_ns
+    before = print_of(masked)
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK="NO"), rasterio.open(masked, "r+") as file:
+        file.write_mask(np.zeros(SHAPE, bool))
+    os.utime(masked, ns=(time, time))
+    assert print_of(masked) != before
+    assert np.isnan(Source.open(masked).read(0, 1, 0, 1)).all()
+
+
+def test_a_file_that_was_changed_since_it_was_opened_is_not_read(tmp_path: Path) -> None:
+    path = write(tmp_path / "dem.tif", 100)
+    source = Source.open(path)
+    assert source.read(0, 1, 0, 1)[0, 0] == 100
+    replace(path, 900)
+    with pytest.raises(ReadError, match=r"dem\.tif.*changed"):
+        source.read(0, 1, 0, 1)
+    assert Source.open(path).read(0, 1, 0, 1)[0, 0] == 900
+
+
+class Meanwhile:
+    """A mosaic of which something happens to its files when so many windows were read."""
+
+    def __init__(self, mosaic: Mosaic, after: int, change: object) -> None:
+        self.mosaic, self.left, self.change = mosaic, after, change
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.mosaic, name)
+
+    def read(self, *window: int) -> np.ndarray:
+        self.left -= 1
+        if self.left == 0:
+            self.change()
+        return self.mosaic.read(*window)
+
+
+@pytest.mark.parametrize("name", ["tile.tif", "area.vrt"])
+@pytest.mark.parametrize("after", [1, 2, 4])
+def test_a_store_is_never_made_of_two_states_of_its_files(tmp_path: Path, name: str, after: int) -> None:
+    tile = write(tmp_path / "tile.tif", 100)
+    virtual(tmp_path / "area.vrt", "tile.tif")
+    source = Meanwhile(Mosaic.open(tmp_path / name), after, lambda: replace(tile, 900))
+    area = tmp_path / "area.oro"
+    with pytest.raises((ReadError, StoreError), match="changed"):
+        store.build(source, area, shard=256, chunk=64, jobs=1)
+    assert not area.exists()
+    try:
+        terrain = store.build(tmp_path / name, area, shard=256, chunk=64, resume=True)
+    except StoreError:
+        terrain = store.build(tmp_path / name, area, shard=256, chunk=64, overwrite=True)
+    assert (terrain.read(0, 0, SHAPE[0], 0, SHAPE[1]) == 900).all()

@@ -1,0 +1,164 @@
+"""Parts of rasters (files of a VRT, masks) that are damaged: what is noticed of a file is noticed of a part as well."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+import rasterio.shutil
+from affine import Affine
+from rasterio.io import MemoryFile
+
+from orograph.dem import Source
+from orograph.errors import ReadError
+
+UTM = Affine(30, 0, 500000, 0, -30, 4000000)
+SIZE = 200
+LAST = (SIZE - 1, SIZE, SIZE - 1, SIZE)
+
+
+def heights() -> np.ndarray:
+    row, col = np.mgrid[:SIZE, :SIZE]
+    return (1000 + 300 * np.sin(row / 17) * np.cos(col / 23) + (row * 7 + col * 13) % 11).astype(np.uint16)
+
+
+def write(path: Path, driver: str, **more: object) -> Path:
+    profile = {"width": SIZE, "height": SIZE, "count": 1, "dtype": "uint16", "transform": UTM, "crs": "EPSG:32633"}
+    with MemoryFile() as memory:
+        with memory.open(driver="GTiff", **profile) as file:
+            file.write(heights(), 1)
+        with memory.open() as file:
+            rasterio.shutil.copy(file, path, driver=driver, **more)
+    return path
+
+
+def virtual(path: Path, body: str, cols: int = SIZE, kind: str = "") -> Path:
+    """A VRT of ``SIZE`` rows with this band."""
+    path.write_text(
+        f'<VRTDataset rasterXSize="{cols}" rasterYSize="{SIZE}"><SRS>EPSG:32633</SRS>'
+        f"<GeoTransform>{', '.join(map(str, UTM.to_gdal()))}</GeoTransform>"
+        f'<VRTRasterBand dataType="UInt16" band="1"{kind}>{body}</VRTRasterBand></VRTDataset>'
+    )
+    return path
+
+
+def source(name: str, left: int | None = None) -> str:
+    size = f'xSize="{SIZE}" ySize="{SIZE}"'
+    place = "" if left is None else f'<SrcRect xOff="0" yOff="0" {size}/><DstRect xOff="{left}" yOff="0" {size}/>'
+    return (
+        f'<SimpleSource><SourceFilename relativeToVRT="1">{name}</SourceFilename><SourceBand>1</SourceBand>'
+        f"{place}</SimpleSource>"
+    )
+
+
+def read(path: Path | str) -> np.ndarray:
+    with Source.open(path) as file:
+        return file.read(0, file.shape[0], 0, file.shape[1])
+
+
+DRIVERS = [
+    ("ENVI", "img", {}), ("AAIGrid", "asc", {}), ("PCIDSK", "pix", {}), ("GTiff", "tif", {"compress": "deflate"}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("driver", "ending", "more"), DRIVERS, ids=[d[0] for d in DRIVERS])
+@pytest.mark.parametrize("nested", [False, True])
+def test_damage_of_a_part_is_noticed(tmp_path: Path, driver: str, ending: str, more: dict, nested: bool) -> None:
+    path = write(tmp_path / f"part.{ending}", driver, **more)
+    area = virtual(tmp_path / "area.vrt", source(path.name))
+    if nested:
+        area = virtual(tmp_path / "outer.vrt", source("area.vrt"))
+    assert np.array_equal(read(area), heights())
+    data = path.read_bytes()
+    if driver == "GTiff":
+        with rasterio.open(path) as file:
+            at = int(file.get_tag_item("BLOCK_OFFSET_0_3", "TIFF", bidx=1))
+            size = int(file.get_tag_item("BLOCK_SIZE_0_3", "TIFF", bidx=1))
+        longer = zlib.compress(bytes(4 * SIZE * SIZE))  # libtiff stops when the block is full
+        data = data[:at] + (longer[:-1] + bytes([longer[-1] ^ 1])).ljust(size, b"\0") + data[at + size :]
+    elif driver == "AAIGrid":
+        at = data.rindex(b" 1") + 1
+        data = data[:at] + b"x" + data[at + 1 :]
+    else:
+        data = data[: len(data) * 2 // 3]
+    path.write_bytes(data)
+    with pytest.raises(ReadError, match=f"part\\.{ending}"):
+        read(area)
+
+
+def test_raw_samples_of_a_vrt_that_are_cut_off(tmp_path: Path) -> None:
+    raw = tmp_path / "samples.raw"
+    raw.write_bytes(b"12345678" + heights().tobytes())
+    body = (
+        '<SourceFilename relativeToVRT="1">samples.raw</SourceFilename><ImageOffset>8</ImageOffset>'
+        f"<PixelOffset>2</PixelOffset><LineOffset>{2 * SIZE}</LineOffset><ByteOrder>LSB</ByteOrder>"
+    )
+    area = virtual(tmp_path / "area.vrt", body, kind=' subClass="VRTRawRasterBand"')
+    assert np.array_equal(read(area), heights())
+    raw.write_bytes(raw.read_bytes()[:-1])
+    with pytest.raises(ReadError, match=r"samples\.raw|cannot be read"):
+        read(area)
+
+
+def test_only_the_parts_that_are_read_are_looked_at(tmp_path: Path) -> None:
+    write(tmp_path / "west.asc", "AAIGrid")
+    east = write(tmp_path / "east.asc", "AAIGrid")
+    area = virtual(tmp_path / "area.vrt", source("west.asc", 0) + source("east.asc", SIZE), 2 * SIZE)
+    east.write_bytes(east.read_bytes() + b" x")
+    with Source.open(area) as file:
+        assert np.array_equal(file.read(0, SIZE, 0, SIZE), heights())
+        with pytest.raises(ReadError, match=r"east\.asc"):
+            file.read(0, 1, SIZE, SIZE + 1)
+
+
+def test_the_name_that_gdal_has_for_what_is_in_a_zip_is_looked_at_as_well(tmp_path: Path) -> None:
+    path = write(tmp_path / "part.img", "ENVI")
+    path.write_bytes(path.read_bytes()[: SIZE * SIZE])
+    packed = tmp_path / "parts.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        for name in ("part.img", "part.hdr"):
+            archive.write(tmp_path / name, name)
+    with pytest.raises(ReadError, match="bytes that its header promises"):
+        read(f"/vsizip/{packed}/part.img")
+
+
+@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("compress", ["deflate", "lzw"])
+def test_a_damaged_mask_is_noticed(tmp_path: Path, beside: bool, compress: str) -> None:
+    path = tmp_path / "masked.tif"
+    profile = {"width": SIZE, "height": SIZE, "count": 1, "dtype": "uint16", "transform": UTM, "compress": compress}
+    valid = np.random.default_rng(7).random((SIZE, SIZE)) < 0.5
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=not beside), rasterio.open(path, "w", driver="GTiff", **profile) as file:
+        file.write(heights(), 1)
+        file.write_mask(valid)
+    assert np.array_equal(read(path), np.where(valid, heights(), np.nan), equal_nan=True)
+    mask = tmp_path / "masked.tif.msk"
+    assert mask.exists() == beside
+    with rasterio.open(mask if beside else f"GTIFF_DIR:2:{path}") as file:
+        at = int(file.get_tag_item("BLOCK_OFFSET_0_0", "TIFF", bidx=1))
+        size = int(file.get_tag_item("BLOCK_SIZE_0_0", "TIFF", bidx=1))
+    damaged = mask if beside else path
+    data = damaged.read_bytes()
+    longer = zlib.compress(bytes(4 * SIZE * SIZE))
+    broken = (longer[:-1] + bytes([longer[-1] ^ 1])).ljust(size, b"\0")
+    damaged.write_bytes(data[:at] + broken + data[at + size :])
+    with pytest.raises(ReadError, match="Deflate stream is damaged"):
+        read(path)
+
+
+@pytest.mark.parametrize("size", [0, 100, 300])
+def test_a_mask_that_cannot_be_opened_is_noticed(tmp_path: Path, size: int) -> None:
+    """GDAL goes on without it, and what is missing would be heights."""
+    path = tmp_path / "masked.tif"
+    profile = {"width": SIZE, "height": SIZE, "count": 1, "dtype": "uint16", "transform": UTM}
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False), rasterio.open(path, "w", driver="GTiff", **profile) as file:
+        file.write(heights(), 1)
+        file.write_mask(np.arange(SIZE * SIZE).reshape(SIZE, SIZE) % 3 > 0)
+    mask = tmp_path / "masked.tif.msk"
+    mask.write_bytes(mask.read_bytes()[:size])
+    with pytest.raises(ReadError, match=r"masked\.tif"):
+        read(path)
