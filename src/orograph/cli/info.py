@@ -172,10 +172,12 @@ def _parts(path: str, errors: Sequence[str], layers: Sequence[str]) -> dict[str,
     if not folder.is_dir():
         return None
     parts = {"heights": _files(folder / "heights")}
-    for kind in (*errors, "radius", "color"):
+    for kind in (*errors, "radius"):
         found = sum(_files(level / kind) for level in (folder / "diamonds").glob("*"))
         if found:
-            parts[{"radius": "spheres", "color": "color errors"}.get(kind, f"{kind} errors")] = found
+            parts["spheres" if kind == "radius" else f"{kind} errors"] = found
+    if (folder / "colors").is_dir():
+        parts["color errors"] = _files(folder / "colors")
     for name in layers:
         parts[name] = _files(folder / "layers" / name)
     if (folder / "source").is_dir():
