@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from orograph.error import ErrorKind
     from orograph.progress import Progress
+    from orograph.store.stored import StoredTerrain
 
 
 class ErrorKinds(click.ParamType[tuple[str, ...]]):
@@ -192,11 +193,16 @@ def command(
                 err=True,
             )
             raise
+    _tell(terrain, time.perf_counter() - started, as_json)
+
+
+def _tell(terrain: StoredTerrain, seconds: float, as_json: bool) -> None:
+    """Tell what was built."""
+    from orograph.store.colors import COLORS
+
     grid, size = terrain.grid, terrain.size_bytes
     low, high = terrain.height_range
     known = low == low
-    from orograph.store.colors import COLORS
-
     result = {
         "path": terrain.url,
         "size_bytes": size,
@@ -213,7 +219,7 @@ def command(
         "vertical_datum": terrain.vertical,
         "resampled": None if terrain.resampled is None else terrain.resampled.to_json(),
         "keeps_source": terrain.samples is not None,
-        "seconds": round(time.perf_counter() - started, 3),
+        "seconds": round(seconds, 3),
         "peak_memory_bytes": peak_memory(),
     }
     if as_json:
@@ -228,7 +234,7 @@ def command(
         + (f"heights {low:.1f} to {high:.1f} m, " if known else "no valid height, ")
         + f"{100 * terrain.valid_fraction:.4g} % valid\n"
         + (f"resampled: {terrain.resampled}\n" if terrain.resampled is not None else "")
-        + f"built in {result['seconds']:.1f} s, peak memory {megabytes(peak_memory())}"
+        + f"built in {seconds:.1f} s, peak memory {megabytes(peak_memory())}"
     )
 
 

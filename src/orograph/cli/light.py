@@ -18,6 +18,7 @@ from orograph.cli.options import (
     jobs_option,
     memory_option,
     progress_of,
+    source_of,
     source_options,
     vertical_options,
 )
@@ -129,9 +130,7 @@ def command(
     progress = progress_of(ctx)
     check_outputs({"--output": output}, {"the input": paths, "the grid of --geoid": [options["geoid"]]})
     check_ending("--output", output)
-    source = {k: v for k, v in options.items() if k not in OWN}
-    if source["band"] == 1:
-        source["band"] = None
+    source = source_of(options, OWN)
     with progress.task("Loading Orograph"):
         from orograph.lighting.context import Context, Options
         from orograph.lighting.products import product

@@ -12,8 +12,17 @@ from click.core import ParameterSource
 
 from orograph.cli.camera import Size
 from orograph.cli.files import check_outputs
-from orograph.cli.options import FILE, Float, jobs_option, memory_option, progress_of, source_options, vertical_options
-from orograph.cli.scenes import DRAWING, check_scene, scene_of, scene_options
+from orograph.cli.options import (
+    FILE,
+    Float,
+    jobs_option,
+    memory_option,
+    progress_of,
+    source_of,
+    source_options,
+    vertical_options,
+)
+from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
 from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
 from orograph.errors import UsageError
 from orograph.scene import given
@@ -78,13 +87,9 @@ def command(
         )
     check_outputs(
         {"--output": output},
-        {"the input": paths, "a layer of --drape": [layer.path for layer in options["layers"]], "the tour": [tour_path],
-         "the line": [options["line"]], "the camera of --mesh-view": [options["mesh_view"]],
-         "the grid of --geoid": [options["geoid"]]},
-    )  # fmt: skip
-    source = {k: v for k, v in options.items() if k not in OWN}
-    if source["band"] == 1:
-        source["band"] = None
+        {**inputs_of(paths, options), "the tour": [tour_path], "the line": [options["line"]]},
+    )
+    source = source_of(options, OWN)
     with progress.task("Loading Orograph"):
         from orograph.rendering.backends import session
         from orograph.rendering.memory import check_memory

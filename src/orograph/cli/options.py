@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -101,6 +101,12 @@ def with_options(function: F, *options: Callable[[F], F]) -> F:
     for option in reversed(options):
         function = option(function)
     return function
+
+
+def source_of(options: Mapping[str, Any], own: Collection[str]) -> dict[str, Any]:
+    """The options that say how files are read: those that are not a verb's own."""
+    source = {name: value for name, value in options.items() if name not in own}
+    return {**source, "band": None if source["band"] == 1 else source["band"]}
 
 
 def source_options(function: F) -> F:

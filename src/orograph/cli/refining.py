@@ -21,6 +21,7 @@ from orograph.cli.options import (
     grid_options,
     jobs_option,
     memory_option,
+    source_of,
     source_options,
     vertical_options,
     with_options,
@@ -136,9 +137,7 @@ def terrain_of(
     """
     from orograph.scene.prepare import prepare
 
-    source = {k: v for k, v in options.items() if k not in own and k not in REFINE}
-    if source["band"] == 1:
-        source["band"] = None
+    source = source_of(options, {*own, *REFINE})
     return prepare(
         list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=error_kinds(choices), **source
     )

@@ -17,10 +17,11 @@ from orograph.cli.options import (
     jobs_option,
     memory_option,
     progress_of,
+    source_of,
     source_options,
     vertical_options,
 )
-from orograph.cli.scenes import DRAWING, check_scene, scene_of, scene_options
+from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
 
 OWN = {*DRAWING, *CAMERA}
 """What is said about the picture; all other options are about reading."""
@@ -67,15 +68,11 @@ def command(
     errors = check_scene(options, progress)
     check_outputs(
         {"--output": output, "--depth": depth, "--save-view": save_view},
-        {"the input": paths, "a layer of --drape": [layer.path for layer in options["layers"]],
-         "the camera of --view": [options["view_path"]], "the camera of --mesh-view": [options["mesh_view"]],
-         "the grid of --geoid": [options["geoid"]]},
-    )  # fmt: skip
+        {**inputs_of(paths, options), "the camera of --view": [options["view_path"]]},
+    )
     if depth:
         check_ending("--depth", depth)
-    source = {k: v for k, v in options.items() if k not in OWN}
-    if source["band"] == 1:
-        source["band"] = None
+    source = source_of(options, OWN)
     with progress.task("Loading Orograph"):
         from orograph.errors import DamagedChunkError, NothingInViewError
         from orograph.folders import cache_folder

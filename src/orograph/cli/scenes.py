@@ -7,7 +7,7 @@ contradicts, before any work; ``given_of`` and ``scene_of`` make a scene's optio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -127,6 +127,14 @@ def scene_options(without: tuple[str, ...] = (), backend: bool = True, **changes
         return with_options(function, *options)
 
     return give
+
+
+def inputs_of(paths: Sequence[str], options: Mapping[str, Any]) -> dict[str, Sequence[str | None]]:
+    """The files that a picture is made of, by what they are (``files.check_outputs``)."""
+    return {
+        "the input": paths, "a layer of --drape": [layer.path for layer in options["layers"]],
+        "the camera of --mesh-view": [options["mesh_view"]], "the grid of --geoid": [options["geoid"]],
+    }  # fmt: skip
 
 
 def given_of(options: Mapping[str, Any]) -> dict[str, Any]:

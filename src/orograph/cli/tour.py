@@ -10,7 +10,7 @@ import click
 
 from orograph.cli.camera import Size
 from orograph.cli.files import check_outputs
-from orograph.cli.options import FILE, grid_options, jobs_option, memory_option, progress_of, source_options
+from orograph.cli.options import FILE, grid_options, jobs_option, memory_option, progress_of, source_of, source_options
 from orograph.cli.scenes import scene_option
 from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
 from orograph.errors import UsageError
@@ -49,9 +49,7 @@ def new(
     if not chosen(options):
         raise UsageError("What kind of tour?", remedy="Say --orbit, --turntable, --line FILE, or --point twice.")
     check_outputs({"--output": output}, {"the input": paths, "the line": [options["line"]]})
-    source = {k: v for k, v in options.items() if k not in WAY}
-    if source["band"] == 1:
-        source["band"] = None
+    source = source_of(options, WAY)
     with progress.task("Loading Orograph"):
         from orograph.output import Beside, check_folder
         from orograph.scene.prepare import prepare

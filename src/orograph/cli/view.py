@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
-from orograph.cli.options import Bytes, jobs_option, progress_of, source_options, vertical_options
+from orograph.cli.options import Bytes, jobs_option, progress_of, source_of, source_options, vertical_options
 from orograph.cli.scenes import DRAWING, check_scene, given_of, scene_options
 from orograph.scene.parts import check_options
 
@@ -97,9 +97,7 @@ def command(
         if Path(screenshot).suffix.lower() != ".png":
             raise UsageError("A screenshot is a PNG.", path=screenshot, remedy="Give it the ending .png.")
         check_folder(Path(screenshot))
-    source = {k: v for k, v in options.items() if k not in OWN}
-    if source["band"] == 1:
-        source["band"] = None
+    source = source_of(options, OWN)
     size = options["size"] or WINDOW
     if len(paths) > 1 or not is_store(paths[0]):
         settle()  # what is built may take long, and is held to a budget of memory

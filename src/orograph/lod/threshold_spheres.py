@@ -44,7 +44,8 @@ from orograph.lod.field import Field
 from orograph.lod.method import Goal, MethodInfo
 from orograph.lod.radix_heap import AFTER, BEFORE, LISTS, WHERE, WORK, advance
 from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
-from orograph.lod.threshold_spheres_pass import (
+from orograph.lod.threshold_spheres_pass import put_out, update
+from orograph.lod.threshold_spheres_trees import (
     FREE,
     GROW,
     LEVEL,
@@ -58,9 +59,7 @@ from orograph.lod.threshold_spheres_pass import (
     Frame,
     Lists,
     Nodes,
-    put_out,
-    update,
-)  # fmt: skip
+)
 from orograph.viewpoint import Camera
 
 

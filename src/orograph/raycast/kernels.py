@@ -151,6 +151,8 @@ def cast_pinhole(scene, ints, floats, low, high, o, d0, du, dv, t0, t1, clear, x
 
     ``corner``: (row, col) of the pixel that ``out`` and ``which`` begin with. ``clear``: the eye is known to be above
     the surface (or beside it), so that fronts may be pushed from there.
+
+    (One function, though long: block, strip and pixel narrow the same dozen numbers, which calls would pass on.)
     """
     windows = ints.shape[0]
     top, left = corner
