@@ -13,6 +13,7 @@ import numpy as np
 from affine import Affine
 
 from orograph import viewpoint
+from orograph.error.diamonds import diamonds as surveyed
 from orograph.geo.grid import Grid
 from orograph.hierarchy import diamonds, fronts, triangles
 from orograph.lod.method import Goal, Method, Ready, Resources
@@ -23,6 +24,10 @@ from orograph.lod.reference.screen_error import wedgie
 from orograph.lod.reference.terrain import Ground
 from orograph.lod.registry import method_of
 from orograph.lod.right_triangles import Mesh
+from orograph.store.diamond_table import MemoryDiamonds
+from orograph.store.diamonds import NESTED, gather
+from orograph.store.diamonds import surface as ground_of
+from orograph.store.levels import subsample
 from orograph.store.memory import MemoryTerrain
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import View
@@ -310,3 +315,22 @@ def drawn(ground: Ground, T, criterion) -> set:
 
 SHAPES = [(17, 17), (33, 33), (20, 31), (33, 18), (9, 30), (2, 2), (3, 5)]
 """Sizes of small rasters, with and without squeezed borders."""
+
+
+class Unrounded(MemoryTerrain):
+    """A terrain whose errors and radii are not rounded to what a store can hold."""
+
+    def derived(self, name, **options):
+        if name != "diamonds":
+            return super().derived(name, **options)
+        kind = options["error"]
+        ground = ground_of(self.grid, self.tiles(0).minimum, self.height_range[0])
+        parts = surveyed(
+            lambda a, b, c, d: self.heights[a:b, c:d], subsample(self.heights, NESTED), ground, (kind,), jobs=1
+        )
+        return MemoryDiamonds(self, *gather(self.grid.shape, parts, kind))
+
+
+def unrounded(t):
+    """The same terrain with errors and radii as they are."""
+    return Unrounded(t.heights, t.grid, t.name)

@@ -73,7 +73,7 @@ def test_queues_meet_within_a_budget():
 
 def test_wedgies_are_the_store_s():
     """The store closes them over the diamonds besides: a diamond's is no less than its children's."""
-    t = plain.terrain(plain.rough(np.random.default_rng(1), (33, 33)))
+    t = plain.unrounded(plain.terrain(plain.rough(np.random.default_rng(1), (33, 33))))
     ground = Ground.of(t, "wedgie")
     n, e, closed = ground.n, wedgies(ground), {}
     for i in reversed(list(hrt.diamonds(n))):

@@ -53,10 +53,10 @@ def test_without_the_swap_of_left_and_right_the_strip_is_wrong(monkeypatch):
 
 def test_nested_errors_and_radii_are_the_store_s():
     rng = np.random.default_rng(1)
-    t = plain.terrain(plain.rough(rng, (33, 33)), angle=20.0, stretch=2.0)
+    t = plain.unrounded(plain.terrain(plain.rough(rng, (33, 33)), angle=20.0, stretch=2.0))
     ground = Ground.of(t, "midpoint")
     errors, radii = soar.nested_errors(ground), soar.nested_radii(ground)
-    for i in hrt.diamonds(ground.n):  # (stored as float32, rounded up)
+    for i in hrt.diamonds(ground.n):  # (float32, rounded up)
         assert errors[i] <= ground[i].error * (1 + 1e-6) and ground[i].error == pytest.approx(errors[i], rel=1e-6)
         assert radii[i] <= ground[i].radius == pytest.approx(radii[i], rel=2e-6)
 
