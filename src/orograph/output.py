@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import glob
+import math
 import os
 import re
 import shutil
@@ -49,14 +50,30 @@ def _left(folder: Path) -> list[Path]:
 
 
 def check_room(path: Path, size: int) -> None:
-    """Raise OutputError if the disk of ``path`` has less room than ``size`` bytes: before libraries meet its end, which
-    print lines of their own."""
+    """Raise OutputError if the disk of ``path`` has less room than ``size`` bytes, or this process may not write a file
+    of that size: before libraries meet that, which print lines of their own."""
+    allowed = _largest_file()
+    if allowed < size:
+        raise OutputError(
+            f"A file of {size / 1e6:,.2f} MB is needed on the way, and this process may write none of more than "
+            f"{allowed / 1e6:,.2f} MB.", path=path, remedy="Raise that limit of your shell (ulimit -f).",
+        )  # fmt: skip
     free = shutil.disk_usage(path.parent).free
     if free < size:
         raise OutputError(
             f"There is no room for it: {size / 1e6:,.1f} MB are needed on the way, {free / 1e6:,.1f} MB are free.",
             path=path, remedy="Make room, or write to another disk.",
         )  # fmt: skip
+
+
+def _largest_file() -> float:
+    """Bytes this process may write to one file."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return math.inf
+    allowed = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    return math.inf if allowed == resource.RLIM_INFINITY else allowed
 
 
 _unfinished: set[Path] = set()
