@@ -36,8 +36,7 @@ def beside(out: Path, ending: str) -> Path:
     for path in _left(out.parent):
         found = ours.fullmatch(path.name)
         if found is not None and not running(int(found[1])):
-            with contextlib.suppress(OSError):
-                path.unlink(missing_ok=True)
+            remove(path)
     return out.with_name(f".{out.name}.{host()}.{os.getpid()}.{ending}")
 
 
@@ -76,6 +75,12 @@ def _largest_file() -> float:
     return math.inf if allowed == resource.RLIM_INFINITY else allowed
 
 
+def remove(path: Path) -> None:
+    """Remove a file if it is there and can be removed: on a disk that has become read-only nothing can."""
+    with contextlib.suppress(OSError):
+        path.unlink()
+
+
 _unfinished: set[Path] = set()
 
 
@@ -83,7 +88,7 @@ def remove_unfinished() -> None:
     """Remove what is half written, and what lies beside it under its name: the process is about to end."""
     for part in list(_unfinished):
         for left in part.parent.glob(f"{glob.escape(part.name)}*"):
-            left.unlink(missing_ok=True)
+            remove(left)
 
 
 class Beside:
@@ -104,10 +109,10 @@ class Beside:
             try:
                 self.part.replace(self.out)
             except OSError as cause:
-                self.part.unlink(missing_ok=True)
+                remove(self.part)
                 raise OutputError(f"The file cannot be written: {cause.strerror}.", path=self.out) from cause
             return
-        self.part.unlink(missing_ok=True)
+        remove(self.part)
         if isinstance(error, OSError):
             raise OutputError(
                 f"The file cannot be written: {error.strerror or error}.", path=self.out,

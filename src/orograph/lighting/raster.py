@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from orograph.dem.handles import cause_of
 from orograph.errors import OutputError
 from orograph.geo.grid import Grid
-from orograph.output import Beside, check_folder, check_room
+from orograph.output import Beside, check_folder, check_room, remove
 from orograph.parallel import cpu_count
 from orograph.progress import SILENT, Progress
 
@@ -230,7 +230,7 @@ def write(
                 remedy="See that the disk has room and the folder is yours to write in.",
             ) from error  # fmt: skip
         finally:
-            plain.unlink(missing_ok=True)
+            remove(plain)
             # What the copy leaves when it is interrupted.
             for left in out.parent.glob(f"{part.name}*.tmp"):
-                left.unlink(missing_ok=True)
+                remove(left)
