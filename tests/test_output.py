@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from orograph.errors import OutputError
 from orograph.output import Beside, _left
 from orograph.processes import host
 
@@ -74,3 +77,15 @@ def test_many_results_look_through_their_folder_once(tmp_path, monkeypatch):
         with Beside(tmp_path / f"{number}.png") as part:
             part.write_text("x")
     assert len(looks) == 1
+
+
+def test_a_file_system_that_is_read_only_is_told(tmp_path, monkeypatch):
+    """Nothing can be written there, nor removed: the first is the error."""
+
+    def refused(*_, **__):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    told = pytest.raises(OutputError, match=r"The file cannot be written: Read-only file system")
+    with told, Beside(tmp_path / "sky.tif"):
+        refused()

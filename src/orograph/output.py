@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import glob
+import math
 import os
 import re
 import shutil
@@ -35,8 +36,7 @@ def beside(out: Path, ending: str) -> Path:
     for path in _left(out.parent):
         found = ours.fullmatch(path.name)
         if found is not None and not running(int(found[1])):
-            with contextlib.suppress(OSError):
-                path.unlink(missing_ok=True)
+            remove(path)
     return out.with_name(f".{out.name}.{host()}.{os.getpid()}.{ending}")
 
 
@@ -49,14 +49,36 @@ def _left(folder: Path) -> list[Path]:
 
 
 def check_room(path: Path, size: int) -> None:
-    """Raise OutputError if the disk of ``path`` has less room than ``size`` bytes: before libraries meet its end, which
-    print lines of their own."""
+    """Raise OutputError if the disk of ``path`` has less room than ``size`` bytes, or this process may not write a file
+    of that size: before libraries meet that, which print lines of their own."""
+    allowed = _largest_file()
+    if allowed < size:
+        raise OutputError(
+            f"A file of {size / 1e6:,.2f} MB is needed on the way, and this process may write none of more than "
+            f"{allowed / 1e6:,.2f} MB.", path=path, remedy="Raise that limit of your shell (ulimit -f).",
+        )  # fmt: skip
     free = shutil.disk_usage(path.parent).free
     if free < size:
         raise OutputError(
             f"There is no room for it: {size / 1e6:,.1f} MB are needed on the way, {free / 1e6:,.1f} MB are free.",
             path=path, remedy="Make room, or write to another disk.",
         )  # fmt: skip
+
+
+def _largest_file() -> float:
+    """Bytes this process may write to one file."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return math.inf
+    allowed = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    return math.inf if allowed == resource.RLIM_INFINITY else allowed
+
+
+def remove(path: Path) -> None:
+    """Remove a file if it is there and can be removed: on a disk that has become read-only nothing can."""
+    with contextlib.suppress(OSError):
+        path.unlink()
 
 
 _unfinished: set[Path] = set()
@@ -66,7 +88,7 @@ def remove_unfinished() -> None:
     """Remove what is half written, and what lies beside it under its name: the process is about to end."""
     for part in list(_unfinished):
         for left in part.parent.glob(f"{glob.escape(part.name)}*"):
-            left.unlink(missing_ok=True)
+            remove(left)
 
 
 class Beside:
@@ -87,10 +109,10 @@ class Beside:
             try:
                 self.part.replace(self.out)
             except OSError as cause:
-                self.part.unlink(missing_ok=True)
+                remove(self.part)
                 raise OutputError(f"The file cannot be written: {cause.strerror}.", path=self.out) from cause
             return
-        self.part.unlink(missing_ok=True)
+        remove(self.part)
         if isinstance(error, OSError):
             raise OutputError(
                 f"The file cannot be written: {error.strerror or error}.", path=self.out,

@@ -265,6 +265,22 @@ def test_ctrl_c_leaves_what_was_there(tmp_path, how, code):
     assert out.read_bytes() == b"before" and sorted(p.name for p in tmp_path.iterdir()) == ["big.tif", "out.tif"]
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs resource limits")
+@pytest.mark.parametrize("name", ["slope", "normal"])
+def test_a_file_that_may_not_grow(hilly, tmp_path, name):
+    """GDAL's TIFF library, left to meet the limit, writes lines of its own to the process's stderr."""
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (20480, 20480));"
+        "from orograph.cli import main; main(sys.argv[1:])"
+    )
+    out = tmp_path / "out.tif"
+    given = ["light", str(hilly), "--product", name, "-o", str(out), "--quiet"]
+    ran = subprocess.run([sys.executable, "-c", code, *given], capture_output=True, text=True)
+    assert ran.returncode == 4 and len(ran.stderr.splitlines()) == 1, ran.stderr
+    assert "out.tif" in ran.stderr and "more than 0.02 MB" in ran.stderr and "ulimit -f" in ran.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     "name", ["sky-view-factor", "openness", "horizon", "ambient-occlusion", "aperture,visible-sky,sky-view-factor"]
 )

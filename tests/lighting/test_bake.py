@@ -3,6 +3,8 @@ an interrupted bake leaves the store as it was and goes on to the same bytes."""
 
 from __future__ import annotations
 
+import errno
+import os
 import threading
 from dataclasses import replace
 
@@ -12,7 +14,7 @@ import xarray as xr
 import zarr
 
 from orograph import store
-from orograph.errors import DamagedChunkError, StoreError, UsageError
+from orograph.errors import DamagedChunkError, OutputError, StoreError, UsageError
 from orograph.lighting.arrays import context_of
 from orograph.lighting.bake import BAKED, PARTIAL, bake
 from orograph.lighting.context import Options
@@ -208,6 +210,20 @@ def test_a_sweep_that_is_interrupted_goes_on(tmp_path, monkeypatch, path):
     bake(folder, given, FEW)
     assert sum(swept) == 2 * 5 - passes[-1]
     assert files(folder) == files(path)
+
+
+def test_a_full_disk_is_told_without_advice_that_bake_has_not(tmp_path, monkeypatch):
+    folder = tmp_path / "s"
+    made(folder)
+
+    def full(fd):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OutputError, match=r"cannot be kept: No space left on device.*the disk has room") as told:
+            bake(folder, ["sky-view-factor"], FEW)
+    assert "resume" not in str(told.value)
 
 
 def test_what_is_there_is_left_and_what_differs_is_replaced(tmp_path):

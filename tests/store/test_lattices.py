@@ -162,12 +162,14 @@ def losses(terrain, heights, grid, counts):
             if math.isnan(h) or not counts[i, j]:
                 continue
             u, v = (float(w) for w in terrain.grid.index(*to.transform(*grid.xy(j, i))))
-            if 0 <= u < drawn.shape[1] - 1 and 0 <= v < drawn.shape[0] - 1:
-                off.append(plain_surface(drawn, 0, v, u) - h)
-            c, r = math.floor(u), math.floor(v)
-            near = drawn[max(r, 0) : r + 2, max(c, 0) : c + 2]
-            if near.size == 0 or np.isnan(near).all():
+            if not (0 <= u < drawn.shape[1] - 1 and 0 <= v < drawn.shape[0] - 1):
                 continue
+            above = plain_surface(drawn, 0, v, u)
+            if math.isnan(above):
+                continue
+            off.append(above - h)
+            c, r = math.floor(u), math.floor(v)
+            near = drawn[r : r + 2, c : c + 2]
             loss = max(h - float(np.nanmax(near)), 0.0)
             around = heights[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
             if h >= np.nanmax(around):
@@ -175,7 +177,7 @@ def losses(terrain, heights, grid, counts):
             if h > highest[0]:
                 highest = (h, loss)
     off = np.array(off)
-    return np.sqrt(np.nanmean(off**2)), np.nanmax(np.abs(off)), max(summits), *highest
+    return np.sqrt(np.mean(off**2)), np.abs(off).max(), max(summits), *highest
 
 
 @pytest.mark.parametrize("resolution", [None, 31.0, 400.0])
@@ -189,6 +191,28 @@ def test_losses_are_what_looking_at_every_sample_finds(tmp_path, resolution):
     np.testing.assert_allclose([lost.rms, lost.largest, lost.summit_loss, *expected[3:]],
                                [*expected[:3], lost.highest, lost.highest_loss], atol=0.02)  # fmt: skip
     assert lost.largest > 20
+
+
+@pytest.mark.parametrize("place", [(3, 3), (0, 31), (26, 40)], ids=["inside", "rim", "beside a void"])
+def test_no_summit_loses_more_than_the_surface_is_off(tmp_path, place):
+    """A summit where no surface is drawn, at the rim or beside a void, is no loss of the surface's."""
+    heights = rough((60, 62), 3)
+    heights[20:40, 20:40] = np.nan
+    heights[place] = heights[~np.isnan(heights)].max() + 900
+    terrain = store.build(Mosaic([degrees(heights)], resolution=400.0), tmp_path / "s.oro", errors=(), **SIZES)
+    lost = terrain.resampled
+    assert lost.highest_loss <= lost.summit_loss <= lost.largest
+    assert (lost.highest > 1500) == (place == (3, 3))
+
+
+def test_what_was_lost_does_not_depend_on_the_shards(tmp_path):
+    noise = np.random.default_rng(3).normal(0, 30, (300, 277)).astype(np.float32)
+    source = degrees(rough((300, 277), 3) + noise)
+    lost = [
+        store.build(Mosaic([source]), tmp_path / f"{shard}.oro", errors=(), shard=shard, chunk=64).resampled
+        for shard in (64, 128, 1024)
+    ]
+    assert lost[0] == lost[1] == lost[2]
 
 
 def test_samples_under_a_finer_lattice_do_not_count(tmp_path):

@@ -22,9 +22,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.dem.handles import cause_of
 from orograph.errors import OutputError
 from orograph.geo.grid import Grid
-from orograph.output import Beside, check_folder, check_room
+from orograph.output import Beside, check_folder, check_room, remove
 from orograph.parallel import cpu_count
 from orograph.progress import SILENT, Progress
 
@@ -34,6 +35,8 @@ _GDAL_CACHE = 64
 """MiB of GDAL's block cache while a file is written."""
 _LEVEL = 4
 """Of DEFLATE: twice as fast as its default, 1 % larger."""
+_HEADER, _PER_TILE = 1 << 12, 16
+"""Bytes of a plain TIFF beside its samples: about."""
 
 
 class Canvas:
@@ -187,7 +190,8 @@ def write(
     out = Path(path)
     check_folder(out)
     rows, cols = grid.shape
-    check_room(out, len(bands) * -(-rows // 256) * -(-cols // 256) * 256 * 256 * (1 if byte else 4))
+    tiles = len(bands) * -(-rows // 256) * -(-cols // 256)
+    check_room(out, tiles * (256 * 256 * (1 if byte else 4) + _PER_TILE) + _HEADER)
     profile = {
         "driver": "GTiff", "height": rows, "width": cols, "count": len(bands), "dtype": "uint8" if byte else "float32",
         "nodata": 0 if byte else math.nan, "crs": None if grid.crs is None else grid.crs.to_wkt(),
@@ -222,11 +226,11 @@ def write(
                     )  # fmt: skip
         except (RasterioError, rasterio._err.CPLE_BaseError) as error:
             raise OutputError(
-                f"The file cannot be written: {error}.", path=out,
+                f"The file cannot be written: {cause_of(error)}", path=out,
                 remedy="See that the disk has room and the folder is yours to write in.",
             ) from error  # fmt: skip
         finally:
-            plain.unlink(missing_ok=True)
+            remove(plain)
             # What the copy leaves when it is interrupted.
             for left in out.parent.glob(f"{part.name}*.tmp"):
-                left.unlink(missing_ok=True)
+                remove(left)

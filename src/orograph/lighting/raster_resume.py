@@ -150,5 +150,5 @@ def _replace(path: Path, text: str) -> None:
 def _unwritable(folder: Path, error: OSError) -> OutputError:
     return OutputError(
         f"What has been done cannot be kept: {error.strerror or error}.", path=folder,
-        remedy="See that the disk has room, or leave `resume` away.",
+        remedy="See that the disk has room and the folder is yours to write in, then run the same again: it goes on.",
     )  # fmt: skip

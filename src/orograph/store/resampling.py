@@ -1,11 +1,13 @@
 """The stage of a build that looks back at what was resampled: it keeps the source lattices and says what was lost.
 
 One task per shard of a lattice: it writes the shard (unless the source is not to be kept) and compares its samples with
-the finished level 0. At every sample that counts, one that no finer lattice has a height for, *deviation* is the drawn
-surface minus the sample, where there is a surface. A *summit* is a sample that none of its eight neighbours exceeds;
-its *loss* is by how much it exceeds the highest of the four samples of the terrain around it, at least 0. Where a
-sample lies on the terrain's grid is known to ``EXACT`` samples of it. What a task found is kept in ``parts/`` until the
-build is complete, and sums are taken in one order, so that a resumed build says the same. Units: metres; samples.
+the finished level 0. A sample counts if no finer lattice has a height for it and the terrain has a surface there, which
+it has not beyond its outermost samples and beside missing ones. *Deviation* is the drawn surface minus the sample. A
+*summit* is a sample that none of its eight neighbours exceeds; its *loss* is by how much it exceeds the highest of the
+four samples of the terrain around it, at least 0. Nothing around is lower than the surface, so no loss is larger than
+the largest deviation. Where a sample lies on the terrain's grid is known to ``EXACT`` samples of it. What a task found
+is kept in ``parts/`` until the build is complete. Squares are summed in blocks of the lattice, and those sums exactly,
+so that the shards make no difference. Units: metres; samples.
 """
 
 from __future__ import annotations
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 
 EXACT = 1e-3
 STRIP = 256  # rows that are compared at once
+BLOCK = 64  # samples along the sides of blocks whose squares are summed; it divides STRIP and the sides of shards
 
 Facts = dict[str, NDArray[Any]]
 
@@ -71,14 +74,15 @@ class _Total:
     """What all tasks found, added up."""
 
     def __init__(self) -> None:
-        self.count, self.squares = 0, [0.0]
+        self.count = 0
+        self.squares: list[float] = []
         self.largest = self.summit_loss = self.highest_loss = 0.0
         self.highest = -math.inf
 
     def add(self, facts: Facts) -> None:
-        count, squares, largest, summit_loss, highest, highest_loss = facts["found"].tolist()
+        count, largest, summit_loss, highest, highest_loss = facts["found"].tolist()
         self.count += int(count)
-        self.squares.append(squares)
+        self.squares += facts["squares"].tolist()
         self.largest, self.summit_loss = max(self.largest, largest), max(self.summit_loss, summit_loss)
         if highest > self.highest:
             self.highest, self.highest_loss = highest, highest_loss
@@ -87,8 +91,7 @@ class _Total:
         if not self.count:
             return Resampled(math.nan, math.nan, math.nan, math.nan, math.nan)
         rms = math.sqrt(math.fsum(self.squares) / self.count)
-        highest = self.highest if self.highest > -math.inf else math.nan
-        return Resampled(rms, self.largest, self.summit_loss, highest, self.highest_loss)
+        return Resampled(rms, self.largest, self.summit_loss, self.highest, self.highest_loss)
 
 
 class _Look:
@@ -130,7 +133,7 @@ class _Look:
             fill("nearest", layer, row0, row1, col0, col1, covered)
         if not np.isnan(own).all():
             fill("ground", self.surface, row0, row1, col0, col1, ground)
-        facts["found"] = _compared(around, np.isnan(covered), ground[..., 0], ground[..., 1])
+        facts["found"], facts["squares"] = _compared(around, np.isnan(covered), ground[..., 0], ground[..., 1])
         self.writer.keep(self._part(spot), pack(facts))
         return facts
 
@@ -153,38 +156,44 @@ class _Look:
         return f"{PARTS}/source/{self.number}.{spot[0]}.{spot[1]}.part"
 
 
-def _compared(around: Heights, counts: NDArray[np.bool_], drawn: Heights, highest: Heights) -> NDArray[np.float64]:
-    """Number of deviations, the sum of their squares, the largest; the largest loss of a summit; the highest sample and
-    its loss.
+def _compared(
+    around: Heights, counts: NDArray[np.bool_], drawn: Heights, highest: Heights
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What is found at the samples that count: (their number, the largest deviation, the largest loss of a summit, the
+    highest sample, its loss), and the sums of the squares of the deviations in each block.
 
     Args:
         around: (rows + 2, cols + 2) samples, with their neighbours.
-        counts: (rows, cols) which of them count.
+        counts: (rows, cols) which of them no finer lattice covers.
         drawn, highest: (rows, cols) the surface, and the highest of the four samples of the terrain around.
     """
-    count, squares, largest, summit_loss, top, top_loss = 0, 0.0, 0.0, 0.0, -math.inf, 0.0
+    count, largest, summit_loss, top, top_loss = 0, 0.0, 0.0, -math.inf, 0.0
+    squares = [np.empty(0)]
     for r in range(0, len(drawn), STRIP):
         strip = slice(r, min(r + STRIP, len(drawn)))
         part = around[r : strip.stop + 2]
-        own = np.where(counts[strip], part[1:-1, 1:-1], np.nan).astype(np.float64)
+        own = part[1:-1, 1:-1].astype(np.float64)
         off = np.abs(drawn[strip] - own)
-        off = off[~np.isnan(off)]
-        if len(off):
-            count, squares, largest = (
-                count + len(off),
-                squares + float(np.sum(off * off)),
-                max(largest, float(off.max())),
-            )
-        lost = own - highest[strip]
-        known = ~np.isnan(lost)
+        known = counts[strip] & ~np.isnan(off)
         if not known.any():
             continue
-        lost = np.maximum(lost, 0.0)
+        count += int(known.sum())
+        largest = max(largest, float(off[known].max()))
+        squares.append(_block_sums(np.where(known, off * off, 0.0)))
+        lost = np.maximum(own - highest[strip], 0.0)
         summit_loss = max(summit_loss, float(lost[known & (own >= _neighbours(part))].max(initial=0.0)))
         at = np.unravel_index(int(np.argmax(np.where(known, own, -np.inf))), own.shape)
         if own[at] > top:
             top, top_loss = float(own[at]), float(lost[at])
-    return np.array([count, squares, largest, summit_loss, top, top_loss])
+    return np.array([count, largest, summit_loss, top, top_loss]), np.concatenate(squares)
+
+
+def _block_sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The sums of blocks of ``BLOCK`` samples a side, each summed in the same order whatever lies beside it."""
+    rows, cols = values.shape
+    padded = np.pad(values, ((0, -rows % BLOCK), (0, -cols % BLOCK)))
+    blocks = padded.reshape(len(padded) // BLOCK, BLOCK, -1, BLOCK).swapaxes(1, 2)
+    return np.asarray(blocks.reshape(-1, BLOCK * BLOCK).sum(axis=1))
 
 
 def _neighbours(heights: Heights) -> Heights:

@@ -101,8 +101,8 @@ class Resampled:
     where nothing could be compared.
 
     Attributes:
-        rms, largest: of the deviations of the surface from all samples it was made of.
-        summit_loss: the largest loss of a summit.
+        rms, largest: of the deviations of the surface from the samples it was made of, where there is a surface.
+        summit_loss: the largest loss of a summit, never more than ``largest``.
         highest: the highest of those samples; highest_loss: its loss.
     """
 
