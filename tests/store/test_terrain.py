@@ -125,3 +125,18 @@ def test_a_source_is_read_into_memory_as_a_whole():
     heights = rough((1500, 70))
     terrain = store.terrain(store.ArraySource(heights, grid_of(heights.shape), "tall"))
     np.testing.assert_array_equal(terrain.heights, heights)
+
+
+def test_derived_data_come_after_what_they_are_made_of():
+    """Makers and metadata go through the registry in its order."""
+    from orograph.store.makers import MAKERS
+    from orograph.store.registry import KINDS
+
+    names = list(KINDS)
+    for name, kind in KINDS.items():
+        assert all(names.index(need) < names.index(name) for need in kind.needs)
+    assert any(kind.needs for kind in KINDS.values())
+    assert list(MAKERS) == [name for name in names if name in MAKERS] and set(MAKERS) <= {
+        name for name, kind in KINDS.items() if not kind.later
+    }
+    assert len({kind.group for kind in KINDS.values()}) == len(KINDS)

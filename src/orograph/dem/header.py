@@ -221,3 +221,14 @@ def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warning
     except ProjError:
         axis = None
     return float(axis.unit_conversion_factor) if axis is not None and axis.unit_conversion_factor > 0 else 1.0
+
+
+def settled_vertical(declared: str | None, assumed: str | None, warnings: list[str]) -> str | None:
+    if assumed is None:
+        return declared
+    name = assumed_vertical(assumed)
+    if declared is None:
+        return name
+    if known_datum(declared) != name:
+        warnings.append(f"It names its own vertical datum ({declared}), so `assume_vertical` is not used for it.")
+    return declared

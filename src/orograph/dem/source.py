@@ -33,14 +33,13 @@ from orograph.dem.bands import (
 )
 from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, cause_of, lent, locate, stamped
-from orograph.dem.header import assumed_vertical, place_of, unit_of, vertical_of
+from orograph.dem.header import place_of, settled_vertical, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
 from orograph.dem.whole import DAMAGED, check_blocks, check_mask
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
-from orograph.geo.vertical import known_datum
 
 MAX_READ_BYTES = 2 << 30
 """``read`` holds at most this many bytes of heights (float32: 536 million samples, e.g. 23170²)."""
@@ -158,7 +157,7 @@ class Source:
                 location=location,
                 name=_stem(path),
                 grid=place.grid,
-                vertical=_vertical(vertical_of(dataset, crs), assume_vertical, warnings),
+                vertical=settled_vertical(vertical_of(dataset, crs), assume_vertical, warnings),
                 dtype=dtype,
                 band=band,
                 bands=dataset.count,
@@ -339,17 +338,6 @@ class Source:
         finite = found[np.isfinite(found)]
         if finite.size and len(self.undeclared) < 8:
             self.undeclared.add(float(finite[0]))
-
-
-def _vertical(declared: str | None, assumed: str | None, warnings: list[str]) -> str | None:
-    if assumed is None:
-        return declared
-    name = assumed_vertical(assumed)
-    if declared is None:
-        return name
-    if known_datum(declared) != name:
-        warnings.append(f"It names its own vertical datum ({declared}), so `assume_vertical` is not used for it.")
-    return declared
 
 
 def _stem(path: str | os.PathLike[str]) -> str:

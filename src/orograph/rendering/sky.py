@@ -76,7 +76,7 @@ class Atmosphere:
         Args:
             scene: only its sun is used.
             visible_range: view-space depths of the nearest and the farthest ground in view, metres.
-            kept: what earlier pictures left.
+            memo: what earlier pictures left.
         """
         memo = Memo() if memo is None else memo
         azimuth, altitude = math.radians(scene.lighting.sun.azimuth), math.radians(scene.lighting.sun.altitude)

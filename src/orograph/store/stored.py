@@ -29,6 +29,9 @@ from orograph.store.storage import Storage, storage_at
 from orograph.store.terrain import Heights, Terrain, TileTable
 from orograph.store.watch import Watch
 
+Key = tuple[str, tuple[tuple[str, Any], ...]]
+"""Derived data by their name and what they were made with."""
+
 CACHE_BYTES = 256 << 20
 """Decoded chunks a terrain keeps unless told otherwise."""
 
@@ -62,8 +65,8 @@ class StoredTerrain(Terrain):
         self._arrays: dict[tuple[str, int], ShardedArray] = {}
         self._tables: dict[int, TileTable] = {}
         self._coarsest: Heights | None = None
-        self.supplied: dict[tuple[str, tuple[tuple[str, Any], ...]], Terrain] = {}
-        self._opened_data: dict[tuple[str, tuple[tuple[str, Any], ...]], Any] = {}
+        self.supplied: dict[Key, Terrain] = {}
+        self._opened_data: dict[Key, Any] = {}
         self.resampled = record.resampled
         if record.lattices:
             self.samples = StoredSamples(self.grid, [self._lattice(number) for number in range(len(record.lattices))])
@@ -127,7 +130,7 @@ class StoredTerrain(Terrain):
         return table
 
     def derived(self, name: str, **options: Any) -> Any:
-        key = name, tuple(sorted(options.items()))
+        key = _key(name, options)
         if key not in self._opened_data:
             made = self.supplied.get(key)
             source = kind_of(name).open(self, **options) if made is None else made.derived(name, **options)
@@ -135,7 +138,7 @@ class StoredTerrain(Terrain):
         return self._opened_data[key]
 
     def has(self, name: str, **options: Any) -> bool:
-        made = (name, tuple(sorted(options.items()))) in self.supplied
+        made = _key(name, options) in self.supplied
         return made or kind_of(name).has(self, **options)
 
     def supply(self, name: str, **options: Any) -> None:
@@ -150,7 +153,7 @@ class StoredTerrain(Terrain):
         made = next(iter(self.supplied.values()), None)
         made = made or MemoryTerrain(self.read(0, 0, rows, 0, cols), self.grid, self.name)
         made.derived(name, **options)
-        self.supplied[name, tuple(sorted(options.items()))] = made
+        self.supplied[_key(name, options)] = made
 
     @property
     def layers(self) -> tuple[str, ...]:
@@ -202,6 +205,10 @@ class StoredTerrain(Terrain):
         from orograph.store.checking import check
 
         return [found.key for found in check(self, jobs=self._jobs, progress=progress)]
+
+
+def _key(name: str, options: dict[str, Any]) -> Key:
+    return name, tuple(sorted(options.items()))
 
 
 def open(

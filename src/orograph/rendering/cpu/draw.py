@@ -61,7 +61,7 @@ def draw(
         scene: what is drawn.
         progress: hears of it.
         mesh: a tessellation of the scene's terrain to draw, instead of having the scene's method make one.
-        kept: what earlier pictures left: give the same for all frames of a movie and all tiles of a picture.
+        memo: what earlier pictures left: give the same for all frames of a movie and all tiles of a picture.
 
     Raises:
         NothingInViewError: no valid terrain is in view; the message says what to change.

@@ -62,7 +62,7 @@ class Following:
     """What is made for where the camera is.
 
     Args:
-        kept: what earlier maps left. void_fill: takes the membranes. legs: segments of a patch's leg.
+        memo: what earlier maps left. void_fill: takes the membranes. legs: segments of a patch's leg.
         upload: is given the pool of maps made aside, in their thread: frames have no time for so many bytes.
 
     Attributes:

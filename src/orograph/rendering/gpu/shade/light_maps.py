@@ -77,7 +77,7 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None 
 
     Args:
         points: (n, ≥ 2) sample coordinates of the ground in view.
-        kept: what earlier maps left.
+        memo: what earlier maps left.
         detail: pixels that a sample of the sun's finest window may be as large as; None: rays find its shadows.
     """
     grid = MapGrid(scene, _ground(scene), _Seen(points), memo)  # type: ignore[arg-type]
@@ -140,7 +140,7 @@ def quick_maps(scene: Scene, points: Array, memo: Memo, *, detail: float) -> Lig
     """Maps for the first moment: water, and the sun's shadows, coarsely, under an open sky.
 
     Args:
-        points, kept, detail: as ``light_maps`` has them.
+        points, memo, detail: as ``light_maps`` has them.
     """
     plain = _watered(scene, working_window(scene.terrain, points), memo)
     if not has_sun_maps(scene):

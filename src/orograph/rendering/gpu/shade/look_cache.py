@@ -23,7 +23,7 @@ class Looks:
     """The looks of scenes on a terrain.
 
     Args:
-        kept: what earlier pictures left. light: the maps of light there are. void_fill: the membranes over holes.
+        memo: what earlier pictures left. light: the maps of light there are. void_fill: the membranes over holes.
     """
 
     def __init__(self, terrain: Terrain, memo: Memo, light: Following, void_fill: VoidFillPass) -> None:
