@@ -177,6 +177,7 @@ class Device:
     portable: bool = False
     lost: str | None = None
     _modules: dict[str, Any] = field(default_factory=dict, repr=False)
+    _layouts: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @property
     def queue(self) -> Any:
@@ -205,6 +206,19 @@ class Device:
                 text = text.replace("var<uniform>", "var<storage, read>")
             self._modules[key] = self.handle.create_shader_module(label=name, code=text)
         return self._modules[key]
+
+    def group_layout(self, entries: list[dict[str, Any]]) -> Any:
+        """The bind group layout of some entries (``program.Binding.entry``): one for equal entries."""
+        key = repr(entries)
+        if key not in self._layouts:
+            told = [{key: _spelled(value) for key, value in entry.items()} for entry in entries]
+            for entry in told:
+                if entry.get("buffer", {}).get("type") == "uniform":
+                    entry["buffer"]["type"] = self.record
+            self._layouts[key] = self.handle.create_bind_group_layout(entries=[
+                {_snake(name): value for name, value in entry.items()} for entry in told
+            ])  # fmt: skip
+        return self._layouts[key]
 
     def limit(self, name: str) -> int:
         """A limit of the device by WebGPU's name of it, with hyphens."""
@@ -330,6 +344,16 @@ def source(name: str, constants: dict[str, int | float] | None = None) -> str:
     for key, value in given.items():
         text = text.replace("{{" + key + "}}", str(value))
     return text
+
+
+def _snake(name: str) -> str:
+    """WebGPU's name of a field as wgpu-py spells it."""
+    return re.sub("[A-Z]", lambda m: "_" + m.group().lower(), name)
+
+
+def _spelled(value: Any) -> Any:
+    """A copy of a descriptor's field with wgpu-py's spelling of the names in it."""
+    return {_snake(name): inner for name, inner in value.items()} if isinstance(value, dict) else value
 
 
 _LOCK = threading.Lock()

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
+from orograph.gpu.program import Program
 
 DRAFTS = (1.0, 0.7, 0.5, 0.35, 0.25)
 """Sizes of the picture while the camera moves."""
@@ -27,18 +28,11 @@ class Screen:
     """
 
     def __init__(self, device: Device, format: str) -> None:
-        import wgpu
-
         self.device, self.format = device, format
         self.texture: Any = None
         self.view: Any = None
-        module = device.shader("blit")
-        self._pipeline = device.handle.create_render_pipeline(
-            layout="auto",
-            vertex={"module": module, "entry_point": "corner"},
-            primitive={"topology": wgpu.PrimitiveTopology.triangle_list},
-            fragment={"module": module, "entry_point": "shade", "targets": [{"format": format}]},
-        )
+        self._program = Program(device, "blit")
+        self._pipeline = self._program.draw([{"format": format}], vertex="corner", fragment="shade")
         self._sampler = device.handle.create_sampler(mag_filter="linear", min_filter="linear")
         self._binding: Any = None
         self._before: tuple[Any, Any, Any] | None = None
@@ -53,10 +47,7 @@ class Screen:
             (width, height), self.format, "RENDER_ATTACHMENT|TEXTURE_BINDING|COPY_SRC", label="terrain"
         )
         self.view = self.texture.create_view()
-        self._binding = self.device.handle.create_bind_group(
-            layout=self._pipeline.get_bind_group_layout(0),
-            entries=[{"binding": 0, "resource": self.view}, {"binding": 1, "resource": self._sampler}],
-        )
+        self._binding = self._program.bind({"picture": self.view, "filtering": self._sampler})
         return True
 
     def revert(self) -> None:

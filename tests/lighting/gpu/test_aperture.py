@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orograph.gpu.binding import bind, layout
 from orograph.gpu.device import Device
+from orograph.gpu.program import Group, bindings
 from orograph.lighting import aperture, caps
 from orograph.lighting.aperture import Lamp, Lights
 from orograph.lighting.gpu import aperture as twin
@@ -30,17 +30,18 @@ def on_gpu(device: Device, body: str, inputs: np.ndarray) -> np.ndarray:
         "@compute @workgroup_size(64) fn main(@builtin(global_invocation_id) id: vec3u) {\n"
         f"if (id.x >= arrayLength(&given)) {{ return; }} let v = given[id.x]; {body} made[id.x] = r; }}"
     )
-    plan = layout(device, "read", "write")
+    group = Group(device, bindings(text))
     module = device.handle.create_shader_module(code=text)
     pipeline = device.handle.create_compute_pipeline(
-        layout=plan.pipeline, compute={"module": module, "entry_point": "main"}
+        layout=device.handle.create_pipeline_layout(bind_group_layouts=[group.layout]),
+        compute={"module": module, "entry_point": "main"},
     )
     out = device.buffer(4 * len(inputs), "STORAGE|COPY_SRC")
-    group = bind(device, plan, device.buffer(inputs.astype(np.float32), "STORAGE"), out)
+    bound = group.bind({"given": device.buffer(inputs.astype(np.float32), "STORAGE"), "made": out})
     encoder = device.handle.create_command_encoder()
     work = encoder.begin_compute_pass()
     work.set_pipeline(pipeline)
-    work.set_bind_group(0, group)
+    work.set_bind_group(0, bound)
     work.dispatch_workgroups(-(-len(inputs) // 64))
     work.end()
     device.queue.submit([encoder.finish()])

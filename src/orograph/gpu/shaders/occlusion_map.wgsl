@@ -22,7 +22,7 @@ struct Ring {
     drop: vec4f,    // metres by which its surface falls within the hole; the height that heights are relative to
 };
 
-@group(0) @binding(0) var<uniform> d: Direction;
+@group(0) @binding(0) var<uniform> d: Direction;  // dynamic
 @group(0) @binding(1) var<storage, read> heights: array<f32>;       // of the ring, metres; MISSING
 @group(0) @binding(2) var<storage, read_write> layers: array<atomic<u32>>;
 @group(0) @binding(3) var<storage, read_write> sums: array<vec2f>;  // per receiver Σ w ρ, Σ w

@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
+from orograph.gpu.program import Program
 from orograph.lighting.aperture import CapField, Lights
 
 Array = NDArray[np.float64]
@@ -93,13 +93,15 @@ def light(
     frame[8:11] = np.asarray(lights.ambient, np.float32).view(np.uint32)
     field = np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, np.float32(0.0)).astype(np.float32)
     result = gpu.buffer(16 * len(rows), "STORAGE|COPY_SRC")
-    plan = layout(gpu, "uniform", "read", "read", "read", "read", "write")
-    group = bind(
-        gpu, plan, gpu.buffer(frame, "UNIFORM"), *(gpu.buffer(a, "STORAGE") for a in (rows, field, suns, lamps)), result
+    program = Program(gpu, "aperture_light")
+    stored = {"points": rows, "field": field, "suns": suns, "lamps": lamps}
+    group = program.bind(
+        {name: gpu.buffer(a, "STORAGE") for name, a in stored.items()}
+        | {"frame": gpu.buffer(frame, "UNIFORM"), "lit": result}
     )
     encoder = gpu.handle.create_command_encoder()
     lighting = encoder.begin_compute_pass()
-    lighting.set_pipeline(compute(gpu, plan, "aperture_light"))
+    lighting.set_pipeline(program.compute())
     lighting.set_bind_group(0, group)
     groups = -(-len(rows) // _GROUP)
     lighting.dispatch_workgroups(min(groups, _WIDE), -(-groups // _WIDE))

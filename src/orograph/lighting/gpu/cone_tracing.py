@@ -38,8 +38,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
+from orograph.gpu.program import Program
 from orograph.lighting.context import Blocks, Context, Values
 from orograph.lighting.gpu.occlusion_maps import by_tiles
 from orograph.lighting.gpu.rings import MISSING, Held, Store
@@ -128,10 +128,8 @@ class Tracer:
         self.levels = min(max(math.ceil(math.log2(self.radius * 2 * self.tangent * FIT / self.cell)), 0) + 1, LEVELS)
         table = context.terrain.tiles(context.terrain.levels - 1)
         self.extremes = float(np.nanmin(table.minimum)), float(np.nanmax(table.maximum))
-        self._voxelise = layout(device, "uniform", "read", "out:rgba8unorm/3d")
-        self._trace = layout(device, "uniform", "read", "read", "read", "read", "write", "sampler", "texture3d")
-        self.fill = compute(device, self._voxelise, "voxels")
-        self.trace = compute(device, self._trace, "cones")
+        self._voxelise, self._trace = Program(device, "voxels"), Program(device, "cones")
+        self.fill, self.trace = self._voxelise.compute(), self._trace.compute()
         self.store = Store(device, context.terrain)
         self.cones = device.buffer(around, "STORAGE")
         self.table = device.buffer(np.append(ways.table, ways.free).astype(np.float32), "STORAGE")
@@ -183,10 +181,11 @@ class Tracer:
         gx, gy = self.context.gradient(*window)
         slopes = self.device.buffer(np.nan_to_num(np.stack([gx, gy], axis=-1)).astype(np.float32), "STORAGE")
         result = self.device.buffer(4 * inner.size, "STORAGE|COPY_SRC")
-        group = bind(
-            self.device, self._trace, self.device.buffer(frame.view(np.uint8), "UNIFORM"), heights, slopes, self.cones,
-            self.table, result, self.sampler, voxels,
-        )  # fmt: skip
+        group = self._trace.bind({
+            "frame": self.device.buffer(frame.view(np.uint8), "UNIFORM"), "heights": heights, "gradient": slopes,
+            "cones": self.cones, "table": self.table, "result": result, "linear_sampler": self.sampler,
+            "voxels": voxels,
+        })  # fmt: skip
         tracing = encoder.begin_compute_pass()
         tracing.set_pipeline(self.trace)
         tracing.set_bind_group(0, group)
@@ -255,9 +254,9 @@ class Tracer:
         uniform[20:23] = place
         filling = encoder.begin_compute_pass()
         filling.set_pipeline(self.fill)
-        filling.set_bind_group(
-            0, bind(self.device, self._voxelise, self.device.buffer(uniform, "UNIFORM"), held.buffer, voxels)
-        )
+        told = self.device.buffer(uniform, "UNIFORM")
+        group = self._voxelise.bind({"level": told, "heights": held.buffer, "voxels": voxels})
+        filling.set_bind_group(0, group)
         filling.dispatch_workgroups(-(-int(size[0]) // 8), -(-int(size[1]) // 8))
         filling.end()
 

@@ -34,8 +34,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
+from orograph.gpu.program import Program
 from orograph.lighting.context import Blocks, Context, Values
 from orograph.lighting.gpu.occlusion_frames import Frames, corners
 from orograph.lighting.gpu.rings import BLOCK, REACH, Held, Ring, Store, rings
@@ -104,9 +104,8 @@ class Maps:
         self.omegas = directions(rays, seed)
         self.cell = float(np.sqrt(abs(np.linalg.det(context.linear))))
         self.inverse = np.linalg.inv(context.linear)
-        words = ("uniform+dynamic", "read", "write", "write", "read", "read", "write", "uniform")
-        self.layout = layout(device, *words, stages="COMPUTE|VERTEX|FRAGMENT")
-        self.gather = compute(device, self.layout, "occlusion_map", "gather")
+        self._program = Program(device, "occlusion_map")
+        self.gather = self._program.compute("gather")
         self.draw = {front: self._pipeline(front) for front in (False, True)}
         table = np.append(ways.table, ways.free).astype(np.float32)
         self.table = device.buffer(table, "STORAGE")
@@ -118,23 +117,12 @@ class Maps:
 
     def _pipeline(self, front: bool) -> Any:
         """The pass that fills a map with faces that look away from the light, or with all of them."""
-        module = self.device.shader("occlusion_map")
         # Rows of the map run upward, which turns triangles over once, and so do rows of samples that run south.
         winding = "cw" if np.linalg.det(self.context.linear) < 0 else "ccw"
-        return self.device.handle.create_render_pipeline(
-            label="occlusion_map",
-            layout=self.layout.pipeline,
-            vertex={"module": module, "entry_point": "vertex", "buffers": [_INSTANCE]},
-            primitive={
-                "topology": "triangle-list",
-                "front_face": winding,
-                "cull_mode": "none" if front else "front",
-            },
-            fragment={
-                "module": module,
-                "entry_point": "fragment",
-                "targets": [{"format": "r8unorm", "write_mask": 0}],  # the layers are what is drawn
-            },
+        return self._program.draw(
+            [{"format": "r8unorm", "write_mask": 0}],  # the layers are what is drawn
+            buffers=[_INSTANCE],
+            primitive={"front_face": winding, "cull_mode": "none" if front else "front"},
         )
 
     def tile(self, row0: int, row1: int, col0: int, col1: int) -> Values:
@@ -213,11 +201,16 @@ class Maps:
         sums = device.buffer(np.zeros((rows, cols, 2), np.float32), "STORAGE|COPY_SRC")
         lost = device.buffer(np.zeros(1, np.uint32), "STORAGE|COPY_SRC")
         shared = device.buffer(apart, "UNIFORM"), device.buffer(slopes, "STORAGE")
+        common = {
+            "d": shared[0], "layers": texels, "sums": sums, "gradient": shared[1], "table": self.table, "lost": lost,
+        }  # fmt: skip
         groups = [
-            bind(device, self.layout, shared[0], h.buffer, texels, sums, shared[1], self.table, lost,
-                 device.buffer(ring.view(np.uint8), "UNIFORM"), sizes={0: _RECORD})
+            self._program.bind(
+                {**common, "heights": h.buffer, "ring": device.buffer(ring.view(np.uint8), "UNIFORM")},
+                sizes={"d": _RECORD},
+            )
             for h, ring in zip(held, frames.rings)
-        ]  # fmt: skip
+        ]
         blocks = device.buffer(frames.blocks, "VERTEX")
         target = {"view": self._target, "load_op": "clear", "store_op": "discard", "clear_value": (0, 0, 0, 0)}
         for some in frames.batches():

@@ -10,6 +10,8 @@ from orograph.gpu.recording import Attachments
 
 DEPTH, MARKS, LIGHT, GIVEN, FIELD = "depth32float", "r32uint", "rgba16float", "rg32float", "r32float"
 EMPTY = 0.0, 0.0, 0.0, 0.0
+NEARER = {"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"}
+"""Depth of what hides all that is farther."""
 
 
 class Targets:

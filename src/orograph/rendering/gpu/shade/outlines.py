@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from orograph.gpu.device import Device
+from orograph.gpu.program import Program
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.lines.silhouettes import terrain_ends
 from orograph.store.terrain import Terrain
@@ -33,6 +34,7 @@ class BreakPass:
         self._away: Any = None  # where the terrain ends (``terrain_ends``), made when first asked for
         self._step = 1
         self.range = device.buffer(16, "UNIFORM", "depths in view")
+        self._programs = {name: Program(device, name) for name in SHADERS}
         self._pipelines: dict[str, Any] = {}
         self._of: Targets | None = None
         self._views: tuple[Any, ...] = ()
@@ -49,13 +51,12 @@ class BreakPass:
                 self.device.texture(size, format, usage, label=name).create_view()
                 for size, (name, format) in zip(sizes, SHADERS.items(), strict=True)
             )
-            camera, range_, pages, levels = (
-                {"buffer": b} for b in (self.camera, self.range, self.slopes[1], self.slopes[2])
-            )
-            self._groups = (
-                self._group("facing", camera, targets.depth_view, self.slopes[0], pages, levels),
-                self._group("depth_edges", camera, targets.depth_view, range_, self._away.create_view(), facing),
-                self._group("depth_edges_near", breaks),
+            common = {"camera": self.camera, "depths": targets.depth_view}
+            slopes = dict(zip(("slopes", "pages", "levels"), self.slopes, strict=True))
+            ranges = {"range": self.range, "away": self._away, "facing": facing}
+            needed = common | slopes, common | ranges, {"breaks": breaks}
+            self._groups = tuple(
+                program.bind(resources) for program, resources in zip(self._programs.values(), needed, strict=True)
             )
         return self._views[1], self._views[2]
 
@@ -84,18 +85,5 @@ class BreakPass:
 
     def _pipeline(self, name: str) -> Any:
         if name not in self._pipelines:
-            module = self.device.shader(name)
-            self._pipelines[name] = self.device.handle.create_render_pipeline(
-                label=name,
-                layout="auto",
-                vertex={"module": module, "entry_point": "vertex"},
-                primitive={"topology": "triangle-list"},
-                fragment={"module": module, "entry_point": "fragment", "targets": [{"format": SHADERS[name]}]},
-            )
+            self._pipelines[name] = self._programs[name].draw([{"format": SHADERS[name]}])
         return self._pipelines[name]
-
-    def _group(self, name: str, *resources: Any) -> Any:
-        return self.device.handle.create_bind_group(
-            layout=self._pipeline(name).get_bind_group_layout(0),
-            entries=[{"binding": k, "resource": resource} for k, resource in enumerate(resources)],
-        )

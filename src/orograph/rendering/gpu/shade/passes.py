@@ -13,7 +13,7 @@ import numpy as np
 
 from orograph.gpu.background import BackgroundTask
 from orograph.gpu.device import Device
-from orograph.gpu.layouts import stage, storage, texture, uniform
+from orograph.gpu.program import Program
 from orograph.gpu.recording import KEEP, Attachments, write
 from orograph.rendering.gpu.shade.ray_field import RayBindings
 from orograph.rendering.gpu.shade.ssao import Ssao
@@ -34,53 +34,29 @@ class ShadePass:
 
     def __init__(self, device: Device, camera: Any, missing: int) -> None:
         self.device, self.camera, self.missing = device, camera, missing
-        handle = device.handle
-        layouts = [
-            handle.create_bind_group_layout(entries=[uniform(device, 0, "VERTEX|FRAGMENT")]),
-            handle.create_bind_group_layout(
-                entries=[
-                    uniform(device, 0, "FRAGMENT"),
-                    texture(1, "depth"), texture(2, "uint"), texture(3, "unfilterable-float", "2d-array"),
-                    *(storage(k) for k in (4, 5, 6)), *(uniform(device, k, "FRAGMENT") for k in (7, 8)),
-                    texture(9, "float", "2d-array"), {"binding": 10, "visibility": stage("FRAGMENT"), "sampler": {}},
-                    storage(11), storage(12), storage(13),
-                    *(texture(k, "unfilterable-float") for k in (14, 15, 16, 17, 18)),
-                    texture(19, "unfilterable-float", "2d-array"), storage(20),
-                ]
-            ),
-        ]  # fmt: skip
-        self.layouts = layouts
-        self.rays = RayBindings(device)
+        program = self._program(TRACED)
+        self._looked_up = program.groups[1]
+        self.rays = RayBindings(device, program.groups[2])
         self._pipelines: dict[tuple[int, str], Any] = {}
         self._bound: tuple[list[Any], Any] = ([], None)
         self._compiler = BackgroundTask()
         self._last: int | None = None
-        self.camera_group = handle.create_bind_group(
-            layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]
-        )
-        self.sampler = handle.create_sampler(
+        self.camera_group = program.bind({"camera": camera})
+        self.sampler = device.handle.create_sampler(
             mag_filter="linear", min_filter="linear", mipmap_filter="linear", max_anisotropy=1
         )
 
-    def group(self, targets: Targets, resources: dict[int, Any]) -> Any:
-        """The bind group of what a frame looks up: buffers and texture views by binding (1, 2, 10 are put in).
+    def group(self, targets: Targets, resources: dict[str, Any]) -> Any:
+        """The bind group of what a frame looks up: buffers and texture views by the names of ``shade.wgsl``; the
+        targets' own and the sampler are put in.
 
         It is kept as long as the same objects are asked for: making one takes longer than a frame's other calls.
         """
         asked = [targets.depth_view, targets.marks_view, *resources.values()]
         if len(asked) == len(self._bound[0]) and all(a is b for a, b in zip(asked, self._bound[0], strict=True)):
             return self._bound[1]
-        entries = [
-            {"binding": 1, "resource": targets.depth_view},
-            {"binding": 2, "resource": targets.marks_view},
-            {"binding": 10, "resource": self.sampler},
-        ]
-        entries += [
-            {"binding": k, "resource": {"buffer": r} if hasattr(r, "map_state") else r} for k, r in resources.items()
-        ]
-        group = self.device.handle.create_bind_group(
-            layout=self.layouts[1], entries=sorted(entries, key=lambda e: e["binding"])
-        )
+        here = {"depths": targets.depth_view, "marks": targets.marks_view, "atlas_sampler": self.sampler}
+        group = self._looked_up.bind({**here, **resources})
         self._bound = asked, group
         return group
 
@@ -114,29 +90,22 @@ class ShadePass:
         """
         found = self._pipelines.get((flags, entry))
         if found is None:
-            by_rays = bool(flags & TRACED)
-            module = self.device.shader(
-                "shade", {"FLAGS": flags, "RAYS": int(by_rays), "RAY_GROUP": 2, "MISSING": self.missing}
-            )
             mean = {"src_factor": "constant", "dst_factor": "one-minus-constant", "operation": "add"}
             light: list[dict[str, Any]] = [{"format": LIGHT, "blend": {"color": mean, "alpha": mean}}]
-            layouts = [*self.layouts, self.rays.layout.group] if by_rays else self.layouts
-            found = self.device.handle.create_render_pipeline(
-                label=f"shade {entry} {flags}",
-                layout=self.device.handle.create_pipeline_layout(bind_group_layouts=layouts),
-                vertex={"module": module, "entry_point": "vertex"},
-                primitive={"topology": "triangle-list"},
-                fragment={
-                    "module": module, "entry_point": entry,
-                    "targets": [{"format": "r32float"}, {"format": LIGHT}] if entry == "surface" else light,
-                },
-                depth_stencil=None if entry == "surface" else {
+            found = self._program(flags).draw(
+                [{"format": "r32float"}, {"format": LIGHT}] if entry == "surface" else light,
+                fragment=entry,
+                depth=None if entry == "surface" else {
                     "format": DEPTH, "depth_write_enabled": False,
                     "depth_compare": "less" if entry == "fragment" else "greater-equal",  # than the triangle's 0
                 },
             )  # fmt: skip
             self._pipelines[flags, entry] = found
         return found
+
+    def _program(self, flags: int) -> Program:
+        by_rays = int(bool(flags & TRACED))
+        return Program(self.device, "shade", FLAGS=flags, RAYS=by_rays, RAY_GROUP=2, MISSING=self.missing)
 
     def draw(
         self, encoder: Any, targets: Targets, group: Any, flags: int, *, frame: int = 0, clear: bool = True,
@@ -213,23 +182,13 @@ class ResolvePass:
 
     def __init__(self, device: Device, format: str) -> None:
         self.device = device
-        handle = device.handle
-        module = device.shader("resolve")
         self.encode = 0 if format.endswith("-srgb") else 1
         self.uniform = device.buffer(16, "UNIFORM", "resolve")
         self._told = b""
         self._bound: list[tuple[Any, Any, Any]] = []
         self._onto: tuple[Any, Attachments] | None = None
-        self.layout = handle.create_bind_group_layout(
-            entries=[uniform(device, 0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "unfilterable-float")]
-        )
-        self.pipeline = handle.create_render_pipeline(
-            label="resolve",
-            layout=handle.create_pipeline_layout(bind_group_layouts=[self.layout]),
-            vertex={"module": module, "entry_point": "vertex"},
-            primitive={"topology": "triangle-list"},
-            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": format}]},
-        )
+        self._program = Program(device, "resolve")
+        self.pipeline = self._program.draw([{"format": format}])
 
     def draw(
         self, encoder: Any, targets: Targets, view: Any, *, frames: int = 1, occlusion: Any = None,
@@ -252,14 +211,8 @@ class ResolvePass:
         light = targets.light_view if light is None else light
         group = next((g for bright, dark, g in self._bound if bright is light and dark is occlusion), None)
         if group is None:
-            group = self.device.handle.create_bind_group(
-                layout=self.layout,
-                entries=[
-                    {"binding": 0, "resource": {"buffer": self.uniform}},
-                    {"binding": 1, "resource": light},
-                    {"binding": 2, "resource": light if occlusion is None else occlusion},
-                ],
-            )
+            dark = light if occlusion is None else occlusion
+            group = self._program.bind({"resolve": self.uniform, "light": light, "open": dark})
             self._bound = [(light, occlusion, group), *self._bound[:2]]  # (frames take turns with two)
         if self._onto is None or self._onto[0] is not view:
             self._onto = view, Attachments([(view, (0.0, 0.0, 0.0, 1.0))])

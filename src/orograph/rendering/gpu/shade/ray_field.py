@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
+from orograph.gpu.program import Group, Program
 from orograph.raycast.mips import build_mips
 from orograph.raycast.select import Rectangle, load, rectangles
 from orograph.raycast.stack import HeightWindow
@@ -215,12 +215,11 @@ class RayBindings:
     """The bind group that shaders with ``ray_field.wgsl`` look terrain up in.
 
     Args:
-        stages: of shaders, joined by ``|``.
+        declared: the group of such a shader.
     """
 
-    def __init__(self, device: Device, stages: str = "FRAGMENT") -> None:
-        self.device = device
-        self.layout = layout(device, "uniform", "read", stages=stages)
+    def __init__(self, device: Device, declared: Group) -> None:
+        self.device, self._declared = device, declared
         self._uniform = device.buffer(FRAME.itemsize, "UNIFORM", "rays")
         self._field: RayField | None = None
         self._pool: Any = None
@@ -231,7 +230,7 @@ class RayBindings:
         if field is self._field:
             return
         self._pool = self.device.buffer(field.pool, "STORAGE", "heights for rays")
-        self.group = bind(self.device, self.layout, self._uniform, self._pool)
+        self.group = self._declared.bind({"ray": self._uniform, "ray_pool": self._pool})
         self._field = field
         self.run()
 
@@ -286,10 +285,10 @@ def blocked(
     queries["whole"], queries["part"] = whole, at[:, :2] - whole
     queries["way"], queries["height"], queries["skip"] = way, at[:, 2], skip
     queries["far"] = min(far, 1e9)
-    rays = RayBindings(gpu, "COMPUTE")
+    program = Program(gpu, "ray_cast", RAY_GROUP=0)
+    rays = RayBindings(gpu, program.groups[0])
     rays.load(field)
-    plan = layout(gpu, "read", "write")
-    pipeline = compute(gpu, rays.layout, "ray_cast", beside=plan, RAY_GROUP=0)
+    pipeline = program.compute()
     out = np.zeros(len(at), bool)
     for a in range(0, len(at), _SHARE):
         some = queries[a : a + _SHARE]
@@ -298,7 +297,7 @@ def blocked(
         casting = encoder.begin_compute_pass()
         casting.set_pipeline(pipeline)
         casting.set_bind_group(0, rays.group)
-        casting.set_bind_group(1, bind(gpu, plan, gpu.buffer(some, "STORAGE"), answers))
+        casting.set_bind_group(1, program.bind({"queries": gpu.buffer(some, "STORAGE"), "answers": answers}, 1))
         casting.dispatch_workgroups(-(-len(some) // 64))
         casting.end()
         gpu.queue.submit([encoder.finish()])

@@ -59,8 +59,8 @@ class Resources:
         given: bool = False,
         field: bool = False,
         marks: tuple[Any, Any, Any] = (None, None, None),
-    ) -> dict[int, Any]:
-        """Buffers and views by binding of ``shade.wgsl``, for ``passes.ShadePass.group``.
+    ) -> dict[str, Any]:
+        """Buffers and views by the names of ``shade.wgsl``, for ``passes.ShadePass.group``.
 
         Args:
             given, field: slopes, and heights of contour lines, are those that the targets hold.
@@ -77,24 +77,24 @@ class Resources:
             suns, lamps = light_tables(lights, *self._from_eye(scene))
         atlas, imagery = self.imagery.bound()
         return {
-            0: self.shade,
-            3: self._slopes,
-            4: self.slopes.page_buffer,
-            5: self.stored("tables", look.tables),
-            6: self.stored("maps", maps.pool),
-            7: self._levels,
-            8: self.stored("windows", self._of[1], "UNIFORM"),
-            9: atlas,
-            11: imagery,
-            12: self.stored("suns", suns),
-            13: self.stored("lamps", lamps),
-            14: targets.given_view(self.device) if given or targets.has_given else self._blank,
-            15: self._blank if marks[0] is None else marks[0],
-            16: self._blank if marks[1] is None else marks[1],
-            17: self._blank if marks[2] is None else marks[2],
-            18: targets.field_view(self.device) if field or targets.has_field else self._blank,
-            19: self._heights,
-            20: self.heights.page_buffer,
+            "shade": self.shade,
+            "slopes": self._slopes,
+            "pages": self.slopes.page_buffer,
+            "tables": self.stored("tables", look.tables),
+            "maps": self.stored("maps", maps.pool),
+            "levels": self._levels,
+            "windows": self.stored("windows", self._of[1], "UNIFORM"),
+            "atlas": atlas,
+            "imagery": imagery,
+            "suns": self.stored("suns", suns),
+            "lamps": self.stored("lamps", lamps),
+            "given": targets.given_view(self.device) if given or targets.has_given else self._blank,
+            "lettering": self._blank if marks[0] is None else marks[0],
+            "breaks": self._blank if marks[1] is None else marks[1],
+            "breaks_near": self._blank if marks[2] is None else marks[2],
+            "field": targets.field_view(self.device) if field or targets.has_field else self._blank,
+            "heights": self._heights,
+            "height_pages": self.heights.page_buffer,
         }
 
     def shade_with(self, uniform: NDArray[Any]) -> None:

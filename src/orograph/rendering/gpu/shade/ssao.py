@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
-from orograph.gpu.binding import bind, compute, layout
 from orograph.gpu.device import Device, open_device
+from orograph.gpu.program import Program
 
 Values = NDArray[np.float32]
 
@@ -52,9 +52,8 @@ class Ssao:
 
     def __init__(self, device: Device) -> None:
         self.device = device
-        self._layout = layout(device, "uniform", "depth", "depth", "depth", "out:r32float")
-        self._main = compute(device, self._layout, "ssao", "main")
-        self._blur = compute(device, self._layout, "ssao", "blur")
+        self._program = Program(device, "ssao")
+        self._main, self._blur = self._program.compute("main"), self._program.compute("blur")
         self._frame = device.buffer(48, "UNIFORM")
         self._textures: list[Any] = []
 
@@ -100,7 +99,8 @@ class Ssao:
         for pipeline, source, target in passes:
             work = encoder.begin_compute_pass()
             work.set_pipeline(pipeline)
-            work.set_bind_group(0, bind(self.device, self._layout, self._frame, depth, normals, source, target))
+            group = {"frame": self._frame, "depth": depth, "normals": normals, "occlusion": source, "out": target}
+            work.set_bind_group(0, self._program.bind(group))
             work.dispatch_workgroups(-(-size[0] // 8), -(-size[1] // 8))
             work.end()
         return passes[-1][2]

@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 
 from orograph.errors import OrographError, UsageError
 from orograph.gpu.background import BackgroundTask
-from orograph.gpu.binding import bind, layout
 from orograph.gpu.device import Device
+from orograph.gpu.program import Program
 from orograph.lod.method import Method, Resources
 from orograph.lod.options import described
 from orograph.lod.registry import Choice
 from orograph.lod.selection import Selection, TriangleMesh
 from orograph.rendering.gpu.surface.left import Left
-from orograph.rendering.gpu.targets import DEPTH, FIELD, GIVEN, MARKS, Targets
+from orograph.rendering.gpu.targets import FIELD, GIVEN, MARKS, NEARER, Targets
 from orograph.scene.methods import MEMORY, goal_of, made, mesh_choice
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
@@ -156,8 +156,6 @@ class MeshPass:
 
     def __init__(self, device: Device, camera: Any, field: tuple[Any, Any, Any], missing: int) -> None:
         self.device, self.camera, self.field, self.missing = device, camera, field, missing
-        words = "uniform", "read", "read", "depths", "read", "uniform"
-        self.layout = layout(device, *words, stages="VERTEX|FRAGMENT")
         self._pipelines: dict[tuple[bool, bool, bool], Any] = {}
         self._held: tuple[Tessellation | None, Any, int] = (None, None, 0)
 
@@ -168,7 +166,10 @@ class MeshPass:
             points, corners = packed(mesh)
             some = (a if a.size else np.zeros(4, np.uint32) for a in (points, corners))
             buffers = [self.device.buffer(a, "STORAGE", "mesh") for a in some]
-            group = bind(self.device, self.layout, self.camera, *buffers, *self.field)
+            named = zip(
+                ("samples", "corners", "heights", "height_pages", "levels"), (*buffers, *self.field), strict=True
+            )
+            group = self._program(edges).bind({"camera": self.camera, **dict(named)})
             self._held = mesh, group, len(corners)
         colors = [targets.marks_view]
         colors += [targets.given_view(self.device)] if given or field else []
@@ -191,19 +192,13 @@ class MeshPass:
     def _pipeline(self, edges: bool, given: bool, field: bool) -> Any:
         found = self._pipelines.get((edges, given, field))
         if found is None:
-            module = self.device.shader("mesh", {"EDGES": int(edges), "MISSING": self.missing})
             entry, formats = "fragment", [MARKS]
             if given or field:
                 entry, formats = ("with_field", [MARKS, GIVEN, FIELD]) if field else ("with_slope", [MARKS, GIVEN])
-            found = self.device.handle.create_render_pipeline(
-                label="mesh",
-                layout=self.layout.pipeline,
-                vertex={"module": module, "entry_point": "vertex"},
-                primitive={"topology": "triangle-list", "cull_mode": "none"},
-                depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
-                fragment={
-                    "module": module, "entry_point": entry, "targets": [{"format": format} for format in formats],
-                },
-            )  # fmt: skip
+            targets = [{"format": format} for format in formats]
+            found = self._program(edges).draw(targets, fragment=entry, depth=NEARER)
             self._pipelines[edges, given, field] = found
         return found
+
+    def _program(self, edges: bool) -> Program:
+        return Program(self.device, "mesh", EDGES=int(edges), MISSING=self.missing)

@@ -12,11 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
-from orograph.gpu.layouts import stage, texture, uniform
+from orograph.gpu.program import Program
 from orograph.gpu.recording import Attachments, write
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.surface.left import Left, Slopes
-from orograph.rendering.gpu.targets import DEPTH, EMPTY, GIVEN, MARKS, Targets
+from orograph.rendering.gpu.targets import EMPTY, GIVEN, MARKS, NEARER, Targets
+
+LATTICE = {
+    "array_stride": 8,
+    "step_mode": "vertex",
+    "attributes": [{"format": "uint32x2", "offset": 0, "shader_location": 0}],
+}
+INSTANCE = {
+    "step_mode": "instance",
+    "attributes": [
+        {"format": "sint32x2", "offset": 0, "shader_location": 1},
+        {"format": "uint32", "offset": 8, "shader_location": 2},
+        {"format": "uint32", "offset": 12, "shader_location": 3},
+        {"format": "float32", "offset": 16, "shader_location": 4},
+        {"format": "sint32", "offset": 20, "shader_location": 5},
+    ],
+}
+"""Buffers of vertices: places in the patches' lattice, and the patches (``Patches.instances``)."""
 
 
 class PatchPass:
@@ -34,79 +51,30 @@ class PatchPass:
         indices: NDArray[Any], stride: int, missing: int,
     ) -> None:  # fmt: skip
         self.device = device
-        handle = device.handle
         self.count = int(indices.size)
         self.vertices = device.buffer(np.ascontiguousarray(vertices, np.uint32), "VERTEX", "lattice")
         self.indices = device.buffer(np.ascontiguousarray(indices, np.uint32), "INDEX", "triangles")
         self.stride, self.capacity, self.missing = stride, 0, missing
         self.instances: Any = None
-        layouts = [
-            handle.create_bind_group_layout(entries=[uniform(device, 0, "VERTEX|FRAGMENT")]),
-            handle.create_bind_group_layout(
-                entries=[
-                    *({**texture(k, "unfilterable-float", "2d-array"), "visibility": stage("VERTEX")} for k in (0, 1)),
-                    {"binding": 2, "visibility": stage("VERTEX"), "buffer": {"type": "read-only-storage"}},
-                    uniform(device, 3, "VERTEX"),
-                ]
-            ),
-        ]
-        self.pipeline_layout = handle.create_pipeline_layout(bind_group_layouts=layouts)
         self._pipelines: dict[tuple[bool, Slopes], Any] = {}
-        self.groups = [
-            handle.create_bind_group(layout=layouts[0], entries=[{"binding": 0, "resource": {"buffer": camera}}]),
-            handle.create_bind_group(
-                layout=layouts[1],
-                entries=[
-                    {"binding": 0, "resource": heights.create_view(dimension="2d-array")},
-                    {"binding": 1, "resource": slopes[0]},
-                    *({"binding": k, "resource": {"buffer": slopes[k - 1]}} for k in (2, 3)),
-                ],
-            ),
-        ]
+        program = self._program(False, "")
+        atlases = {"heights": heights, "slopes": slopes[0], "pages": slopes[1], "levels": slopes[2]}
+        self.groups = [program.bind({"camera": camera}), program.bind(atlases, 1)]
 
     def pipeline(self, edges: bool, slopes: Slopes) -> Any:
         """The pipeline, with or without the edges of triangles among the marks, and their slopes."""
         if (edges, slopes) not in self._pipelines:
-            constants: dict[str, int | float] = {
-                "EDGES": int(edges),
-                "STORED": int(slopes == "stored"),
-                "MISSING": self.missing,
-            }
-            module = self.device.shader("patches", constants)
-            stride = self.stride
-            self._pipelines[edges, slopes] = self.device.handle.create_render_pipeline(
-                label="patches",
-                layout=self.pipeline_layout,
-                vertex={
-                    "module": module,
-                    "entry_point": "vertex",
-                    "buffers": [
-                        {
-                            "array_stride": 8,
-                            "step_mode": "vertex",
-                            "attributes": [{"format": "uint32x2", "offset": 0, "shader_location": 0}],
-                        },
-                        {
-                            "array_stride": stride,
-                            "step_mode": "instance",
-                            "attributes": [
-                                {"format": "sint32x2", "offset": 0, "shader_location": 1},
-                                {"format": "uint32", "offset": 8, "shader_location": 2},
-                                {"format": "uint32", "offset": 12, "shader_location": 3},
-                                {"format": "float32", "offset": 16, "shader_location": 4},
-                                {"format": "sint32", "offset": 20, "shader_location": 5},
-                            ],
-                        },
-                    ],
-                },
-                primitive={"topology": "triangle-list", "cull_mode": "none"},
-                depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
-                fragment={
-                    "module": module, "entry_point": "with_slope" if slopes else "fragment",
-                    "targets": [{"format": MARKS}, {"format": GIVEN}] if slopes else [{"format": MARKS}],
-                },
-            )  # fmt: skip
+            self._pipelines[edges, slopes] = self._program(edges, slopes).draw(
+                [{"format": format} for format in ((MARKS, GIVEN) if slopes else (MARKS,))],
+                fragment="with_slope" if slopes else "fragment",
+                buffers=[LATTICE, {**INSTANCE, "array_stride": self.stride}],
+                depth=NEARER,
+            )
         return self._pipelines[edges, slopes]
+
+    def _program(self, edges: bool, slopes: Slopes) -> Program:
+        stored = int(slopes == "stored")
+        return Program(self.device, "patches", EDGES=int(edges), STORED=stored, MISSING=self.missing)
 
     def draw(self, encoder: Any, targets: Targets, selection: Patches, left: Left) -> None:
         """Clear the targets and draw; what lines are of the terrain is what is drawn: no ``field`` is left."""

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from orograph.geovis.missing import patches
 from orograph.gpu.device import Device
+from orograph.gpu.program import Program
 from orograph.raycast.select import Rectangle, load, rectangles
 from orograph.raycast.stack import HeightWindow
-from orograph.rendering.gpu.targets import DEPTH, MARKS, Targets
+from orograph.rendering.gpu.targets import MARKS, NEARER, Targets
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
@@ -125,32 +126,17 @@ class VoidFillPass:
 
     def __init__(self, device: Device, camera: Any) -> None:
         self.device = device
-        handle = device.handle
-        module = device.shader("void_fill")
-        self.pipeline = handle.create_render_pipeline(
-            label="void fill",
-            layout="auto",
-            vertex={
-                "module": module,
-                "entry_point": "vertex",
-                "buffers": [
-                    {
-                        "array_stride": VERTEX.itemsize,
-                        "step_mode": "vertex",
-                        "attributes": [
-                            {"format": "sint32x2", "offset": 0, "shader_location": 0},
-                            {"format": "float32", "offset": 8, "shader_location": 1},
-                        ],
-                    }
-                ],
-            },
-            primitive={"topology": "triangle-list", "cull_mode": "none"},
-            depth_stencil={"format": DEPTH, "depth_write_enabled": True, "depth_compare": "greater"},
-            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": MARKS}]},
-        )
-        self.group = handle.create_bind_group(
-            layout=self.pipeline.get_bind_group_layout(0), entries=[{"binding": 0, "resource": {"buffer": camera}}]
-        )
+        program = Program(device, "void_fill")
+        vertex = {
+            "array_stride": VERTEX.itemsize,
+            "step_mode": "vertex",
+            "attributes": [
+                {"format": "sint32x2", "offset": 0, "shader_location": 0},
+                {"format": "float32", "offset": 8, "shader_location": 1},
+            ],
+        }
+        self.pipeline = program.draw([{"format": MARKS}], buffers=[vertex], depth=NEARER)
+        self.group = program.bind({"camera": camera})
         self.count = 0
         self._buffers: tuple[Any, Any] | None = None
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
-from orograph.gpu.layouts import texture, uniform
+from orograph.gpu.program import Program
 from orograph.gpu.recording import Attachments, write
 from orograph.rendering.gpu.camera import axes_of
 from orograph.rendering.gpu.targets import EMPTY, LIGHT, Targets
@@ -70,28 +70,11 @@ class TemporalAntialiasing:
     """
 
     def __init__(self, device: Device, camera: Any) -> None:
-        import wgpu
-
         self.device = device
-        handle = device.handle
-        sampler = {"binding": 4, "visibility": wgpu.ShaderStage.FRAGMENT, "sampler": {}}
-        first = handle.create_bind_group_layout(entries=[uniform(device, 0, "VERTEX|FRAGMENT")])
-        self._layout = handle.create_bind_group_layout(
-            entries=[
-                uniform(device, 0, "FRAGMENT"), texture(1, "unfilterable-float"), texture(2, "depth"),
-                texture(3, "float"), sampler, texture(5, "unfilterable-float"),
-            ]
-        )  # fmt: skip
-        module = device.shader("temporal_antialiasing")
-        self._pipeline = handle.create_render_pipeline(
-            label="temporal antialiasing",
-            layout=handle.create_pipeline_layout(bind_group_layouts=[first, self._layout]),
-            vertex={"module": module, "entry_point": "vertex"},
-            primitive={"topology": "triangle-list"},
-            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": LIGHT}, {"format": FAR}]},
-        )
-        self._camera = handle.create_bind_group(layout=first, entries=[{"binding": 0, "resource": {"buffer": camera}}])
-        self._sampler = handle.create_sampler(mag_filter="linear", min_filter="linear")
+        self._program = Program(device, "temporal_antialiasing")
+        self._pipeline = self._program.draw([{"format": LIGHT}, {"format": FAR}])
+        self._camera = self._program.bind({"camera": camera})
+        self._sampler = device.handle.create_sampler(mag_filter="linear", min_filter="linear")
         self._uniform = device.buffer(_UNIFORM.size, "UNIFORM", "temporal antialiasing")
         self._targets: Targets | None = None
         self._views: list[Any] = []
@@ -175,19 +158,15 @@ class TemporalAntialiasing:
             Attachments([(view, EMPTY) for view in pair]) for pair in zip(self._views, self._far, strict=True)
         ]
         self._groups = [
-            self.device.handle.create_bind_group(
-                layout=self._layout,
-                entries=[
-                    {"binding": 0, "resource": {"buffer": self._uniform}},
-                    {"binding": 1, "resource": targets.light_view},
-                    {"binding": 2, "resource": targets.depth_view},
-                    {"binding": 3, "resource": self._views[1 - turn]},
-                    {"binding": 4, "resource": self._sampler},
-                    {"binding": 5, "resource": self._far[1 - turn]},
-                ],
+            self._program.bind(
+                {
+                    "temporal": self._uniform, "light": targets.light_view, "depth": targets.depth_view,
+                    "before": self._views[1 - turn], "smooth_": self._sampler, "far_before": self._far[1 - turn],
+                },
+                1,
             )
             for turn in range(2)
-        ]
+        ]  # fmt: skip
 
 
 def _eye(scene: Scene) -> tuple[float, float, float]:
