@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from orograph.geo.grid import Grid
+from orograph.hierarchy.clip_stack import Rectangle
 from orograph.lighting.relief import Relief
-from orograph.raycast.select import Rectangle
 from orograph.store import MemoryTerrain
 
 

@@ -9,16 +9,17 @@ terrain, k the window's level, and lie in their middles; coordinates are (column
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel, leaf
+from orograph.hierarchy.clip_stack import Rectangle
 from orograph.lighting.aperture_kernels import illuminate
 from orograph.lighting.relief import Tables, finest, slope_at, slope_inside
 from orograph.parallel import map_ordered
-from orograph.raycast.select import Rectangle
 from orograph.store.layers import LayerBand, StoredLayer
 from orograph.store.terrain import Terrain
 
@@ -71,7 +72,7 @@ class LightField:
 
     @classmethod
     def load(
-        cls, layer: StoredLayer, terrain: Terrain, rectangles: list[Rectangle], jobs: int | None = None
+        cls, layer: StoredLayer, terrain: Terrain, rectangles: Sequence[Rectangle], jobs: int | None = None
     ) -> LightField:
         """Read a layer of one band, or one of caps, over ``rectangles`` (outermost first; see ``raycast.select``)."""
         tables = Tables.over(terrain, rectangles)

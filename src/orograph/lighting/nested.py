@@ -13,7 +13,6 @@ Heights are metres, NaN where missing (nothing stands there); slopes are tangent
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,27 +20,12 @@ from numpy.typing import NDArray
 from orograph._numba import kernel
 from orograph.lighting.own_cell import OwnCell, cell_slope
 from orograph.parallel import map_ordered
+from orograph.raycast.stack import HeightWindow
 
 Heights = NDArray[np.float32]
 
 _LINES = 64
 """Lines swept at a time by a thread."""
-
-
-@dataclass(frozen=True, slots=True)
-class Nested:
-    """A window of box means.
-
-    Attributes:
-        heights: (rows, cols) float32, metres.
-        level: a sample is a block of 2^level samples each way.
-        row0, col0: its first block.
-    """
-
-    heights: Heights
-    level: int
-    row0: int
-    col0: int
 
 
 @kernel
@@ -177,12 +161,17 @@ def _gather(lines, line0, major_is_col, slant, heights, cell, out, first, last):
 
 
 def sunward(
-    windows: list[Nested], linear: NDArray[np.float64], azimuth: float, *, lowest: float = 0.0, jobs: int | None = None
-) -> list[Heights]:
+    windows: list[HeightWindow],
+    linear: NDArray[np.float64],
+    azimuth: float,
+    *,
+    lowest: float = 0.0,
+    jobs: int | None = None,
+) -> list[Heights]:  # fmt: skip
     """The slope of the horizon towards one azimuth, for every sample of nested windows.
 
     Args:
-        windows: outermost first, each inside the one before.
+        windows: of box means, outermost first, each inside the one before.
         linear: (2, 2) linear part of the geotransform at full resolution: metres east and north per column and per row.
         azimuth: degrees clockwise from grid north, towards the light.
         lowest: slopes are at least this.
@@ -204,8 +193,8 @@ def sunward(
 
 
 def _one(
-    window: Nested,
-    outer: list[Nested],
+    window: HeightWindow,
+    outer: list[HeightWindow],
     turned: tuple[bool, bool, float],
     metres: float,
     lowest: float,
@@ -242,7 +231,7 @@ def _one(
 
 
 def _around(
-    outer: list[Nested], window: Nested, majors: int, major_is_col: bool, forward: bool
+    outer: list[HeightWindow], window: HeightWindow, majors: int, major_is_col: bool, forward: bool
 ) -> tuple[Heights, NDArray[np.int64], NDArray[np.float64]]:
     """The windows around one (nearest first) as ``_sweep`` wants them, in the window's own sample coordinates."""
     scale = float(1 << window.level)

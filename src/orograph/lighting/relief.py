@@ -8,15 +8,16 @@ The mean of gradients is the gradient of means, so this is the exact prefilter o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel, leaf
+from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.lighting.normal import central
 from orograph.parallel import map_ordered
-from orograph.raycast.select import Rectangle
 from orograph.store.terrain import Terrain
 
 Array = NDArray[np.float64]
@@ -141,34 +142,26 @@ class Tables:
             block's (at the terrain's border).
     """
 
-    windows: list[Rectangle]
+    windows: ClipStack
     ints: NDArray[np.int64]
     floats: Array
 
     @classmethod
-    def over(cls, terrain: Terrain, rectangles: list[Rectangle]) -> Tables:
+    def over(cls, terrain: Terrain, rectangles: Sequence[Rectangle]) -> Tables:
         """Of ``rectangles`` (outermost first) and the levels between them that filtering needs."""
         wanted: list[Rectangle] = []
         # A window that covers all the terrain hides those around it; pixels larger than its samples want them.
         for level in range(terrain.levels - 1, rectangles[0].level, -1):
-            rows, cols = terrain.mean_shape(level)
-            wanted.append(Rectangle(level, 0, rows, 0, cols))
+            wanted.append(Rectangle.whole(level, terrain.mean_shape(level)))
         for r, finer in zip(rectangles, [*rectangles[1:], None]):
             wanted.append(r)
             # Between two windows that are several levels apart lie levels that a pixel may want: cover the finer one.
-            for level in range(r.level - 1, finer.level if finer else r.level, -1):
-                k = level - finer.level  # type: ignore[union-attr]
-                f = finer
-                assert f is not None
+            if finer is None:
+                break
+            for level in range(r.level - 1, finer.level, -1):
+                k, f = level - finer.level, finer
                 wanted.append(Rectangle(level, f.row0 >> k, -(-f.row1 >> k), f.col0 >> k, -(-f.col1 >> k)))
-        clipped = []
-        for r in wanted:
-            rows, cols = terrain.mean_shape(r.level)
-            clipped.append(
-                Rectangle(
-                    r.level, r.row0, max(min(r.row1, rows), r.row0 + 1), r.col0, max(min(r.col1, cols), r.col0 + 1)
-                )
-            )
+        clipped = ClipStack(r.cut(terrain.mean_shape(r.level)) for r in wanted)
         ints, floats = np.zeros((len(clipped), 4), np.int64), np.zeros((len(clipped), 9))
         base = 0
         for k, r in enumerate(clipped):
@@ -199,7 +192,7 @@ class Relief:
     floats: Array
 
     @classmethod
-    def load(cls, terrain: Terrain, rectangles: list[Rectangle], jobs: int | None = None) -> Relief:
+    def load(cls, terrain: Terrain, rectangles: Sequence[Rectangle], jobs: int | None = None) -> Relief:
         """Read the means over ``rectangles`` (outermost first) and the levels between them that filtering needs."""
         tables = Tables.over(terrain, rectangles)
         pool = np.empty(sum(r.samples for r in tables.windows), np.float32)

@@ -41,6 +41,6 @@ class RayCast(Method):
         stats = {
             "method": self.info.name, "tolerance": float(tolerance), "conservative": True,
             "exaggeration": camera.exaggeration, "refine_ms": round(took * 1e3, 3), "windows": len(windows),
-            "samples": sum(window.samples for window in windows),
+            "samples": windows.samples,
         }  # fmt: skip
         return RayWindows(method=self.info.name, bound=float(tolerance), stats=stats, windows=windows)

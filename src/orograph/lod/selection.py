@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.raycast.select import Rectangle
+from orograph.hierarchy.clip_stack import ClipStack
 from orograph.tessellation import Tessellation
 
 Kind = Literal["triangles", "patches", "batches", "rings", "rays"]
@@ -130,32 +130,18 @@ class TinBatches(Selection):
         return Tessellation(vertices, where.reshape(-1)[triangles].astype(np.int32), stats=dict(self.stats))
 
 
-@dataclass(frozen=True, slots=True)
-class Ring:
-    """A level of a clipmap around the camera.
-
-    Attributes:
-        level: samples are 2^level apart.
-        outer, inner: (row0, row1, col0, col1) in samples of the level; the inner one is left to finer rings, or None.
-        blend: (rows, cols) float32, 0 where the level's own heights are drawn, 1 where the next coarser's are.
-    """
-
-    level: int
-    outer: tuple[int, int, int, int]
-    inner: tuple[int, int, int, int] | None
-    blend: NDArray[np.float32]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClipRings(Selection):
     """Nested rings, each twice as coarse as the one within it.
 
     Attributes:
-        rings: finest first.
+        stack: the windows, outermost first. blends: of each, (rows, cols) float32, 0 where the level's own heights are
+            drawn, 1 where the next coarser's are.
         expand: makes the triangles of the rings.
     """
 
-    rings: Sequence[Ring]
+    stack: ClipStack
+    blends: Sequence[NDArray[np.float32]]
     expand: Any
 
     def tessellation(self) -> Tessellation:
@@ -172,7 +158,7 @@ class RayWindows(Selection):
         windows: outermost first.
     """
 
-    windows: Sequence[Rectangle]
+    windows: ClipStack
 
     def tessellation(self) -> Tessellation:
         raise UsageError(

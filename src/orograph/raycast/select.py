@@ -14,32 +14,19 @@ its rim.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.parallel import map_ordered
 from orograph.raycast.stack import HeightWindow
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Rectangle:
-    """Samples ``[row0, row1) × [col0, col1)`` of a level."""
-
-    level: int
-    row0: int
-    row1: int
-    col0: int
-    col1: int
-
-    @property
-    def samples(self) -> int:
-        return (self.row1 - self.row0) * (self.col1 - self.col0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +111,7 @@ def spacing_error(terrain: Terrain, view: View, exaggeration: float, level: int,
     return spacing / view.pixel_slope / d
 
 
-def rectangles(
-    terrain: Terrain, view: View, exaggeration: float, tolerance: float, *, by: str = "error"
-) -> list[Rectangle]:
+def rectangles(terrain: Terrain, view: View, exaggeration: float, tolerance: float, *, by: str = "error") -> ClipStack:
     """The windows a view needs, outermost first; the outermost covers the whole terrain at its coarsest level.
 
     Args:
@@ -135,8 +120,7 @@ def rectangles(
     """
     measure = {"error": pixel_error, "spacing": spacing_error}[by]
     top = terrain.levels - 1
-    rows, cols = terrain.shape(top)
-    found = [Rectangle(top, 0, rows, 0, cols)]
+    found = [Rectangle.whole(top, terrain.shape(top))]
     for level in range(top, 0, -1):
         boxes = tile_boxes(terrain, level)
         need = in_frustum(terrain, view, exaggeration, boxes)
@@ -151,36 +135,15 @@ def rectangles(
         if not need.any():
             break
         rs, cs = np.flatnonzero(need.any(1)), np.flatnonzero(need.any(0))
-        rows, cols = terrain.shape(level - 1)
-        row0, col0 = 2 * int(rs[0]) * TILE, 2 * int(cs[0]) * TILE
-        row1, col1 = min(2 * (int(rs[-1]) + 1) * TILE + 1, rows), min(2 * (int(cs[-1]) + 1) * TILE + 1, cols)
-        found.append(Rectangle(level - 1, row0, row1, col0, col1))
-    return _without_hidden(found, terrain)
+        row0, row1, col0, col1 = (2 * TILE * int(n) for n in (rs[0], rs[-1] + 1, cs[0], cs[-1] + 1))
+        window = Rectangle(level - 1, row0, row1 + 1, col0, col1 + 1)
+        found.append(window.cut(terrain.shape(level - 1)))
+    return ClipStack(found).visible(terrain.shape)
 
 
-def _without_hidden(found: list[Rectangle], terrain: Terrain) -> list[Rectangle]:
-    """Drop windows that a finer one covers completely."""
-    kept: list[Rectangle] = []
-    for outer, inner in zip(found, [*found[1:], None]):
-        if inner is not None:
-            half = 2
-            covers = (
-                inner.row0 <= half * outer.row0
-                and inner.col0 <= half * outer.col0
-                and inner.row1 - 1 >= min(half * (outer.row1 - 1), terrain.shape(inner.level)[0] - 1)
-                and inner.col1 - 1 >= min(half * (outer.col1 - 1), terrain.shape(inner.level)[1] - 1)
-            )
-            if covers:
-                continue
-        kept.append(outer)
-    return kept
-
-
-def load(terrain: Terrain, found: list[Rectangle], jobs: int | None = None) -> list[HeightWindow]:
+def load(terrain: Terrain, found: Sequence[Rectangle], jobs: int | None = None) -> list[HeightWindow]:
     """Read nested heights for the caster."""
     return [
         HeightWindow(r.level, r.col0, r.row0, h)
-        for r, h in zip(
-            found, map_ordered(lambda r: terrain.read(r.level, r.row0, r.row1, r.col0, r.col1), found, jobs)
-        )
+        for r, h in zip(found, map_ordered(lambda r: terrain.read(*r), found, jobs))
     ]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.hierarchy.clip_stack import Rectangle
 from orograph.raycast.mips import Mips, build_mips
 
 MARGIN = 1e-3
@@ -15,12 +17,12 @@ MARGIN = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class HeightWindow:
-    """A rectangle of samples of one nested level.
+    """A rectangle of samples of one level, with their heights.
 
     Attributes:
-        level: sample (x, y) of the window is sample ``(col0 + x) · 2^level, (row0 + y) · 2^level`` of the terrain.
-        col0, row0: even, so that the window's diagonals are the terrain's.
-        heights: (rows, cols) float32 metres, NaN where missing; at least 2 × 2.
+        level: sample (x, y) of the window is sample ``(col0 + x) · 2^level, (row0 + y) · 2^level`` of the terrain, or
+            the mean of the block of 2^level × 2^level samples that begins there.
+        heights: (rows, cols) float32 metres, NaN where missing.
     """
 
     level: int
@@ -28,9 +30,21 @@ class HeightWindow:
     row0: int
     heights: NDArray[np.float32]
 
-    def __post_init__(self) -> None:
-        if self.col0 % 2 or self.row0 % 2:
-            raise ValueError("a window begins at an even column and row")
+    @property
+    def where(self) -> Rectangle:
+        """The samples."""
+        rows, cols = self.heights.shape
+        return Rectangle(self.level, self.row0, self.row0 + rows, self.col0, self.col0 + cols)
+
+
+def check_diagonals(windows: Sequence[HeightWindow]) -> None:
+    """Refuse windows whose cells are not cut along the terrain's diagonals.
+
+    Raises:
+        ValueError: one begins at an odd row or column.
+    """
+    if any(w.col0 % 2 or w.row0 % 2 for w in windows):
+        raise ValueError("a window begins at an even column and row")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +77,7 @@ class Stack:
     @classmethod
     def build(cls, windows: list[HeightWindow], shape: tuple[int, int], jobs: int | None = None) -> Stack:
         """Flatten ``windows``; ``shape`` is the terrain's (rows, cols) at full resolution: nothing is hit beyond it."""
+        check_diagonals(windows)
         pyramids: list[Mips] = [build_mips(w.heights, jobs) for w in windows]
         ints = np.zeros((len(windows), 6), np.int64)
         floats = np.zeros((len(windows), 8), np.float64)

@@ -13,10 +13,10 @@ from pyproj import CRS
 from orograph.dem.raster import Dem
 from orograph.geo.grid import Grid
 from orograph.gpu.device import Device
+from orograph.hierarchy.clip_stack import Rectangle
 from orograph.raycast.caster import Caster
-from orograph.raycast.select import Rectangle
 from orograph.raycast.stack import HeightWindow
-from orograph.rendering.gpu.shade.ray_field import MARGIN, RayField, blocked, choose, field_of, grown, turned
+from orograph.rendering.gpu.shade.ray_field import MARGIN, RayField, blocked, choose, field_of, turned
 from orograph.store import terrain as in_memory
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
@@ -171,4 +171,4 @@ def test_fields_of_views(device: Device) -> None:
     key, made = field_of(terrain, View((7e5, 5.3e6, 5e3), (7e5, 5.2e6, 0.0)), 1.0, 1.0, 1 << 20)
     field = made()
     assert key == (Rectangle(0, 0, 300, 0, 200),) and field.turn == 0 and field.pool.nbytes < 1 << 20
-    assert grown(terrain, [Rectangle(0, 0, 300, 0, 200)], MARGIN) == key
+    assert key.filled(terrain.shape, terrain.levels, MARGIN) == key

@@ -40,12 +40,12 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.gpu.device import Device, open_device
 from orograph.gpu.program import Program
+from orograph.hierarchy.clip_stack import Rectangle
 from orograph.lighting.context import Blocks, Context, Values
 from orograph.lighting.gpu.occlusion_maps import by_tiles
 from orograph.lighting.gpu.rings import MISSING, Held, Store
 from orograph.lighting.occlusion import flat_only
 from orograph.lighting.rho import Transmission, transmission
-from orograph.raycast.select import Rectangle
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.hierarchy.clip_stack import Ring
 from orograph.lighting.context import Values
-from orograph.lighting.gpu.rings import BLOCK, Held, Ring
+from orograph.lighting.gpu.rings import BLOCK, Held
 
 if TYPE_CHECKING:
     from orograph.lighting.gpu.occlusion_maps import Maps

@@ -36,9 +36,10 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.gpu.device import Device, open_device
 from orograph.gpu.program import Program
+from orograph.hierarchy.clip_stack import Ring
 from orograph.lighting.context import Blocks, Context, Values
 from orograph.lighting.gpu.occlusion_frames import Frames, corners
-from orograph.lighting.gpu.rings import BLOCK, REACH, Held, Ring, Store, rings
+from orograph.lighting.gpu.rings import BLOCK, REACH, Held, Store, rings
 from orograph.lighting.occlusion import flat_only
 from orograph.lighting.raster import rectangles
 from orograph.lighting.rho import Transmission, transmission

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
-from orograph.raycast.select import Rectangle
+from orograph.hierarchy.clip_stack import ClipStack, Rectangle, Ring
 from orograph.store.terrain import Terrain
 
 REACH = 512
@@ -28,26 +28,6 @@ MISSING = np.float32(-1e30)
 BLOCK = 16
 """Cells along the side of a block: extremes are known by blocks."""
 _SNAP = 64  # rings but the finest begin and end at multiples of this: neighbouring tiles share them
-
-
-@dataclass(frozen=True, slots=True)
-class Ring:
-    """What is drawn of one level.
-
-    Attributes:
-        where: the level and its samples. hole: what finer rings hold, in this level's samples, (first row, last row,
-            first column, last column); None of the finest.
-    """
-
-    where: Rectangle
-    hole: tuple[int, int, int, int] | None
-
-    def open_sides(self) -> tuple[bool, bool, bool, bool]:
-        """On which sides of its hole (first row, last row, first column, last column) the ring goes on."""
-        if self.hole is None:
-            return False, False, False, False
-        r, (a, b, c, d) = self.where, self.hole
-        return a > r.row0, b < r.row1 - 1, c > r.col0, d < r.col1 - 1
 
 
 def rings(
@@ -66,8 +46,7 @@ def rings(
                       for v, n in zip(np.linalg.inv(linear), (cols, rows)))  # fmt: skip
     row0, row1, col0, col1 = tile
     need = max(row0 - down, 0), min(row1 + down, rows) - 1, max(col0 - over, 0), min(col1 + over, cols) - 1
-    out: list[Ring] = []
-    hole: tuple[int, int, int, int] | None = None
+    out: list[Rectangle] = []
     for level in range(terrain.levels):
         last = level == terrain.levels - 1
         shape, far, snap = terrain.shape(level), reach << level, _SNAP if level else 2
@@ -77,17 +56,17 @@ def rings(
             if not last:
                 low, high = max(low, first - far), min(high, end - 1 + far)
             a, b = low >> level, -(-high >> level)
-            if hole is not None:
-                a, b = min(a, hole[2 * axis]), max(b, hole[2 * axis + 1])
+            if out:
+                inner = out[-1].around(level)[1 + 2 * axis : 3 + 2 * axis]
+                a, b = min(a, inner[0]), max(b, inner[1] - 1)
             # Cells are cut along the terrain's diagonals, and the next ring's samples lie on the border.
             a, b = a // snap * snap, min(-(-b // snap) * snap, most - 1)
             sides += [min(a, max(most - 2, 0) & ~1), b]
-        out.append(Ring(Rectangle(level, sides[0], sides[1] + 1, sides[2], sides[3] + 1), hole))
+        out.append(Rectangle(level, sides[0], sides[1] + 1, sides[2], sides[3] + 1))
         low_enough = all(sides[k] << level <= need[k] for k in (0, 2))
         if low_enough and all(sides[k] << level >= need[k] for k in (1, 3)):
             break
-        hole = sides[0] // 2, -(-sides[1] // 2), sides[2] // 2, -(-sides[3] // 2)
-    return tuple(out)
+    return ClipStack(reversed(out)).rings()[::-1]
 
 
 def bound(terrain: Terrain, radius: float = math.inf, reach: int = REACH) -> float:
@@ -148,7 +127,7 @@ class Store:
         return [self._held[r] for r in wanted]
 
     def _read(self, r: Rectangle) -> Held:
-        heights = self.terrain.read(r.level, r.row0, r.row1, r.col0, r.col1)
+        heights = self.terrain.read(*r)
         gone = np.isnan(heights)
         holes = bool(gone.any())
         low, high = (math.inf, -math.inf) if holes and gone.all() else (

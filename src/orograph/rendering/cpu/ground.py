@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.layers import IMAGES, drawn
 from orograph.geovis.missing import patches
+from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.lighting.relief import Relief
 from orograph.lighting.sun import Sun
 from orograph.memo import Memo
 from orograph.raycast.caster import Caster
-from orograph.raycast.select import Rectangle, load, rectangles
+from orograph.raycast.select import load, rectangles
 from orograph.rendering.cpu.kernels import footprints, incidence
 from orograph.rendering.cpu.raster import MeshSurface
 from orograph.rendering.gbuffer import Surface
@@ -65,12 +67,12 @@ def budget_of(scene: Scene) -> float:
     return math.inf if most is None else max(most - fixed_memory(scene), LEAST_MEMORY)
 
 
-def means_of(scene: Scene, terrain: Terrain) -> list[Rectangle]:
+def means_of(scene: Scene, terrain: Terrain) -> ClipStack:
     """Windows of means about as fine as pixels, outermost first, or as fine as half of the memory for heights holds."""
     pixels, most = 1.0, budget_of(scene) / 2
     while True:
         found = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, pixels, by="spacing")
-        fits = MEAN_BYTES * sum(r.samples for r in found) <= most
+        fits = MEAN_BYTES * found.samples <= most
         if fits or pixels > COARSEST or found[-1].level == terrain.levels - 1:
             return found
         pixels *= 1.25
@@ -87,7 +89,7 @@ class Ground:
     """
 
     def __init__(
-        self, scene: Scene, surface: Terrain, windows: list[Rectangle], tolerance: float, memo: Memo,
+        self, scene: Scene, surface: Terrain, windows: Sequence[Rectangle], tolerance: float, memo: Memo,
         mesh: Tessellation | None = None,
     ) -> None:  # fmt: skip
         terrain = scene.terrain
@@ -183,7 +185,7 @@ class Ground:
         bytes_per_sample = 4 * (1 + 5 / 12) + 4
         budget = budget_of(scene) - MEAN_BYTES * sum(r.samples for r in means_of(scene, terrain))
         if tolerance == 0 and rows * cols * bytes_per_sample <= budget:
-            return cls(scene, terrain, [Rectangle(0, 0, rows, 0, cols)], 0.0, memo, mesh)
+            return cls(scene, terrain, [Rectangle.whole(0, (rows, cols))], 0.0, memo, mesh)
         tolerance = tolerance or 0.05
         while True:
             chosen = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, tolerance, by=by)

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.hierarchy.clip_stack import Rectangle
 from orograph.lighting.horizon import sky_view
 from orograph.memo import Memo
 from orograph.rendering.cpu.ground import Ground
@@ -36,7 +37,7 @@ class MapGrid:
     """Sky-view factor and water, bilinear.
 
     Attributes:
-        window: level, first row, row after the last, first column, column after it.
+        window: the grid, of a level of box means.
         sky_view, water: (rows, cols) float32, samples of 2^level = ``scale``, first (row0, col0); water may be empty.
             Water is where the water field, interpolated, is above 0.5. The sky is swept for the light "relief" only.
         strength: by how much slopes are strengthened for shading unless the scene says.
@@ -46,13 +47,12 @@ class MapGrid:
     def __init__(self, scene: Scene, ground: Ground, survey: Survey, memo: Memo) -> None:
         terrain = scene.terrain
         self.window = window = working_window(terrain, survey.hits.points)
-        self.scale, self.row0, self.col0 = 2.0 ** window[0], window[1], window[3]
-        level, r0, r1, c0, c1 = window
+        self.scale, self.row0, self.col0 = 2.0**window.level, window.row0, window.col0
         t = terrain.grid.transform
         linear = np.array([[t.a, t.b], [t.d, t.e]]) * self.scale
 
         def sky() -> NDArray[np.float32]:
-            heights = terrain.read_mean(level, r0, r1, c0, c1)
+            heights = terrain.read_mean(*window)
             return sky_view(heights * np.float32(scene.surface.exaggeration), linear, AZIMUTHS, jobs=scene.budget.jobs)
 
         known = window, scene.surface.exaggeration
@@ -69,8 +69,8 @@ class MapGrid:
             self.water, self.water_fraction = water_map(scene, ground, window, memo)
 
 
-def working_window(terrain: Terrain, points: Array) -> tuple[int, int, int, int, int]:
-    """The working grid for ground in view: its level, first row, row after the last, first column, column after it.
+def working_window(terrain: Terrain, points: Array) -> Rectangle:
+    """The working grid for ground in view.
 
     It covers points (n, 2 or 3) in sample coordinates and a fifth of their extent around them, since what stands there
     hides the sky too. Its borders lie at multiples of an eighth of its size: from frame to frame of a movie it mostly
@@ -91,27 +91,24 @@ def working_window(terrain: Terrain, points: Array) -> tuple[int, int, int, int,
     r0, c0 = int(north / scale) // grain * grain, int(west / scale) // grain * grain
     r1 = min(-(-(int(south / scale) + 2) // grain) * grain, total_rows)
     c1 = min(-(-(int(east / scale) + 2) // grain) * grain, total_cols)
-    return level, r0, r1, c0, c1
+    return Rectangle(level, r0, r1, c0, c1)
 
 
-def water_map(
-    scene: Scene, ground: Ground, window: tuple[int, int, int, int, int], memo: Memo
-) -> tuple[NDArray[np.float32], float]:
+def water_map(scene: Scene, ground: Ground, window: Rectangle, memo: Memo) -> tuple[NDArray[np.float32], float]:
     """``_water``, once for a window."""
     return memo(
         "water", (window, scene.data.water), lambda: _water(ground.bare, ground, window), ground.bare.terrain
     )  # fmt: skip
 
 
-def _water(scene: Scene, ground: Ground, window: tuple[int, int, int, int, int]) -> tuple[NDArray[np.float32], float]:
+def _water(scene: Scene, ground: Ground, window: Rectangle) -> tuple[NDArray[np.float32], float]:
     """The field of water over the working grid, (0, 0) if there is none, and the part of the grid that is water."""
     from orograph.geovis.water import shore, water_in
 
-    level, r0, r1, c0, c1 = window
-    heights = scene.terrain.read_mean(level, r0, r1, c0, c1)
+    heights = scene.terrain.read_mean(*window)
     field: NDArray[np.floating] = np.empty((0, 0), np.float32)
     if scene.data.water == "auto":
-        found = water_in(scene.terrain, ground.rays.spacing, level, r0, c0, heights)
+        found = water_in(scene.terrain, ground.rays.spacing, window.level, window.row0, window.col0, heights)
         if found.any():
             field = shore(found)
     else:
@@ -123,17 +120,16 @@ def _water(scene: Scene, ground: Ground, window: tuple[int, int, int, int, int])
     return field.astype(np.float32), float(found.mean()) if found.any() else 0.0
 
 
-def strength_of(scene: Scene, window: tuple[int, int, int, int, int]) -> float:
+def strength_of(scene: Scene, window: Rectangle) -> float:
     """How much slopes are strengthened for shading: 1 for rugged ground, more where a small scale or a gentle land
     leaves little to see (cartographers' practice: relief is drawn for its form, Imhof 1965 ch. 8).
 
     Args:
         window: the ground, as ``working_window`` has it.
     """
-    level, r0, r1, c0, c1 = window
-    heights = scene.terrain.read_mean(level, r0, r1, c0, c1)
+    heights = scene.terrain.read_mean(*window)
     t = scene.terrain.grid.transform
-    linear = np.array([[t.a, t.b], [t.d, t.e]]) * 2.0**level
+    linear = np.array([[t.a, t.b], [t.d, t.e]]) * 2.0**window.level
     rows, cols = heights.shape
     if rows < 3 or cols < 3:
         return 1.0

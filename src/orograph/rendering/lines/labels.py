@@ -22,8 +22,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.hierarchy.clip_stack import Rectangle
 from orograph.raycast.caster import Caster
-from orograph.raycast.select import Boxes, Rectangle, distances, in_frustum, load, rectangles
+from orograph.raycast.select import Boxes, distances, in_frustum, load, rectangles
 from orograph.rendering.lines.label_kernels import lie, stand
 from orograph.rendering.lines.label_spots import BLOCK, POINTS, Spots, coarsest, shape_of, spots
 from orograph.rendering.lines.label_type import NOTHING, Labels, measured

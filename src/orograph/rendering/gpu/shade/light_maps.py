@@ -12,17 +12,20 @@ the sun is low and the ground seen from the side, a horizon interpolated between
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.lighting.gpu.aperture import packed
-from orograph.lighting.nested import Nested, sunward
+from orograph.lighting.nested import sunward
 from orograph.lighting.sun import Sun
 from orograph.memo import Memo
 from orograph.progress import SILENT
-from orograph.raycast.select import Rectangle, rectangles
+from orograph.raycast.select import rectangles
+from orograph.raycast.stack import HeightWindow
 from orograph.rendering.cpu.lighting import SKIES, field_of
 from orograph.rendering.cpu.mapgrid import MapGrid, strength_of, water_map, working_window
 from orograph.scene.scene import Scene
@@ -168,7 +171,7 @@ def plain_maps() -> LightMaps:
     return LightMaps(np.ones(1, np.float32), (0, 1, 1, 0), (0, 0), False, nothing, nothing, "", 1.0, 0.0, False)
 
 
-def _watered(scene: Scene, window: tuple[int, int, int, int, int], memo: Memo) -> LightMaps:
+def _watered(scene: Scene, window: Rectangle, memo: Memo) -> LightMaps:
     """An open sky over a window, with the water in it, if there is any."""
     plain = replace(plain_maps(), known=True)
     if scene.data.water is None:
@@ -183,7 +186,7 @@ def _watered(scene: Scene, window: tuple[int, int, int, int, int], memo: Memo) -
     )
 
 
-def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float) -> list[Rectangle]:
+def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float) -> ClipStack:
     """Nested windows of box means, outermost first, whose samples are about ``detail`` pixels large where they show, or
     larger where that would be too many: the outermost holds the whole terrain."""
     most = min(max(WINDOW, view.width * view.height // 8), LARGEST)
@@ -191,30 +194,24 @@ def sun_windows(terrain: Terrain, view: View, exaggeration: float, detail: float
     level = found[0].level
     while math.prod(terrain.mean_shape(level)) > LARGEST and level < terrain.levels - 1:
         level += 1
-    rows, cols = terrain.mean_shape(level)
-    out = [Rectangle(level, 0, rows, 0, cols)]
-    for r in found:
-        rows, cols = terrain.mean_shape(r.level)
-        row1, col1 = min(r.row1, rows), min(r.col1, cols)
-        row0, col0 = min(r.row0, row1 - 1), min(r.col0, col1 - 1)
-        if r.level >= level or (row1 - row0) * (col1 - col0) > most:
-            continue  # too large: the coarser one around it has to do, until a finer and smaller one comes
-        out.append(Rectangle(r.level, row0, row1, col0, col1))
-    return out
+    inner = [r.cut(terrain.mean_shape(r.level)) for r in found if r.level < level]
+    # What is too large is left to the coarser one around it, until a finer and smaller one comes.
+    return ClipStack(
+        [Rectangle.whole(level, terrain.mean_shape(level)), *(window for window in inner if window.samples <= most)]
+    )
 
 
 def sun_maps(
-    terrain: Terrain, windows: list[Rectangle], sun: Sun, exaggeration: float, memo: Memo, jobs: int | None
+    terrain: Terrain, windows: Sequence[Rectangle], sun: Sun, exaggeration: float, memo: Memo, jobs: int | None
 ) -> list[Values]:
     """How far the horizon stands above the sun's centre, in radii of its disc, for every sample of the windows.
 
     Beyond ±``FAR`` it is cut. Missing ground is told not to be in the way.
     """
 
-    def means(r: Rectangle) -> Nested:
-        box = r.row0, r.row1, r.col0, r.col1
-        heights = memo("means", (r.level, *box), lambda: terrain.read_mean(r.level, *box), terrain, 8)
-        return Nested(heights * np.float32(exaggeration), r.level, r.row0, r.col0)
+    def means(r: Rectangle) -> HeightWindow:
+        heights = memo("means", r, lambda: terrain.read_mean(*r), terrain, 8)
+        return HeightWindow(r.level, r.col0, r.row0, heights * np.float32(exaggeration))
 
     nested = [means(r) for r in windows]
     a, b, _, d, e, _ = terrain.grid.samples[:6]

@@ -26,9 +26,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.gpu.device import Device, open_device
 from orograph.gpu.program import Group, Program
+from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.raycast.mips import build_mips
-from orograph.raycast.select import Rectangle, load, rectangles
-from orograph.raycast.stack import HeightWindow
+from orograph.raycast.select import load, rectangles
+from orograph.raycast.stack import HeightWindow, check_diagonals
 from orograph.scene.scene import EXACT_SAMPLES
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
@@ -93,6 +94,7 @@ class RayField:
         frame["last"] = shape[1] - 1, shape[0] - 1
         frame["exaggeration"], frame["spacing"] = exaggeration, math.sqrt(abs(np.linalg.det(cells)))
         frame["count"], frame["stride"], frame["rays"], frame["total"] = len(windows), 1, 1, 1
+        check_diagonals(windows)
         parts: list[Values] = []
         at = row = 0
         tops = []
@@ -125,7 +127,7 @@ NOTHING = RayField(np.zeros(4, np.float32), np.zeros((), FRAME))
 
 def field_of(
     terrain: Terrain, view: View, exaggeration: float, tolerance: float, most: int, jobs: int | None = None
-) -> tuple[tuple[Rectangle, ...], Any]:
+) -> tuple[ClipStack, Any]:
     """What rays are to meet in a view: the windows, and a function that reads them.
 
     Args:
@@ -136,7 +138,7 @@ def field_of(
 
     def make() -> RayField:
         turn = turned(terrain, chosen)
-        windows = load(terrain, list(chosen), jobs)
+        windows = load(terrain, chosen, jobs)
         return RayField.of(windows, terrain.grid.shape, [[a, b], [d, e]], exaggeration, turn, jobs)
 
     return chosen, make
@@ -147,50 +149,22 @@ def samples_in(most: int) -> int:
     return most // 16 * 3
 
 
-def choose(terrain: Terrain, view: View, exaggeration: float, tolerance: float, samples: int) -> tuple[Rectangle, ...]:
+def choose(terrain: Terrain, view: View, exaggeration: float, tolerance: float, samples: int) -> ClipStack:
     """The windows for a view, outermost first: at most so many samples, which a coarser tolerance makes room for."""
     rows, cols = terrain.grid.shape
     if rows * cols <= min(EXACT, samples):
-        return (Rectangle(0, 0, rows, 0, cols),)
-    tolerance, margin = max(tolerance, 0.05), MARGIN
+        return ClipStack([Rectangle.whole(0, (rows, cols))])
+    tolerance = max(tolerance, 0.05)
     while True:
-        found = grown(terrain, rectangles(terrain, view.whole, exaggeration, tolerance), margin)
-        if sum(r.samples for r in found) <= samples and len(found) <= WINDOWS:
+        found = rectangles(terrain, view.whole, exaggeration, tolerance).filled(terrain.shape, terrain.levels, MARGIN)
+        if found.samples <= samples and len(found) <= WINDOWS:
             return found
         if found[-1].level == terrain.levels - 1:  # nothing coarser is kept
-            return found[-1:]
+            return ClipStack(found[-1:])
         tolerance *= 1.25
 
 
-def grown(terrain: Terrain, found: list[Rectangle], margin: int) -> tuple[Rectangle, ...]:
-    """Windows of all levels from the finest of ``found`` on until one holds the whole terrain, outermost first: each
-    holds what is wanted of its level and reaches ``margin`` of its samples beyond the finer one in it."""
-    wanted = {r.level: r for r in found}
-    out: list[Rectangle] = []
-    for level in range(found[-1].level, terrain.levels):
-        rows, cols = terrain.shape(level)
-        boxes = []
-        if level in wanted:
-            r = wanted[level]
-            boxes.append((r.row0, r.row1, r.col0, r.col1))
-        if out:
-            r = out[-1]
-            boxes.append((
-                r.row0 // 2 - margin, -(-(r.row1 - 1) // 2) + 1 + margin,
-                r.col0 // 2 - margin, -(-(r.col1 - 1) // 2) + 1 + margin,
-            ))  # fmt: skip
-        low, high = np.min(boxes, 0), np.max(boxes, 0)
-        # Windows begin at even samples (their diagonals are the terrain's) and have cells.
-        row0, col0 = (max(int(low[k]), 0) & ~1 for k in (0, 2))
-        row1, col1 = min(int(high[1]), rows), min(int(high[3]), cols)
-        row0, col0 = min(row0, max(rows - 2, 0) & ~1), min(col0, max(cols - 2, 0) & ~1)
-        out.append(Rectangle(level, row0, max(row1, row0 + 2), col0, max(col1, col0 + 2)))
-        if (row0, col0, row1, col1) == (0, 0, rows, cols):
-            break
-    return tuple(reversed(out))
-
-
-def turned(terrain: Terrain, chosen: tuple[Rectangle, ...]) -> float:
+def turned(terrain: Terrain, chosen: ClipStack) -> float:
     """Radians by which coarse levels may turn the edge of a shadow on what the finest window holds: the largest error
     of a level beyond the window inside it, over the distance to it."""
     spacing = min(terrain.grid.spacing)

@@ -7,6 +7,7 @@ under the ground (``MARGIN``), a thousandth of its distance farther away, so tha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 from orograph.geovis.missing import patches
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
-from orograph.raycast.select import Rectangle, load, rectangles
+from orograph.hierarchy.clip_stack import Rectangle
+from orograph.raycast.select import load, rectangles
 from orograph.raycast.stack import HeightWindow
 from orograph.rendering.gpu.targets import MARKS, NEARER, Targets
 from orograph.store.terrain import Terrain
@@ -40,17 +42,16 @@ def void_fills(terrain: Terrain, view: View, exaggeration: float, tolerance: flo
     rows, cols = terrain.grid.shape
     if terrain.valid_fraction < 1 and rows * cols > EXACT:
         return _fills(terrain, rectangles(terrain, view, exaggeration, tolerance), MARGIN)
-    return _fills(terrain, [Rectangle(0, 0, rows, 0, cols)], MARGIN)
+    return _fills(terrain, [Rectangle.whole(0, terrain.grid.shape)], MARGIN)
 
 
 def coarse_void_fills(terrain: Terrain) -> Fills:
     """Those over the holes that the coarsest level shows, for a moment in which no others are known."""
     top = terrain.levels - 1
-    rows, cols = terrain.shape(top)
-    return _fills(terrain, [Rectangle(top, 0, rows, 0, cols)], 1)
+    return _fills(terrain, [Rectangle.whole(top, terrain.shape(top))], 1)
 
 
-def _fills(terrain: Terrain, chosen: list[Rectangle], margin: int) -> Fills:
+def _fills(terrain: Terrain, chosen: Sequence[Rectangle], margin: int) -> Fills:
     none = np.zeros(0, VERTEX), np.zeros((0, 3), np.uint32)
     if terrain.valid_fraction >= 1:
         return none
@@ -99,11 +100,11 @@ def _mesh(
     a, b, c, d = there[:-1, :-1], there[:-1, 1:], there[1:, :-1], there[1:, 1:]
     cells = (a.astype(np.uint8) + b + c + d) >= 3
     if finer is not None:
-        k = window.level - finer.level
-        r0, c0 = (finer.row0 >> k) - window.row0, (finer.col0 >> k) - window.col0
-        r1 = ((finer.row0 + finer.heights.shape[0] - 1) >> k) - window.row0
-        c1 = ((finer.col0 + finer.heights.shape[1] - 1) >> k) - window.col0
-        cells[max(r0, 0) : max(r1, 0), max(c0, 0) : max(c1, 0)] = False
+        hole = finer.where.inside(window.level)
+        r0, r1, c0, c1 = (max(n, 0) for n in (
+            hole.row0 - window.row0, hole.row1 - 1 - window.row0, hole.col0 - window.col0, hole.col1 - 1 - window.col0
+        ))  # fmt: skip
+        cells[r0:r1, c0:c1] = False
     r, c = np.nonzero(cells)
     corners = np.stack([np.stack([r + i, c + j], -1) for i in (0, 1) for j in (0, 1)], 1)  # (n, 4, 2)
     even = ((r + window.row0 + c + window.col0) % 2 == 0)[:, None, None]
