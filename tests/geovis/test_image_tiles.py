@@ -15,6 +15,7 @@ from pyproj import CRS
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
 from orograph.geovis.drape import Drape
+from orograph.slots import HELD
 
 GRID = Grid((400, 400), Affine(30, 0, 500_000, 0, -30, 6_700_000), CRS.from_epsg(32633))
 SPAN = 12_000.0
@@ -107,7 +108,7 @@ def test_a_file_that_vanishes_is_an_error_in_every_thread_and_works_again_when_i
             with pytest.raises(ReadError, match=r"a\.tif"):
                 job.result(60)
     tiles = drape.tiles
-    assert tiles is not None and not tiles._users.any() and len(tiles._free) + len(tiles._slots) == tiles.capacity
+    assert tiles is not None and not tiles._users.any() and tiles._slots.room(HELD) == tiles.capacity
     path.write_bytes(data)
     np.testing.assert_array_equal(drape.spread(x, y, ground, 1e-3 * least), truth)
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import threading
-from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from orograph.geovis import mipmap, tile_kernels
 from orograph.geovis.texels import Texels
 from orograph.geovis.tile_kernels import EDGE, SIDE
+from orograph.slots import HELD, Slots
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.int64]
@@ -59,10 +59,11 @@ class ImageTiles:
         rows, cols = texels.shape(0)
         self._levels = mipmap.layout(rows, cols)
         self._pool = np.empty((self.capacity * EDGE * EDGE, 4), np.uint8)
-        self._slots: OrderedDict[int, int] = OrderedDict()  # by key, used longest ago first
+        self._slots: Slots[int] = Slots(self.capacity)
+        self._uses = 0
+        self._reading: set[int] = set()  # slots
         self._users = np.zeros(self.capacity, np.int64)
         self._ready = np.zeros(self.capacity, bool)
-        self._free = list(range(self.capacity - 1, -1, -1))
         self._changed = threading.Condition()
 
     def look_along(self, u: Floats, v: Floats, axes: Floats, floor: Floats, inside: Floats, out: Colors) -> None:
@@ -118,13 +119,15 @@ class ImageTiles:
         given, own, awaited = np.empty(len(keys), np.int64), [], []
         with self._changed:
             for n, key in enumerate(keys.tolist()):
-                slot = self._slots.get(key)
-                if slot is None:
-                    slot = self._free.pop() if self._free else self._leave()
-                    self._slots[key], self._ready[slot] = slot, False
+                slot = self._slots.find(key)
+                if slot < 0:
+                    slot, _ = self._slots.take(key, HELD)
+                    assert slot >= 0, "tiles of all threads together are more than there is room for"
+                    self._ready[slot] = False
+                    self._reading.add(slot)
                     own.append((key, slot))
                 else:
-                    self._slots.move_to_end(key)
+                    self._slots.last[slot] = HELD
                     awaited.append((key, slot))
                 self._users[slot] += 1
                 given[n] = slot
@@ -134,39 +137,25 @@ class ImageTiles:
                     self._read(key, slot)
             except BaseException:
                 with self._changed:
-                    for key, slot in own:
-                        if not self._ready[slot]:
-                            del self._slots[key]
+                    self._reading.difference_update(slot for _, slot in own)
                     self._changed.notify_all()
                 raise
             for key, slot in awaited:
                 with self._changed:
-                    while not self._ready[slot] and self._slots.get(key) == slot:
+                    while slot in self._reading:
                         self._changed.wait()
                 if not self._ready[slot]:  # the thread that was to read it failed: here it does too, or it has passed
                     self._read(key, slot)
             yield given
         finally:
             with self._changed:
+                self._uses += 1
                 np.subtract.at(self._users, given, 1)
-                if not self._ready[given].all():
-                    self._tidy()
-                self._changed.notify_all()
-
-    def _tidy(self) -> None:
-        """Give up tiles that a thread was to read and could not."""
-        for key in [key for key, slot in self._slots.items() if not self._ready[slot] and not self._users[slot]]:
-            del self._slots[key]
-        taken = {*self._slots.values(), *self._free}
-        self._free += [slot for slot in range(self.capacity) if slot not in taken and not self._users[slot]]
-
-    def _leave(self) -> int:
-        """Take the slot of the tile that was used longest ago."""
-        for key, slot in self._slots.items():
-            if not self._users[slot]:
-                del self._slots[key]
-                return slot
-        raise AssertionError("tiles of all threads together are more than there is room for")
+                for key, slot in (*own, *awaited):
+                    if not self._users[slot]:
+                        self._slots.last[slot] = self._uses
+                        if not self._ready[slot]:
+                            self._slots.release(key)
 
     def _read(self, key: int, slot: int) -> None:
         """Bring a tile to its slot, its border from the tiles beside it, or going on where there are none."""
@@ -180,5 +169,6 @@ class ImageTiles:
         self._pool[place] = np.pad(block, around, "edge").reshape(-1, 4)
         with self._changed:
             self._ready[slot] = True
+            self._reading.discard(slot)
             self.read += 1
             self._changed.notify_all()

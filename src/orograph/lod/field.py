@@ -22,6 +22,7 @@ from orograph.error import ErrorKind
 from orograph.errors import UsageError
 from orograph.lod.pages import BEYOND, PAGE_BYTES, SHIFT, SIDE, Pages, find
 from orograph.parallel import map_ordered
+from orograph.slots import Slots
 from orograph.store.diamond_table import DiamondTable
 from orograph.store.terrain import Terrain, level_shape
 
@@ -84,8 +85,7 @@ class Field:
             np.zeros(slots, np.uint8), np.zeros(2 * len(table) + 64, np.int32), np.zeros(1, np.int64),
             np.array([rows - 1, cols - 1, self.top], np.int64),
         )  # fmt: skip
-        self._holds = np.full(slots, -1, np.int64)
-        self._last = np.zeros(slots, np.int64)
+        self.slots: Slots[int] = Slots(slots)
         self._round = 0
         self.tiles_read = 0
         tiles = terrain.tiles(0)
@@ -97,7 +97,7 @@ class Field:
     @property
     def resident(self) -> int:
         """Pages in memory."""
-        return int((self._holds >= 0).sum())
+        return len(self.slots)
 
     def begin(self) -> None:
         """A new round: nothing is used or asked for yet."""
@@ -127,35 +127,42 @@ class Field:
         """
         wanted = self._asked()
         count = len(wanted)
-        self._last[self.pages.used == 1] = self._round
+        self.slots.touch(np.flatnonzero(self.pages.used == 1), self._round)
         if count == 0:
             return False
-        order = np.lexsort((np.arange(len(self._last)), self._last, self._holds >= 0))  # free ones, then oldest
+        before = self._round + 1 if resumes else self._round
+        room = self.slots.room(before)
         if resumes:
-            wanted = wanted[: len(order) if most is None else min(most, len(order))]
+            wanted = wanted[: room if most is None else min(most, room)]
             count = len(wanted)
-        else:
-            order = order[(self._holds[order] < 0) | (self._last[order] < self._round)]
-        if len(order) < count:
+        if room < count:
             raise UsageError(
-                f"One view needs more than the {len(self._last)} tiles that fit into "
-                f"{len(self._last) * PAGE_BYTES >> 20} MiB.",
+                f"One view needs more than the {self.slots.capacity} tiles that fit into "
+                f"{self.slots.capacity * PAGE_BYTES >> 20} MiB.",
                 remedy="Allow more memory (`max_memory`), or a larger tolerance.",
             )
-        slots = order[:count]
-        for slot in slots:
-            if self._holds[slot] >= 0:
-                self.pages.table[self._holds[slot]] = -1
-                self._holds[slot] = -1
-        for page, slot, _ in zip(wanted, slots, map_ordered(self._load, zip(wanted, slots), self.jobs), strict=True):
-            self.pages.table[page] = slot
-            self._holds[slot] = page
-            self._last[slot] = self._round
+        taken = [(page, self._take(page, before)) for page in wanted.tolist()]
+        try:
+            for (page, slot), _ in zip(taken, map_ordered(self._load, taken, self.jobs), strict=True):
+                self.pages.table[page] = slot
+                self.slots.last[slot] = self._round
+        except BaseException:
+            for page, _ in taken:
+                if self.pages.table[page] < 0:
+                    self.slots.release(page)
+            raise
         self.tiles_read += count
         return True
 
+    def _take(self, page: int, before: int) -> int:
+        """The slot, held, that a page is to be read into, −1 if there is none; the page that had it is forgotten."""
+        slot, gone = self.slots.take(page, before)
+        if gone is not None:
+            self.pages.table[gone] = -1
+        return slot
+
     def _load(self, what: tuple[int, int]) -> None:
-        page, slot = int(what[0]), int(what[1])
+        page, slot = what
         level = int(np.searchsorted(self.pages.base, page, side="right")) - 1
         i, j = divmod(page - int(self.pages.base[level]), int(self.pages.width[level]))
         rows, cols = self.shapes[level]

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
@@ -27,13 +26,14 @@ from numpy.typing import NDArray
 from orograph.errors import OrographError
 from orograph.measuring import Hit
 from orograph.raycast.caster import Caster
+from orograph.store.cache import ChunkCache
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import Point, View
 
 COARSE = 1 << 20
 """Samples of the level that is kept in memory."""
-NEAR_TILES = 48
-"""Tiles at full resolution kept for ``ground``: 12 MiB."""
+NEAR_BYTES = 12 << 20
+"""Of tiles at full resolution kept for ``ground``: some 48."""
 PATIENCE = 0.04
 """Seconds that a press of a button waits for the true surface."""
 
@@ -62,7 +62,7 @@ class Probe:
         self.level = level
         rows, cols = terrain.shape(level)
         self.coarse = np.ascontiguousarray(terrain.read(level, 0, rows, 0, cols))
-        self._tiles: OrderedDict[tuple[int, int], NDArray[np.float32]] = OrderedDict()
+        self._tiles = ChunkCache(NEAR_BYTES)
         self._asked: set[tuple[int, int]] = set()
         self._lock = threading.Lock()
         self._threads = ThreadPoolExecutor(2, thread_name_prefix="orograph-probe")
@@ -108,10 +108,8 @@ class Probe:
             self.trouble = str(error)
             return  # it stays asked for: the coarse level answers
         with self._lock:
-            self._tiles[key] = tile
+            self._tiles.put(key, tile)
             self._asked.discard(key)
-            if len(self._tiles) > NEAR_TILES:
-                self._tiles.popitem(last=False)
         self.changed()
 
     # ---- the ground under the cursor -----------------------------------------------------------------------------

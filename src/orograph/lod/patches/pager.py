@@ -25,9 +25,6 @@ AGAIN = 2.0
 READERS, REMOTE_READERS = 2, 8
 """Threads that read from a disk, and over a network."""
 
-RESERVED = 1 << 60
-"""Last use of a slot that is being read into: it is not taken away."""
-
 
 class Pager(Field):
     """A field whose pages can be read in the background. See ``Field`` for the arguments.
@@ -56,14 +53,14 @@ class Pager(Field):
         while not self._answers.empty():
             page, slot, failure = self._answers.get()
             self._under_way.discard(page)
-            self._last[slot] = self._round
+            self.slots.last[slot] = self._round
             if failure is None:
                 self.pages.table[page] = slot
                 self.tiles_read += 1
                 count += 1
                 self.failure = None
             else:
-                self._holds[slot] = -1
+                self.slots.release(page)
                 self._not_before[page] = time.monotonic() + AGAIN
                 self.failure = failure
         return count
@@ -71,18 +68,15 @@ class Pager(Field):
     def fetch_later(self) -> int:
         """Have the pages that were missed since ``begin`` read in the background; how many are under way."""
         wanted = [int(page) for page in self._asked() if int(page) not in self._under_way]
-        used = (self.pages.used == 1) & (self._last < RESERVED)
-        self._last[used] = self._round
+        self.slots.touch(np.flatnonzero(self.pages.used == 1), self._round)
         now = time.monotonic()
         wanted = [page for page in wanted if self._not_before.get(page, 0.0) <= now]
         if not wanted:
             return self.under_way
-        order = np.lexsort((np.arange(len(self._last)), self._last, self._holds >= 0))  # free ones, then oldest
-        order = order[(self._holds[order] < 0) | (self._last[order] < self._round)]
-        for page, slot in zip(wanted, order.tolist()):
-            if self._holds[slot] >= 0:
-                self.pages.table[self._holds[slot]] = -1
-            self._holds[slot], self._last[slot] = page, RESERVED
+        for page in wanted:
+            slot = self._take(page, self._round)
+            if slot < 0:
+                break
             self._under_way.add(page)
             self._asks.put((page, slot))
         self._hire()

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.gpu.device import Device
+from orograph.slots import HELD, Slots
 
 PER_SIDE = 4
 """Tiles along the side of an atlas's layer."""
@@ -44,11 +45,7 @@ class TileAtlas:
         # both at once: within wgpu a submission and a write that want the same texture cleared wait for each other.
         self._clearing = threading.Lock()
         threading.Thread(target=self._clear, args=(layers,), name="clear", daemon=True).start()
-        self._slots: dict[Any, int] = {}
-        self._keys: list[Any] = [None] * self.capacity
-        self._free = list(range(self.capacity))[::-1]
-        self._used = np.full(self.capacity, -1, np.int64)
-        self._pinned = np.zeros(self.capacity, bool)
+        self._slots: Slots[Any] = Slots(self.capacity)
 
     def _clear(self, layers: int) -> None:
         """Have the memory cleared by the device at once, beside whatever else is done: a first frame would wait for it.
@@ -69,11 +66,11 @@ class TileAtlas:
 
     def slot(self, key: Any) -> int:
         """Where a tile is, −1 if it is not there."""
-        return self._slots.get(key, -1)
+        return self._slots.find(key)
 
     def touch(self, slots: NDArray[np.int32], frame: int) -> None:
         """Note that the tiles in slots are wanted in a frame, so that they stay; −1 is none."""
-        self._used[slots[slots >= 0]] = frame
+        self._slots.touch(slots[slots >= 0], frame)
 
     @property
     def count(self) -> int:
@@ -83,31 +80,22 @@ class TileAtlas:
     @property
     def room(self) -> int:
         """How many tiles fit that are not pinned."""
-        return self.capacity - int(self._pinned.sum())
+        return self._slots.room(HELD)
 
     def put(self, key: Any, data: NDArray[Any], frame: int, *, pin: bool = False) -> tuple[int, Any]:
         """Upload a tile that is not there: its slot, and the key of the tile that had it before, or None.
 
         The slot is −1 if all hold tiles that this frame wants.
         """
-        before = None
-        if self._free:
-            slot = self._free.pop()
-        else:
-            used = np.where(self._pinned, np.iinfo(np.int64).max, self._used)
-            slot = int(used.argmin())
-            if used[slot] >= frame:
-                return -1, None
-            before = self._keys[slot]
-            del self._slots[before]
-        self._write(slot, data)
-        self._slots[key], self._keys[slot] = slot, key
-        self._used[slot], self._pinned[slot] = frame, pin
+        slot, before = self._slots.take(key, frame)
+        if slot >= 0:
+            self._write(slot, data)
+            self._slots.last[slot] = HELD if pin else frame
         return slot, before
 
     def replace(self, key: Any, data: NDArray[Any]) -> None:
         """Upload a tile in the place of the one of that key."""
-        self._write(self._slots[key], data)
+        self._write(self._slots.find(key), data)
 
     def _write(self, slot: int, data: NDArray[Any]) -> None:
         layer, place = divmod(slot, PER_SIDE**2)
@@ -122,6 +110,4 @@ class TileAtlas:
 
     def free(self, key: Any) -> None:
         """Let a tile go."""
-        slot = self._slots.pop(key)
-        self._keys[slot], self._used[slot], self._pinned[slot] = None, -1, False
-        self._free.append(slot)
+        self._slots.release(key)
