@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 Light = Literal["relief", "ao", "aperture", "raytraced", "none"]
 """Ways of lighting a picture."""
 
+SurfaceNormals = Literal["auto", "computed", "stored", "sampled", "derivatives", "faces"]
+"""Where normals come from."""
+
 SHINING = ("aperture", "raytraced")
 """Those with lamps and further discs."""
 
@@ -163,6 +166,13 @@ class Surface:
     )  # fmt: skip
     triangles: int | None = option(None, "With a `method`, instead: at most so many.", least=2, metavar="N")
     wireframe: bool = option(False, "With a `method`: draw its triangles' edges over the relief.")
+    normals: SurfaceNormals = option(
+        "auto",
+        "Where the normals come from that light falls on (GPU): computed for every pixel from heights; stored at the "
+        "mesh's vertices; sampled: from heights half a pixel to every side; derivatives of the position on the screen; "
+        "faces of the triangles. auto: computed, or of a `method`'s mesh its faces.",
+        choices=get_args(SurfaceNormals),
+    )  # fmt: skip
     mesh_view: View | None = option(
         None, "With a `method`: the camera to select for, to look at the mesh from elsewhere.", given=given.view,
         read=str, metavar="VIEW.json", shown="the picture's",

@@ -157,6 +157,8 @@ class Settings:
             made = OPTIONS[name].given
             setattr(self, name, value if made is None else made(value, terrain))
         self.options["layers"] = list(self.options["layers"])
+        if options.get("normals") == "auto":
+            self.normals = "computed"
 
     def __getattr__(self, name: str) -> Any:
         if name == "options" or name not in self.options:

@@ -1,4 +1,5 @@
-"""Normals: computed ones are smooth far beyond a sample, stored ones know only vertices, derivatives only facets."""
+"""Normals: computed ones are smooth far beyond a sample, stored ones know only vertices, derivatives only facets, and
+sampled ones see the weights of texture units."""
 
 from __future__ import annotations
 
@@ -122,3 +123,54 @@ def test_bytes_show_no_bands_far_beyond_a_sample(device: Device, terrain: Terrai
     means = pixels.reshape(16, -1, 8).mean((0, 2))
     assert np.ptp(means) > 1.0  # bytes tell two or three steps
     assert (np.abs(np.diff(means)) < 0.005).mean() < 0.2
+
+
+def blended(z: NDArray[np.float32], col: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heights between samples as a texture unit finds them, by the book: bilinear, weights in steps of 1/256."""
+    col, row = (np.round(v * 256) / 256 for v in (col, row))
+    i, j = np.floor(row).astype(int), np.floor(col).astype(int)
+    f, g = col - j, row - i
+    return (z[i, j] * (1 - f) + z[i, j + 1] * f) * (1 - g) + (z[i + 1, j] * (1 - f) + z[i + 1, j + 1] * f) * g
+
+
+def sampled(s: Scene) -> NDArray[np.float64]:
+    """The cosine of the sun's angle by heights half a pixel to every side of the middle row's pixels."""
+    z = s.terrain.read(0, 0, SIDE, 0, SIDE)
+    step = s.view.pixel_metres / METRES
+    px = (np.arange(s.view.width) + 0.5 - s.view.width / 2) * step
+    x, y = s.terrain.grid.index(*s.view.target[:2])
+    col, row = float(x) + px, np.full_like(px, float(y) + 0.5 * step)
+    gx = (blended(z, col + step / 2, row) - blended(z, col - step / 2, row)) / s.view.pixel_metres
+    gy = (blended(z, col, row - step / 2) - blended(z, col, row + step / 2)) / s.view.pixel_metres
+    to_sun, _, _ = illumination(s.lighting.sun)
+    return (to_sun[2] - gx * to_sun[0] - gy * to_sun[1]) / np.sqrt(1 + gx**2 + gy**2)
+
+
+@pytest.mark.parametrize("pixels_per_cell", [8.0, 60.0, 200.0])
+def test_sampled_slopes_are_those_of_blended_heights(device: Device, terrain: Terrain, pixels_per_cell: float) -> None:
+    s = scene(terrain, pixels_per_cell).but(tolerance=0.002)
+    shade, book = line(device, s, "sampled"), sampled(s)
+    known = book < 0.999  # (a slope at the rounding of a weight falls this way or that)
+    a = np.stack([book, np.ones_like(book)], 1)[known]
+    fit, *_ = np.linalg.lstsq(a, shade[known], rcond=None)
+    off = np.abs(shade[known] - a @ fit) / abs(fit[0])
+    assert np.median(off) < 0.01 and (off > 0.05).mean() < 0.06, (np.median(off), (off > 0.05).mean())
+    # From far beyond a sample weights of 8 bits show: neighbours see the same two heights, or none between.
+    jumps = {n: float(np.abs(np.diff(line(device, s, n))).max()) for n in ("sampled", "computed")}
+    assert (jumps["sampled"] > 20 * jumps["computed"]) == (pixels_per_cell > 100), jumps
+
+
+@pytest.mark.parametrize("turn", [0.0, 40.0, 200.0])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_sampled_slopes_know_their_direction(device: Device, turn: float, mirrored: bool) -> None:
+    """A tilted plane on grids that are turned and mirrored is lit alike by every way of finding its slope."""
+    transform = Affine.translation(EAST, NORTH) @ Affine.rotation(turn) @ Affine.scale(METRES, 20.0 if mirrored else -9)
+    grid = Grid((SIDE, SIDE), transform, CRS.from_epsg(32632))
+    x, y = grid.xy(*np.meshgrid(np.arange(SIDE), np.arange(SIDE)))
+    plane = in_memory(Dem((300 + 0.4 * (x - EAST) - 0.2 * (y - NORTH)).astype(np.float32), grid))
+    at = tuple(float(v) for v in grid.xy(SIDE / 2, SIDE / 2))
+    s = scene(plane, 9.0)
+    s = s.but(view=View((*at, 9000.0), (*at, 300.0), projection="plan", fov_y=2.0, width=60, height=24))
+    found = {normals: line(device, s, normals) for normals in ("computed", "sampled", "derivatives")}  # type: ignore[arg-type]
+    for shade in found.values():
+        np.testing.assert_allclose(shade, np.median(found["computed"]), rtol=0.02)

@@ -10,7 +10,7 @@
 // include: slopes.wgsl
 
 const EDGES: u32 = {{EDGES}}u;   // 1: mark how much of a pixel the edges of triangles cover
-const STORED: u32 = {{STORED}}u; // 1: slopes are those of the vertices, else by derivatives
+const STORED: u32 = {{STORED}}u; // 1: slopes are those of the vertices, else by derivatives or, with SAMPLED, by heights
 const SIDE: i32 = 257;      // samples along a tile's side
 const MISSING: f32 = {{MISSING}}.0;  // added to heights that are missing
 
@@ -29,6 +29,10 @@ struct Vertex {
   @location(2) @interpolate(flat) what: u32,
   @location(3) place: vec3<f32>,                  // relative to the eye, metres, height not stretched
   @location(4) slope: vec2<f32>,                  // of the ground at the vertex, metres per metre
+  // when: SAMPLED
+  @location(5) texel: vec2<f32>,                  // column and row in its tile, of so coarse a level, in a slot
+  @location(6) @interpolate(flat) tile: vec2<i32>,
+  // end: SAMPLED
 };
 
 // By the way the apex points (``lod/patches/shape.py``): e1 and e2 as (row, col).
@@ -81,6 +85,10 @@ fn vertex(@location(0) lattice: vec2<u32>, instance: Instance) -> Vertex {
     let stored = slope(Place(min(at, camera.last.yx).yx, vec2<f32>(0.0)), f32(1u << s));
     out.slope = vec2<f32>(dot(stored, camera.inverse.xz), dot(stored, camera.inverse.yw));
   }
+  // when: SAMPLED
+  out.texel = vec2<f32>((min(at, camera.last.yx) - tile * (256 << level)).yx) / f32(1u << level);
+  out.tile = vec2<i32>(i32(level), instance.slot);
+  // end: SAMPLED
   out.there = select(0.0, 1.0, here.there);
   out.lattice = vec2<f32>(lattice);
   out.what = (s << 8u) | (e << 4u) | 1u;
@@ -107,15 +115,56 @@ fn fragment(in: Vertex) -> @location(0) u32 {
   return marked(in);
 }
 
+// when: SAMPLED
+// A height between samples as a texture unit blends four of them: with weights of 8 bits.
+fn blended_height(slot: i32, at: vec2<f32>) -> f32 {
+  let p = round(at * 256.0) / 256.0;
+  let base = clamp(vec2<i32>(floor(p)), vec2<i32>(0), vec2<i32>(SIDE - 2));
+  let f = p - vec2<f32>(base);
+  let place = slot % (PER_SIDE * PER_SIDE);
+  let origin = vec2<i32>(place % PER_SIDE, place / PER_SIDE) * SIDE + base;
+  let layer = slot / (PER_SIDE * PER_SIDE);
+  let h = vec4<f32>(
+    textureLoad(heights, origin, layer, 0).r, textureLoad(heights, origin + vec2<i32>(1, 0), layer, 0).r,
+    textureLoad(heights, origin + vec2<i32>(0, 1), layer, 0).r, textureLoad(heights, origin + vec2<i32>(1, 1), layer, 0).r);
+  let z = select(h, h - MISSING, h >= vec4<f32>(0.5 * MISSING));
+  return mix(mix(z.x, z.y, f.x), mix(z.z, z.w, f.x), f.y);
+}
+
+// The slope, metres per metre, by heights half a pixel to every side: J g = Δh, the rows of J what a pixel's step right
+// and down goes over the tile. (A step is cut where the tile ends, J's row with it.)
+fn sampled_slope(tile: vec2<i32>, at: vec2<f32>, right: vec2<f32>, down: vec2<f32>) -> vec2<f32> {
+  let most = vec2<f32>(f32(SIDE - 1));
+  let a = clamp(at - 0.5 * right, vec2<f32>(0.0), most);
+  let b = clamp(at + 0.5 * right, vec2<f32>(0.0), most);
+  let c = clamp(at - 0.5 * down, vec2<f32>(0.0), most);
+  let d = clamp(at + 0.5 * down, vec2<f32>(0.0), most);
+  let u = b - a;
+  let v = d - c;
+  let rise = vec2<f32>(blended_height(tile.y, b) - blended_height(tile.y, a), blended_height(tile.y, d) - blended_height(tile.y, c));
+  let area = u.x * v.y - u.y * v.x;
+  let per_sample = vec2<f32>(rise.x * v.y - rise.y * u.y, rise.y * u.x - rise.x * v.x) / select(area, 1e-20, abs(area) < 1e-20);
+  let g = per_sample / f32(1u << u32(tile.x));
+  return vec2<f32>(dot(g, camera.inverse.xz), dot(g, camera.inverse.yw));
+}
+// end: SAMPLED
+
 // The same, and a slope: that of the vertices, blended between them, which knows nothing of the ground between; or by
-// the derivatives of the position on the screen, which is that of the flat triangle.
+// the derivatives of the position on the screen, which is that of the flat triangle; or by heights half a pixel away.
 @fragment
 fn with_slope(in: Vertex) -> WithSlope {
   let normal = cross(dpdx(in.place), dpdy(in.place));
+  // when: SAMPLED
+  let right = dpdx(in.texel);
+  let down = dpdy(in.texel);
+  // end: SAMPLED
   let marks = marked(in);
   if (STORED == 1u) {
     return WithSlope(marks, in.slope);
   }
+  // when: SAMPLED
+  return WithSlope(marks, sampled_slope(in.tile, in.texel, right, down));
+  // end: SAMPLED
   return WithSlope(marks, -normal.xy / select(normal.z, 1e-20, abs(normal.z) < 1e-20));
 }
 

@@ -80,7 +80,14 @@ def draw(
     for warning in facts["warnings"]:
         progress.warn(warning)
     subject = _Subject(scene)
-    if mesh is not None or mesh_choice(scene.surface.method, "cpu") is not None:
+    meshed = mesh is not None or mesh_choice(scene.surface.method, "cpu") is not None
+    own = "faces" if meshed and not scene.surface.wireframe else "computed"
+    if scene.surface.normals not in ("auto", own):
+        raise UsageError(
+            f"The CPU draws this with normals {own!r}; `normals={scene.surface.normals!r}` are the GPU's.",
+            remedy='Use `backend="gpu"`.',
+        )
+    if meshed:
         subject = _meshed(scene, mesh, memo, methods, progress)
         assert subject.mesh is not None
         facts["mesh"] = {
@@ -138,7 +145,7 @@ def _meshed(
     made = mesh or memo(
         "mesh", (scene.surface, scene.view.whole), lambda: refined(scene, progress, methods), terrain
     )  # fmt: skip
-    bare = scene.but(tolerance=None, method="auto", triangles=None, mesh_view=None, wireframe=False)
+    bare = scene.but(tolerance=None, method="auto", triangles=None, mesh_view=None, wireframe=False, normals="auto")
     surface = memo("surface", id(terrain), lambda: surface_of(made, terrain, scene.budget.max_memory), made)
     drawn = scene.but(
         tolerance=0.0 if isinstance(surface, MemoryTerrain) else WINDOWS, triangles=None,

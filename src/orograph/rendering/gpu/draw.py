@@ -73,6 +73,8 @@ def draw(
         scene = scene.but(tolerance=TOLERANCE)
     if mesh_choice(scene.surface.method, "gpu", scene.surface.triangles) is not None and not scene.surface.wireframe:
         overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh
+    if scene.surface.normals != "auto":
+        overlay = replace(overlay, normals=scene.surface.normals)
     warnings = diagnose(scene) if around.frame[:2] == (0, 0) else []  # of tiles, the first
     for warning in warnings:
         progress.warn(warning)

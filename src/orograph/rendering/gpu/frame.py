@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Normals = Literal["computed", "stored", "derivatives", "faces"]
+Normals = Literal["computed", "stored", "sampled", "derivatives", "faces"]
 """Where the normal of the ground in a pixel comes from: see docs/gpu.md."""
 
 
@@ -19,8 +19,9 @@ class Overlay:
         ``reach``, metres;
             None: a twelfth of the distance to the target.
         normals: "computed" for every pixel from heights, finer than the mesh and prefiltered; "stored" at the vertices
-            of patches (other methods' meshes show their faces); "derivatives": of the position on the screen; "faces":
-            of the triangles drawn (of patches: by derivatives, too).
+            of patches, "sampled": from heights half a pixel to every side (other methods' meshes show their faces);
+            "derivatives": of the position on the screen; "faces": of the triangles drawn (of patches: by
+            derivatives, too).
     """
 
     wireframe: bool = False

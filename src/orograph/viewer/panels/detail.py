@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 NORMALS: tuple[tuple[Normals, str, str], ...] = (
     ("computed", "from heights", "for every pixel from the heights: finer than the mesh, and filtered"),
     ("stored", "at vertices", "stored at the mesh's vertices and blended between them: what lies between is not seen"),
+    ("sampled", "by heights around", "from heights half a pixel to every side, blended as a texture unit blends them"),
     ("derivatives", "by derivatives", "of the position on the screen, as in a shader without normals: facets show"),
     ("faces", "of faces", "of the triangles as they are drawn"),
 )

@@ -15,7 +15,9 @@ from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 
-SLOPES: dict[Normals, Slopes] = {"computed": "", "stored": "stored", "derivatives": "flat", "faces": "flat"}
+SLOPES: dict[Normals, Slopes] = {
+    "computed": "", "stored": "stored", "sampled": "sampled", "derivatives": "flat", "faces": "flat",
+}  # fmt: skip
 """Which slopes the geometry leaves for a choice of normals."""
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-Slopes = Literal["", "stored", "flat"]
-"""Which slopes are left: none; those at vertices, blended between; those of the triangles that are drawn."""
+Slopes = Literal["", "stored", "sampled", "flat"]
+"""Which slopes are left: none; those at vertices, blended between; by heights half a pixel to every side; those of the
+triangles that are drawn."""
 
 
 class Left(NamedTuple):

@@ -1,7 +1,8 @@
 """Patches into depth and marks: one instanced draw of a shared index buffer, heights pulled from the atlas.
 
-With ``slopes`` they leave the slope of what is drawn, too: "stored" at the vertices and blended between, or that of the
-flat triangles by the derivatives of their position on the screen (``frame.Overlay.normals``).
+With ``slopes`` they leave the slope of what is drawn, too: "stored" at the vertices and blended between, by heights
+"sampled" around the pixel, or that of the flat triangles by the derivatives of their position on the screen
+(``frame.Overlay.normals``).
 """
 
 from __future__ import annotations
@@ -73,8 +74,8 @@ class PatchPass:
         return self._pipelines[edges, slopes]
 
     def _program(self, edges: bool, slopes: Slopes) -> Program:
-        stored = int(slopes == "stored")
-        return Program(self.device, "patches", EDGES=int(edges), STORED=stored, MISSING=self.missing)
+        stored, sampled = int(slopes == "stored"), int(slopes == "sampled")
+        return Program(self.device, "patches", EDGES=int(edges), STORED=stored, SAMPLED=sampled, MISSING=self.missing)
 
     def draw(self, encoder: Any, targets: Targets, selection: Patches, left: Left) -> None:
         """Clear the targets and draw; what lines are of the terrain is what is drawn: no ``field`` is left."""
