@@ -6,7 +6,7 @@ frames, rounds, uses. Not safe from several threads by itself.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -24,6 +24,8 @@ class Slots(Generic[K]):
     Args:
         capacity: how many there are.
 
+    Iterating gives the keys that have one.
+
     Attributes:
         last: (capacity,) int64, when each was used last; ``HELD``: it stays; −1: it is free.
     """
@@ -37,6 +39,9 @@ class Slots(Generic[K]):
 
     def __len__(self) -> int:
         return len(self._of)
+
+    def __iter__(self) -> Iterator[K]:
+        return iter(self._of)
 
     def find(self, key: K) -> int:
         """The slot of a key, −1 if it has none."""

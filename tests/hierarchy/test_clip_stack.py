@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -71,7 +73,7 @@ def test_a_filled_stack_nests_and_holds_the_raster(size: tuple[int, int]) -> Non
         assert [window.level for window in stack] == list(range(len(stack) - 1, -1, -1))
         assert stack[-1].samples >= finest.samples and stack.samples == sum(window.samples for window in stack)
         assert stack[0] == Rectangle.whole(stack[0].level, shape(stack[0].level)) or stack[0].level == levels - 1
-        for outer, inner in zip(stack, stack[1:], strict=False):
+        for outer, inner in pairwise(stack):
             assert cells(inner) <= cells(outer) and outer.row0 % 2 == outer.col0 % 2 == 0
 
 
