@@ -12,10 +12,26 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import numba
+import numba.core.event
 import numba.extending
 from numba.core.compiler_lock import global_compiler_lock
 
+from orograph.compiling import COMPILING
+
 Function = Callable[..., Any]
+
+
+class _Listener(numba.core.event.Listener):
+    """Tells what is compiled; what Numba reads from its cache makes no event."""
+
+    def on_start(self, event: object) -> None:
+        COMPILING.begin()
+
+    def on_end(self, event: object) -> None:
+        COMPILING.end()
+
+
+numba.core.event.register("numba:compile", _Listener())  # type: ignore[no-untyped-call]
 
 
 def kernel(function: Function) -> Function:

@@ -58,7 +58,7 @@ def command(ctx: click.Context, /, output: Path) -> None:
     step(f"read and brought to metres ({crs.name if crs else 'local'}, {cols} × {rows})")
     view = whole(terrain, (1280, 720), azimuth=160, pitch=38)
     scene = Scene.of(terrain, view, sun=Sun(315, 35), furniture=True, title="Jacksboro fault, Tennessee")
-    with progress.task("Drawing (the first run compiles)"):
+    with progress.task("Drawing"):
         picture = draw(scene, progress)
     step("drawn, with sun, shadows and the light of the sky")
     out = picture.save(output / "jacksboro.png")

@@ -12,7 +12,10 @@ from rich.progress import BarColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
 from orograph.cli.wording import spoken
+from orograph.compiling import COMPILING
 from orograph.progress import Progress, Task
+
+COMPILING_KERNELS = "Compiling kernels, once on this machine"
 
 
 class LineTask(Task):
@@ -23,6 +26,7 @@ class LineTask(Task):
         self.remark = ""
         self.id: TaskID | None = None
         self.started = time.perf_counter()
+        self.compiled = COMPILING.seconds
 
     def advance(self, n: float = 1) -> None:
         if self.id is not None:
@@ -34,7 +38,7 @@ class LineTask(Task):
             self.owner.bar.update(self.id, description=f"{self.what} — {text}")
 
     def __enter__(self) -> Self:
-        self.started = time.perf_counter()
+        self.started, self.compiled = time.perf_counter(), COMPILING.seconds
         if self.owner.live:
             self.id = self.owner.bar.add_task(self.what, total=self.total)
             self.owner.opened += 1
@@ -45,7 +49,9 @@ class LineTask(Task):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        seconds = time.perf_counter() - self.started
+        # What compiles within a task has a line of its own.
+        seconds = time.perf_counter() - self.started - (COMPILING.seconds - self.compiled)
+        self.owner.tell_compiled()
         if self.id is not None:
             self.owner.bar.remove_task(self.id)
             self.owner.opened -= 1
@@ -55,9 +61,7 @@ class LineTask(Task):
             self.owner.timings.append((self.what, seconds))
             if seconds >= self.owner.least or self.remark:
                 remark = f"  {self.remark}" if self.remark else ""
-                self.owner.console.print(
-                    f"{self.what:<44} {seconds:6.2f} s{remark}", highlight=False, markup=False, soft_wrap=True
-                )
+                self.owner.line(self.what, seconds, remark)
 
 
 class LineProgress(Progress):
@@ -74,6 +78,8 @@ class LineProgress(Progress):
         self.opened = 0
         self.warned: set[str] = set()
         self.timings: list[tuple[str, float]] = []
+        self._compiled = COMPILING.count, COMPILING.seconds
+        self._compiling: TaskID | None = None
         self.bar = Bar(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -82,9 +88,34 @@ class LineProgress(Progress):
             console=self.console,
             transient=True,
         )
+        if self.live:
+            COMPILING.changed.append(self._show_compiling)
 
     def task(self, what: str, total: float | None = None) -> Task:
         return LineTask(self, what, total)
+
+    def line(self, what: str, seconds: float, remark: str = "") -> None:
+        """Leave a line: something is done."""
+        self.console.print(f"{what:<44} {seconds:6.2f} s{remark}", highlight=False, markup=False, soft_wrap=True)
+
+    def tell_compiled(self) -> None:
+        """Leave a line on the kernels that were compiled since the last one, if that took its time."""
+        if self._compiling is not None:
+            self.bar.remove_task(self._compiling)
+            self._compiling = None
+        count, seconds = COMPILING.count - self._compiled[0], COMPILING.seconds - self._compiled[1]
+        if seconds >= self.least:
+            self._compiled = COMPILING.count, COMPILING.seconds
+            self.timings.append((COMPILING_KERNELS, seconds))
+            self.line(COMPILING_KERNELS, seconds, f"  {count} kernel{'s' if count > 1 else ''}")
+
+    def _show_compiling(self) -> None:
+        if not self.opened:
+            return
+        count = COMPILING.count - self._compiled[0]
+        if self._compiling is None:
+            self._compiling = self.bar.add_task(COMPILING_KERNELS, total=None)
+        self.bar.update(self._compiling, description=f"{COMPILING_KERNELS}: {count}")
 
     def warn(self, text: str) -> None:
         text = spoken(text)
