@@ -98,7 +98,9 @@ def test_sea_floors_have_their_own_tint():
     assert len(tint_of(terrain(basin(0.05)), sea=True).sea)
     assert not len(tint_of(terrain(basin(0.5)), sea=False).sea)
     assert not len(tint_of(terrain(basin(0.5)), "viridis").sea)
-    assert not len(tint_of(terrain(basin(0.5) - 4000)).sea)  # all of it below: who knows of what
+    assert not len(tint_of(terrain(np.linspace(-430, -20, 10_000).reshape(100, 100))).sea)  # around the Dead Sea
+    floor = tint_of(terrain(basin(0.5) - 4000))  # no land is as deep
+    assert len(floor.sea) and floor.floor == pytest.approx(-4080, abs=20)
 
 
 def test_other_planets_have_no_sea():
@@ -107,7 +109,45 @@ def test_other_planets_have_no_sea():
     np.testing.assert_array_equal(mars.land, color_table("mars"))
     moon = tint_of(terrain(basin(0.5, -4000), "+proj=eqc +R=1737400 +units=m"))
     np.testing.assert_array_equal(moon.land, color_table("grey"))
-    np.testing.assert_array_equal(tint_of(terrain(basin(0), None)).land, color_table("alpine"))
+    named = tint_of(terrain(basin(0), "+proj=eqc +R=1737400 +units=m"), "viridis")
+    np.testing.assert_array_equal(named.land, color_table("viridis"))
+
+
+def hill(low: float, high: float):
+    return np.linspace(low, high, 10_000).reshape(100, 100)
+
+
+def color_at(tint, height):
+    return [np.interp(height, np.linspace(tint.low, tint.high, len(tint.land)), tint.land[:, k]) for k in range(3)]
+
+
+def test_a_color_of_the_default_tint_stands_for_a_height():
+    """Two countries of which one has more relief: the same heights have the same colors."""
+    alps, himalaya = tint_of(terrain(hill(400, 3500))), tint_of(terrain(hill(300, 7000)))
+    for height in (600, 1500, 3000):
+        np.testing.assert_allclose(color_at(alps, height), color_at(himalaya, height), atol=0.01)
+
+
+def test_snow_lies_on_mountains_only():
+    summit, lowland = color_table("alpine")[-1], color_table("alpine")[0]
+    coast = tint_of(terrain(hill(1, 80)))
+    assert np.abs(coast.land - summit).max(1).min() > 0.2  # nowhere near white
+    np.testing.assert_allclose(coast.land[0], lowland, atol=0.02)
+    assert np.abs(coast.land[-1] - coast.land[0]).max() > 0.2  # and yet not all of one color
+    plateau = tint_of(terrain(hill(4900, 5100)))
+    np.testing.assert_allclose(plateau.land[-1], summit, atol=0.02)
+    assert np.abs(plateau.land[-1] - plateau.land[0]).max() > 0.1
+    shelf, ocean = (tint_of(terrain(basin(0.5, depth))) for depth in (-40.0, -6000.0))
+    assert shelf.sea[0].mean() > ocean.sea[0].mean() + 0.1  # shoals are paler than the deep
+
+
+def test_a_range_is_the_scale_of_several_pictures():
+    low, high = tint_of(terrain(hill(100, 900)), span=(0, 2000)), tint_of(terrain(hill(1000, 1900)), span=(0, 2000))
+    assert (low.low, low.high) == (high.low, high.high) == (0, 2000)
+    np.testing.assert_array_equal(low.land, high.land)
+    assert not low.above and tint_of(terrain(hill(100, 900)), "viridis", span=(0, 500)).above
+    coast = tint_of(terrain(basin(0.5, -4000)), span=(-2000, 1000))
+    assert (coast.floor, coast.low, coast.high) == (-2000, 0, 1000) and coast.below and coast.above
 
 
 def test_the_legend_shows_both_tables():
@@ -117,7 +157,9 @@ def test_the_legend_shows_both_tables():
     z = np.linspace(low, high, 1001)
     shore = np.searchsorted(z, 0.0)
     np.testing.assert_array_equal(table[0], tint.sea[0])
-    np.testing.assert_allclose(table[shore - 1], tint.sea[-1], atol=0.02)
+    depths = np.linspace(low, 0.0, len(tint.sea))
+    wet = [np.interp(z[:shore], depths, tint.sea[:, k]) for k in range(3)]
+    np.testing.assert_allclose(table[:shore].T, wet, atol=0.02)
     np.testing.assert_array_equal(table[shore], tint.land[0])
     np.testing.assert_allclose(table[-1], tint.land[-1], atol=0.01)
     plain = tint_of(terrain(basin(0)))
@@ -146,6 +188,8 @@ def test_what_is_no_land_and_sea_has_no_sea():
     assert not len(tint_of(terrain(basin(0.5, -15))).sea)  # a polder
     flat = basin(0.5, -80)
     assert not len(tint_of(terrain(np.where(flat > 0, flat / 200, flat))).sea)
+    shallow = MemoryTerrain(np.asarray(basin(0.5) - 2100, np.float32) / 40, terrain(basin(0.5)).grid, "bathymetry_2020")
+    assert len(tint_of(shallow).sea)
     for name, sea in (("egm96_15", False), ("us_geoid18", False), ("legmont", True)):
         heights = np.asarray(basin(0.5, -80), np.float32)
         grid = Grid(heights.shape, Affine(30, 0, 0, 0, -30, 0), CRS.from_user_input("EPSG:32611"))

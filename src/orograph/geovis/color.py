@@ -31,6 +31,22 @@ TINTS: dict[str, list[tuple[float, str]]] = {
 
 DEFAULT = "alpine"
 
+ELEVATIONS: dict[str, list[tuple[float, float]]] = {
+    # Metres above the sea, position in the tint.
+    "alpine": [(0, 0.0), (150, 0.12), (450, 0.27), (1000, 0.44), (1800, 0.60), (2700, 0.76), (3600, 0.89), (4800, 1.0)],
+    "sea": [(-8000, 0.0), (-4000, 0.2), (-1000, 0.45), (-200, 0.75), (0, 1.0)],
+}  # fmt: skip
+"""Tints of which a color stands for a height, so that snow lies on mountains only. A picture shows the part between its
+lowest and highest ground, or as much around it as ``LEAST`` of the tint, so that gentle land has colors, too."""
+
+LEAST = 0.35
+
+TINTS_VERSION = 2
+"""Of what stored errors of colors were made with. 2: by elevation."""
+
+DEEP = -450.0
+"""Metres: no land lies as deep as that."""
+
 SHORED = frozenset({"cmocean:topo", "crameri:oleron", "crameri:bukavu", "crameri:fes"})
 """Colour maps of the catalogue made of a sea half and a land half that meet at a shore: their break, at one half, is
 pinned to 0 m. All others are stretched linearly over the land's heights."""
@@ -41,6 +57,9 @@ stays within is a shallow polder, a lagoon, or no height of ground at all."""
 
 NO_GROUND = re.compile(r"geoid|undulation|(^|[^a-z])(egm|eigen|xgm)[-_]?\d\d", re.IGNORECASE)
 """Names of rasters that hold no heights of ground: geoid models, whose 0 m is no shore."""
+
+SEA_FLOOR = re.compile(r"bathy|gebco|emodnet|sea.?floor", re.IGNORECASE)
+"""Names of rasters of the floor of a sea, which may be shallow."""
 
 _M1 = np.array([[0.4122214708, 0.5363325363, 0.0514459929], [0.2119034982, 0.6806995451, 0.1073969566],
                 [0.0883024619, 0.2817188376, 0.6299787005]])  # fmt: skip
@@ -111,6 +130,26 @@ def shored_tables(name: str | None) -> tuple[Colors, Colors] | None:
     return table[:128], table[128:]
 
 
+def elevation_table(name: str | None, low: float, high: float, n: int = 1024) -> Colors:
+    """The colors (n, 3), linear, of heights from ``low`` to ``high`` metres, evenly.
+
+    Of a tint in ``ELEVATIONS`` they are the part that stands for those heights; any other is stretched over them.
+
+    Raises: as ``color_table``.
+    """
+    table = color_table(name, n)
+    known = ELEVATIONS.get(name or DEFAULT)
+    if known is None:
+        return table
+    at = np.interp(np.linspace(low, high, n), *np.array(known).T)
+    span = at[-1] - at[0]
+    if span < LEAST:  # more of the tint than there are heights: upwards from the lowest, or downwards from the summits
+        even = (at - at[0]) / span if span > 0 else np.linspace(0.0, 1.0, n)
+        at = min(at[0], 1.0 - LEAST) + LEAST * even
+    whole = np.linspace(0.0, 1.0, n)
+    return np.stack([np.interp(at, whole, table[:, k]) for k in range(3)], 1).astype(np.float32)
+
+
 @dataclass(frozen=True, slots=True)
 class Tint:
     """How heights become colours.
@@ -148,7 +187,9 @@ def _radius(terrain: Terrain) -> float | None:
     return None if ellipsoid is None else float(ellipsoid.semi_major_metre)
 
 
-def tint_of(terrain: Terrain, name: str | None = None, sea: bool | None = None) -> Tint:
+def tint_of(
+    terrain: Terrain, name: str | None = None, sea: bool | None = None, span: tuple[float, float] | None = None
+) -> Tint:
     """The tint a terrain is drawn with.
 
     The ends leave out the lowest and the highest half hundredth of the heights, so that a spike or a pit does not wash
@@ -156,9 +197,12 @@ def tint_of(terrain: Terrain, name: str | None = None, sea: bool | None = None) 
 
     Args:
         name: see ``color_table``; None: the default tint, or one for the planet.
+        span: heights at the ends, metres, instead of the terrain's own.
         sea: whether ground below 0 m is the floor of a sea. None: it is, if at least a tenth of the ground lies deeper
             than 2 m and some higher (a basin on land, like Death Valley, is less of its surroundings), it reaches
-            ``SEA_DEPTH`` and the land ``SEA_COAST``, the name is not a geoid's (``NO_GROUND``), and the planet is the
+            ``SEA_DEPTH`` and the land ``SEA_COAST``, or if all of it lies below the sea and some as deep as ``DEEP``
+            or its name is one of ``SEA_FLOOR``;
+            the name is not a geoid's (``NO_GROUND``), and the planet is the
             Earth. With a map in ``SHORED``: it is, if more than half a hundredth reaches ``SEA_DEPTH``; where there is
             no sea, the land half alone is stretched over the land.
     """
@@ -178,21 +222,27 @@ def tint_of(terrain: Terrain, name: str | None = None, sea: bool | None = None) 
             sea = bottom <= SEA_DEPTH
         else:
             split = float((valid < -2).mean()) >= 0.1 and float((valid > 2).mean()) >= 0.01
-            sea = name is None and split and bottom <= SEA_DEPTH and top >= SEA_COAST
+            coast = split and bottom <= SEA_DEPTH and top >= SEA_COAST
+            floor_alone = top <= 0 and (bottom <= DEEP or SEA_FLOOR.search(terrain.name) is not None)
+            sea = name is None and (coast or floor_alone)
             sea = sea and NO_GROUND.search(terrain.name) is None
-    floor = float(np.percentile(valid[valid < 0], 1)) if sea and (valid < 0).any() else -1.0
-    land = valid[valid >= 0] if sea and (valid >= 0).any() else valid
-    low, high = (float(v) for v in np.percentile(land, [0.5, 99.5]))
+    floor, low, high = _ends(valid, sea) if span is None else (min(span[0], -1.0), *span)
     if sea:
-        low = 0.0
-    if not high - low > 1e-6:
-        low, high = low - 0.5, high + 0.5
-    table = halves[1] if halves is not None else color_table(name)
+        low, high = 0.0, max(high, 1.0)
+    table = halves[1] if halves is not None else elevation_table(name, low, high)
     floors = np.empty((0, 3), np.float32)
     if sea:
-        floors = halves[0] if halves is not None else color_table("sea", 256)
+        floors = halves[0] if halves is not None else elevation_table("sea", floor, 0.0, 256)
     # What differs by less than a step of a printed scale is not worth a sign.
     least, most = terrain.height_range
     end = floor if sea else low
     slight = 0.01 * (high - end)
     return Tint(low, high, table, floor, floors, below=least < end - slight, above=most > high + slight)
+
+
+def _ends(valid: NDArray[np.float32], sea: bool) -> tuple[float, float, float]:
+    """Metres at the deep end of a sea, and at the ends of the land's colors, of heights (n,)."""
+    floor = float(np.percentile(valid[valid < 0], 1)) if sea and (valid < 0).any() else -1.0
+    land = valid[valid >= 0] if sea and (valid >= 0).any() else valid
+    low, high = (float(v) for v in np.percentile(land, [0.5, 99.5]))
+    return (floor, low, high) if high - low > 1e-6 else (floor, low - 0.5, high + 0.5)

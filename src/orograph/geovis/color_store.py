@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from orograph.dem.handles import HANDLES, locate
 from orograph.error.diamonds import BLOCK, SMALL, Part, Rest, Survey
 from orograph.errors import UsageError
+from orograph.geovis.color import TINTS_VERSION
 from orograph.geovis.color_errors import SUN, Colors, blank, codes_of, decoded
 from orograph.parallel import cpu_count
 from orograph.progress import SILENT, Progress
@@ -80,7 +81,7 @@ def made_with(
         image = {"name": Path(drape).name, "digest": digest.hexdigest()}
     return {
         "drape": image, "colormap": colormap, "sun": None if sun is None else [float(v) for v in sun],
-        "relief": float(relief),
+        "relief": float(relief), "tints": TINTS_VERSION,
     }  # fmt: skip
 
 

@@ -52,6 +52,16 @@ def numbers(text: str, names: str, optional: int = 0) -> tuple[float, ...]:
     return found
 
 
+def read_span(text: str) -> tuple[float, float]:
+    """Two numbers with a colon between.
+
+    Raises:
+        ValueError: the text is not that.
+    """
+    low, high = numbers(text.replace(":", ","), "LOW:HIGH".replace(":", ","))
+    return low, high
+
+
 def read_numbers(names: str, optional: int = 0) -> Callable[[str], tuple[float, ...]]:
     """The reader of ``numbers``."""
     return lambda text: numbers(text, names, optional)

@@ -112,6 +112,10 @@ class Data:
         None, "Colours of heights: alpine, mars, grey or any name of the cmap catalogue.", metavar="NAME",
         shown="alpine",
     )  # fmt: skip
+    range: tuple[float, float] | None = option(
+        None, "Heights at the ends of the colours, metres, so that two pictures share a scale.", read=given.read_span,
+        metavar="LOW:HIGH", shown="the terrain's own",
+    )  # fmt: skip
     layers: tuple[Layer, ...] = option(
         (),
         "Lay an image or a raster in any CRS over the ground; several bottom to top. Keys: opacity (0 "
@@ -127,6 +131,8 @@ class Data:
     def __post_init__(self) -> None:
         if isinstance(self.water, float) and not math.isfinite(self.water):
             raise UsageError(f"A water level is a height in metres, not {self.water:g}.")
+        if self.range is not None and not -math.inf < self.range[0] < self.range[1] < math.inf:
+            raise UsageError(f"A `range` of heights goes from a lower to a higher one, not {self.range}.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,8 +101,9 @@ def _scale(window: Window, draw: Any, x: float, y: float) -> None:
 
 def _colors(window: Window, draw: Any, right: float, bottom: float) -> None:
     """The colours of heights, highest on top."""
-    name = window.session.settings.colormap
-    low, high, table = window.cached(("tint", name), lambda: _table(window, name))
+    settings = window.session.settings
+    name, span = settings.colormap, settings.range
+    low, high, table = window.cached(("tint", name, span), lambda: _table(window, name, span))
     tall, wide = 170.0, 14.0
     marks = ticks(low, high, 6)
     texts = [number(v, marks) for v in marks]
@@ -122,8 +123,10 @@ def _colors(window: Window, draw: Any, right: float, bottom: float) -> None:
         draw.add_text((x + 2 * PAD + wide, at - 8), color(0.95, 0.95, 0.95), text)
 
 
-def _table(window: Window, name: str | None) -> tuple[float, float, list[int]]:
-    low, high, linear = tint_of(window.session.terrain, name).scale(64)
+def _table(
+    window: Window, name: str | None, span: tuple[float, float] | None
+) -> tuple[float, float, list[int]]:  # fmt: skip
+    low, high, linear = tint_of(window.session.terrain, name, span=span).scale(64)
     at = np.linspace(0, len(linear) - 1, 64).round().astype(int)
     return low, high, [color(*(float(v) for v in c)) for c in linear_to_srgb(linear[at])]
 

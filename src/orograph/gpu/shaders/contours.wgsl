@@ -102,7 +102,7 @@ fn contours(height: f32, at: Place, footprint: f32, depth: f32, direction: vec3<
   let n = height / shade.contour.x;
   let far = abs(n - round(n)) * shade.contour.x / rate;
   let index = shade.contour.y > 0.0 && abs(round(n) - shade.contour.y * round(n / max(shade.contour.y, 1.0))) < 0.25;
-  let half = 0.5 * shade.contour.z * select(1.0, 2.0, index);
+  let half = 0.5 * shade.contour.z * select(1.0, 2.0, index && round(n) != 0.0);   // a shore is a thin line
   // Where lines would stand closer than some pixels they fade: first the plain ones, then the index contours.
   let interval = shade.contour.x * select(1.0, shade.contour.y, index);
   // Ground too level has none: no line can be said to be its contour.

@@ -103,8 +103,9 @@ class Shader:
         self.maps = MapGrid(scene, ground, survey, memo)
         terrain, sea = ground.bare.terrain, None if scene.data.water is not None else False
         self.tint = memo(
-            "tint", (scene.data.colormap, sea), lambda: tint_of(terrain, scene.data.colormap, sea=sea), terrain
-        )
+            "tint", (scene.data.colormap, sea, scene.data.range),
+            lambda: tint_of(terrain, scene.data.colormap, sea, scene.data.range), terrain,
+        )  # fmt: skip
         self.air = None
         if scene.lighting.sky:
             self.air = Atmosphere(scene, scene.lighting.depths or survey.range, memo)

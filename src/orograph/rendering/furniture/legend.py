@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.color import Tint, linear_to_srgb
+from orograph.memo import Memo
 from orograph.rendering.furniture.pieces import Legend
 from orograph.rendering.palette import HATCH, VISIBLE, WATER, hatching
 from orograph.rendering.survey import stride
@@ -64,6 +65,9 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
     parts = [f"Light from {round(scene.lighting.sun.azimuth, 1):g}°, {round(scene.lighting.sun.altitude, 1):g}° high"]
     if scene.surface.exaggeration != 1:
         parts.append(f"heights ×{scene.surface.exaggeration:g}")
+    if scene.annotations.contours is not None:
+        interval = scene.annotations.contours.fitted(terrain, view, Memo()).interval
+        parts.append(f"contours every {interval:g} m")
     if view.projection == "perspective" and metres is not None:
         parts.append("scale at the picture's middle")
     if crs := _crs_name(terrain.grid.crs):
@@ -95,14 +99,30 @@ def _legend(drawn: Drawn) -> Legend | None:
 
 
 def _crs_name(crs: Any) -> str | None:
-    """What to call a CRS: its name, else its projection method's, None if neither is known."""
+    """What to call a CRS: its name, else its projection's and where that is true, None if neither is known."""
     if crs is None:
         return None
     method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
+    if method and crs.is_projected:
+        method += _center(crs)
     for name in (crs.name, method):
         if name and not name.strip().lower().startswith(NAMELESS):
             return str(name)
     return None
+
+
+def _center(crs: Any) -> str:
+    """ ", 9.5° E" or ", 47° N 9.5° E": the origin of a projection's longitudes and, if it has one, latitudes."""
+    found = {"Latitude": "", "Longitude": ""}
+    for param in crs.coordinate_operation.params:
+        for kind, (plus, minus) in (("Latitude", "NS"), ("Longitude", "EW")):
+            if param.name.startswith(f"{kind} of") and ("origin" in param.name or "center" in param.name):
+                degrees = math.degrees(param.value * param.unit_conversion_factor)
+                found[kind] = f"{abs(round(degrees, 2)):g}° {plus if degrees >= 0 else minus}"
+    if found["Latitude"].startswith("0°"):
+        found["Latitude"] = ""
+    told = " ".join(text for text in found.values() if text)
+    return f", {told}" if told else ""
 
 
 def _factors(scene: Scene) -> Any:

@@ -79,7 +79,7 @@ def line_cover(
         nearest = np.floor(n + 0.5)
         away = abs(n - nearest) * interval / rate
         thick = index > 0 and nearest - index * np.floor(nearest / max(index, 1) + 0.5) == 0
-        half = width if thick else 0.5 * width
+        half = width if thick and nearest != 0.0 else 0.5 * width  # a shore is a thin line
         apart = interval / rate * (index if thick else 1)
         cover = min(max(half - away + 0.5, 0.0), 1.0) * _ramp(CLOSE[0], CLOSE[1], apart)
         cover *= _ramp(LEVEL[0], LEVEL[1], slope)

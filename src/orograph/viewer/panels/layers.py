@@ -11,15 +11,17 @@ from imgui_bundle import imgui
 
 from orograph.dem.handles import locate
 from orograph.errors import OrographError
-from orograph.geovis.color import TINTS, color_table
+from orograph.geovis.color import TINTS, color_table, tint_of
 from orograph.geovis.layers import Layer, check_count
 from orograph.geovis.laying import Laid
 from orograph.memo import Memo
 from orograph.scene.contours import Contours
 from orograph.scene.silhouettes import Silhouettes
-from orograph.viewer.panels.tips import CLAMPED, path_of
+from orograph.viewer.panels.tips import CLAMPED, path_of, tip
 
 if TYPE_CHECKING:
+    from orograph.store.terrain import Terrain
+    from orograph.viewer.settings import Settings
     from orograph.viewer.window import Window
 
 COLOURS = (
@@ -47,6 +49,7 @@ def draw(window: Window) -> None:
     if moved:
         settings.colormap = COLOURS[at]
     _color_by_name(window)
+    _color_range(settings, session.terrain)
     nature = settings.relief is not None
     moved, nature = imgui.checkbox("slopes shaded as", nature)
     if moved:
@@ -128,6 +131,21 @@ def _color_by_name(window: Window) -> None:
             window.session.messages.say(str(error))
         else:
             settings.colormap = text.strip()
+
+
+def _color_range(settings: Settings, terrain: Terrain) -> None:
+    """The heights at the ends of the colors: the terrain's own, or ones that are given."""
+    moved, given = imgui.checkbox("from, to (m)", settings.range is not None)
+    tip("The heights at the ends of the colors, so that two terrains share a scale.")
+    if moved:
+        tint = tint_of(terrain, settings.colormap)
+        settings.range = (round(tint.floor if len(tint.sea) else tint.low), round(tint.high)) if given else None
+    if settings.range is not None:
+        imgui.same_line()
+        imgui.set_next_item_width(-1)
+        moved, (low, high) = imgui.drag_float2("##range", list(settings.range), 1.0, 0.0, 0.0, "%.0f")
+        if moved and low < high:
+            settings.range = low, high
 
 
 def _layers(window: Window) -> None:

@@ -59,8 +59,9 @@ class Look:
         terrain = scene.terrain
         sea = None if scene.data.water is not None else False
         self.tint: Tint = memo(
-            "tint", (scene.data.colormap, sea), lambda: tint_of(terrain, scene.data.colormap, sea=sea), terrain
-        )
+            "tint", (scene.data.colormap, sea, scene.data.range),
+            lambda: tint_of(terrain, scene.data.colormap, sea, scene.data.range), terrain,
+        )  # fmt: skip
         parts: list[NDArray[np.float32]] = []
 
         def put(values: NDArray[np.floating]) -> int:

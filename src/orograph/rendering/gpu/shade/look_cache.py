@@ -49,7 +49,8 @@ class Looks:
         light = scene.lighting
         key = (
             light.sun, light.light, light.lamps, light.discs, light.shadows, light.sky, light.relief,
-            scene.data.colormap, scene.data.water, scene.surface.exaggeration, near, far, overlay.wireframe,
+            scene.data.colormap, scene.data.range, scene.data.water, scene.surface.exaggeration, near, far,
+            overlay.wireframe,
             scene.surface.wireframe, overlay.levels, contours, silhouettes,
         )  # fmt: skip
 
