@@ -181,7 +181,7 @@ def test_on_the_command_line(made, area):
     told = run("check", area)
     assert told.exit_code == 0 and "sound" in told.output
     assert json.loads(run("check", area, "--json").output) | {"shards": 0} == {
-        "path": str(area), "sound": True, "shards": 0, "damaged": []
+        "path": str(area), "sound": True, "shards": 0, "damaged": [], "changed": []
     }  # fmt: skip
     damage(area, "heights/0/height/c/0/0")
     (area / "heights/0/x/c/0").unlink()

@@ -55,8 +55,8 @@ def command(ctx: click.Context, /, store: str, as_json: bool, jobs: int | None) 
         click.echo(f"{damage.key}: {damage.cause}")
     if len(found) > SHOWN:
         click.echo(f"and {len(found) - SHOWN} more")
-    for told in changed:
-        click.echo(told)
+    for sentence in changed:
+        click.echo(sentence)
     objects = len({damage.object for damage in found})
     raise StoreError(
         f"{objects} of its objects {'is' if objects == 1 else 'are'} damaged.",
