@@ -29,7 +29,7 @@ from orograph.viewpoint import View
 
 SETS = {
     "gabilan": "lsd-topo/gabilan.tif",
-    "spearfish": "spearfish-sfdem-utm13/*.tif",
+    "spearfish": "spearfish-sfdem-utm13/sfdem.tiff",
     "saint-helens": "sainthelens-usgsdem/SainteHelens.dem",
     "vinschgau": "terra-vinschgau/elev_vinschgau.tif",
     "zion": "spdatalarge-zion-nz-ecuador/zion_srtm.tif",
@@ -70,7 +70,7 @@ def main() -> None:
     print(f"{'':14}{'':10}{'mean':>7}{'95 %':>7}{'largest':>9}{'ground in one':>15}")
     worst = [0.0, 0.0]
     for name in given.set or SETS:
-        terrain = prepare([str(next(given.data.glob(SETS[name])))])
+        terrain = prepare([str(given.data / SETS[name])])
         for kind, view in views(terrain, size):
             scene = Scene.of(terrain, view)
             ours, theirs = gpu_draw(scene, device=device), cpu_draw(scene)
