@@ -115,7 +115,7 @@ def test_ground_of_a_city_clipped_at_a_round_height_is_no_lake():
 
 @pytest.mark.parametrize("level", [100, 110, 120, 130])
 def test_ground_of_a_real_city_clipped_at_a_round_height_is_no_lake(shared_data, level):
-    """The surface of a square kilometre of Essen: of a hundredth of it (a cutting) to nearly all the ground is clipped."""
+    """A square kilometre of Essen, of which a hundredth (a cutting) to nearly all is clipped."""
     path = shared_data / "nrw-dom1-1m" / "dom1_32_356_5699_1_nw_2020.tif"
     if not path.exists():
         pytest.skip("the city is not here")
