@@ -103,6 +103,7 @@ def test_names_of_gdal_are_made_absolute(tmp_path: Path, monkeypatch: pytest.Mon
     with zipfile.ZipFile("tiles.zip", "w") as file:
         file.write("tile.tif")
     here = tmp_path.as_posix()
+    (tmp_path / "TILE:1:tile.tif").write_text("x")
     for name, expected in {
         "tile.tif": f"{here}/tile.tif",
         "GTIFF_DIR:1:tile.tif": f"GTIFF_DIR:1:{here}/tile.tif",
@@ -114,6 +115,7 @@ def test_names_of_gdal_are_made_absolute(tmp_path: Path, monkeypatch: pytest.Mon
         "/vsizip/{tiles.zip}/tile.tif": f"/vsizip/{{{here}/tiles.zip}}/tile.tif",
         "/vsicurl/https://a.org/tile.tif": "/vsicurl/https://a.org/tile.tif",
         "absent.tif": "absent.tif",
+        "TILE:1:tile.tif": f"{here}/TILE:1:tile.tif",  # a file's name
     }.items():
         assert absolute(name) == expected
         assert on_disk(expected).is_file() == expected.startswith(("/vsizip", here, "GTIFF", "NETCDF", "HDF"))

@@ -14,6 +14,7 @@ from affine import Affine
 from rasterio.io import MemoryFile
 
 from orograph.dem import Source
+from orograph.dem.handles import files_of
 from orograph.errors import ReadError
 
 UTM = Affine(30, 0, 500000, 0, -30, 4000000)
@@ -197,6 +198,19 @@ def test_parts_in_containers_are_looked_at(tmp_path: Path, form: str, cut: bool)
             read(area)
     else:
         assert np.array_equal(read(area), heights())
+
+
+def test_parts_of_a_vrt_in_a_vrt_s_text_are_looked_at(tmp_path: Path) -> None:
+    part = write(tmp_path / "part.img", "ENVI")
+    inner = virtual(tmp_path / "inner.vrt", source(str(part)).replace('relativeToVRT="1"', 'relativeToVRT="0"'))
+    text = inner.read_text().replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    area = virtual(tmp_path / "area.vrt", source(text).replace('relativeToVRT="1"', 'relativeToVRT="0"'))
+    inner.unlink()
+    assert np.array_equal(read(area), heights())
+    assert str(part) in files_of(str(area))
+    part.write_bytes(part.read_bytes()[: SIZE * SIZE])
+    with pytest.raises(ReadError, match=r"part\.img"):
+        read(area)
 
 
 @pytest.mark.parametrize("how", ["mask-band", "complex", "nested"])

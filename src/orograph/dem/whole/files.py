@@ -33,7 +33,7 @@ def file_in(name: str) -> tuple[str, str, str]:
     """A name of GDAL's cut into what is before the file, the file, and what follows: of ``NETCDF:"a.nc":z`` the file is
     ``a.nc``. Of most names all is the file."""
     found = _INNER.fullmatch(name)
-    if found is None:
+    if found is None or Path(name).is_file():
         return "", name, ""
     before, quoted, plain, after = found.groups()
     return (f'{before}"', quoted, f'"{after}') if quoted is not None else (before, plain, after)

@@ -102,6 +102,9 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
         if file is None or not file.text:
             continue
         location = file.text
+        if location.lstrip().startswith("<"):  # a VRT in a VRT's own text
+            yield from (inner._replace(source=None, target=None) for inner in _read(ET.fromstring(location), name))
+            continue
         if file.get("relativeToVRT", file.get("relativetoVRT")) == "1":
             before, inner, after = file_in(location)
             location = f"{before}{name.rpartition('/')[0] or '.'}/{inner}{after}"
