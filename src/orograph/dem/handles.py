@@ -133,6 +133,7 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
     with HANDLES.borrow(location) as dataset:
         names, virtual = [str(name) for name in dataset.files], dataset.driver == "VRT"
         if virtual:
+            names = [name for name in names if not name.lstrip().startswith("<")]  # VRTs in its text
             names += locations(dataset, stamped(location))
     found = dict.fromkeys([location, *sorted(names)])
     if virtual:
