@@ -12,6 +12,7 @@ import rasterio
 from affine import Affine
 
 from orograph.dem.synth import Synth
+from orograph.dem.writing import check_written
 from orograph.errors import OutputError
 from orograph.geo.grid import Grid
 from orograph.lighting.raster import Band
@@ -107,6 +108,21 @@ def test_wherever_the_disk_ends_a_file_is_whole_or_not_there(
             out.unlink()
         assert [p.name for p in tmp_path.iterdir()] == [whole.name]
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_file_with_overviews_is_whole_until_it_is_cut(tmp_path: Path) -> None:
+    """Overviews of a COG lie in front of what they are of, the coarsest first; each has blocks of its own (and behind each
+    block four bytes that no reader needs)."""
+    out, grid = tmp_path / "a.tif", Grid((1500, 2100), Affine(1, 0, 0, 0, -1, 0), None)
+    noise = np.random.default_rng(2).random((2, 1500, 2100), np.float32)
+    write_light(out, grid, [Band("x", "m", "noise"), Band("y", "m", "noise")], [(0, 0, 0, noise)])
+    with rasterio.open(out) as file:
+        assert len(file.overviews(1)) == 3
+    data = out.read_bytes()
+    for size in (len(data) - 5, len(data) * 9 // 10, len(data) // 3, len(data) // 50, 100):
+        out.write_bytes(data[:size])
+        with pytest.raises(OutputError, match="only a part"):
+            check_written(out, out)
 
 
 def test_of_a_map_of_light_on_a_full_disk_nothing_is_left(

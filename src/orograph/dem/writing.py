@@ -87,12 +87,12 @@ def _whole(path: Path) -> bool:
         sound = _has_blocks(dataset, size)
     for level in range(levels):
         with rasterio.open(path, overview_level=level) as dataset:
-            sound = sound and _has_blocks(dataset, size, level)
+            sound = sound and _has_blocks(dataset, size)
     return sound
 
 
-def _has_blocks(dataset: Any, size: int, level: int | None = None) -> bool:
-    """Whether all blocks of a TIFF, or of an overview of it, lie within a file of so many bytes."""
+def _has_blocks(dataset: Any, size: int) -> bool:
+    """Whether all blocks of a TIFF, or of the overview that it was opened at, lie within a file of so many bytes."""
     from rasterio.enums import Interleaving
 
     high, wide = dataset.block_shapes[0]
@@ -100,7 +100,7 @@ def _has_blocks(dataset: Any, size: int, level: int | None = None) -> bool:
     for band in range(1, planes + 1):
         for row in range(-(-dataset.height // high)):
             for col in range(-(-dataset.width // wide)):
-                place = [dataset.get_tag_item(f"BLOCK_{what}_{col}_{row}", "TIFF", bidx=band, ovr=level)
+                place = [dataset.get_tag_item(f"BLOCK_{what}_{col}_{row}", "TIFF", bidx=band)
                          for what in ("OFFSET", "SIZE")]  # fmt: skip
                 if not all(place) or sum(map(int, place)) > size:
                     return False
