@@ -111,8 +111,8 @@ def test_wherever_the_disk_ends_a_file_is_whole_or_not_there(
 
 
 def test_a_file_with_overviews_is_whole_until_it_is_cut(tmp_path: Path) -> None:
-    """Overviews of a COG lie in front of what they are of, the coarsest first; each has blocks of its own (and behind each
-    block four bytes that no reader needs)."""
+    """Overviews of a COG lie in front of what they are of, the coarsest first. Each has blocks of its own (behind each
+    four bytes that no reader needs)."""
     out, grid = tmp_path / "a.tif", Grid((1500, 2100), Affine(1, 0, 0, 0, -1, 0), None)
     noise = np.random.default_rng(2).random((2, 1500, 2100), np.float32)
     write_light(out, grid, [Band("x", "m", "noise"), Band("y", "m", "noise")], [(0, 0, 0, noise)])
