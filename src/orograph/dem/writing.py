@@ -27,27 +27,31 @@ _ENDS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8\xff": b"\xff\xd9"}
 
 
 @contextmanager
-def raster_file(out: Path) -> Iterator[Path]:
+def raster_file(out: Path, cache: int | None = None) -> Iterator[Path]:
     """A path for GDAL to write to, which becomes ``out`` if the file is whole; around writing and closing it.
+
+    Args:
+        cache: bytes of GDAL's cache of blocks; None: as much as for those who read.
 
     Raises:
         OutputError: it cannot be written. What was there before is there still.
     """
-    with Beside(out) as part, gdal_writes(out):
+    with Beside(out) as part, gdal_writes(out, cache):
         yield part
         check_written(part, out)
 
 
 @contextmanager
-def gdal_writes(out: Path) -> Iterator[None]:
+def gdal_writes(out: Path, cache: int | None = None) -> Iterator[None]:
     """GDAL's settings for those who write, and its errors as OutputError of ``out``."""
     import rasterio
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
     _silence_libtiff()
+    settings = bounded_cache() if cache is None else {"GDAL_CACHEMAX": cache}
     try:
-        with rasterio.Env(GDAL_PAM_ENABLED="NO", **bounded_cache()), warnings.catch_warnings():
+        with rasterio.Env(GDAL_PAM_ENABLED="NO", **settings), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a picture in perspective lies nowhere
             yield
     except (RasterioError, CPLE_BaseError) as error:

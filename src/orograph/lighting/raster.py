@@ -30,6 +30,8 @@ from orograph.progress import SILENT, Progress
 
 Values = NDArray[np.float32]
 
+_GDAL_CACHE = 1 << 20
+"""Bytes of GDAL's block cache while a file is written: its blocks are written once, so nothing need wait there."""
 _LEVEL = 4
 """Of DEFLATE: twice as fast as its default, 1 % larger."""
 _HEADER, _PER_TILE = 1 << 12, 16
@@ -194,7 +196,7 @@ def write(
         "transform": grid.transform, "tiled": True, "blockxsize": 256, "blockysize": 256, "bigtiff": "IF_SAFER",
         "interleave": "band",
     }  # fmt: skip
-    with raster_file(out) as part:
+    with raster_file(out, _GDAL_CACHE) as part:
         plain = part.with_name(part.name + ".tif")
         try:
             with rasterio.open(plain, "w", **profile) as file:
