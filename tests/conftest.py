@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,8 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from orograph.gpu.device import Device
 
 # Where tests are started in the background Ctrl-C is ignored, and so it would be in the processes they start.
@@ -31,6 +34,27 @@ def shared_data() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"the open data sets are not at {DATA} (set OROGRAPH_DATA)")
     return DATA
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
+    """Gives empty disks of so many KiB; tests that need one are skipped where none can be mounted."""
+    disks: list[Path] = []
+
+    def make(kib: int) -> Path:
+        disk = tmp_path / f"disk{len(disks)}"
+        disk.mkdir()
+        done = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={kib}k", "tmpfs", disk], capture_output=True)
+        if done.returncode:
+            pytest.skip("only root may mount a disk")
+        disks.append(disk)
+        return disk
+
+    try:
+        yield make
+    finally:
+        for disk in disks:
+            subprocess.run(["umount", "-l", disk], check=True)
 
 
 @pytest.fixture(scope="session")

@@ -89,3 +89,40 @@ def test_a_file_system_that_is_read_only_is_told(tmp_path, monkeypatch):
     told = pytest.raises(OutputError, match=r"The file cannot be written: Read-only file system")
     with told, Beside(tmp_path / "sky.tif"):
         refused()
+
+
+@pytest.mark.parametrize("who", ["large", "synth", "storage", "owner"])
+def test_what_cannot_be_removed_does_not_hide_what_went_wrong(tmp_path, monkeypatch, who):
+    """A disk that became read-only while a result was written: the first error is the one that is told."""
+
+    def refused(*_, **__):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    def work():
+        if who == "large":
+            from orograph.rendering.large import Scratch
+
+            with Scratch(tmp_path / "a.png", 4, 4):
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+        elif who == "synth":
+            from orograph.dem.synth import Synth
+
+            monkeypatch.setattr(Synth, "read", failing)
+            Synth((17, 17)).write(tmp_path / "a.tif")
+        elif who == "storage":
+            from orograph.store.storage import FolderStorage
+
+            monkeypatch.setattr(Path, "replace", failing)
+            FolderStorage(tmp_path).put("a", [b"x"])
+        else:
+            from orograph.store.lock import _create
+
+            monkeypatch.setattr(os, "link", failing)
+            _create(tmp_path / "a", b"x")
+
+    def failing(*_, **__):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    with pytest.raises(Exception, match=os.strerror(errno.EIO)):
+        work()

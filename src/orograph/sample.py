@@ -13,7 +13,7 @@ from affine import Affine
 from pyproj import CRS
 
 from orograph.dem.raster import Dem
-from orograph.errors import OutputError, ReadError
+from orograph.errors import ReadError
 from orograph.geo.grid import Grid
 
 
@@ -24,19 +24,17 @@ def write_jacksboro(folder: Path) -> Path:
         ReadError: matplotlib is not installed. OutputError: the file cannot be written.
     """
     import rasterio
-    from rasterio.errors import RasterioError
+
+    from orograph.dem.writing import raster_file
 
     dem = jacksboro()
     path = folder / "jacksboro.tif"
     rows, cols = dem.grid.shape
-    try:
-        with rasterio.open(
-            path, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="int16", crs="EPSG:4326",
-            transform=dem.grid.transform, compress="deflate",
-        ) as file:  # fmt: skip
-            file.write(dem.heights.astype(np.int16), 1)
-    except (RasterioError, OSError) as error:
-        raise OutputError(f"The sample cannot be written: {error}.", path=path) from error
+    with raster_file(path) as part, rasterio.open(
+        part, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="int16", crs="EPSG:4326",
+        transform=dem.grid.transform, compress="deflate",
+    ) as file:  # fmt: skip
+        file.write(dem.heights.astype(np.int16), 1)
     return path
 
 

@@ -206,3 +206,49 @@ def test_ctrl_c(hilly, tmp_path, name):
     for frame in frames:
         with Image.open(frame) as image:
             image.load()
+
+
+@pytest.mark.parametrize("ending", ["mp4", "webm", "gif", "mkv"])
+def test_a_video_on_a_full_disk_is_whole_or_not_there(tmp_path, small_disk, ending):
+    from orograph.errors import OutputError
+    from orograph.touring.encode import Video
+
+    def write(path):
+        with Video(path, (64, 48), 4) as video:
+            for number, pixels in enumerate(noise):
+                video.add(number, pixels)
+
+    noise = np.random.default_rng(1).integers(0, 255, (8, 48, 64, 3)).astype(np.uint8)
+    whole = tmp_path / f"whole.{ending}"
+    write(whole)
+    size, written = whole.stat().st_size, 0
+    for kib in (4, size // 2048, *range(size // 1024 - 7, size // 1024 + 12, 2)):
+        out = small_disk(kib) / f"out.{ending}"
+        try:
+            write(out)
+        except OutputError as error:
+            assert "No space left" in str(error) and out.name in str(error)
+            assert not list(out.parent.iterdir())
+        else:
+            written += 1
+            assert out.stat().st_size == size and len(frames_of(out)[1]) == 8
+    assert 0 < written < 10
+
+
+def test_frames_that_a_full_disk_cuts_off_are_taken_up_or_not_there(run, hilly, small_disk, tmp_path):
+    disk = small_disk(40)
+    code, _, err = run("movie", hilly, *SPIN, "-o", disk / "%03d.png", *SMALL)
+    assert code == 4 and "No space left" in err, err
+    kept = {f.name: f.stat().st_mtime_ns for f in disk.glob("*.png")}
+    assert 0 < len(kept) < 8
+    assert sorted(f.name for f in disk.iterdir()) == sorted([*kept, ".N.png.film"])
+    subprocess.run(["mount", "-o", "remount,size=1m", disk], check=True)
+    code, _, err = run("movie", hilly, *SPIN, "-o", disk / "%03d.png", *SMALL)
+    assert code == 0, err
+    assert all((disk / name).stat().st_mtime_ns == time for name, time in kept.items())
+    assert len(list(disk.glob("*.png"))) == 8
+    for kib in (4, 8):
+        disk = small_disk(kib)
+        code, _, err = run("movie", hilly, *SPIN, "-o", disk / "new" / "of" / "%03d.png", *SMALL)
+        assert code == 4 and "No space left" in err, err
+        assert not list(disk.iterdir())

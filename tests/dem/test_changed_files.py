@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 from affine import Affine
 
 from orograph import store
 from orograph.dem import Source
 from orograph.dem.mosaic import Mosaic
+from orograph.dem.whole.files import absolute, on_disk
 from orograph.errors import ReadError, StoreError
+from orograph.store.inputs import changes
 
 UTM = Affine(30, 0, 500000, 0, -30, 4000000)
 SHAPE = (300, 280)
@@ -60,6 +64,61 @@ def test_tiles_of_a_vrt_count(tmp_path: Path) -> None:
     replace(tile, 900)
     assert print_of(area) != before[0] and print_of(outer) != before[1]
     assert Mosaic.open(outer).read(0, 2, 0, 2).tolist() == [[900, 900], [900, 900]]
+
+
+@pytest.mark.parametrize("form", ["zip", "netcdf", "mask"])
+def test_what_lies_in_containers_and_masks_of_parts_count(tmp_path: Path, form: str) -> None:
+    """Parts whose names are no files' names, and what lies beside parts."""
+    if form == "zip":
+        write(tmp_path / "tile.tif", 100)
+        archive = tmp_path / "tiles.zip"
+        with zipfile.ZipFile(archive, "w") as file:
+            file.write(tmp_path / "tile.tif", "tile.tif")
+        changed, name = archive, f"/vsizip/{archive}/tile.tif"
+    elif form == "netcdf":
+        changed = tmp_path / "tile.nc"
+        rasterio.shutil.copy(write(tmp_path / "tile.tif", 100), changed, driver="netCDF")
+        name = f"NETCDF:&quot;{changed}&quot;:Band1"
+    else:
+        name = str(write(tmp_path / "tile.tif", 100))
+        with rasterio.Env(GDAL_TIFF_INTERNAL_MASK="NO"), rasterio.open(name, "r+") as file:
+            file.write_mask(np.ones(SHAPE, bool))
+        changed = tmp_path / "tile.tif.msk"
+    area = virtual(tmp_path / "area.vrt", name)
+    area.write_text(area.read_text().replace('relativeToVRT="1"', 'relativeToVRT="0"'))
+    assert Mosaic.open(area).read(0, 1, 0, 1).tolist() == [[100]]
+    before = print_of(area)
+    kept = store.build(area, tmp_path / "area.oro", shard=256, chunk=64)
+    assert changes(kept.record.inputs) == [] and print_of(area) == before
+    os.utime(changed, ns=(1, 1))
+    assert print_of(area) != before
+    assert changes(kept.record.inputs) and all(
+        str(changed) in told and "was changed" in told for told in changes(kept.record.inputs)
+    )
+
+
+def test_names_of_gdal_are_made_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "tile.tif", 100)
+    with zipfile.ZipFile("tiles.zip", "w") as file:
+        file.write("tile.tif")
+    here = tmp_path.as_posix()
+    (tmp_path / "TILE:1:tile.tif").write_text("x")
+    for name, expected in {
+        "tile.tif": f"{here}/tile.tif",
+        "GTIFF_DIR:1:tile.tif": f"GTIFF_DIR:1:{here}/tile.tif",
+        'NETCDF:"tile.tif":z': f'NETCDF:"{here}/tile.tif":z',
+        'HDF5:"tile.tif"://a/b': f'HDF5:"{here}/tile.tif"://a/b',
+        "NETCDF:tile.tif:z": f"NETCDF:{here}/tile.tif:z",
+        'HDF4_SDS:UNKNOWN:"tile.tif":0': f'HDF4_SDS:UNKNOWN:"{here}/tile.tif":0',
+        "/vsizip/tiles.zip/tile.tif": f"/vsizip/{here}/tiles.zip/tile.tif",
+        "/vsizip/{tiles.zip}/tile.tif": f"/vsizip/{{{here}/tiles.zip}}/tile.tif",
+        "/vsicurl/https://a.org/tile.tif": "/vsicurl/https://a.org/tile.tif",
+        "absent.tif": "absent.tif",
+        "TILE:1:tile.tif": f"{here}/TILE:1:tile.tif",  # a file's name
+    }.items():
+        assert absolute(name) == expected
+        assert on_disk(expected).is_file() == expected.startswith(("/vsizip", here, "GTIFF", "NETCDF", "HDF"))
 
 
 def test_headers_and_masks_beside_a_raster_count(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from affine import Affine
 from rasterio.io import MemoryFile
 
 from orograph.dem import Source
+from orograph.dem.handles import files_of
 from orograph.errors import ReadError
 
 UTM = Affine(30, 0, 500000, 0, -30, 4000000)
@@ -162,3 +163,86 @@ def test_a_mask_that_cannot_be_opened_is_noticed(tmp_path: Path, size: int) -> N
     mask.write_bytes(mask.read_bytes()[:size])
     with pytest.raises(ReadError, match=r"masked\.tif"):
         read(path)
+
+
+def packed(folder: Path, *names: str) -> Path:
+    """An archive of files of a folder, which go."""
+    with zipfile.ZipFile(folder / "parts.zip", "w") as archive:
+        for name in names:
+            archive.write(folder / name, name)
+            (folder / name).unlink()
+    return folder / "parts.zip"
+
+
+def contained(folder: Path, form: str, cut: bool) -> str:
+    """What GDAL calls a raster in a container, relative to a folder; of the container a part is lost, if it is cut."""
+    if form == "zip":
+        path = write(folder / "part.img", "ENVI")
+        path.write_bytes(path.read_bytes()[: SIZE * SIZE if cut else None])
+        return f"/vsizip/{packed(folder, 'part.img', 'part.hdr')}/part.img"
+    path = write(folder / "part.nc", "netCDF", FORMAT="NC")
+    path.write_bytes(path.read_bytes()[: -SIZE * SIZE if cut else None])
+    return f'NETCDF:"{path}":Band1' if form == "netcdf" else 'NETCDF:"part.nc":Band1'
+
+
+@pytest.mark.parametrize("form", ["zip", "netcdf", "netcdf-relative"])
+@pytest.mark.parametrize("cut", [False, True])
+def test_parts_in_containers_are_looked_at(tmp_path: Path, form: str, cut: bool) -> None:
+    part = contained(tmp_path, form, cut)
+    body = source(part.replace('"', "&quot;"))
+    if form != "netcdf-relative":
+        body = body.replace('relativeToVRT="1"', 'relativeToVRT="0"')
+    area = virtual(tmp_path / "area.vrt", body)
+    if cut:
+        with pytest.raises(ReadError, match=r"part\.(img|nc)|cannot be read"):
+            read(area)
+    else:
+        assert np.array_equal(read(area), heights())
+
+
+def test_parts_of_a_vrt_in_a_vrt_s_text_are_looked_at(tmp_path: Path) -> None:
+    part = write(tmp_path / "part.img", "ENVI")
+    inner = virtual(tmp_path / "inner.vrt", source(str(part)).replace('relativeToVRT="1"', 'relativeToVRT="0"'))
+    text = inner.read_text().replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    area = virtual(tmp_path / "area.vrt", source(text).replace('relativeToVRT="1"', 'relativeToVRT="0"'))
+    inner.unlink()
+    assert np.array_equal(read(area), heights())
+    assert str(part) in files_of(str(area))
+    part.write_bytes(part.read_bytes()[: SIZE * SIZE])
+    with pytest.raises(ReadError, match=r"part\.img"):
+        read(area)
+
+
+@pytest.mark.parametrize("how", ["mask-band", "complex", "nested"])
+@pytest.mark.parametrize("inside", [False, True])
+def test_a_damaged_mask_of_a_part_is_noticed(tmp_path: Path, how: str, inside: bool) -> None:
+    path = tmp_path / "masked.tif"
+    profile = {"width": SIZE, "height": SIZE, "count": 1, "dtype": "uint16", "transform": UTM, "crs": "EPSG:32633"}
+    valid = np.random.default_rng(7).random((SIZE, SIZE)) < 0.5
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=inside), rasterio.open(path, "w", driver="GTiff", **profile) as file:
+        file.write(heights(), 1)
+        file.write_mask(valid)
+    mask_band = f'<MaskBand><VRTRasterBand dataType="Byte">{source(path.name)}</VRTRasterBand></MaskBand></VRTDataset>'
+    if how == "complex":
+        area = virtual(tmp_path / "area.vrt", f"<NoDataValue>0</NoDataValue>{source(path.name)}")
+        text = area.read_text().replace("SimpleSource", "ComplexSource")
+        text = text.replace("</ComplexSource>", "<UseMaskBand>true</UseMaskBand></ComplexSource>")
+        area.write_text(text)
+    else:
+        area = virtual(tmp_path / "area.vrt", source(path.name))
+        mask_band = mask_band.replace("<SourceBand>1<", "<SourceBand>mask,1<")
+        area.write_text(area.read_text().replace("</VRTDataset>", mask_band))
+        if how == "nested":
+            body = mask_band.replace("masked.tif", "area.vrt")
+            area = virtual(tmp_path / "outer.vrt", source("area.vrt"))
+            area.write_text(area.read_text().replace("</VRTDataset>", body))
+    assert np.array_equal(read(area), np.where(valid, heights(), np.nan), equal_nan=True)
+    damaged = path if inside else tmp_path / "masked.tif.msk"
+    with rasterio.open(f"GTIFF_DIR:2:{path}" if inside else damaged) as file:
+        at = int(file.get_tag_item("BLOCK_OFFSET_0_0", "TIFF", bidx=1))
+        size = int(file.get_tag_item("BLOCK_SIZE_0_0", "TIFF", bidx=1))
+    data, longer = damaged.read_bytes(), zlib.compress(bytes(4 * SIZE * SIZE))
+    broken = (longer[:-1] + bytes([longer[-1] ^ 1])).ljust(size, b"\0")
+    damaged.write_bytes(data[:at] + broken + data[at + size :])
+    with pytest.raises(ReadError, match="Deflate stream is damaged"):
+        read(area)

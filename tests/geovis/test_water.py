@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import rasterio
 from scipy import ndimage
 
 from orograph.geovis.water import LEAST_SAMPLES, find_water, judge, shore, water_in
@@ -110,6 +111,20 @@ def test_ground_of_a_city_clipped_at_a_round_height_is_no_lake():
     low[150:200, 100:160] = 141.37  # a basin in it is the lowest, and water
     found = find_water(low, 1.0)
     assert found[150:200, 100:160].all()
+
+
+@pytest.mark.parametrize("level", [100, 110, 120, 130])
+def test_ground_of_a_real_city_clipped_at_a_round_height_is_no_lake(shared_data, level):
+    """A square kilometre of Essen, of which a hundredth (a cutting) to nearly all is clipped."""
+    path = shared_data / "nrw-dom1-1m" / "dom1_32_356_5699_1_nw_2020.tif"
+    if not path.exists():
+        pytest.skip("the city is not here")
+    with rasterio.open(path) as file:
+        heights = file.read(1)
+    assert not find_water(heights, 1.0).any()
+    clipped = np.maximum(heights, np.float32(level))
+    assert (clipped == level).mean() > 0.008
+    assert not find_water(clipped, 1.0).any()
 
 
 def test_a_lake_at_a_round_height_is_water():

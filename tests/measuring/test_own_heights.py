@@ -67,6 +67,28 @@ def test_between_samples_heights_are_bilinear(tmp_path):
     np.testing.assert_allclose([float(r["surface_height_m"]) for r in rows[:-1]], surface, atol=0.05)
 
 
+@pytest.mark.parametrize("columns", [72, 73])  # the last as the first once more
+@pytest.mark.parametrize("west", [-180.0, 0.0])
+def test_across_the_seam_of_a_globe_heights_are_bilinear(tmp_path, west, columns):
+    """Between the last column and the first lies ground like any other; the band is that of the tropics."""
+    cell = 5.0
+    lon, lat = west + cell * (np.arange(columns) + 0.5), 30 - cell * (np.arange(12) + 0.5)
+    h = 1000 + 500 * np.cos(np.radians(lon - 40))[None, :] * np.cos(np.radians(2 * lat))[:, None]
+    mosaic = Mosaic([degrees(h.astype(np.float32), west, 30.0, cell)], crs="+proj=eqc +lon_0=90 +datum=WGS84")
+    rng = np.random.default_rng(3)
+    at_lon = np.append(west + rng.uniform(-cell / 2, cell / 2, 60), rng.uniform(-180, 180, 60))
+    at_lat = rng.uniform(-25, 25, 120)
+    x, y = Transformer.from_crs(4326, mosaic.grid.crs, always_xy=True).transform(at_lon, at_lat)
+    around = np.append(lon[:72], lon[0] + 360) if columns == 72 else lon
+    model = RegularGridInterpolator((-lat, around), h if columns == 73 else np.append(h, h[:, :1], axis=1))
+    expected = model(np.stack([-at_lat, (at_lon - lon[0]) % 360 + lon[0]], -1))
+    truth = 1000 + 500 * np.cos(np.radians(at_lon - 40)) * np.cos(np.radians(2 * at_lat))
+    assert np.abs(expected - truth).max() < 500 * np.radians(cell) ** 2 * (1 + 4) / 8
+    np.testing.assert_allclose(mosaic.heights_at(x, y), expected, atol=1e-3)
+    kept = store.build(mosaic, tmp_path / "globe.oro", shard=64, chunk=32)
+    np.testing.assert_allclose(kept.samples.heights_at(x, y), expected, atol=1e-3)
+
+
 def test_of_several_lattices_the_finest_that_has_a_height_counts():
     coarse = degrees(np.full((40, 40), 100, np.float32), cell=2 * CELL)
     fine = np.full((30, 30), 700, np.float32)

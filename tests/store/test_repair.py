@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 from click.testing import CliRunner
 from surfaces import rough, source
 
@@ -18,6 +20,7 @@ from orograph.cli.wording import spoken
 from orograph.errors import StoreError, UsageError
 from orograph.lighting.bake import bake
 from orograph.lighting.products import Options
+from orograph.store.inputs import changes
 from orograph.store.layout import array_specs
 from orograph.store.repair import repair
 
@@ -111,6 +114,33 @@ def test_levels_are_mended_without_the_source(made, area):
     assert files(area) == whole
 
 
+@pytest.mark.parametrize("which", ["tile.tif", "tile.tif.msk", "outer.vrt"])
+def test_of_what_an_input_is_made_of_a_change_is_said_too(area, tmp_path, which):
+    """A part of a VRT of a VRT, its mask, the VRT itself: it is not the input's file that was changed."""
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK="NO"), rasterio.open(write(tmp_path / "tile.tif"), "r+") as file:
+        file.write_mask(np.isfinite(HEIGHTS))
+    rasterio.shutil.copy(tmp_path / "tile.tif", tmp_path / "inner.vrt", driver="VRT")
+    (tmp_path / "outer.vrt").write_text((tmp_path / "inner.vrt").read_text().replace("tile.tif", "inner.vrt"))
+    store.build(tmp_path / "outer.vrt", area, overwrite=True, **SIZES).close()
+    record = store.open(area).record
+    assert changes(record.inputs) == []
+    assert [Path(f["path"]).name for f in record.inputs["files"]] == ["outer.vrt"]
+    assert sorted(Path(f["path"]).name for f in record.inputs["beside"][0]) == ["inner.vrt", "tile.tif", "tile.tif.msk"]
+    os.utime(tmp_path / which, ns=(1, 1))
+    (told,) = changes(record.inputs)
+    assert f"{tmp_path / which}" in told and told.endswith("was changed.")
+    assert changes({"files": record.inputs["files"]}) == ([told] if which == "outer.vrt" else [])  # an older store's
+    damage(area, "heights/0/height/c/0/0")
+    other = HEIGHTS.copy()
+    other[3, 3] += 1
+    with rasterio.open(tmp_path / "tile.tif", "r+") as file:
+        file.write(other, 1)
+    told = CliRunner().invoke(cli, ["check", str(area)], standalone_mode=False)
+    assert f"{tmp_path / 'tile.tif'} (of {tmp_path / 'outer.vrt'}) was changed." in told.output
+    with pytest.raises(StoreError, match=r"tile\.tif \(of \S*outer\.vrt\) was changed"):
+        repair(area)
+
+
 def test_a_source_that_is_gone_or_another_is_said(made, area, tmp_path):
     write(tmp_path / "dem.tif")
     store.build(tmp_path / "dem.tif", area, overwrite=True, **SIZES).close()
@@ -151,7 +181,7 @@ def test_on_the_command_line(made, area):
     told = run("check", area)
     assert told.exit_code == 0 and "sound" in told.output
     assert json.loads(run("check", area, "--json").output) | {"shards": 0} == {
-        "path": str(area), "sound": True, "shards": 0, "damaged": []
+        "path": str(area), "sound": True, "shards": 0, "damaged": [], "changed": []
     }  # fmt: skip
     damage(area, "heights/0/height/c/0/0")
     (area / "heights/0/x/c/0").unlink()

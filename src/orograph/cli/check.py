@@ -23,6 +23,7 @@ def command(ctx: click.Context, /, store: str, as_json: bool, jobs: int | None) 
 
     Heights of all levels, means, tables, errors, layers, coordinates and metadata are compared with what the store's
     root lists. The exit code is 0 if all is sound and 4 if not; orograph build --repair mends what can be mended.
+    Of a store that is damaged it is told, too, which of the files it was built from are gone or changed.
 
     \b
     Examples:
@@ -31,13 +32,17 @@ def command(ctx: click.Context, /, store: str, as_json: bool, jobs: int | None) 
     """
     from orograph.store import open
     from orograph.store.checking import check
+    from orograph.store.inputs import changes
 
     with open(store, jobs=jobs) as terrain:
         found = check(terrain, jobs=jobs, progress=progress_of(ctx))
         shards, size = terrain.record.shard_count, terrain.size_bytes
+        changed = changes(terrain.record.inputs) if found and terrain.record.inputs is not None else []
     if as_json:
         damages = [{"key": damage.key, "cause": damage.cause} for damage in found]
-        click.echo(json.dumps({"path": store, "sound": not found, "shards": shards, "damaged": damages}))
+        click.echo(
+            json.dumps({"path": store, "sound": not found, "shards": shards, "damaged": damages, "changed": changed})
+        )
         if found:
             ctx.exit(StoreError.exit_code)
         return
@@ -50,6 +55,8 @@ def command(ctx: click.Context, /, store: str, as_json: bool, jobs: int | None) 
         click.echo(f"{damage.key}: {damage.cause}")
     if len(found) > SHOWN:
         click.echo(f"and {len(found) - SHOWN} more")
+    for sentence in changed:
+        click.echo(sentence)
     objects = len({damage.object for damage in found})
     raise StoreError(
         f"{objects} of its objects {'is' if objects == 1 else 'are'} damaged.",

@@ -33,21 +33,13 @@ Key = tuple[str, tuple[int, int, int] | None]
 
 
 def _stamp(location: str) -> tuple[int, int, int] | None:
+    from orograph.dem.whole.files import on_disk
+
     try:
-        found = _on_disk(location).stat()
+        found = on_disk(location).stat()
     except (OSError, ValueError):
         return None
     return found.st_mtime_ns, found.st_size, found.st_ino
-
-
-def _on_disk(name: str) -> Path:
-    """The file of a name of GDAL's: of what lies in an archive the archive."""
-    name = re.sub(r"^GTIFF_DIR:\d+:", "", name)
-    inside = re.match(r"/vsi(?:zip|tar|gzip|7z|rar)/\{?(.*)", name)
-    if inside is None:
-        return Path(name)
-    path = Path(inside[1].partition("}")[0])
-    return next((at for at in (path, *path.parents) if at.is_file()), path)
 
 
 def stamped(location: str) -> Key:
@@ -130,13 +122,19 @@ def lent(location: str) -> Iterator[tuple[Any, Key]]:
 
 
 def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
-    """All files that decide a raster's samples: its own, those beside it (headers, masks), and of a VRT its sources'.
+    """All files that decide a raster's samples: its own, those beside it (headers, masks), and of a VRT its sources',
+    by GDAL's names of them.
 
     Raises:
         ReadError: it cannot be opened.
     """
+    from orograph.dem.whole.virtual import locations
+
     with HANDLES.borrow(location) as dataset:
         names, virtual = [str(name) for name in dataset.files], dataset.driver == "VRT"
+        if virtual:
+            names = [name for name in names if not name.lstrip().startswith("<")]  # VRTs in its text
+            names += locations(dataset, stamped(location))
     found = dict.fromkeys([location, *sorted(names)])
     if virtual:
         for name in names:
@@ -147,15 +145,18 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
 
 
 def states(names: Iterable[str]) -> list[str]:
-    """What files are now, a text for each: absolute path, size and time of change; of others their names."""
+    """What files are now, a text for each: absolute name, size and time of change. Of what is not on this disk its name
+    alone: to ask servers for all parts of a mosaic takes longer than to read some of them."""
+    from orograph.dem.whole.files import absolute, on_disk
+
     said = []
     for name in names:
         try:
-            found = _on_disk(name).stat()
+            found = on_disk(name).stat()
         except (OSError, ValueError):
             said.append(name)
         else:
-            said.append(f"{Path(name).absolute()} {found.st_size} {found.st_mtime_ns}")
+            said.append(f"{absolute(name)} {found.st_size} {found.st_mtime_ns}")
     return said
 
 

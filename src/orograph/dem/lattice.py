@@ -142,11 +142,11 @@ def _lattice(first: Grid, members: list[Raster], grids: list[Grid], offsets: lis
     corners -= np.array([top, top, left, left])
     shape = (int(corners[:, 1].max()), int(corners[:, 3].max()))
     whole = Grid(shape, compose(first.transform, Affine.translation(left, top)), first.crs)
-    return Lattice(whole, members, corners, _around(whole))
+    return Lattice(whole, members, corners, around(whole))
 
 
-def _around(grid: Grid) -> int:
-    """Samples in a full turn of longitude if the grid covers one, else 0."""
+def around(grid: Grid) -> int:
+    """Samples in a full turn of longitude if a grid covers one (its columns then repeat), else 0."""
     if grid.crs is None or not grid.crs.is_geographic or grid.transform.b or grid.transform.d:
         return 0
     turn = full_turn(grid) / abs(grid.transform.a)

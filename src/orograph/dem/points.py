@@ -22,12 +22,13 @@ Array = NDArray[np.float64]
 Read = Callable[[int, int, int, int], NDArray[np.float32]]
 
 
-def heights_between(read: Read, shape: tuple[int, int], col: Array, row: Array) -> Array:
+def heights_between(read: Read, shape: tuple[int, int], col: Array, row: Array, *, beyond: bool = False) -> Array:
     """Heights (n,) at sample positions (n,), NaN where there is none.
 
     Args:
         read: a window [row0, row1) × [col0, col1) of the raster, float32, NaN where missing.
         shape: (rows, cols) of the raster; places more than half a sample beyond it have no height.
+        beyond: ``read`` takes windows that reach beyond the raster: around a globe the first column follows the last.
     """
     out = np.full(col.shape, np.nan)
     inside = np.isfinite(col) & np.isfinite(row)
@@ -41,7 +42,9 @@ def heights_between(read: Read, shape: tuple[int, int], col: Array, row: Array) 
             continue
         u, v = col[None, part], row[None, part]
         r0, r1 = max(int(np.floor(v.min())), 0), min(int(np.floor(v.max())) + 2, shape[0])
-        c0, c1 = max(int(np.floor(u.min())), 0), min(int(np.floor(u.max())) + 2, shape[1])
+        c0, c1 = int(np.floor(u.min())), int(np.floor(u.max())) + 2
+        if not beyond:
+            c0, c1 = max(c0, 0), min(c1, shape[1])
         found = np.full(u.shape, np.nan, np.float32)
         sample("bilinear", np.ascontiguousarray(read(r0, r1, c0, c1)), r0, c0, u, v, found)
         out[part] = found[0]
@@ -61,6 +64,6 @@ def heights_at(grid: Grid, layers: Sequence[LatticeMap], x: ArrayLike, y: ArrayL
         lost = np.flatnonzero(np.isnan(out))
         if len(lost):
             out[lost] = heights_between(
-                layer.lattice.read, layer.lattice.grid.shape, *layer.positions(col[lost], row[lost])
+                layer.lattice.read, layer.lattice.grid.shape, *layer.positions(col[lost], row[lost]), beyond=True
             )
     return out

@@ -234,7 +234,7 @@ class Source:
                 for band in self._bands_read(dataset):  # (after GDAL has seen that they are there)
                     check_blocks(dataset, key, band, (top, left, height, width), step, lent)
                 if self._mask == "gdal":
-                    check_mask(dataset, (top, left, height, width), lent)
+                    check_mask(dataset, key, (top, left, height, width), lent)
         if stamped(self.location) != self._opened:
             raise ReadError("The file was changed after it was opened.", path=self.path, remedy="Open it again.")
         if self._flip_rows:

@@ -12,7 +12,6 @@ number of threads, and fit to the bit. Units: samples for positions, metres for 
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import re
@@ -26,9 +25,8 @@ from pyproj import CRS
 
 from orograph.dem.erosion import drainage, stream_power
 from orograph.dem.noise import feature_points, fractal, gullies
-from orograph.errors import OutputError, UsageError
+from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.output import beside
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 
@@ -223,8 +221,9 @@ class Synth:
             OutputError: the file cannot be written.
         """
         import rasterio
-        from rasterio.errors import RasterioError
         from rasterio.windows import Window
+
+        from orograph.dem.writing import raster_file
 
         goal = Path(path)
         rows, cols = self.grid.shape
@@ -239,23 +238,13 @@ class Synth:
         tops, lefts = range(0, rows, TILE), range(0, cols, 4 * TILE)
         windows = [(r, min(r + TILE, rows), c, min(c + 4 * TILE, cols)) for r in tops for c in lefts]
         self.prepare(progress)
-        temporary = Path(f"{beside(goal, 'part')}.tif")
-        try:
-            with rasterio.open(temporary, "w", **profile) as file:
-                file.update_tags(1, UNITTYPE="m")
-                with progress.task(f"Writing {goal.name}", total=len(windows)) as task:
-                    blocks = map_ordered(lambda w: self.read(*w), windows, jobs)
-                    for (r0, r1, c0, c1), block in zip(windows, blocks):
-                        file.write(block, 1, window=Window(c0, r0, c1 - c0, r1 - r0))
-                        task.advance()
-            temporary.replace(goal)
-        except (OSError, RasterioError) as error:
-            raise OutputError(
-                f"It cannot be written: {error}", path=goal, remedy="Check the folder, its permissions and free space."
-            ) from None
-        finally:
-            with contextlib.suppress(OSError):
-                temporary.unlink(missing_ok=True)
+        with raster_file(goal) as part, rasterio.open(part, "w", **profile) as file:
+            file.update_tags(1, UNITTYPE="m")
+            with progress.task(f"Writing {goal.name}", total=len(windows)) as task:
+                blocks = map_ordered(lambda w: self.read(*w), windows, jobs)
+                for (r0, r1, c0, c1), block in zip(windows, blocks):
+                    file.write(block, 1, window=Window(c0, r0, c1 - c0, r1 - r0))
+                    task.advance()
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -40,21 +40,50 @@ of the small lakes of Vermont and California each has more than 0.64."""
 
 ROUND, HOUSES, WALL, WALLED = 10.0, 3, 0.5, 0.5
 """The lowest level, if it is a multiple of ``ROUND`` metres, is clipped ground where more than ``HOUSES`` islands
-stand in it and at least ``WALLED`` of what adjoins it is higher by more than ``WALL`` of a step, as natural shores
-are not."""
+stand in its areas and at least ``WALLED`` of what adjoins them is higher by more than ``WALL`` of a step, as
+natural shores are not."""
 
 
 @kernel
-def _islands(heights, level):
-    """Islands in what is at ``level``, less its connected parts: from the corners of its outline (Gray 1971)."""
+def _grown(heights, level, lowest):
+    """The areas at ``lowest`` with their shores, and how many they are."""
     rows, cols = heights.shape
+    grown = np.zeros(heights.shape, np.bool_)
+    for r in range(rows):
+        for c in range(cols):
+            if level[r, c] and heights[r, c] == lowest:
+                for i in range(max(r - 1, 0), min(r + 2, rows)):
+                    for j in range(max(c - 1, 0), min(c + 2, cols)):
+                        grown[i, j] = heights[i, j] == lowest or grown[i, j]
+    left, stack, parts = grown.copy(), [0], 0
+    for seed in range(rows * cols):
+        if not left[seed // cols, seed % cols]:
+            continue
+        parts += 1
+        left[seed // cols, seed % cols] = False
+        stack.append(seed)
+        while len(stack) > 1:
+            at = stack.pop()
+            r, c = at // cols, at % cols
+            for i in range(max(r - 1, 0), min(r + 2, rows)):
+                for j in range(max(c - 1, 0), min(c + 2, cols)):
+                    if left[i, j]:
+                        left[i, j] = False
+                        stack.append(i * cols + j)
+    return grown, parts
+
+
+@kernel
+def _islands(area):
+    """Islands in an area, less its connected parts: from the corners of its outline (Gray 1971)."""
+    rows, cols = area.shape
     turns = 0
     for i in range(rows + 1):
         for j in range(cols + 1):
-            nw = i > 0 and j > 0 and heights[i - 1, j - 1] == level
-            ne = i > 0 and j < cols and heights[i - 1, j] == level
-            sw = i < rows and j > 0 and heights[i, j - 1] == level
-            se = i < rows and j < cols and heights[i, j] == level
+            nw = i > 0 and j > 0 and area[i - 1, j - 1]
+            ne = i > 0 and j < cols and area[i - 1, j]
+            sw = i < rows and j > 0 and area[i, j - 1]
+            se = i < rows and j < cols and area[i, j]
             count = int(nw) + int(ne) + int(sw) + int(se)
             turns += int(count == 3) - int(count == 1) + 2 * int(count == 2 and nw == se)
     return turns // 4
@@ -95,7 +124,7 @@ def _rises(heights, inner, area, reach):
 
 
 @kernel
-def _flood(heights, level, inner, spacing, lowest, reach, cut, verdict, open_area):
+def _flood(heights, level, inner, clipped, reach, cut, verdict, open_area):
     """Judge the connected level areas (see ``judge``); ``level`` is used up. Returns the verdicts on open areas."""
     rows, cols = heights.shape
     stack = np.empty(rows * cols, np.int64)
@@ -135,9 +164,7 @@ def _flood(heights, level, inner, spacing, lowest, reach, cut, verdict, open_are
             plain = height != 0.0 and height == np.round(height)
             rising = RISING if size >= SMALL else RISING_SMALL
             wet = higher >= BANKS * lower and not (plain and _rises(heights, inner, stack[:size], reach) < rising)
-            if wet and plain and height == lowest and height % ROUND == 0.0 and _islands(heights, height) > HOUSES:
-                wet = _walled(heights, inner, stack[:size], spacing) < WALLED
-            found = np.int8(1 if wet else -1)
+            found = np.int8(1 if wet and height != clipped else -1)
         if is_open:
             verdicts.append(found)
         elif found == 0:
@@ -175,10 +202,24 @@ def judge(
     if level.any():
         reach = min(max(round(REACH / spacing) + 1, 4), 8)  # from the rim, one sample inside the shore
         inner = _same(heights, level)
-        verdicts = _flood(
-            np.ascontiguousarray(heights), level, inner, spacing, lowest, reach, cut, verdict, open_area
-        )  # fmt: skip
+        heights = np.ascontiguousarray(heights)
+        clipped = lowest if _is_clipped(heights, level, inner, spacing, lowest) else np.nan
+        verdicts = _flood(heights, level, inner, clipped, reach, cut, verdict, open_area)
     return verdict, open_area, verdicts
+
+
+def _is_clipped(
+    heights: NDArray[np.float32], level: NDArray[np.bool_], inner: NDArray[np.bool_], spacing: float, lowest: float
+) -> bool:
+    """Whether what is at the lowest height is ground that was clipped there, not water: houses stand in it. All of its
+    areas are looked at together, for none of them alone need have many."""
+    if lowest == 0.0 or lowest % ROUND != 0.0:
+        return False
+    grown, parts = _grown(heights, level, lowest)
+    if not parts or _islands(grown) + parts <= HOUSES:
+        return False
+    area = np.flatnonzero(level & (heights == lowest))
+    return bool(_walled(heights, inner, area, spacing) >= WALLED)
 
 
 def find_water(heights: NDArray[np.float32], spacing: float = 100.0) -> NDArray[np.bool_]:

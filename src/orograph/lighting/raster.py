@@ -14,7 +14,6 @@ import mmap
 import os
 import sys
 import tempfile
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,17 +21,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.handles import cause_of
+from orograph.dem.writing import check_written, raster_file
 from orograph.errors import OutputError
 from orograph.geo.grid import Grid
-from orograph.output import Beside, check_folder, check_room, remove
+from orograph.output import check_folder, check_room, remove
 from orograph.parallel import cpu_count
 from orograph.progress import SILENT, Progress
 
 Values = NDArray[np.float32]
 
-_GDAL_CACHE = 64
-"""MiB of GDAL's block cache while a file is written."""
+_GDAL_CACHE = 1 << 20
+"""Bytes of GDAL's block cache while a file is written: its blocks are written once, so nothing need wait there."""
 _LEVEL = 4
 """Of DEFLATE: twice as fast as its default, 1 % larger."""
 _HEADER, _PER_TILE = 1 << 12, 16
@@ -184,7 +183,6 @@ def write(
         OutputError: it cannot be written. What was there before is there still.
     """
     import rasterio
-    from rasterio.errors import RasterioError
     from rasterio.shutil import copy
 
     out = Path(path)
@@ -198,37 +196,30 @@ def write(
         "transform": grid.transform, "tiled": True, "blockxsize": 256, "blockysize": 256, "bigtiff": "IF_SAFER",
         "interleave": "band",
     }  # fmt: skip
-    with Beside(out) as part:
+    with raster_file(out, _GDAL_CACHE) as part:
         plain = part.with_name(part.name + ".tif")
         try:
-            # GDAL would cache a twentieth of the machine's memory.
-            with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE), warnings.catch_warnings():
-                warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-                with rasterio.open(plain, "w", **profile) as file:
-                    for k, band in enumerate(bands, 1):
-                        file.set_band_description(k, band.name)
-                        file.update_tags(k, description=band.doc)
-                    file.units = tuple(band.unit for band in bands)
-                    if byte:
-                        file.scales = tuple(b.scale[0] for b in bands)
-                        file.offsets = tuple(b.scale[1] for b in bands)
-                    file.update_tags(**(tags or {}))
-                    for first, row, col, values in blocks:
-                        window = rasterio.windows.Window(col, row, values.shape[2], values.shape[1])
-                        for k, layer in enumerate(values):
-                            data = bands[first + k].to_bytes(layer) if byte else layer
-                            file.write(data, first + k + 1, window=window)
-                with progress.task("Writing the file"):
-                    copy(
-                        plain, part, driver="COG", COMPRESS="DEFLATE", LEVEL=_LEVEL, BLOCKSIZE=512,
-                        PREDICTOR="STANDARD" if byte else "FLOATING_POINT", BIGTIFF="IF_SAFER",
-                        OVERVIEW_RESAMPLING=overviews.upper(), NUM_THREADS=jobs or cpu_count(),
-                    )  # fmt: skip
-        except (RasterioError, rasterio._err.CPLE_BaseError) as error:
-            raise OutputError(
-                f"The file cannot be written: {cause_of(error)}", path=out,
-                remedy="See that the disk has room and the folder is yours to write in.",
-            ) from error  # fmt: skip
+            with rasterio.open(plain, "w", **profile) as file:
+                for k, band in enumerate(bands, 1):
+                    file.set_band_description(k, band.name)
+                    file.update_tags(k, description=band.doc)
+                file.units = tuple(band.unit for band in bands)
+                if byte:
+                    file.scales = tuple(b.scale[0] for b in bands)
+                    file.offsets = tuple(b.scale[1] for b in bands)
+                file.update_tags(**(tags or {}))
+                for first, row, col, values in blocks:
+                    window = rasterio.windows.Window(col, row, values.shape[2], values.shape[1])
+                    for k, layer in enumerate(values):
+                        data = bands[first + k].to_bytes(layer) if byte else layer
+                        file.write(data, first + k + 1, window=window)
+            check_written(plain, out)
+            with progress.task("Writing the file"):
+                copy(
+                    plain, part, driver="COG", COMPRESS="DEFLATE", LEVEL=_LEVEL, BLOCKSIZE=512,
+                    PREDICTOR="STANDARD" if byte else "FLOATING_POINT", BIGTIFF="IF_SAFER",
+                    OVERVIEW_RESAMPLING=overviews.upper(), NUM_THREADS=jobs or cpu_count(),
+                )  # fmt: skip
         finally:
             remove(plain)
             # What the copy leaves when it is interrupted.

@@ -14,10 +14,10 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-from orograph.errors import OutputError
+from orograph.dem.writing import raster_file
 from orograph.geo.grid import compose
 from orograph.measuring.viewshed import Viewshed
-from orograph.output import Beside, check_folder
+from orograph.output import check_folder
 
 Values = NDArray[np.float32]
 Color = tuple[int, int, int, int]
@@ -42,7 +42,6 @@ def save_paint(
         OutputError: it cannot be written.
     """
     import rasterio
-    from rasterio.errors import RasterioError
 
     rows, cols = shed.grid.shape
     step = 1
@@ -63,12 +62,9 @@ def save_paint(
     out = Path(path)
     check_folder(out)
     transform = compose(shed.grid.transform, Affine.scale(step))
-    try:
-        with Beside(out) as part_file, rasterio.open(
-            part_file, "w", driver="GTiff", height=image.shape[1], width=image.shape[2], count=4, dtype="uint8",
-            crs=None if shed.grid.crs is None else shed.grid.crs.to_wkt(), transform=transform, compress="deflate",
-            tiled=True, photometric="RGB", alpha="non-premultiplied",
-        ) as file:  # fmt: skip
-            file.write(image)
-    except RasterioError as error:
-        raise OutputError(f"The image cannot be written: {error}.", path=out) from error
+    with raster_file(out) as part_file, rasterio.open(
+        part_file, "w", driver="GTiff", height=image.shape[1], width=image.shape[2], count=4, dtype="uint8",
+        crs=None if shed.grid.crs is None else shed.grid.crs.to_wkt(), transform=transform, compress="deflate",
+        tiled=True, photometric="RGB", alpha="non-premultiplied",
+    ) as file:  # fmt: skip
+        file.write(image)

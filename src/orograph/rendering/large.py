@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.handles import bounded_cache
+from orograph.dem.writing import raster_file
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.layers import drawn as visible
-from orograph.output import Beside, beside, check_folder
+from orograph.output import beside, check_folder, remove
 from orograph.parallel import aside
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
@@ -110,8 +110,8 @@ def draw_large(
         if scene.annotations.furniture:
             sheet.furnish()
         scratch.close()
-        with progress.task(f"Writing {out.name}"), Beside(out) as part:
-            aside(lambda: encode(scratch, part, kind, place))
+        with progress.task(f"Writing {out.name}"):
+            aside(lambda: encode(scratch, kind, place))
     sheet.facts["seconds"] = {"all": round(time.perf_counter() - began, 4)}
     return sheet.facts
 
@@ -254,7 +254,7 @@ class Scratch:
     def __exit__(self, *error: object) -> None:
         self.file.close()
         for path in (self.path, self.header):
-            path.unlink(missing_ok=True)
+            remove(path)
 
 
 class DepthFile:
@@ -262,37 +262,32 @@ class DepthFile:
 
     def __init__(self, out: Path, width: int, height: int, place: Grid | None) -> None:
         self.out, self.width, self.height, self.place = out, width, height, place
-        self.beside = Beside(out)
+        self.stack = ExitStack()
 
     def __enter__(self) -> DepthFile:
         import rasterio
 
-        part = self.beside.__enter__()
-        self.env = rasterio.Env(**bounded_cache())
-        self.env.__enter__()
-        with quiet():
-            self.file: Any = rasterio.open(
+        with ExitStack() as stack:
+            part = stack.enter_context(raster_file(self.out))
+            self.file: Any = stack.enter_context(rasterio.open(
                 part, "w", driver="GTiff", width=self.width, height=self.height, count=1, dtype="float32",
                 compress="deflate", predictor=3, nodata=float("nan"), BIGTIFF="IF_SAFER", **located(self.place),
-            )  # fmt: skip
+            ))  # fmt: skip
             self.file.set_band_description(1, "view-space depth, metres")
+            self.stack = stack.pop_all()
         return self
 
     def write(self, depth: NDArray[np.float32], top: int) -> None:
         """Rows (rows, width) from ``top`` on."""
         from rasterio.windows import Window
 
-        with quiet():
-            self.file.write(depth, 1, window=Window(0, top, self.width, len(depth)))
+        self.file.write(depth, 1, window=Window(0, top, self.width, len(depth)))
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        with quiet():
-            self.file.close()
-        self.env.__exit__()
-        self.beside.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self.stack.__exit__(*error)
 
 
-def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None) -> None:
+def encode(scratch: Scratch, kind: str, place: Grid | None) -> None:
     """Write what is in the scratch file as a picture, reading and writing a few rows at a time.
 
     Raises:
@@ -300,7 +295,6 @@ def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None) -> None:
     """
     import rasterio
     import rasterio.shutil
-    from rasterio.errors import RasterioError
 
     options: dict[str, dict[str, Any]] = {
         "PNG": {"ZLEVEL": 4},
@@ -309,19 +303,16 @@ def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None) -> None:
         "TIFF": {"COMPRESS": "DEFLATE", "PREDICTOR": 2, "BIGTIFF": "IF_SAFER", "PHOTOMETRIC": "RGB"},
     }
     driver = {"TIFF": "GTiff"}.get(kind, kind)
-    try:
-        with rasterio.Env(GDAL_PAM_ENABLED="NO", **bounded_cache()), quiet():
-            if kind == "TIFF":
-                with rasterio.open(scratch.path) as source, rasterio.open(
-                    part, "w", driver=driver, width=scratch.width, height=scratch.height, count=3, dtype="uint8",
-                    interleave="pixel", **options[kind], **located(place),
-                ) as file:  # fmt: skip
-                    for _, window in source.block_windows(1):
-                        file.write(source.read(window=window), window=window)
-            else:
-                rasterio.shutil.copy(scratch.path, part, driver=driver, **options[kind])
-    except RasterioError as error:
-        raise OutputError(f"The picture cannot be written: {error}.", path=scratch.out) from error
+    with raster_file(scratch.out) as part:
+        if kind == "TIFF":
+            with rasterio.open(scratch.path) as source, rasterio.open(
+                part, "w", driver=driver, width=scratch.width, height=scratch.height, count=3, dtype="uint8",
+                interleave="pixel", **options[kind], **located(place),
+            ) as file:  # fmt: skip
+                for _, window in source.block_windows(1):
+                    file.write(source.read(window=window), window=window)
+        else:
+            rasterio.shutil.copy(scratch.path, part, driver=driver, **options[kind])
 
 
 def located(place: Grid | None) -> dict[str, Any]:
@@ -329,12 +320,3 @@ def located(place: Grid | None) -> dict[str, Any]:
     if place is None:
         return {}
     return {"transform": place.transform} | ({} if place.crs is None else {"crs": place.crs.to_wkt()})
-
-
-def quiet() -> Any:
-    """Without rasterio's remark that a picture in perspective lies nowhere."""
-    import warnings
-
-    from rasterio.errors import NotGeoreferencedWarning
-
-    return warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning)

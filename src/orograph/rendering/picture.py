@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from orograph.errors import OutputError, UsageError
+from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import Tint
 from orograph.output import Beside
@@ -54,7 +55,7 @@ class Picture:
         out = Path(path)
         kind = picture_format(out)
         if kind == "TIFF" and self.grid is not None:
-            self._write_tiff(out, self.pixels.transpose(2, 0, 1), "picture", {"photometric": "RGB", "predictor": 2})
+            self._write_tiff(out, self.pixels.transpose(2, 0, 1), {"photometric": "RGB", "predictor": 2})
             return out
         return save_pixels(self.pixels, out)
 
@@ -65,19 +66,16 @@ class Picture:
             OutputError: the file cannot be written.
         """
         out = Path(path)
-        self._write_tiff(
-            out, self.depth[None], "depth", {"nodata": float("nan"), "predictor": 3}, "view-space depth, metres"
-        )
+        self._write_tiff(out, self.depth[None], {"nodata": float("nan"), "predictor": 3}, "view-space depth, metres")
         return out
 
     def _write_tiff(
-        self, out: Path, bands: NDArray[Any], what: str, creation: dict[str, Any], description: str | None = None
+        self, out: Path, bands: NDArray[Any], creation: dict[str, Any], description: str | None = None
     ) -> None:
         """Write bands (count, height, width) deflated, with the plan's place if this is one."""
-        import warnings
-
         import rasterio
-        from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+        from orograph.dem.writing import raster_file
 
         count, rows, cols = bands.shape
         profile = {
@@ -88,15 +86,10 @@ class Picture:
             profile["transform"] = self.grid.transform
             if self.grid.crs is not None:
                 profile["crs"] = self.grid.crs.to_wkt()
-        with Beside(out) as part, warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            try:
-                with rasterio.open(part, "w", **profile) as file:
-                    file.write(bands)
-                    if description is not None:
-                        file.set_band_description(1, description)
-            except RasterioError as error:
-                raise OutputError(f"The {what} cannot be written: {error}.", path=out) from error
+        with raster_file(out) as part, rasterio.open(part, "w", **profile) as file:
+            file.write(bands)
+            if description is not None:
+                file.set_band_description(1, description)
 
 
 def plan_grid(view: View, crs: CRS | None) -> Grid | None:
@@ -127,8 +120,10 @@ def save_pixels(pixels: NDArray[np.uint8], out: Path) -> Path:
         "WEBP": {"lossless": True},
         "TIFF": {"compression": "tiff_deflate"},
     }
+    encoded = io.BytesIO()  # not the file: of a full disk libtiff speaks for itself
+    Image.fromarray(pixels).save(encoded, format=kind, **every[kind])
     with Beside(out) as part:
-        Image.fromarray(pixels).save(part, format=kind, **every[kind])
+        part.write_bytes(encoded.getbuffer())
     return out
 
 

@@ -1,13 +1,13 @@
 """What a store was built from, as its record keeps it: so that it can be built or mended again by one command.
 
-Paths are absolute; of URLs what may be secret (user, password, query) is left out.
+Each input has its own state and that of the files beside it (headers, masks, the parts of a VRT): a change of any is a
+change of the input. Paths are absolute; of URLs what may be secret (user, password, query) is left out.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from orograph.progress import SILENT, Progress
@@ -26,16 +26,28 @@ def inputs_of(source: HeightSource) -> dict[str, Any] | None:
     files, options = found
     return {
         "files": [_file(path) for path in files],
+        "beside": [_beside(path) for path in files],
+        "geoid": _file(options["geoid"]) if options.get("geoid") else None,
         "options": {k: v for k, v in options.items() if v is not None and v != DEFAULTS.get(k)},
     }
 
 
+def _beside(path: str) -> list[dict[str, Any]]:
+    """The other files on this disk that decide an input's samples."""
+    from orograph.dem.handles import files_of, locate
+
+    found = {file["path"]: file for file in map(_file, files_of(locate(path))) if file["size"] is not None}
+    return [file for name, file in found.items() if name not in (_file(path)["path"], _file(locate(path))["path"])]
+
+
 def _file(path: str) -> dict[str, Any]:
-    file = Path(path)
+    from orograph.dem.whole.files import absolute, on_disk
+
+    file = on_disk(path)
     if not file.is_file():
-        return {"path": str(file.absolute()) if file.exists() else _public(path), "size": None, "time_ns": None}
+        return {"path": absolute(path) if file.exists() else _public(path), "size": None, "time_ns": None}
     found = file.stat()
-    return {"path": str(file.absolute()), "size": found.st_size, "time_ns": found.st_mtime_ns}
+    return {"path": absolute(path), "size": found.st_size, "time_ns": found.st_mtime_ns}
 
 
 def _public(url: str) -> str:
@@ -57,12 +69,16 @@ def reopened(inputs: Mapping[str, Any], progress: Progress = SILENT) -> HeightSo
 def changes(inputs: Mapping[str, Any]) -> list[str]:
     """What became of the files since: a sentence for each that is gone or another."""
     told = []
-    for file in inputs["files"]:
+    files, geoid = inputs["files"], inputs.get("geoid")
+    found = [(file, file["path"]) for file in (*files, *([geoid] if geoid else []))]
+    for main, beside in zip(files, inputs.get("beside", ())):  # older stores list neither
+        found += [(file, f"{file['path']} (of {main['path']})") for file in beside]
+    for file, name in found:
+        now = _file(file["path"])
         if file["size"] is None:
             continue
-        now = _file(file["path"])
         if now["size"] is None:
-            told.append(f"{file['path']} is gone.")
+            told.append(f"{name} is gone.")
         elif now != file:
-            told.append(f"{file['path']} was changed.")
+            told.append(f"{name} was changed.")
     return told

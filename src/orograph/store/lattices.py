@@ -91,22 +91,28 @@ class StoredLattice:
     """
 
     def __init__(self, grid: Grid, array: ShardedArray) -> None:
+        from orograph.dem.lattice import around
+
         self.grid, self._array = grid, array
+        self._circle = around(grid)
         self.code = array.spec.dtype, array.spec.fill
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        """A window, which may reach beyond the grid: its shape, float32 metres, NaN where there is none.
+        """A window, which may reach beyond the grid (around a globe columns repeat): its shape, float32 metres, NaN
+        where there is none.
 
         Raises:
             DamagedChunkError, StoreReplacedError: as ``ShardedArray.read``.
         """
         rows, cols = self.grid.shape
         out = np.full((row1 - row0, col1 - col0), np.nan, np.float32)
-        a, b, c, d = max(row0, 0), min(row1, rows), max(col0, 0), min(col1, cols)
-        if a < b and c < d:
-            numbers = self._array.read(a, b, c, d)
-            part = out[a - row0 : b - row0, c - col0 : d - col0]
-            np.copyto(part, numbers, casting="unsafe", where=numbers != self._array.spec.fill)
+        a, b = max(row0, 0), min(row1, rows)
+        for shift in (0, -self._circle, self._circle) if self._circle else (0,):
+            c, d = max(col0 - shift, 0), min(col1 - shift, cols)
+            if a < b and c < d:
+                numbers = self._array.read(a, b, c, d)
+                part = out[a - row0 : b - row0, c + shift - col0 : d + shift - col0]
+                np.copyto(part, numbers, casting="unsafe", where=(numbers != self._array.spec.fill) & np.isnan(part))
         return out
 
 

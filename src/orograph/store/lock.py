@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from orograph.errors import StoreError
-from orograph.output import beside
+from orograph.output import beside, remove
 from orograph.processes import host, running
 from orograph.store.storage import FolderStorage, Storage
 
@@ -102,8 +102,7 @@ class _Owner:
         self.path = path
 
     def release(self) -> None:
-        with contextlib.suppress(OSError):
-            self.path.unlink()
+        remove(self.path)
 
 
 def _take(path: Path, url: str, doing: str, shared: str | None) -> _Flock | _Owner:
@@ -119,7 +118,7 @@ def _take(path: Path, url: str, doing: str, shared: str | None) -> _Flock | _Own
         except OSError as error:
             if error.errno not in UNSUPPORTED:
                 raise
-            path.unlink(missing_ok=True)
+            remove(path)
             return _own(path.with_suffix(".owner"), url, doing, shared)
         finally:
             if lock is None:
@@ -240,7 +239,7 @@ def _create(path: Path, data: bytes) -> None:
         with os.fdopen(fd, "wb") as file:
             file.write(data)
     finally:
-        whole.unlink(missing_ok=True)
+        remove(whole)
 
 
 def _owner(path: Path) -> dict[str, Any]:
@@ -271,4 +270,4 @@ def _given_up(path: Path) -> bool:
             return True
         return False
     finally:
-        guard.unlink()
+        remove(guard)

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from orograph.errors import StoreError
+from orograph.output import remove
 from orograph.store.ranges import Range, cut, merged
 
 OPEN_FILES = 128
@@ -158,7 +159,7 @@ class FolderStorage(Storage):
                     self._open.pop(key, None)  # what was there before is not what is read from now on
                 beside.replace(path)
             except BaseException:
-                beside.unlink(missing_ok=True)
+                remove(beside)
                 raise
         except OSError as error:
             raise self._failed("written", key, error) from error

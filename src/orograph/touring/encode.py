@@ -8,6 +8,7 @@ by one, each whole, so that a film of pictures can be taken up again.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from fractions import Fraction
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OutputError, UsageError
-from orograph.output import Beside, check_folder
+from orograph.output import Beside, check_folder, remove
 
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame
@@ -241,6 +242,8 @@ class Video:
 class Pictures:
     """One picture per frame; frames that are there already are kept.
 
+    A hidden file beside them says which film they are of.
+
     Args:
         path: with a number in its name, such as frames/%05d.png; its folder is made.
         fingerprint: of the film (``Film.fingerprint``): frames of another are never mixed with these.
@@ -249,6 +252,8 @@ class Pictures:
 
     def __init__(self, path: str | Path, fingerprint: str, overwrite: bool = False) -> None:
         self.path, self.fingerprint, self.overwrite = Path(path), fingerprint, overwrite
+        self.sign = self.path.with_name(f".{NUMBERED.sub('N', self.path.name)}.film")
+        self.made: list[Path] = []
 
     def of(self, number: int) -> Path:
         """The path of a frame."""
@@ -259,27 +264,39 @@ class Pictures:
 
     def __enter__(self) -> Self:
         folder = self.path.parent
+        self.made = [at for at in (folder, *folder.parents) if not at.exists()]
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            stem = NUMBERED.sub("N", self.path.name)
-            sign = folder / f".{stem}.film"
-            known = sign.read_text(encoding="ascii").strip() if sign.is_file() else None
-            others = known is None and any(self._frames(folder))
+            known = self.sign.read_text(encoding="ascii").strip() if self.sign.is_file() else None
+            others = known is None and any(self._frames())
             if not self.overwrite and (others or known not in (None, self.fingerprint)):
                 raise UsageError(
                     "There are frames of another film (or of another size, light, …) here.", path=folder,
                     remedy="Choose another folder, or draw over them with `overwrite=True`.",
                 )  # fmt: skip
-            with Beside(sign) as part:
+            with Beside(self.sign) as part:
                 part.write_text(self.fingerprint + "\n", encoding="ascii")
         except OSError as error:
+            self._tidy()
             raise OutputError(f"The frames cannot be written: {error.strerror}.", path=folder) from error
+        except OutputError:
+            self._tidy()
+            raise
         return self
 
-    def _frames(self, folder: Path) -> list[Path]:
+    def _tidy(self) -> None:
+        """Without a frame there is nothing to take up again: leave no sign of the film, nor folders made for it."""
+        with contextlib.suppress(OSError):
+            if not self._frames():
+                remove(self.sign)
+                for folder in self.made:
+                    folder.rmdir()
+
+    def _frames(self) -> list[Path]:
+        """The frames that are there, of this film or another."""
         before, after = NUMBERED.split(self.path.name)[0], NUMBERED.split(self.path.name)[-1]
         pattern = re.compile(re.escape(before % ()) + r"\d+" + re.escape(after % ()))
-        return [f for f in folder.iterdir() if pattern.fullmatch(f.name)]
+        return [f for f in self.path.parent.iterdir() if pattern.fullmatch(f.name)]
 
     def add(self, number: int, pixels: Pixels) -> None:
         from orograph.rendering.picture import save_pixels
@@ -289,4 +306,4 @@ class Pictures:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        return None
+        self._tidy()

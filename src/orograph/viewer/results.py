@@ -32,15 +32,24 @@ def paint(values: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def save_rgba(path: Path, pixels: NDArray[np.uint8], grid: Any) -> None:
-    """A GeoTIFF (rows, cols, 4) on a grid."""
+    """A GeoTIFF (rows, cols, 4) on a grid.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
     import rasterio
     from rasterio.enums import ColorInterp
 
+    from orograph.dem.writing import raster_file
+
     rows, cols = pixels.shape[:2]
     crs = {} if grid.crs is None else {"crs": grid.crs.to_wkt()}
-    with rasterio.open(
-        path, "w", driver="GTiff", width=cols, height=rows, count=4, dtype="uint8", transform=grid.transform, **crs
-    ) as file:
+    with (
+        raster_file(path) as part,
+        rasterio.open(
+            part, "w", driver="GTiff", width=cols, height=rows, count=4, dtype="uint8", transform=grid.transform, **crs
+        ) as file,
+    ):
         file.colorinterp = ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha
         file.write(pixels.transpose(2, 0, 1))
 

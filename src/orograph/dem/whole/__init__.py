@@ -22,6 +22,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -116,20 +117,24 @@ def check_blocks(dataset: Any, key: object, band: int, window: Window, step: int
         lend: opens the files of which a VRT is made.
     """
     if dataset.driver == "VRT":
-        check_parts(dataset, key, window, lambda *part: _check_part(lend, *part))
+        check_parts(dataset, key, window, partial(_check_part, lend))
     else:
         deflate.check_blocks(dataset, key, band, window, step)
 
 
-def check_mask(dataset: Any, window: Window, lend: Lend) -> None:
-    """Raise ReadError if a window (as above) of the mask of a GeoTIFF is damaged: GDAL writes masks as Deflate."""
+def check_mask(dataset: Any, key: object, window: Window, lend: Lend) -> None:
+    """Raise ReadError if a window (arguments as above) of the mask of a GeoTIFF or VRT is damaged: GDAL writes masks as
+    Deflate."""
     name = main_file(dataset)
-    if dataset.driver != "GTiff" or not here(name):
+    if dataset.driver not in ("GTiff", "VRT") or not here(name):
+        return
+    if dataset.driver == "VRT":
+        check_parts(dataset, key, window, partial(_check_part, lend), mask=True)
         return
     beside = next((file for file in dataset.files if str(file).endswith(".msk")), None)
     location = _inner_mask(name, dataset.shape, lend) if beside is None else str(beside)
     if location is not None:
-        _check_part(lend, location, 1, window)
+        _check_part(lend, location, 1, window, False)
 
 
 def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
@@ -145,12 +150,15 @@ def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
     return None
 
 
-def _check_part(lend: Lend, location: str, band: int, window: Window | None) -> None:
-    """Look at a window (None: all) of a file that is a part of another."""
+def _check_part(lend: Lend, location: str, band: int, window: Window | None, mask: bool) -> None:
+    """Look at a window (None: all) of a file that is a part of another, or of that file's mask."""
     with lend(location) as (dataset, key):
         top, left, height, width = window or (0, 0, dataset.height, dataset.width)
         bottom, right = min(top + height, dataset.height), min(left + width, dataset.width)
         top, left = max(top, 0), max(left, 0)
         if top < bottom and left < right:
             window = top, left, bottom - top, right - left
-            check_blocks(dataset, key, min(band, dataset.count), window, 1, lend)
+            if mask:
+                check_mask(dataset, key, window, lend)
+            else:
+                check_blocks(dataset, key, min(band, dataset.count), window, 1, lend)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 import shutil
 import tempfile
 import zipfile
@@ -20,6 +21,48 @@ _FETCHED = {"PNG", "AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ"}
 """Formats that GDAL fetches whole in any case, so that a remote one may be fetched to be looked at."""
 
 
+_INNER = re.compile(
+    r"""([A-Z][A-Z0-9_]+:(?:\d+:|[A-Z]+(?:_[A-Z]+)*:(?="))?)  # the driver, and what is before the file
+        (?:"([^"]*)"|((?:[A-Za-z]:(?=[\\/]))?[^:"]+))(.*)  # the file, and the raster in it""",
+    re.VERBOSE | re.DOTALL,
+)
+_ARCHIVE = re.compile(r"/vsi(?:zip|tar|gzip|7z|rar)/")
+
+
+def file_in(name: str) -> tuple[str, str, str]:
+    """A name of GDAL's cut into what is before the file, the file, and what follows: of ``NETCDF:"a.nc":z`` the file is
+    ``a.nc``. Of most names all is the file."""
+    found = _INNER.fullmatch(name)
+    if found is None or Path(name).is_file():
+        return "", name, ""
+    before, quoted, plain, after = found.groups()
+    return (f'{before}"', quoted, f'"{after}') if quoted is not None else (before, plain, after)
+
+
+def on_disk(name: str) -> Path:
+    """The file on this disk behind a name of GDAL's: of what lies in an archive the archive. It need not be there."""
+    name = file_in(name)[1]
+    inside = _ARCHIVE.match(name)
+    if inside is None:
+        return Path(name)
+    path = Path(name[inside.end() :].removeprefix("{").partition("}")[0])
+    return next((at for at in (path, *path.parents) if at.is_file()), path)
+
+
+def absolute(name: str) -> str:
+    """A name of GDAL's that means the same file from any folder; of what is not on this disk the name."""
+    before, file, after = file_in(name)
+    at = on_disk(name)
+    if not at.exists():
+        return name
+    archive = _ARCHIVE.match(file)
+    if archive is None:
+        return f"{before}{at.absolute()}{after}"
+    head, path = archive[0], file[archive.end() :]
+    brace = "{" if path.startswith("{") else ""
+    return f"{before}{head}{brace}{at.absolute()}{path[len(brace) + len(str(at)) :]}{after}"
+
+
 def main_file(dataset: Any) -> str:
     """GDAL's name of the file that holds a dataset's samples or header."""
     return str(dataset.files[0] if dataset.files else dataset.name)
@@ -27,7 +70,7 @@ def main_file(dataset: Any) -> str:
 
 def archived(name: str) -> bool:
     """Whether a file of GDAL's name lies in a .zip or .gz."""
-    return name.startswith(("/vsizip/{", "/vsigzip/"))
+    return name.startswith("/vsigzip/") or (name.startswith("/vsizip/") and on_disk(name).is_file())
 
 
 def here(name: str) -> bool:
@@ -43,8 +86,9 @@ def stream(name: str) -> Iterator[IO[bytes]]:
         ReadError: an archive is damaged.
     """
     try:
-        if name.startswith("/vsizip/{"):
-            archive, _, member = name.removeprefix("/vsizip/{").partition("}/")
+        if name.startswith("/vsizip/"):
+            archive = str(on_disk(name))
+            member = name.removeprefix("/vsizip/").removeprefix("{")[len(archive) :].lstrip("}/")
             with zipfile.ZipFile(archive) as packed, packed.open(member) as inside:
                 yield inside
         elif name.startswith("/vsigzip/"):

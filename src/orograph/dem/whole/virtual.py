@@ -2,7 +2,7 @@
 
 GDAL reads the sources of a VRT with their own drivers, and so reads past the same damage. The VRT's XML says which
 rectangle of which file lies where (https://gdal.org/drivers/raster/vrt.html). Files whose rectangles are not simply
-mapped (warped, pansharpened) are looked at as a whole. Units: samples.
+mapped (warped, pansharpened) are looked at as a whole. What is not on this disk is not looked at. Units: samples.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from orograph.dem.whole.files import DAMAGED, here, main_file, stream
+from orograph.dem.whole.files import DAMAGED, file_in, here, main_file, on_disk, stream
 from orograph.errors import ReadError
 
 Rect = tuple[float, float, float, float]
 Window = tuple[int, int, int, int]
-Check = Callable[[str, int, Window | None], None]
+Check = Callable[[str, int, Window | None, bool], None]
 
 MARGIN = 2
 """Samples around a mapped window that resampling may look at."""
@@ -38,6 +38,8 @@ class Part(NamedTuple):
         band: of it, from 1.
         source, target: left, top, width, height in it and in the VRT; None: all of it.
         needs: bytes that a file of raw samples must have; 0 of other files.
+        by_mask: whether its mask is read, not its band.
+        for_mask: whether it is a part of the VRT's mask.
     """
 
     location: str
@@ -45,26 +47,33 @@ class Part(NamedTuple):
     source: Rect | None
     target: Rect | None
     needs: int
+    by_mask: bool
+    for_mask: bool
 
 
-def check_parts(dataset: Any, key: object, window: Window, check: Check) -> None:
+def check_parts(dataset: Any, key: object, window: Window, check: Check, mask: bool = False) -> None:
     """Raise ReadError if a part of a file that a window of a VRT is made of is damaged.
 
     Args:
         dataset: of rasterio, open, of the VRT.
         key: the VRT's name and state.
         window: top, left, height, width.
-        check: looks at a window (None: all) of a band of a file that lies on this disk.
+        check: looks at a window (None: all) of a band of a file that lies on this disk, or (True) of its mask.
+        mask: it is the VRT's mask that is wanted.
     """
     for part in _parts_of(dataset, key):
         mapped = _mapped(part, window)
-        if mapped == () or not here(part.location):
+        if part.for_mask != mask or mapped == () or not on_disk(part.location).is_file():
             continue
-        if part.needs:
-            if Path(part.location).stat().st_size < part.needs:
-                raise ReadError("It has fewer samples than the VRT says.", path=part.location, remedy=DAMAGED)
-        else:
-            check(part.location, part.band, mapped or None)
+        if not part.needs:
+            check(part.location, part.band, mapped or None, part.by_mask)
+        elif Path(part.location).is_file() and Path(part.location).stat().st_size < part.needs:
+            raise ReadError("It has fewer samples than the VRT says.", path=part.location, remedy=DAMAGED)
+
+
+def locations(dataset: Any, key: object) -> list[str]:
+    """GDAL's names of all parts of a VRT, in files or not; the arguments are those of ``check_parts``."""
+    return list(dict.fromkeys(part.location for part in _parts_of(dataset, key)))
 
 
 def _parts_of(dataset: Any, key: object) -> list[Part]:
@@ -86,19 +95,28 @@ def _parts_of(dataset: Any, key: object) -> list[Part]:
 def _read(root: ET.Element, name: str) -> Iterator[Part]:
     """The parts that a VRT of this name has."""
     shape = int(root.get("rasterXSize", 0)), int(root.get("rasterYSize", 0))
+    of_mask = {inner for mask in root.iter("MaskBand") for inner in mask.iter()}
     for element in root.iter():
         file = element.find("SourceFilename")
         file = element.find("SourceDataset") if file is None else file
         if file is None or not file.text:
             continue
         location = file.text
+        if location.lstrip().startswith("<"):  # a VRT in a VRT's own text
+            yield from (inner._replace(source=None, target=None) for inner in _read(ET.fromstring(location), name))
+            continue
         if file.get("relativeToVRT", file.get("relativetoVRT")) == "1":
-            location = f"{name.rpartition('/')[0] or '.'}/{location}"
-        band = (element.findtext("SourceBand") or "1").rpartition(",")[2]
+            before, inner, after = file_in(location)
+            location = f"{before}{name.rpartition('/')[0] or '.'}/{inner}{after}"
+        kind, _, band = (element.findtext("SourceBand") or "1").rpartition(",")
         mapped = element.tag in ("SimpleSource", "ComplexSource")
         source, target = (_rect(element.find(tag)) if mapped else None for tag in ("SrcRect", "DstRect"))
         needs = _raw_bytes(element, *shape) if element.tag == "VRTRasterBand" else 0
-        yield Part(location, int(band) if band.isdigit() else 1, source, target, needs)
+        number, by_mask = int(band) if band.isdigit() else 1, kind == "mask"
+        part = Part(location, number, source, target, needs, by_mask, element in of_mask)
+        yield part
+        if (element.findtext("UseMaskBand") or "").lower() == "true":
+            yield part._replace(by_mask=True)
 
 
 def _rect(element: ET.Element | None) -> Rect | None:

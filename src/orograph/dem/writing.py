@@ -1,0 +1,124 @@
+"""Files that GDAL writes: whole or not at all, and without libtiff's own lines on the screen.
+
+GDAL writes the last blocks of a raster, and its directory, when it is closed, and rasterio does not hear of what fails
+then: on a disk that becomes full at that moment a file is left that cannot be read, or that lacks blocks, and nothing
+is said. So what was written is looked at before it gets its name. libtiff prints what goes wrong on the standard error
+besides telling its caller; it is told not to.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from orograph.dem.handles import bounded_cache, cause_of
+from orograph.errors import OutputError
+from orograph.output import Beside
+
+_ROOM = "See that the disk has room and the folder is yours to write in."
+_ENDS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8\xff": b"\xff\xd9"}
+"""First bytes of formats: their last ones (PNG 3rd edition, 11.2.5; ITU-T T.81, B.2.1)."""
+
+
+@contextmanager
+def raster_file(out: Path, cache: int | None = None) -> Iterator[Path]:
+    """A path for GDAL to write to, which becomes ``out`` if the file is whole; around writing and closing it.
+
+    Args:
+        cache: bytes of GDAL's cache of blocks; None: as much as for those who read.
+
+    Raises:
+        OutputError: it cannot be written. What was there before is there still.
+    """
+    with Beside(out) as part, gdal_writes(out, cache):
+        yield part
+        check_written(part, out)
+
+
+@contextmanager
+def gdal_writes(out: Path, cache: int | None = None) -> Iterator[None]:
+    """GDAL's settings for those who write, and its errors as OutputError of ``out``."""
+    import rasterio
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+    _silence_libtiff()
+    settings = bounded_cache() if cache is None else {"GDAL_CACHEMAX": cache}
+    try:
+        with rasterio.Env(GDAL_PAM_ENABLED="NO", **settings), warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a picture in perspective lies nowhere
+            yield
+    except (RasterioError, CPLE_BaseError) as error:
+        raise OutputError(f"The file cannot be written: {cause_of(error)}", path=out, remedy=_ROOM) from error
+
+
+def check_written(part: Path, out: Path) -> None:
+    """Raise OutputError of ``out`` unless a file that GDAL has closed is whole: it reached the disk, has its end, and
+    as a TIFF all of its blocks."""
+    from rasterio.errors import RasterioError
+
+    try:
+        with part.open("r+b") as file:
+            os.fsync(file.fileno())  # where room is counted late (NFS, quotas), the error comes here
+        whole = _whole(part)
+    except (OSError, RasterioError):
+        whole = False
+    if not whole:
+        raise OutputError("The file cannot be written: the disk took only a part of it.", path=out, remedy=_ROOM)
+
+
+def _whole(path: Path) -> bool:
+    import rasterio
+
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        first = file.read(12)
+        file.seek(-min(size, 8), os.SEEK_END)
+        last = file.read()
+    if first[:4] == b"RIFF":
+        return int.from_bytes(first[4:8], "little") + 8 <= size
+    for begin, end in _ENDS.items():
+        if first.startswith(begin):
+            return last.endswith(end)
+    with rasterio.open(path) as dataset:
+        levels = len(dataset.overviews(1))
+        sound = _has_blocks(dataset, size)
+    for level in range(levels):
+        with rasterio.open(path, overview_level=level) as dataset:
+            sound = sound and _has_blocks(dataset, size)
+    return sound
+
+
+def _has_blocks(dataset: Any, size: int) -> bool:
+    """Whether all blocks of a TIFF, or of the overview that it was opened at, lie within a file of so many bytes."""
+    from rasterio.enums import Interleaving
+
+    high, wide = dataset.block_shapes[0]
+    planes = 1 if dataset.interleaving == Interleaving.pixel else dataset.count
+    for band in range(1, planes + 1):
+        for row in range(-(-dataset.height // high)):
+            for col in range(-(-dataset.width // wide)):
+                place = [dataset.get_tag_item(f"BLOCK_{what}_{col}_{row}", "TIFF", bidx=band)
+                         for what in ("OFFSET", "SIZE")]  # fmt: skip
+                if not all(place) or sum(map(int, place)) > size:
+                    return False
+    return True
+
+
+@functools.cache
+def _silence_libtiff() -> None:
+    """Keep the libtiff that GDAL uses from printing: where it is a library of its own, found by way of rasterio."""
+    import rasterio._io
+
+    try:
+        setter = ctypes.CDLL(rasterio._io.__file__).TIFFSetErrorHandler
+    except (OSError, AttributeError):  # part of GDAL, or a system whose libraries do not show those they use
+        return
+    setter.restype, setter.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
+    setter(None)
