@@ -11,7 +11,7 @@ from scenes import NORTH_UP, RECTANGULAR, ROTATED, embree_depth, hills, holes, s
 
 from orograph import store
 from orograph.errors import NothingInViewError
-from orograph.geovis.color import TINTS, color_table, linear_to_srgb, srgb_to_linear
+from orograph.geovis.color import TINTS, elevation_table, linear_to_srgb, srgb_to_linear
 from orograph.lighting.sun import Sun
 from orograph.rendering.cpu import draw as cpu
 from orograph.rendering.cpu.ground import LEAST_MEMORY
@@ -312,7 +312,7 @@ def test_level_ground_in_the_sun_has_the_color_of_the_legend():
     for name in ("alpine", "grey", "viridis"):
         scene = Scene.of(ground, camera.plan(ground, SIZE), sun=Sun(90, 45), colormap=name, shadows=False, **BARE)
         picture = cpu.draw(scene)
-        table = np.round(linear_to_srgb(color_table(name)) * 255)
+        table = np.round(linear_to_srgb(elevation_table(name, 300.0, 900.0)) * 255)
         for place, color in (((45, 25), table[0]), ((45, 135), table[-1])):
             if srgb_to_linear(color / 255).max() < 0.8:  # brighter colours are bent by the shoulder, as documented
                 np.testing.assert_allclose(picture.pixels[place], color, atol=1.5)
