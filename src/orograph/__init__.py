@@ -68,7 +68,7 @@ _HOMES = {
     "View": "orograph.viewpoint",
     "bake": "orograph.lighting.bake",
     "build": "orograph.store",
-    "camera": "orograph.scene",
+    "camera": "orograph.scene.camera:",
     "light": "orograph.lighting:make",
     "methods": "orograph.lod.describe",
     "open": "orograph.store",
@@ -77,14 +77,15 @@ _HOMES = {
     "terrain": "orograph.store",
     "view": "orograph.viewer.notebook",
 }
-"""Where each name is, as MODULE, or MODULE:NAME where it has another name there."""
+"""Where each name is: MODULE; MODULE:NAME where it has another name there; MODULE: where it is that module."""
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'orograph' has no attribute {name!r}")
-    module, _, called = _HOMES[name].partition(":")
-    return getattr(importlib.import_module(module), called or name)
+    module, colon, called = _HOMES[name].partition(":")
+    home = importlib.import_module(module)
+    return home if colon and not called else getattr(home, called or name)
 
 
 def __dir__() -> list[str]:

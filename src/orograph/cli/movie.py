@@ -93,7 +93,7 @@ def command(
     with progress.task("Loading Orograph"):
         from orograph.rendering.backends import session
         from orograph.rendering.memory import check_memory
-        from orograph.scene.prepare import prepare
+        from orograph.store.prepare import prepare
         from orograph.touring import Tour
         from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
         from orograph.touring.film import Film, spoken

@@ -135,7 +135,7 @@ def terrain_of(
     Args:
         options: of the verb. own: those of them that say nothing about reading, besides ``REFINE``.
     """
-    from orograph.scene.prepare import prepare
+    from orograph.store.prepare import prepare
 
     source = source_of(options, {*own, *REFINE})
     return prepare(
@@ -175,7 +175,7 @@ def choice_of(text: str, conservative: bool, backend: Backend = "cpu") -> Choice
 
 
 def error_kinds(choices: Sequence[Choice]) -> tuple[ErrorKind, ...]:
-    """The kinds of errors of diamonds that methods need, for ``scene.prepare``."""
+    """The kinds of errors of diamonds that methods need, for ``store.prepare``."""
     from orograph.lod.needs import kinds_of
 
     return kinds_of(need for choice in choices for need in choice.method.needs(choice.options))

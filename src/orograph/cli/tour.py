@@ -52,7 +52,7 @@ def new(
     source = source_of(options, WAY)
     with progress.task("Loading Orograph"):
         from orograph.output import Beside, check_folder
-        from orograph.scene.prepare import prepare
+        from orograph.store.prepare import prepare
 
     check_folder(Path(output))
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)

@@ -243,6 +243,15 @@ class Source:
             out = out[:, ::-1]
         return np.ascontiguousarray(out)
 
+    def turned(self, row0: int, row1: int, col0: int, col1: int) -> tuple[int, int, int, int]:
+        """A window of the file's own rows and columns as ``read`` counts them, from the north-west."""
+        rows, cols = self.grid.shape
+        if self._flip_rows:
+            row0, row1 = rows - row1, rows - row0
+        if self._flip_cols:
+            col0, col1 = cols - col1, cols - col0
+        return row0, row1, col0, col1
+
     def close(self) -> None:
         """Close the file's idle handles (they are also closed when many other files are read)."""
         HANDLES.close(self.location)

@@ -37,7 +37,7 @@ MOST = 8
 """Layers that a picture shows at once."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Layer:
     """An image or a raster over the ground.
 
@@ -94,6 +94,10 @@ class Layer:
                 color_table(self.colormap, 2)
             except UsageError as error:
                 raise self._error(error.what, error.remedy) from error
+
+    def __repr__(self) -> str:
+        said = (f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)[1:] if getattr(self, f.name) != f.default)
+        return f"Layer({', '.join([repr(self.path), *said])})"
 
     @property
     def label(self) -> str:

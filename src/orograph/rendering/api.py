@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import difflib
 import inspect
-import os
 import textwrap
 from typing import Any, Literal
 
-from orograph.dem.raster import Dem
 from orograph.errors import UsageError
 from orograph.lod.options import Described
 from orograph.progress import SILENT, Progress
@@ -20,7 +18,8 @@ from orograph.rendering.memory import check_memory
 from orograph.rendering.picture import Picture
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
-from orograph.store.terrain import Terrain
+from orograph.store.given import READING
+from orograph.store.opening import terrain as opened
 from orograph.viewpoint import View
 
 CAMERA = ("azimuth", "pitch", "distance", "lonlat", "look_at", "fov", "fov_y", "projection", "eye", "target")
@@ -28,7 +27,7 @@ CAMERA = ("azimuth", "pitch", "distance", "lonlat", "look_at", "fov", "fov_y", "
 
 
 def render(
-    terrain: Terrain | Dem | str | os.PathLike[str],
+    terrain: Any,
     view: View | None = None,
     *,
     size: tuple[int, int] = (1280, 720),
@@ -39,7 +38,8 @@ def render(
     """Draw a relief picture.
 
     Args:
-        terrain: an opened terrain, a DEM in memory, or the path of a DEM or a store.
+        terrain: whatever ``orograph.terrain`` takes: a path or URL, a list of them, a Terrain, a Dem, a DataArray or
+            Dataset, an open rasterio dataset or (dataset, window), an array with ``transform`` and ``crs``…
         view: the camera, made with ``orograph.View(eye, target)`` in the terrain's CRS, or for a terrain by
             ``orograph.camera`` (the module ``orograph.scene.camera``): ``whole(terrain, size)``,
             ``around(terrain, size, azimuth=225, pitch=30, distance=None)``, ``standing(terrain, size, (lon, lat,
@@ -48,7 +48,8 @@ def render(
         backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU where
             there is none). Default "cpu".
         progress: hears of what is being done, and of warnings. Default: nothing is said.
-        options: see below.
+        options: see below; and how the terrain is read (``orograph.terrain``): ``band``, ``nodata``, ``spacing``,
+            ``transform``, ``crs``, ``resolution``…
 
     Returns:
         a ``Picture``: ``save(path)``, ``pixels`` (height, width, 3) uint8, ``depth`` (height, width) float32 metres.
@@ -58,6 +59,7 @@ def render(
         UsageError: an option is unknown or makes no sense, or the picture does not fit into memory.
         NothingInViewError: the picture would be empty.
     """
+    reading = {name: options.pop(name) for name in READING if name in options}
     for name in options:
         if name not in OPTIONS:
             raise _unknown(name)
@@ -66,14 +68,7 @@ def render(
     max_memory, jobs = options.get("max_memory"), options.get("jobs")
     check_memory((view.width, view.height) if view is not None else size, max_memory)
     check_options(options)
-    if isinstance(terrain, (str, os.PathLike)):
-        from orograph.scene.prepare import prepare
-
-        terrain = prepare([os.fspath(terrain)], max_memory=max_memory, jobs=jobs, progress=progress)
-    elif isinstance(terrain, Dem):
-        from orograph.store import terrain as in_memory
-
-        terrain = in_memory(terrain)
+    terrain = opened(terrain, progress, max_memory=max_memory, jobs=jobs, called="render", **reading)
     if view is None:
         from orograph.rendering.furniture.furnish import insets
         from orograph.scene.camera import NO_INSETS, whole
@@ -90,7 +85,7 @@ def _unknown(name: str) -> UsageError:
     options = list(inspect.signature(render).parameters)
     if name in CAMERA:
         remedy = "Where to look from is said by a view: see orograph.camera, or orograph.View."
-    elif close := difflib.get_close_matches(name, options, 3, 0.6):
+    elif close := difflib.get_close_matches(name, [*options, *READING], 3, 0.6):
         remedy = f"Did you mean {' or '.join(close)}?"
     else:
         remedy = f"There are {', '.join(options[1:])}."
@@ -113,7 +108,7 @@ def _document() -> None:
             ) + "\n"
             for name, one in OPTIONS.items()
         )  # fmt: skip
-        render.__doc__ = render.__doc__.replace("        options: see below.\n", told)
+        render.__doc__ = render.__doc__.replace("        options: see below; and how", told + "        reading: how")
 
 
 def _text(one: Described) -> str:

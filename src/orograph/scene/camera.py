@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geo.transform import place
 from orograph.scene.parts import check_exaggeration
+from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
 
@@ -37,6 +38,7 @@ def _reach(insets: Insets) -> Insets:
     return left, right, top, bottom
 
 
+@takes_terrain
 def outline(terrain: Terrain) -> Array:
     """Positions (n, 3) in the terrain's CRS, float64 metres, around which all valid ground lies.
 
@@ -176,6 +178,7 @@ def _centred(across: Array, depth: Array, low: float, high: float, aside: float)
     return float(eye)
 
 
+@takes_terrain
 def whole(
     terrain: Terrain,
     size: tuple[int, int],
@@ -193,6 +196,7 @@ def whole(
     return fit(outline(terrain), direction(azimuth, pitch), fov_y, size, exaggeration, insets, azimuth + 180.0)
 
 
+@takes_terrain
 def around(
     terrain: Terrain,
     size: tuple[int, int],
@@ -229,6 +233,7 @@ def around(
     return View(tuple(eye), tuple(target), tuple(_skyward(forward, azimuth + 180.0)), fov_y, size[0], size[1])
 
 
+@takes_terrain
 def standing(
     terrain: Terrain,
     size: tuple[int, int],
@@ -258,6 +263,7 @@ def standing(
     return View((x, y, eye[2]), (tx, ty, z), fov_y=fov_y, width=size[0], height=size[1])
 
 
+@takes_terrain
 def plan(terrain: Terrain, size: tuple[int, int], *, azimuth: float = 180.0, insets: Insets = NO_INSETS) -> View:
     """The map view: straight down, the whole terrain, its outline filling the picture to the margin or the insets.
 

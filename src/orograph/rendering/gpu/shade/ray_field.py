@@ -29,8 +29,7 @@ from orograph.gpu.device import Device, open_device
 from orograph.raycast.mips import build_mips
 from orograph.raycast.select import Rectangle, load, rectangles
 from orograph.raycast.stack import HeightWindow
-from orograph.scene.scene import EXACT_SAMPLES
-from orograph.store.terrain import TILE, Terrain
+from orograph.store.terrain import EXACT_SAMPLES, TILE, Terrain
 from orograph.viewpoint import View
 
 if TYPE_CHECKING:
