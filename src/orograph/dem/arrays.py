@@ -96,7 +96,7 @@ def from_array(
         raise UsageError(f"{vertical_unit!r} is not a unit of length that is known here (m, ft, us-ft, cm…).")
     heights = heights_of(array, name or "the array", nodata=_number(nodata), factor=factor)
     shape = (array.shape[0], array.shape[1])
-    place = oriented(shape, _affine(transform, spacing, crs, shape, told), None if crs is None else parsed_crs(crs))
+    place = oriented(shape, affine_of(transform, spacing, crs, shape, told), None if crs is None else parsed_crs(crs))
     heights = heights[:: -1 if place.flip_rows else 1, :: -1 if place.flip_cols else 1]
     vertical = settled_vertical(None, assume_vertical, told)
     return Dem(np.ascontiguousarray(heights), place.grid, vertical, called)
@@ -111,10 +111,14 @@ def _number(nodata: float | str | None) -> float | None:
         raise UsageError(f"The nodata value must be a number or 'none', not {nodata!r}.") from None
 
 
-def _affine(
+def affine_of(
     transform: Any, spacing: float | None, crs: Any, shape: tuple[int, int], warnings: list[str]
 ) -> Affine:  # fmt: skip
-    """The transform that was given, or that of samples ``spacing`` metres apart."""
+    """The transform that was given, or that of samples ``spacing`` metres apart (1, with a warning).
+
+    Raises:
+        UsageError: it is no transform, or degenerate.
+    """
     if transform is None:
         if crs is not None:
             raise UsageError(

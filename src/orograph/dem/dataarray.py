@@ -145,6 +145,30 @@ def heights_in(dataset: xr.Dataset) -> xr.DataArray:
     return array
 
 
+def place_of(array: xr.DataArray) -> tuple[NDArray[Any], Affine | None, CRS | None]:
+    """The values of an image or a raster, (rows, cols) or (rows, cols, bands), and where they lie by its coordinates;
+    None, None where it has none along its rows and columns."""
+    axes = [d for d in array.dims if str(d).lower() in _ALONG_ROWS | _DOWN or _says_axis(array, d)]
+    if len(axes) != 2:
+        axes = list(array.dims[-2:]) if array.sizes[array.dims[-1]] > 4 or array.ndim == 2 else list(array.dims[:2])
+    flat = array.transpose(*axes, ...)
+    y, x = axes_of(flat.isel({d: 0 for d in flat.dims if d not in axes}))
+    flat = array.transpose(y, x, ...)
+    values = flat.to_numpy()
+    if x not in array.coords or y not in array.coords:
+        return values, None, None
+    called = str(array.name or "the layer")
+    (x0, dx), (y0, dy) = _axis(array, x, called), _axis(array, y, called)
+    crs = _crs_of(array, None)
+    if crs is None and _in_degrees(flat.isel({d: 0 for d in flat.dims if d not in (x, y)})):
+        crs = CRS.from_epsg(4326)
+    return values, Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2), crs
+
+
+def _says_axis(array: xr.DataArray, dim: Any) -> bool:
+    return dim in array.coords and str(array.coords[dim].attrs.get("axis", "")).upper() in ("X", "Y")
+
+
 def says_crs(array: xr.DataArray) -> bool:
     """Whether an array names its CRS."""
     return _crs_of(array, None) is not None

@@ -55,8 +55,8 @@ class Laid:
         """
         from rasterio.errors import RasterioError
 
-        name = layer.path
-        location = locate(name)
+        name = layer.path if layer.held is None else layer.label
+        location = locate(layer.path)
         warnings: list[str] = []
         with HANDLES.borrow(location) as file:
             image = grid_of(file)
