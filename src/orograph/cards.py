@@ -75,6 +75,19 @@ def card(kind: str, name: str, rows: Sequence[Row], picture: bytes | None = None
     return f'<div style="display:flex;align-items:flex-start">{image}<div>{title}<table>{cells}</table></div></div>'
 
 
+def table(rows: Sequence[Sequence[str]]) -> str:
+    """A table of HTML; the first row is its head, the first column is aligned left."""
+
+    def row(cells: Sequence[str], tag: str) -> str:
+        sides = ["left", *["right"] * (len(cells) - 1)]
+        return "".join(
+            f'<{tag} style="text-align:{side}">{html.escape(cell)}</{tag}>' for cell, side in zip(cells, sides)
+        )
+
+    body = "".join(f"<tr>{row(cells, 'td')}</tr>" for cells in rows[1:])
+    return f"<table><thead><tr>{row(rows[0], 'th')}</tr></thead><tbody>{body}</tbody></table>"
+
+
 def relief(values: NDArray[np.float32], grid: Grid, step: float = 1.0) -> bytes:
     """A small shaded relief as a PNG.
 

@@ -23,9 +23,10 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
-from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
+from orograph.cli.tours import tour_options
 from orograph.errors import UsageError
 from orograph.scene import given
+from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
 
 OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 """What is said about the film; all other options are about reading."""

@@ -8,11 +8,11 @@ from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, TaskID, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
+from rich.progress import TaskID
 
 from orograph.cli.wording import spoken
 from orograph.progress import Progress, Task
+from orograph.reporting import bars
 
 
 class LineTask(Task):
@@ -74,14 +74,7 @@ class LineProgress(Progress):
         self.opened = 0
         self.warned: set[str] = set()
         self.timings: list[tuple[str, float]] = []
-        self.bar = Bar(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.percentage:>3.0f}%"),
-            TimeRemainingColumn(),
-            console=self.console,
-            transient=True,
-        )
+        self.bar = bars(self.console)
 
     def task(self, what: str, total: float | None = None) -> Task:
         return LineTask(self, what, total)

@@ -90,8 +90,6 @@ def _callable(given: Any) -> Any:
 
 
 def _classes(given: Mapping[Any, Any]) -> Table:
-    import cmap
-
     if not given or not all(isinstance(v, Real) and float(v).is_integer() for v in given):
         raise UsageError(f"Classes are colours by whole numbers, {{1: 'green', 2: '#08f'}}, not {given!r}.")
     low, high = int(min(given)), int(max(given))
@@ -100,7 +98,7 @@ def _classes(given: Mapping[Any, Any]) -> Table:
     colors = np.zeros((max(2, high - low + 1), 4), np.uint8)
     for value, color in given.items():
         try:
-            red, green, blue, opacity = cmap.Color(color if isinstance(color, str) else tuple(map(float, color))).rgba
+            red, green, blue, opacity = _color(color).rgba
         except (ValueError, TypeError) as error:
             raise UsageError(f"{color!r}, of class {value}, is no colour.") from error
         colors[int(value) - low] = np.round(np.array([red, green, blue, opacity]) * 255)
@@ -111,3 +109,10 @@ def _bytes(colors: Any) -> bytes:
     """Colours from 0 to 1 as bytes (n, 4)."""
     found = np.asarray(colors, np.float64)
     return np.round(np.clip(found, 0, 1) * 255).astype(np.uint8).tobytes()
+
+
+def _color(given: Any) -> Any:
+    """A colour of a name, or of numbers from 0 to 1."""
+    import cmap
+
+    return cmap.Color(given if isinstance(given, str) else np.array(given, np.float64))

@@ -25,12 +25,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.lighting.context import MEMORY, MORE, Context, Options
+from orograph.lighting.context import MEMORY, Context, Options
 from orograph.lighting.products import compute, product
 from orograph.lighting.raster import Band, write
 from orograph.lighting.rho import Rho
 from orograph.lighting.sun import Given, sun_of
-from orograph.progress import SILENT, Progress
+from orograph.progress import Progress
+from orograph.reporting import reporting
 from orograph.store.given import READING, is_array_like, is_rows
 from orograph.store.opening import terrain as terrain_given
 from orograph.store.terrain import Terrain
@@ -86,7 +87,7 @@ def make(
     cell: float | tuple[float, float] | ArrayLike | None = None,
     jobs: int | None = None,
     max_memory: int = MEMORY,
-    progress: Progress = SILENT,
+    progress: Progress | bool | None = None,
     **options: Any,
 ) -> Any:
     """A product, by its name on the command line.
@@ -97,6 +98,8 @@ def make(
         name: "slope", "sky-view-factor"…: ``products.names()``.
         cell: for arrays, which need it: metres between samples, along both axes or as (along rows, along columns), rows
             running south; or the (2, 2) linear part of a geotransform.
+        jobs: threads; None: all processors. max_memory: bytes the process should stay within.
+        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
         options: how the data are read, as for ``orograph.terrain`` (``crs``, ``band``, ``transform``…: an array with
             its place gives a ``Map``); and those of ``products.Options``: azimuths, radius, lights, curvature…, and of
             its ``more``. The ``sun`` is (azimuth, altitude), a datetime with its zone, or a ``Sun``.
@@ -109,15 +112,10 @@ def make(
         UsageError: there is no such product, an option is wrong, or an array comes without ``cell``.
         ReadError: the data do not say what is needed of them.
     """
+    progress = reporting(progress)
     wanted = product(name)
-    fields = set(Options.__dataclass_fields__) - {"more"}
     reading = {k: options.pop(k) for k in READING if k in options}
-    if unknown := sorted(set(options) - fields - set(MORE)):
-        raise UsageError(
-            f"There is no option {unknown[0]!r}.", remedy=f"There are {', '.join(sorted(fields | set(MORE)))}."
-        )
-    known = {k: v for k, v in options.items() if k in fields and k != "sun"}
-    chosen = Options(**known, more={k: v for k, v in options.items() if k in MORE})
+    chosen = Options.of(**{k: v for k, v in options.items() if k != "sun"})
     is_xarray = "xarray" in sys.modules and isinstance(data, sys.modules["xarray"].DataArray)
     is_array = not is_xarray and not reading and (is_rows(data) or is_array_like(data))
     if is_array:

@@ -21,6 +21,7 @@ from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
+from orograph.reporting import reporting
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.given import source_of
 from orograph.store.inputs import inputs_of
@@ -58,7 +59,7 @@ def build(
     jobs: int | None = None,
     errors: Sequence[ErrorKind] = ("exact",),
     keep_source: bool = True,
-    progress: Progress = SILENT,
+    progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
     shard: int | None = None,
     chunk: int = CHUNK,
@@ -78,6 +79,7 @@ def build(
             them; none for ().
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
+        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
         storage_options: for the fsspec file system.
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
         options: how the source is read, as for ``store.terrain``: ``crs``, ``resolution``, ``nodata``…
@@ -87,6 +89,7 @@ def build(
             be written (disk full).
         ReadError, UsageError: a source cannot be read or is not metric.
     """
+    progress = reporting(progress)
     if overwrite and resume:
         raise UsageError("A build either resumes or overwrites, not both.")
     kinds = tuple(kind for kind in KINDS if kind in errors)

@@ -8,7 +8,8 @@ from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 from orograph.errors import UsageError
-from orograph.progress import SILENT, Progress
+from orograph.progress import Progress
+from orograph.reporting import reporting
 from orograph.store.build import in_memory
 from orograph.store.given import READING, check_names, files_of, source_of
 from orograph.store.prepare import prepare
@@ -23,7 +24,7 @@ T = TypeVar("T")
 
 def terrain(
     source: Any,
-    progress: Progress = SILENT,
+    progress: Progress | bool | None = None,
     *,
     max_memory: int | None = None,
     jobs: int | None = None,
@@ -38,7 +39,8 @@ def terrain(
             ``xarray.DataArray`` or ``Dataset`` (lazy ones are computed); an open rasterio dataset, or (dataset,
             window); an array (rows, cols) of any real type, masked or not; a list of several of these, which are put
             together (``Mosaic``). Files that are too large for memory are built into a store, which is kept.
-        progress: hears of what is being done, and of warnings.
+        progress: hears of what is being done, and of warnings; None: bars in terminals and notebooks, and Python's
+            warnings; False: nothing is said.
         max_memory: bytes that heights may take. jobs: threads; None: all processors.
         errors: kinds of errors of diamonds that a store made and kept is to have, besides exact ones.
         called: the function that asks, for errors.
@@ -53,6 +55,7 @@ def terrain(
         ReadError, StoreError: a file cannot be read, or its heights are no real numbers.
         UsageError: it is nothing that holds heights, or an option does not fit.
     """
+    progress = reporting(progress)
     check_names(reading, called)
     said = {k: v for k, v in reading.items() if v is not None}
     if isinstance(source, Terrain):

@@ -13,8 +13,9 @@ from typing import Any
 
 from orograph.cards import png
 from orograph.errors import OrographError
-from orograph.progress import SILENT
+from orograph.progress import SILENT, Progress
 from orograph.rendering.picture import Picture
+from orograph.scene.methods import check_promise
 from orograph.scene.scene import Scene
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
@@ -86,6 +87,8 @@ def view(
     size: tuple[int, int] = SIZE,
     panels: bool = False,
     gpu_memory: int = 256 << 20,
+    conservative: bool = False,
+    progress: Progress | bool | None = None,
     **options: Any,
 ) -> Widget | Still:
     """A terrain to be explored in a cell; a still picture where that cannot be.
@@ -96,6 +99,8 @@ def view(
         size: of the cell's picture, pixels.
         panels: whether panels are shown at first (Tab shows and hides them).
         gpu_memory: bytes of GPU memory for tiles.
+        conservative: refuse a ``method`` with which the tolerance is no promise.
+        progress: hears of the terrain being read; False: nothing is said.
         options: of the scene, as for ``orograph.render`` (sun, exaggeration, layers…).
 
     Raises:
@@ -104,7 +109,9 @@ def view(
     from orograph.viewer.session import Session
 
     reading = {name: options.pop(name) for name in READING if name in options}
-    terrain = opened(terrain, called="view", **reading)
+    if conservative:
+        check_promise(options.get("method", "auto"), "gpu")
+    terrain = opened(terrain, progress, called="view", **reading)
     session = Session(terrain, camera, size=size, **options)
     session.settings.panels = panels
     scene = session.scene()
