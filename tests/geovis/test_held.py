@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -50,9 +51,11 @@ def test_colours_span_the_terrain(ground: orograph.Terrain, tmp_path: Path) -> N
     truth = picture(ground, file)
     assert len(np.unique(truth.reshape(-1, 3), axis=0)) > 15
     alpha = np.concatenate([colors, np.full((32, 40, 1), 255, np.uint8)], 2)
-    for given in (colors, [colors], np.moveaxis(colors, 2, 0), colors / 255, np.float32(colors / 255), alpha,
-                  orograph.Layer(colors)):  # fmt: skip
-        np.testing.assert_array_equal(picture(ground, given), truth)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        for given in (colors, [colors], np.moveaxis(colors, 2, 0), colors / 255, np.float32(colors / 255), alpha,
+                      orograph.Layer(colors)):  # fmt: skip
+            np.testing.assert_array_equal(picture(ground, given), truth)
 
 
 def test_opacity_of_arrays(ground: orograph.Terrain) -> None:
@@ -147,7 +150,7 @@ def test_a_file_is_gone_with_its_layer() -> None:
     del layer
     with rasterio.open(path) as there:
         assert there.count == 3
-    assert again.label == "array.tif" or again.label == "array"
+    assert again.label == "array"
     del again
     gc.collect()
     with pytest.raises(rasterio.errors.RasterioIOError):

@@ -124,7 +124,8 @@ class Layer:
     @property
     def label(self) -> str:
         """What to call it."""
-        return self.name or Path(self.path).name or self.path
+        file = Path(self.path)
+        return self.name or (file.name if self.held is None else file.stem) or str(self.path)
 
     @property
     def content(self) -> Layer:

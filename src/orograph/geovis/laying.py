@@ -63,6 +63,8 @@ class Laid:
             bands = Bands.of(file, layer)
             overviews = tuple(bands.factors(file))
         placement = Placement.of(grid, image, name, warnings)
+        if placement.stretched and layer.held is not None:
+            warnings.clear()  # an array without a place is meant to span the terrain
         lattice = Lattice.over(placement)
         bounds = lattice.bounds()
         area = None if bounds is None else _window(placement, bounds)
