@@ -134,7 +134,7 @@ def test_an_array_without_a_place_says_so() -> None:
         ({"transform": (1, 2, 3)}, "six numbers"),
         ({"transform": Affine(1, 1, 0, 1, 1, 0)}, "degenerate"),
         ({"transform": T, "spacing": 30}, "not both"),
-        ({"crs": CRS}, "`transform=`"),
+        ({"crs": CRS}, "transform="),
         ({"transform": T, "crs": "EPSG:99999999"}, "not a CRS"),
         ({"band": 2}, "`band`.*array"),
         ({"transfrom": T}, "Did you mean transform"),
@@ -260,7 +260,7 @@ def test_what_cannot_be_meant_is_refused_with_the_way_in(given: Any, tmp_path: P
         "whole": lambda: orograph.camera.whole(given, (64, 48)),
         "profile": lambda: measuring.profile(given, [(0, 0), (1, 1)]),
     }.items():
-        with pytest.raises(UsageError, match=f"`{name}` (takes a path.*got|got an empty list)"):
+        with pytest.raises(UsageError, match=f"{name} (takes a path.*got|got an empty list)"):
             call()
 
 

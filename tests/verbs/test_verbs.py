@@ -21,6 +21,7 @@ from pyproj import CRS
 import orograph
 from orograph.cli import VERBS, cli
 from orograph.cli.scenes import DETAILS
+from orograph.cli.wording import spoken
 from orograph.errors import UsageError
 from orograph.geo import Grid
 from orograph.lighting.context import MORE, Options
@@ -119,13 +120,16 @@ def test_info(dem: orograph.Dem, path: Path, tmp_path: Path) -> None:
     found = orograph.info(path)
     told = json.loads(run("info", path, "--json"))
     assert {k: v for k, v in found.items() if not k.startswith("_")} == told
-    assert repr(found).strip() == run("info", path).strip()
+    assert spoken(repr(found)).strip() == run("info", path).strip()
     assert "<pre>" in found._repr_html_()
     held = orograph.info(dem)
     assert held["shape"] == [65, 81] and held["kind"] == "terrain" and "65 rows × 81 columns" in repr(held)
     assert held["height_range"] == pytest.approx(found["height_range"])
     store = orograph.build(dem, tmp_path / "a.oro").url
-    assert orograph.info(store)["kind"] == "store" and repr(orograph.info(store)).strip() == run("info", store).strip()
+    assert (
+        orograph.info(store)["kind"] == "store"
+        and spoken(repr(orograph.info(store))).strip() == run("info", store).strip()
+    )
 
 
 def test_doctor_and_check(dem: orograph.Dem, tmp_path: Path) -> None:
@@ -198,8 +202,9 @@ def test_tour_and_movie(dem: orograph.Dem, path: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("option", "words"),
-    [("projection", "camera.plan"), ("pitch", "camera.around"), ("lonlat", "camera.standing"), ("cmap", "`colormap`"),
-     ("drape", "`layers`"), ("light_at", "`lamps`"), ("transfrom", "transform"), ("vert_exag", "`exaggeration`")],
+    [("projection", "camera.plan"), ("pitch", "camera.around"), ("lonlat", "camera.standing"),
+     ("cmap", "called colormap"), ("drape", "called layers"), ("light_at", "called lamps"), ("transfrom", "transform"),
+     ("vert_exag", "called exaggeration")],
 )  # fmt: skip
 def test_what_is_nearly_right_is_answered_with_the_right_one(dem: orograph.Dem, option: str, words: str) -> None:
     with pytest.raises(UsageError, match=words):

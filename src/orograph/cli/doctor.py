@@ -6,6 +6,8 @@ import json
 
 import click
 
+from orograph.cli.wording import spoken
+
 
 @click.command("doctor")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
@@ -19,4 +21,6 @@ def command(as_json: bool) -> None:
     from orograph.verbs.doctor import doctor
 
     facts = doctor()
+    for extra in facts["extras"].values():
+        extra["for"] = spoken(extra["for"])
     click.echo(json.dumps(facts, indent=1) if as_json else repr(facts))

@@ -43,7 +43,7 @@ def command(
         click.echo(json.dumps(plain[0] if len(plain) == 1 else plain, indent=2, ensure_ascii=False, allow_nan=False))
         return
     for i, fact in enumerate(facts):
-        click.echo(("\n" if i else "") + describe(fact, _bold, _mark))
+        click.echo(("\n" if i else "") + spoken(describe(fact, _bold, _mark)))
 
 
 def _bold(text: str) -> str:

@@ -23,7 +23,7 @@ from orograph.errors import ReadError, UsageError
 
 UNPLACED = (
     "The array does not say where it lies: its samples are taken to be 1 m apart (give `spacing=METRES`, or "
-    "`transform=` and `crs=`)."
+    "transform= and crs=)."
 )
 
 
@@ -89,7 +89,7 @@ def from_array(
         bands = array.ndim == 3 and (array.shape[0] in (3, 4) or array.shape[2] in (3, 4))
         raise UsageError(
             f"Heights are an array of rows and columns; this one has the shape {array.shape}.",
-            remedy="A picture is laid over a terrain with `layers=`." if bands else "Select one layer of it.",
+            remedy="A picture is laid over a terrain with layers=." if bands else "Select one layer of it.",
         )
     factor = 1.0 if vertical_unit is None else metres_per(vertical_unit)
     if factor is None:
@@ -122,7 +122,7 @@ def affine_of(
     if transform is None:
         if crs is not None:
             raise UsageError(
-                "`crs` says nothing about an array without a place in it.", remedy="Give `transform=` as well."
+                "`crs` says nothing about an array without a place in it.", remedy="Give transform= as well."
             )
         if spacing is None:
             warnings.append(UNPLACED)
@@ -131,7 +131,7 @@ def affine_of(
         step = 1.0 if spacing is None else float(spacing)
         return Affine(step, 0, 0, 0, -step, shape[0] * step)
     if spacing is not None:
-        raise UsageError("Give `transform` or `spacing`, not both: each says how far samples are apart.")
+        raise UsageError("Give transform or spacing, not both: each says how far samples are apart.")
     try:
         numbers = [float(v) for v in transform]
     except (TypeError, ValueError):
@@ -141,7 +141,7 @@ def affine_of(
     if numbers[2] == numbers[4] == 0 != numbers[5] and numbers[0] != numbers[1] != 0:
         raise UsageError(
             f"The transform {tuple(numbers[:6])} has its numbers in GDAL's order.",
-            remedy="Give `transform=Affine.from_gdal(*numbers)`.",
+            remedy="Give transform=Affine.from_gdal(*numbers).",
         )
     found = Affine(*numbers[:6])
     if not np.isfinite(numbers).all() or found.determinant == 0:

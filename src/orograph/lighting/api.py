@@ -32,7 +32,7 @@ from orograph.lighting.rho import Rho
 from orograph.lighting.sun import Given, sun_of
 from orograph.progress import Progress
 from orograph.reporting import reporting
-from orograph.store.given import READING, is_array_like, is_rows
+from orograph.store.given import READING, is_array_like, is_rows, the_heights
 from orograph.store.opening import terrain as terrain_given
 from orograph.store.terrain import Terrain
 
@@ -116,6 +116,7 @@ def make(
     wanted = product(name)
     reading = {k: options.pop(k) for k in READING if k in options}
     chosen = Options.of(**{k: v for k, v in options.items() if k != "sun"})
+    data = the_heights(data)
     is_xarray = "xarray" in sys.modules and isinstance(data, sys.modules["xarray"].DataArray)
     is_array = not is_xarray and not reading and (is_rows(data) or is_array_like(data))
     if is_array:

@@ -126,7 +126,7 @@ def bake(
     """
     progress = reporting(progress)
     if options is not None and more:
-        raise UsageError("Give the products' options as `options`, or by their names, not both.")
+        raise UsageError("Give the products' options as Options, or by their names, not both.")
     names = [names] if isinstance(names, str) else names
     chosen, wanted = options or Options.of(**more), list(dict.fromkeys(names))
     products = [_bakeable(name) for name in wanted]

@@ -111,9 +111,9 @@ def check_names(options: Mapping[str, Any], called: str, own: Iterable[str] = ()
             continue
         known = list(dict.fromkeys((*own, *OPTIONS, *READING)))
         if name in CAMERA:
-            remedy = f"Where to look from is said by a `view` here: {CAMERA[name]}."
+            remedy = f"Where to look from is said by a view here: {CAMERA[name]}."
         elif name in FLAGS:
-            remedy = f"It is called `{FLAGS[name]}` here."
+            remedy = f"It is called {FLAGS[name]} here."
         elif close := difflib.get_close_matches(name, known, 3, 0.6):
             remedy = f"Did you mean {' or '.join(close)}?"
         else:

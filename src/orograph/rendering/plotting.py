@@ -56,6 +56,8 @@ def plot(picture: Picture, ax: Any = None, **options: Any) -> Any:
     if _is_geo(ax):
         if b or d:
             raise UsageError("A turned plan cannot be brought to a map's projection.", remedy="Draw it north up.")
+        if not ax.has_data():  # else cartopy brings it to a picture of the globe
+            ax.set_extent((west, east, south, north), crs=_projection(ax, grid.crs))
         return ax.imshow(
             picture.pixels, extent=(west, east, south, north), origin="upper", transform=_projection(ax, grid.crs),
             **options,

@@ -82,7 +82,7 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
         return given
     several = isinstance(given, list | tuple) and not _is_window(given) and not is_rows(given)
     if several and not given:
-        raise UsageError(f"`{called}` got an empty list: there is nothing to read.")
+        raise UsageError(f"{called} got an empty list: there is nothing to read.")
     if several and not all(_is_heights(one) for one in given):
         raise refused(given, called)
     warned: list[str] = []
@@ -107,7 +107,7 @@ def check_names(options: Any, called: str) -> None:
 
             close = difflib.get_close_matches(name, READING, 2, 0.6)
             remedy = f"Did you mean {' or '.join(close)}?" if close else f"There are {', '.join(READING)}."
-            raise UsageError(f"`{called}` has no option {name!r}.", remedy=remedy)
+            raise UsageError(f"{called} has no option {name!r}.", remedy=remedy)
 
 
 def _raster(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tuple[Any, bool]:
@@ -136,7 +136,7 @@ def _dem(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tupl
         from orograph.dem import dataarray
 
         _fitting(said, (*OF_GRIDS, "assume_crs", "name"), "a DataArray, which says it itself")
-        array = dataarray.heights_in(one) if isinstance(one, xarray.Dataset) else one
+        array = the_heights(one)
         if dataarray.says_crs(array):
             crs, own = None, False
         return dataarray.from_xarray(array, crs=crs, name=said.get("name")), own
@@ -147,6 +147,16 @@ def _dem(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tupl
     return dem, own
 
 
+def the_heights(given: Any) -> Any:
+    """The variable of an ``xarray.Dataset`` that holds heights (``heights_in``); all else as it is."""
+    xarray = sys.modules.get("xarray")
+    if xarray is None or not isinstance(given, xarray.Dataset):
+        return given
+    from orograph.dem.dataarray import heights_in
+
+    return heights_in(given)
+
+
 def refused(given: Any, called: str) -> UsageError:
     """The error about something that holds no heights, with the way in."""
     if isinstance(given, list | tuple):
@@ -154,7 +164,7 @@ def refused(given: Any, called: str) -> UsageError:
         got = f"a {type(given).__name__} of {' and '.join(kinds)}s"
     else:
         got = "None" if given is None else f"{type(given).__module__}.{type(given).__name__}".removeprefix("builtins.")
-    return UsageError(f"`{called}` takes {TAKES}; got {got}: {_short(given)}.")
+    return UsageError(f"{called} takes {TAKES}; got {got}: {_short(given)}.")
 
 
 def _short(given: Any) -> str:

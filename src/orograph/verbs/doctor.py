@@ -24,7 +24,7 @@ EXTRAS = {
 """Optional groups of libraries and what they bring."""
 
 USES = {
-    "gpu": "render --backend gpu",
+    "gpu": "`orograph.render(..., backend='gpu')`",
     "view": "the window",
     "notebook": "the window in a notebook",
     "movie": "movie files",

@@ -242,9 +242,9 @@ def describe(facts: Mapping[str, Any], bold: Callable[[str], str] = str, mark: C
         if facts["_resampled"] is not None:
             kept = "its samples are kept" if facts["keeps_source"] else "its samples are not kept"
             line("source", f"resampled: {facts['_resampled']}; {kept}")
-        line("errors", ", ".join(facts["errors"]) or "none (orograph build --errors)")
-        line("colors", _colors(facts["colors"]) or "none (orograph build --color-errors)")
-        line("layers", ", ".join(_layer(layer) for layer in facts["_layers"].values()) or "none (orograph bake)")
+        line("errors", ", ".join(facts["errors"]) or "none (`orograph.build(..., errors=('exact',))`)")
+        line("colors", _colors(facts["colors"]) or "none (`orograph.geovis.color_store.store_colors`)")
+        line("layers", ", ".join(_layer(layer) for layer in facts["_layers"].values()) or "none (`orograph.bake`)")
         samples = rows * cols
         for name, size_of in (facts["parts"] or {}).items():
             line("", f"{_bytes(size_of):>10}  {name}, {size_of / samples:.2f} bytes per sample")
@@ -279,7 +279,7 @@ def _valid(facts: Mapping[str, Any]) -> str:
     rule = "no nodata value declared" if nodata is None else f"nodata {nodata:.9g}".replace("nan", "NaN")
     if facts["_masked"]:
         rule = "by its mask" + ("" if nodata is None else f" and {rule}")
-    sampled = "" if facts["height_range_exact"] else " of the samples looked at (--exact reads all)"
+    sampled = "" if facts["height_range_exact"] else " of the samples looked at (`exact` reads all)"
     return f"{text}{sampled} ({rule})"
 
 
