@@ -106,3 +106,17 @@ def test_shown_outside_notebooks(monkeypatch):
     picture = plan()
     picture.show()
     np.testing.assert_array_equal(seen[0], picture.pixels)
+
+
+def test_on_axes_of_cartopy_a_plan_is_brought_to_their_projection(pyplot):
+    projections = pytest.importorskip("cartopy.crs")
+    picture = plan()
+    west, south, east, north = picture.grid.bounds()
+    own, other = projections.epsg(32611), projections.PlateCarree()
+    for projection in (own, other):
+        ax = pyplot.figure().add_subplot(projection=projection)
+        image = picture.plot(ax)
+        x, y = projection.transform_point((west + east) / 2, (south + north) / 2, own)
+        x0, x1, y0, y1 = image.get_extent()
+        assert x0 < x < x1 and y0 < y < y1
+        assert ax.get_extent(own) == pytest.approx((west, east, south, north), abs=0.1 * (east - west))
