@@ -263,3 +263,20 @@ def test_methods_are_a_table_in_notebooks() -> None:
         assert name in repr(found) and name in found._repr_html_()
     assert found._repr_html_().count("<tr>") > 5
     assert "tolerance" in repr(orograph.methods("soar"))
+
+
+def test_views_and_stores_that_are_nearly_right(dem: orograph.Dem, tmp_path: Path) -> None:
+    plain: dict[str, Any] = {"size": (48, 32), "samples": 1, "shadows": False}
+    wanted = orograph.render(dem, orograph.camera.plan(dem, (48, 32)), **plain)
+    np.testing.assert_array_equal(orograph.render(dem, "plan", **plain), wanted)
+    (tmp_path / "v.json").write_text(json.dumps(wanted.view.to_dict()))
+    np.testing.assert_array_equal(orograph.render(dem, tmp_path / "v.json", **plain), wanted)
+    for call, words in (
+        (lambda: orograph.render(dem, 5), "A view is .*camera"), (lambda: orograph.render(dem, size=300), "A size is"),
+        (lambda: orograph.tessellate(dem, size=(3, 4.5)), "A size is"),
+        (lambda: orograph.open(dem), "A store is .*build"), (lambda: orograph.bake(dem, "aperture"), "A store is"),
+        (lambda: orograph.check(dem), "A store is"), (lambda: orograph.read(dem), "orograph.terrain"),
+        (lambda: orograph.bake(tmp_path / "a.oro", "aperture", raduis=3), "Did you mean radius"),
+    ):  # fmt: skip
+        with pytest.raises(UsageError, match=words):
+            call()

@@ -38,7 +38,7 @@ from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
 from orograph.dem.whole import DAMAGED, check_blocks, check_mask
-from orograph.errors import ReadError
+from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 
 MAX_READ_BYTES = 2 << 30
@@ -378,6 +378,10 @@ def read(
         ReadError: the file cannot be read, is damaged, or is too large.
         UsageError: an option that does not fit the file.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise UsageError(
+            f"`orograph.read` reads one file, not {type(path).__name__}.", remedy="Use `orograph.terrain` for all else."
+        )
     source = Source.open(
         path,
         band=band,

@@ -91,7 +91,7 @@ BAKED: dict[str, Baked] = {
 
 
 def bake(
-    store: str | Path,
+    store: StoredTerrain | str | Path,
     names: Sequence[str] | str,
     options: Options | None = None,
     *,
@@ -109,7 +109,7 @@ def bake(
     interrupted bake into a folder goes on when it is asked for again.
 
     Args:
-        store: a folder, or a URL that fsspec can write to.
+        store: a folder, a URL that fsspec can write to, or an opened store of these.
         names: of products, those in ``BAKED``.
         options: of the products.
         bits: of a code: 8 or 16; None: what the product needs (16 for apertures and insolation, else 8).
@@ -134,6 +134,7 @@ def bake(
         each.check(chosen)
     if bits is not None and bits not in get_args(Bits):
         raise UsageError(f"Layers have 8 or 16 bits, not {bits}.")
+    store = store.url if isinstance(store, StoredTerrain) else store
     storage = storage_at(store, storage_options)
     read_record(storage)  # a store that is not there is said before anything is written beside it
     cache = min(64 << 20, max_memory // 16)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import os
 import textwrap
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal
@@ -18,6 +19,7 @@ from orograph.rendering.backends import BACKENDS, draw
 from orograph.rendering.memory import check_memory
 from orograph.rendering.picture import Picture
 from orograph.reporting import reporting
+from orograph.scene.camera import NO_INSETS, check_size, view_of
 from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
@@ -44,7 +46,7 @@ FLAGS = {one.key.replace("-", "_"): one.name for one in OPTIONS.values() if one.
 
 def render(
     terrain: Any,
-    view: View | None = None,
+    view: View | str | os.PathLike[str] | None = None,
     *,
     size: tuple[int, int] = (1280, 720),
     backend: Literal["cpu", "gpu"] = "cpu",
@@ -60,7 +62,8 @@ def render(
         view: the camera, made with ``orograph.View(eye, target)`` in the terrain's CRS, or for a terrain by
             ``orograph.camera`` (the module ``orograph.scene.camera``): ``whole(terrain, size)``,
             ``around(terrain, size, azimuth=225, pitch=30, distance=None)``, ``standing(terrain, size, (lon, lat,
-            height), (lon, lat))`` or ``plan(terrain, size)``. None: all of the terrain, from the south.
+            height), (lon, lat))`` or ``plan(terrain, size)``; "plan": that; or the path of a VIEW.json. None: all
+            of the terrain, from the south.
         size: (width, height) in pixels where there is no view; with one, the view's own count. Default 1280 × 720.
         backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU where
             there is none). Default "cpu".
@@ -86,17 +89,14 @@ def render(
     if conservative:
         check_promise(options.get("method", "auto"), backend)
     max_memory, jobs = options.get("max_memory"), options.get("jobs")
-    check_memory((view.width, view.height) if view is not None else size, max_memory)
+    check_size(size)
+    check_memory((view.width, view.height) if isinstance(view, View) else size, max_memory)
     check_options(options)
     terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
-    if view is None:
-        from orograph.rendering.furniture.furnish import insets
-        from orograph.scene.camera import NO_INSETS, whole
+    from orograph.rendering.furniture.furnish import insets
 
-        view = whole(
-            terrain, size, exaggeration=options.get("exaggeration", 1.0),
-            insets=insets(size) if options.get("furniture") else NO_INSETS,
-        )  # fmt: skip
+    free = insets(size) if options.get("furniture") else NO_INSETS
+    view = view_of(view, terrain, size, exaggeration=options.get("exaggeration", 1.0), insets=free)
     return draw(Scene.of(terrain, view, **options), heard, backend=backend)
 
 

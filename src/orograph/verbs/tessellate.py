@@ -9,7 +9,7 @@ from orograph.lod.method import Resources
 from orograph.lod.needs import kinds_of
 from orograph.progress import Progress
 from orograph.reporting import reporting
-from orograph.scene.camera import whole
+from orograph.scene.camera import view_of
 from orograph.scene.methods import MEMORY, made
 from orograph.scene.parts import check_exaggeration
 from orograph.store.opening import terrain as opened
@@ -20,7 +20,7 @@ from orograph.viewpoint import Camera, View
 
 def tessellate(
     terrain: Any,
-    view: View | None = None,
+    view: View | str | os.PathLike[str] | None = None,
     *,
     method: str = "soar",
     tolerance: float | None = None,
@@ -41,7 +41,7 @@ def tessellate(
 
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
-        view: the camera; None: all of the terrain, from the south.
+        view: the camera, "plan", or the path of a VIEW.json; None: all of the terrain, from the south.
         method: what makes the triangles: NAME[,key=value…] (``orograph.methods()``).
         tolerance: pixels by which the mesh may be off on the screen; None: 1, unless another goal is given.
         triangles: instead: at most so many. seconds: instead: what can be done in so much time.
@@ -72,7 +72,7 @@ def tessellate(
     ground = opened(
         terrain, heard, max_memory=max_memory, jobs=jobs, errors=errors, called="tessellate", **reading
     )  # fmt: skip
-    view = whole(ground, size, exaggeration=exaggeration) if view is None else view
+    view = view_of(view, ground, size, exaggeration=exaggeration)
     selects = made(choice, ground, Resources((max_memory or MEMORY) // 2, jobs, heard), drape)
     with heard.task(f"Selecting ({choice})"):
         selection = selects.select(Camera.over(ground.grid, view, exaggeration), goal)
