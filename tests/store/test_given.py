@@ -281,3 +281,15 @@ def test_functions_that_take_a_terrain_take_them_all(path: Path, dataset: Any, t
     assert orograph.terrain(built) is built
     with pytest.raises(UsageError, match="`crs` cannot be said of a Terrain"):
         orograph.terrain(built, crs=CRS)
+
+
+def test_what_is_said_of_files_is_what_a_source_is_opened_with() -> None:
+    import inspect
+
+    from orograph.dem import Source
+    from orograph.dem.mosaic import Mosaic
+    from orograph.store.given import OF_FILES, OF_GRIDS
+
+    assert tuple(inspect.signature(Source.open).parameters)[1:] == OF_FILES
+    rest = set(inspect.signature(Mosaic.open).parameters) - {"paths", "progress", "options"}
+    assert set(OF_GRIDS) == rest

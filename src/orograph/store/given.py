@@ -5,22 +5,20 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orograph.dem.arrays import from_array
-from orograph.dem.datasets import file_of, from_dataset, is_dataset
-from orograph.dem.raster import Dem
-from orograph.dem.source import Source
 from orograph.errors import UsageError
 from orograph.progress import SILENT, Progress
 from orograph.store.memory import MemoryTerrain, is_metric
 from orograph.store.source import ArraySource, HeightSource
+
+if TYPE_CHECKING:
+    from orograph.dem.raster import Dem
 
 TAKES = (
     "a path or URL of a DEM or a store, a list of DEMs, a Dem, a Terrain, an xarray.DataArray or Dataset, an open "
@@ -28,7 +26,7 @@ TAKES = (
 )
 """What every function that wants a terrain takes."""
 
-OF_FILES = tuple(name for name in inspect.signature(Source.open).parameters if name != "path")
+OF_FILES = ("band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit", "assume_vertical")
 """How a file is read; of these ``OF_ARRAYS`` also say something about heights in memory."""
 OF_ARRAYS = ("transform", "spacing", "nodata", "vertical_unit", "assume_vertical", "name")
 OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid")
@@ -37,13 +35,22 @@ OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid")
 READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_ARRAYS)))
 """All that can be said of how heights are read."""
 
-Path_ = str | os.PathLike[str]
+
+def is_dataset(thing: Any) -> bool:
+    """Whether something is a dataset of rasterio's (``dem.datasets``), without importing what reads it."""
+    if "rasterio" not in sys.modules:
+        return False
+    from orograph.dem import datasets
+
+    return datasets.is_dataset(thing)
 
 
 def files_of(given: Any) -> list[str] | None:
     """The files and stores that something names, by path, or as open datasets of them; None of all else."""
     if isinstance(given, str | os.PathLike):
         return [os.fspath(given)]
+    from orograph.dem.datasets import file_of
+
     if is_dataset(given):
         path = file_of(given)
         return None if path is None else [path]
@@ -112,6 +119,9 @@ def check_names(options: Any, called: str) -> None:
 
 def _raster(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tuple[Any, bool]:
     """A source of one thing, and whether ``crs`` says where it lies."""
+    from orograph.dem.datasets import file_of
+    from orograph.dem.source import Source
+
     if isinstance(one, str | os.PathLike) or (is_dataset(one) and file_of(one) is not None):
         path = one if isinstance(one, str | os.PathLike) else str(file_of(one))
         return Source.open(path, **_fitting(said, OF_FILES, "", strict=False)), False
@@ -122,6 +132,10 @@ def _raster(one: Any, said: dict[str, Any], warned: list[str], called: str) -> t
 
 
 def _dem(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tuple[Dem, bool]:
+    from orograph.dem.arrays import from_array
+    from orograph.dem.datasets import from_dataset
+    from orograph.dem.raster import Dem
+
     crs = said.get("assume_crs", said.get("crs"))
     own = "assume_crs" not in said and "crs" in said
     if isinstance(one, Dem):
@@ -184,6 +198,8 @@ def is_rows(given: Any) -> bool:
 
 def _is_heights(one: Any) -> bool:
     """Whether it is a raster of some kind."""
+    from orograph.dem.raster import Dem
+
     raster = isinstance(one, str | os.PathLike | Dem | HeightSource) or hasattr(one, "data_vars")
     return raster or is_dataset(one) or _is_window(one) or is_rows(one) or is_array_like(one)
 
