@@ -117,8 +117,8 @@ def main() -> None:
     from orograph.geovis.layers import Layer
     from orograph.gpu.device import open_device
     from orograph.rendering.gpu.renderer import Renderer
-    from orograph.scene.prepare import prepare
     from orograph.scene.scene import Scene
+    from orograph.store.prepare import prepare
 
     terrain = prepare(given.terrain)
     image = given.image

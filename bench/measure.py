@@ -24,8 +24,8 @@ from horizon import fractal
 from orograph import measuring, store
 from orograph.measuring import viewshed_kernels
 from orograph.scene import camera
-from orograph.scene.prepare import prepare
 from orograph.store import Terrain
+from orograph.store.prepare import prepare
 
 
 def timed(work: Callable[[], Any], repeat: int = 3) -> float:

@@ -18,8 +18,8 @@ import numpy as np
 
 from orograph.lighting.sun import Sun
 from orograph.rendering.cpu.draw import draw, session
-from orograph.scene.prepare import prepare
 from orograph.scene.scene import Scene
+from orograph.store.prepare import prepare
 from orograph.touring import Tour, make
 from orograph.touring.film import Film
 

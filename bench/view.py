@@ -38,8 +38,8 @@ from orograph.lod.patches.expand import expand
 from orograph.rendering.gpu.frame import FrameStats
 from orograph.rendering.gpu.renderer import Renderer
 from orograph.scene.camera import around
-from orograph.scene.prepare import prepare
 from orograph.scene.scene import Scene
+from orograph.store.prepare import prepare
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.viewer.app import SWITCH

@@ -183,8 +183,8 @@ def main() -> None:
     parser.add_argument("--wide", type=int, default=4, help="panels in a row")
     parser.add_argument("--panel", type=int, default=340, help="pixels along its side")
     args = parser.parse_args()
-    from orograph.scene.prepare import prepare
     from orograph.store import MemoryTerrain
+    from orograph.store.prepare import prepare
 
     terrain = prepare([args.dem])
     if args.window:

@@ -21,7 +21,7 @@ from PIL import Image
 from rendercanvas.offscreen import RenderCanvas
 
 from orograph.scene.contours import Contours
-from orograph.scene.prepare import prepare
+from orograph.store.prepare import prepare
 from orograph.viewer import commands
 from orograph.viewer.app import renderer_of
 from orograph.viewer.results import Kind

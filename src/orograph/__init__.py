@@ -18,6 +18,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from orograph import measuring as measure
     from orograph.dem import Dem, read
     from orograph.geo import Grid
     from orograph.geovis.layers import Layer
@@ -31,8 +32,20 @@ if TYPE_CHECKING:
     from orograph.scene.contours import Contours
     from orograph.scene.silhouettes import Silhouettes
     from orograph.store import Terrain, build, open, terrain
+    from orograph.tessellation import Tessellation
+    from orograph.touring.tour import Tour
+    from orograph.verbs.check import check
+    from orograph.verbs.compare import compare
+    from orograph.verbs.doctor import doctor
+    from orograph.verbs.info import info
+    from orograph.verbs.movie import movie
+    from orograph.verbs.synth import synth
+    from orograph.verbs.tessellate import tessellate
+    from orograph.verbs.tour import tour
     from orograph.viewer.notebook import view
     from orograph.viewpoint import View
+
+    __version__: str
 
 __all__ = [
     "Contours",
@@ -43,16 +56,28 @@ __all__ = [
     "Silhouettes",
     "Sun",
     "Terrain",
+    "Tessellation",
+    "Tour",
     "View",
+    "__version__",
     "bake",
     "build",
     "camera",
+    "check",
+    "compare",
+    "doctor",
+    "info",
     "light",
+    "measure",
     "methods",
+    "movie",
     "open",
     "read",
     "render",
+    "synth",
     "terrain",
+    "tessellate",
+    "tour",
     "view",
 ]
 
@@ -65,30 +90,46 @@ _HOMES = {
     "Silhouettes": "orograph.scene.silhouettes",
     "Sun": "orograph.lighting.sun",
     "Terrain": "orograph.store",
+    "Tessellation": "orograph.tessellation",
+    "Tour": "orograph.touring.tour",
     "View": "orograph.viewpoint",
     "bake": "orograph.lighting.bake",
     "build": "orograph.store",
-    "camera": "orograph.scene",
+    "camera": "orograph.scene.camera:",
+    "check": "orograph.verbs.check",
+    "compare": "orograph.verbs.compare",
+    "doctor": "orograph.verbs.doctor",
+    "info": "orograph.verbs.info",
     "light": "orograph.lighting:make",
+    "measure": "orograph.measuring:",
     "methods": "orograph.lod.describe",
+    "movie": "orograph.verbs.movie",
     "open": "orograph.store",
     "read": "orograph.dem",
     "render": "orograph.rendering.api",
+    "synth": "orograph.verbs.synth",
     "terrain": "orograph.store",
+    "tessellate": "orograph.verbs.tessellate",
+    "tour": "orograph.verbs.tour",
     "view": "orograph.viewer.notebook",
 }
-"""Where each name is, as MODULE, or MODULE:NAME where it has another name there."""
+"""Where each name is: MODULE; MODULE:NAME where it has another name there; MODULE: where it is that module."""
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("orograph")
     if name not in _HOMES:
         raise AttributeError(f"module 'orograph' has no attribute {name!r}")
-    module, _, called = _HOMES[name].partition(":")
-    return getattr(importlib.import_module(module), called or name)
+    module, colon, called = _HOMES[name].partition(":")
+    home = importlib.import_module(module)
+    return home if colon and not called else getattr(home, called or name)
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted(__all__)
 
 
 if "xarray" in sys.modules:  # da.orograph, for those who use xarray; others need not pay for it

@@ -34,7 +34,7 @@ class OrographAccessor:
         """The array as a terrain in memory, brought to a projected metric CRS if it is not in one (``Mosaic``)."""
         from orograph.store import terrain
 
-        return terrain(self.to_dem(crs=crs, name=name))
+        return terrain(self._array, crs=crs, name=name)
 
     def light(self, name: str, **options: Any) -> xr.DataArray:
         """A product of light on the array's ground, by its name: ``orograph.lighting.make``."""

@@ -33,7 +33,7 @@ class Task:
 
 
 class Progress:
-    """Makes tasks. The base class is silent; ``orograph.cli.progress`` has the one that draws."""
+    """Makes tasks. The base class is silent; ``orograph.reporting`` has the one that draws."""
 
     def task(self, what: str, total: float | None = None) -> Task:
         """Begin a task called ``what`` of ``total`` units (None: unknown)."""

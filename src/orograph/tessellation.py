@@ -22,6 +22,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 
+from orograph.cards import amount, card, heights_row
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.output import Beside
@@ -58,9 +59,27 @@ class Tessellation:
             _check_indices("strip", self.strip, len(self.vertices))
 
     def __repr__(self) -> str:
-        strip = "" if self.strip is None else f", a strip of {len(self.strip)}"
+        strip = "" if self.strip is None else f", a strip of {len(self.strip):,}"
         method = f"{self.stats['method']}: " if "method" in self.stats else ""
-        return f"<Tessellation {method}{len(self.triangles)} triangles, {len(self.vertices)} vertices{strip}>"
+        return (
+            f"<Tessellation {method}{len(self.triangles):,} triangles, {len(self.vertices):,} vertices{strip}, "
+            f"{amount(self.nbytes)}>"
+        )
+
+    def _repr_html_(self) -> str:
+        told = [("triangles", f"{len(self.triangles):,}"), ("vertices", f"{len(self.vertices):,}")]
+        told += [] if self.strip is None else [("strip", f"{len(self.strip):,}")]
+        if len(self.vertices):
+            told.append(heights_row(float(self.vertices[:, 2].min()), float(self.vertices[:, 2].max()), None))
+        told += [(k, f"{v:g}") for k in ("tolerance", "refine_ms") if isinstance(v := self.stats.get(k), float)]
+        name = str(self.stats.get("method", "mesh"))
+        return card("tessellation", name, [*told, ("memory", amount(self.nbytes))])
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its arrays."""
+        strip = 0 if self.strip is None else self.strip.nbytes
+        return self.vertices.nbytes + self.triangles.nbytes + strip
 
     # ---- from methods ----------------------------------------------------------------------------------------------
 

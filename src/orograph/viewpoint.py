@@ -24,6 +24,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph.cards import card
 from orograph.documents import load_object, naming
 from orograph.errors import UsageError
 from orograph.geo.chart import AffineChart, Chart
@@ -34,7 +35,7 @@ Vector = tuple[float, float, float]
 Point = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class View:
     """A camera.
 
@@ -86,6 +87,17 @@ class View:
             if left < 0 or top < 0 or left + self.width > width or top + self.height > height:
                 raise UsageError(f"The tile of {self.width} × {self.height} pixels at ({left}, {top}) is not inside "
                                  f"the picture of {width} × {height}.")  # fmt: skip
+
+    def __repr__(self) -> str:
+        said = [f.name + "=" + repr(getattr(self, f.name)) for f in fields(self)
+                if f.name in ("eye", "target", "width", "height") or getattr(self, f.name) != f.default]  # fmt: skip
+        return f"View({', '.join(said)})"
+
+    def _repr_html_(self) -> str:
+        places = [(name, ", ".join(f"{v:,.1f}" for v in getattr(self, name))) for name in ("eye", "target")]
+        told = [("pixels", f"{self.width} × {self.height}"), *places, ("distance", f"{self.distance:,.0f} m"),
+                ("field of view", f"{self.fov_y:g}°")]  # fmt: skip
+        return card(self.projection, "View", told)
 
     # ---- reading and writing -------------------------------------------------------------------------------------
 

@@ -36,7 +36,7 @@ def test_no_adapter_has_a_remedy(runner: CliRunner, monkeypatch: pytest.MonkeyPa
 
 
 def test_a_missing_library_has_a_remedy(runner: CliRunner, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "EXTRAS", {"view": ("no-such-library",)})
+    monkeypatch.setattr("orograph.verbs.doctor.EXTRAS", {"view": ("no-such-library",)})
     ran = runner.invoke(doctor.command, [])
     assert ran.exit_code == 0 and "no-such-library (missing)" in ran.output
     assert "pip install 'orograph[view]'" in ran.output

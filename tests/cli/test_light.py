@@ -229,7 +229,7 @@ def test_nonsense_is_refused_before_work(run, hilly, tmp_path, args, says, monke
     def work(*_, **__):
         raise AssertionError("the terrain was read")
 
-    monkeypatch.setattr("orograph.scene.prepare.prepare", work)
+    monkeypatch.setattr("orograph.store.prepare.prepare", work)
     code, _, err = run("light", hilly, *args)
     assert code == 2 and says in err and not list(tmp_path.iterdir())
 

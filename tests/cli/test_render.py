@@ -23,7 +23,7 @@ from orograph import store
 from orograph.geo.grid import Grid
 from orograph.lighting.sun import place as place_of
 from orograph.lighting.sun import position
-from orograph.scene.prepare import prepare
+from orograph.store.prepare import prepare
 
 PLACE = Affine(30, 0, 500_000, 0, -30, 4_000_000)
 SMALL = ("--size", "160x90", "--quiet")
@@ -480,7 +480,7 @@ def test_a_damaged_store_is_never_drawn(run, tmp_path):
 
 
 def test_large_dems_are_kept(run, tmp_path, monkeypatch):
-    for place in ("orograph.scene.prepare.EXACT_SAMPLES", "orograph.scene.scene.EXACT_SAMPLES"):
+    for place in ("orograph.store.prepare.EXACT_SAMPLES", "orograph.scene.scene.EXACT_SAMPLES"):
         monkeypatch.setattr(place, 10_000)
     cache = tmp_path / "cache"
     monkeypatch.setenv("OROGRAPH_CACHE", str(cache))
@@ -510,7 +510,7 @@ def test_large_dems_are_kept(run, tmp_path, monkeypatch):
 
 
 def test_the_cache_keeps_within_its_size(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("orograph.scene.prepare.EXACT_SAMPLES", 10_000)
+    monkeypatch.setattr("orograph.store.prepare.EXACT_SAMPLES", 10_000)
     monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path / "cache"))
     first, second = (write(tmp_path / f"{name}.tif", hills(300, 400)) for name in "ab")
     assert run("render", first, "-o", tmp_path / "a.png", *SMALL)[0] == 0
@@ -525,14 +525,14 @@ def test_the_cache_keeps_within_its_size(run, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("mib", "fits"), [(512, False), (600, True), (1024, True)])
 def test_a_raster_is_read_into_memory_where_its_picture_keeps_within_the_limit(mib, fits):
-    from orograph.scene.prepare import _fits
+    from orograph.store.prepare import _fits
 
     assert _fits(4097 * 4097, mib << 20) is fits  # in memory the picture takes 544 MiB
     assert _fits(344 * 403, 64 << 20)
 
 
 def test_a_cache_that_cannot_be(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("orograph.scene.prepare.EXACT_SAMPLES", 10_000)
+    monkeypatch.setattr("orograph.store.prepare.EXACT_SAMPLES", 10_000)
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path / "file" / "cache"))
     dem = write(tmp_path / "dem.tif", hills(300, 400))

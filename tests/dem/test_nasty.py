@@ -163,7 +163,7 @@ def test_it_is_refused(nasty: Path, name: str) -> None:
 
 WATCHED = """
 import json, resource, sys, time
-from orograph.cli.info import facts_of
+from orograph.verbs.info import info
 from orograph.dem import Source, read
 from orograph.errors import OrographError
 from orograph.progress import SILENT
@@ -176,7 +176,7 @@ def corner(path):
         source.read(rows - 1, rows, cols - 1, cols)
         source.read(0, min(rows, 4096), 0, min(cols, 64), step=64)
 for path in sys.argv[1:]:
-    for what in (read, corner, lambda p: facts_of(p, progress=SILENT, exact=None, jobs=2)):
+    for what in (read, corner, lambda p: info(p, progress=SILENT, exact=None, jobs=2)):
         before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
         try:
             what(path)

@@ -138,8 +138,10 @@ def test_what_a_data_array_keeps(heights):
     np.testing.assert_array_equal(made.values, lighting.slope(given.expand_dims("band")).values)
     shade = lighting.normals(given)
     assert list(shade.band.values) == ["normal east", "normal north", "normal up"]
+    slope = lighting.slope(given.to_dataset(name="hill"))
+    np.testing.assert_array_equal(slope, lighting.slope(given))
     with pytest.raises(UsageError, match="dataset"):
-        lighting.slope(given.to_dataset())
+        lighting.slope(given.to_dataset(name="a").assign(b=given))
 
 
 def test_metres_are_not_called_degrees(heights):
@@ -231,7 +233,7 @@ def test_wrong_options_are_refused(heights):
     ):  # fmt: skip
         with pytest.raises(UsageError):
             lighting.make(heights, "visible-sky", cell=CELL, **wrong)
-    with pytest.raises(UsageError, match=r"raduis.*azimuths"):
+    with pytest.raises(UsageError, match=r"raduis.*radius"):
         lighting.make(heights, "visible-sky", cell=CELL, raduis=300.0)
 
 

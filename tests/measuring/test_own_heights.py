@@ -15,7 +15,7 @@ from scipy.interpolate import RegularGridInterpolator
 from orograph import measuring, store
 from orograph.dem.mosaic import Mosaic
 from orograph.geo.grid import Grid
-from orograph.scene.prepare import prepare
+from orograph.store.prepare import prepare
 from orograph.store.source import ArraySource
 
 CELL = 1 / 1200

@@ -57,7 +57,7 @@ def test_depth_is_that_of_the_triangles(transform, exaggeration, holed):
 
 def test_depth_of_a_real_dem(shared_data):
     path = shared_data / "bigtujunga-srtm30m-utm"
-    from orograph.scene.prepare import prepare
+    from orograph.store.prepare import prepare
 
     ground = prepare([str(next(f for f in sorted(path.iterdir()) if f.suffix in (".tif", ".bil")))])
     view = camera.whole(ground, (320, 180), azimuth=220, pitch=20)

@@ -101,7 +101,9 @@ def test_scale_is_that_of_the_ground(monkeypatch):
 
 def test_names_that_are_none():
     assert legend._crs_name(CRS("EPSG:32611")) == "WGS 84 / UTM zone 11N"
-    assert legend._crs_name(CRS("+proj=laea +lat_0=45 +lon_0=7 +type=crs")) == "Lambert Azimuthal Equal Area, 45° N 7° E"
+    assert (
+        legend._crs_name(CRS("+proj=laea +lat_0=45 +lon_0=7 +type=crs")) == "Lambert Azimuthal Equal Area, 45° N 7° E"
+    )
     assert legend._crs_name(None) is None
     assert legend._crs_name(CRS('LOCAL_CS["Unnamed",UNIT["metre",1]]')) is None
 

@@ -227,7 +227,7 @@ def window(device: Device, dem: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
     pytest.importorskip("imgui_bundle")
     from rendercanvas.offscreen import RenderCanvas
 
-    from orograph.scene.prepare import prepare
+    from orograph.store.prepare import prepare
     from orograph.viewer.app import renderer_of
     from orograph.viewer.session import Session
     from orograph.viewer.window import Window

@@ -10,7 +10,7 @@ import rasterio
 from affine import Affine
 
 from orograph.geovis.layers import Layer
-from orograph.scene.prepare import prepare
+from orograph.store.prepare import prepare
 from orograph.viewer.cover import Cover
 from orograph.viewer.session import Session
 

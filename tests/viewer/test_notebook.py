@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import orograph
-from orograph.scene.prepare import prepare
+from orograph.store.prepare import prepare
 from orograph.viewer.notebook import Still, Widget
 
 pytest.importorskip("imgui_bundle")

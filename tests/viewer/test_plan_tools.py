@@ -10,7 +10,7 @@ import rasterio
 
 from orograph import measuring
 from orograph.measuring.told import lines
-from orograph.scene.prepare import prepare
+from orograph.store.prepare import prepare
 from orograph.viewpoint import View
 
 pytest.importorskip("imgui_bundle")

@@ -11,8 +11,8 @@ import pytest
 from orograph import measuring
 from orograph.errors import StoreError
 from orograph.scene import camera
-from orograph.scene.prepare import prepare
 from orograph.store import terrain as in_memory
+from orograph.store.prepare import prepare
 from orograph.viewer import probe as module
 from orograph.viewer.probe import Probe
 

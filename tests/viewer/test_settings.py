@@ -10,7 +10,7 @@ from orograph.errors import UsageError
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Placed, position
 from orograph.scene.parts import HOMES, OPTIONS
-from orograph.scene.prepare import prepare
+from orograph.store.prepare import prepare
 from orograph.viewer.settings import Settings, SunSetting
 
 

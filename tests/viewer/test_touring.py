@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from orograph.lighting.sun import Moment, Placed
-from orograph.scene.prepare import prepare
+from orograph.store.prepare import prepare
 from orograph.touring import Tour
 from orograph.viewer.navigation import orbit
 from orograph.viewer.session import Session

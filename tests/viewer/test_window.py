@@ -17,7 +17,7 @@ from imgui_bundle import imgui
 from rendercanvas.offscreen import RenderCanvas
 
 from orograph.errors import StoreError
-from orograph.scene.prepare import prepare
+from orograph.store.prepare import prepare
 from orograph.viewer.app import renderer_of
 from orograph.viewer.keys import bindings, help_rows
 from orograph.viewer.navigation import heading_pitch

@@ -147,7 +147,8 @@ def command(
         return
     if not dem:
         raise click.UsageError("Missing argument 'DEM...'.", ctx)
-    from orograph.store.build import as_source, build
+    from orograph.store.build import build
+    from orograph.store.given import source_of
 
     if drape is not None and not color_errors:
         raise UsageError("--drape is looked at for --color-errors.", remedy="Give --color-errors, too.")
@@ -158,7 +159,7 @@ def command(
     progress = progress_of(ctx)
     errors = (*errors, *(kind for kind in _needed(methods, progress) if kind not in errors))
     started = time.perf_counter()
-    source = as_source(dem, progress, **options)
+    source = source_of(dem, progress, **options)
     for warning in getattr(source, "warnings", ()):
         progress.warn(warning)
     try:
@@ -243,7 +244,7 @@ def _repair(
     options: dict[str, Any],
 ) -> None:  # fmt: skip
     """Mend a store, and tell what was."""
-    from orograph.store.build import as_source
+    from orograph.store.given import source_of
     from orograph.store.repair import repair
 
     others = {
@@ -264,7 +265,7 @@ def _repair(
                 remedy="It makes the store what it was, of the files and options it was built with.",
             )
     progress = progress_of(ctx)
-    source = as_source(dem, progress, **options) if dem else None
+    source = source_of(dem, progress, **options) if dem else None
     mended = repair(store, source, max_memory=max_memory, jobs=jobs, progress=progress)
     if as_json:
         click.echo(json.dumps({"path": store, "mended": mended}))

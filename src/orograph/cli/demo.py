@@ -49,8 +49,8 @@ def command(ctx: click.Context, /, output: Path) -> None:
     from orograph.lighting.sun import Sun
     from orograph.rendering.cpu.draw import draw
     from orograph.scene.camera import whole
-    from orograph.scene.prepare import prepare
     from orograph.scene.scene import Scene
+    from orograph.store.prepare import prepare
 
     terrain = prepare([str(dem)], progress=progress)
     rows, cols = terrain.grid.shape

@@ -1,33 +1,14 @@
-"""``orograph info``: what a DEM or a store is, and what is suspicious about it, for people or (``--json``) programs.
-
-The keys of the JSON object are fixed: kind ("dem" or "store"), path, crs, transform (a b c d e f as in GDAL and
-affine), shape [rows, cols], spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction,
-dtype, nodata, vertical_datum, levels, side, errors (the kinds that a store has), colors (what its color errors are of:
-drape, colormap, sun, relief), resampled (what a store lost when its source was brought to another grid, metres: rms,
-largest, summit_loss, highest, highest_loss), keeps_source (whether the source's samples are in it), layers (those baked
-into it), parts (what of a store takes how many bytes), size_bytes,
-warnings. What is unknown or absent, and every number that is not finite, is null. Several paths give a list.
-"""
+"""``orograph info``: what a DEM or a store is, and what is suspicious about it (``verbs.info``)."""
 
 from __future__ import annotations
 
 import json
-import math
-import os
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from orograph.cli.options import jobs_option, progress_of, source_options
 from orograph.cli.wording import spoken
-from orograph.progress import Progress
-
-if TYPE_CHECKING:
-    from orograph.store.layers import LayerRecord
-
-Facts = dict[str, Any]
 
 
 @click.command("info")
@@ -52,272 +33,22 @@ def command(
       orograph info height.png --spacing 30
     """
     progress = progress_of(ctx)
-    facts = [facts_of(path, progress=progress, exact=exact or None, jobs=jobs, **options) for path in paths]
+    from orograph.verbs.info import describe, info
+
+    facts = [info(path, progress=progress, exact=exact or None, jobs=jobs, **options) for path in paths]
+    for fact in facts:
+        fact["warnings"] = [spoken(text) for text in fact["warnings"]]
     if as_json:
         plain = [{k: v for k, v in f.items() if not k.startswith("_")} for f in facts]
         click.echo(json.dumps(plain[0] if len(plain) == 1 else plain, indent=2, ensure_ascii=False, allow_nan=False))
         return
     for i, fact in enumerate(facts):
-        click.echo(("\n" if i else "") + describe(fact))
+        click.echo(("\n" if i else "") + spoken(describe(fact, _bold, _mark)))
 
 
-def facts_of(path: str, *, progress: Progress, exact: bool | None, jobs: int | None, **options: Any) -> Facts:
-    """The JSON object of one path (keys that begin with "_" are for people only)."""
-    from orograph.store.detect import is_store
-
-    return _store_facts(path) if is_store(path) else _dem_facts(path, progress, exact, jobs, options)
+def _bold(text: str) -> str:
+    return click.style(text, bold=True)
 
 
-def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | None, options: Facts) -> Facts:
-    from orograph.dem.inspect import crs_text, spacing_metres, suspicions
-    from orograph.dem.source import Source
-    from orograph.dem.statistics import statistics
-    from orograph.store.terrain import exponent, level_count
-
-    with Source.open(path, **options) as source:
-        spacing = spacing_metres(source.grid)
-        found = statistics(source, spacing[0], exact=exact, jobs=jobs, progress=progress)
-        warnings = [spoken(text) for text in suspicions(source, found)]
-    crs = source.grid.crs
-    return {
-        "kind": "dem",
-        "path": path,
-        "crs": crs_text(crs),
-        "transform": list(source.grid.transform[:6]),
-        "shape": list(source.shape),
-        "spacing_m": [_finite(v) for v in spacing],
-        "height_range": [_finite(found.low), _finite(found.high)],
-        "height_range_exact": found.exact,
-        "valid_fraction": found.valid_fraction,
-        "dtype": source.dtype,
-        "nodata": _finite(source.nodata),
-        "vertical_datum": source.vertical,
-        "levels": level_count(source.shape),
-        "side": (1 << exponent(source.shape)) + 1,
-        "errors": [],
-        "colors": None,
-        "resampled": None,
-        "keeps_source": None,
-        "layers": [],
-        "parts": None,
-        "size_bytes": _size(path),
-        "warnings": warnings,
-        "_format": source.driver,
-        "_crs": crs,
-        "_nodata": source.nodata,
-        "_masked": source.masked,
-        "_bands": (source.band, source.bands, source.description),
-        "_scaling": (source.scale, source.offset, source.unit_factor),
-        "_georeferenced": source.georeferenced,
-        "_encoding": source.encoding,
-    }
-
-
-def _store_facts(path: str) -> Facts:
-    from orograph import store
-    from orograph.dem.inspect import crs_text, spacing_metres
-    from orograph.store.colors import COLORS
-    from orograph.store.layers import LAYERS
-
-    with store.open(path) as terrain:
-        low, high = terrain.height_range
-        return {
-            "kind": "store",
-            "path": path,
-            "crs": crs_text(terrain.grid.crs),
-            "transform": list(terrain.grid.transform[:6]),
-            "shape": list(terrain.grid.shape),
-            "spacing_m": [_finite(v) for v in spacing_metres(terrain.grid)],
-            "height_range": [_finite(low), _finite(high)],
-            "height_range_exact": True,
-            "valid_fraction": terrain.valid_fraction,
-            "dtype": "float32",
-            "nodata": None,
-            "vertical_datum": terrain.vertical,
-            "levels": terrain.levels,
-            "side": terrain.side,
-            "errors": list(terrain.errors),
-            "colors": COLORS.of(terrain.record) or None,
-            "resampled": None if terrain.resampled is None else terrain.resampled.to_json(),
-            "keeps_source": terrain.samples is not None,
-            "layers": list(terrain.layers),
-            "_resampled": terrain.resampled,
-            "parts": _parts(path, terrain.errors, tuple(terrain.layers)),
-            "_layers": LAYERS.of(terrain.record),
-            "size_bytes": _size(path),
-            "warnings": [],
-            "_format": "terrain store",
-            "_crs": terrain.grid.crs,
-            "_georeferenced": True,
-        }
-
-
-def _finite(value: float | int | None) -> float | int | None:
-    return value if value is not None and math.isfinite(value) else None
-
-
-def _size(path: str) -> int | None:
-    """Bytes on disk of a file, or of all files in a folder; None for what is not on this disk."""
-    file = Path(path)
-    if file.is_file():
-        return file.stat().st_size
-    if not file.is_dir():
-        return None
-    return _files(file)
-
-
-def _parts(path: str, errors: Sequence[str], layers: Sequence[str]) -> dict[str, int] | None:
-    """Bytes on disk of what a store consists of; None for what is not on this disk."""
-    folder = Path(path)
-    if not folder.is_dir():
-        return None
-    parts = {"heights": _files(folder / "heights")}
-    for kind in (*errors, "radius"):
-        found = sum(_files(level / kind) for level in (folder / "diamonds").glob("*"))
-        if found:
-            parts["spheres" if kind == "radius" else f"{kind} errors"] = found
-    if (folder / "colors").is_dir():
-        parts["color errors"] = _files(folder / "colors")
-    for name in layers:
-        parts[name] = _files(folder / "layers" / name)
-    if (folder / "source").is_dir():
-        parts["samples of the source"] = _files(folder / "source")
-    rest = _files(folder) - sum(parts.values())
-    return {**parts, "means, extremes and the rest": rest}
-
-
-def _files(folder: Path) -> int:
-    return sum((Path(root) / name).stat().st_size for root, _, names in os.walk(folder) for name in names)
-
-
-def describe(facts: Facts) -> str:
-    """The facts as a person reads them."""
-    rows, cols = facts["shape"]
-    size = "" if facts["size_bytes"] is None else f", {_bytes(facts['size_bytes'])}"
-    lines = [click.style(f"{facts['path']}", bold=True) + f"  ({facts['_format']}{size})"]
-
-    def line(label: str, text: str) -> None:
-        lines.append(f"  {label:<9}{text}")
-
-    band, bands, description = facts.get("_bands", (1, 1, ""))
-    of = f", band {band} of {bands}" if bands > 1 else ""
-    line(
-        "samples", f"{rows} rows × {cols} columns, {facts['dtype']}{of}" + (f" ({description})" if description else "")
-    )
-    x, y = facts["spacing_m"]
-    line("spacing", f"{x:.6g} × {y:.6g} m" + _degrees(facts) if x is not None else "unknown")
-    line("CRS", _crs_line(facts))
-    line("extent", _extent(facts))
-    low, high = facts["height_range"]
-    if low is None:
-        line("heights", "none")
-    else:
-        about = "" if facts["height_range_exact"] else "about "
-        datum = facts["vertical_datum"] or "vertical datum unknown"
-        line("heights", f"{about}{low:.7g} to {high:.7g} m ({datum})" + _scaling(facts))
-    line("valid", _valid(facts))
-    line(
-        "terrain", f"{facts['levels']} level{'s' if facts['levels'] > 1 else ''} in a square of {facts['side']} samples"
-    )
-    if facts["kind"] == "store":
-        if facts["_resampled"] is not None:
-            kept = "its samples are kept" if facts["keeps_source"] else "its samples are not kept"
-            line("source", f"resampled: {facts['_resampled']}; {kept}")
-        line("errors", ", ".join(facts["errors"]) or "none (orograph build --errors)")
-        line("colors", _colors(facts["colors"]) or "none (orograph build --color-errors)")
-        line("layers", ", ".join(_layer(layer) for layer in facts["_layers"].values()) or "none (orograph bake)")
-        samples = rows * cols
-        for name, size_of in (facts["parts"] or {}).items():
-            line("", f"{_bytes(size_of):>10}  {name}, {size_of / samples:.2f} bytes per sample")
-    for text in facts["warnings"]:
-        lines.append(click.style("  ! ", fg="yellow", bold=True) + text)
-    return "\n".join(lines)
-
-
-def _colors(colors: Facts | None) -> str:
-    """What color errors are of."""
-    if not colors:
-        return ""
-    of = f"the image {colors['drape']['name']}" if colors["drape"] else f"the tint {colors['colormap'] or 'alpine'}"
-    sun = colors["sun"]
-    light = "" if sun is None else f", sun at {sun[0]:g}°, {sun[1]:g}° high"
-    return f"of {of}{light}, relief × {colors['relief']:g}"
-
-
-def _layer(layer: LayerRecord) -> str:
-    """A baked layer and how it was made."""
-    made = ", ".join(f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in layer.options.items()
-                     if v is not None and v is not False)  # fmt: skip
-    return f"{layer.name} ({layer.bands[0].bits} bits; {made})"
-
-
-def _valid(facts: Facts) -> str:
-    share = facts["valid_fraction"]
-    text = "all" if share == 1 else "none" if share == 0 else f"{min(max(share, 0.0001), 0.9999):.2%}"
-    if facts["kind"] == "store":
-        return text
-    nodata = facts["_nodata"]
-    rule = "no nodata value declared" if nodata is None else f"nodata {nodata:.9g}".replace("nan", "NaN")
-    if facts["_masked"]:
-        rule = "by its mask" + ("" if nodata is None else f" and {rule}")
-    sampled = "" if facts["height_range_exact"] else " of the samples looked at (--exact reads all)"
-    return f"{text}{sampled} ({rule})"
-
-
-def _crs_line(facts: Facts) -> str:
-    crs = facts["_crs"]
-    if crs is None:
-        return "none" if facts["_georeferenced"] else "none: the file does not say where it lies"
-    text = facts["crs"]
-    if len(text) < 40:
-        return f"{text} ({crs.name})"
-    method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
-    return f"{crs.name}" + (f", {method}" if method and method != "unknown" else "") + " (no code)"
-
-
-def _degrees(facts: Facts) -> str:
-    crs = facts["_crs"]
-    if crs is None or not crs.is_geographic:
-        return ""
-    a, b, _, d, e, _ = facts["transform"]
-    return f" at its centre ({math.hypot(a, d):.6g} × {math.hypot(b, e):.6g} {crs.axis_info[0].unit_name}s)"
-
-
-def _extent(facts: Facts) -> str:
-    a, b, c, d, e, f = facts["transform"]
-    rows, cols = facts["shape"]
-    corners = [(a * i + b * j + c, d * i + e * j + f) for i in (0, cols) for j in (0, rows)]
-    xs, ys = [p[0] for p in corners], [p[1] for p in corners]
-    turned = " (rotated)" if b or d else ""
-    x, y = facts["spacing_m"]
-    across = "" if x is None else f", {_length(x * cols)} × {_length(y * rows)}"
-    return f"x {min(xs):.10g} to {max(xs):.10g}, y {min(ys):.10g} to {max(ys):.10g}{across}{turned}"
-
-
-def _scaling(facts: Facts) -> str:
-    if facts.get("_encoding"):
-        return f", decoded from {facts['_encoding']} colours"
-    scale, offset, unit = facts.get("_scaling", (1.0, 0.0, 1.0))
-    said = []
-    if scale != 1 or offset != 0:
-        said.append(f"stored × {scale:.7g}" + (f" + {offset:.7g}" if offset else ""))
-    if unit != 1:
-        said.append(f"1 unit = {unit:.9g} m")
-    return f", {', '.join(said)}" if said else ""
-
-
-def _length(metres: float) -> str:
-    return (
-        f"{metres / 1000:,.0f} km"
-        if metres >= 1e6
-        else f"{metres / 1000:.4g} km"
-        if metres >= 1000
-        else f"{metres:.4g} m"
-    )
-
-
-def _bytes(size: int) -> str:
-    for unit, factor in (("GiB", 2**30), ("MiB", 2**20), ("KiB", 2**10)):
-        if size >= factor:
-            return f"{size / factor:.1f} {unit}"
-    return f"{size} bytes"
+def _mark(text: str) -> str:
+    return click.style(text, fg="yellow", bold=True)

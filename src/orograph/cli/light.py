@@ -138,7 +138,7 @@ def command(
         from orograph.lighting.raster_resume import Checkpoint, identity
         from orograph.lighting.sun import Sun
         from orograph.output import check_folder
-        from orograph.scene.prepare import prepare
+        from orograph.store.prepare import prepare
 
     # What is wrong with the command line is said before any work is done.
     check_folder(Path(output))

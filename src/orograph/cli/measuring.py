@@ -74,7 +74,7 @@ def opened(ctx: click.Context, outputs: tuple[str, ...] = (), others: tuple[str 
     progress = progress_of(ctx)
     with progress.task("Loading Orograph"):
         from orograph.output import check_folder
-        from orograph.scene.prepare import prepare
+        from orograph.store.prepare import prepare
     for path in (*outputs, *filter(None, others)):
         check_folder(Path(path))
     return prepare(

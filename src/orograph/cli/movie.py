@@ -23,9 +23,10 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.cli.scenes import DRAWING, check_scene, inputs_of, scene_of, scene_options
-from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
+from orograph.cli.tours import tour_options
 from orograph.errors import UsageError
 from orograph.scene import given
+from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
 
 OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 """What is said about the film; all other options are about reading."""
@@ -93,7 +94,7 @@ def command(
     with progress.task("Loading Orograph"):
         from orograph.rendering.backends import session
         from orograph.rendering.memory import check_memory
-        from orograph.scene.prepare import prepare
+        from orograph.store.prepare import prepare
         from orograph.touring import Tour
         from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
         from orograph.touring.film import Film, spoken

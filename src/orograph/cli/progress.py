@@ -8,12 +8,12 @@ from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, TaskID, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
+from rich.progress import TaskID
 
 from orograph.cli.wording import spoken
 from orograph.compiling import COMPILING
 from orograph.progress import Progress, Task
+from orograph.reporting import bars
 
 COMPILING_KERNELS = "Compiling kernels, once on this machine"
 
@@ -80,14 +80,7 @@ class LineProgress(Progress):
         self.timings: list[tuple[str, float]] = []
         self._compiled = COMPILING.count, COMPILING.seconds
         self._compiling: TaskID | None = None
-        self.bar = Bar(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.percentage:>3.0f}%"),
-            TimeRemainingColumn(),
-            console=self.console,
-            transient=True,
-        )
+        self.bar = bars(self.console)
         if self.live:
             COMPILING.changed.append(self._show_compiling)
 

@@ -28,11 +28,12 @@ from orograph.cli.options import (
 )
 from orograph.errors import UsageError
 from orograph.scene.given import read_method
+from orograph.verbs import goals
 
 if TYPE_CHECKING:
     from orograph.error import ErrorKind
     from orograph.lod.method import Goal, Method
-    from orograph.lod.registry import Backend, Choice
+    from orograph.lod.registry import Choice
     from orograph.progress import Progress
     from orograph.store.terrain import Terrain
 
@@ -135,7 +136,7 @@ def terrain_of(
     Args:
         options: of the verb. own: those of them that say nothing about reading, besides ``REFINE``.
     """
-    from orograph.scene.prepare import prepare
+    from orograph.store.prepare import prepare
 
     source = source_of(options, {*own, *REFINE})
     return prepare(
@@ -144,38 +145,15 @@ def terrain_of(
 
 
 def goal_of(options: Mapping[str, Any], *names: str) -> Goal:
-    """The one of the options ``names`` that is given; else a tolerance of 1 pixel.
-
-    Raises:
-        UsageError: more than one is.
-    """
-    from orograph.lod.method import Goal
-
-    given = {name: options[name] for name in names if options[name] is not None}
-    if len(given) > 1:
-        raise UsageError(f"Give one goal: {' or '.join(f'--{name}' for name in given)}.")
-    return Goal(**(given or {"tolerance": 1.0}))
+    """The one of the options ``names`` that is given; else a tolerance of 1 pixel (``verbs.goals``)."""
+    return goals.goal_of(**{name: options[name] for name in names})
 
 
-def choice_of(text: str, conservative: bool, backend: Backend = "cpu") -> Choice:
-    """The method that a ``--method`` describes.
-
-    Raises:
-        UsageError: it is none; or, with ``--conservative``, a tolerance is no promise with its options.
-    """
-    from orograph.lod.registry import chosen
-
-    choice = chosen(text, backend)
-    if conservative and not choice.conservative:
-        raise UsageError(
-            f"With {choice} a tolerance is no promise, which --conservative asks for.",
-            remedy=f"See orograph methods {choice.info.name}.",
-        )
-    return choice
+choice_of = goals.choice_of
 
 
 def error_kinds(choices: Sequence[Choice]) -> tuple[ErrorKind, ...]:
-    """The kinds of errors of diamonds that methods need, for ``scene.prepare``."""
+    """The kinds of errors of diamonds that methods need, for ``store.prepare``."""
     from orograph.lod.needs import kinds_of
 
     return kinds_of(need for choice in choices for need in choice.method.needs(choice.options))

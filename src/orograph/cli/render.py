@@ -82,7 +82,7 @@ def command(
         from orograph.rendering.memory import check_memory
         from orograph.rendering.picture import picture_format
         from orograph.scene.diagnostics import LEAVE_CAMERA
-        from orograph.scene.prepare import prepare
+        from orograph.store.prepare import prepare
 
     # What is wrong with the command line is said before any work is done.
     picture_format(Path(output))

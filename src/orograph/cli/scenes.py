@@ -156,7 +156,7 @@ def given_of(options: Mapping[str, Any]) -> dict[str, Any]:
 def check_scene(options: Mapping[str, Any], progress: Progress) -> tuple[ErrorKind, ...]:
     """Raise UsageError where what is said of a scene contradicts itself; warn of what has no effect.
 
-    Returns: the kinds of errors of diamonds that its method needs, for ``scene.prepare``.
+    Returns: the kinds of errors of diamonds that its method needs, for ``store.prepare``.
     """
     from orograph.geovis.color import color_table
 

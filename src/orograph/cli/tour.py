@@ -12,8 +12,9 @@ from orograph.cli.camera import Size
 from orograph.cli.files import check_outputs
 from orograph.cli.options import FILE, grid_options, jobs_option, memory_option, progress_of, source_of, source_options
 from orograph.cli.scenes import scene_option
-from orograph.cli.tours import WAY, check_tour, chosen, tour_of, tour_options
+from orograph.cli.tours import tour_options
 from orograph.errors import UsageError
+from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
 
 
 @click.group("tour")
@@ -52,7 +53,7 @@ def new(
     source = source_of(options, WAY)
     with progress.task("Loading Orograph"):
         from orograph.output import Beside, check_folder
-        from orograph.scene.prepare import prepare
+        from orograph.store.prepare import prepare
 
     check_folder(Path(output))
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)

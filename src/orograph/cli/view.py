@@ -85,8 +85,8 @@ def command(
         from orograph.errors import UsageError
         from orograph.output import check_folder
         from orograph.scene.methods import mesh_choice
-        from orograph.scene.prepare import prepare
         from orograph.store.detect import is_store
+        from orograph.store.prepare import prepare
         from orograph.viewer.session import Session
 
     # What is wrong with the command line is said before any work is done.

@@ -14,16 +14,27 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from affine import Affine
+from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from orograph.dem.arrays import heights_of
 from orograph.dem.raster import Dem
-from orograph.dem.source import HUGE
 from orograph.dem.units import metres_per
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 
 _ALONG_ROWS = {"x", "lon", "long", "longitude", "easting", "east", "e", "projection_x_coordinate"}
+HEIGHTS = {
+    "elevation", "height", "altitude", "dem", "dtm", "dsm", "z", "topo", "topography", "orog", "orography", "hgt",
+    "surface_altitude", "height_above_reference_ellipsoid", "height_above_geopotential_datum",
+    "height_above_mean_sea_level", "band_data",
+}  # fmt: skip
+"""Names, and standard names (CF), of variables that hold heights."""
+
+STRIP = 1 << 22
+"""Samples of an array that are converted at once."""
+
 _DOWN = {"y", "lat", "latitude", "northing", "north", "n", "projection_y_coordinate"}
 
 
@@ -44,7 +55,7 @@ def axes_of(array: xr.DataArray) -> tuple[Any, Any]:
 
 
 def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str | None = None) -> Dem:
-    """A Dem of a two-dimensional DataArray (dimensions of length 1 in front are dropped).
+    """A Dem of a two-dimensional DataArray (further dimensions of length 1 are dropped).
 
     Args:
         array: heights with evenly spaced coordinates along its last two dimensions: rows and columns, or columns and
@@ -58,24 +69,19 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
         UsageError: more than two dimensions longer than 1.
     """
     called = name or str(array.name or _file_name(array) or "terrain")
-    lead = array.dims[:-2]
-    if array.ndim < 2 or any(array.sizes[d] != 1 for d in lead):
+    lead = [d for d in array.dims if array.sizes[d] == 1 and str(d).lower() not in _ALONG_ROWS | _DOWN]
+    lead = lead[: max(0, array.ndim - 2)]
+    if array.ndim - len(lead) != 2:
         raise UsageError(
             f"{called} has the dimensions {dict(array.sizes)}; two are needed.", remedy="Select one layer with .isel()."
         )
     array = array.isel(dict.fromkeys(lead, 0))
     array = array.transpose(*axes_of(array))
-    if array.dtype.kind not in "iuf":
-        raise ReadError(f"The numbers of {called} are {array.dtype}, which heights are not.")
-    heights = array.to_numpy().astype(np.float64)
-    fill = array.attrs.get("_FillValue", array.encoding.get("_FillValue"))
-    if fill is not None and np.isfinite(fill):
-        heights[heights == float(fill)] = np.nan
-    heights[~(np.abs(heights) < HUGE)] = np.nan
     unit = str(array.attrs.get("units", "m")) or "m"
     factor = metres_per(unit)
     if factor is None:
         raise ReadError(f"The unit of {called} is {unit!r}, which is not a length.", remedy="Set attrs['units'].")
+    heights = _heights(array, called, factor)
     y_dim, x_dim = array.dims
     (x0, dx), (y0, dy) = _axis(array, x_dim, called), _axis(array, y_dim, called)
     if dy > 0:
@@ -91,7 +97,81 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
         )  # fmt: skip
         known = CRS.from_epsg(4326)
     grid = Grid((heights.shape[0], heights.shape[1]), transform, known)
-    return Dem(np.ascontiguousarray(heights * factor, dtype=np.float32), grid, None, called)
+    return Dem(np.ascontiguousarray(heights), grid, None, called)
+
+
+def _heights(array: xr.DataArray, called: str, factor: float) -> NDArray[np.float32]:
+    """The heights of an array (rows, cols), metres; a lazy one is computed in strips, chunk by chunk of its rows."""
+    fill = array.attrs.get("_FillValue", array.encoding.get("_FillValue"))
+    nodata = None if fill is None or not np.isfinite(fill) else float(fill)
+    whole = np.empty(array.shape, np.float32)
+    rows = array.chunks[0] if array.chunks else (max(1, STRIP // max(1, array.shape[1])),) * array.shape[0]
+    row = 0
+    for height in rows:
+        if row >= array.shape[0]:
+            break
+        part = array[row : row + height]
+        whole[row : row + height] = heights_of(part.to_numpy(), called, nodata=nodata, factor=factor)
+        row += height
+    return whole
+
+
+def from_dataset(dataset: xr.Dataset, *, crs: str | CRS | None = None, name: str | None = None) -> Dem:
+    """A Dem of the one variable of a Dataset that holds heights (``heights_in``); arguments as for ``from_xarray``."""
+    return from_xarray(heights_in(dataset), crs=crs, name=name)
+
+
+def heights_in(dataset: xr.Dataset) -> xr.DataArray:
+    """The one two-dimensional variable of a Dataset, or of several the one that says that it holds heights: by its
+    ``standard_name`` (CF), or its name.
+
+    Raises:
+        UsageError: there is none, or which one is meant is not clear.
+    """
+    flat = {str(k): v for k, v in dataset.data_vars.items() if sum(n != 1 for n in v.shape) == 2}
+    said = {k: v for k, v in flat.items()
+            if {k.lower(), str(v.attrs.get("standard_name", "")).lower()} & HEIGHTS}  # fmt: skip
+    found = flat if len(flat) == 1 else said
+    if len(found) != 1:
+        there = ", ".join(flat) or "none"
+        raise UsageError(
+            f"A Dataset of {len(flat)} variables with rows and columns ({there}) does not say which holds heights.",
+            remedy="Take it: dataset['name']." if flat else "Give a DataArray of two dimensions.",
+        )
+    (array,) = found.values()
+    mapping = dataset.variables.get(array.attrs.get("grid_mapping", array.encoding.get("grid_mapping")))
+    if mapping is not None and "spatial_ref" not in array.coords:
+        array = array.assign_coords(spatial_ref=((), 0, mapping.attrs))
+    return array
+
+
+def place_of(array: xr.DataArray) -> tuple[NDArray[Any], Affine | None, CRS | None]:
+    """The values of an image or a raster, (rows, cols) or (rows, cols, bands), and where they lie by its coordinates;
+    None, None where it has none along its rows and columns."""
+    axes = [d for d in array.dims if str(d).lower() in _ALONG_ROWS | _DOWN or _says_axis(array, d)]
+    if len(axes) != 2:
+        axes = list(array.dims[-2:]) if array.sizes[array.dims[-1]] > 4 or array.ndim == 2 else list(array.dims[:2])
+    flat = array.transpose(*axes, ...)
+    y, x = axes_of(flat.isel({d: 0 for d in flat.dims if d not in axes}))
+    flat = array.transpose(y, x, ...)
+    values = flat.to_numpy()
+    if x not in array.coords or y not in array.coords:
+        return values, None, None
+    called = str(array.name or "the layer")
+    (x0, dx), (y0, dy) = _axis(array, x, called), _axis(array, y, called)
+    crs = _crs_of(array, None)
+    if crs is None and _in_degrees(flat.isel({d: 0 for d in flat.dims if d not in (x, y)})):
+        crs = CRS.from_epsg(4326)
+    return values, Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2), crs
+
+
+def _says_axis(array: xr.DataArray, dim: Any) -> bool:
+    return dim in array.coords and str(array.coords[dim].attrs.get("axis", "")).upper() in ("X", "Y")
+
+
+def says_crs(array: xr.DataArray) -> bool:
+    """Whether an array names its CRS."""
+    return _crs_of(array, None) is not None
 
 
 def _file_name(array: xr.DataArray) -> str:

@@ -52,7 +52,7 @@ def place_of(
     full = _crs_of(dataset, warnings)
     if spacing is not None and not (0 < spacing < float("inf")):
         raise UsageError(f"The spacing must be a positive number of metres, not {spacing:g}.")
-    assumed = None if assume_crs is None else _parse(assume_crs)
+    assumed = None if assume_crs is None else parsed_crs(assume_crs)
     transform: Affine = dataset.transform
     if transform.is_identity:
         return Place(_local(dataset, shape, spacing, full, assumed, warnings), False, False, False), None
@@ -62,8 +62,25 @@ def place_of(
         full = assumed
     elif assumed is not None and assumed != full:
         warnings.append("It names its own CRS, so `assume_crs` is not used for it.")
+    try:
+        place = oriented(shape, transform, full)
+    except ValueError as error:
+        raise ReadError(
+            f"{str(error).capitalize()}.", path=dataset.name, remedy="Mend it with gdal_edit -a_ullr."
+        ) from None
+    if full is None:
+        warnings.append(_nameless(place.grid))
+    return place, full
+
+
+def oriented(shape: tuple[int, int], transform: Affine, crs: CRS | None) -> Place:
+    """The place of samples that a geotransform gives; CRSs that are compound lose their vertical part.
+
+    Raises:
+        ValueError: the transform is degenerate.
+    """
     a, b, c, d, e, f = transform[:6]
-    turned = compose(_to_east_north(full), transform)
+    turned = compose(_to_east_north(crs), transform)
     if turned.b == 0 and turned.d == 0:
         flip_rows, flip_cols = turned.e > 0, turned.a < 0
     else:
@@ -72,15 +89,7 @@ def place_of(
         b, c, e, f = 0.0 - b, c + b * shape[0], -e, f + e * shape[0]
     if flip_cols:
         a, c, d, f = -a, c + a * shape[1], 0.0 - d, f + d * shape[1]
-    try:
-        grid = Grid(shape, Affine(a, b, c, d, e, f), horizontal(full))
-    except ValueError as error:
-        raise ReadError(
-            f"{str(error).capitalize()}.", path=dataset.name, remedy="Mend it with gdal_edit -a_ullr."
-        ) from None
-    if full is None:
-        warnings.append(_nameless(grid))
-    return Place(grid, flip_rows, flip_cols, True), full
+    return Place(Grid(shape, Affine(a, b, c, d, e, f), horizontal(crs)), flip_rows, flip_cols, True)
 
 
 def _to_east_north(crs: CRS | None) -> Affine:
@@ -122,7 +131,12 @@ def _nameless(grid: Grid) -> str:
 
 
 @lru_cache(maxsize=64)
-def _parse(text: str) -> CRS:
+def parsed_crs(text: Any) -> CRS:
+    """A CRS as users give it: a code, WKT or PROJ text, or pyproj's or rasterio's object.
+
+    Raises:
+        UsageError: PROJ does not know it.
+    """
     try:
         return CRS.from_user_input(text)
     except CRSError:

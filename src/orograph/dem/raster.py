@@ -6,14 +6,16 @@ Validity is NaN-ness: a sample that has no height is NaN, and nothing else is. U
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.cards import Row, amount, card, extent_rows, heights_row, one_line, relief
 from orograph.geo.grid import Grid
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Dem:
     """An elevation raster.
 
@@ -39,3 +41,20 @@ class Dem:
     def valid(self) -> NDArray[np.bool_]:
         """(rows, cols) bool: True where there is a height."""
         return ~np.isnan(self.heights)
+
+    def _told(self) -> list[Row]:
+        finite = self.valid.any()
+        low, high = (float(f(self.heights)) for f in (np.nanmin, np.nanmax)) if finite else (np.nan, np.nan)
+        return [
+            *extent_rows(self.grid), heights_row(low, high, self.vertical),
+            ("memory", amount(self.heights.nbytes)),
+        ]  # fmt: skip
+
+    def __repr__(self) -> str:
+        return one_line("Dem", self.name, self._told())
+
+    def _repr_html_(self) -> str:
+        return card("Dem", self.name, self._told(), relief(self.heights, self.grid))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.heights, dtype, copy=copy)

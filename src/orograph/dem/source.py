@@ -38,7 +38,7 @@ from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
 from orograph.dem.whole import DAMAGED, check_blocks, check_mask
-from orograph.errors import ReadError
+from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 
 MAX_READ_BYTES = 2 << 30
@@ -243,6 +243,15 @@ class Source:
             out = out[:, ::-1]
         return np.ascontiguousarray(out)
 
+    def turned(self, row0: int, row1: int, col0: int, col1: int) -> tuple[int, int, int, int]:
+        """A window of the file's own rows and columns as ``read`` counts them, from the north-west."""
+        rows, cols = self.grid.shape
+        if self._flip_rows:
+            row0, row1 = rows - row1, rows - row0
+        if self._flip_cols:
+            col0, col1 = cols - col1, cols - col0
+        return row0, row1, col0, col1
+
     def close(self) -> None:
         """Close the file's idle handles (they are also closed when many other files are read)."""
         HANDLES.close(self.location)
@@ -369,6 +378,10 @@ def read(
         ReadError: the file cannot be read, is damaged, or is too large.
         UsageError: an option that does not fit the file.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise UsageError(
+            f"`orograph.read` reads one file, not {type(path).__name__}.", remedy="Use `orograph.terrain` for all else."
+        )
     source = Source.open(
         path,
         band=band,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
+from orograph.geovis.tables import Table
 from orograph.store.terrain import Terrain
 
 Colors = NDArray[np.float32]
@@ -80,16 +81,19 @@ def linear_to_srgb(color: NDArray[Any]) -> Colors:
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * power - 0.055).astype(np.float32)
 
 
-def color_table(name: str | None = None, n: int = 1024) -> Colors:
+def color_table(name: str | Table | None = None, n: int = 1024) -> Colors:
     """A table (n, 3) float32 of linear colours from the lowest to the highest.
 
     Args:
-        name: one of ``TINTS`` or a name of the ``cmap`` catalogue; None is the default tint.
+        name: one of ``TINTS`` or a name of the ``cmap`` catalogue, or a table; None is the default tint.
 
     Raises:
         UsageError: there is no such colour map; names like it are suggested.
     """
     name = name or DEFAULT
+    if isinstance(name, Table):
+        colors = name.colors[np.linspace(0, len(name.colors) - 1, n).round().astype(int), :3]
+        return srgb_to_linear(colors / np.float32(255))
     if name in TINTS:
         at = np.array([p for p, _ in TINTS[name]])
         stops = np.array([[int(c[i : i + 2], 16) / 255 for i in (1, 3, 5)] for _, c in TINTS[name]])
@@ -115,13 +119,13 @@ def _catalogued(name: str) -> Any:
         raise UsageError(f"There is no colour map {name!r}.", remedy=hint) from error
 
 
-def shored_tables(name: str | None) -> tuple[Colors, Colors] | None:
+def shored_tables(name: str | Table | None) -> tuple[Colors, Colors] | None:
     """The sea half (128, 3), ending at the shore, and the land half (128, 3) of a map in ``SHORED``; None for others.
 
     Raises:
         UsageError: there is no such colour map.
     """
-    if name is None or name in TINTS:
+    if not isinstance(name, str) or name in TINTS:
         return None
     found = _catalogued(name)
     if found.name not in SHORED:
@@ -130,7 +134,7 @@ def shored_tables(name: str | None) -> tuple[Colors, Colors] | None:
     return table[:128], table[128:]
 
 
-def elevation_table(name: str | None, low: float, high: float, n: int = 1024) -> Colors:
+def elevation_table(name: str | Table | None, low: float, high: float, n: int = 1024) -> Colors:
     """The colors (n, 3), linear, of heights from ``low`` to ``high`` metres, evenly.
 
     Of a tint in ``ELEVATIONS`` they are the part that stands for those heights; any other is stretched over them.
@@ -138,7 +142,7 @@ def elevation_table(name: str | None, low: float, high: float, n: int = 1024) ->
     Raises: as ``color_table``.
     """
     table = color_table(name, n)
-    known = ELEVATIONS.get(name or DEFAULT)
+    known = None if isinstance(name, Table) else ELEVATIONS.get(name or DEFAULT)
     if known is None:
         return table
     at = np.interp(np.linspace(low, high, n), *np.array(known).T)
@@ -188,8 +192,9 @@ def _radius(terrain: Terrain) -> float | None:
 
 
 def tint_of(
-    terrain: Terrain, name: str | None = None, sea: bool | None = None, span: tuple[float, float] | None = None
-) -> Tint:
+    terrain: Terrain, name: str | Table | None = None, sea: bool | None = None,
+    span: tuple[float, float] | None = None,
+) -> Tint:  # fmt: skip
     """The tint a terrain is drawn with.
 
     The ends leave out the lowest and the highest half hundredth of the heights, so that a spike or a pit does not wash

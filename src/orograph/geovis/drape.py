@@ -158,7 +158,7 @@ class Drape:
     @property
     def path(self) -> str:
         """The image."""
-        return self.laid.layer.path
+        return str(self.laid.layer.path)
 
     def positions(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Where places in the terrain's CRS (n,) lie in the image: u, v in pixels from its upper left corner, NaN where

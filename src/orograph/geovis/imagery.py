@@ -74,7 +74,7 @@ class Bands:
         colours: three bands (red, green, blue) or one.
         palette: (256 or 65536, 4) uint8 for one band of indices, else None.
         stretched: whether values are stretched instead of taken as they are.
-        table: (n, 3) uint8, the colour map of one band's values, else None.
+        table: (n, 3) uint8, or (n, 4) with opacity, the colour map of one band's values, else None.
         nodata: the value that means "nothing here" besides what the file says, or None.
         span: the values that become black and white, or the ends of the table.
     """
@@ -110,8 +110,12 @@ class Bands:
             raise ReadError("Its values are complex numbers, not colours.", path=file.name, remedy="Name an image.")
         if layer.colormap is not None:
             from orograph.geovis.color import color_table, linear_to_srgb
+            from orograph.geovis.tables import Table
 
-            table = np.round(linear_to_srgb(color_table(layer.colormap)) * 255).astype(np.uint8)
+            if isinstance(layer.colormap, Table):
+                table = layer.colormap.colors
+            else:
+                table = np.round(linear_to_srgb(color_table(layer.colormap)) * 255).astype(np.uint8)
             return cls(colors, None, True, table, layer.nodata)
         palette = None
         if len(colors) == 1 and names[colors[0] - 1] == "palette" and kind in (np.uint8, np.uint16):
@@ -126,7 +130,8 @@ class Bands:
         """With the span of the layer's range, or else of the values in a window."""
         if not self.stretched:
             return self
-        return replace(self, span=layer.range or _span(file, self, window))
+        own = getattr(layer.colormap, "span", None)
+        return replace(self, span=layer.range or own or _span(file, self, window))
 
     def factors(self, file: Any) -> list[int]:
         """Pixels along the side of a texel of the file's overviews, finest first."""
@@ -231,7 +236,10 @@ def _pixels(file: Any, bands: Bands, area: Area, factor: int) -> Bytes:
         scaled = scaled * real(last / (high - low)) if high != low else np.full_like(scaled, last / 2 + 0.5)
         values = np.clip(np.round(scaled), 0, last).astype(np.uint16)
         if bands.table is not None:
-            out[..., :3] = bands.table[values[0]]
+            colors = bands.table[values[0]]
+            out[..., :3] = colors[..., :3]
+            if colors.shape[-1] == 4:
+                out[..., 3] = np.minimum(out[..., 3], colors[..., 3])
             return out
     for k in range(3):
         out[..., k] = values[min(k, len(values) - 1)]

@@ -14,8 +14,8 @@ from __future__ import annotations
 import difflib
 import math
 import os
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import InitVar, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from orograph._numba import kernel
 from orograph.documents import number
 from orograph.errors import UsageError
+from orograph.geovis.held import Held, held
+from orograph.geovis.tables import Table
 
 Colors = NDArray[np.float32]
 
@@ -37,38 +39,57 @@ MOST = 8
 """Layers that a picture shows at once."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Layer:
     """An image or a raster over the ground.
 
     Attributes:
-        path: the file, in any CRS; without any georeference it is stretched over the terrain.
+        path: the file, in any CRS; without any georeference it is stretched over the terrain. Also an array of values
+            or colours, a DataArray, or an open rasterio dataset (``held``); it is then the name of a file in memory.
         opacity: 0 to 1, times the image's own.
         visible: whether it is drawn.
         name: what to call it; None: the file's name.
         blend: "normal" covers what is below, "multiply" darkens it (a scanned map over relief).
-        colormap: colours one band as values: alpine, mars, grey or any name of the cmap catalogue. None: the image's
-            own colours.
-        range: the values that become the ends of the colour map; None: the 2nd and 98th percentile over the terrain.
+        colormap: colours one band as values: alpine, mars, grey or any name of the cmap catalogue; a colour map of
+            matplotlib's or cmap's; colours by value, {1: "green", 2: "#08f"}. None: the image's own colours.
+        range: the values that become the ends of the colour map; None: those of the norm or the classes, else the 2nd
+            and 98th percentile over the terrain.
         band: which band is coloured, from 1.
         nodata: the value that means "nothing here", instead of the one the file declares.
+        transform, crs: where an array lies (not kept: they are the file's in memory).
+        norm: matplotlib's, of the colour map (not kept: it is folded into it).
 
     Raises:
         UsageError: a number is out of its range, a name is unknown.
     """
 
-    path: str
+    path: Any
     opacity: float = 1.0
     visible: bool = True
     name: str | None = None
     blend: Blend = "normal"
-    colormap: str | None = None
+    colormap: Any = None
     range: tuple[float, float] | None = None
     band: int = 1
     nodata: float | None = None
+    held: Held | None = field(default=None, repr=False, compare=False)
+    transform: InitVar[Any] = None
+    crs: InitVar[Any] = None
+    norm: InitVar[Any] = None
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "path", os.fspath(self.path))
+    def __post_init__(self, transform: Any, crs: Any, norm: Any) -> None:
+        if isinstance(self.path, str | os.PathLike):
+            object.__setattr__(self, "path", os.fspath(self.path))
+            if transform is not None or crs is not None:
+                raise self._error("Its transform and CRS are a file's own; they are for arrays.")
+        else:
+            path, keep = held(self.path, transform, crs)
+            object.__setattr__(self, "path", path)
+            object.__setattr__(self, "held", keep)
+        if norm is not None or not isinstance(self.colormap, str | Table | None):
+            if self.colormap is None:
+                raise self._error("A norm is a colour map's.", "Give a colormap, such as viridis.")
+            object.__setattr__(self, "colormap", Table.of(self.colormap, norm))
         if not self.path:
             raise UsageError("A layer has no path.", remedy="Name an image or a raster.")
         if not 0 <= self.opacity <= 1:
@@ -87,7 +108,7 @@ class Layer:
                 "A range and a band are those of a raster that a colour map colours.",
                 remedy="Give a colormap, such as viridis, or leave them away.",
             )
-        if self.colormap is not None:
+        if isinstance(self.colormap, str):
             from orograph.geovis.color import color_table
 
             try:
@@ -95,15 +116,23 @@ class Layer:
             except UsageError as error:
                 raise self._error(error.what, error.remedy) from error
 
+    def __repr__(self) -> str:
+        said = (f"{f.name}={getattr(self, f.name)!r}" for f in fields(self)[1:]
+                if f.repr and getattr(self, f.name) != f.default)  # fmt: skip
+        return f"Layer({', '.join([repr(self.path), *said])})"
+
     @property
     def label(self) -> str:
         """What to call it."""
-        return self.name or Path(self.path).name or self.path
+        file = Path(self.path)
+        return self.name or (file.name if self.held is None else file.stem) or str(self.path)
 
     @property
     def content(self) -> Layer:
         """The layer as far as its colours go: what of it must be read."""
-        return Layer(self.path, colormap=self.colormap, range=self.range, band=self.band, nodata=self.nodata)
+        return Layer(
+            self.path, colormap=self.colormap, range=self.range, band=self.band, nodata=self.nodata, held=self.held
+        )
 
     @property
     def drawn(self) -> bool:
@@ -177,7 +206,9 @@ class Layer:
     def to_dict(self) -> dict[str, Any]:
         """What ``from_dict`` reads."""
         default = Layer(self.path)
-        told = {f.name: getattr(self, f.name) for f in fields(self)}
+        told = {name: getattr(self, name) for name in FIELDS}
+        if told["colormap"] is not None:
+            told["colormap"] = str(told["colormap"])
         told["range"] = None if self.range is None else list(self.range)
         return {k: v for k, v in told.items() if k == "path" or v != getattr(default, k)}
 
@@ -185,10 +216,10 @@ class Layer:
         return UsageError(what, path=self.path, remedy=remedy)
 
 
-FIELDS = tuple(f.name for f in fields(Layer))
+FIELDS = tuple(f.name for f in fields(Layer) if f.compare)
 
-Given = Layer | str | os.PathLike[str]
-"""A layer, or the path of an image that becomes one."""
+Given = Any
+"""A layer, or what becomes one: the path of an image, an array, a DataArray, an open dataset."""
 
 
 def layers_of(given: Given | Iterable[Given] | None) -> tuple[Layer, ...]:
@@ -199,8 +230,8 @@ def layers_of(given: Given | Iterable[Given] | None) -> tuple[Layer, ...]:
     """
     if given is None:
         return ()
-    several: Iterable[Given] = [given] if isinstance(given, Layer | str | os.PathLike) else given
-    made = tuple(one if isinstance(one, Layer) else Layer(os.fspath(one)) for one in several)
+    several: Iterable[Given] = given if isinstance(given, list | tuple | Iterator) else [given]
+    made = tuple(one if isinstance(one, Layer) else Layer(one) for one in several)
     check_count(made)
     return made
 

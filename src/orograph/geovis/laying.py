@@ -55,14 +55,16 @@ class Laid:
         """
         from rasterio.errors import RasterioError
 
-        name = layer.path
-        location = locate(name)
+        name = layer.path if layer.held is None else layer.label
+        location = locate(layer.path)
         warnings: list[str] = []
         with HANDLES.borrow(location) as file:
             image = grid_of(file)
             bands = Bands.of(file, layer)
             overviews = tuple(bands.factors(file))
         placement = Placement.of(grid, image, name, warnings)
+        if placement.stretched and layer.held is not None:
+            warnings.clear()  # an array without a place is meant to span the terrain
         lattice = Lattice.over(placement)
         bounds = lattice.bounds()
         area = None if bounds is None else _window(placement, bounds)

@@ -25,18 +25,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
-from orograph.lighting.context import MEMORY, MORE, Context, Options
+from orograph.lighting.context import MEMORY, Context, Options
 from orograph.lighting.products import compute, product
 from orograph.lighting.raster import Band, write
 from orograph.lighting.rho import Rho
 from orograph.lighting.sun import Given, sun_of
-from orograph.progress import SILENT, Progress
+from orograph.progress import Progress
+from orograph.reporting import reporting
+from orograph.store.given import READING, is_array_like, is_rows, the_heights
+from orograph.store.opening import terrain as terrain_given
 from orograph.store.terrain import Terrain
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from orograph.dem import Dem
 
 Values = NDArray[np.float32]
 
@@ -86,19 +87,22 @@ def make(
     cell: float | tuple[float, float] | ArrayLike | None = None,
     jobs: int | None = None,
     max_memory: int = MEMORY,
-    progress: Progress = SILENT,
+    progress: Progress | bool | None = None,
     **options: Any,
 ) -> Any:
     """A product, by its name on the command line.
 
     Args:
-        data: heights: an array (rows, cols), metres, NaN where missing; a DataArray; a Dem; a Terrain; or the path of a
-            DEM file or a store.
+        data: heights: an array (rows, cols), metres, NaN where missing, or whatever else ``orograph.terrain`` takes: a
+            path, a list of them, a Dem, a Terrain, a DataArray, an open rasterio dataset…
         name: "slope", "sky-view-factor"…: ``products.names()``.
         cell: for arrays, which need it: metres between samples, along both axes or as (along rows, along columns), rows
             running south; or the (2, 2) linear part of a geotransform.
-        options: those of ``products.Options``: azimuths, radius, lights, curvature…; and those of its ``more``. The
-            ``sun`` is (azimuth, altitude), a datetime with its zone, or a ``Sun``.
+        jobs: threads; None: all processors. max_memory: bytes the process should stay within.
+        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
+        options: how the data are read, as for ``orograph.terrain`` (``crs``, ``band``, ``transform``…: an array with
+            its place gives a ``Map``); and those of ``products.Options``: azimuths, radius, lights, curvature…, and of
+            its ``more``. The ``sun`` is (azimuth, altitude), a datetime with its zone, or a ``Sun``.
 
     Returns:
         for an array (rows, cols) float32, or (bands, rows, cols) of products of several bands; for a DataArray a
@@ -108,26 +112,26 @@ def make(
         UsageError: there is no such product, an option is wrong, or an array comes without ``cell``.
         ReadError: the data do not say what is needed of them.
     """
+    progress = reporting(progress)
     wanted = product(name)
-    fields = set(Options.__dataclass_fields__) - {"more"}
-    if unknown := sorted(set(options) - fields - set(MORE)):
-        raise UsageError(
-            f"There is no option {unknown[0]!r}.", remedy=f"There are {', '.join(sorted(fields | set(MORE)))}."
-        )
-    known = {k: v for k, v in options.items() if k in fields and k != "sun"}
-    chosen = Options(**known, more={k: v for k, v in options.items() if k in MORE})
+    reading = {k: options.pop(k) for k in READING if k in options}
+    chosen = Options.of(**{k: v for k, v in options.items() if k != "sun"})
+    data = the_heights(data)
     is_xarray = "xarray" in sys.modules and isinstance(data, sys.modules["xarray"].DataArray)
-    is_array = not is_xarray and (isinstance(data, list | tuple) or _like_an_array(data))
+    is_array = not is_xarray and not reading and (is_rows(data) or is_array_like(data))
     if is_array:
         if cell is None:
-            raise UsageError("An array does not say how far its samples are apart.", remedy="Give cell=…, in metres.")
+            raise UsageError(
+                "An array does not say how far its samples are apart.",
+                remedy="Give cell=…, in metres; or transform= and crs=, for a Map with its place.",
+            )
         from orograph.lighting.arrays import terrain_of
 
         terrain: Terrain = terrain_of(data, _linear(cell))
     else:
         if cell is not None:
             raise UsageError("The cell size is for plain arrays; other data say it themselves.")
-        terrain = _terrain(data, is_xarray, max_memory, jobs, progress)
+        terrain = terrain_given(data, progress, max_memory=max_memory, jobs=jobs, called="light", **reading)
     if options.get("sun") is not None:
         sun = sun_of(options["sun"], terrain.grid)
         more = chosen.more if isinstance(options["sun"], tuple) else {"diameter": sun.diameter, **chosen.more}
@@ -139,11 +143,6 @@ def make(
     return _like(made.to_xarray(), data) if is_xarray else made
 
 
-def _like_an_array(data: Any) -> bool:
-    """NumPy's, or one that becomes NumPy's (Dask's, CuPy's…)."""
-    return hasattr(data, "__array__") and hasattr(data, "dtype") and hasattr(data, "shape")
-
-
 def _linear(cell: float | tuple[float, float] | ArrayLike) -> NDArray[np.float64]:
     size = np.asarray(cell, np.float64)
     if size.shape == (2, 2):
@@ -152,32 +151,6 @@ def _linear(cell: float | tuple[float, float] | ArrayLike) -> NDArray[np.float64
         raise UsageError(f"A cell is one or two positive numbers of metres, or a 2 × 2 matrix, not {cell!r}.")
     x, y = np.broadcast_to(size, 2)
     return np.array([[x, 0.0], [0.0, -y]])
-
-
-def _terrain(data: Any, is_xarray: bool, max_memory: int, jobs: int | None, progress: Progress) -> Terrain:
-    if isinstance(data, Terrain):
-        return data
-    from orograph import store
-
-    if is_xarray:
-        from orograph.dem.dataarray import from_xarray
-
-        return store.terrain(from_xarray(data), progress)
-    if isinstance(data, str | os.PathLike):
-        from orograph.store.detect import is_store
-
-        if is_store(data):
-            return store.open(data, cache_bytes=min(64 << 20, max_memory // 16), jobs=jobs)
-        from orograph.dem.mosaic import Mosaic
-
-        return store.terrain(Mosaic.open(data, progress=progress), progress)
-    dem: Dem = data
-    if not hasattr(dem, "heights") or not hasattr(dem, "grid"):
-        raise UsageError(
-            f"Heights are an array, a DataArray, a Dem, a Terrain or a path, not {type(data).__name__}.",
-            remedy="Take the variable that has the heights: dataset['name']." if hasattr(data, "data_vars") else "",
-        )
-    return store.terrain(dem, progress)
 
 
 def _like(made: xr.DataArray, given: xr.DataArray) -> xr.DataArray:

@@ -33,7 +33,8 @@ from orograph.lighting.gather import Window, readers
 from orograph.lighting.products import Product, product
 from orograph.lighting.raster import trim
 from orograph.lighting.raster_resume import Checkpoint
-from orograph.progress import SILENT, Progress
+from orograph.progress import Progress
+from orograph.reporting import reporting
 from orograph.store.digests import Digests
 from orograph.store.layers import GROUP, LAYERS, Bits, Codes, LayerBand, LayerRecord, layer_spec
 from orograph.store.layout import Record, publish
@@ -90,16 +91,17 @@ BAKED: dict[str, Baked] = {
 
 
 def bake(
-    store: str | Path,
-    names: Sequence[str],
+    store: StoredTerrain | str | Path,
+    names: Sequence[str] | str,
     options: Options | None = None,
     *,
     bits: Bits | None = None,
     overwrite: bool = False,
     max_memory: int = MEMORY,
     jobs: int | None = None,
-    progress: Progress = SILENT,
+    progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
+    **more: Any,
 ) -> StoredTerrain:
     """Put products of light into a store, as layers of their names, and open it again.
 
@@ -107,24 +109,32 @@ def bake(
     interrupted bake into a folder goes on when it is asked for again.
 
     Args:
-        store: a folder, or a URL that fsspec can write to.
+        store: a folder, a URL that fsspec can write to, or an opened store of these.
         names: of products, those in ``BAKED``.
         options: of the products.
         bits: of a code: 8 or 16; None: what the product needs (16 for apertures and insolation, else 8).
         overwrite: bake also what is there already, and begin anew what was interrupted.
         max_memory: bytes the process should stay within.
         jobs: threads; None: all processors. The store's bytes do not depend on either.
+        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
+        storage_options: for the fsspec file system.
+        more: the products' options by name, instead of ``options``: ``radius=600``, ``rho="linear"``…
 
     Raises:
         UsageError: there is no such product, it cannot be baked, or its options make no sense.
         StoreError: there is no store, another bake is at work or was interrupted, or it cannot be written.
     """
-    chosen, wanted = options or Options(), list(dict.fromkeys(names))
+    progress = reporting(progress)
+    if options is not None and more:
+        raise UsageError("Give the products' options as Options, or by their names, not both.")
+    names = [names] if isinstance(names, str) else names
+    chosen, wanted = options or Options.of(**more), list(dict.fromkeys(names))
     products = [_bakeable(name) for name in wanted]
     for each in products:
         each.check(chosen)
     if bits is not None and bits not in get_args(Bits):
         raise UsageError(f"Layers have 8 or 16 bits, not {bits}.")
+    store = store.url if isinstance(store, StoredTerrain) else store
     storage = storage_at(store, storage_options)
     read_record(storage)  # a store that is not there is said before anything is written beside it
     cache = min(64 << 20, max_memory // 16)

@@ -5,12 +5,13 @@ Whatever is made does not depend on blocks, threads or memory, to the bit.
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,23 @@ class Options:
     exaggeration: float = 1.0
     rays: int = 256
     more: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, **given: Any) -> Self:
+        """Options by their names, those of ``more`` among them.
+
+        Raises:
+            UsageError: there is no such option; names like it are suggested.
+        """
+        known = [name for name in cls.__dataclass_fields__ if name != "more"]
+        for name in given:
+            if name not in known and name not in MORE:
+                close = difflib.get_close_matches(name, [*known, *MORE], 2, 0.6)
+                there = f"There are {', '.join(sorted({*known, *MORE}))}."
+                remedy = f"Did you mean {' or '.join(close)}?" if close else there
+                raise UsageError(f"There is no option {name!r}.", remedy=remedy)
+        more = {k: v for k, v in given.items() if k in MORE}
+        return cls(**{k: v for k, v in given.items() if k in known}, more=more)
 
     def __post_init__(self) -> None:
         if not _number(self.azimuths, above=2.0) or self.azimuths != int(self.azimuths):

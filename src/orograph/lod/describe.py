@@ -5,9 +5,12 @@ All of it is made of ``info`` and the options' fields, so a new method is descri
 
 from __future__ import annotations
 
+import html
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 
+from orograph.cards import table
 from orograph.lod.method import MethodInfo
 from orograph.lod.options import described
 from orograph.lod.registry import AUTO, METHODS, method_of
@@ -27,13 +30,41 @@ BEGIN, END = "<!-- methods: written by python -m orograph.lod.describe -->\n", "
 """Around the table there."""
 
 
-def methods(name: str | None = None) -> None:
-    """Print which methods there are, or a method's options with their help and units.
+class Said(str):
+    """A text that is shown as it is read, and in notebooks as a table, where it has ``rows`` (their heads first)."""
+
+    rows: Sequence[Sequence[str]] = ()
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        return table(self.rows) if self.rows else f"<pre>{html.escape(self)}</pre>"
+
+
+def methods(name: str | None = None) -> Said:
+    """Which methods there are, or a method's options with their help and units: a text that shows itself.
+
+    Args:
+        name: of a method; None: all of them.
 
     Raises:
         UsageError: there is no method of that name.
     """
-    print(about_all() if name is None else about(name))
+    said = Said(about_all() if name is None else about(name))
+    said.rows = _rows(_infos()) if name is None else _options(method_of(name).info)
+    return said
+
+
+def _rows(infos: Sequence[MethodInfo]) -> list[tuple[str, ...]]:
+    head = ("method", "the idea", "selects", "promise", "source")
+    promises = ("yes" if info.conservative(info.options()) else "no" for info in infos)
+    return [head, *((i.name, i.title, i.kind, promise, i.paper) for i, promise in zip(infos, promises, strict=True))]
+
+
+def _options(info: MethodInfo) -> list[tuple[str, ...]]:
+    head = ("option", "what it does", "values", "default")
+    return [head, *((one.key, one.help, one.span, one.text(one.default)) for one in described(info.options))]
 
 
 def about_all() -> str:

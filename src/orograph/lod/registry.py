@@ -77,6 +77,14 @@ class Choice:
         supply(terrain, self.method.needs(self.options), resources)
         return self.method(terrain, self.options, resources)
 
+    def check_promise(self) -> None:
+        """Raise UsageError unless a tolerance is a promise with these options."""
+        if not self.conservative:
+            raise UsageError(
+                f"With {self} a tolerance is no promise, which `conservative` asks for.",
+                remedy=f"See orograph methods {self.info.name}.",
+            )
+
     def check_triangles(self) -> None:
         """Raise UsageError if the method makes no triangles."""
         if self.info.kind == "rays":

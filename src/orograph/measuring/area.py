@@ -24,6 +24,7 @@ from orograph.errors import UsageError
 from orograph.measuring.places import Places
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
+from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 
 Array = NDArray[np.float64]
@@ -69,6 +70,7 @@ class Area:
         return {name + units.get(name, "_m2"): value for name, value in asdict(self).items()}
 
 
+@takes_terrain
 def area(
     terrain: Terrain,
     polygon: ArrayLike | Sequence[ArrayLike],

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from orograph.errors import UsageError
 from orograph.measuring.ground import facets, height_error, own_heights
 from orograph.measuring.places import Places, lift
+from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
 
@@ -74,6 +75,7 @@ class Hit:
         return asdict(self)
 
 
+@takes_terrain
 def pick(terrain: Terrain, view: View, pixel: tuple[float, float], exaggeration: float = 1.0) -> Hit | None:
     """The ground that a picture shows at a pixel.
 
@@ -104,6 +106,7 @@ def pick(terrain: Terrain, view: View, pixel: tuple[float, float], exaggeration:
     return _at(places, meets[:2], float(meets[2]), depth, float(np.linalg.norm(meets - np.array(view.eye))))
 
 
+@takes_terrain
 def place(terrain: Terrain, point: ArrayLike) -> Hit:
     """The ground at a point (easting, northing).
 
@@ -144,6 +147,7 @@ def _known(heights: Array) -> float | None:
     return None if math.isnan(heights[0]) else float(heights[0])
 
 
+@takes_terrain
 def slope_aspect(terrain: Terrain, point: ArrayLike) -> tuple[float, float]:
     """Slope and aspect at a point (easting, northing), degrees; NaN in a hole, the aspect also where it is level.
 

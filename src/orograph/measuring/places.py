@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property, lru_cache
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +27,7 @@ from orograph.geo.ellipsoid import Ellipsoid
 from orograph.geo.local import LocalFrame
 from orograph.geo.operations import same_body
 from orograph.geo.transform import transformer
-from orograph.store.terrain import Terrain
+from orograph.store.opening import terrain as opened
 
 Array = NDArray[np.float64]
 Move = Callable[[ArrayLike, ArrayLike], tuple[Array, Array]]
@@ -59,7 +59,8 @@ class Places:
         UsageError: the terrain has no surface.
     """
 
-    def __init__(self, terrain: Terrain) -> None:
+    def __init__(self, terrain: Any) -> None:
+        terrain = opened(terrain, called="Places")
         rows, cols = terrain.grid.shape
         if rows < 2 or cols < 2:
             raise UsageError(f"{terrain.name} has {rows} × {cols} samples: there is no surface to measure.")

@@ -30,6 +30,7 @@ from orograph.measuring.ground import Line, height_error, line, own_heights
 from orograph.measuring.ground import heights as surface
 from orograph.measuring.places import Places, lift
 from orograph.output import Beside
+from orograph.store.opening import takes_terrain
 from orograph.store.terrain import Terrain
 
 Array = NDArray[np.float64]
@@ -175,6 +176,7 @@ class Profile:
         }  # fmt: skip
 
 
+@takes_terrain
 def profile(terrain: Terrain, polyline: ArrayLike) -> Profile:
     """The surface along a polyline, exact.
 

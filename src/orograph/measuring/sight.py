@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from orograph.errors import UsageError
 from orograph.measuring.places import Places
 from orograph.measuring.profile import Profile, profile
+from orograph.store.opening import takes_terrain
 from orograph.store.terrain import Terrain
 
 Array = NDArray[np.float64]
@@ -111,6 +112,7 @@ def check_heights(**heights: float) -> None:
             raise UsageError(f"The {name} is some metres above the ground, at least 0, not {value!r}.")
 
 
+@takes_terrain
 def line_of_sight(
     terrain: Terrain,
     a: ArrayLike,

@@ -38,6 +38,7 @@ from orograph.measuring.places import Places
 from orograph.measuring.sight import LEAST, REFRACTION, bend_of, check_heights
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
+from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 
 Array = NDArray[np.float64]
@@ -210,6 +211,7 @@ class _Scene:
         return np.asarray(rows[:, kx] + (fx - kx) * (rows[:, kx + 1] - rows[:, kx]))
 
 
+@takes_terrain
 def viewshed(
     terrain: Terrain,
     point: ArrayLike,

@@ -9,46 +9,69 @@ import difflib
 import inspect
 import os
 import textwrap
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
-from orograph.dem.raster import Dem
 from orograph.errors import UsageError
 from orograph.lod.options import Described
-from orograph.progress import SILENT, Progress
+from orograph.progress import Progress
 from orograph.rendering.backends import BACKENDS, draw
 from orograph.rendering.memory import check_memory
 from orograph.rendering.picture import Picture
+from orograph.reporting import reporting
+from orograph.scene.camera import NO_INSETS, check_size, view_of
+from orograph.scene.methods import check_promise
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
-from orograph.store.terrain import Terrain
+from orograph.store.given import READING
+from orograph.store.opening import terrain as opened
 from orograph.viewpoint import View
 
-CAMERA = ("azimuth", "pitch", "distance", "lonlat", "look_at", "fov", "fov_y", "projection", "eye", "target")
+AROUND = "view=orograph.camera.around(terrain, size, azimuth=225, pitch=30, distance=None)"
+STANDING = "view=orograph.camera.standing(terrain, size, (lon, lat, height), (lon, lat))"
+CAMERA = {
+    **dict.fromkeys(("azimuth", "pitch", "distance", "from_"), AROUND),
+    **dict.fromkeys(("lonlat", "look_at"), STANDING),
+    "projection": "view=orograph.camera.plan(terrain, size)",
+    **dict.fromkeys(("eye", "target", "fov", "fov_y", "up", "camera"), "view=orograph.View(eye, target, fov_y=30)"),
+}
 """What the command line has options for, and here a view."""
+
+FLAGS = {one.key.replace("-", "_"): one.name for one in OPTIONS.values() if one.flag and one.key != one.name} | {
+    "cmap": "colormap", "vertical_exaggeration": "exaggeration", "vert_exag": "exaggeration",
+    "width": "size", "height": "size", "figsize": "size", "n_jobs": "jobs", "verbose": "progress",
+}  # fmt: skip
+"""What options are called on the command line, or elsewhere, and here."""
 
 
 def render(
-    terrain: Terrain | Dem | str | os.PathLike[str],
-    view: View | None = None,
+    terrain: Any,
+    view: View | str | os.PathLike[str] | None = None,
     *,
     size: tuple[int, int] = (1280, 720),
     backend: Literal["cpu", "gpu"] = "cpu",
-    progress: Progress = SILENT,
+    conservative: bool = False,
+    progress: Progress | bool | None = None,
     **options: Any,
 ) -> Picture:
     """Draw a relief picture.
 
     Args:
-        terrain: an opened terrain, a DEM in memory, or the path of a DEM or a store.
+        terrain: whatever ``orograph.terrain`` takes: a path or URL, a list of them, a Terrain, a Dem, a DataArray or
+            Dataset, an open rasterio dataset or (dataset, window), an array with ``transform`` and ``crs``…
         view: the camera, made with ``orograph.View(eye, target)`` in the terrain's CRS, or for a terrain by
             ``orograph.camera`` (the module ``orograph.scene.camera``): ``whole(terrain, size)``,
             ``around(terrain, size, azimuth=225, pitch=30, distance=None)``, ``standing(terrain, size, (lon, lat,
-            height), (lon, lat))`` or ``plan(terrain, size)``. None: all of the terrain, from the south.
+            height), (lon, lat))`` or ``plan(terrain, size)``; "plan": that; or the path of a VIEW.json. None: all
+            of the terrain, from the south.
         size: (width, height) in pixels where there is no view; with one, the view's own count. Default 1280 × 720.
         backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU where
             there is none). Default "cpu".
-        progress: hears of what is being done, and of warnings. Default: nothing is said.
-        options: see below.
+        conservative: refuse a ``method`` with which the tolerance is no promise for every sample in view.
+        progress: hears of what is being done, and of warnings. Default: work that lasts has a bar in terminals and
+            notebooks, warnings are Python's; False: nothing is said.
+        options: see below; and how the terrain is read (``orograph.terrain``): ``band``, ``nodata``, ``spacing``,
+            ``transform``, ``crs``, ``resolution``…
 
     Returns:
         a ``Picture``: ``save(path)``, ``pixels`` (height, width, 3) uint8, ``depth`` (height, width) float32 metres.
@@ -58,43 +81,44 @@ def render(
         UsageError: an option is unknown or makes no sense, or the picture does not fit into memory.
         NothingInViewError: the picture would be empty.
     """
-    for name in options:
-        if name not in OPTIONS:
-            raise _unknown(name)
+    reading = {name: options.pop(name) for name in READING if name in options}
+    heard = reporting(progress)
+    check_names(options, "render", inspect.signature(render).parameters)
     if backend not in BACKENDS:
         raise UsageError(f"There is no backend {backend!r}; there are {', '.join(BACKENDS)}.")
+    if conservative:
+        check_promise(options.get("method", "auto"), backend)
     max_memory, jobs = options.get("max_memory"), options.get("jobs")
-    check_memory((view.width, view.height) if view is not None else size, max_memory)
+    check_size(size)
+    check_memory((view.width, view.height) if isinstance(view, View) else size, max_memory)
     check_options(options)
-    if isinstance(terrain, (str, os.PathLike)):
-        from orograph.scene.prepare import prepare
+    terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
+    from orograph.rendering.furniture.furnish import insets
 
-        terrain = prepare([os.fspath(terrain)], max_memory=max_memory, jobs=jobs, progress=progress)
-    elif isinstance(terrain, Dem):
-        from orograph.store import terrain as in_memory
-
-        terrain = in_memory(terrain)
-    if view is None:
-        from orograph.rendering.furniture.furnish import insets
-        from orograph.scene.camera import NO_INSETS, whole
-
-        view = whole(
-            terrain, size, exaggeration=options.get("exaggeration", 1.0),
-            insets=insets(size) if options.get("furniture") else NO_INSETS,
-        )  # fmt: skip
-    return draw(Scene.of(terrain, view, **options), progress, backend=backend)
+    free = insets(size) if options.get("furniture") else NO_INSETS
+    view = view_of(view, terrain, size, exaggeration=options.get("exaggeration", 1.0), insets=free)
+    return draw(Scene.of(terrain, view, **options), heard, backend=backend)
 
 
-def _unknown(name: str) -> UsageError:
-    """The error of an option that there is not, naming those that may be meant."""
-    options = list(inspect.signature(render).parameters)
-    if name in CAMERA:
-        remedy = "Where to look from is said by a view: see orograph.camera, or orograph.View."
-    elif close := difflib.get_close_matches(name, options, 3, 0.6):
-        remedy = f"Did you mean {' or '.join(close)}?"
-    else:
-        remedy = f"There are {', '.join(options[1:])}."
-    return UsageError(f"render has no option {name!r}.", remedy=remedy)
+def check_names(options: Mapping[str, Any], called: str, own: Iterable[str] = ()) -> None:
+    """Raise UsageError where an option is none of a scene's; the error names those that may be meant.
+
+    Args:
+        called: the function that takes them. own: its further arguments.
+    """
+    for name in options:
+        if name in OPTIONS:
+            continue
+        known = list(dict.fromkeys((*own, *OPTIONS, *READING)))
+        if name in CAMERA:
+            remedy = f"Where to look from is said by a view here: {CAMERA[name]}."
+        elif name in FLAGS:
+            remedy = f"It is called {FLAGS[name]} here."
+        elif close := difflib.get_close_matches(name, known, 3, 0.6):
+            remedy = f"Did you mean {' or '.join(close)}?"
+        else:
+            remedy = f"There are {', '.join(known[1:])}."
+        raise UsageError(f"{called} has no option {name!r}.", remedy=remedy)
 
 
 def _document() -> None:
@@ -113,7 +137,7 @@ def _document() -> None:
             ) + "\n"
             for name, one in OPTIONS.items()
         )  # fmt: skip
-        render.__doc__ = render.__doc__.replace("        options: see below.\n", told)
+        render.__doc__ = render.__doc__.replace("        options: see below; and how", told + "        reading: how")
 
 
 def _text(one: Described) -> str:

@@ -6,18 +6,22 @@ import io
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from orograph.cards import png
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import Tint
 from orograph.output import Beside
 from orograph.viewpoint import View
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -32,6 +36,7 @@ class Picture:
         grid: where the pixels of a plan lie, in the terrain's CRS; None in perspective.
         void_filled: (height, width), where missing data is shown (which has no depth); None: nowhere.
         tint: the colours of heights that were drawn; None: not known.
+        crs: the terrain's, in which the camera stands. exaggeration: how heights are stretched on the screen.
     """
 
     pixels: NDArray[np.uint8]
@@ -41,10 +46,66 @@ class Picture:
     grid: Grid | None = None
     void_filled: NDArray[np.bool_] | None = None
     tint: Tint | None = None
+    crs: CRS | None = None
+    exaggeration: float = 1.0
 
     def __repr__(self) -> str:
         hit = float(np.isfinite(self.depth).mean()) if self.depth.size else 0.0
         return f"<Picture {self.view.width} × {self.view.height} pixels, {self.view.projection}, {hit:.0%} ground>"
+
+    def _repr_png_(self) -> bytes:
+        return png(self.pixels)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """The pixels, (height, width, 3) uint8."""
+        return np.array(self.pixels, dtype, copy=copy)
+
+    def show(self) -> None:
+        """Show the picture: in a notebook in the cell, elsewhere in the system's viewer of pictures."""
+        from orograph.rendering.plotting import show
+
+        show(self)
+
+    def plot(self, ax: Any = None, **options: Any) -> Any:
+        """Draw the picture on matplotlib's axes, or cartopy's; a plan where it lies in its CRS (``plotting.plot``).
+
+        Args:
+            ax: the axes; None: new ones.
+            options: for ``Axes.imshow`` (alpha, zorder, interpolation…).
+
+        Returns: the axes' image; its ``axes`` are the axes.
+
+        Raises:
+            UsageError: matplotlib is not installed.
+        """
+        from orograph.rendering.plotting import plot
+
+        return plot(self, ax, **options)
+
+    def colorbar(self, ax: Any = None, **options: Any) -> Any:
+        """A colour bar of the heights beside matplotlib's axes (``Figure.colorbar``, whose options it takes).
+
+        Raises:
+            UsageError: the picture does not know its colours of heights, or matplotlib is not installed.
+        """
+        from orograph.rendering.plotting import colorbar
+
+        return colorbar(self, ax, **options)
+
+    def places(self) -> NDArray[np.float64]:
+        """What each pixel shows: (height, width, 3), easting and northing in the terrain's CRS and height in true
+        metres; NaN where there is no ground."""
+        origin, ou, ov, d, du, dv = self.view.ray_basis(self.exaggeration)
+        x, y = np.meshgrid(np.arange(self.view.width) + 0.5, np.arange(self.view.height) + 0.5)
+        x, y, depth = x[..., None], y[..., None], self.depth[..., None].astype(np.float64)
+        found: NDArray[np.float64] = origin + x * ou + y * ov + depth * (d + x * du + y * dv)
+        return np.where(np.isfinite(depth), found, np.nan)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Pixels, depth, and for each pixel its place, as a Dataset (``plotting.to_xarray``)."""
+        from orograph.rendering.plotting import to_xarray
+
+        return to_xarray(self)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the picture; the format follows the ending (png, jpg, webp, tif). A plan as .tif is a GeoTIFF.

@@ -8,6 +8,8 @@ direction, what is seen stands in the middle of it.
 from __future__ import annotations
 
 import math
+import os
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geo.transform import place
 from orograph.scene.parts import check_exaggeration
+from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
 
@@ -29,6 +32,10 @@ Insets = tuple[float, float, float, float]
 NO_INSETS: Insets = (0.0, 0.0, 0.0, 0.0)
 
 
+SIZE = (1280, 720)
+"""Pixels of a picture, where nothing else is said."""
+
+
 def _reach(insets: Insets) -> Insets:
     """How far from the picture's middle the terrain may reach to the left, right, top and bottom; the border is 1."""
     if not all(0 <= part < 0.5 for part in insets):
@@ -37,6 +44,7 @@ def _reach(insets: Insets) -> Insets:
     return left, right, top, bottom
 
 
+@takes_terrain
 def outline(terrain: Terrain) -> Array:
     """Positions (n, 3) in the terrain's CRS, float64 metres, around which all valid ground lies.
 
@@ -176,9 +184,41 @@ def _centred(across: Array, depth: Array, low: float, high: float, aside: float)
     return float(eye)
 
 
+def view_of(
+    given: View | str | os.PathLike[str] | None, terrain: Terrain, size: tuple[int, int] = SIZE, *,
+    exaggeration: float = 1.0, insets: Insets = NO_INSETS,
+) -> View:  # fmt: skip
+    """The camera that a user gives: a ``View``, "plan", the path of a VIEW.json; None: ``whole``.
+
+    Raises:
+        UsageError: it is none of these, or the size is not (width, height). ReadError: the file cannot be read.
+    """
+    check_size(size)
+    if given is None:
+        return whole(terrain, size, exaggeration=exaggeration, insets=insets)
+    if isinstance(given, View):
+        return given
+    if isinstance(given, str) and given == "plan":
+        return plan(terrain, size, insets=insets)
+    if isinstance(given, str | os.PathLike):
+        return View.load(os.fspath(given), crs=terrain.grid.crs)
+    raise UsageError(
+        f"A view is an orograph.View, 'plan', or the path of a VIEW.json, not {given!r}.",
+        remedy="orograph.camera makes them.",
+    )
+
+
+def check_size(size: object) -> None:
+    """Raise UsageError unless a size is (width, height), whole numbers of pixels."""
+    whole_numbers = isinstance(size, tuple | list) and all(isinstance(n, Integral) and int(n) > 0 for n in size)
+    if not whole_numbers or len(size) != 2:  # type: ignore[arg-type]
+        raise UsageError(f"A size is (width, height) in pixels, such as (1280, 720), not {size!r}.")
+
+
+@takes_terrain
 def whole(
     terrain: Terrain,
-    size: tuple[int, int],
+    size: tuple[int, int] = SIZE,
     *,
     azimuth: float = 180.0,
     pitch: float = 42.0,
@@ -193,13 +233,14 @@ def whole(
     return fit(outline(terrain), direction(azimuth, pitch), fov_y, size, exaggeration, insets, azimuth + 180.0)
 
 
+@takes_terrain
 def around(
     terrain: Terrain,
-    size: tuple[int, int],
+    size: tuple[int, int] = SIZE,
     *,
-    azimuth: float,
-    pitch: float,
-    distance: float | None,
+    azimuth: float = 180.0,
+    pitch: float = 42.0,
+    distance: float | None = None,
     fov_y: float = 30.0,
     exaggeration: float = 1.0,
     insets: Insets = NO_INSETS,
@@ -229,6 +270,7 @@ def around(
     return View(tuple(eye), tuple(target), tuple(_skyward(forward, azimuth + 180.0)), fov_y, size[0], size[1])
 
 
+@takes_terrain
 def standing(
     terrain: Terrain,
     size: tuple[int, int],
@@ -258,7 +300,8 @@ def standing(
     return View((x, y, eye[2]), (tx, ty, z), fov_y=fov_y, width=size[0], height=size[1])
 
 
-def plan(terrain: Terrain, size: tuple[int, int], *, azimuth: float = 180.0, insets: Insets = NO_INSETS) -> View:
+@takes_terrain
+def plan(terrain: Terrain, size: tuple[int, int] = SIZE, *, azimuth: float = 180.0, insets: Insets = NO_INSETS) -> View:
     """The map view: straight down, the whole terrain, its outline filling the picture to the margin or the insets.
 
     Args:

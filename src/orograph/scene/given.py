@@ -20,6 +20,7 @@ from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
     from orograph.geovis.layers import Layer
+    from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
     from orograph.lighting.sun import Moment, Placed, Sun
     from orograph.store.terrain import Terrain
@@ -150,8 +151,16 @@ def discs(value: Iterable[Disc | tuple[float, ...]], terrain: Terrain) -> tuple[
     return tuple(one if isinstance(one[0], Sun) else disc(*one) for one in value)
 
 
+def colormap(value: Any, terrain: Terrain) -> str | Table | None:
+    """Takes a name, or a colour map of matplotlib's or cmap's."""
+    from orograph.geovis.tables import Table
+
+    return value if value is None or isinstance(value, str | Table) else Table.of(value)
+
+
 def layers(value: Any, terrain: Terrain) -> tuple[Layer, ...]:
-    """Takes one or several: paths, or `Layer`s, which say what keys say."""
+    """Takes one or several: paths, arrays (which span the terrain), DataArrays, open rasterio datasets, or `Layer`s,
+    which say what keys say, and where an array lies."""
     from orograph.geovis.layers import layers_of
 
     return layers_of(value)

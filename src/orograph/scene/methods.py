@@ -55,6 +55,12 @@ def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> 
     return choice
 
 
+def check_promise(method: str, backend: Backend) -> None:
+    """Raise UsageError unless a tolerance is a promise with a scene's method."""
+    if method != "auto":
+        chosen(method, backend).check_promise()
+
+
 def goal_of(tolerance: float | None, triangles: int | None) -> Goal:
     """What a scene's method is asked for."""
     if triangles is not None:

@@ -21,6 +21,7 @@ from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
     from orograph.geovis.layers import Layer
+    from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
     from orograph.lighting.sun import Sun
     from orograph.viewpoint import View
@@ -108,9 +109,9 @@ class Data:
         UsageError: a water level is no height. (``Scene.of`` raises it where there are more layers than can be drawn.)
     """
 
-    colormap: str | None = option(
+    colormap: str | Table | None = option(
         None, "Colours of heights: alpine, mars, grey or any name of the cmap catalogue.", metavar="NAME",
-        shown="alpine",
+        shown="alpine", given=given.colormap,
     )  # fmt: skip
     range: tuple[float, float] | None = option(
         None, "Heights at the ends of the colours, metres, so that two pictures share a scale.", read=given.read_span,

@@ -8,11 +8,8 @@ from typing import Any, Self
 
 from orograph.errors import ReadError
 from orograph.scene.parts import OPTIONS, PARTS, Annotations, Budget, Data, Lighting, Surface, by_part
-from orograph.store.terrain import Terrain
+from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.viewpoint import View
-
-EXACT_SAMPLES = 4100 * 4100
-"""Terrains of up to this many samples are drawn at full resolution unless a tolerance is asked for."""
 
 DEFAULT_TOLERANCE = 0.5
 """Pixels: what larger terrains may be displaced by on the screen."""

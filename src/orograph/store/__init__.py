@@ -8,8 +8,9 @@
 
 from __future__ import annotations
 
-from orograph.store.build import build, terrain
+from orograph.store.build import build
 from orograph.store.memory import MemoryTerrain
+from orograph.store.opening import terrain
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.stored import StoredTerrain, open
 from orograph.store.terrain import TILE, Terrain, TileTable

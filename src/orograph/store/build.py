@@ -21,13 +21,15 @@ from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
+from orograph.reporting import reporting
 from orograph.store.diamond_table import DIAMONDS
+from orograph.store.given import source_of
 from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
 from orograph.store.layout import CHUNK, FORMAT, PARTS, Record, dumps
 from orograph.store.layout import publish as publish_record
 from orograph.store.lock import alone
-from orograph.store.memory import MemoryTerrain, check_metric, is_metric
+from orograph.store.memory import MemoryTerrain, check_metric
 from orograph.store.places import PLAN, ROOT, begun, is_store, left_over, missing, occupied, partial, publish
 from orograph.store.shards import go_through
 from orograph.store.source import ArraySource, HeightSource
@@ -37,7 +39,6 @@ from orograph.store.terrain import Samples, Shape, level_count, level_shape
 from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:
-    from orograph.dem import Dem
     from orograph.dem.lattice import SourceLattice
 
 MEMORY = 1 << 30
@@ -49,7 +50,7 @@ Path_ = str | os.PathLike[str]
 
 
 def build(
-    source: HeightSource | Dem | Path_ | Sequence[Path_],
+    source: Any,
     url: Path_,
     *,
     overwrite: bool = False,
@@ -58,7 +59,7 @@ def build(
     jobs: int | None = None,
     errors: Sequence[ErrorKind] = ("exact",),
     keep_source: bool = True,
-    progress: Progress = SILENT,
+    progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
     shard: int | None = None,
     chunk: int = CHUNK,
@@ -67,7 +68,8 @@ def build(
     """Build a store and open it.
 
     Args:
-        source: DEM files, a Dem, or anything that reads windows of heights (see ``HeightSource``).
+        source: DEM files, or whatever else heights come as (``store.terrain``), such as what reads windows of them
+            (``HeightSource``).
         url: the store's folder, or a URL fsspec can write to.
         overwrite: replace a store (or an unfinished build) that is there.
         resume: finish an interrupted build of the same sources and options; begins one if there is none.
@@ -77,21 +79,23 @@ def build(
             them; none for ().
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
+        progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
         storage_options: for the fsspec file system.
         shard, chunk: samples along their sides, powers of two (default: chosen from ``max_memory``; 256).
-        options: for ``Mosaic.open`` where ``source`` is files: ``crs``, ``resolution``, ``nodata``…
+        options: how the source is read, as for ``store.terrain``: ``crs``, ``resolution``, ``nodata``…
 
     Raises:
         StoreError: something is there already, what was begun differs, the sources were changed meanwhile, or it cannot
             be written (disk full).
         ReadError, UsageError: a source cannot be read or is not metric.
     """
+    progress = reporting(progress)
     if overwrite and resume:
         raise UsageError("A build either resumes or overwrites, not both.")
     kinds = tuple(kind for kind in KINDS if kind in errors)
     if len(kinds) != len(set(errors)):
         raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, errors))}.")
-    raster = as_source(source, progress, **options)
+    raster = source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
     if isinstance(final, FolderStorage) and final.path.is_symlink():
@@ -129,16 +133,12 @@ def build(
         return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
 
 
-def terrain(source: HeightSource | Dem, progress: Progress = SILENT) -> MemoryTerrain:
-    """A terrain in memory: of a Dem, or of anything that reads windows, read as a whole.
-
-    A Dem in metres is shared, sample for sample; one in degrees or feet is brought to a metric CRS (see ``Mosaic``).
+def in_memory(source: HeightSource, progress: Progress = SILENT) -> MemoryTerrain:
+    """A terrain in memory of what reads windows, read as a whole; heights that are an array are shared.
 
     Raises:
-        UsageError: it cannot be brought to a metric CRS.
+        UsageError: it is in no metric CRS.
     """
-    if not isinstance(source, HeightSource):
-        source = as_source(source, progress)
     if isinstance(source, ArraySource):
         return MemoryTerrain(source.heights, source.grid, source.name, source.vertical)
     rows, cols = source.grid.shape
@@ -157,24 +157,6 @@ def terrain(source: HeightSource | Dem, progress: Progress = SILENT) -> MemoryTe
     if isinstance(source, Samples):
         made.samples = source
     return made
-
-
-def as_source(source: HeightSource | Dem | Path_ | Sequence[Path_], progress: Progress, **options: Any) -> HeightSource:
-    """Whatever heights come as, something that reads windows of them."""
-    if isinstance(source, str | os.PathLike | Sequence):
-        from orograph.dem.mosaic import Mosaic
-
-        return Mosaic.open(source, progress=progress, **options)
-    if options:
-        raise UsageError(f"{', '.join(options)}: such options are for files, not for heights already read.")
-    if isinstance(source, HeightSource):
-        return source
-    array = ArraySource(source.heights, source.grid, source.name, source.vertical)
-    if is_metric(source.grid):
-        return array
-    from orograph.dem.mosaic import Mosaic
-
-    return Mosaic([array])
 
 
 def sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None, kinds: int) -> tuple[int, int]:

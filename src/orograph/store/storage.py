@@ -22,7 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from orograph.errors import StoreError
+from orograph.errors import StoreError, UsageError
 from orograph.output import remove
 from orograph.store.ranges import Range, cut, merged
 
@@ -371,6 +371,11 @@ def _passing(error: Exception) -> bool:
 
 def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = None) -> Storage:
     """The storage of a path, a ``file://`` URL, or any other URL fsspec knows."""
+    if not isinstance(url, str | os.PathLike):
+        raise UsageError(
+            f"A store is a folder or a URL, not {type(url).__name__}.",
+            remedy="Build one of it: `orograph.build(heights, 'area.oro')`.",
+        )
     text = os.fspath(url)
     if text.startswith("file://"):
         from urllib.parse import unquote, urlsplit

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+from orograph.cards import Row, amount
 from orograph.error import ErrorKind
 from orograph.errors import StoreError
 from orograph.progress import SILENT, Progress
@@ -93,6 +94,11 @@ class StoredTerrain(Terrain):
     def size_bytes(self) -> int | None:
         """Bytes of the store on disk; None where the storage cannot list what it has (a web server)."""
         return self.storage.size()
+
+    def _kept(self) -> list[Row]:
+        rows = [("layers", ", ".join(self.layers))] if self.layers else []
+        size = None if self.remote else self.size_bytes  # (which is not worth a network's time)
+        return [*rows, ("store", self.url + ("" if size is None else f", {amount(size)}"))]
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         array = self._array("heights", level)

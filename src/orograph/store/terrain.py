@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph.cards import Row, amount, card, extent_rows, heights_row, one_line, relief
 from orograph.errors import StoreError, UsageError
 from orograph.geo.grid import Grid
 
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
 
 TILE = 256
 """Cells along the side of a tile, at every level."""
+
+EXACT_SAMPLES = 4100 * 4100
+"""Terrains of up to this many samples are read into memory, and drawn at full resolution unless a tolerance is asked
+for."""
 
 Heights = NDArray[np.float32]
 Shape = tuple[int, int]
@@ -257,10 +262,23 @@ class Terrain(ABC):
     ) -> None:
         self.close()
 
+    def _told(self) -> list[Row]:
+        rows = [*extent_rows(self.grid), heights_row(*self.height_range, self.vertical)]
+        levels = f"{self.levels} level{'s' if self.levels > 1 else ''}"
+        return [*rows, ("levels", levels), *self._kept()]
+
+    def _kept(self) -> list[Row]:
+        """Where it is, and how large."""
+        return [("memory", amount(4 * self.grid.rows * self.grid.cols))]
+
     def __repr__(self) -> str:
-        rows, cols = self.grid.shape
-        crs = self.grid.crs.name if self.grid.crs else "no CRS"
-        return f"<{type(self).__name__} {self.name!r} {rows}×{cols}, {self.levels} levels, {crs}>"
+        return one_line(type(self).__name__, self.name, self._told())
+
+    def _repr_html_(self) -> str:
+        level = self.levels - 1
+        rows, cols = self.shape(level)
+        small = relief(self.read(level, 0, rows, 0, cols), self.grid, 2.0**level)
+        return card("terrain", self.name, self._told(), small)
 
     def _check(self, level: int) -> int:
         if not 0 <= level < self.levels:

@@ -24,6 +24,7 @@ from orograph.errors import ReadError, UsageError
 from orograph.geo.transform import far_outside
 from orograph.lighting.sun import Placed
 from orograph.scene import camera
+from orograph.store.opening import takes_terrain
 from orograph.store.terrain import Terrain
 from orograph.touring.course import highest
 from orograph.touring.keys import Key
@@ -52,6 +53,7 @@ KEYS_PER_LOOK = 3.0
 """Keys on the way to what it looks at."""
 
 
+@takes_terrain
 def orbit(
     terrain: Terrain, size: tuple[int, int], *, seconds: float = SECONDS, azimuth: float = 180.0, pitch: float = 35.0,
     distance: float | None = None, fov_y: float = 30.0, turns: int = 1, exaggeration: float = 1.0,
@@ -74,6 +76,7 @@ def orbit(
     return Tour((Key(view, 0.0, path="orbit", turns=turns),), seconds=seconds, loop=True, ease=False)
 
 
+@takes_terrain
 def turntable(
     terrain: Terrain, size: tuple[int, int], *, sun: tuple[float, float] = (315.0, 45.0), seconds: float = SECONDS,
     azimuth: float = 180.0, pitch: float = 35.0, distance: float | None = None, fov_y: float = 30.0,
@@ -94,6 +97,7 @@ def turntable(
     return Tour(tuple(keys), seconds=seconds, loop=True, ease=False)
 
 
+@takes_terrain
 def flyover(
     terrain: Terrain, size: tuple[int, int], line: Array, *, height: float | None = None, speed: float | None = None,
     seconds: float | None = None, fov_y: float = 45.0,

@@ -8,15 +8,17 @@ still is drawn by the CPU.
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from typing import Any
 
+from orograph.cards import png
 from orograph.errors import OrographError
-from orograph.progress import SILENT
+from orograph.progress import SILENT, Progress
 from orograph.rendering.picture import Picture
+from orograph.scene.methods import check_promise
 from orograph.scene.scene import Scene
-from orograph.store.terrain import Terrain
+from orograph.store.given import READING
+from orograph.store.opening import terrain as opened
 from orograph.viewpoint import View
 
 SIZE = (900, 560)
@@ -37,7 +39,7 @@ class Still:
         return f"<Still {self.picture.view.width} × {self.picture.view.height}{': ' + self.why if self.why else ''}>"
 
     def _repr_png_(self) -> bytes:
-        return png(self.picture)
+        return png(self.picture.pixels)
 
 
 class Widget:
@@ -79,22 +81,26 @@ class Widget:
 
 
 def view(
-    terrain: Terrain,
+    terrain: Any,
     camera: View | None = None,
     *,
     size: tuple[int, int] = SIZE,
     panels: bool = False,
     gpu_memory: int = 256 << 20,
+    conservative: bool = False,
+    progress: Progress | bool | None = None,
     **options: Any,
 ) -> Widget | Still:
     """A terrain to be explored in a cell; a still picture where that cannot be.
 
     Args:
-        terrain: what.
+        terrain: whatever ``orograph.terrain`` takes, with its options.
         camera: where from; None: all of it, from the south.
         size: of the cell's picture, pixels.
         panels: whether panels are shown at first (Tab shows and hides them).
         gpu_memory: bytes of GPU memory for tiles.
+        conservative: refuse a ``method`` with which the tolerance is no promise.
+        progress: hears of the terrain being read; False: nothing is said.
         options: of the scene, as for ``orograph.render`` (sun, exaggeration, layers…).
 
     Raises:
@@ -102,6 +108,10 @@ def view(
     """
     from orograph.viewer.session import Session
 
+    reading = {name: options.pop(name) for name in READING if name in options}
+    if conservative:
+        check_promise(options.get("method", "auto"), "gpu")
+    terrain = opened(terrain, progress, called="view", **reading)
     session = Session(terrain, camera, size=size, **options)
     session.settings.panels = panels
     scene = session.scene()
@@ -133,19 +143,10 @@ def view(
     except OrographError as error:
         session.close()
         return Still(_cpu(scene), str(error))
-    return Widget(window, canvas, png(still))
+    return Widget(window, canvas, png(still.pixels))
 
 
 def _cpu(scene: Scene) -> Picture:
     from orograph.rendering.cpu.draw import draw
 
     return draw(scene)
-
-
-def png(picture: Picture) -> bytes:
-    """A picture as the bytes of a PNG."""
-    from PIL import Image
-
-    out = io.BytesIO()
-    Image.fromarray(picture.pixels).save(out, format="PNG")
-    return out.getvalue()

@@ -23,9 +23,9 @@ from orograph.lighting.sun import Sun
 from orograph.rendering.cpu.draw import draw as cpu_draw
 from orograph.rendering.gpu.draw import draw as gpu_draw
 from orograph.scene.camera import around, plan, whole
-from orograph.scene.prepare import prepare
 from orograph.scene.scene import Scene
 from orograph.store import terrain as in_memory
+from orograph.store.prepare import prepare
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 

@@ -13,8 +13,8 @@ from orograph.lod.method import Goal
 from orograph.lod.registry import method_of
 from orograph.rendering.gpu.draw import draw
 from orograph.scene.camera import around
-from orograph.scene.prepare import prepare
 from orograph.scene.scene import Scene
+from orograph.store.prepare import prepare
 from orograph.viewpoint import Camera
 
 SETS = {

@@ -22,9 +22,9 @@ from orograph.progress import SILENT, Progress
 from orograph.rendering.cpu.mesh_terrain import MeshTerrain, interpolate
 from orograph.rendering.memory import available
 from orograph.scene.methods import MEMORY, goal_of, made, mesh_choice
-from orograph.scene.scene import EXACT_SAMPLES, Scene
+from orograph.scene.scene import Scene
 from orograph.store.memory import MemoryTerrain
-from orograph.store.terrain import Terrain
+from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
 

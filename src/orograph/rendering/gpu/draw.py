@@ -130,7 +130,10 @@ def draw(
         mesh = renderer.mesh
         facts["mesh"] = {"method": scene.surface.method, "triangles": len(mesh.triangles), **mesh.stats}
     place = plan_grid(view, scene.terrain.grid.crs)
-    return Picture(pixels, depth, view, facts, place, void_filled if void_filled.any() else None, tint=renderer.tint)
+    return Picture(
+        pixels, depth, view, facts, place, void_filled if void_filled.any() else None, renderer.tint,
+        scene.terrain.grid.crs, scene.surface.exaggeration,
+    )  # fmt: skip
 
 
 def largest(device: Device) -> int:

@@ -30,8 +30,7 @@ from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.raycast.mips import build_mips
 from orograph.raycast.select import load, rectangles
 from orograph.raycast.stack import HeightWindow, check_diagonals
-from orograph.scene.scene import EXACT_SAMPLES
-from orograph.store.terrain import TILE, Terrain
+from orograph.store.terrain import EXACT_SAMPLES, TILE, Terrain
 from orograph.viewpoint import View
 
 if TYPE_CHECKING:

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 from orograph.errors import OrographError, StoreError, UsageError
 from orograph.folders import cache_folder, cache_limit
 from orograph.progress import SILENT, Progress
-from orograph.scene.scene import EXACT_SAMPLES
-from orograph.store.terrain import Terrain
+from orograph.store.build import build, in_memory
+from orograph.store.stored import open
+from orograph.store.terrain import EXACT_SAMPLES, Terrain
 
 if TYPE_CHECKING:
     from orograph.dem.mosaic import Mosaic
@@ -60,7 +61,6 @@ def prepare(
     Raises:
         ReadError, StoreError, UsageError: as ``store.open``, ``Mosaic.open`` and ``store.build``.
     """
-    from orograph import store
     from orograph.store.detect import is_store
     from orograph.store.layout import FORMAT
 
@@ -73,7 +73,7 @@ def prepare(
                 path=paths[0],
                 remedy="Give such options to `orograph.build`, or render the DEM files.",
             )
-        return store.open(paths[0], cache_bytes=cache_bytes(max_memory))
+        return open(paths[0], cache_bytes=cache_bytes(max_memory), jobs=jobs)
     from orograph.dem.mosaic import Mosaic
     from orograph.store.kept import Use, make_room
 
@@ -82,7 +82,7 @@ def prepare(
         progress.warn(warning)
     rows, cols = mosaic.grid.shape
     if rows * cols <= EXACT_SAMPLES and (max_memory is None or _fits(rows * cols, max_memory)):
-        return _told(mosaic, store.terrain(mosaic, progress), progress)
+        return _told(mosaic, in_memory(mosaic, progress), progress)
     cache_limit()  # if it is no size, that is said before anything is built
     # Those of another store format have another name: what they left unfinished is not in the way.
     name = hashlib.sha256(f"{mosaic.fingerprint()} {FORMAT}".encode()).hexdigest()[:20]
@@ -91,7 +91,7 @@ def prepare(
     use = Use(kept)
     if kept.exists():
         try:
-            terrain = store.open(kept, cache_bytes=cache_bytes(max_memory))
+            terrain = open(kept, cache_bytes=cache_bytes(max_memory))
         except OrographError as error:
             # Stores take their place when they are complete: this one was damaged since, and is a copy.
             progress.warn(f"the kept store cannot be used and is built again ({error})")
@@ -109,9 +109,7 @@ def prepare(
         ) from error  # fmt: skip
     memory: dict[str, Any] = {} if max_memory is None else {"max_memory": max_memory}
     kinds: tuple[ErrorKind, ...] = ("exact", *more)
-    terrain = store.build(
-        mosaic, kept, resume=True, errors=kinds, keep_source=False, jobs=jobs, progress=progress, **memory
-    )
+    terrain = build(mosaic, kept, resume=True, errors=kinds, keep_source=False, jobs=jobs, progress=progress, **memory)
     terrain.use = Use(kept)
     make_room(progress)
     size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())

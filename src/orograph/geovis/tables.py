@@ -1,0 +1,118 @@
+"""Colour maps that have no name: matplotlib's, those of ``cmap``, with norms, and tables of classes.
+
+A norm is folded into the table, whose entries lie evenly between its ends, so that what draws knows one kind of map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.errors import UsageError
+
+ENTRIES, FINE = 1024, 65536
+"""Of a table: of a map alone, and of one into which a norm is folded, whose steps may lie anywhere."""
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Table:
+    """Colours from the lowest to the highest value.
+
+    Attributes:
+        name: what to call it.
+        rgba: (n, 4) uint8 sRGB and opacity, row by row.
+        span: the values of the first and the last entry; None: whatever is coloured decides.
+    """
+
+    name: str
+    rgba: bytes
+    span: tuple[float, float] | None = None
+
+    def __repr__(self) -> str:
+        return f"<Table {self.name}>"
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def colors(self) -> NDArray[np.uint8]:
+        """(n, 4) uint8."""
+        return np.frombuffer(self.rgba, np.uint8).reshape(-1, 4)
+
+    @classmethod
+    def of(cls, given: Any, norm: Any = None) -> Table:
+        """A table of what people have.
+
+        Args:
+            given: matplotlib's or cmap's colour map; its name, with a norm; or classes: colours (names, "#rrggbb", or
+                3 or 4 numbers up to 1) by whole numbers. Values of no class are clear.
+            norm: matplotlib's, with its ends (``vmin`` and ``vmax``).
+
+        Raises:
+            UsageError: it is nothing of these.
+        """
+        if isinstance(given, Mapping):
+            if norm is not None:
+                raise UsageError("A table of classes has no norm: it says the colour of each value.")
+            return _classes(given)
+        colors = _callable(given)
+        name = str(getattr(given, "name", given)).rpartition(":")[2]
+        if norm is None:
+            return cls(name, _bytes(colors(np.linspace(0, 1, ENTRIES))))
+        low, high = getattr(norm, "vmin", None), getattr(norm, "vmax", None)
+        if not callable(norm) or low is None or high is None or not low < high:
+            raise UsageError(f"A norm is one of matplotlib's, with its vmin and vmax, not {norm!r}.")
+        places = np.ma.getdata(norm(np.linspace(low, high, FINE)))
+        if isinstance(places.flat[0], np.integer):  # BoundaryNorm gives indices of colours
+            colors = given if callable(given) else colors
+        found = np.asarray(colors(places))
+        return cls(name, _bytes(found), (float(low), float(high)))
+
+
+def _callable(given: Any) -> Any:
+    """What makes colours of numbers from 0 to 1."""
+    if callable(given) and hasattr(given, "N"):
+        return given
+    import cmap
+
+    try:
+        return cmap.Colormap(given)
+    except (ValueError, TypeError, KeyError) as error:
+        raise UsageError(
+            f"{given!r} is no colour map.",
+            remedy="Give a name, one of matplotlib's or cmap's, or colours by value: {1: 'green', 2: '#08f'}.",
+        ) from error
+
+
+def _classes(given: Mapping[Any, Any]) -> Table:
+    if not given or not all(isinstance(v, Real) and float(v).is_integer() for v in given):
+        raise UsageError(f"Classes are colours by whole numbers, {{1: 'green', 2: '#08f'}}, not {given!r}.")
+    low, high = int(min(given)), int(max(given))
+    if high - low >= FINE:
+        raise UsageError(f"Classes lie within {FINE} of each other, not from {low} to {high}.")
+    colors = np.zeros((max(2, high - low + 1), 4), np.uint8)
+    for value, color in given.items():
+        try:
+            red, green, blue, opacity = _color(color).rgba
+        except (ValueError, TypeError) as error:
+            raise UsageError(f"{color!r}, of class {value}, is no colour.") from error
+        colors[int(value) - low] = np.round(np.array([red, green, blue, opacity]) * 255)
+    return Table("classes", colors.tobytes(), (float(low), float(low + len(colors) - 1)))
+
+
+def _bytes(colors: Any) -> bytes:
+    """Colours from 0 to 1 as bytes (n, 4)."""
+    found = np.asarray(colors, np.float64)
+    return np.round(np.clip(found, 0, 1) * 255).astype(np.uint8).tobytes()
+
+
+def _color(given: Any) -> Any:
+    """A colour of a name, or of numbers from 0 to 1."""
+    import cmap
+
+    return cmap.Color(given if isinstance(given, str) else np.array(given, np.float64))

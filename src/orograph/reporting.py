@@ -1,0 +1,117 @@
+"""Progress that people see: bars in terminals and notebooks (rich), warnings as their place has them.
+
+Functions of the package take ``progress``: a ``Progress``, True or None (``Shown``: bars where somebody looks on, and
+Python's warnings), or False (nothing is said). ``reporting`` tells which.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+import warnings
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from orograph.progress import SILENT, Progress, Task
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+    from rich.progress import TaskID
+
+LASTS = 0.7
+"""Seconds after which a task gets a bar."""
+
+
+def reporting(progress: Progress | bool | None) -> Progress:
+    """What hears of work that was asked for with ``progress=``."""
+    if isinstance(progress, Progress):
+        return progress
+    return SILENT if progress is False else Shown()
+
+
+def bars(console: Any) -> Bar:
+    """Bars on rich's console, which are gone when all is done."""
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
+
+    return Bars(
+        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"), TimeRemainingColumn(),
+        console=console, transient=True,
+    )  # fmt: skip
+
+
+class Shown(Progress):
+    """Progress for who works with Python: bars of tasks that last, in a terminal or a notebook; warnings are Python's
+    (``UserWarning``)."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.bar: Bar | None = None
+        self.open = 0
+
+    def task(self, what: str, total: float | None = None) -> Task:
+        return _Bar(self, what, total) if _watched() else Task()
+
+    def warn(self, text: str) -> None:
+        depth, frame = 1, sys._getframe()
+        while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "orograph":
+            depth, frame = depth + 1, frame.f_back
+        warnings.warn(text, UserWarning, stacklevel=depth)
+
+
+def _watched() -> bool:
+    """Whether somebody sees bars: stderr is a terminal, or this is a notebook."""
+    shell = sys.modules.get("IPython")
+    kernel = shell is not None and getattr(shell.get_ipython(), "kernel", None) is not None
+    return kernel or (sys.stderr is not None and sys.stderr.isatty())
+
+
+class _Bar(Task):
+    """A task that gets a bar if it lasts."""
+
+    def __init__(self, owner: Shown, what: str, total: float | None) -> None:
+        self.owner, self.what, self.total = owner, what, total
+        self.done: float = 0
+        self.id: TaskID | None = None
+        self.due = 0.0
+
+    def advance(self, n: float = 1) -> None:
+        with self.owner.lock:
+            self.done += n
+            if self.id is None and self.due and time.monotonic() >= self.due:
+                self._begin()
+            if self.id is not None and self.owner.bar is not None:
+                self.owner.bar.update(self.id, completed=self.done)
+
+    def note(self, text: str) -> None:
+        with self.owner.lock:
+            if self.id is not None and self.owner.bar is not None:
+                self.owner.bar.update(self.id, description=f"{self.what} — {text}")
+
+    def _begin(self) -> None:
+        if self.owner.bar is None:
+            from rich.console import Console
+
+            self.owner.bar = bars(Console(stderr=True))
+            self.owner.bar.start()
+        self.owner.open += 1
+        self.id = self.owner.bar.add_task(self.what, total=self.total)
+        self.owner.bar.update(self.id, completed=self.done)
+
+    def __enter__(self) -> Self:
+        self.due = time.monotonic() + LASTS
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self.owner.lock:
+            if self.id is None or self.owner.bar is None:
+                return
+            self.owner.bar.remove_task(self.id)
+            self.id, self.due = None, 0.0
+            self.owner.open -= 1
+            if self.owner.open == 0:
+                self.owner.bar.stop()
+                self.owner.bar = None

@@ -1,0 +1,223 @@
+"""What people have heights in, as something that reads windows of them: files, arrays, DataArrays, open datasets.
+
+``source_of`` is the one place that tells them apart; ``store.opening.terrain`` makes a terrain of any of them.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from orograph.errors import UsageError
+from orograph.progress import SILENT, Progress
+from orograph.store.memory import MemoryTerrain, is_metric
+from orograph.store.source import ArraySource, HeightSource
+
+if TYPE_CHECKING:
+    from orograph.dem.raster import Dem
+
+TAKES = (
+    "a path or URL of a DEM or a store, a list of DEMs, a Dem, a Terrain, an xarray.DataArray or Dataset, an open "
+    "rasterio dataset or (dataset, window), or an array of heights (with transform= and crs=)"
+)
+"""What every function that wants a terrain takes."""
+
+OF_FILES = ("band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit", "assume_vertical")
+"""How a file is read; of these ``OF_ARRAYS`` also say something about heights in memory."""
+OF_ARRAYS = ("transform", "spacing", "nodata", "vertical_unit", "assume_vertical", "name")
+OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid")
+"""What the grid of the terrain is to be (``Mosaic.open``)."""
+
+READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_ARRAYS)))
+"""All that can be said of how heights are read."""
+
+
+def is_dataset(thing: Any) -> bool:
+    """Whether something is a dataset of rasterio's (``dem.datasets``), without importing what reads it."""
+    if "rasterio" not in sys.modules:
+        return False
+    from orograph.dem import datasets
+
+    return datasets.is_dataset(thing)
+
+
+def files_of(given: Any) -> list[str] | None:
+    """The files and stores that something names, by path, or as open datasets of them; None of all else."""
+    if isinstance(given, str | os.PathLike):
+        return [os.fspath(given)]
+    from orograph.dem.datasets import file_of
+
+    if is_dataset(given):
+        path = file_of(given)
+        return None if path is None else [path]
+    if isinstance(given, list | tuple) and given and not _is_window(given):
+        found = [files_of(one) for one in given if isinstance(one, str | os.PathLike) or is_dataset(one)]
+        if len(found) == len(given) and None not in found:
+            return [path for one in found for path in one or ()]
+    return None
+
+
+def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain", **options: Any) -> HeightSource:
+    """Whatever heights come as, something that reads windows of them on a metric grid.
+
+    Args:
+        given: ``TAKES``, but for terrains; or a ``HeightSource``, which is returned.
+        called: the function that wants it, for errors.
+        options: ``READING``. ``crs`` is also that of heights in memory which name none (and of these alone where it is
+            not projected).
+
+    Raises:
+        ReadError: a file cannot be read, or the heights are no real numbers.
+        UsageError: it is nothing that holds heights, or an option does not fit.
+    """
+    check_names(options, called)
+    said = {k: v for k, v in options.items() if v is not None}
+    files = files_of(given)
+    if files is not None:
+        from orograph.dem.mosaic import Mosaic
+
+        return Mosaic.open(files, progress=progress, **_fitting(said, (*OF_GRIDS, *OF_FILES), "files"))
+    if isinstance(given, MemoryTerrain):
+        _fitting(said, (), "a Terrain, which was read already")
+        return ArraySource(given.heights, given.grid, given.name, given.vertical)
+    if isinstance(given, HeightSource):
+        _fitting(said, (), "heights that are read by windows already")
+        return given
+    several = isinstance(given, list | tuple) and not _is_window(given) and not is_rows(given)
+    if several and not given:
+        raise UsageError(f"{called} got an empty list: there is nothing to read.")
+    if several and not all(_is_heights(one) for one in given):
+        raise refused(given, called)
+    warned: list[str] = []
+    made = [_raster(one, said, warned, called) for one in (given if several else [given])]
+    for text in dict.fromkeys(warned):
+        progress.warn(text)
+    grid = {k: v for k, v in said.items() if k in OF_GRIDS}
+    if "crs" in grid and (made[0][1] or not _projected(grid["crs"])):
+        del grid["crs"]  # it said where the heights lie
+    if len(made) == 1 and not grid and isinstance(made[0][0], ArraySource) and is_metric(made[0][0].grid):
+        return made[0][0]
+    from orograph.dem.mosaic import Mosaic
+
+    return Mosaic([raster for raster, _ in made], **grid)
+
+
+def check_names(options: Any, called: str) -> None:
+    """Raise UsageError where something is said of reading that cannot be said."""
+    for name in options:
+        if name not in READING:
+            import difflib
+
+            close = difflib.get_close_matches(name, READING, 2, 0.6)
+            remedy = f"Did you mean {' or '.join(close)}?" if close else f"There are {', '.join(READING)}."
+            raise UsageError(f"{called} has no option {name!r}.", remedy=remedy)
+
+
+def _raster(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tuple[Any, bool]:
+    """A source of one thing, and whether ``crs`` says where it lies."""
+    from orograph.dem.datasets import file_of
+    from orograph.dem.source import Source
+
+    if isinstance(one, str | os.PathLike) or (is_dataset(one) and file_of(one) is not None):
+        path = one if isinstance(one, str | os.PathLike) else str(file_of(one))
+        return Source.open(path, **_fitting(said, OF_FILES, "", strict=False)), False
+    if isinstance(one, HeightSource):
+        return one, False
+    dem, own = _dem(one, said, warned, called)
+    return ArraySource(dem.heights, dem.grid, said.get("name") or dem.name, dem.vertical), own
+
+
+def _dem(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tuple[Dem, bool]:
+    from orograph.dem.arrays import from_array
+    from orograph.dem.datasets import from_dataset
+    from orograph.dem.raster import Dem
+
+    crs = said.get("assume_crs", said.get("crs"))
+    own = "assume_crs" not in said and "crs" in said
+    if isinstance(one, Dem):
+        _fitting(said, (*OF_GRIDS, "name"), "a Dem, which says it itself")
+        return one, False
+    if is_dataset(one) or _is_window(one):
+        dataset, window = one if _is_window(one) else (one, None)
+        file_options = _fitting(said, (*OF_GRIDS, *OF_FILES, "name"), "an open dataset")
+        return from_dataset(dataset, window, **{k: v for k, v in file_options.items() if k not in OF_GRIDS}), False
+    xarray = sys.modules.get("xarray")
+    if xarray is not None and isinstance(one, xarray.DataArray | xarray.Dataset):
+        from orograph.dem import dataarray
+
+        _fitting(said, (*OF_GRIDS, "assume_crs", "name"), "a DataArray, which says it itself")
+        array = the_heights(one)
+        if dataarray.says_crs(array):
+            crs, own = None, False
+        return dataarray.from_xarray(array, crs=crs, name=said.get("name")), own
+    if not _is_heights(one):
+        raise refused(one, called)
+    how = _fitting(said, (*OF_GRIDS, *OF_ARRAYS, "assume_crs"), "an array")
+    dem = from_array(one, crs=crs, warnings=warned, **{k: v for k, v in how.items() if k in OF_ARRAYS})
+    return dem, own
+
+
+def the_heights(given: Any) -> Any:
+    """The variable of an ``xarray.Dataset`` that holds heights (``heights_in``); all else as it is."""
+    xarray = sys.modules.get("xarray")
+    if xarray is None or not isinstance(given, xarray.Dataset):
+        return given
+    from orograph.dem.dataarray import heights_in
+
+    return heights_in(given)
+
+
+def refused(given: Any, called: str) -> UsageError:
+    """The error about something that holds no heights, with the way in."""
+    if isinstance(given, list | tuple):
+        kinds = sorted({type(one).__name__ for one in given})
+        got = f"a {type(given).__name__} of {' and '.join(kinds)}s"
+    else:
+        got = "None" if given is None else f"{type(given).__module__}.{type(given).__name__}".removeprefix("builtins.")
+    return UsageError(f"{called} takes {TAKES}; got {got}: {_short(given)}.")
+
+
+def _short(given: Any) -> str:
+    text = " ".join(repr(given).split())
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def _is_window(given: Any) -> bool:
+    return isinstance(given, tuple) and len(given) == 2 and is_dataset(given[0]) and not is_dataset(given[1])
+
+
+def is_rows(given: Any) -> bool:
+    """Whether it is a list of rows of numbers."""
+    rows = isinstance(given, list | tuple) and given and all(isinstance(row, list | tuple) for row in given)
+    return bool(rows and not any(_is_window(row) for row in given) and np.asarray(given[0]).dtype.kind in "iufbc")
+
+
+def _is_heights(one: Any) -> bool:
+    """Whether it is a raster of some kind."""
+    from orograph.dem.raster import Dem
+
+    raster = isinstance(one, str | os.PathLike | Dem | HeightSource) or hasattr(one, "data_vars")
+    return raster or is_dataset(one) or _is_window(one) or is_rows(one) or is_array_like(one)
+
+
+def is_array_like(given: Any) -> bool:
+    """NumPy's, or one that becomes NumPy's (Dask's, PyTorch's, CuPy's…)."""
+    return hasattr(given, "__array__") and hasattr(given, "dtype") and hasattr(given, "shape")
+
+
+def _projected(crs: Any) -> bool:
+    from orograph.dem.header import parsed_crs
+
+    return bool(parsed_crs(crs).is_projected)
+
+
+def _fitting(said: dict[str, Any], names: Sequence[str], what: str, strict: bool = True) -> dict[str, Any]:
+    """What is said, all of which must be among ``names``."""
+    wrong = [f"`{name}`" for name in said if name not in names]
+    if wrong and strict:
+        raise UsageError(f"{', '.join(wrong)} cannot be said of {what}.")
+    return {k: v for k, v in said.items() if k in names}

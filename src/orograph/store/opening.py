@@ -1,0 +1,88 @@
+"""A terrain of whatever heights come as: what every function begins with that takes a terrain."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Collection
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+
+from orograph.errors import UsageError
+from orograph.progress import Progress
+from orograph.reporting import reporting
+from orograph.store.build import in_memory
+from orograph.store.given import READING, check_names, files_of, source_of
+from orograph.store.prepare import prepare
+from orograph.store.terrain import Terrain
+
+if TYPE_CHECKING:
+    from orograph.error import ErrorKind
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def terrain(
+    source: Any,
+    progress: Progress | bool | None = None,
+    *,
+    max_memory: int | None = None,
+    jobs: int | None = None,
+    errors: Collection[ErrorKind] = (),
+    called: str = "terrain",
+    **reading: Any,
+) -> Terrain:
+    """A terrain of whatever heights come as.
+
+    Args:
+        source: a path or URL of a DEM or of a store, or a list of DEMs; a ``Dem``; a ``Terrain``, which is returned; an
+            ``xarray.DataArray`` or ``Dataset`` (lazy ones are computed); an open rasterio dataset, or (dataset,
+            window); an array (rows, cols) of any real type, masked or not; a list of several of these, which are put
+            together (``Mosaic``). Files that are too large for memory are built into a store, which is kept.
+        progress: hears of what is being done, and of warnings; None: bars in terminals and notebooks, and Python's
+            warnings; False: nothing is said.
+        max_memory: bytes that heights may take. jobs: threads; None: all processors.
+        errors: kinds of errors of diamonds that a store made and kept is to have, besides exact ones.
+        called: the function that asks, for errors.
+        reading: of arrays ``transform`` (an ``Affine`` or its six numbers) or ``spacing`` (metres), ``nodata``,
+            ``vertical_unit``, ``assume_vertical`` and ``name``; of files the options of ``Source.open``: ``band``,
+            ``nodata``, ``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``; of all
+            those of ``Mosaic``: ``crs``, ``resolution``, ``resampling``, ``to_vertical`` and ``geoid``. ``crs`` is the
+            projected CRS of the terrain; heights in memory that name none are also taken to be in it. Without a
+            transform the samples of an array are 1 m apart, and a warning says so.
+
+    Raises:
+        ReadError, StoreError: a file cannot be read, or its heights are no real numbers.
+        UsageError: it is nothing that holds heights, or an option does not fit.
+    """
+    progress = reporting(progress)
+    check_names(reading, called)
+    said = {k: v for k, v in reading.items() if v is not None}
+    if isinstance(source, Terrain):
+        if said:
+            names = ", ".join(f"`{name}`" for name in said)
+            raise UsageError(f"{names} cannot be said of a Terrain, which was read already.")
+        return source
+    files = files_of(source)
+    if files is not None and not {"transform", "name"} & set(said):
+        return prepare(files, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **said)
+    return in_memory(source_of(source, progress, called=called, **said), progress)
+
+
+def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Concatenate[Any, P], T]:
+    """Lets a function that begins with a terrain take whatever ``terrain`` does, with its options of reading."""
+    own = inspect.signature(function).parameters
+
+    @functools.wraps(function)
+    def taking(terrain_: Any, *args: Any, **options: Any) -> T:
+        reading = {name: options.pop(name) for name in READING if name in options and name not in own}
+        more = {k: options[k] for k in ("jobs", "max_memory") if options.get(k) is not None}
+        found = terrain(terrain_, called=function.__name__, **more, **reading)
+        return function(found, *args, **options)
+
+    @functools.wraps(function)
+    def taking_names(*args: Any, **options: Any) -> T:
+        first = next(iter(own))
+        return taking(*args, **options) if args else taking(options.pop(first), **options)
+
+    return taking_names

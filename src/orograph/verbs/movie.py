@@ -1,0 +1,108 @@
+"""``orograph.movie``: a tour of a terrain as a film."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+from orograph.errors import UsageError
+from orograph.progress import Progress
+from orograph.rendering.api import check_names
+from orograph.rendering.backends import session
+from orograph.rendering.memory import check_memory
+from orograph.reporting import reporting
+from orograph.scene import given
+from orograph.scene.methods import check_promise
+from orograph.scene.parts import check_options
+from orograph.scene.scene import Scene
+from orograph.store.given import READING
+from orograph.store.opening import terrain as opened
+from orograph.touring import Tour
+from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
+from orograph.touring.film import Film, spoken
+from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
+
+
+def movie(
+    terrain: Any,
+    output: str | os.PathLike[str],
+    tour: Tour | str | os.PathLike[str] | None = None,
+    *,
+    size: tuple[int, int] | None = None,
+    fps: float | None = None,
+    begin: float | None = None,
+    end: float | None = None,
+    crf: int | None = None,
+    overwrite: bool = False,
+    backend: Literal["cpu", "gpu"] = "cpu",
+    conservative: bool = False,
+    progress: Progress | bool | None = None,
+    **options: Any,
+) -> Path:
+    """Film a tour of a terrain, every frame with all of its detail.
+
+    Args:
+        terrain: whatever ``orograph.terrain`` takes, with its options.
+        output: the film: .mp4, .mov, .mkv (H.264), .webm (VP9), .gif, or pictures such as frames/%05d.png.
+        tour: the key frames (``orograph.tour``), or their file; None: the way that ``options`` describe as for
+            ``orograph.tour`` (orbit, turntable, line, points…), or an orbit.
+        size: (width, height) of the frames; None: the tour's, or 1280 × 720. fps: frames a second; None: the tour's.
+        begin, end: seconds in the tour to begin and to end at; None: all of it.
+        crf: constant rate factor: lower is better and larger; None: 18 for H.264, 28 for VP9.
+        overwrite: draw pictures anew that are there already; else an interrupted film goes on.
+        backend: "cpu" or "gpu". conservative: refuse a ``method`` with which the tolerance is no promise.
+        progress: hears of it; False: nothing is said.
+        options: of the scene, as for ``orograph.render``: they hold for the whole film, whatever the tour says.
+
+    Returns:
+        the path of the film.
+
+    Raises:
+        UsageError: an option is unknown or makes no sense. ReadError, StoreError: the terrain or the tour cannot be
+        read. OutputError: the film cannot be written. NothingInViewError: a frame would be empty.
+    """
+    heard = reporting(progress)
+    reading = {name: options.pop(name) for name in READING if name in options}
+    way = {**dict.fromkeys(WAY), "orbit": False, "turntable": False, "points": ()}
+    way |= {name: options.pop(name) for name in WAY if name in options}
+    check_names(options, "movie", (*WAY, "size", "fps", "begin", "end", "crf"))
+    check_options(options)
+    if conservative:
+        check_promise(options.get("method", "auto"), backend)
+    if tour is not None and any(way.values()):
+        raise UsageError("Give a tour or say its way (orbit, turntable, line, points), not both.")
+    if tour is None and not chosen(way):
+        way["orbit"] = True
+    check_tour(way)
+    path = os.fspath(output)
+    check_movie(path, size, crf)
+    max_memory, jobs = options.get("max_memory"), options.get("jobs")
+    ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="movie", **reading)
+    if tour is None:
+        sun = given.sun(options.get("sun"), ground)
+        way_size = size or (1280, 720)
+        keys = tour_of(ground, way_size, way, (sun.azimuth, sun.altitude), options.get("exaggeration", 1.0))
+    else:
+        keys = tour if isinstance(tour, Tour) else Tour.load(os.fspath(tour), crs=ground.grid.crs)
+        over: dict[str, Any] = dict.fromkeys(set(options) & set(spoken(keys)))
+        keys = replace(keys, keys=tuple(replace(key, **over) for key in keys.keys))
+    view = keys.keys[0].view
+    pixels = size or (view.width, view.height)
+    check_movie(path, pixels, crf)
+    check_memory(pixels, max_memory)
+    scene = Scene.of(ground, view.resized(*pixels), **options)
+    draw = session(heard, backend=backend)
+    film = Film(keys, scene, draw=draw, fps=fps, first=begin, last=end, progress=heard)
+    writer: Pictures | Video
+    if is_numbered(path):
+        writer = Pictures(path, film.fingerprint(), overwrite)
+    else:
+        writer = Video(path, pixels, film.tour.fps, crf=crf, jobs=jobs)
+    with writer, heard.task("Filming", total=len(film)) as task:
+        for number in film.numbers:
+            if not writer.has(number):
+                writer.add(number, film.picture(number).pixels)
+            task.advance()
+    return Path(path)

@@ -1,0 +1,66 @@
+"""``orograph.tour``: a tour above a terrain, out of what people say of it (``touring.make``)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from orograph.progress import Progress
+from orograph.store.opening import terrain as opened
+from orograph.verbs.ways import check_tour, chosen, tour_of
+
+if TYPE_CHECKING:
+    from orograph.touring.tour import Tour
+
+
+def tour(
+    terrain: Any,
+    *,
+    size: tuple[int, int] = (1280, 720),
+    orbit: bool = False,
+    turntable: bool = False,
+    line: Any = None,
+    points: Sequence[Sequence[float]] = (),
+    azimuth: float | None = None,
+    pitch: float | None = None,
+    distance: float | None = None,
+    fov: float | None = None,
+    seconds: float | None = None,
+    height: float | None = None,
+    speed: float | None = None,
+    line_crs: Any = None,
+    exaggeration: float = 1.0,
+    max_memory: int | None = None,
+    jobs: int | None = None,
+    progress: Progress | bool | None = None,
+    **reading: Any,
+) -> Tour:
+    """A tour of a terrain: key frames, for ``orograph.movie`` as they are, or to be changed.
+
+    Args:
+        terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
+        size: (width, height) of the pictures.
+        orbit: once round the terrain, all of it in view (so it is where nothing else is said). turntable: the same with
+            the light turning too.
+        line: a GPX or GeoJSON file: fly along its longest line. points: (longitude, latitude): fly over them.
+        line_crs: the CRS of the line or the points; None: EPSG:4326.
+        azimuth: the side an orbit begins from, degrees clockwise from north; None: 180. pitch: how far it looks down;
+            None: 35. distance: metres from the terrain's middle; None: such that all of it is in view.
+        fov: the vertical field of view, degrees; None: 30, along a line 45.
+        seconds: how long it takes. height: metres above the ground, along a line. speed: metres a second there.
+        exaggeration: how heights will be stretched.
+        max_memory: bytes that heights may take. jobs: threads. progress: hears of it; False: nothing is said.
+
+    Raises:
+        UsageError: options contradict each other. ReadError: the line cannot be read.
+    """
+    options = {
+        "orbit": orbit, "turntable": turntable, "line": line, "points": tuple(points), "azimuth": azimuth,
+        "pitch": pitch, "distance": distance, "fov": fov, "seconds": seconds, "height": height, "speed": speed,
+        "line_crs": line_crs,
+    }  # fmt: skip
+    if not chosen(options):
+        options["orbit"] = True
+    check_tour(options)
+    ground = opened(terrain, progress, max_memory=max_memory, jobs=jobs, called="tour", **reading)
+    return tour_of(ground, size, options, (315.0, 45.0), exaggeration)

@@ -1,0 +1,282 @@
+"""What the command line can do, as functions: the same names, the same options, the same results."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+from affine import Affine
+from click.testing import CliRunner
+from pyproj import CRS
+
+import orograph
+from orograph.cli import VERBS, cli
+from orograph.cli.scenes import DETAILS
+from orograph.cli.wording import spoken
+from orograph.errors import UsageError
+from orograph.geo import Grid
+from orograph.lighting.context import MORE, Options
+from orograph.progress import Progress
+from orograph.store.given import READING
+
+GRID = Grid((65, 81), Affine(30, 0, 380000, 0, -30, 3790000), CRS.from_epsg(32611))
+
+
+@pytest.fixture(scope="module")
+def dem() -> orograph.Dem:
+    y, x = np.mgrid[:65, :81]
+    return orograph.Dem((800 + 90 * np.sin(x / 9) * np.cos(y / 7)).astype(np.float32), GRID, name="hills")
+
+
+@pytest.fixture(scope="module")
+def path(dem: orograph.Dem, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    import rasterio
+
+    file = tmp_path_factory.mktemp("verbs") / "hills.tif"
+    rows, cols = dem.grid.shape
+    with rasterio.open(
+        file, "w", driver="GTiff", width=cols, height=rows, count=1, dtype="float32", crs="EPSG:32611",
+        transform=GRID.transform,
+    ) as out:  # fmt: skip
+        out.write(dem.heights, 1)
+    return file
+
+
+def run(*args: Any) -> str:
+    ran = CliRunner().invoke(cli, [str(a) for a in args], obj={}, catch_exceptions=False)
+    assert ran.exit_code == 0, ran.output
+    return ran.stdout
+
+
+NOT_HERE = {
+    # What is about files and screens, which functions return or take themselves.
+    "": {"paths", "path", "output", "as_json", "json_path", "picture", "outputs"},
+    "render": {"depth", "save_view"},
+    "build": {"dem", "store", "repair", "products", "methods", "color_errors", "drape"},
+    "compare": {"views_path", "flight_path", "judged", "every", "method"},
+    "movie": {"tour_path"},
+    "light": {"products", "byte", "resume"},
+    "bake": {"products"},
+    "view": {"adapter", "screenshot", "frames"},
+}
+"""Options of the command line that are said otherwise in Python, by verb."""
+
+CAMERA = {"azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov", "projection"}
+"""What a ``view`` says."""
+
+
+@pytest.mark.parametrize("verb", sorted(set(VERBS) - {"demo", "measure"}))
+def test_every_verb_is_a_function_with_its_options(verb: str) -> None:
+    function = getattr(orograph, verb)
+    command = importlib.import_module(f"orograph.cli.{verb}").command
+    if isinstance(command, click.Group):
+        command = command.commands["new"]
+    there = set(inspect.signature(function).parameters) | set(READING)
+    if verb in ("movie", "view"):
+        there |= set(inspect.signature(orograph.render).parameters) | set(inspect.signature(orograph.tour).parameters)
+    if verb in ("light", "bake"):
+        there |= set(Options.__dataclass_fields__) | set(MORE)
+    said = {p.name for p in command.params} - NOT_HERE[""] - NOT_HERE.get(verb, set())
+    said -= {name for more in DETAILS.values() for name in more}  # (they are of ``Contours`` and ``Silhouettes``)
+    if verb != "tour":
+        said -= CAMERA
+    assert not said - there
+
+
+@pytest.mark.parametrize("name", sorted(set(VERBS) - {"demo", "measure"}))
+def test_help_is_complete(name: str) -> None:
+    function = getattr(orograph, name)
+    told = inspect.getdoc(function)
+    assert told is not None
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
+            assert f"{parameter.name}:" in told or f"{parameter.name}, " in told or f", {parameter.name}" in told, (
+                parameter.name
+            )
+
+
+def test_the_package_is_tidy() -> None:
+    from importlib.metadata import version
+
+    assert orograph.__version__ == version("orograph")
+    assert dir(orograph) == sorted(orograph.__all__)
+    code = "import orograph; [getattr(orograph, name) for name in dir(orograph)]; print(orograph.camera.__name__)"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "orograph.scene.camera"
+    quick = "import sys, orograph; dir(orograph); print('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", quick], capture_output=True, text=True).stdout.strip() == "False"
+
+
+def test_info(dem: orograph.Dem, path: Path, tmp_path: Path) -> None:
+    found = orograph.info(path)
+    told = json.loads(run("info", path, "--json"))
+    assert {k: v for k, v in found.items() if not k.startswith("_")} == told
+    assert spoken(repr(found)).strip() == run("info", path).strip()
+    assert "<pre>" in found._repr_html_()
+    held = orograph.info(dem)
+    assert held["shape"] == [65, 81] and held["kind"] == "terrain" and "65 rows × 81 columns" in repr(held)
+    assert held["height_range"] == pytest.approx(found["height_range"])
+    store = orograph.build(dem, tmp_path / "a.oro").url
+    assert (
+        orograph.info(store)["kind"] == "store"
+        and spoken(repr(orograph.info(store))).strip() == run("info", store).strip()
+    )
+
+
+def test_doctor_and_check(dem: orograph.Dem, tmp_path: Path) -> None:
+    found = orograph.doctor()
+    assert found["orograph"] == orograph.__version__ and repr(found).startswith("Orograph ")
+    with orograph.build(dem, tmp_path / "a.oro") as store:
+        assert orograph.check(store) == []
+        assert orograph.check(store.url, progress=False) == []
+    victim = max((tmp_path / "a.oro" / "heights").rglob("*"), key=lambda f: f.stat().st_size if f.is_file() else 0)
+    data = bytearray(victim.read_bytes())
+    data[len(data) // 2] ^= 255
+    victim.write_bytes(data)
+    assert len(orograph.check(tmp_path / "a.oro")) == 1
+
+
+def test_synth(tmp_path: Path) -> None:
+    run("synth", "-o", tmp_path / "cli.tif", "--size", "33x41", "--seed", 3, "--compress", "none")
+    made = orograph.synth(size=(33, 41), seed=3)
+    assert isinstance(made, orograph.Dem)
+    np.testing.assert_array_equal(made.heights, orograph.read(tmp_path / "cli.tif").heights)
+    file = orograph.synth(tmp_path / "own.tif", size="33x41", seed=3, compress="none")
+    assert isinstance(file, Path) and file.read_bytes() == (tmp_path / "cli.tif").read_bytes()
+    with pytest.raises(UsageError, match="overwrite=True"):
+        orograph.synth(file)
+
+
+def test_tessellate(dem: orograph.Dem, path: Path, tmp_path: Path) -> None:
+    run("tessellate", path, "-o", tmp_path / "cli.npz", "--tolerance", 2, "--exaggeration", 1.5)
+    truth = np.load(tmp_path / "cli.npz")
+    for given in (path, dem):
+        mesh = orograph.tessellate(given, tolerance=2, exaggeration=1.5, check=True)
+        np.testing.assert_array_equal(mesh.triangles, truth["triangles"])
+        np.testing.assert_array_equal(mesh.vertices, truth["vertices"])
+    assert mesh.stats["bound"] == 2.0 and mesh.stats["report"]["largest"] <= 2.0
+    orograph.tessellate(dem, method="top-down", triangles=200, output=tmp_path / "own.ply")
+    assert (tmp_path / "own.ply").stat().st_size > 1000
+    for wrong in ({"method": "raycast"}, {"tolerance": 1, "triangles": 5}, {"method": "sore"}):
+        with pytest.raises(UsageError):
+            orograph.tessellate(dem, **wrong)
+
+
+def test_compare(dem: orograph.Dem) -> None:
+    found = orograph.compare(dem, methods=["soar", "top-down"], tolerance=2, size=(160, 120))
+    assert list(found) == ["soar", "top-down"]
+    assert all(m.largest is not None and m.largest <= 2 for m in found.values())
+    head, *rows = repr(found).splitlines()
+    assert head.split()[0] == "method" and len(rows) == 2 and found._repr_html_().count("<tr>") == 3
+    view = orograph.camera.whole(dem, (80, 60))
+    assert orograph.compare(dem, {"a": view}, methods=["roam"])["roam"].triangles
+
+
+def test_tour_and_movie(dem: orograph.Dem, path: Path, tmp_path: Path) -> None:
+    made = orograph.tour(dem, seconds=2, pitch=40, size=(64, 48))
+    run("tour", "new", path, "--orbit", "--seconds", 2, "--pitch", 40, "--size", "64x48", "-o", tmp_path / "t.json")
+    assert made.to_dict() == orograph.Tour.load(tmp_path / "t.json").to_dict()
+    options: dict[str, Any] = {"samples": 1, "shadows": False, "water": None, "fps": 2}
+    film = orograph.movie(dem, tmp_path / "f%02d.png", made, **options)
+    assert film == tmp_path / "f%02d.png" and len(list(tmp_path.glob("f*.png"))) == 4
+    orograph.movie(path, tmp_path / "g%02d.png", orbit=True, seconds=2, pitch=40, size=(64, 48), **options)
+    for one in tmp_path.glob("f*.png"):
+        assert one.read_bytes() == (tmp_path / one.name.replace("f", "g")).read_bytes()
+    for wrong, words in (
+        ({"orbit": True, "line": "a.gpx"}, "two tours"), ({"tour": made, "orbit": True}, "not both"),
+        ({"height": 100}, "says nothing"), ({"ligt": "ao"}, "light"),
+        ({"speed": 1.0, "seconds": 2.0, "line": "a.gpx"}, "twice"),
+    ):  # fmt: skip
+        with pytest.raises(UsageError, match=words):
+            orograph.movie(dem, tmp_path / "h%02d.png", **wrong)
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [("projection", "camera.plan"), ("pitch", "camera.around"), ("lonlat", "camera.standing"),
+     ("cmap", "called colormap"), ("drape", "called layers"), ("light_at", "called lamps"), ("transfrom", "transform"),
+     ("vert_exag", "called exaggeration")],
+)  # fmt: skip
+def test_what_is_nearly_right_is_answered_with_the_right_one(dem: orograph.Dem, option: str, words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        orograph.render(dem, **{option: 1})
+
+
+def test_warnings_are_pythons_unless_silenced(capfd: pytest.CaptureFixture[str]) -> None:
+    heights = np.zeros((20, 20))
+    with pytest.warns(UserWarning, match="1 m apart") as told:
+        orograph.terrain(heights)
+    assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        orograph.terrain(heights, progress=False)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_long_tasks_have_bars_where_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    from orograph import reporting
+
+    seen: list[str] = []
+
+    class Bars:
+        def start(self) -> None:
+            seen.append("start")
+
+        def stop(self) -> None:
+            seen.append("stop")
+
+        def add_task(self, what: str, total: float | None) -> int:
+            seen.append(what)
+            return 1
+
+        def update(self, *_: Any, **__: Any) -> None: ...
+        def remove_task(self, _: int) -> None: ...
+
+    monkeypatch.setattr(reporting, "bars", lambda console: Bars())
+    monkeypatch.setattr(reporting, "_watched", lambda: True)
+    clock = [0.0]
+    monkeypatch.setattr(reporting.time, "monotonic", lambda: clock[0])
+    shown = reporting.reporting(None)
+    with shown.task("short", 2) as task:
+        task.advance()
+    assert not seen
+    with shown.task("long", 2) as task:
+        clock[0] += 2 * reporting.LASTS
+        task.advance()
+    assert seen == ["start", "long", "stop"]
+    silent = Progress()
+    assert reporting.reporting(silent) is silent
+
+
+def test_methods_are_a_table_in_notebooks() -> None:
+    found = orograph.methods()
+    for name in ("soar", "roam", "top-down"):
+        assert name in repr(found) and name in found._repr_html_()
+    assert found._repr_html_().count("<tr>") > 5
+    assert "tolerance" in repr(orograph.methods("soar"))
+
+
+def test_views_and_stores_that_are_nearly_right(dem: orograph.Dem, tmp_path: Path) -> None:
+    plain: dict[str, Any] = {"size": (48, 32), "samples": 1, "shadows": False}
+    wanted = orograph.render(dem, orograph.camera.plan(dem, (48, 32)), **plain)
+    np.testing.assert_array_equal(orograph.render(dem, "plan", **plain), wanted)
+    (tmp_path / "v.json").write_text(json.dumps(wanted.view.to_dict()))
+    np.testing.assert_array_equal(orograph.render(dem, tmp_path / "v.json", **plain), wanted)
+    for call, words in (
+        (lambda: orograph.render(dem, 5), "A view is .*camera"), (lambda: orograph.render(dem, size=300), "A size is"),
+        (lambda: orograph.tessellate(dem, size=(3, 4.5)), "A size is"),
+        (lambda: orograph.open(dem), "A store is .*build"), (lambda: orograph.bake(dem, "aperture"), "A store is"),
+        (lambda: orograph.check(dem), "A store is"), (lambda: orograph.read(dem), "orograph.terrain"),
+        (lambda: orograph.bake(tmp_path / "a.oro", "aperture", raduis=3), "Did you mean radius"),
+    ):  # fmt: skip
+        with pytest.raises(UsageError, match=words):
+            call()
