@@ -16,13 +16,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from orograph.scene.prepare import prepare
 
 from orograph.geovis.color_errors import lab
 from orograph.gpu.device import open_device
 from orograph.rendering.cpu.draw import draw as cpu_draw
 from orograph.rendering.gpu.draw import draw as gpu_draw
 from orograph.scene.camera import around, plan, whole
-from orograph.scene.prepare import prepare
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import replace
 from typing import Any
 
 import click
@@ -96,8 +95,9 @@ def command(
         from orograph.rendering.memory import check_memory
         from orograph.store.prepare import prepare
         from orograph.touring import Tour
-        from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
-        from orograph.touring.film import Film, spoken
+        from orograph.touring.encode import check_movie, is_numbered
+        from orograph.touring.film import Film
+        from orograph.verbs.movie import shoot, without
 
     # What is wrong with the command line is said before any work is done.
     check_movie(output, options["size"], crf)
@@ -109,10 +109,8 @@ def command(
     said = {name for name in options if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT}
     sun = given.sun(options["sun"], terrain)
     if tour_path is not None:
-        tour = Tour.load(tour_path, crs=terrain.grid.crs)
+        tour = without(Tour.load(tour_path, crs=terrain.grid.crs), said)
         size = options["size"] or (tour.keys[0].view.width, tour.keys[0].view.height)
-        over: dict[str, Any] = dict.fromkeys(said & set(spoken(tour)))
-        tour = replace(tour, keys=tuple(replace(key, **over) for key in tour.keys))
     else:
         size = options["size"] or (1280, 720)
         tour = tour_of(terrain, size, options, (sun.azimuth, sun.altitude), options["exaggeration"])
@@ -123,34 +121,7 @@ def command(
     film = Film(
         tour, scene, draw=draw, fps=options["fps"], first=options["begin"], last=options["end"], progress=progress
     )
-    writer: Pictures | Video
-    if is_numbered(output):
-        writer = Pictures(output, film.fingerprint(), overwrite)
-    else:
-        writer = Video(output, size, film.tour.fps, crf=crf, jobs=jobs)
-    drawn, number = 0, film.numbers[0]
-    try:
-        with writer, progress.task("Filming", total=len(film)) as task:
-            for number in film.numbers:
-                if not writer.has(number):
-                    picture = film.picture(number)
-                    for warning in picture.facts.get("warnings", ()):
-                        progress.warn(warning)
-                    writer.add(number, picture.pixels)
-                    drawn += 1
-                task.advance()
-    except KeyboardInterrupt:
-        done = number - film.numbers[0]
-        if is_numbered(output):
-            progress.note(
-                f"\nstopped after {done} of {len(film)} frames, which are kept: the same command goes on there"
-            )
-        else:
-            progress.note(
-                f"\nstopped after {done} of {len(film)} frames; {output} is as it was before. With -o frames/%05d.png "
-                "frames are kept, and the same command goes on where it stopped."
-            )
-        raise
+    drawn = shoot(film, output, size, crf=crf, overwrite=overwrite, jobs=jobs, progress=progress)
     seconds = time.perf_counter() - began
     if as_json:
         told = {

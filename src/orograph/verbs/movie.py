@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -85,9 +86,7 @@ def movie(
         way_size = size or (1280, 720)
         keys = tour_of(ground, way_size, way, (sun.azimuth, sun.altitude), options.get("exaggeration", 1.0))
     else:
-        keys = tour if isinstance(tour, Tour) else Tour.load(os.fspath(tour), crs=ground.grid.crs)
-        over: dict[str, Any] = dict.fromkeys(set(options) & set(spoken(keys)))
-        keys = replace(keys, keys=tuple(replace(key, **over) for key in keys.keys))
+        keys = without(tour if isinstance(tour, Tour) else Tour.load(os.fspath(tour), crs=ground.grid.crs), options)
     view = keys.keys[0].view
     pixels = size or (view.width, view.height)
     check_movie(path, pixels, crf)
@@ -95,14 +94,49 @@ def movie(
     scene = Scene.of(ground, view.resized(*pixels), **options)
     draw = session(heard, backend=backend)
     film = Film(keys, scene, draw=draw, fps=fps, first=begin, last=end, progress=heard)
+    shoot(film, path, pixels, crf=crf, overwrite=overwrite, jobs=jobs, progress=heard)
+    return Path(path)
+
+
+def without(tour: Tour, options: Iterable[str]) -> Tour:
+    """A tour whose key frames leave to the film's scene what ``options`` say of it."""
+    over: dict[str, Any] = dict.fromkeys(set(options) & set(spoken(tour)))
+    return replace(tour, keys=tuple(replace(key, **over) for key in tour.keys))
+
+
+def shoot(
+    film: Film, path: str, size: tuple[int, int], *, crf: int | None, overwrite: bool, jobs: int | None,
+    progress: Progress,
+) -> int:  # fmt: skip
+    """Draw the frames of a film into its file or its pictures; how many were drawn, and were not there already.
+
+    Raises:
+        KeyboardInterrupt: it was stopped; a note says what there is.
+    """
     writer: Pictures | Video
     if is_numbered(path):
         writer = Pictures(path, film.fingerprint(), overwrite)
     else:
-        writer = Video(path, pixels, film.tour.fps, crf=crf, jobs=jobs)
-    with writer, heard.task("Filming", total=len(film)) as task:
-        for number in film.numbers:
-            if not writer.has(number):
-                writer.add(number, film.picture(number).pixels)
-            task.advance()
-    return Path(path)
+        writer = Video(path, size, film.tour.fps, crf=crf, jobs=jobs)
+    drawn, number = 0, film.numbers[0]
+    try:
+        with writer, progress.task("Filming", total=len(film)) as task:
+            for number in film.numbers:
+                if not writer.has(number):
+                    picture = film.picture(number)
+                    for warning in picture.facts.get("warnings", ()):
+                        progress.warn(warning)
+                    writer.add(number, picture.pixels)
+                    drawn += 1
+                task.advance()
+    except KeyboardInterrupt:
+        done = f"\nstopped after {number - film.numbers[0]} of {len(film)} frames"
+        if is_numbered(path):
+            progress.note(f"{done}, which are kept: the same again goes on there")
+        else:
+            progress.note(
+                f"{done}; {path} is as it was before. Pictures (frames/%05d.png) are kept, and the same again goes on "
+                "where it stopped."
+            )
+        raise
+    return drawn
