@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from orograph.verbs.check import check
     from orograph.verbs.compare import compare
     from orograph.verbs.doctor import doctor
+    from orograph.verbs.export import export
     from orograph.verbs.info import info
     from orograph.verbs.movie import movie
     from orograph.verbs.synth import synth
@@ -66,6 +67,7 @@ __all__ = [
     "check",
     "compare",
     "doctor",
+    "export",
     "info",
     "light",
     "measure",
@@ -99,6 +101,7 @@ _HOMES = {
     "check": "orograph.verbs.check",
     "compare": "orograph.verbs.compare",
     "doctor": "orograph.verbs.doctor",
+    "export": "orograph.verbs.export",
     "info": "orograph.verbs.info",
     "light": "orograph.lighting:make",
     "measure": "orograph.measuring:",

@@ -24,6 +24,7 @@ VERBS = {
     "demo": "Draw the built-in sample, step by step.",
     "build": "Build a terrain store from DEM files.",
     "check": "Read all of a store, and tell what is damaged.",
+    "export": "Write the heights of a store or a DEM as a GeoTIFF.",
     "bake": "Put light into a store: sky, occlusion, apertures.",
     "info": "Tell what a DEM or a store is, and what is suspicious about it.",
     "movie": "Film a tour of a DEM or a store.",

@@ -1,0 +1,57 @@
+"""``orograph export``: heights of a store or a DEM as a GeoTIFF for other tools."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from orograph.cli.camera import Numbers
+from orograph.cli.files import check_outputs
+from orograph.cli.memory import megabytes
+from orograph.cli.options import (
+    FILE,
+    jobs_option,
+    memory_option,
+    progress_of,
+    source_of,
+    source_options,
+    vertical_options,
+)  # fmt: skip
+
+
+@click.command("export")
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.option("-o", "--output", required=True, type=FILE, help="The GeoTIFF to write.")
+@click.option("--bbox", type=Numbers("W,S,E,N"), help="The area, in degrees.  [default: all of it]")
+@click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
+@source_options
+@vertical_options
+@memory_option
+@jobs_option
+@click.pass_context
+def command(
+    ctx: click.Context, /, paths: tuple[str, ...], output: str, bbox: tuple[float, float, float, float] | None,
+    overwrite: bool, max_memory: int, jobs: int | None, **options: Any,
+) -> None:  # fmt: skip
+    """Write the heights of a store, or of DEM files as Orograph reads them, as a Cloud Optimized GeoTIFF.
+
+    Heights are metres at full resolution, on the terrain's own grid, NaN where there is none; the file's CRS has the
+    vertical datum, too, where one is known.
+
+    \b
+    Examples:
+      orograph export area.oro -o area.tif
+      orograph export area.oro -o valley.tif --bbox 7.5,45.9,7.8,46.1
+      orograph export tiles/*.tif -o mosaic.tif
+    """
+    check_outputs({"--output": output}, {"the input": paths, "the grid of --geoid": [options["geoid"]]})
+    progress = progress_of(ctx)
+    with progress.task("Loading Orograph"):
+        from orograph.store.prepare import prepare
+        from orograph.verbs.export import check_output, export
+
+    path = check_output(output, overwrite)
+    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source_of(options, ()))
+    export(terrain, path, bbox=bbox, overwrite=overwrite, jobs=jobs, progress=progress)
+    click.echo(f"{path}  {megabytes(path.stat().st_size)}")

@@ -1,0 +1,137 @@
+"""``orograph.export``: heights of a terrain as a GeoTIFF for other tools."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS, Transformer
+from pyproj.crs import CompoundCRS
+from pyproj.exceptions import ProjError
+
+from orograph.errors import UsageError
+from orograph.geo.grid import Grid
+from orograph.geo.vertical import ELLIPSOIDAL
+from orograph.lighting.raster import Band, Values, rectangles, write
+from orograph.progress import Progress
+from orograph.reporting import reporting
+from orograph.store.opening import terrain as opened
+from orograph.store.terrain import Terrain
+
+STEP = 1024
+"""Samples along the side of what is read at a time."""
+
+BORDER = 65
+"""Points along each side of an area whose outline is found in another CRS."""
+
+
+def export(
+    terrain: Any,
+    output: str | os.PathLike[str],
+    *,
+    bbox: tuple[float, float, float, float] | None = None,
+    overwrite: bool = False,
+    max_memory: int | None = None,
+    jobs: int | None = None,
+    progress: Progress | bool | None = None,
+    **reading: Any,
+) -> Path:
+    """Write the heights of a terrain as a Cloud Optimized GeoTIFF: float32, metres, full resolution, NaN where missing.
+
+    The file's CRS has the vertical datum, too, where one is known. It is written block by block, so any size works.
+
+    Args:
+        terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
+        output: the file: .tif.
+        bbox: west, south, east, north of the area in degrees; None: all of it.
+        overwrite: replace a file that is there.
+        max_memory: bytes that heights may take. jobs: threads. progress: hears of it; False: nothing is said.
+
+    Returns:
+        the path of the file.
+
+    Raises:
+        UsageError: the area is not in the terrain, or the file is there. ReadError, StoreError: the terrain cannot be
+            read. OutputError: the file cannot be written.
+    """
+    path = check_output(output, overwrite)
+    heard = reporting(progress)
+    ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="export", **reading)
+    row0, row1, col0, col1 = (0, ground.grid.rows, 0, ground.grid.cols) if bbox is None else area_of(ground, bbox)
+    grid = ground.grid.window(row0, row1, col0, col1)
+    parts = list(rectangles(grid.shape, STEP, STEP))
+
+    def blocks() -> Iterator[tuple[int, int, int, Values]]:
+        with heard.task("Reading heights", total=len(parts)) as task:
+            for r0, r1, c0, c1 in parts:
+                heights = ground.read(0, row0 + r0, row0 + r1, col0 + c0, col0 + c1)
+                yield 0, r0, c0, np.ascontiguousarray(heights[None])
+                task.advance()
+
+    told = {} if ground.vertical is None else {"VERTICAL_DATUM": ground.vertical}
+    band = Band("height", "m", f"height{f' above {ground.vertical}' if ground.vertical else ''}, metres")
+    write(path, Grid(grid.shape, grid.transform, _with_vertical(ground)), [band], blocks(), tags=told, jobs=jobs,
+          progress=heard)  # fmt: skip
+    return path
+
+
+def check_output(output: str | os.PathLike[str], overwrite: bool) -> Path:
+    """The path of the file to write.
+
+    Raises:
+        UsageError: it is no GeoTIFF, or is there.
+    """
+    path = Path(output)
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        raise UsageError("Heights are written as a GeoTIFF: .tif.", path=path)
+    if path.exists() and not overwrite:
+        raise UsageError("Something is there already.", path=path, remedy="Replace it with `overwrite=True`.")
+    return path
+
+
+def area_of(terrain: Terrain, bbox: tuple[float, float, float, float]) -> tuple[int, int, int, int]:
+    """First row, row after the last, first column, column after it of the samples in an area, degrees.
+
+    Raises:
+        UsageError: there is none, the area is no area, or the terrain has no CRS.
+    """
+    west, south, east, north = bbox
+    if not (south < north and west < east and all(map(math.isfinite, bbox))):
+        raise UsageError(f"An area is west, south, east, north in degrees, not {', '.join(f'{v:g}' for v in bbox)}.")
+    crs = terrain.grid.crs
+    if crs is None:
+        raise UsageError("The terrain has no CRS, so an area in degrees lies nowhere in it.", path=terrain.name)
+    across, up = np.linspace(west, east, BORDER), np.linspace(south, north, BORDER)
+    lon = np.concatenate([across, across, np.full(BORDER, west), np.full(BORDER, east)])
+    lat = np.concatenate([np.full(BORDER, south), np.full(BORDER, north), up, up])
+    geographic = crs.geodetic_crs or CRS.from_epsg(4326)
+    x, y = Transformer.from_crs(geographic, crs, always_xy=True).transform(lon, lat)
+    col, row = terrain.grid.index(x, y)
+    known = np.isfinite(col) & np.isfinite(row)
+    rows, cols = terrain.grid.shape
+    if known.any():
+        row0, row1 = max(math.ceil(row[known].min() - 1e-6), 0), min(math.floor(row[known].max() + 1e-6) + 1, rows)
+        col0, col1 = max(math.ceil(col[known].min() - 1e-6), 0), min(math.floor(col[known].max() + 1e-6) + 1, cols)
+        if row1 > row0 and col1 > col0:
+            return row0, row1, col0, col1
+    raise UsageError(
+        f"No sample of the terrain lies within {', '.join(f'{v:g}' for v in bbox)}.", path=terrain.name,
+        remedy="See where it is with orograph info.",
+    )  # fmt: skip
+
+
+def _with_vertical(terrain: Terrain) -> CRS | None:
+    """The terrain's CRS with its vertical datum, if PROJ knows that by its name."""
+    crs, datum = terrain.grid.crs, terrain.vertical
+    if crs is None or datum is None:
+        return crs
+    try:
+        if datum.startswith(ELLIPSOIDAL):
+            return crs.to_3d()
+        return CompoundCRS(f"{crs.name} + {datum}", [crs, CRS.from_user_input(datum)])
+    except ProjError:
+        return crs
