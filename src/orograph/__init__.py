@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from orograph.dem import Dem, read
+    from orograph.fetching import fetch
     from orograph.geo import Grid
     from orograph.geovis.layers import Layer
     from orograph.lighting import make as light
@@ -47,6 +48,7 @@ __all__ = [
     "bake",
     "build",
     "camera",
+    "fetch",
     "light",
     "methods",
     "open",
@@ -69,6 +71,7 @@ _HOMES = {
     "bake": "orograph.lighting.bake",
     "build": "orograph.store",
     "camera": "orograph.scene",
+    "fetch": "orograph.fetching",
     "light": "orograph.lighting:make",
     "methods": "orograph.lod.describe",
     "open": "orograph.store",

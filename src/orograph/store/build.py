@@ -140,7 +140,7 @@ def terrain(source: HeightSource | Dem, progress: Progress = SILENT) -> MemoryTe
     if not isinstance(source, HeightSource):
         source = as_source(source, progress)
     if isinstance(source, ArraySource):
-        return MemoryTerrain(source.heights, source.grid, source.name, source.vertical)
+        return MemoryTerrain(source.heights, source.grid, source.name, source.vertical, source.attribution)
     rows, cols = source.grid.shape
     check_metric(source.grid, source.name)
     heights = np.empty((rows, cols), np.float32)
@@ -153,7 +153,7 @@ def terrain(source: HeightSource | Dem, progress: Progress = SILENT) -> MemoryTe
     with progress.task("Reading heights", total=len(strips)) as task:
         for _ in map_ordered(load, strips):
             task.advance()
-    made = MemoryTerrain(heights, source.grid, source.name, source.vertical)
+    made = MemoryTerrain(heights, source.grid, source.name, source.vertical, getattr(source, "attribution", ()))
     if isinstance(source, Samples):
         made.samples = source
     return made
@@ -169,7 +169,7 @@ def as_source(source: HeightSource | Dem | Path_ | Sequence[Path_], progress: Pr
         raise UsageError(f"{', '.join(options)}: such options are for files, not for heights already read.")
     if isinstance(source, HeightSource):
         return source
-    array = ArraySource(source.heights, source.grid, source.name, source.vertical)
+    array = ArraySource(source.heights, source.grid, source.name, source.vertical, source.attribution)
     if is_metric(source.grid):
         return array
     from orograph.dem.mosaic import Mosaic
@@ -353,6 +353,7 @@ def _fill(
         resampled=lost,
         lattices=tuple(LatticeRecord.of(lattice) for lattice in lattices) if keep else (),
         inputs=inputs_of(raster),
+        attribution=tuple(getattr(raster, "attribution", ())),
         digests=writer.digests,
     )
     for make in MAKERS.values():
