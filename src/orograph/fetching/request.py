@@ -106,7 +106,7 @@ class Request:
         if absent not in (None, "sea", "missing"):
             raise UsageError(f"A tile that is absent is sea or missing, not {absent!r}.")
         self.product = product_named(product, table)
-        body = next(b for b in BODIES.values() if b.name == self.product.body)
+        body = BODIES[self.product.body.lower()]
         box = area_of(area, radius, body)
         self.sea = (absent or self.product.absent) == "sea"
         self.to_vertical, self.geoid, self.progress = to_vertical, geoid, progress

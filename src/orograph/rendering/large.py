@@ -30,7 +30,7 @@ from orograph.parallel import aside
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
 from orograph.rendering.memory import BYTES_PER_PIXEL, amount, band_pixels
-from orograph.rendering.picture import picture_format, plan_grid
+from orograph.rendering.picture import copyright_tags, picture_format, plan_grid
 from orograph.scene.scene import Scene
 
 ROWS, COLUMNS = 16, 64
@@ -111,7 +111,7 @@ def draw_large(
             sheet.furnish()
         scratch.close()
         with progress.task(f"Writing {out.name}"), Beside(out) as part:
-            aside(lambda: encode(scratch, part, kind, place))
+            aside(lambda: encode(scratch, part, kind, place, scene.terrain.attribution))
     sheet.facts["seconds"] = {"all": round(time.perf_counter() - began, 4)}
     return sheet.facts
 
@@ -292,7 +292,7 @@ class DepthFile:
         self.beside.__exit__(kind, error, trace)
 
 
-def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None) -> None:
+def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None, attribution: tuple[str, ...] = ()) -> None:
     """Write what is in the scratch file as a picture, reading and writing a few rows at a time.
 
     Raises:
@@ -308,6 +308,10 @@ def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None) -> None:
         "WEBP": {"LOSSLESS": "YES"},
         "TIFF": {"COMPRESS": "DEFLATE", "PREDICTOR": 2, "BIGTIFF": "IF_SAFER", "PHOTOMETRIC": "RGB"},
     }
+    if attribution:  # (GDAL writes no such thing into WebP)
+        text = "; ".join(attribution)
+        options["PNG"]["COPYRIGHT"] = text
+        options["JPEG"]["COMMENT"] = text
     driver = {"TIFF": "GTiff"}.get(kind, kind)
     try:
         with rasterio.Env(GDAL_PAM_ENABLED="NO", **bounded_cache()), quiet():
@@ -316,6 +320,7 @@ def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None) -> None:
                     part, "w", driver=driver, width=scratch.width, height=scratch.height, count=3, dtype="uint8",
                     interleave="pixel", **options[kind], **located(place),
                 ) as file:  # fmt: skip
+                    file.update_tags(**copyright_tags(attribution))
                     for _, window in source.block_windows(1):
                         file.write(source.read(window=window), window=window)
             else:

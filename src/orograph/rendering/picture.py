@@ -31,6 +31,7 @@ class Picture:
         grid: where the pixels of a plan lie, in the terrain's CRS; None in perspective.
         void_filled: (height, width), where missing data is shown (which has no depth); None: nowhere.
         tint: the colours of heights that were drawn; None: not known.
+        attribution: whom the makers of its heights want to be named; files carry it.
     """
 
     pixels: NDArray[np.uint8]
@@ -40,6 +41,7 @@ class Picture:
     grid: Grid | None = None
     void_filled: NDArray[np.bool_] | None = None
     tint: Tint | None = None
+    attribution: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         hit = float(np.isfinite(self.depth).mean()) if self.depth.size else 0.0
@@ -56,7 +58,7 @@ class Picture:
         if kind == "TIFF" and self.grid is not None:
             self._write_tiff(out, self.pixels.transpose(2, 0, 1), "picture", {"photometric": "RGB", "predictor": 2})
             return out
-        return save_pixels(self.pixels, out)
+        return save_pixels(self.pixels, out, self.attribution)
 
     def save_depth(self, path: str | os.PathLike[str]) -> Path:
         """Write the depth as a float32 TIFF, metres, NaN where nothing is hit; that of a plan is a GeoTIFF.
@@ -93,6 +95,7 @@ class Picture:
             try:
                 with rasterio.open(part, "w", **profile) as file:
                     file.write(bands)
+                    file.update_tags(**copyright_tags(self.attribution))
                     if description is not None:
                         file.set_band_description(1, description)
             except RasterioError as error:
@@ -112,8 +115,36 @@ def plan_grid(view: View, crs: CRS | None) -> Grid | None:
     return Grid((view.height, view.width), transform, crs)
 
 
-def save_pixels(pixels: NDArray[np.uint8], out: Path) -> Path:
+def copyright_tags(attribution: tuple[str, ...]) -> dict[str, str]:
+    """The tags of a GeoTIFF that name the makers of what it shows."""
+    text = "; ".join(attribution)
+    return {"ATTRIBUTION": text, "TIFFTAG_COPYRIGHT": text} if text else {}
+
+
+def _credited(kind: str, attribution: tuple[str, ...]) -> dict[str, Any]:
+    """What Pillow writes into a file to name the makers of what it shows."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    text = "; ".join(attribution)
+    if not text:
+        return {}
+    if kind == "PNG":
+        info = PngInfo()
+        info.add_text("Copyright", text)
+        return {"pnginfo": info}
+    if kind == "TIFF":
+        return {"tiffinfo": {COPYRIGHT: text}}
+    exif = Image.Exif()
+    exif[COPYRIGHT] = text.replace("©", "(c)")  # EXIF is ASCII
+    return {"exif": exif}
+
+
+def save_pixels(pixels: NDArray[np.uint8], out: Path, attribution: tuple[str, ...] = ()) -> Path:
     """Write pixels (height, width, 3) in the format that the path's ending stands for.
+
+    Args:
+        attribution: whom to name in the file's metadata.
 
     Raises:
         UsageError: the ending is unknown. OutputError: the file cannot be written.
@@ -128,9 +159,12 @@ def save_pixels(pixels: NDArray[np.uint8], out: Path) -> Path:
         "TIFF": {"compression": "tiff_deflate"},
     }
     with Beside(out) as part:
-        Image.fromarray(pixels).save(part, format=kind, **every[kind])
+        Image.fromarray(pixels).save(part, format=kind, **every[kind], **_credited(kind, attribution))
     return out
 
+
+COPYRIGHT = 0x8298
+"""The tag of TIFF and EXIF."""
 
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 

@@ -128,7 +128,8 @@ def draw(
         mesh = renderer.mesh
         facts["mesh"] = {"method": scene.surface.method, "triangles": len(mesh.triangles), **mesh.stats}
     place = plan_grid(view, scene.terrain.grid.crs)
-    return Picture(pixels, depth, view, facts, place, void_filled if void_filled.any() else None, tint=renderer.tint)
+    return Picture(pixels, depth, view, facts, place, void_filled if void_filled.any() else None, tint=renderer.tint,
+                   attribution=scene.terrain.attribution)  # fmt: skip
 
 
 def largest(device: Device) -> int:
