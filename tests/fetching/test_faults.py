@@ -78,6 +78,8 @@ def test_a_server_that_is_not_there(web):
 
 def test_passwords_in_addresses_are_not_told(california):
     register("copernicus-90", base=california.url.replace("//", "//someone:secret@") + "/copernicus-90")
+    orograph.fetch((-118.6, 36.1, -118.5, 36.2), "copernicus-90")
+    assert california.authorizations == {"Basic c29tZW9uZTpzZWNyZXQ="}
     california.set(always={tile(california): "403"})
     with pytest.raises(ReadError) as told:
         orograph.fetch((-118.9, 37.1, -118.8, 37.2), "copernicus-90")
@@ -202,3 +204,35 @@ def test_a_server_may_say_how_long_to_wait():
     assert asking._wait({"Retry-After": "7"}) == 7
     assert asking._wait({"Retry-After": "Wed, 21 Oct 2015 07:28:00 GMT"}) == 0
     assert asking._wait({}) == 0
+
+
+def test_a_kept_part_that_is_damaged_is_told_and_read_again(california, truth):
+    orograph.fetch(BOX, "copernicus-90")
+    file = kept_files()[0]
+    file.write_bytes(file.read_bytes()[:3000])
+    with pytest.raises(ReadError, match="run it again") as told:
+        orograph.fetch(BOX, "copernicus-90")
+    assert told.value.path == str(file)
+    np.testing.assert_array_equal(orograph.fetch(BOX, "copernicus-90").heights, truth)
+
+
+def test_ctrl_c_ends_at_once_and_leaves_nothing_broken(california, truth, tmp_path):
+    table, out = tmp_path / "table.toml", tmp_path / "area.tif"
+    table.write_text(f'[copernicus-90]\nbase = "{california.url}/copernicus-90"\n')
+    california.set(always=dict.fromkeys(california.files, "slow"), only_reads=True)
+    line = [sys.executable, "-m", "orograph", "fetch", "--bbox", "-119.3,36.8,-118.6,37.25", "--product",
+            "copernicus-90", "--table", str(table), "-o", str(out), "--connections", "1"]  # fmt: skip
+    process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 60
+    while not kept_files() and time.monotonic() < end:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    began = time.monotonic()
+    assert process.wait(20) == 130
+    assert time.monotonic() - began < 3
+    assert "interrupted" in process.stderr.read()
+    assert not out.exists()
+    assert not list(tmp_path.glob(".*"))
+    assert not list(cached.tiles_folder().rglob(".*.part*"))
+    california.set()
+    np.testing.assert_array_equal(orograph.fetch(BOX, "copernicus-90").heights, truth)

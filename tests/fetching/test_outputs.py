@@ -194,9 +194,21 @@ def test_options_that_do_not_go_together(web, tmp_path):
     assert "Give one of --bbox" in fetch("-o", out, code=2)
     assert "--radius goes with --at" in fetch("--bbox", "0,0,1,1", "--radius", "5", "-o", out, code=2)
     assert "Missing option" in fetch("--bbox", "0,0,1,1", code=2)
+    with pytest.raises(UsageError, match=r"more than 10 MiB"):
+        fetch("--bbox", "0,0,1,1", "-o", out, "--most", "10MiB")
     with pytest.raises(UsageError, match="GeoTIFF or a store"):
         fetch("--bbox", "0,0,1,1", "-o", tmp_path / "a.png")
     with pytest.raises(UsageError, match="no zooms"):
         Request((0, 0, 1, 1), zoom=4)
     with pytest.raises(UsageError, match="covers latitudes -56 to 60"):
         Request((0, 70, 1, 71), "srtm-3")
+
+
+def test_a_store_of_the_webs_mercator_is_true_to_scale(web, shared_data, tmp_path):
+    png = (shared_data / "pymartini-tiles" / "terrarium.png").read_bytes()
+    for x in (2132, 2133):
+        for y in (1448, 1449):
+            web.files[f"terrarium/12/{x}/{y}.png"] = png
+    terrain = orograph.fetch((7.45, 46.45, 7.55, 46.5), "terrarium", output=tmp_path / "area.oro")
+    assert terrain.grid.crs.to_epsg() == 32632
+    assert terrain.grid.spacing[0] == pytest.approx(38.2 * np.cos(np.radians(46.5)), rel=0.02)

@@ -13,6 +13,7 @@ from orograph.cli.camera import Numbers
 from orograph.cli.options import (
     FILE,
     FloatRange,
+    ParamType,
     jobs_option,
     memory_option,
     progress_of,
@@ -20,10 +21,25 @@ from orograph.cli.options import (
     with_options,
 )
 from orograph.errors import UsageError
+from orograph.folders import parse_bytes
 
 if TYPE_CHECKING:
     from orograph.fetching.products import Product
     from orograph.fetching.request import Request
+
+
+class Most(ParamType):
+    """An amount of data, or "none"."""
+
+    name = "size"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int | None:
+        if not isinstance(value, str):
+            return value  # type: ignore[no-any-return]
+        try:
+            return None if value.lower() == "none" else parse_bytes(value)
+        except ValueError as error:
+            self.fail(f"{error}.", param, ctx)
 
 
 def _options(function: Any) -> Any:
@@ -58,7 +74,15 @@ def _options(function: Any) -> Any:
             is_flag=True,
             help="Ask the server of every product (or of --product) for a tile it must have, and end.",
         ),
-        click.option("--yes", is_flag=True, help="Read more than 1 GiB, too."),
+        click.option(
+            "--most",
+            type=Most(),
+            default="1GiB",
+            show_default=True,
+            metavar="SIZE|none",
+            help="Heights to read at most.",
+        ),
+        click.option("--yes", is_flag=True, help="Read whatever it comes to: as --most none."),
         click.option(
             "--connections", type=click.IntRange(1, 16), default=4, show_default=True, help="Requests at once."
         ),
@@ -112,11 +136,11 @@ def command(
     progress = progress_of(ctx)
     area, radius = _area(ctx, options)
     with progress.task("Loading Orograph"):
-        from orograph.fetching.request import MOST, Request
+        from orograph.fetching.request import Request
     request = Request(
         area, options["product"], radius=radius, table=options["table"], zoom=options["zoom"],
         absent=options["absent"], to_vertical=options["to_vertical"], geoid=options["geoid"],
-        most=None if options["yes"] else MOST, connections=options["connections"], progress=progress,
+        most=None if options["yes"] else options["most"], connections=options["connections"], progress=progress,
     )  # fmt: skip
     progress.note(str(request.plan))
     try:

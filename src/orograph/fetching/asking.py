@@ -103,8 +103,9 @@ def ask(url: str, *, etag: str = "", modified: str = "", again: bool = True) -> 
 
 def _ask(url: str, etag: str, modified: str) -> tuple[Answer, float]:
     """An answer, and the seconds that the server asks to wait."""
-    request = urllib.request.Request(url, headers={"User-Agent": user_agent(), "Range": "bytes=0-0"})
-    for name, value in _authorization().items():
+    plain = re.sub(r"://([^/@]*)@", "://", url)
+    request = urllib.request.Request(plain, headers={"User-Agent": user_agent(), "Range": "bytes=0-0"})
+    for name, value in _authorization(urllib.parse.urlsplit(url)).items():
         request.add_unredirected_header(name, value)
     if etag:
         request.add_header("If-None-Match", etag)
@@ -146,8 +147,8 @@ def _cause(reason: object) -> str:
     return f"there is no connection ({text})"
 
 
-def _authorization() -> dict[str, str]:
-    """The headers that GDAL's settings ask for."""
+def _authorization(url: urllib.parse.SplitResult) -> dict[str, str]:
+    """The headers that GDAL's settings ask for, or the user and the password of a URL."""
     said = {}
     for line in re.split(r"\r?\n|\\r\\n|,(?=[\w-]+:)", os.environ.get("GDAL_HTTP_HEADERS", "")):
         name, colon, value = line.partition(":")
@@ -155,9 +156,15 @@ def _authorization() -> dict[str, str]:
             said[name.strip()] = value.strip()
     if bearer := os.environ.get("GDAL_HTTP_BEARER"):
         said["Authorization"] = f"Bearer {bearer}"
-    elif login := os.environ.get("GDAL_HTTP_USERPWD"):
+    elif login := _login(url) or os.environ.get("GDAL_HTTP_USERPWD"):
         said["Authorization"] = "Basic " + base64.b64encode(login.encode()).decode()
     return said
+
+
+def _login(url: urllib.parse.SplitResult) -> str:
+    """NAME:PASSWORD of a URL, "" if it has none."""
+    name, password = (urllib.parse.unquote(part or "") for part in (url.username, url.password))
+    return f"{name}:{password}" if name else ""
 
 
 class _Netrc(urllib.request.HTTPPasswordMgrWithDefaultRealm):

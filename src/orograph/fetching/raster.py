@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import threading
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,11 @@ from numpy.typing import NDArray
 from orograph.dem.handles import states
 from orograph.dem.lattice import FLOAT
 from orograph.dem.source import Source
+from orograph.errors import ReadError
 from orograph.fetching.products import Product
 from orograph.fetching.reading import Part, Reader
 from orograph.fetching.tiling import Band, Layout, Piece
+from orograph.output import remove
 
 Heights = NDArray[np.float32]
 
@@ -56,7 +59,7 @@ class Fetched:
         self.sea = sum(fill == 0 for fill in absent.values())
         self.missing = len(absent) - self.sea
         self.code = self._code(reader)
-        self._files: dict[str, Source] = {}
+        self._files: dict[Path, Source] = {}
         self._lock = threading.Lock()
 
     @property
@@ -167,16 +170,24 @@ class Fetched:
         for part in spot.parts.values():
             a, b, c, d = max(row0, part.row), min(row1, part.row1), max(col0, part.col), min(col1, part.col1)
             if a < b and c < d:
-                found = self._file(part).read(a - part.row, b - part.row, c - part.col, d - part.col)
+                found = self._read(part, a - part.row, b - part.row, c - part.col, d - part.col)
                 top, left = at[0] - row, at[1] - col
                 out[a + top : b + top, c + left : d + left] = found
 
-    def _file(self, part: Part) -> Source:
-        path = str(part.kept.part(part.row, part.col))
-        with self._lock:
-            if path not in self._files:
-                self._files[path] = Source.open(path)
-            return self._files[path]
+    def _read(self, part: Part, *window: int) -> Heights:
+        """Samples of a part; one that is damaged is removed from the cache."""
+        path = part.kept.part(part.row, part.col)
+        try:
+            with self._lock:
+                if path not in self._files:
+                    self._files[path] = Source.open(path)
+                source = self._files[path]
+            return source.read(*window)
+        except ReadError as error:
+            remove(path)
+            raise ReadError(
+                error.what, path=path, remedy="It was a copy that was kept, and is removed: run it again."
+            ) from error
 
 
 def _size(piece: Piece) -> tuple[int, int]:

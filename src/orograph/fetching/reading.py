@@ -284,14 +284,17 @@ class Reader:
             return self._error(
                 tile, f"{answer}, for it needs an account: {account}",
                 "Make one there, and put a line into ~/.netrc: machine "
-                f"{self.product.machine} login NAME password WORD "
-                "(or set GDAL_HTTP_BEARER to a token); or take a mirror that needs none (orograph fetch --products).",
+                f"{self.product.machine} login NAME password WORD (or set GDAL_HTTP_BEARER to a token); or take a "
+                "mirror that needs none (`orograph.fetching.products()`).",
             )  # fmt: skip
         if answer.passing:
             return self._error(
                 tile, str(answer), "Run it again later: what was read is kept, and it goes on from there."
             )
-        return self._error(tile, str(answer), "See whether its makers have moved it; if so, set its base (docs).")
+        return self._error(
+            tile, str(answer), "See whether its makers have moved it, and set its base then; or, if that answer means "
+            "that there is no such tile, add it to absent_codes (docs/fetching.md)."
+        )  # fmt: skip
 
     def _error(self, tile: Tile, cause: str, remedy: str) -> ReadError:
         return ReadError(

@@ -108,12 +108,13 @@ class Request:
         self.product = product_named(product, table)
         body = BODIES[self.product.body.lower()]
         box = area_of(area, radius, body)
+        if zoom is not None and self.product.tiling != "web-mercator":
+            raise UsageError(f"{product} has no zooms.", remedy="Leave `zoom` away.")
         self.sea = (absent or self.product.absent) == "sea"
         self.to_vertical, self.geoid, self.progress = to_vertical, geoid, progress
         self.reader = Reader(self.product, products(table), connections, progress)
         header = None
         if self.product.tiling == "one":
-            lay_out_first(self.product, box, zoom)
             with in_use():
                 header = self.reader.header_of_one()
         self.plan = Plan(self.product, box, lay_out(self.product, box, zoom, header))
@@ -227,9 +228,3 @@ class Request:
                 f"{product.base} cannot be reached: {len(self.reader.stale)} tiles are taken as they were kept over a "
                 "week ago."
             )
-
-
-def lay_out_first(product: Product, box: Box, zoom: int | None) -> None:
-    """Say what is wrong with a request of a product of one file before that is opened."""
-    if zoom is not None:
-        lay_out(product, box, zoom)

@@ -109,14 +109,12 @@ def lay_out(product: Product, box: Box, zoom: int | None = None, header: Grid | 
     Raises:
         UsageError: the product has nothing there, or no such zoom.
     """
-    if zoom is not None and product.tiling != "web-mercator":
-        raise UsageError(f"{product.name} has no zooms.", remedy="Leave `zoom` away.")
     _, south, _, north = product.extent
     if box.north <= south or box.south >= north:
         raise UsageError(
             f"{product.title} covers latitudes {south:g} to {north:g}, and the area has {box.south:g} to "
             f"{box.north:g}.",
-            remedy="Choose another product (orograph fetch --products).",
+            remedy="Choose another product (`orograph.fetching.products()`).",
         )
     if product.tiling == "degrees":
         return _degrees(product, box)
