@@ -38,19 +38,26 @@ def cut_tiles(shared_data):
     return {n: heights(shared_data, n)[:1200, :1200] for n in ("N37W119", "N37W120", "N36W119", "N36W120")}
 
 
+@pytest.fixture(scope="session")
+def files(cut_tiles, shared_data):
+    """Four tiles as GLO-90 and as SRTM GL3, whose borders are shared: by product, path → bytes."""
+    return {
+        "copernicus-90": dict(copernicus(name, values) for name, values in cut_tiles.items()),
+        "srtm-3": dict(srtm3(shared_data, name) for name in cut_tiles),
+    }
+
+
 @pytest.fixture
-def california(web, cut_tiles):
-    """The server with four tiles as GLO-90."""
-    for name, values in cut_tiles.items():
-        path, data = copernicus(name, values)
+def california(web, files):
+    """The server with the tiles of GLO-90."""
+    for path, data in files["copernicus-90"].items():
         web.files[f"copernicus-90/{path}"] = data
     return web
 
 
 @pytest.fixture
-def srtm(web, shared_data):
-    """The server with four tiles as SRTM GL3, whose borders are shared."""
-    for name in ("N37W119", "N37W120", "N36W119", "N36W120"):
-        path, data = srtm3(shared_data, name)
+def srtm(web, files):
+    """The server with the tiles of SRTM GL3."""
+    for path, data in files["srtm-3"].items():
         web.files[f"srtm-3/{path}"] = data
     return web

@@ -236,3 +236,19 @@ def test_ctrl_c_ends_at_once_and_leaves_nothing_broken(california, truth, tmp_pa
     assert not list(cached.tiles_folder().rglob(".*.part*"))
     california.set()
     np.testing.assert_array_equal(orograph.fetch(BOX, "copernicus-90").heights, truth)
+
+
+def test_a_login_of_netrc_is_used_for_all_that_is_read(california, truth, tmp_path):
+    california.set(always=dict.fromkeys(california.files, "login"))
+    with pytest.raises(ReadError, match="401"):
+        orograph.fetch(BOX, "copernicus-90")
+    netrc = tmp_path / "netrc"
+    netrc.write_text("machine 127.0.0.1 login someone password secret\n")
+    netrc.chmod(0o600)
+    np.testing.assert_array_equal(orograph.fetch(BOX, "copernicus-90").heights, truth)
+    assert "Basic c29tZW9uZTpzZWNyZXQ=" in california.authorizations
+
+
+def test_a_product_that_has_nothing_there_is_an_error_and_no_hole(web):
+    with pytest.raises(ReadError, match=r"3DEP 1 arc-second has no heights at 7.5°E to 7.6°E"):
+        orograph.fetch((7.5, 46.5, 7.6, 46.6), "3dep-30")

@@ -47,7 +47,8 @@ def test_a_geotiff_has_the_samples_their_datum_and_whom_to_name(california, tmp_
         assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
         assert file.units == ("m",)
         assert np.isnan(file.nodata)
-        assert NAMED in file.tags()["TIFFTAG_COPYRIGHT"]
+        assert NAMED in file.tags()["ATTRIBUTION"]
+        assert NAMED.replace("©", "(c)") in file.tags()["TIFFTAG_COPYRIGHT"]
         assert {"PRODUCT", "LICENSE", "YEARS", "MODEL", "SOURCE"} <= set(file.tags())
     assert list(tmp_path.glob(".*")) == []
     with pytest.raises(UsageError, match="there already"):
@@ -212,3 +213,28 @@ def test_a_store_of_the_webs_mercator_is_true_to_scale(web, shared_data, tmp_pat
     terrain = orograph.fetch((7.45, 46.45, 7.55, 46.5), "terrarium", output=tmp_path / "area.oro")
     assert terrain.grid.crs.to_epsg() == 32632
     assert terrain.grid.spacing[0] == pytest.approx(38.2 * np.cos(np.radians(46.5)), rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "TIFF"])
+def test_large_pictures_name_the_makers(tmp_path, kind):
+    from orograph.rendering.large import Scratch, encode
+
+    out = tmp_path / "picture"
+    with Scratch(out, 64, 32) as scratch:
+        scratch.write(np.zeros((32, 64, 3), np.uint8))
+        scratch.close()
+        encode(scratch, out, kind, None, ("© the makers & others",))
+    with Image.open(out) as image:
+        said = {"PNG": lambda: image.text["Copyright"], "JPEG": lambda: image.getexif()[0x8298],
+                "TIFF": lambda: image.tag_v2[0x8298]}[kind]()  # fmt: skip
+    assert said == ("© the makers & others" if kind == "PNG" else "(c) the makers & others")
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_heights_of_no_one_datum_are_not_converted_and_that_is_said_first(web, shared_data):
+    geoid = shared_data / "swiss-alps-geoids" / "us_nga_egm2008_1_clipAlps.tif"
+    with pytest.raises(UsageError, match="no one datum"):
+        orograph.fetch((7.3, 46.3, 7.5, 46.5), "skadi", to_vertical="ellipsoidal", geoid=geoid)
+    with pytest.raises(UsageError, match="EGM96 height"):
+        orograph.fetch((7.3, 46.3, 7.5, 46.5), "srtm-3", to_vertical="ellipsoidal", geoid=geoid)
+    assert web.total == 0

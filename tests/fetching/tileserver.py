@@ -62,7 +62,7 @@ class Tiles:
 
         Args:
             faults: what befalls the next requests of any path: a code ("429"), "cut" (half of the body), "slow",
-                "drop" (no answer).
+                "drop" (no answer), "login" (a password is asked for).
             always: path → the fault of each of its requests.
             only_reads: faults befall only requests of more than one byte, GDAL's.
         """
@@ -143,6 +143,12 @@ class Handler(BaseHTTPRequestHandler):
             time.sleep(0.1)
         if fault == "drop":
             self.close_connection = True
+            return
+        if fault == "login" and not self.headers.get("Authorization"):
+            self.send_response(401)
+            self.send_header("WWW-Authenticate", 'Basic realm="tiles"')
+            self.send_header("Content-Length", "0")
+            self.end_headers()
             return
         if fault.isdigit():
             self.send_response(int(fault))

@@ -238,3 +238,15 @@ def settled_vertical(declared: str | None, assumed: str | None, warnings: list[s
     if known_datum(declared) != name:
         warnings.append(f"It names its own vertical datum ({declared}), so `assume_vertical` is not used for it.")
     return declared
+
+
+def plain_copyright(attribution: tuple[str, ...]) -> str:
+    """Whom to name, as the copyright of TIFF and EXIF has it, which are ASCII."""
+    return "; ".join(attribution).replace("©", "(c)")
+
+
+def copyright_tags(attribution: tuple[str, ...]) -> dict[str, str]:
+    """The tags of a GeoTIFF that say whom to name."""
+    if not attribution:
+        return {}
+    return {"ATTRIBUTION": "; ".join(attribution), "TIFFTAG_COPYRIGHT": plain_copyright(attribution)}

@@ -201,6 +201,8 @@ def gdal_settings(product: Product) -> Iterator[dict[str, Any]]:
             "GDAL_INGESTED_BYTES_AT_OPEN": 32768,
             "CPL_VSIL_CURL_NON_CACHED": f"/vsicurl/{product.base}",  # what failed once is asked for again
         }
+        if Path(_netrc_file()).is_file():
+            settings["GDAL_HTTP_NETRC_FILE"] = _netrc_file()
         if product.account:  # a login is a way through several servers
             jar = Path(folder) / "cookies"
             settings |= {"GDAL_HTTP_COOKIEFILE": str(jar), "GDAL_HTTP_COOKIEJAR": str(jar)}

@@ -17,6 +17,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError
 
 from orograph.dem.handles import bounded_cache
+from orograph.dem.header import copyright_tags
 from orograph.errors import OutputError
 from orograph.fetching.asking import public
 from orograph.fetching.raster import Fetched
@@ -99,14 +100,13 @@ def tags(raster: Fetched, vertical: str | None) -> dict[str, str]:
     """What a file says of where its heights come from."""
     product = raster.product
     said = {
-        "ATTRIBUTION": "; ".join(raster.attribution),
+        **copyright_tags(raster.attribution),
         "LICENSE": product.licence,
         "PRODUCT": f"{product.title} ({product.name})",
         "SOURCE": public(product.base),
         "MODEL": f"{product.model} model",
         "YEARS": product.years,
         "VERTICAL_DATUM": vertical or "",
-        "TIFFTAG_COPYRIGHT": "; ".join(raster.attribution),
         "TIFFTAG_IMAGEDESCRIPTION": f"{raster.name}, metres",
     }
     return {name: text for name, text in said.items() if text}

@@ -152,9 +152,12 @@ class Fetched:
         rows, cols = _size(piece)
         at = top - first[0], piece.col - first[1]
         for row, col, size in ((rows, 0, (1, cols + 1)), (0, cols, (rows, 1))):
-            found = np.full_like(out, np.nan)
-            self._copy(spot, piece.row0 + row, piece.col0 + col, size, (at[0] + row, at[1] + col), found)
-            np.copyto(out, found, where=np.isnan(out))
+            view = _within(out, first, top + row, piece.col + col, size)
+            if view.size:
+                found = np.full_like(view, np.nan)
+                start = min(at[0] + row, 0), min(at[1] + col, 0)
+                self._copy(spot, piece.row0 + row, piece.col0 + col, size, start, found)
+                np.copyto(view, found, where=np.isnan(view))
 
     def _copy(self, spot: _Spot, row: int, col: int, size: tuple[int, int], at: tuple[int, int], out: Heights) -> None:
         """Samples of a tile, ``size`` of them from its own (row, col) on, to ``at`` in an array, as far as both go."""

@@ -17,8 +17,8 @@ from orograph.dem.lattice import group
 from orograph.dem.projection import flat_crs
 from orograph.dem.raster import Dem
 from orograph.dem.source import MAX_READ_BYTES
-from orograph.dem.undulation import ConvertedLattice, Direction, check_datums, check_request, latitudes_of
-from orograph.errors import UsageError
+from orograph.dem.undulation import ConvertedLattice, Direction, check_datums, check_request
+from orograph.errors import ReadError, UsageError
 from orograph.fetching.areas import Box, area_of
 from orograph.fetching.cached import in_use
 from orograph.fetching.geotiff import write_geotiff
@@ -111,7 +111,8 @@ class Request:
         if zoom is not None and self.product.tiling != "web-mercator":
             raise UsageError(f"{product} has no zooms.", remedy="Leave `zoom` away.")
         self.sea = (absent or self.product.absent) == "sea"
-        self.to_vertical, self.geoid, self.progress = to_vertical, geoid, progress
+        self.to_vertical, self.progress = to_vertical, progress
+        self.geoid = None if to_vertical is None or geoid is None else _geoid(self.product, box, to_vertical, geoid)
         self.reader = Reader(self.product, products(table), connections, progress)
         header = None
         if self.product.tiling == "one":
@@ -136,6 +137,11 @@ class Request:
             self.reader.read([piece for band in plan.layout.bands for piece in band.pieces])
             name = f"{plan.product.name} {plan.box}"
             raster = Fetched(plan.product, plan.layout, self.reader, name, self.sea)
+            if raster.missing == len(plan.layout.tiles):
+                raise ReadError(
+                    f"{plan.product.title} has no heights at {plan.box}: none of its tiles is there.",
+                    remedy="Choose another product (`orograph.fetching.products()`).",
+                )
             self._tell(raster)
             yield raster
         make_room(self.progress)
@@ -181,24 +187,15 @@ class Request:
 
     def vertical(self, raster: Fetched) -> str | None:
         """The vertical datum of the result."""
-        return raster.vertical if self.to_vertical is None else self._geoid(raster, self.to_vertical)[1]
-
-    def _geoid(self, raster: Fetched, to: Direction) -> tuple[Geoid, str]:
-        """The geoid grid, and what heights are called that were converted by it."""
-        geoid = self.geoid
-        if not isinstance(geoid, Geoid):
-            assert geoid is not None
-            geoid = Geoid.open(geoid, latitudes=latitudes_of(group([raster], [raster.grid])))
-        self.geoid = geoid
-        return geoid, geoid.ellipsoidal_datum if to == "ellipsoidal" else geoid.datum
+        if self.geoid is None:
+            return raster.vertical
+        return self.geoid.ellipsoidal_datum if self.to_vertical == "ellipsoidal" else self.geoid.datum
 
     def _converted(self, raster: Fetched) -> Fetched | ConvertedLattice:
         """The raster above the datum that is asked for."""
-        if self.to_vertical is None:
+        if self.to_vertical is None or self.geoid is None:
             return raster
-        geoid, _ = self._geoid(raster, self.to_vertical)
-        check_datums([raster], self.to_vertical, geoid)
-        return ConvertedLattice(group([raster], [raster.grid])[0], geoid, self.to_vertical)
+        return ConvertedLattice(group([raster], [raster.grid])[0], self.geoid, self.to_vertical)
 
     def _flat(self, raster: Fetched) -> CRS | None:
         """A CRS true to scale instead of the web's Mercator; None: that which a mosaic chooses."""
@@ -228,3 +225,27 @@ class Request:
                 f"{product.base} cannot be reached: {len(self.reader.stale)} tiles are taken as they were kept over a "
                 "week ago."
             )
+
+
+def _geoid(product: Product, box: Box, to: Direction, geoid: Geoid | str | os.PathLike[str]) -> Geoid:
+    """The geoid grid that converts a product's heights, before any is read.
+
+    Raises:
+        UsageError: it is not of their datum. ReadError: it cannot be read.
+    """
+    if product.datum is None:
+        raise UsageError(
+            f"The heights of {product.name} are above no one datum, and cannot be converted.",
+            remedy="Choose another product (`orograph.fetching.products()`), or leave `to_vertical` away.",
+        )
+    grid = geoid if isinstance(geoid, Geoid) else Geoid.open(geoid, latitudes=(box.south - 0.1, box.north + 0.1))
+    check_datums([_Named(product.name, product.datum)], to, grid)
+    return grid
+
+
+@dataclass(frozen=True, slots=True)
+class _Named:
+    """What ``check_datums`` looks at."""
+
+    name: str
+    vertical: str

@@ -17,11 +17,13 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.dem.handles import bounded_cache
+from orograph.dem.header import copyright_tags, plain_copyright
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.layers import drawn as visible
@@ -30,7 +32,7 @@ from orograph.parallel import aside
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
 from orograph.rendering.memory import BYTES_PER_PIXEL, amount, band_pixels
-from orograph.rendering.picture import copyright_tags, picture_format, plan_grid
+from orograph.rendering.picture import picture_format, plan_grid
 from orograph.scene.scene import Scene
 
 ROWS, COLUMNS = 16, 64
@@ -212,6 +214,7 @@ class Scratch:
         self.out, self.width, self.height = out, width, height
         self.path = beside(out, "raw")
         self.header = self.path.with_name(self.path.name + ".hdr")
+        self.virtual = self.path.with_name(self.path.name + ".vrt")
 
     def __enter__(self) -> Scratch:
         try:
@@ -247,13 +250,26 @@ class Scratch:
             self.file.seek(3 * (row * self.width + x0))
             self.file.write(np.ascontiguousarray(line).data)
 
+    def described(self, attribution: tuple[str, ...]) -> Path:
+        """What GDAL reads with metadata that name the makers, for PNG and EXIF (it writes none into WebP)."""
+        if not attribution:
+            return self.path
+        import rasterio.shutil
+
+        rasterio.shutil.copy(self.path, self.virtual, driver="VRT")
+        said = {"Copyright": "; ".join(attribution), "EXIF_Copyright": plain_copyright(attribution)}
+        items = "".join(f'<MDI key="{name}">{escape(text)}</MDI>' for name, text in said.items())
+        head, bracket, rest = self.virtual.read_text(encoding="utf-8").partition(">")
+        self.virtual.write_text(f"{head}{bracket}<Metadata>{items}</Metadata>{rest}", encoding="utf-8")
+        return self.virtual
+
     def close(self) -> None:
         """Let GDAL see all of it."""
         self.file.close()
 
     def __exit__(self, *error: object) -> None:
         self.file.close()
-        for path in (self.path, self.header):
+        for path in (self.path, self.header, self.virtual):
             path.unlink(missing_ok=True)
 
 
@@ -308,10 +324,7 @@ def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None, attribut
         "WEBP": {"LOSSLESS": "YES"},
         "TIFF": {"COMPRESS": "DEFLATE", "PREDICTOR": 2, "BIGTIFF": "IF_SAFER", "PHOTOMETRIC": "RGB"},
     }
-    if attribution:  # (GDAL writes no such thing into WebP)
-        text = "; ".join(attribution)
-        options["PNG"]["COPYRIGHT"] = text
-        options["JPEG"]["COMMENT"] = text
+    options["PNG"]["WRITE_METADATA_AS_TEXT"] = "YES"
     driver = {"TIFF": "GTiff"}.get(kind, kind)
     try:
         with rasterio.Env(GDAL_PAM_ENABLED="NO", **bounded_cache()), quiet():
@@ -324,7 +337,7 @@ def encode(scratch: Scratch, part: Path, kind: str, place: Grid | None, attribut
                     for _, window in source.block_windows(1):
                         file.write(source.read(window=window), window=window)
             else:
-                rasterio.shutil.copy(scratch.path, part, driver=driver, **options[kind])
+                rasterio.shutil.copy(scratch.described(attribution), part, driver=driver, **options[kind])
     except RasterioError as error:
         raise OutputError(f"The picture cannot be written: {error}.", path=scratch.out) from error
 

@@ -12,6 +12,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from orograph.dem.header import copyright_tags, plain_copyright
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import Tint
@@ -115,12 +116,6 @@ def plan_grid(view: View, crs: CRS | None) -> Grid | None:
     return Grid((view.height, view.width), transform, crs)
 
 
-def copyright_tags(attribution: tuple[str, ...]) -> dict[str, str]:
-    """The tags of a GeoTIFF that name the makers of what it shows."""
-    text = "; ".join(attribution)
-    return {"ATTRIBUTION": text, "TIFFTAG_COPYRIGHT": text} if text else {}
-
-
 def _credited(kind: str, attribution: tuple[str, ...]) -> dict[str, Any]:
     """What Pillow writes into a file to name the makers of what it shows."""
     from PIL import Image
@@ -134,9 +129,9 @@ def _credited(kind: str, attribution: tuple[str, ...]) -> dict[str, Any]:
         info.add_text("Copyright", text)
         return {"pnginfo": info}
     if kind == "TIFF":
-        return {"tiffinfo": {COPYRIGHT: text}}
+        return {"tiffinfo": {COPYRIGHT: plain_copyright(attribution)}}
     exif = Image.Exif()
-    exif[COPYRIGHT] = text.replace("©", "(c)")  # EXIF is ASCII
+    exif[COPYRIGHT] = plain_copyright(attribution)
     return {"exif": exif}
 
 
