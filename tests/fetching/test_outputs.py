@@ -133,9 +133,10 @@ def test_products_are_listed_and_tried(web):
     path = "Copernicus_DSM_COG_10_N46_00_E007_00_DEM"
     web.files[f"copernicus-30/{path}/{path}.tif"] = b"x"
     web.set(always={"aster/ASTGTMV003_N46E007_dem.tif": "401"})
-    tried = {one["product"]: one for one in json.loads(fetch("--try-products", "--json"))}
+    tried = {one["product"]: one for one in json.loads(fetch("--try-products", "--json", code=3))}
     assert tried["copernicus-30"]["code"] == 206
     assert tried["aster"]["good"]
+    fetch("--try-products", "--product", "copernicus-30")
     assert not tried["srtm-1"]["good"]
     assert tried["srtm-1"]["url"] == f"{web.url}/srtm-1/N46E007.tif"
     assert tried["3dep-10"]["url"] == f"{web.url}/3dep-10/n40w106/USGS_13_n40w106.tif"

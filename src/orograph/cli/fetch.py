@@ -20,7 +20,7 @@ from orograph.cli.options import (
     vertical_options,
     with_options,
 )
-from orograph.errors import UsageError
+from orograph.errors import ReadError, UsageError
 from orograph.folders import parse_bytes
 
 if TYPE_CHECKING:
@@ -120,7 +120,8 @@ def command(
         return
     if try_products:
         asked = ctx.get_parameter_source("product") is not click.core.ParameterSource.DEFAULT
-        _try(options["table"], options["product"] if asked else None, as_json)
+        if not _try(options["table"], options["product"] if asked else None, as_json):
+            ctx.exit(ReadError.exit_code)
         return
     if output is None:
         raise click.UsageError("Missing option '--output' / '-o'.", ctx)
@@ -197,8 +198,8 @@ def _list(table: str | None, as_json: bool) -> None:
         return
     for name, one in known.items():
         click.echo(click.style(f"{name:<14}", bold=True) + f"{one.title}: {_spacing(one)}, {one.model} model")
-        datum = one.datum or "vertical datum not one"
-        absent = {"sea": "absent tiles are sea", "missing": "absent tiles are missing"}[one.absent]
+        datum = one.datum or "heights above several datums"
+        absent = f"absent tiles are {one.absent}" + (f", missing where {one.witness} has them" if one.witness else "")
         click.echo(f"{'':<14}{datum}; measured {one.years or 'at times not said'}; {absent}")
         click.echo(f"{'':<14}{one.licence}")
         if one.account:
@@ -215,8 +216,8 @@ def _spacing(product: Product) -> str:
     return f"{product.spacing:.0f} m"
 
 
-def _try(table: str | None, name: str | None, as_json: bool) -> None:
-    """Ask the servers, and print their answers."""
+def _try(table: str | None, name: str | None, as_json: bool) -> bool:
+    """Ask the servers, and print their answers; whether all are good."""
     from orograph.fetching.trying import tried
 
     told = []
@@ -230,3 +231,4 @@ def _try(table: str | None, name: str | None, as_json: bool) -> None:
             click.echo(f"{product.name:<14}{'good' if good else 'BAD ':<5} {text}\n{'':<14}{url}")
     if as_json:
         click.echo(json.dumps(told, indent=1))
+    return all(one["good"] for one in told)

@@ -198,7 +198,7 @@ def gdal_settings(product: Product) -> Iterator[dict[str, Any]]:
             "GDAL_HTTP_LOW_SPEED_TIME": max(1, round(SILENCE)),
             "GDAL_HTTP_LOW_SPEED_LIMIT": 1,
             "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # nothing lies beside a tile
-            "GDAL_INGESTED_BYTES_AT_OPEN": 32768,
+            "GDAL_INGESTED_BYTES_AT_OPEN": 65536,  # all directories of a COG
             "CPL_VSIL_CURL_NON_CACHED": f"/vsicurl/{product.base}",  # what failed once is asked for again
         }
         if Path(_netrc_file()).is_file():
