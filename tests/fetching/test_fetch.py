@@ -13,7 +13,7 @@ from sources import copernicus, heights, nasa, skadi, terrarium, tiff
 import orograph
 import orograph.store
 from orograph.errors import ReadError, UsageError
-from orograph.fetching import register
+from orograph.fetching import Request, register
 from orograph.progress import Progress
 
 BOX = (-119.3, 36.8, -118.6, 37.25)  # over the corner of four tiles
@@ -230,3 +230,30 @@ def test_sizes_are_told_before_anything_is_asked_for(web):
     with pytest.raises(UsageError, match="more than fits into a Dem"):
         orograph.fetch((0, 0, 60, 60), "copernicus-30", most=None)
     assert web.total == 0
+
+
+@pytest.mark.parametrize("gone", ["N36W119", "N37W120", None])
+def test_a_window_is_a_part_of_the_whole(srtm, gone):
+    """Also where neighbours share a row or a column with a tile that is absent."""
+    if gone is not None:
+        del srtm.files[f"srtm-3/North/North_30_60/{gone}.tif"]
+    with Request((-119.01, 36.99, -118.99, 37.01), "srtm-3").fetched() as raster:
+        rows, cols = raster.grid.shape
+        whole = raster.read(0, rows, 0, cols)
+        assert not np.isnan(whole).any()
+        rng = np.random.default_rng(4)
+        for _ in range(60):
+            a, c = rng.integers(0, rows), rng.integers(0, cols)
+            b, d = rng.integers(a + 1, rows + 1), rng.integers(c + 1, cols + 1)
+            np.testing.assert_array_equal(raster.read(a, b, c, d), whole[a:b, c:d])
+
+
+def test_a_window_of_interpolated_rows_is_a_part_of_the_whole(web, cut_tiles):
+    for name in ("N50W010", "N50W009"):
+        path, data = copernicus(name, cut_tiles["N37W119"][:, :800], 1.5)
+        web.files[f"copernicus-90/{path}"] = data
+    with Request((-9.05, 49.98, -8.95, 50.03), "copernicus-90").fetched() as raster:
+        rows, cols = raster.grid.shape
+        whole = raster.read(0, rows, 0, cols)
+        for col in range(cols):
+            np.testing.assert_array_equal(raster.read(3, rows, col, col + 1), whole[3:, col : col + 1])

@@ -75,7 +75,7 @@ class Fetched:
         """
         out = np.full((row1 - row0, col1 - col0), np.nan, np.float32)
         spots = [
-            (band, spots) for band, spots in zip(self._bands, self._spots) if band.row0 <= row1 and band.row1 > row0
+            (band, spots) for band, spots in zip(self._bands, self._spots) if band.row0 <= row1 and band.row1 >= row0
         ]
         for band, some in spots:
             a, b = max(row0, band.row0), min(row1, band.row1)
