@@ -80,7 +80,7 @@ def render(
 
         view = whole(
             terrain, size, exaggeration=options.get("exaggeration", 1.0),
-            insets=insets(size) if options.get("furniture") else NO_INSETS,
+            insets=insets(size, "; ".join(terrain.attribution)) if options.get("furniture") else NO_INSETS,
         )  # fmt: skip
     return draw(Scene.of(terrain, view, **options), progress, backend=backend)
 

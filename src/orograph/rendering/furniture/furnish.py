@@ -52,15 +52,20 @@ MOST_INSET = 0.3
 """The part of the picture's width or height that one side leaves free at most: tiny pictures are for the terrain."""
 
 
-def insets(size: tuple[int, int]) -> tuple[float, float, float, float]:
+def insets(size: tuple[int, int], credit: str | None = None) -> tuple[float, float, float, float]:
     """Parts of a picture of ``size`` (width, height) to leave free for furniture: left, right, top, bottom.
+
+    Args:
+        credit: as of ``lay_out``.
 
     The right side holds the legend and the north arrow; titles and notes run along the top and the foot.
     """
-    style = Style.of(size, "")
+    style = Style.of(size, credit or "")
     far = 100 * max(size)
-    title, base = heading("A", None, style, far), foot(1.0, "A", None, style, far, 1.0)
+    title = heading("A", None, style, far)
     column = key(Legend(-5000.0, 5000.0, np.zeros((2, 3)), water=(0, 0, 0), missing=(0, 0, 0)), style, 6.5, True)
+    beside = size[0] - 2 * style.margin - math.ceil(column.width) - style.gap
+    base = foot(1.0, "A", credit, style, far, 1.0, beside) or foot(1.0, "A", None, style, far, 1.0)
     edge = style.margin + style.gap
     right = (column.width + edge) / size[0]
     top, bottom = ((piece.height + edge) / size[1] if piece else 0.0 for piece in (title, base))
