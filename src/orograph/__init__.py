@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from orograph import measuring as measure
     from orograph.dem import Dem, read
+    from orograph.fetching import fetch
     from orograph.geo import Grid
     from orograph.geovis.layers import Layer
     from orograph.lighting import make as light
@@ -68,6 +69,7 @@ __all__ = [
     "compare",
     "doctor",
     "export",
+    "fetch",
     "info",
     "light",
     "measure",
@@ -102,6 +104,7 @@ _HOMES = {
     "compare": "orograph.verbs.compare",
     "doctor": "orograph.verbs.doctor",
     "export": "orograph.verbs.export",
+    "fetch": "orograph.fetching",
     "info": "orograph.verbs.info",
     "light": "orograph.lighting:make",
     "measure": "orograph.measuring:",

@@ -36,6 +36,7 @@ KEYS = {
     "dtype",
     "nodata",
     "vertical_datum",
+    "attribution",
     "errors",
     "colors",
     "layers",

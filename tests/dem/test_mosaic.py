@@ -23,6 +23,7 @@ from orograph.dem import layers as layers_module
 from orograph.dem.mosaic import Mosaic
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
+from orograph.store.source import ArraySource
 
 WGS84 = CRS.from_epsg(4326)
 UTM11 = CRS.from_epsg(32611)
@@ -460,3 +461,9 @@ def test_real_projected_file_is_kept(shared_data: Path) -> None:
         assert tuple(m.grid.transform[:6]) == tuple(file.transform[:6])
     assert m.lossless and m.name == path.stem
     assert same(everything(m), raw.astype(np.float32).filled(np.nan))
+
+
+def test_a_mosaic_of_arrays_has_another_fingerprint_with_other_heights() -> None:
+    grid = Grid((3, 3), Affine(0.01, 0, 7, 0, -0.01, 46), CRS.from_epsg(4326))
+    first, second = (Mosaic([ArraySource(np.full((3, 3), v, np.float32), grid, "same")]) for v in (1, 2))
+    assert first.fingerprint() != second.fingerprint()

@@ -297,3 +297,9 @@ def test_flat_crs_is_the_same_for_wrapped_longitudes() -> None:
     a = flat_crs(WGS84, lon.ravel(), lat.ravel())
     b = flat_crs(WGS84, ((lon + 180) % 360 - 180).ravel(), lat.ravel())
     assert a.crs == b.crs and a.scale_error == b.scale_error
+
+
+def test_an_area_whose_middle_is_the_180th_meridian_but_for_rounding_has_a_zone():
+    lon = np.array([179.5, 180.5, 179.5, 180.5]) - 4e-14
+    flat = flat_crs(CRS.from_epsg(4326), lon, np.array([-16.5, -16.5, -17.5, -17.5]))
+    assert flat.reason in ("UTM zone 60S", "UTM zone 1S")

@@ -23,6 +23,7 @@ from orograph.errors import OrographError
 VERBS = {
     "demo": "Draw the built-in sample, step by step.",
     "build": "Build a terrain store from DEM files.",
+    "fetch": "Fetch open elevation models by place.",
     "check": "Read all of a store, and tell what is damaged.",
     "export": "Write the heights of a store or a DEM as a GeoTIFF.",
     "bake": "Put light into a store: sky, occlusion, apertures.",

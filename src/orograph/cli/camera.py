@@ -163,7 +163,7 @@ def camera_view(terrain: Terrain, options: Mapping[str, Any]) -> View:
     if options.get("furniture"):
         from orograph.rendering.furniture import furnish as furniture
 
-        insets = furniture.insets(size)
+        insets = furniture.insets(size, "; ".join(terrain.attribution))
     if options["projection"] == "plan":
         return camera.plan(terrain, size, azimuth=azimuth, insets=insets)
     if options["lonlat"] is not None:

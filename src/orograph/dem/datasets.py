@@ -74,7 +74,7 @@ def _read(source: Source, window: Any, name: str | None) -> Dem:
             f"Its {box[1] - box[0]} × {box[3] - box[2]} heights are more than fit into {MAX_READ_BYTES >> 30} GiB.",
             path=source.path, remedy="Give its path, or a smaller window.",
         )  # fmt: skip
-    return Dem(source.read(*box), source.grid.window(*box), source.vertical, name or source.name)
+    return Dem(source.read(*box), source.grid.window(*box), source.vertical, name or source.name, source.attribution)
 
 
 def _box(window: Any, rows: int, cols: int) -> tuple[int, int, int, int]:

@@ -73,4 +73,4 @@ def _converted(dem: Dem, geoid: Geoid, sign: float, vertical: str) -> Dem:
         known = np.isfinite(part)
         undulation = geoid.undulation(np.where(known, lon, np.nan), np.where(known, lat, np.nan))
         heights[some] = (part + sign * undulation).astype(np.float32)
-    return Dem(heights, dem.grid, vertical, dem.name)
+    return Dem(heights, dem.grid, vertical, dem.name, dem.attribution)

@@ -185,7 +185,13 @@ def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
         return "EGM96 height"  # SRTM product specification: heights above the EGM96 geoid
     if dataset.driver == "DTED":  # MIL-PRF-89020B, DSI record: MSL (mean sea level) or E96 (EGM96)
         return {"MSL": "mean sea level", "E96": "EGM96 height"}.get(dataset.tags().get("DTED_VerticalDatum", ""))
-    return None
+    return dataset.tags().get("VERTICAL_DATUM") or None  # as what is fetched says it where no CRS can
+
+
+def attribution_of(dataset: Any) -> tuple[str, ...]:
+    """Whom the makers of a file want to be named, as its tag ATTRIBUTION says."""
+    text = (dataset.tags().get("ATTRIBUTION") or "").strip()
+    return (text,) if text else ()
 
 
 def assumed_vertical(text: str) -> str:
@@ -246,3 +252,15 @@ def settled_vertical(declared: str | None, assumed: str | None, warnings: list[s
     if known_datum(declared) != name:
         warnings.append(f"It names its own vertical datum ({declared}), so `assume_vertical` is not used for it.")
     return declared
+
+
+def plain_copyright(attribution: tuple[str, ...]) -> str:
+    """Whom to name, as the copyright of TIFF and EXIF has it, which are ASCII."""
+    return "; ".join(attribution).replace("©", "(c)")
+
+
+def copyright_tags(attribution: tuple[str, ...]) -> dict[str, str]:
+    """The tags of a GeoTIFF that say whom to name."""
+    if not attribution:
+        return {}
+    return {"ATTRIBUTION": "; ".join(attribution), "TIFFTAG_COPYRIGHT": plain_copyright(attribution)}

@@ -55,6 +55,7 @@ class Mosaic:
         lossless: whether every sample is a source's own, none interpolated.
         resampling: "nearest", "bilinear" or "cubic".
         undulation: the conversion of heights that was asked for, or None.
+        attribution: whom the sources' makers want to be named, each once.
         dtypes: the stored types of the sources, e.g. ("int16",).
     """
 
@@ -100,6 +101,7 @@ class Mosaic:
         self.name = self.sources[0].name + (f" and {len(sources) - 1} more" if len(sources) > 1 else "")
         self.height_source = [Path(getattr(s, "path", s.name)).name for s in self.sources]
         self.dtypes = tuple(sorted({str(getattr(s, "dtype", "float32")) for s in self.sources}))
+        self.attribution = tuple(dict.fromkeys(a for s in self.sources for a in getattr(s, "attribution", ())))
         self.vertical = self._one_datum()
         self.undulation: Undulation | None = None
         self._own = self._layers
@@ -221,6 +223,8 @@ class Mosaic:
         for source in self.sources:
             location = getattr(source, "location", None)
             said += states([getattr(source, "path", source.name), *(files_of(location) if location else ())])
+            if (fingerprint := getattr(source, "fingerprint", None)) is not None:  # of what is no file
+                said.append(fingerprint())
         if self.undulation is not None:
             said += states([os.fspath(self.undulation.geoid.path)])
         return hashlib.sha256("\n".join(said).encode()).hexdigest()

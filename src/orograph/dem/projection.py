@@ -135,7 +135,7 @@ def flat_crs(base: CRS, lon: Degrees, lat: Degrees) -> Flat:
     lats = np.clip(lats, -89.99, 89.99)  # scale factors are not defined at the pole itself
     earth = base.ellipsoid is None or abs(base.ellipsoid.semi_major_metre - 6.378e6) < 2e4
     if earth and south >= -80 and north <= 84 and east - west < 20:
-        zone, is_south = int((((west + east) / 2 + 180) % 360) // 6) + 1, south + north < 0
+        zone, is_south = int(((west + east) / 2 + 180) // 6) % 60 + 1, south + north < 0
         utm = utm_crs(base, zone, is_south)
         low, high = scale_error(utm, lons, lats)
         if max(1 - low, high - 1) <= UTM_LIMIT:

@@ -24,12 +24,14 @@ class Dem:
         rotated. grid: where the samples lie; ``grid.shape == heights.shape``.
         vertical: name of the vertical datum ("EGM96 height", "ellipsoidal height"…), None if unknown.
         name: what to call it in titles (a file's stem).
+        attribution: whom its makers want to be named, a sentence each; pictures carry it.
     """
 
     heights: NDArray[np.float32]
     grid: Grid
     vertical: str | None = None
     name: str = "terrain"
+    attribution: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.heights.dtype != np.float32:

@@ -33,7 +33,7 @@ from orograph.dem.bands import (
 )
 from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, cause_of, lent, locate, stamped
-from orograph.dem.header import place_of, settled_vertical, unit_of, vertical_of
+from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
@@ -68,6 +68,7 @@ class Source:
         driver: GDAL's name of the format.
         description: what the file calls the band, "" if it does not say.
         unit: what the file calls the unit of its numbers, "" if it does not say.
+        attribution: whom its makers want to be named: the file's tag ATTRIBUTION.
         picture: whether its bands are colours or classes rather than heights.
         undeclared: stored numbers of magnitude 1e12 or more met so far that the file does not declare as nodata.
         warnings: what a user should know, full sentences.
@@ -94,6 +95,7 @@ class Source:
     warnings: list[str] = field(default_factory=list)
     undeclared: set[float] = field(default_factory=set)
     picture: bool = False
+    attribution: tuple[str, ...] = ()
     _flip_rows: bool = False
     _flip_cols: bool = False
     _mask: Literal["none", "gdal", "alpha"] = "none"
@@ -173,6 +175,7 @@ class Source:
                 unit=(dataset.units[band - 1] or "").strip(),
                 warnings=warnings,
                 picture=plain and (is_picture(dataset) or is_palette(dataset, band)),
+                attribution=attribution_of(dataset),
                 _flip_rows=place.flip_rows,
                 _flip_cols=place.flip_cols,
                 _mask=mask if plain else "none",
@@ -402,7 +405,7 @@ def read(
         )
     with source:
         heights = source.read(0, rows, 0, cols)
-    return Dem(heights, source.grid, source.vertical, source.name)
+    return Dem(heights, source.grid, source.vertical, source.name, source.attribution)
 
 
 __all__ = ["HUGE", "MAX_BLOCK_BYTES", "MAX_READ_BYTES", "Source", "read"]

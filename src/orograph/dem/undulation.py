@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from pyproj import CRS, Transformer
 
 from orograph._numba import kernel
 from orograph.dem.coordinates import Coordinates
-from orograph.dem.lattice import FLOAT, Lattice, Raster
+from orograph.dem.lattice import FLOAT, Lattice
 from orograph.dem.projection import geodetic_base
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
@@ -177,7 +177,16 @@ def check_request(to: str | None, geoid: object | None) -> None:
         )
 
 
-def check_datums(sources: Sequence[Raster], to: Direction, geoid: Geoid) -> None:
+class Named(Protocol):
+    """Heights that have a name, and a vertical datum or None."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def vertical(self) -> str | None: ...
+
+
+def check_datums(sources: Sequence[Named], to: Direction, geoid: Geoid) -> None:
     """Refuse sources whose heights are not of the datum that the conversion starts from.
 
     Raises:

@@ -95,7 +95,7 @@ def render(
     terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
     from orograph.rendering.furniture.furnish import insets
 
-    free = insets(size) if options.get("furniture") else NO_INSETS
+    free = insets(size, "; ".join(terrain.attribution)) if options.get("furniture") else NO_INSETS
     view = view_of(view, terrain, size, exaggeration=options.get("exaggeration", 1.0), insets=free)
     return draw(Scene.of(terrain, view, **options), heard, backend=backend)
 

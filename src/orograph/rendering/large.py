@@ -17,10 +17,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.dem.header import copyright_tags, plain_copyright
 from orograph.dem.writing import raster_file
 from orograph.errors import OutputError, UsageError
 from orograph.geo.grid import Grid
@@ -111,7 +113,7 @@ def draw_large(
             sheet.furnish()
         scratch.close()
         with progress.task(f"Writing {out.name}"):
-            aside(lambda: encode(scratch, kind, place))
+            aside(lambda: encode(scratch, kind, place, scene.terrain.attribution))
     sheet.facts["seconds"] = {"all": round(time.perf_counter() - began, 4)}
     return sheet.facts
 
@@ -212,6 +214,7 @@ class Scratch:
         self.out, self.width, self.height = out, width, height
         self.path = beside(out, "raw")
         self.header = self.path.with_name(self.path.name + ".hdr")
+        self.virtual = self.path.with_name(self.path.name + ".vrt")
 
     def __enter__(self) -> Scratch:
         try:
@@ -247,13 +250,26 @@ class Scratch:
             self.file.seek(3 * (row * self.width + x0))
             self.file.write(np.ascontiguousarray(line).data)
 
+    def described(self, attribution: tuple[str, ...]) -> Path:
+        """What GDAL reads with metadata that name the makers, for PNG and EXIF (it writes none into WebP)."""
+        if not attribution:
+            return self.path
+        import rasterio.shutil
+
+        rasterio.shutil.copy(self.path, self.virtual, driver="VRT")
+        said = {"Copyright": "; ".join(attribution), "EXIF_Copyright": plain_copyright(attribution)}
+        items = "".join(f'<MDI key="{name}">{escape(text)}</MDI>' for name, text in said.items())
+        head, bracket, rest = self.virtual.read_text(encoding="utf-8").partition(">")
+        self.virtual.write_text(f"{head}{bracket}<Metadata>{items}</Metadata>{rest}", encoding="utf-8")
+        return self.virtual
+
     def close(self) -> None:
         """Let GDAL see all of it."""
         self.file.close()
 
     def __exit__(self, *error: object) -> None:
         self.file.close()
-        for path in (self.path, self.header):
+        for path in (self.path, self.header, self.virtual):
             remove(path)
 
 
@@ -287,7 +303,7 @@ class DepthFile:
         self.stack.__exit__(*error)
 
 
-def encode(scratch: Scratch, kind: str, place: Grid | None) -> None:
+def encode(scratch: Scratch, kind: str, place: Grid | None, attribution: tuple[str, ...] = ()) -> None:
     """Write what is in the scratch file as a picture, reading and writing a few rows at a time.
 
     Raises:
@@ -302,6 +318,7 @@ def encode(scratch: Scratch, kind: str, place: Grid | None) -> None:
         "WEBP": {"LOSSLESS": "YES"},
         "TIFF": {"COMPRESS": "DEFLATE", "PREDICTOR": 2, "BIGTIFF": "IF_SAFER", "PHOTOMETRIC": "RGB"},
     }
+    options["PNG"]["WRITE_METADATA_AS_TEXT"] = "YES"
     driver = {"TIFF": "GTiff"}.get(kind, kind)
     with raster_file(scratch.out) as part:
         if kind == "TIFF":
@@ -309,10 +326,11 @@ def encode(scratch: Scratch, kind: str, place: Grid | None) -> None:
                 part, "w", driver=driver, width=scratch.width, height=scratch.height, count=3, dtype="uint8",
                 interleave="pixel", **options[kind], **located(place),
             ) as file:  # fmt: skip
+                file.update_tags(**copyright_tags(attribution))
                 for _, window in source.block_windows(1):
                     file.write(source.read(window=window), window=window)
         else:
-            rasterio.shutil.copy(scratch.path, part, driver=driver, **options[kind])
+            rasterio.shutil.copy(scratch.described(attribution), part, driver=driver, **options[kind])
 
 
 def located(place: Grid | None) -> dict[str, Any]:

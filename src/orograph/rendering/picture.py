@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from orograph.cards import png
+from orograph.dem.header import copyright_tags, plain_copyright
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import Tint
@@ -37,6 +38,7 @@ class Picture:
         void_filled: (height, width), where missing data is shown (which has no depth); None: nowhere.
         tint: the colours of heights that were drawn; None: not known.
         crs: the terrain's, in which the camera stands. exaggeration: how heights are stretched on the screen.
+        attribution: whom the makers of its heights want to be named; files carry it.
     """
 
     pixels: NDArray[np.uint8]
@@ -48,6 +50,7 @@ class Picture:
     tint: Tint | None = None
     crs: CRS | None = None
     exaggeration: float = 1.0
+    attribution: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         hit = float(np.isfinite(self.depth).mean()) if self.depth.size else 0.0
@@ -118,7 +121,7 @@ class Picture:
         if kind == "TIFF" and self.grid is not None:
             self._write_tiff(out, self.pixels.transpose(2, 0, 1), {"photometric": "RGB", "predictor": 2})
             return out
-        return save_pixels(self.pixels, out)
+        return save_pixels(self.pixels, out, self.attribution)
 
     def save_depth(self, path: str | os.PathLike[str]) -> Path:
         """Write the depth as a float32 TIFF, metres, NaN where nothing is hit; that of a plan is a GeoTIFF.
@@ -149,6 +152,7 @@ class Picture:
                 profile["crs"] = self.grid.crs.to_wkt()
         with raster_file(out) as part, rasterio.open(part, "w", **profile) as file:
             file.write(bands)
+            file.update_tags(**copyright_tags(self.attribution))
             if description is not None:
                 file.set_band_description(1, description)
 
@@ -166,8 +170,30 @@ def plan_grid(view: View, crs: CRS | None) -> Grid | None:
     return Grid((view.height, view.width), transform, crs)
 
 
-def save_pixels(pixels: NDArray[np.uint8], out: Path) -> Path:
+def _credited(kind: str, attribution: tuple[str, ...]) -> dict[str, Any]:
+    """What Pillow writes into a file to name the makers of what it shows."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    text = "; ".join(attribution)
+    if not text:
+        return {}
+    if kind == "PNG":
+        info = PngInfo()
+        info.add_text("Copyright", text)
+        return {"pnginfo": info}
+    if kind == "TIFF":
+        return {"tiffinfo": {COPYRIGHT: plain_copyright(attribution)}}
+    exif = Image.Exif()
+    exif[COPYRIGHT] = plain_copyright(attribution)
+    return {"exif": exif}
+
+
+def save_pixels(pixels: NDArray[np.uint8], out: Path, attribution: tuple[str, ...] = ()) -> Path:
     """Write pixels (height, width, 3) in the format that the path's ending stands for.
+
+    Args:
+        attribution: whom to name in the file's metadata.
 
     Raises:
         UsageError: the ending is unknown. OutputError: the file cannot be written.
@@ -182,11 +208,14 @@ def save_pixels(pixels: NDArray[np.uint8], out: Path) -> Path:
         "TIFF": {"compression": "tiff_deflate"},
     }
     encoded = io.BytesIO()  # not the file: of a full disk libtiff speaks for itself
-    Image.fromarray(pixels).save(encoded, format=kind, **every[kind])
+    Image.fromarray(pixels).save(encoded, format=kind, **every[kind], **_credited(kind, attribution))
     with Beside(out) as part:
         part.write_bytes(encoded.getbuffer())
     return out
 
+
+COPYRIGHT = 0x8298
+"""The tag of TIFF and EXIF."""
 
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 

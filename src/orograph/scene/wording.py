@@ -16,6 +16,7 @@ from orograph.scene.parts import OPTIONS
 
 VERBS = {
     "orograph.store.repair.repair": "orograph build --repair",
+    "orograph.fetching.products": "orograph fetch --products",
     "orograph.geovis.color_store.store_colors": "orograph build --color-errors",
 }
 """Functions that are options of a verb; others are called as their verb."""

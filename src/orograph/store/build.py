@@ -140,7 +140,7 @@ def in_memory(source: HeightSource, progress: Progress = SILENT) -> MemoryTerrai
         UsageError: it is in no metric CRS.
     """
     if isinstance(source, ArraySource):
-        return MemoryTerrain(source.heights, source.grid, source.name, source.vertical)
+        return MemoryTerrain(source.heights, source.grid, source.name, source.vertical, source.attribution)
     rows, cols = source.grid.shape
     check_metric(source.grid, source.name)
     heights = np.empty((rows, cols), np.float32)
@@ -153,7 +153,7 @@ def in_memory(source: HeightSource, progress: Progress = SILENT) -> MemoryTerrai
     with progress.task("Reading heights", total=len(strips)) as task:
         for _ in map_ordered(load, strips):
             task.advance()
-    made = MemoryTerrain(heights, source.grid, source.name, source.vertical)
+    made = MemoryTerrain(heights, source.grid, source.name, source.vertical, getattr(source, "attribution", ()))
     if isinstance(source, Samples):
         made.samples = source
     return made
@@ -335,6 +335,7 @@ def _fill(
         resampled=lost,
         lattices=tuple(LatticeRecord.of(lattice) for lattice in lattices) if keep else (),
         inputs=inputs_of(raster),
+        attribution=tuple(getattr(raster, "attribution", ())),
         digests=writer.digests,
     )
     for make in MAKERS.values():

@@ -83,7 +83,7 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
         return Mosaic.open(files, progress=progress, **_fitting(said, (*OF_GRIDS, *OF_FILES), "files"))
     if isinstance(given, MemoryTerrain):
         _fitting(said, (), "a Terrain, which was read already")
-        return ArraySource(given.heights, given.grid, given.name, given.vertical)
+        return ArraySource(given.heights, given.grid, given.name, given.vertical, given.attribution)
     if isinstance(given, HeightSource):
         _fitting(said, (), "heights that are read by windows already")
         return given
@@ -128,7 +128,7 @@ def _raster(one: Any, said: dict[str, Any], warned: list[str], called: str) -> t
     if isinstance(one, HeightSource):
         return one, False
     dem, own = _dem(one, said, warned, called)
-    return ArraySource(dem.heights, dem.grid, said.get("name") or dem.name, dem.vertical), own
+    return ArraySource(dem.heights, dem.grid, said.get("name") or dem.name, dem.vertical, dem.attribution), own
 
 
 def _dem(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tuple[Dem, bool]:

@@ -1,9 +1,10 @@
 """The cache folder keeps within a size: what was used longest ago goes first.
 
-Entries are the stores of large DEMs (``NAME.oro``, with what is left of a build of it) and the folders of coarse levels
-of images (``images/NAME``). The time of an entry's folder says when it was last used; whoever draws from an entry holds
-a shared lock (``flock``) on that folder, and one that is held stays, as does one that is being built. Room is made when
-something was added: the limit may be passed while that is written. Sizes are bytes on disk as files say them.
+Entries are the stores of large DEMs (``NAME.oro``, with what is left of a build of it), the folders of coarse levels
+of images (``images/NAME``), and fetched tiles (``tiles/PRODUCT/TILE``). The time of an entry's folder says when it was
+last used; whoever draws from an entry holds a shared lock (``flock``) on that folder (of all tiles on ``tiles``), and
+one that is held stays, as does one that is being built. Room is made when something was added: the limit may be passed
+while that is written. Sizes are bytes on disk as files say them.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ from orograph.store.storage import FolderStorage
 IMAGES = "images"
 """The folder, within the cache, of coarse levels of images."""
 
+TILES = "tiles"
+"""The folder, within the cache, of tiles that were fetched."""
+
 
 @dataclass(frozen=True, slots=True)
 class Entry:
@@ -32,12 +36,14 @@ class Entry:
 
     Attributes:
         path: of its folder. parts: the folders it consists of. size: bytes. used: when, seconds since 1970.
+        guard: the folder that is locked while it is used, if not its own.
     """
 
     path: Path
     parts: tuple[Path, ...]
     size: int
     used: float
+    guard: Path | None = None
 
 
 class Use:
@@ -73,6 +79,9 @@ def entries(folder: Path | None = None) -> list[Entry]:
         if parts:
             used = max(_stamps(parts), default=0.0)
             found.append(Entry(path, parts, sum(_size(p) for p in parts), used))
+    for path in (folder / TILES).glob("*/*"):
+        if path.is_dir() and not path.name.startswith("."):
+            found.append(Entry(path, (path,), _size(path), max(_stamps((path,)), default=0.0), folder / TILES))
     return sorted(found, key=lambda entry: (entry.used, entry.path))
 
 
@@ -98,7 +107,7 @@ def _remove(entry: Entry) -> bool:
     try:
         with alone(FolderStorage(entry.path), "making room in the cache"):
             for part in entry.parts:
-                with _unused(part) as free:
+                with _unused(entry.guard or part) as free:
                     if not free:
                         return False
                     # First it has another name: nobody finds half of it.

@@ -101,6 +101,7 @@ class Record:
         lattices: the source lattices that it keeps.
         inputs: the files and options it was built with (``store.inputs``); None if from no files.
         digests: of all its objects but the root.
+        attribution: whom the makers of its heights want to be named.
     """
 
     grid: Grid
@@ -116,6 +117,7 @@ class Record:
     lattices: tuple[LatticeRecord, ...] = ()
     inputs: dict[str, Any] | None = None
     digests: Digests = field(default_factory=Digests, compare=False)
+    attribution: tuple[str, ...] = ()
 
     @property
     def shard_count(self) -> int:
@@ -143,6 +145,8 @@ class Record:
             "resampled": None if self.resampled is None else self.resampled.to_json(),
             "lattices": [lattice.to_json() for lattice in self.lattices],
         }
+        if self.attribution:
+            record["attribution"] = list(self.attribution)
         record["derived"] = {
             kind.name: {"version": kind.version, **kind.to_json(kind.of(self))}
             for kind in KINDS.values()
@@ -187,6 +191,7 @@ class Record:
             tuple(LatticeRecord.from_json(lattice) for lattice in record["lattices"]),
             record["inputs"],
             Digests.from_json(record["digests"]),
+            tuple(record.get("attribution", ())),
         )
 
 

@@ -54,16 +54,19 @@ class MemoryTerrain(Terrain):
         grid: where they lie: projected in metres, or without CRS.
         name: what to call it.
         vertical: name of the vertical datum.
+        attribution: as of a ``Terrain``.
 
     Raises:
         UsageError: the CRS is not metric, or the shapes differ.
     """
 
-    def __init__(self, heights: Heights, grid: Grid, name: str, vertical: str | None = None) -> None:
+    def __init__(
+        self, heights: Heights, grid: Grid, name: str, vertical: str | None = None, attribution: tuple[str, ...] = ()
+    ) -> None:
         if heights.shape != grid.shape:
             raise UsageError(f"{name} has {heights.shape} heights on a grid of {grid.shape}.")
         check_metric(grid, name)
-        self.grid, self.name, self.vertical = grid, name, vertical
+        self.grid, self.name, self.vertical, self.attribution = grid, name, vertical, attribution
         self.heights = np.ascontiguousarray(heights, np.float32).view()
         self.heights.flags.writeable = False
         self._lock = threading.RLock()

@@ -37,10 +37,14 @@ class ArraySource:
     Args:
         heights: (rows, cols) float32, metres, NaN where missing.
         grid: where they lie.
+        name, vertical, attribution: as of a ``Dem``.
     """
 
-    def __init__(self, heights: Heights, grid: Grid, name: str, vertical: str | None = None) -> None:
+    def __init__(
+        self, heights: Heights, grid: Grid, name: str, vertical: str | None = None, attribution: tuple[str, ...] = ()
+    ) -> None:
         self.heights, self.grid, self.name, self.vertical = heights, grid, name, vertical
+        self.attribution = attribution
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
         return self.heights[row0:row1, col0:col1]

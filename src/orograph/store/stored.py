@@ -59,6 +59,7 @@ class StoredTerrain(Terrain):
     ) -> None:
         self.storage, self.record, self.watch = storage, record, watch
         self.grid, self.name, self.vertical = record.grid, record.name, record.vertical
+        self.attribution = record.attribution
         self.remote = storage.remote
         self._last = self.levels - 1  # found once: reads of small windows would notice
         self.cache = ChunkCache(cache_bytes)

@@ -140,11 +140,13 @@ class Terrain(ABC):
         grid: level 0, the real raster, projected, in metres (or without CRS).
         name: what to call it in titles.
         vertical: name of the vertical datum, or None if unknown.
+        attribution: whom the makers of its heights want to be named; pictures carry it.
     """
 
     grid: Grid
     name: str
     vertical: str | None
+    attribution: tuple[str, ...] = ()
     remote: bool = False
     """Whether it is read over a network: many reads at once take hardly longer than one."""
     samples: Samples | None = None

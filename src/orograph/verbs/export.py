@@ -13,6 +13,7 @@ from pyproj import CRS, Transformer
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import ProjError
 
+from orograph.dem.header import copyright_tags
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geo.vertical import ELLIPSOIDAL
@@ -72,7 +73,9 @@ def export(
                 yield 0, r0, c0, np.ascontiguousarray(heights[None])
                 task.advance()
 
-    told = {} if ground.vertical is None else {"VERTICAL_DATUM": ground.vertical}
+    told = copyright_tags(ground.attribution)
+    if ground.vertical is not None:
+        told["VERTICAL_DATUM"] = ground.vertical
     band = Band("height", "m", f"height{f' above {ground.vertical}' if ground.vertical else ''}, metres")
     write(path, Grid(grid.shape, grid.transform, _with_vertical(ground)), [band], blocks(), tags=told, jobs=jobs,
           progress=heard)  # fmt: skip

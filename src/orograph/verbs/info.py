@@ -2,8 +2,8 @@
 
 The keys are fixed: kind ("dem" or "store"), path, crs, transform (a b c d e f as in GDAL and
 affine), shape [rows, cols], spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction,
-dtype, nodata, vertical_datum, levels, side, errors (the kinds that a store has), colors (what its color errors are of:
-drape, colormap, sun, relief), resampled (what a store lost when its source was brought to another grid, metres: rms,
+dtype, nodata, vertical_datum, attribution (whom its makers want to be named), levels, side, errors (the kinds that a
+store has), colors (what its color errors are of: drape, colormap, sun, relief), resampled (what a store lost when its source was brought to another grid, metres: rms,
 largest, summit_loss, highest, highest_loss), keeps_source (whether the source's samples are in it), layers (those baked
 into it), parts (what of a store takes how many bytes), size_bytes,
 warnings. What is unknown or absent, and every number that is not finite, is null.
@@ -92,6 +92,7 @@ def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | No
             "dtype": source.dtype,
             "nodata": _finite(source.nodata),
             "vertical_datum": source.vertical,
+            "attribution": list(source.attribution),
             "levels": level_count(source.shape),
             "side": (1 << exponent(source.shape)) + 1,
             "errors": [],
@@ -153,6 +154,7 @@ def _terrain_facts(terrain: Terrain) -> Facts:
         "dtype": "float32",
         "nodata": None,
         "vertical_datum": terrain.vertical,
+        "attribution": list(terrain.attribution),
         "levels": terrain.levels,
         "side": terrain.side,
         "errors": [],
@@ -248,6 +250,8 @@ def describe(facts: Mapping[str, Any], bold: Callable[[str], str] = str, mark: C
         samples = rows * cols
         for name, size_of in (facts["parts"] or {}).items():
             line("", f"{_bytes(size_of):>10}  {name}, {size_of / samples:.2f} bytes per sample")
+    for text in facts["attribution"]:
+        line("credit", text)
     for text in facts["warnings"]:
         lines.append(mark("  ! ") + text)
     return "\n".join(lines)

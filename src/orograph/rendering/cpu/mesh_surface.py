@@ -85,4 +85,4 @@ def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | N
         return MeshTerrain(tessellation, terrain)
     heights = np.array(terrain.read(0, 0, rows, 0, cols), np.float32)
     interpolate(tessellation.vertices, tessellation.triangles, 0, 0, 0, rows, cols, heights)
-    return MemoryTerrain(heights, terrain.grid, terrain.name, terrain.vertical)
+    return MemoryTerrain(heights, terrain.grid, terrain.name, terrain.vertical, terrain.attribution)

@@ -52,15 +52,20 @@ MOST_INSET = 0.3
 """The part of the picture's width or height that one side leaves free at most: tiny pictures are for the terrain."""
 
 
-def insets(size: tuple[int, int]) -> tuple[float, float, float, float]:
+def insets(size: tuple[int, int], credit: str | None = None) -> tuple[float, float, float, float]:
     """Parts of a picture of ``size`` (width, height) to leave free for furniture: left, right, top, bottom.
+
+    Args:
+        credit: as of ``lay_out``.
 
     The right side holds the legend and the north arrow; titles and notes run along the top and the foot.
     """
-    style = Style.of(size, "")
+    style = Style.of(size, credit or "")
     far = 100 * max(size)
-    title, base = heading("A", None, style, far), foot(1.0, "A", style, far, 1.0)
+    title = heading("A", None, style, far)
     column = key(Legend(-5000.0, 5000.0, np.zeros((2, 3)), water=(0, 0, 0), missing=(0, 0, 0)), style, 6.5, True)
+    beside = size[0] - 2 * style.margin - math.ceil(column.width) - style.gap
+    base = foot(1.0, "A", credit, style, far, 1.0, beside) or foot(1.0, "A", None, style, far, 1.0)
     edge = style.margin + style.gap
     right = (column.width + edge) / size[0]
     top, bottom = ((piece.height + edge) / size[1] if piece else 0.0 for piece in (title, base))
@@ -146,6 +151,7 @@ def lay_out(
     north: float | None = None,
     metres_per_pixel: float | None = None,
     note: str | None = None,
+    credit: str | None = None,
     grid_north: bool = False,
     ground: Cover | None = None,
     paper: bool = False,
@@ -159,11 +165,12 @@ def lay_out(
         north: direction of north on the screen, degrees clockwise from up.
         metres_per_pixel: for the scale bar; None (a perspective has no one scale) leaves it out.
         note: a line of small type, such as "Light from 315°, 45° · heights ×2".
+        credit: whom the makers of the heights want to be named: lines of small type below the note.
         grid_north: whether the arrow must say that it is the grid's north.
         ground: what should not be hidden; None: everywhere alike.
         paper: whether all the rest is bare paper, on which pieces need none of their own.
     """
-    words = " ".join(t for t in (title, subtitle, note, legend.label + legend.unit if legend else None) if t)
+    words = " ".join(t for t in (title, subtitle, note, credit, legend.label + legend.unit if legend else None) if t)
     style = Style.of(size, words)
     inner = size[0] - 2 * style.margin
     chosen: dict[Corner, tuple[Piece, Box]] = {}
@@ -188,15 +195,16 @@ def lay_out(
         pieces = (key(legend, style, size, rows) for size, rows in sizes)
         any(put("bottom right", p) for p in pieces if p.height < TALL * size[1])
     if metres_per_pixel is not None:
-        any(put("bottom left", foot(metres_per_pixel, None, style, inner, share)) for share in (0.24, 0.4))
+        any(put("bottom left", foot(metres_per_pixel, None, None, style, inner, share)) for share in (0.24, 0.4))
     if north is not None:
         put("top right", arrow(north, style, grid_north))
-    if note:
+    if note or credit:
         held = "bottom left" in chosen
         scale = metres_per_pixel if held else None
         beside = inner - (math.ceil(chosen["bottom right"][0].width) + style.gap if "bottom right" in chosen else 0)
         rooms = [(room, share) for room in (inner, beside) for share in (0.24, 0.4)]
-        any(put("bottom left", foot(scale, note, style, inner, share, room)) for room, share in rooms)
+        ways = [(words, *way) for words in dict.fromkeys((credit, None)) for way in rooms]
+        any(put("bottom left", foot(scale, note, words, style, inner, share, room)) for words, room, share in ways)
     if subtitle and (not title or "top left" in chosen):
         put("top left", heading(title or "", subtitle, style, inner))
     placed = list(chosen.items())

@@ -76,6 +76,7 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
     return {
         "title": title if title is not None else _title(terrain.name), "legend": _legend(drawn),
         "north": north_on_screen(scene), "metres_per_pixel": metres, "note": " · ".join(parts),
+        "credit": "; ".join(terrain.attribution) or None,
         "grid_north": abs(convergence(scene)) > CONVERGENCE, "paper": not scene.lighting.sky,
     }  # fmt: skip
 

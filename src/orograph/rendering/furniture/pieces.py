@@ -16,6 +16,9 @@ PAPER: Color = (246, 244, 239)
 INK: Color = (36, 40, 46)
 GREY: Color = (92, 96, 102)
 
+MOST_LINES = 5
+"""Of note and credit."""
+
 
 @dataclass(frozen=True, slots=True)
 class Legend:
@@ -127,9 +130,11 @@ def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
 
 
 def foot(
-    metres_per_pixel: float | None, note: str | None, style: Style, inner: int, share: float, room_for_note: int = 0
-) -> Piece | None:
-    """Scale bar of at most ``share`` of the width, and the note beneath it (in ``inner`` or the room it has)."""
+    metres_per_pixel: float | None, note: str | None, credit: str | None, style: Style, inner: int, share: float,
+    room_for_note: int = 0,
+) -> Piece | None:  # fmt: skip
+    """Scale bar of at most ``share`` of the width, and note and credit beneath it (in ``inner`` or the room they have);
+    None if the credit does not fit whole."""
     u, pad, small, tiny = style.unit, style.pad, style.font(0.9), style.font(0.78)
     piece = Piece(0, float(pad))
     if metres_per_pixel is not None:
@@ -154,17 +159,33 @@ def foot(
         piece.texts.append((end, y0 - 0.42 * u, name, small, INK, "ls"))
         piece.width = max(x0 + pixels, end + length(small, name)) + pad
         piece.height = y0 + thick + 0.15 * u
-    if note:
-        words = cut(style.text(note), tiny, (room_for_note or inner) - 2 * pad, style)
-        if not words:
-            return None
-        if metres_per_pixel is not None:
-            piece.height += 0.5 * u
+    room = (room_for_note or inner) - 2 * pad
+    lines = [] if not note else [cut(style.text(note), tiny, room, style)]
+    if credit:
+        lines += wrapped(style.text(credit), tiny, room)
+    if not all(lines) or len(lines) > MOST_LINES:
+        return None
+    for i, words in enumerate(lines):
+        piece.height += 0.3 * u if i else 0.5 * u if metres_per_pixel is not None else 0
         piece.texts.append((pad, piece.height + 0.58 * u, words, tiny, GREY, "ls"))
         piece.width = max(piece.width, length(tiny, words) + 2 * pad)
         piece.height += 0.66 * u
     piece.height += pad
     return piece
+
+
+def wrapped(text: str, font: Any, widest: float) -> list[str]:
+    """A text in lines no wider than that; one that is empty, if a word is wider."""
+    lines: list[str] = []
+    for word in text.split():
+        if length(font, word) > widest:
+            return [""]
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and length(font, longer) <= widest:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
 
 
 def arrow(north: float, style: Style, grid: bool = False) -> Piece | None:

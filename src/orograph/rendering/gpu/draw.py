@@ -132,7 +132,7 @@ def draw(
     place = plan_grid(view, scene.terrain.grid.crs)
     return Picture(
         pixels, depth, view, facts, place, void_filled if void_filled.any() else None, renderer.tint,
-        scene.terrain.grid.crs, scene.surface.exaggeration,
+        scene.terrain.grid.crs, scene.surface.exaggeration, scene.terrain.attribution,
     )  # fmt: skip
 
 

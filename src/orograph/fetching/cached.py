@@ -1,0 +1,198 @@
+"""What was read of tiles, kept in the cache folder: a record of each tile, and parts of it as small GeoTIFFs.
+
+    tiles/PRODUCT-HASH/TILE/tile.json     what its server said, and when; of one that is there its header
+    tiles/PRODUCT-HASH/TILE/r0-c1024.tif  a part, in the tile's own numbers: its first row and column
+
+The hash is of the product's URL rule, so another mirror is another folder. Each file appears whole (``Beside``), so a
+run that is killed loses the part it was at. While an area is put together a lock on ``tiles`` keeps what it needs from
+being removed to make room (``store.kept``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+
+from orograph.errors import OutputError
+from orograph.fetching.products import Product
+from orograph.fetching.tiling import Tile
+from orograph.folders import cache_folder
+from orograph.output import Beside, remove
+from orograph.store.kept import TILES
+
+FRESH = 7 * 86400.0
+"""Seconds for which what a server said is not asked for again."""
+
+Status = Literal["there", "absent", "withheld"]
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a tile's file says of itself.
+
+    Attributes:
+        shape: its (rows, cols). row, col: of the first sample that the tile owns. block: of its parts.
+        transform, crs: where it lies; crs as WKT, "" if it has none.
+        dtype, nodata: of the numbers that parts are kept in; nodata None is NaN.
+    """
+
+    shape: tuple[int, int]
+    row: int
+    col: int
+    block: tuple[int, int]
+    transform: tuple[float, ...]
+    crs: str
+    dtype: str
+    nodata: int | None
+
+    @classmethod
+    def from_json(cls, told: dict[str, Any]) -> Header:
+        fields = {**told, "shape": tuple(told["shape"]), "block": tuple(told["block"])}
+        return cls(**{**fields, "transform": tuple(told["transform"])})
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """What is known of a tile.
+
+    Attributes:
+        status: "there"; "absent"; "withheld": its makers have it, and do not give it away.
+        asked: when its server was asked, seconds since 1970. etag, modified, size: what it said.
+        header: None: it was not opened yet.
+    """
+
+    status: Status
+    asked: float
+    etag: str = ""
+    modified: str = ""
+    size: int | None = None
+    header: Header | None = None
+
+    @property
+    def fresh(self) -> bool:
+        return 0 <= time.time() - self.asked < FRESH
+
+    @property
+    def state(self) -> tuple[str, str, int | None]:
+        """As ``Answer.state``."""
+        return self.etag, "" if self.etag else self.modified, self.size
+
+
+class KeptTile:
+    """A tile's folder in the cache.
+
+    Attributes:
+        path: of the folder. tile: which one.
+    """
+
+    def __init__(self, product: Product, tile: Tile) -> None:
+        rule = f"{product.base} {product.url} {product.member} {product.nodata} {product.scale} {product.encoding}"
+        place = f"{product.name}-{hashlib.sha256(rule.encode()).hexdigest()[:8]}"
+        self.tile, self.path = tile, tiles_folder() / place / tile.key
+
+    def record(self) -> Record | None:
+        """What is known of it; None: nothing."""
+        try:
+            told = json.loads((self.path / "tile.json").read_text(encoding="utf-8"))
+            header = told.pop("header")
+            return Record(**told, header=None if header is None else Header.from_json(header))
+        except (OSError, ValueError, TypeError, KeyError):
+            return None
+
+    def put_record(self, record: Record) -> None:
+        self._write("tile.json", lambda part: part.write_text(json.dumps(asdict(record)), encoding="utf-8"))
+
+    def touch(self, record: Record) -> Record:
+        """Note that it was asked for just now and is what it was."""
+        now = replace(record, asked=time.time())
+        self.put_record(now)
+        return now
+
+    def use(self) -> None:
+        """Note that it is used now: what was used longest ago is removed first."""
+        with contextlib.suppress(OSError):
+            os.utime(self.path)
+
+    def clear(self) -> None:
+        """Forget it."""
+        for file in self.path.glob("*"):
+            if file.suffix in (".tif", ".json"):
+                remove(file)
+
+    def part(self, row: int, col: int) -> Path:
+        """The file of a part that begins at (row, col) of the tile's file."""
+        return self.path / f"r{row}-c{col}.tif"
+
+    def put_part(self, header: Header, row: int, col: int, heights: NDArray[np.float32]) -> None:
+        """Keep heights (float32 metres, NaN where missing) of a part."""
+        import rasterio
+
+        if header.nodata is None:
+            values: NDArray[Any] = heights
+        else:
+            values = np.where(np.isnan(heights), header.nodata, heights).astype(header.dtype)
+        a, b, c, d, e, f = header.transform
+        rows, cols = heights.shape
+        profile = {
+            "driver": "GTiff", "width": cols, "height": rows, "count": 1, "dtype": values.dtype.name,
+            "compress": "zstd", "predictor": 3 if values.dtype.kind == "f" else 2, "zstd_level": 1,
+            "nodata": float("nan") if header.nodata is None else header.nodata,
+            "transform": Affine(a, b, c + a * col, d, e, f + e * row), "crs": header.crs or None,
+        }  # fmt: skip
+
+        def write(part: Path) -> None:
+            with rasterio.open(part, "w", **profile) as file:
+                file.write(values, 1)
+
+        self._write(self.part(row, col).name, write)
+
+    def _write(self, name: str, write: Any) -> None:
+        from rasterio.errors import RasterioError
+
+        remedy = "Set OROGRAPH_CACHE to a folder with room that is yours to write in."
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            with Beside(self.path / name) as part:
+                write(part)
+        except OSError as error:
+            raise OutputError(
+                f"What was read cannot be kept: {error.strerror or error}.", path=self.path, remedy=remedy
+            ) from error
+        except (OutputError, RasterioError) as error:
+            cause = error.what if isinstance(error, OutputError) else str(error)
+            raise OutputError(f"What was read cannot be kept: {cause}", path=self.path, remedy=remedy) from error
+
+
+def tiles_folder() -> Path:
+    """Where tiles are kept."""
+    return cache_folder() / TILES
+
+
+@contextlib.contextmanager
+def in_use() -> Any:
+    """While it is open no tile is removed from the cache to make room."""
+    from orograph.store.kept import Use
+
+    folder = tiles_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"The cache folder cannot be made: {error.strerror}.", path=folder,
+            remedy="Set OROGRAPH_CACHE to a folder with room that is yours to write in.",
+        ) from error  # fmt: skip
+    use = Use(folder)
+    try:
+        yield
+    finally:
+        use.release()
