@@ -301,7 +301,7 @@ def test_what_a_store_consists_of(tmp_path: Path) -> None:
     line = ["build", str(write(tmp_path / "dem.tif", hills())), "-o", str(path), *options]
     assert CliRunner().invoke(cli, line, catch_exceptions=False).exit_code == 0
     facts = info(path)
-    assert facts["colors"] == {"drape": None, "colormap": None, "sun": [315.0, 45.0], "relief": 1.0}
+    assert facts["colors"] == {"drape": None, "colormap": None, "sun": [315.0, 45.0], "relief": 1.0, "tints": 2}
     assert facts["layers"] == ["sky-view-factor"]
     parts = facts["parts"]
     names = ["heights", "exact errors", "midpoint errors", "spheres", "color errors", "sky-view-factor"]

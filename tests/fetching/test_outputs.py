@@ -13,12 +13,11 @@ from sources import copernicus, heights
 
 import orograph
 from orograph.cli.fetch import command
-from orograph.cli.info import describe, facts_of
 from orograph.errors import ReadError, UsageError
 from orograph.fetching import Request, products, register
 from orograph.fetching.areas import area_of
 from orograph.geo.ellipsoid import EARTH
-from orograph.progress import SILENT
+from orograph.verbs.info import describe
 
 BOX = (-119.3, 36.8, -118.6, 37.25)
 NAMED = "© DLR e.V. 2010-2014 and © Airbus Defence and Space GmbH 2014-2018"
@@ -92,7 +91,7 @@ def test_attribution_goes_through_a_store_into_info_and_pictures(california, tmp
         assert terrain.samples is not None
         picture = orograph.render(terrain, size=(640, 400), furniture=True)
         without = orograph.render(terrain, size=(640, 400))
-    facts = facts_of(str(out), progress=SILENT, exact=None, jobs=None)
+    facts = orograph.info(str(out), progress=False)
     assert NAMED in facts["attribution"][0]
     assert NAMED in describe(facts)
     for name in ("a.png", "a.jpg", "a.tif", "a.webp"):
@@ -224,7 +223,7 @@ def test_large_pictures_name_the_makers(tmp_path, kind):
     with Scratch(out, 64, 32) as scratch:
         scratch.write(np.zeros((32, 64, 3), np.uint8))
         scratch.close()
-        encode(scratch, out, kind, None, ("© the makers & others",))
+        encode(scratch, kind, None, ("© the makers & others",))
     with Image.open(out) as image:
         said = {"PNG": lambda: image.text["Copyright"], "JPEG": lambda: image.getexif()[0x8298],
                 "TIFF": lambda: image.tag_v2[0x8298]}[kind]()  # fmt: skip

@@ -66,6 +66,7 @@ NOT_HERE = {
     "movie": {"tour_path"},
     "light": {"products", "byte", "resume"},
     "bake": {"products"},
+    "fetch": {"bbox", "at", "geojson", "list_products", "try_products", "yes"},
     "view": {"adapter", "screenshot", "frames"},
 }
 """Options of the command line that are said otherwise in Python, by verb."""

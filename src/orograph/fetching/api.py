@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orograph.errors import UsageError
+from orograph.fetching.reading import CONNECTIONS
 from orograph.fetching.request import MOST, Request
-from orograph.progress import SILENT, Progress
+from orograph.progress import Progress
+from orograph.reporting import reporting
 
 if TYPE_CHECKING:
     from orograph.dem.raster import Dem
+    from orograph.dem.undulation import Direction
     from orograph.store.stored import StoredTerrain
 
 
@@ -21,11 +24,18 @@ def fetch(
     *,
     radius: float | None = None,
     output: str | os.PathLike[str] | None = None,
+    zoom: int | None = None,
+    absent: str | None = None,
+    table: str | os.PathLike[str] | None = None,
+    to_vertical: Direction | None = None,
+    geoid: Any = None,
     most: int | None = MOST,
+    connections: int = CONNECTIONS,
     overwrite: bool = False,
-    progress: Progress = SILENT,
-    build: dict[str, Any] | None = None,
-    **options: Any,
+    resume: bool = False,
+    max_memory: int | None = None,
+    jobs: int | None = None,
+    progress: Progress | bool | None = None,
 ) -> Dem | StoredTerrain:
     """Heights of an area out of an open elevation product; what was read is kept, and not read again.
 
@@ -35,12 +45,13 @@ def fetch(
         product: its name (``orograph.fetching.products``).
         radius: metres around a place.
         output: a GeoTIFF (.tif) or a store (.oro) to write; None: only the Dem.
-        most: bytes of heights that may be read; None: any number.
-        overwrite: replace an output that is there.
-        build: options of ``orograph.build`` for a store.
-        options: ``zoom`` of web-mercator tiles; ``absent``: "sea" or "missing", instead of what the product says an
-            absent tile is; ``to_vertical`` and ``geoid``, as of ``orograph.build``; ``table``: a file of products;
-            ``connections``: requests at once.
+        zoom: of web-mercator tiles; None: the product's. absent: "sea" or "missing", instead of what the product says
+            an absent tile is. table: a file of more products.
+        to_vertical, geoid: as of ``orograph.build``.
+        most: bytes of heights that may be read; None: any number. connections: requests at once.
+        overwrite: replace an output that is there. resume: finish an interrupted store.
+        max_memory, jobs: bytes and threads that building a store may take.
+        progress: hears of it; False: nothing is said.
 
     Returns:
         a Dem on the product's own grid (metres, above its vertical datum), or the store.
@@ -53,9 +64,13 @@ def fetch(
     out = None if output is None else Path(os.fspath(output))
     if out is not None and out.suffix.lower() not in (".tif", ".tiff", ".oro"):
         raise UsageError("What is fetched is written as a GeoTIFF or a store.", path=out, remedy="Use .tif or .oro.")
-    request = Request(area, product, radius=radius, most=most, progress=progress, **options)
+    request = Request(
+        area, product, radius=radius, table=table, zoom=zoom, absent=absent, to_vertical=to_vertical, geoid=geoid,
+        most=most, connections=connections, progress=reporting(progress),
+    )  # fmt: skip
     if out is not None and out.suffix.lower() == ".oro":
-        store: StoredTerrain = request.build(os.fspath(out), overwrite=overwrite, **(build or {}))
+        taken = {name: value for name, value in (("max_memory", max_memory), ("jobs", jobs)) if value is not None}
+        store: StoredTerrain = request.build(os.fspath(out), overwrite=overwrite, resume=resume, **taken)
         return store
     request.check_memory()
     if out is not None:

@@ -3,9 +3,9 @@
 The keys are fixed: kind ("dem" or "store"), path, crs, transform (a b c d e f as in GDAL and
 affine), shape [rows, cols], spacing_m [x, y], height_range [min, max] (metres), height_range_exact, valid_fraction,
 dtype, nodata, vertical_datum, attribution (whom its makers want to be named), levels, side, errors (the kinds that a
-store has), colors (what its color errors are of: drape, colormap, sun, relief), resampled (what a store lost when its source was brought to another grid, metres: rms,
-largest, summit_loss, highest, highest_loss), keeps_source (whether the source's samples are in it), layers (those baked
-into it), parts (what of a store takes how many bytes), size_bytes,
+store has), colors (what its color errors are of: drape, colormap, sun, relief), resampled (what a store lost when its
+source was brought to another grid, metres: rms, largest, summit_loss, highest, highest_loss), keeps_source (whether the
+source's samples are in it), layers (those baked into it), parts (what of a store takes how many bytes), size_bytes,
 warnings. What is unknown or absent, and every number that is not finite, is null.
 """
 
