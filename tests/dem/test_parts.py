@@ -14,7 +14,7 @@ from affine import Affine
 from rasterio.io import MemoryFile
 
 from orograph.dem import Source
-from orograph.dem.handles import files_of
+from orograph.dem.handles import files_of, states
 from orograph.errors import ReadError
 
 UTM = Affine(30, 0, 500000, 0, -30, 4000000)
@@ -246,3 +246,34 @@ def test_a_damaged_mask_of_a_part_is_noticed(tmp_path: Path, how: str, inside: b
     damaged.write_bytes(data[:at] + broken + data[at + size :])
     with pytest.raises(ReadError, match="Deflate stream is damaged"):
         read(area)
+
+
+def test_a_part_of_another_size_than_the_vrt_says(tmp_path: Path) -> None:
+    """GDAL gives 0 for what a file that was replaced by a smaller one lacks."""
+    write(tmp_path / "part.tif", "GTiff")
+    rectangle = f'xOff="0" yOff="0" xSize="{SIZE}" ySize="{SIZE}"'
+    body = (
+        '<SimpleSource><SourceFilename relativeToVRT="1">part.tif</SourceFilename><SourceBand>1</SourceBand>'
+        f'<SourceProperties RasterXSize="{SIZE}" RasterYSize="{SIZE}" DataType="UInt16"/>'
+        f"<SrcRect {rectangle}/><DstRect {rectangle}/></SimpleSource>"
+    )
+    area = virtual(tmp_path / "area.vrt", body)
+    np.testing.assert_array_equal(read(area), heights())
+    with rasterio.open(tmp_path / "part.tif") as file:
+        some = file.read(1)[:150]
+        profile = {**file.profile, "height": 150}
+    with rasterio.open(tmp_path / "part.tif", "w", **profile) as file:
+        file.write(some, 1)
+    with pytest.raises(ReadError, match=r"150 × 200 samples where the VRT .* 200 × 200"):
+        read(area)
+
+
+@pytest.mark.parametrize("name", ["vrt://{}", "vrt://{}?bands=1", "/vsisubfile/0_,{}"])
+def test_files_by_other_names(tmp_path: Path, name: str) -> None:
+    """They are read, and a change of the file behind the name is one of the input."""
+    path = write(tmp_path / "part.tif", "GTiff")
+    location = name.format(path)
+    np.testing.assert_array_equal(read(location), heights())
+    before = states(files_of(location))
+    path.write_bytes(path.read_bytes() + b"more")
+    assert all(a != b for a, b in zip(before, states(files_of(location)), strict=True))

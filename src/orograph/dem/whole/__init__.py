@@ -28,8 +28,8 @@ from typing import Any
 
 from orograph.dem.whole import deflate, hfa, netcdf, png, sizes, text
 from orograph.dem.whole.deflate import check_archived, deflated
-from orograph.dem.whole.files import DAMAGED, archived, here, local_file, main_file
-from orograph.dem.whole.virtual import check_parts
+from orograph.dem.whole.files import DAMAGED, archived, check_packed, here, local_file, main_file
+from orograph.dem.whole.virtual import Part, check_parts
 from orograph.errors import ReadError
 
 Window = tuple[int, int, int, int]
@@ -89,6 +89,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
     with _lock:
         if key in _whole:
             return
+    check_packed(dataset)
     _refuse_lost_mask(dataset)
     if dataset.driver == "MRF":
         _refuse_deflate(dataset, location)
@@ -134,7 +135,7 @@ def check_mask(dataset: Any, key: object, window: Window, lend: Lend) -> None:
     beside = next((file for file in dataset.files if str(file).endswith(".msk")), None)
     location = _inner_mask(name, dataset.shape, lend) if beside is None else str(beside)
     if location is not None:
-        _check_part(lend, location, 1, window, False)
+        _check_window(lend, location, 1, window, False)
 
 
 def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
@@ -150,7 +151,20 @@ def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
     return None
 
 
-def _check_part(lend: Lend, location: str, band: int, window: Window | None, mask: bool) -> None:
+def _check_part(lend: Lend, part: Part, window: Window | None) -> None:
+    """Look at a window (None: all) of a part of a VRT."""
+    if part.shape is not None:
+        with lend(part.location) as (dataset, _):
+            if part.shape not in (dataset.shape, (0, 0)):
+                raise ReadError(
+                    f"It has {dataset.height} × {dataset.width} samples where the VRT it is a part of says "
+                    f"{part.shape[0]} × {part.shape[1]}: what lacks would be read as missing or 0.",
+                    path=part.location, remedy="Make the VRT again (gdalbuildvrt), or restore the file from a copy.",
+                )  # fmt: skip
+    _check_window(lend, part.location, part.band, window, part.by_mask)
+
+
+def _check_window(lend: Lend, location: str, band: int, window: Window | None, mask: bool) -> None:
     """Look at a window (None: all) of a file that is a part of another, or of that file's mask."""
     with lend(location) as (dataset, key):
         top, left, height, width = window or (0, 0, dataset.height, dataset.width)
