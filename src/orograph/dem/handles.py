@@ -32,11 +32,9 @@ CACHE = 64 << 20
 Key = tuple[str, tuple[int, int, int] | None]
 
 
-def _stamp(location: str) -> tuple[int, int, int] | None:
-    from orograph.dem.whole.files import on_disk
-
+def _stamp(path: str | Path) -> tuple[int, int, int] | None:
     try:
-        found = on_disk(location).stat()
+        found = os.stat(path)  # noqa: PTH116 (of mosaics thousands at a time)
     except (OSError, ValueError):
         return None
     return found.st_mtime_ns, found.st_size, found.st_ino
@@ -44,7 +42,26 @@ def _stamp(location: str) -> tuple[int, int, int] | None:
 
 def stamped(location: str) -> Key:
     """A file's name and state: another one once it was written again."""
-    return location, _stamp(location)
+    from orograph.dem.whole.files import on_disk
+
+    return location, _stamp(on_disk(location))
+
+
+class Seen:
+    """Files as they are when this is made.
+
+    Args:
+        names: GDAL's.
+    """
+
+    def __init__(self, names: Iterable[str]) -> None:
+        from orograph.dem.whole.files import on_disk
+
+        self._files = [(name, str(path), _stamp(path)) for name in dict.fromkeys(names) for path in (on_disk(name),)]
+
+    def changed(self) -> str | None:
+        """The first of them that is another now; None if none is."""
+        return next((name for name, path, stamp in self._files if _stamp(path) != stamp), None)
 
 
 def bounded_cache() -> dict[str, Any]:
