@@ -145,6 +145,20 @@ def test_a_classic_netcdf_of_records_cut_short(tmp_path: Path, shared_data: Path
     assert read(path).heights.shape == (108, 137)
 
 
+def test_the_checksums_of_dted_count(tmp_path: Path, shared_data: Path) -> None:
+    data = (shared_data / "nasty-gdal" / "n43.dt0").read_bytes()
+    path, rng = tmp_path / "n43.dt0", random.Random(6)
+    for _ in range(20):
+        altered = bytearray(data)
+        altered[rng.randrange(3428, len(data))] ^= 1 << rng.randrange(8)  # behind the three headers
+        path.write_bytes(altered)
+        try:
+            found = read(path).heights
+        except ReadError:
+            continue
+        np.testing.assert_array_equal(found, read(shared_data / "nasty-gdal" / "n43.dt0").heights)
+
+
 ARCHIVES = ["zip", "gz", "tar.gz"]
 
 

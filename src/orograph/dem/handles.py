@@ -70,8 +70,12 @@ def bounded_cache() -> dict[str, Any]:
 
 
 def _settings() -> dict[str, Any]:
-    """What GDAL is told: damaged JPEGs are errors; text is read as doubles, not as what its first lines look like."""
-    return {"GDAL_ERROR_ON_LIBJPEG_WARNING": True, "AAIGRID_DATATYPE": "Float64", **bounded_cache()}
+    """What GDAL is told: damaged JPEGs and checksums of DTED that differ are errors; text is read as doubles, not as
+    what its first lines look like."""
+    return {
+        "GDAL_ERROR_ON_LIBJPEG_WARNING": True, "DTED_VERIFY_CHECKSUM": True, "AAIGRID_DATATYPE": "Float64",
+        **bounded_cache(),
+    }  # fmt: skip
 
 
 class Handles:
