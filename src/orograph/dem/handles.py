@@ -149,10 +149,11 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
     Raises:
         ReadError: it cannot be opened.
     """
+    from orograph.dem.whole.files import files_in
     from orograph.dem.whole.virtual import locations
 
     with HANDLES.borrow(location) as dataset:
-        names, virtual = [str(name) for name in dataset.files], dataset.driver == "VRT"
+        names, virtual = files_in(dataset), dataset.driver == "VRT"
         if virtual:
             names = [name for name in names if not name.lstrip().startswith("<")]  # VRTs in its text
             names += locations(dataset, stamped(location))

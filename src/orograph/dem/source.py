@@ -39,6 +39,7 @@ from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
 from orograph.dem.whole import DAMAGED, check_blocks, check_mask
+from orograph.dem.whole.files import files_in
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
 
@@ -135,7 +136,7 @@ class Source:
         opened = [Seen([location])]
         warnings: list[str] = []
         with HANDLES.borrow(location) as dataset:
-            opened.append(Seen(map(str, dataset.files)))  # headers, masks and the parts of a VRT, too
+            opened.append(Seen(files_in(dataset)))  # headers, masks and the parts of a VRT, too
             check_size(dataset, path)
             check_band(dataset, band, path)
             if encoding is not None:

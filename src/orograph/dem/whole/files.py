@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import gzip
 import re
 import shutil
@@ -21,6 +22,9 @@ DAMAGED = "The file is damaged or was cut short: fetch it again, or restore it f
 _FETCHED = {"PNG", "AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ"}
 """Formats that GDAL fetches whole in any case, so that a remote one may be fetched to be looked at."""
 
+
+_UNLISTED = {"ILWIS", "MRF"}
+"""Formats whose drivers do not list the files of samples that lie beside the header, under its name."""
 
 _INNER = re.compile(
     r"""([A-Z][A-Z0-9_]+:(?:\d+:|[A-Z]+(?:_[A-Z]+)*:(?="))?)  # the driver, and what is before the file
@@ -74,6 +78,18 @@ def absolute(name: str) -> str:
 def main_file(dataset: Any) -> str:
     """GDAL's name of the file that holds a dataset's samples or header."""
     return str(dataset.files[0] if dataset.files else dataset.name)
+
+
+def files_in(dataset: Any) -> list[str]:
+    """GDAL's names of the files of a dataset: those its driver lists, and those of samples that some do not."""
+    listed = [str(name) for name in dataset.files]
+    main = on_disk(str(dataset.name))
+    if dataset.driver in _UNLISTED and main.is_file():
+        same = main.parent.glob(f"{glob.escape(main.stem)}.*")
+        return list(dict.fromkeys([*listed, *sorted(map(str, same))]))
+    if dataset.driver == "Zarr" and main.is_dir():
+        return list(dict.fromkeys([*listed, *sorted(str(path) for path in main.rglob("*") if path.is_file())]))
+    return listed
 
 
 def archived(name: str) -> bool:
