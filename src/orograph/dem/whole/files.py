@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import gzip
 import re
 import shutil
@@ -23,8 +22,11 @@ _FETCHED = {"PNG", "AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ"}
 """Formats that GDAL fetches whole in any case, so that a remote one may be fetched to be looked at."""
 
 
-_UNLISTED = {"ILWIS", "MRF"}
-"""Formats whose drivers do not list the files of samples that lie beside the header, under its name."""
+_UNLISTED = {
+    "BT": (".prj",), "ILWIS": (".mp#", ".csy", ".grf", ".dom"),
+    "MRF": (".idx", ".til", ".ppg", ".pjg", ".pjp", ".pzp", ".ptf", ".lrc"),
+}  # fmt: skip
+"""Formats → endings of files beside the main one, under its name, that their drivers read and do not list."""
 
 _INNER = re.compile(
     r"""([A-Z][A-Z0-9_]+:(?:\d+:|[A-Z]+(?:_[A-Z]+)*:(?="))?)  # the driver, and what is before the file
@@ -81,12 +83,12 @@ def main_file(dataset: Any) -> str:
 
 
 def files_in(dataset: Any) -> list[str]:
-    """GDAL's names of the files of a dataset: those its driver lists, and those of samples that some do not."""
+    """GDAL's names of the files of a dataset: those its driver lists, and those that some do not."""
     listed = [str(name) for name in dataset.files]
     main = on_disk(str(dataset.name))
     if dataset.driver in _UNLISTED and main.is_file():
-        same = main.parent.glob(f"{glob.escape(main.stem)}.*")
-        return list(dict.fromkeys([*listed, *sorted(map(str, same))]))
+        beside = [str(main.with_suffix(ending)) for ending in _UNLISTED[dataset.driver]]
+        return list(dict.fromkeys([*listed, *(name for name in beside if Path(name).is_file())]))
     if dataset.driver == "Zarr" and main.is_dir():
         return list(dict.fromkeys([*listed, *sorted(str(path) for path in main.rglob("*") if path.is_file())]))
     return listed
