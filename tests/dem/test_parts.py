@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 import zlib
 from pathlib import Path
@@ -277,3 +278,21 @@ def test_files_by_other_names(tmp_path: Path, name: str) -> None:
     before = states(files_of(location))
     path.write_bytes(path.read_bytes() + b"more")
     assert all(a != b for a, b in zip(before, states(files_of(location)), strict=True))
+
+
+def test_an_index_of_tiles_is_refused(tmp_path: Path) -> None:
+    """GDAL gives 0 for a tile that is lost, and does not say which there are."""
+    tile = write(tmp_path / "tile.tif", "GTiff")
+    west, north, south, east = 500000, 4000000, 4000000 - 30 * SIZE, 500000 + 30 * SIZE
+    corners = [[west, north], [east, north], [east, south], [west, south], [west, north]]
+    feature = {"type": "Feature", "properties": {"location": str(tile)},
+               "geometry": {"type": "Polygon", "coordinates": [corners]}}  # fmt: skip
+    crs = {"type": "name", "properties": {"name": "EPSG:32633"}}
+    index = tmp_path / "index.geojson"
+    index.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}))
+    try:
+        rasterio.open(f"GTI:{index}").close()
+    except rasterio.errors.RasterioIOError:
+        pytest.skip("this GDAL has no GTI")
+    with pytest.raises(ReadError, match="index of tiles"):
+        read(f"GTI:{index}")

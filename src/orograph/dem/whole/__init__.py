@@ -11,6 +11,8 @@ of a GeoTIFF of Deflate as they are read. Which formats need it was found by cut
 - GeoTIFF of Deflate: a stream that yields more than its block is taken for whole, its checksum unread (``deflate``).
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
 - VRT: what it is made of is read by the drivers above (``virtual``).
+- Archives: what is read on where their checksums differ (``files``).
+- GTI: a tile that is lost is 0. Nobody says which tiles there are: refused.
 - MRF of Deflate: a tile that does not decode is uninitialised. It has no checksum that could be compared: refused.
 
 Formats without checksums (raw samples, LZW…) cannot tell an altered number from a true one.
@@ -45,6 +47,13 @@ def _refuse_deflate(dataset: Any, path: str) -> None:
             "It is an MRF of Deflate, whose damage cannot be noticed.", path=path,
             remedy="Make a GeoTIFF of it where it is known to be whole (gdal_translate).",
         )  # fmt: skip
+
+
+def _refuse_index(path: str) -> None:
+    raise ReadError(
+        "It is an index of tiles (GTI): that one of them is lost or changed would not be noticed, and GDAL gives 0.",
+        path=path, remedy="Name the tiles themselves, or make a VRT of them (gdalbuildvrt).",
+    )  # fmt: skip
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
@@ -93,6 +102,8 @@ def check_file(dataset: Any, location: str, key: object) -> None:
     _refuse_lost_mask(dataset)
     if dataset.driver == "MRF":
         _refuse_deflate(dataset, location)
+    elif dataset.driver == "GTI":
+        _refuse_index(location)
     elif deflated(dataset) and archived(main_file(dataset)):
         check_archived(dataset)
     check = _CHECKS.get(dataset.driver)
