@@ -249,14 +249,14 @@ def test_a_damaged_mask_of_a_part_is_noticed(tmp_path: Path, how: str, inside: b
         read(area)
 
 
-def test_a_part_of_another_size_than_the_vrt_says(tmp_path: Path) -> None:
+@pytest.mark.parametrize("properties", [f'<SourceProperties RasterXSize="{SIZE}" RasterYSize="{SIZE}"/>', ""])
+def test_a_part_of_another_size_than_the_vrt_says(tmp_path: Path, properties: str) -> None:
     """GDAL gives 0 for what a file that was replaced by a smaller one lacks."""
     write(tmp_path / "part.tif", "GTiff")
     rectangle = f'xOff="0" yOff="0" xSize="{SIZE}" ySize="{SIZE}"'
     body = (
         '<SimpleSource><SourceFilename relativeToVRT="1">part.tif</SourceFilename><SourceBand>1</SourceBand>'
-        f'<SourceProperties RasterXSize="{SIZE}" RasterYSize="{SIZE}" DataType="UInt16"/>'
-        f"<SrcRect {rectangle}/><DstRect {rectangle}/></SimpleSource>"
+        f"{properties}<SrcRect {rectangle}/><DstRect {rectangle}/></SimpleSource>"
     )
     area = virtual(tmp_path / "area.vrt", body)
     np.testing.assert_array_equal(read(area), heights())
@@ -267,6 +267,22 @@ def test_a_part_of_another_size_than_the_vrt_says(tmp_path: Path) -> None:
         file.write(some, 1)
     with pytest.raises(ReadError, match=r"150 × 200 samples where the VRT .* 200 × 200"):
         read(area)
+
+
+def test_a_part_that_is_an_overview(tmp_path: Path) -> None:
+    """It has fewer samples than the file, as the VRT says."""
+    with rasterio.open(write(tmp_path / "part.tif", "GTiff"), "r+") as file:
+        file.build_overviews([2])
+    half = f'xOff="0" yOff="0" xSize="{SIZE // 2}" ySize="{SIZE // 2}"'
+    body = (
+        '<SimpleSource><SourceFilename relativeToVRT="1">part.tif</SourceFilename><OpenOptions>'
+        '<OOI key="OVERVIEW_LEVEL">0</OOI></OpenOptions><SourceBand>1</SourceBand>'
+        f'<SourceProperties RasterXSize="{SIZE // 2}" RasterYSize="{SIZE // 2}" DataType="UInt16"/>'
+        f"<SrcRect {half}/><DstRect {half}/></SimpleSource>"
+    )
+    found = read(virtual(tmp_path / "area.vrt", body))[: SIZE // 2, : SIZE // 2]
+    with rasterio.open(tmp_path / "part.tif", overview_level=0) as file:
+        np.testing.assert_array_equal(found, file.read(1))
 
 
 @pytest.mark.parametrize("name", ["vrt://{}", "vrt://{}?bands=1", "/vsisubfile/0_,{}"])

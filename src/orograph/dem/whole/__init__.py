@@ -164,12 +164,14 @@ def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
 
 def _check_part(lend: Lend, part: Part, window: Window | None) -> None:
     """Look at a window (None: all) of a part of a VRT."""
-    if part.shape is not None:
+    wanted = part.shape or part.reach
+    if wanted is not None:
         with lend(part.location) as (dataset, _):
-            if part.shape not in (dataset.shape, (0, 0)):
+            there = dataset.shape if part.shape else (min(dataset.height, wanted[0]), min(dataset.width, wanted[1]))
+            if there != wanted:
                 raise ReadError(
                     f"It has {dataset.height} × {dataset.width} samples where the VRT it is a part of says "
-                    f"{part.shape[0]} × {part.shape[1]}: what lacks would be read as missing or 0.",
+                    f"{wanted[0]} × {wanted[1]}: what lacks would be read as missing or 0.",
                     path=part.location, remedy="Make the VRT again (gdalbuildvrt), or restore the file from a copy.",
                 )  # fmt: skip
     _check_window(lend, part.location, part.band, window, part.by_mask)

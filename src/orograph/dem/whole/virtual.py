@@ -51,6 +51,14 @@ class Part(NamedTuple):
     by_mask: bool
     for_mask: bool
 
+    @property
+    def reach(self) -> tuple[int, int] | None:
+        """Rows, cols that it must have for what is taken of it, to the nearest sample; None: it is not known."""
+        if self.source is None:
+            return None
+        left, top, width, height = self.source
+        return round(top + height), round(left + width)
+
 
 def check_parts(
     dataset: Any, key: object, window: Window, check: Callable[[Part, Window | None], None], mask: bool = False
@@ -119,12 +127,14 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
             before, inner, after = file_in(location)
             location = f"{before}{name.rpartition('/')[0] or '.'}/{inner}{after}"
         kind, _, band = (element.findtext("SourceBand") or "1").rpartition(",")
-        mapped = element.tag in ("SimpleSource", "ComplexSource")
+        as_is = element.find("OpenOptions") is None  # or it is an overview of the file, say
+        mapped = as_is and element.tag in ("SimpleSource", "ComplexSource")
         source, target = (_rect(element.find(tag)) if mapped else None for tag in ("SrcRect", "DstRect"))
         needs = _raw_bytes(element, *shape) if element.tag == "VRTRasterBand" else 0
         number, by_mask = int(band) if band.isdigit() else 1, kind == "mask"
-        said = element.find("SourceProperties")
+        said = element.find("SourceProperties") if as_is else None
         size = None if said is None else (int(said.get("RasterYSize", 0)), int(said.get("RasterXSize", 0)))
+        size = None if size == (0, 0) else size
         part = Part(location, number, source, target, needs, size, by_mask, element in of_mask)
         yield part
         if (element.findtext("UseMaskBand") or "").lower() == "true":
