@@ -149,6 +149,44 @@ def test_a_file_that_was_changed_since_it_was_opened_is_not_read(tmp_path: Path)
     assert Source.open(path).read(0, 1, 0, 1)[0, 0] == 900
 
 
+@pytest.mark.parametrize("name", ["tile.tif", "masked.tif.msk", "raw.hdr"])
+def test_nor_is_one_whose_parts_were_changed(tmp_path: Path, name: str) -> None:
+    """A part of a VRT, a mask, a header: GDAL goes on with what it knew of them, or not."""
+    paths = {
+        "tile.tif": virtual(tmp_path / "area.vrt", write(tmp_path / "tile.tif", 100).name),
+        "masked.tif.msk": write(tmp_path / "masked.tif", 100),
+        "raw.hdr": write(tmp_path / "raw.img", 100, "ENVI"),
+    }
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK="NO"), rasterio.open(tmp_path / "masked.tif", "r+") as file:
+        file.write_mask(np.ones(SHAPE, bool))
+    source = Source.open(paths[name])
+    assert source.read(0, 1, 0, 1)[0, 0] == 100
+    changed = tmp_path / name
+    changed.write_bytes(changed.read_bytes() + b"\n")
+    with pytest.raises(ReadError, match=rf"{name}.*changed"):
+        source.read(0, 1, 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("driver", "name", "more"), [("ILWIS", "a.mpr", {}), ("MRF", "a.mrf", {"COMPRESS": "NONE"}), ("Zarr", "a.zarr", {})]
+)
+def test_files_of_samples_that_drivers_do_not_list_count(tmp_path: Path, driver: str, name: str, more: dict) -> None:
+    write(tmp_path / "dem.tif", 100)
+    (tmp_path / "made").mkdir()
+    path = tmp_path / "made" / name
+    rasterio.shutil.copy(str(tmp_path / "dem.tif"), str(path), driver=driver, **more)
+    before, source = print_of(path), Source.open(path)
+    found = [file for file in path.parent.rglob("*") if file.suffix in (".mp#", ".til") or file.name == "0.0"]
+    [samples] = found
+    assert source.read(0, 1, 0, 1)[0, 0] == 100
+    time = path.stat().st_mtime_ns
+    samples.write_bytes(bytes(reversed(samples.read_bytes())))
+    os.utime(samples, ns=(time + 10**9, time + 10**9))
+    assert print_of(path) != before
+    with pytest.raises(ReadError, match="changed"):
+        source.read(0, 1, 0, 1)
+
+
 class Meanwhile:
     """A mosaic of which something happens to its files when so many windows were read."""
 

@@ -143,3 +143,76 @@ def test_a_classic_netcdf_of_records_cut_short(tmp_path: Path, shared_data: Path
         read(path)
     shutil.copy(shared_data / "nasty-gdal" / "rotated_pole.nc", path)
     assert read(path).heights.shape == (108, 137)
+
+
+def test_the_checksums_of_dted_count(tmp_path: Path, shared_data: Path) -> None:
+    data = (shared_data / "nasty-gdal" / "n43.dt0").read_bytes()
+    path, rng = tmp_path / "n43.dt0", random.Random(6)
+    for _ in range(20):
+        altered = bytearray(data)
+        altered[rng.randrange(3428, len(data))] ^= 1 << rng.randrange(8)  # behind the three headers
+        path.write_bytes(altered)
+        try:
+            found = read(path).heights
+        except ReadError:
+            continue
+        np.testing.assert_array_equal(found, read(shared_data / "nasty-gdal" / "n43.dt0").heights)
+
+
+ARCHIVES = ["zip", "gz", "tar.gz"]
+
+
+def packed(folder: Path, opened: Path, kind: str, data: bytes | None = None) -> tuple[Path, str]:
+    """An archive of a file and of what lies beside it, and GDAL's name of the file in it."""
+    import gzip
+    import tarfile
+    import zipfile
+
+    folder.mkdir(exist_ok=True)
+    path = folder / f"{opened.name}.{kind}"
+    if kind == "zip":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in opened.parent.iterdir():
+                archive.write(file, file.name)
+        return path, f"/vsizip/{path}/{opened.name}"
+    if kind == "gz":
+        path.write_bytes(gzip.compress(opened.read_bytes()))
+        return path, f"/vsigzip/{path}"
+    with tarfile.open(path, "w:gz" if kind == "tar.gz" else "w") as archive:
+        for file in opened.parent.iterdir():
+            archive.add(file, file.name)
+    return path, f"/vsitar/{path}/{opened.name}"
+
+
+@pytest.mark.parametrize("kind", ARCHIVES)
+@pytest.mark.parametrize("name", ["GTiff NONE", "GTiff LZW"])
+def test_the_checksums_of_an_archive_count(tmp_path: Path, kind: str, name: str) -> None:
+    """GDAL goes on after a checksum that differs, and these formats have none of their own."""
+    opened = next(file for _, file, _ in made(tmp_path / "made", {name}))
+    path, location = packed(tmp_path / "packed", opened, kind)
+    whole = read(location).heights
+    np.testing.assert_array_equal(whole, read(opened).heights)
+    data, rng = path.read_bytes(), random.Random(5)
+    for _ in range(12):
+        altered = bytearray(data)
+        altered[rng.randrange(60, len(data))] ^= 1 << rng.randrange(8)
+        path.write_bytes(altered)
+        try:
+            found = read(location).heights
+        except ReadError:
+            continue
+        np.testing.assert_array_equal(found, whole)
+
+
+@pytest.mark.parametrize("kind", ["zip", "tar", "tar.gz"])
+@pytest.mark.parametrize("name", ["ENVI", "PCIDSK", "HFA runs", "HFA spilled", "ILWIS"])
+def test_files_cut_short_within_an_archive(tmp_path: Path, kind: str, name: str) -> None:
+    """What is noticed of a file is noticed in an archive, too, of all files that it is made of."""
+    _, opened, data = next(each for each in made(tmp_path / "made", {name}))
+    _, location = packed(tmp_path / "packed", opened, kind)
+    np.testing.assert_array_equal(read(location).heights, read(opened).heights)
+    whole = data.read_bytes()
+    data.write_bytes(whole[: len(whole) * 2 // 3])
+    _, location = packed(tmp_path / "cut", opened, kind)
+    with pytest.raises(ReadError):
+        read(location)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 import zlib
 from pathlib import Path
@@ -14,7 +15,7 @@ from affine import Affine
 from rasterio.io import MemoryFile
 
 from orograph.dem import Source
-from orograph.dem.handles import files_of
+from orograph.dem.handles import files_of, states
 from orograph.errors import ReadError
 
 UTM = Affine(30, 0, 500000, 0, -30, 4000000)
@@ -246,3 +247,68 @@ def test_a_damaged_mask_of_a_part_is_noticed(tmp_path: Path, how: str, inside: b
     damaged.write_bytes(data[:at] + broken + data[at + size :])
     with pytest.raises(ReadError, match="Deflate stream is damaged"):
         read(area)
+
+
+@pytest.mark.parametrize("properties", [f'<SourceProperties RasterXSize="{SIZE}" RasterYSize="{SIZE}"/>', ""])
+def test_a_part_of_another_size_than_the_vrt_says(tmp_path: Path, properties: str) -> None:
+    """GDAL gives 0 for what a file that was replaced by a smaller one lacks."""
+    write(tmp_path / "part.tif", "GTiff")
+    rectangle = f'xOff="0" yOff="0" xSize="{SIZE}" ySize="{SIZE}"'
+    body = (
+        '<SimpleSource><SourceFilename relativeToVRT="1">part.tif</SourceFilename><SourceBand>1</SourceBand>'
+        f"{properties}<SrcRect {rectangle}/><DstRect {rectangle}/></SimpleSource>"
+    )
+    area = virtual(tmp_path / "area.vrt", body)
+    np.testing.assert_array_equal(read(area), heights())
+    with rasterio.open(tmp_path / "part.tif") as file:
+        some = file.read(1)[:150]
+        profile = {**file.profile, "height": 150}
+    with rasterio.open(tmp_path / "part.tif", "w", **profile) as file:
+        file.write(some, 1)
+    with pytest.raises(ReadError, match=r"150 × 200 samples where the VRT .* 200 × 200"):
+        read(area)
+
+
+def test_a_part_that_is_an_overview(tmp_path: Path) -> None:
+    """It has fewer samples than the file, as the VRT says."""
+    with rasterio.open(write(tmp_path / "part.tif", "GTiff"), "r+") as file:
+        file.build_overviews([2])
+    half = f'xOff="0" yOff="0" xSize="{SIZE // 2}" ySize="{SIZE // 2}"'
+    body = (
+        '<SimpleSource><SourceFilename relativeToVRT="1">part.tif</SourceFilename><OpenOptions>'
+        '<OOI key="OVERVIEW_LEVEL">0</OOI></OpenOptions><SourceBand>1</SourceBand>'
+        f'<SourceProperties RasterXSize="{SIZE // 2}" RasterYSize="{SIZE // 2}" DataType="UInt16"/>'
+        f"<SrcRect {half}/><DstRect {half}/></SimpleSource>"
+    )
+    found = read(virtual(tmp_path / "area.vrt", body))[: SIZE // 2, : SIZE // 2]
+    with rasterio.open(tmp_path / "part.tif", overview_level=0) as file:
+        np.testing.assert_array_equal(found, file.read(1))
+
+
+@pytest.mark.parametrize("name", ["vrt://{}", "vrt://{}?bands=1", "/vsisubfile/0_,{}"])
+def test_files_by_other_names(tmp_path: Path, name: str) -> None:
+    """They are read, and a change of the file behind the name is one of the input."""
+    path = write(tmp_path / "part.tif", "GTiff")
+    location = name.format(path)
+    np.testing.assert_array_equal(read(location), heights())
+    before = states(files_of(location))
+    path.write_bytes(path.read_bytes() + b"more")
+    assert all(a != b for a, b in zip(before, states(files_of(location)), strict=True))
+
+
+def test_an_index_of_tiles_is_refused(tmp_path: Path) -> None:
+    """GDAL gives 0 for a tile that is lost, and does not say which there are."""
+    tile = write(tmp_path / "tile.tif", "GTiff")
+    west, north, south, east = 500000, 4000000, 4000000 - 30 * SIZE, 500000 + 30 * SIZE
+    corners = [[west, north], [east, north], [east, south], [west, south], [west, north]]
+    feature = {"type": "Feature", "properties": {"location": str(tile)},
+               "geometry": {"type": "Polygon", "coordinates": [corners]}}  # fmt: skip
+    crs = {"type": "name", "properties": {"name": "EPSG:32633"}}
+    index = tmp_path / "index.geojson"
+    index.write_text(json.dumps({"type": "FeatureCollection", "crs": crs, "features": [feature]}))
+    try:
+        rasterio.open(f"GTI:{index}").close()
+    except rasterio.errors.RasterioIOError:
+        pytest.skip("this GDAL has no GTI")
+    with pytest.raises(ReadError, match="index of tiles"):
+        read(f"GTI:{index}")

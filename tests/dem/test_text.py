@@ -119,3 +119,36 @@ def test_large_grids_are_gone_through_fast(tmp_path: Path) -> None:
     begun = time.perf_counter()
     Source.open(path).close()
     assert time.perf_counter() - begun < path.stat().st_size / 40e6 + 1
+
+
+def _points(folder: Path, heights: np.ndarray, gap: tuple[int, int] | None, by_columns: bool = False) -> Path:
+    rows, cols = heights.shape
+    order = [(r, c) for c in range(cols) for r in range(rows)] if by_columns else list(np.ndindex(rows, cols))
+    lines = [f"{10 * c} {-10 * r} {heights[r, c]:.10g}\n" for r, c in order if (r, c) != gap]
+    return written(folder, "points.xyz", "".join(lines))
+
+
+@pytest.mark.parametrize("heights", [[0, 50, 200], [-40000, -35000, 0], [-40000.5, 2, 3]])
+def test_a_gap_between_points_is_never_a_height(tmp_path: Path, heights: list[float]) -> None:
+    """GDAL has no nodata value for bytes with 0 among them, nor for depths beyond −32768: gaps are 0 to it."""
+    whole = np.resize(heights, (3, 4)).astype(float)
+    np.testing.assert_array_equal(read(_points(tmp_path, whole, None)).heights, whole.astype(np.float32))
+    with pytest.raises(ReadError, match=r"lacks 1 of 12 points"):
+        read(_points(tmp_path, whole, (1, 2)))
+    whole += 45000
+    found = read(_points(tmp_path, whole, (1, 2))).heights
+    whole[1, 2] = np.nan
+    np.testing.assert_array_equal(found, whole.astype(np.float32))
+
+
+@pytest.mark.parametrize("least", [-295, -1, 0, 1])
+def test_points_along_columns(tmp_path: Path, least: int) -> None:
+    """GDAL reads −295 as −294 there, if all numbers are whole."""
+    heights = least + np.arange(12).reshape(3, 4) * 30
+    path = _points(tmp_path, heights, None, by_columns=True)
+    if least < 0:
+        with pytest.raises(ReadError, match="sort them by rows"):
+            read(path)
+    else:
+        np.testing.assert_array_equal(read(path).heights, heights)
+    np.testing.assert_array_equal(read(_points(tmp_path, heights, None)).heights, heights)

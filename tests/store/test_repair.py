@@ -223,3 +223,19 @@ def test_what_may_be_secret_is_not_kept():
     again = rebuild({"inputs": inputs}, "s.oro")
     assert again.endswith("`orograph.build(['/a b.tif'], 's.oro', assume_crs='EPSG:4326', overwrite=True)`.")
     assert spoken(again).endswith("orograph build '/a b.tif' -o s.oro --assume-crs EPSG:4326 --overwrite.")
+
+
+def test_a_crs_whose_text_changes_when_it_is_read_again(made, tmp_path):
+    """PROJ's text of EPSG:3857 loses its ensemble: what was made of the record differed from what was written."""
+    path = tmp_path / "w.oro"
+    store.build(made / "dem.tif", path, crs="EPSG:3857", **SIZES).close()
+    whole = files(path)
+    for key in ("mean/1/spatial_ref/zarr.json", "heights/0/zarr.json", "source/0/spatial_ref/zarr.json"):
+        damage(path, key)
+        assert repair(path) == [key]
+    assert files(path) == whole
+    store.build(made / "dem.tif", path, crs="EPSG:3857", resume=True, **SIZES).close()
+    assert files(path) == whole
+    path.rename(tmp_path / "w.oro.partial")  # killed before its last rename
+    store.build(made / "dem.tif", path, crs="EPSG:3857", resume=True, **SIZES).close()
+    assert files(path) == whole

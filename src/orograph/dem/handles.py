@@ -32,11 +32,9 @@ CACHE = 64 << 20
 Key = tuple[str, tuple[int, int, int] | None]
 
 
-def _stamp(location: str) -> tuple[int, int, int] | None:
-    from orograph.dem.whole.files import on_disk
-
+def _stamp(path: str | Path) -> tuple[int, int, int] | None:
     try:
-        found = on_disk(location).stat()
+        found = os.stat(path)  # noqa: PTH116 (of mosaics thousands at a time)
     except (OSError, ValueError):
         return None
     return found.st_mtime_ns, found.st_size, found.st_ino
@@ -44,7 +42,26 @@ def _stamp(location: str) -> tuple[int, int, int] | None:
 
 def stamped(location: str) -> Key:
     """A file's name and state: another one once it was written again."""
-    return location, _stamp(location)
+    from orograph.dem.whole.files import on_disk
+
+    return location, _stamp(on_disk(location))
+
+
+class Seen:
+    """Files as they are when this is made.
+
+    Args:
+        names: GDAL's.
+    """
+
+    def __init__(self, names: Iterable[str]) -> None:
+        from orograph.dem.whole.files import on_disk
+
+        self._files = [(name, str(path), _stamp(path)) for name in dict.fromkeys(names) for path in (on_disk(name),)]
+
+    def changed(self) -> str | None:
+        """The first of them that is another now; None if none is."""
+        return next((name for name, path, stamp in self._files if _stamp(path) != stamp), None)
 
 
 def bounded_cache() -> dict[str, Any]:
@@ -53,8 +70,12 @@ def bounded_cache() -> dict[str, Any]:
 
 
 def _settings() -> dict[str, Any]:
-    """What GDAL is told: damaged JPEGs are errors; text is read as doubles, not as what its first lines look like."""
-    return {"GDAL_ERROR_ON_LIBJPEG_WARNING": True, "AAIGRID_DATATYPE": "Float64", **bounded_cache()}
+    """What GDAL is told: damaged JPEGs and checksums of DTED that differ are errors; text is read as doubles, not as
+    what its first lines look like."""
+    return {
+        "GDAL_ERROR_ON_LIBJPEG_WARNING": True, "DTED_VERIFY_CHECKSUM": True, "AAIGRID_DATATYPE": "Float64",
+        **bounded_cache(),
+    }  # fmt: skip
 
 
 class Handles:
@@ -128,10 +149,11 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
     Raises:
         ReadError: it cannot be opened.
     """
+    from orograph.dem.whole.files import files_in
     from orograph.dem.whole.virtual import locations
 
     with HANDLES.borrow(location) as dataset:
-        names, virtual = [str(name) for name in dataset.files], dataset.driver == "VRT"
+        names, virtual = files_in(dataset), dataset.driver == "VRT"
         if virtual:
             names = [name for name in names if not name.lstrip().startswith("<")]  # VRTs in its text
             names += locations(dataset, stamped(location))

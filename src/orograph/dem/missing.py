@@ -6,12 +6,17 @@ that type (−9999 declared for bytes) is none.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+import struct
+import xml.etree.ElementTree as ET
+from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.errors import UsageError
+from orograph.dem.whole.files import here, main_file, stream
+from orograph.errors import ReadError, UsageError
+
+_GDAL_NODATA = 42113
 
 
 def is_nodata(raw: NDArray[Any], nodata: float | int) -> NDArray[np.bool_]:
@@ -42,7 +47,7 @@ def nodata_of(dataset: Any, band: int, asked: float | str | None, dtype: str) ->
             asked = int(asked) if asked.strip().lstrip("+-").isdigit() else float(asked)
         except ValueError:
             raise UsageError(f"The nodata value must be a number or 'none', not {asked!r}.") from None
-    value = dataset.nodatavals[band - 1] if asked is None else asked
+    value = _declared(dataset, band, dtype) if asked is None else asked
     if value is None:
         return None
     if np.dtype(dtype).kind == "f":
@@ -51,6 +56,56 @@ def nodata_of(dataset: Any, band: int, asked: float | str | None, dtype: str) ->
     if not np.isfinite(value) or value != int(value) or not info.min <= int(value) <= info.max:
         return None  # -9999 declared on uint8, say: no stored number equals it
     return int(value)
+
+
+def _declared(dataset: Any, band: int, dtype: str) -> float | int | None:
+    """The nodata value that a file declares.
+
+    Raises:
+        ReadError: GDAL may have cut it off: of integers of 64 bits it reads −9.22e+18 as −9.
+    """
+    value: float | None = dataset.nodatavals[band - 1]
+    if value is None or dtype not in ("int64", "uint64") or not 0 < abs(value) < 10:
+        return value
+    text = _nodata_text(dataset, band)
+    if text is None:
+        raise ReadError(
+            f"Its nodata value is read as {value:g}, which may be the first digit of another such as {value:g}e+18.",
+            path=dataset.name, remedy="Say which number means missing: `nodata=N`, or none.",
+        )  # fmt: skip
+    return int(float(text))
+
+
+def _nodata_text(dataset: Any, band: int) -> str | None:
+    """The nodata value as the text that a GeoTIFF or a VRT holds; None of other formats."""
+    name = main_file(dataset)
+    if not here(name):
+        return None
+    with stream(name) as file:
+        if dataset.driver == "VRT" and dataset.name == name:
+            bands = ET.fromstring(file.read()).findall("VRTRasterBand")
+            return bands[band - 1].findtext("NoDataValue")
+        return _tag(file, _GDAL_NODATA) if dataset.driver == "GTiff" and dataset.name == name else None
+
+
+def _tag(file: IO[bytes], wanted: int) -> str | None:
+    """The text of a tag of a TIFF's first directory (TIFF 6.0, section 2; BigTIFF)."""
+    first = file.read(16)
+    order, big = "<" if first[:2] == b"II" else ">", first[2] + first[3] == 43
+    entry = struct.Struct(order + ("HHQQ" if big else "HHII"))
+    (at,) = struct.unpack_from(order + ("Q" if big else "I"), first, 8 if big else 4)
+    file.seek(at)
+    (count,) = struct.unpack(order + ("Q" if big else "H"), file.read(8 if big else 2))
+    for _ in range(count):
+        content = file.read(entry.size)
+        tag, _, size, where = entry.unpack(content)
+        if tag == wanted:
+            within = content[-(8 if big else 4) :]
+            if size > len(within):
+                file.seek(where)
+                within = file.read(size)
+            return within[:size].rstrip(b"\0 ").decode("latin-1")
+    return None
 
 
 def mask_of(dataset: Any, band: int, asked: float | str | None) -> tuple[Literal["none", "gdal", "alpha"], int]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -32,12 +33,13 @@ from orograph.dem.bands import (
     is_picture,
 )
 from orograph.dem.encode import decode_rgb
-from orograph.dem.handles import HANDLES, cause_of, lent, locate, stamped
+from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
 from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
 from orograph.dem.raster import Dem
 from orograph.dem.whole import DAMAGED, check_blocks, check_mask
+from orograph.dem.whole.files import files_in
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 
@@ -100,7 +102,7 @@ class Source:
     _flip_cols: bool = False
     _mask: Literal["none", "gdal", "alpha"] = "none"
     _alpha: int = 0
-    _opened: object = None
+    _opened: Sequence[Seen] = ()
 
     @classmethod
     def open(
@@ -133,9 +135,10 @@ class Source:
         """
         location = locate(path)
         HANDLES.close(location)  # what lies beside it, or in a VRT, may have changed, and an open dataset would not see
-        opened = stamped(location)
+        opened = [Seen([location])]
         warnings: list[str] = []
         with HANDLES.borrow(location) as dataset:
+            opened.append(Seen(files_in(dataset)))  # headers, masks and the parts of a VRT, too
             check_size(dataset, path)
             check_band(dataset, band, path)
             if encoding is not None:
@@ -238,8 +241,10 @@ class Source:
                     check_blocks(dataset, key, band, (top, left, height, width), step, lent)
                 if self._mask == "gdal":
                     check_mask(dataset, key, (top, left, height, width), lent)
-        if stamped(self.location) != self._opened:
-            raise ReadError("The file was changed after it was opened.", path=self.path, remedy="Open it again.")
+        changed = next(filter(None, (seen.changed() for seen in self._opened)), None)
+        if changed is not None:
+            name = self.path if changed == self.location else changed
+            raise ReadError("The file was changed after it was opened.", path=name, remedy="Open it again.")
         if self._flip_rows:
             out = out[::-1]
         if self._flip_cols:

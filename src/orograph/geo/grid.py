@@ -8,12 +8,23 @@ that convention.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 
 import numpy as np
 from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
+
+
+def wkt_of(crs: CRS | None) -> str | None:
+    """A CRS as WKT 2, the very text where it was made of one, so that what is written says what was read; None of none.
+
+    PROJ's own text changes when it is read and written again: the datum ensemble of EPSG:3857 is lost.
+    """
+    if crs is None:
+        return None
+    return str(crs.srs) if re.match(r"[A-Z]+CRS\[", crs.srs) else str(crs.to_wkt())
 
 
 def compose(*maps: Affine) -> Affine:

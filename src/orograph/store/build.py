@@ -19,6 +19,7 @@ import numpy as np
 
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
+from orograph.geo.grid import wkt_of
 from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
@@ -198,7 +199,7 @@ def _plan(
         "vertical": raster.vertical,
         "shape": list(grid.shape),
         "transform": list(grid.transform[:6]),
-        "crs": None if grid.crs is None else grid.crs.to_wkt(),
+        "crs": wkt_of(grid.crs),
         "shard": shard,
         "chunk": chunk,
         "errors": list(kinds),
@@ -216,7 +217,7 @@ def _plan_of(record: Record) -> dict[str, Any]:
         "vertical": record.vertical,
         "shape": list(grid.shape),
         "transform": list(grid.transform[:6]),
-        "crs": None if grid.crs is None else grid.crs.to_wkt(),
+        "crs": wkt_of(grid.crs),
         "shard": record.shard,
         "chunk": record.chunk,
         "errors": list(DIAMONDS.of(record).errors),

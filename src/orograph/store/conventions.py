@@ -12,7 +12,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-from orograph.geo.grid import Grid, compose
+from orograph.geo.grid import Grid, compose, wkt_of
 from orograph.store.digests import crc32c
 from orograph.store.terrain import level_count, level_shape
 
@@ -83,7 +83,7 @@ def spatial_attributes(grid: Grid) -> dict[str, Any]:
         authority = grid.crs.to_authority(min_confidence=100)
         if authority:
             attributes["proj:code"] = ":".join(authority)
-        attributes["proj:wkt2"] = grid.crs.to_wkt()
+        attributes["proj:wkt2"] = wkt_of(grid.crs)
     conventions = [c for c in CONVENTIONS if c["name"] == "spatial:" or (c["name"] == "proj:" and grid.crs is not None)]
     return {"zarr_conventions": conventions, **attributes}
 
@@ -126,7 +126,7 @@ def put_coordinates(path: str, grid: Grid, nodes: dict[str, dict[str, Any]], dat
     reference = np.zeros((), np.int64)
     about = {"GeoTransform": " ".join(repr(v) for v in (c, a, b, f, d, e))}
     if grid.crs is not None:
-        about["crs_wkt"] = about["spatial_ref"] = grid.crs.to_wkt()
+        about["crs_wkt"] = about["spatial_ref"] = str(wkt_of(grid.crs))
     nodes[f"{path}/spatial_ref"] = _small(reference, (), about)
     data[f"{path}/spatial_ref/c"] = _with_checksum(reference)
 

@@ -18,7 +18,7 @@ from affine import Affine
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, wkt_of
 from orograph.store.arrays import ArraySpec, ShardedArray
 from orograph.store.terrain import Heights
 
@@ -67,10 +67,9 @@ class LatticeRecord:
         return np.where(np.isnan(heights), np.float32(self.nodata), heights).astype(self.dtype)
 
     def to_json(self) -> dict[str, Any]:
-        crs = self.grid.crs
         return {
             "shape": list(self.grid.shape), "transform": list(self.grid.transform[:6]),
-            "crs": None if crs is None else crs.to_wkt(), "dtype": self.dtype,
+            "crs": wkt_of(self.grid.crs), "dtype": self.dtype,
             "nodata": None if math.isnan(self.nodata) else self.nodata,
         }  # fmt: skip
 

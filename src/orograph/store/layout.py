@@ -31,7 +31,7 @@ from affine import Affine
 from pyproj import CRS
 
 from orograph.errors import StoreError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, wkt_of
 from orograph.store.arrays import ArraySpec
 from orograph.store.conventions import (
     consolidated,
@@ -125,7 +125,6 @@ class Record:
         return sum(spec.shards[0] * spec.shards[1] for spec in array_specs(self))
 
     def to_json(self) -> dict[str, Any]:
-        crs = self.grid.crs
         low, high = self.height_range
         record: dict[str, Any] = {
             "format": FORMAT,
@@ -134,7 +133,7 @@ class Record:
             "vertical": self.vertical,
             "shape": list(self.grid.shape),
             "transform": list(self.grid.transform[:6]),
-            "crs": None if crs is None else crs.to_wkt(),
+            "crs": wkt_of(self.grid.crs),
             "levels": level_count(self.grid.shape),
             "shard": self.shard,
             "chunk": self.chunk,

@@ -11,6 +11,8 @@ of a GeoTIFF of Deflate as they are read. Which formats need it was found by cut
 - GeoTIFF of Deflate: a stream that yields more than its block is taken for whole, its checksum unread (``deflate``).
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
 - VRT: what it is made of is read by the drivers above (``virtual``).
+- Archives: what is read on where their checksums differ (``files``).
+- GTI: a tile that is lost is 0. Nobody says which tiles there are: refused.
 - MRF of Deflate: a tile that does not decode is uninitialised. It has no checksum that could be compared: refused.
 
 Formats without checksums (raw samples, LZW…) cannot tell an altered number from a true one.
@@ -28,8 +30,8 @@ from typing import Any
 
 from orograph.dem.whole import deflate, hfa, netcdf, png, sizes, text
 from orograph.dem.whole.deflate import check_archived, deflated
-from orograph.dem.whole.files import DAMAGED, archived, here, local_file, main_file
-from orograph.dem.whole.virtual import check_parts
+from orograph.dem.whole.files import DAMAGED, archived, check_packed, here, local_file, main_file
+from orograph.dem.whole.virtual import Part, check_parts
 from orograph.errors import ReadError
 
 Window = tuple[int, int, int, int]
@@ -45,6 +47,13 @@ def _refuse_deflate(dataset: Any, path: str) -> None:
             "It is an MRF of Deflate, whose damage cannot be noticed.", path=path,
             remedy="Make a GeoTIFF of it where it is known to be whole (gdal_translate).",
         )  # fmt: skip
+
+
+def _refuse_index(path: str) -> None:
+    raise ReadError(
+        "It is an index of tiles (GTI): that one of them is lost or changed would not be noticed, and GDAL gives 0.",
+        path=path, remedy="Name the tiles themselves, or make a VRT of them (gdalbuildvrt).",
+    )  # fmt: skip
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
@@ -89,9 +98,12 @@ def check_file(dataset: Any, location: str, key: object) -> None:
     with _lock:
         if key in _whole:
             return
+    check_packed(dataset)
     _refuse_lost_mask(dataset)
     if dataset.driver == "MRF":
         _refuse_deflate(dataset, location)
+    elif dataset.driver == "GTI":
+        _refuse_index(location)
     elif deflated(dataset) and archived(main_file(dataset)):
         check_archived(dataset)
     check = _CHECKS.get(dataset.driver)
@@ -134,7 +146,7 @@ def check_mask(dataset: Any, key: object, window: Window, lend: Lend) -> None:
     beside = next((file for file in dataset.files if str(file).endswith(".msk")), None)
     location = _inner_mask(name, dataset.shape, lend) if beside is None else str(beside)
     if location is not None:
-        _check_part(lend, location, 1, window, False)
+        _check_window(lend, location, 1, window, False)
 
 
 def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
@@ -150,7 +162,22 @@ def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
     return None
 
 
-def _check_part(lend: Lend, location: str, band: int, window: Window | None, mask: bool) -> None:
+def _check_part(lend: Lend, part: Part, window: Window | None) -> None:
+    """Look at a window (None: all) of a part of a VRT."""
+    wanted = part.shape or part.reach
+    if wanted is not None:
+        with lend(part.location) as (dataset, _):
+            there = dataset.shape if part.shape else (min(dataset.height, wanted[0]), min(dataset.width, wanted[1]))
+            if there != wanted:
+                raise ReadError(
+                    f"It has {dataset.height} × {dataset.width} samples where the VRT it is a part of says "
+                    f"{wanted[0]} × {wanted[1]}: what lacks would be read as missing or 0.",
+                    path=part.location, remedy="Make the VRT again (gdalbuildvrt), or restore the file from a copy.",
+                )  # fmt: skip
+    _check_window(lend, part.location, part.band, window, part.by_mask)
+
+
+def _check_window(lend: Lend, location: str, band: int, window: Window | None, mask: bool) -> None:
     """Look at a window (None: all) of a file that is a part of another, or of that file's mask."""
     with lend(location) as (dataset, key):
         top, left, height, width = window or (0, 0, dataset.height, dataset.width)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import re
 import shutil
+import tarfile
 import tempfile
 import zipfile
 import zlib
@@ -21,17 +22,27 @@ _FETCHED = {"PNG", "AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ"}
 """Formats that GDAL fetches whole in any case, so that a remote one may be fetched to be looked at."""
 
 
+_UNLISTED = {
+    "BT": (".prj",), "ILWIS": (".mp#", ".csy", ".grf", ".dom"),
+    "MRF": (".idx", ".til", ".ppg", ".pjg", ".pjp", ".pzp", ".ptf", ".lrc"),
+}  # fmt: skip
+"""Formats → endings of files beside the main one, under its name, that their drivers read and do not list."""
+
 _INNER = re.compile(
     r"""([A-Z][A-Z0-9_]+:(?:\d+:|[A-Z]+(?:_[A-Z]+)*:(?="))?)  # the driver, and what is before the file
         (?:"([^"]*)"|((?:[A-Za-z]:(?=[\\/]))?[^:"]+))(.*)  # the file, and the raster in it""",
     re.VERBOSE | re.DOTALL,
 )
+_WITHIN = re.compile(r"(vrt://|/vsisubfile/\d+(?:_\d*)?,)([^?]+)(.*)", re.DOTALL)
 _ARCHIVE = re.compile(r"/vsi(?:zip|tar|gzip|7z|rar)/")
 
 
 def file_in(name: str) -> tuple[str, str, str]:
     """A name of GDAL's cut into what is before the file, the file, and what follows: of ``NETCDF:"a.nc":z`` the file is
     ``a.nc``. Of most names all is the file."""
+    within = _WITHIN.fullmatch(name)
+    if within is not None:
+        return within[1], within[2], within[3]
     found = _INNER.fullmatch(name)
     if found is None or Path(name).is_file():
         return "", name, ""
@@ -45,7 +56,10 @@ def on_disk(name: str) -> Path:
     inside = _ARCHIVE.match(name)
     if inside is None:
         return Path(name)
-    path = Path(name[inside.end() :].removeprefix("{").partition("}")[0])
+    packed = name[inside.end() :].removeprefix("{").partition("}")[0]
+    if _ARCHIVE.match(packed):  # an archive in an archive
+        return on_disk(packed)
+    path = Path(packed)
     return next((at for at in (path, *path.parents) if at.is_file()), path)
 
 
@@ -68,14 +82,44 @@ def main_file(dataset: Any) -> str:
     return str(dataset.files[0] if dataset.files else dataset.name)
 
 
+def files_in(dataset: Any) -> list[str]:
+    """GDAL's names of the files of a dataset: those its driver lists, and those that some do not."""
+    listed = [str(name) for name in dataset.files]
+    main = on_disk(str(dataset.name))
+    if dataset.driver in _UNLISTED and main.is_file():
+        beside = [str(main.with_suffix(ending)) for ending in _UNLISTED[dataset.driver]]
+        return list(dict.fromkeys([*listed, *(name for name in beside if Path(name).is_file())]))
+    if dataset.driver == "Zarr" and main.is_dir():
+        return list(dict.fromkeys([*listed, *sorted(str(path) for path in main.rglob("*") if path.is_file())]))
+    return listed
+
+
 def archived(name: str) -> bool:
-    """Whether a file of GDAL's name lies in a .zip or .gz."""
-    return name.startswith("/vsigzip/") or (name.startswith("/vsizip/") and on_disk(name).is_file())
+    """Whether a file of GDAL's name lies in a .zip, .gz or .tar on this disk."""
+    return name.startswith(("/vsigzip/", "/vsizip/", "/vsitar/")) and on_disk(name).is_file()
 
 
 def here(name: str) -> bool:
     """Whether a file of GDAL's name lies on this disk, in an archive or not."""
     return archived(name) or Path(name).is_file()
+
+
+def _member(name: str) -> str:
+    """What a file is called in its archive."""
+    return name.partition("/vsi")[2].partition("/")[2].removeprefix("{")[len(str(on_disk(name))) :].lstrip("}/")
+
+
+@contextmanager
+def _tar_member(name: str) -> Iterator[IO[bytes]]:
+    with tarfile.open(on_disk(name)) as packed:
+        inside = packed.extractfile(_member(name))
+        if inside is None:
+            raise tarfile.TarError(f"{_member(name)} is no file")
+        with inside:
+            yield inside
+        if packed.fileobj is not None:  # the checksum of a compressed one stands at its end
+            while packed.fileobj.read(1 << 20):
+                pass
 
 
 @contextmanager
@@ -86,19 +130,33 @@ def stream(name: str) -> Iterator[IO[bytes]]:
         ReadError: an archive is damaged.
     """
     try:
-        if name.startswith("/vsizip/"):
-            archive = str(on_disk(name))
-            member = name.removeprefix("/vsizip/").removeprefix("{")[len(archive) :].lstrip("}/")
-            with zipfile.ZipFile(archive) as packed, packed.open(member) as inside:
-                yield inside
+        if not archived(name):
+            with Path(name).open("rb") as file:
+                yield file
         elif name.startswith("/vsigzip/"):
             with gzip.open(name.removeprefix("/vsigzip/")) as unpacked:
                 yield unpacked  # type: ignore[misc]
+        elif name.startswith("/vsizip/"):
+            with zipfile.ZipFile(on_disk(name)) as packed, packed.open(_member(name)) as inside:
+                yield inside
         else:
-            with Path(name).open("rb") as file:
-                yield file
-    except (EOFError, zlib.error, zipfile.BadZipFile, gzip.BadGzipFile) as error:
+            with _tar_member(name) as inside:
+                yield inside
+    except (EOFError, KeyError, zlib.error, zipfile.BadZipFile, gzip.BadGzipFile, tarfile.TarError) as error:
         raise ReadError(f"It cannot be unpacked ({error}).", path=name, remedy=DAMAGED) from None
+
+
+def check_packed(dataset: Any) -> None:
+    """Unpack the files of a dataset that lie in an archive, to the end: there stand the checksums, which GDAL leaves
+    unread where it needs only a part, and goes on after where they differ.
+
+    Raises:
+        ReadError: an archive is damaged.
+    """
+    for name in filter(archived, dataset.files):
+        with stream(name) as inside:
+            while inside.read(1 << 20):
+                pass
 
 
 @contextmanager
@@ -116,8 +174,10 @@ def local_file(dataset: Any) -> Iterator[str | None]:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / Path(name).name
         if archived(name):
-            with stream(name) as inside, out.open("wb") as file:
-                shutil.copyfileobj(inside, file)
+            for part in dataset.files:  # headers and samples beside it count, too
+                if archived(part):
+                    with stream(part) as inside, (Path(folder) / Path(part).name).open("wb") as file:
+                        shutil.copyfileobj(inside, file)
         elif dataset.driver in _FETCHED:
             from rasterio.shutil import copyfiles
 

@@ -33,7 +33,8 @@ def fault(dataset: Any, path: str) -> str | None:
             for kind, at in _nodes(file):
                 if kind == b"ImgExternalRaster":
                     wanted = _spilled_end(file, at, count * high * wide * np.dtype(dataset.dtypes[0]).itemsize)
-                    sizes = [Path(f).stat().st_size for f in dataset.files if f.lower().endswith(".ige")]
+                    sizes = [Path(path).with_name(Path(f).name).stat().st_size
+                             for f in dataset.files if f.lower().endswith(".ige")]  # fmt: skip
                     if sizes and sizes[0] < wanted:
                         return f"Its .ige file ends after {sizes[0]:,} of at least {wanted:,} bytes."
                 if kind != b"Edms_State":

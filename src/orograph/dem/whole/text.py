@@ -9,6 +9,7 @@ Formats: Arc/Info and GRASS ASCII grids, Surfer ASCII grids (DSAA), columns of x
 from __future__ import annotations
 
 import re
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -28,6 +29,8 @@ _ARC = re.compile(
 _GRASS = re.compile(rb"\s*(?:(?:north|south|east|west|rows|cols|null|type|multiplier):\s*\S+\s+)+", re.I)
 _SURFER = re.compile(rb"DSAA\s+(?:\S+\s+){8}")
 _TITLES = re.compile(rb"[^\n]*[A-Za-z][^\n]*\n")
+_FIELDS = re.compile(rb"[\s,;]+")
+_NEGATIVE = re.compile(rb"\s*[^\s,;]+[\s,;]+[^\s,;]+[\s,;]+-[0-9.]*[1-9]")
 _KNOWN = re.compile(rb"[+-]?(?:inf(?:inity)?|1\.#(?:inf|qnan|snan|ind)0*)\Z", re.I)  # as C libraries write
 
 
@@ -55,7 +58,34 @@ def points(dataset: Any, path: str) -> str | None:
     line = head[start:].partition(b"\n")[0]
     parting = b";" if b";" in line else b"," if b", " in line or len(line.split()) < 3 else b""
     with Path(path).open("rb") as file:
-        return _scanned(file, start, head.count(b"\n", 0, start), parting, True)[0]
+        fault, count = _scanned(file, start, head.count(b"\n", 0, start), parting, True)
+        if fault is not None:
+            return fault
+        return _gap_fault(dataset, count // (_scanned(BytesIO(line), 0, 0, parting, True)[1] or 3)) or _column_fault(
+            dataset, file, start
+        )
+
+
+def _gap_fault(dataset: Any, count: int) -> str | None:
+    """GDAL calls what is missing between points 0 or −32768; where heights reach that far, it is 0 and a height."""
+    wanted = dataset.width * dataset.height
+    if count >= wanted or dataset.nodatavals[0] is not None:
+        return None
+    return f"It lacks {wanted - count:,} of {wanted:,} points, which would all be read as 0."
+
+
+def _column_fault(dataset: Any, file: BinaryIO, start: int) -> str | None:
+    """GDAL rounds negative whole numbers of 16 bits upwards, by one, where points run along columns."""
+    if dataset.dtypes[0] != "int16":
+        return None
+    file.seek(start)
+    first, second = (_FIELDS.split(file.readline().strip(), maxsplit=1)[0] for _ in range(2))
+    if first != second:
+        return None
+    file.seek(start)
+    if not any(_NEGATIVE.match(line) for line in file):
+        return None
+    return "Its points run along columns, where negative whole numbers are read as one too high: sort them by rows."
 
 
 CHECKS = (arc, grass, surfer, points)

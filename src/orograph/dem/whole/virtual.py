@@ -20,7 +20,6 @@ from orograph.errors import ReadError
 
 Rect = tuple[float, float, float, float]
 Window = tuple[int, int, int, int]
-Check = Callable[[str, int, Window | None, bool], None]
 
 MARGIN = 2
 """Samples around a mapped window that resampling may look at."""
@@ -38,6 +37,7 @@ class Part(NamedTuple):
         band: of it, from 1.
         source, target: left, top, width, height in it and in the VRT; None: all of it.
         needs: bytes that a file of raw samples must have; 0 of other files.
+        shape: rows, cols that the VRT says it has; None: it does not say.
         by_mask: whether its mask is read, not its band.
         for_mask: whether it is a part of the VRT's mask.
     """
@@ -47,18 +47,29 @@ class Part(NamedTuple):
     source: Rect | None
     target: Rect | None
     needs: int
+    shape: tuple[int, int] | None
     by_mask: bool
     for_mask: bool
 
+    @property
+    def reach(self) -> tuple[int, int] | None:
+        """Rows, cols that it must have for what is taken of it, to the nearest sample; None: it is not known."""
+        if self.source is None:
+            return None
+        left, top, width, height = self.source
+        return round(top + height), round(left + width)
 
-def check_parts(dataset: Any, key: object, window: Window, check: Check, mask: bool = False) -> None:
+
+def check_parts(
+    dataset: Any, key: object, window: Window, check: Callable[[Part, Window | None], None], mask: bool = False
+) -> None:
     """Raise ReadError if a part of a file that a window of a VRT is made of is damaged.
 
     Args:
         dataset: of rasterio, open, of the VRT.
         key: the VRT's name and state.
         window: top, left, height, width.
-        check: looks at a window (None: all) of a band of a file that lies on this disk, or (True) of its mask.
+        check: looks at a window (None: all) of a part whose file lies on this disk.
         mask: it is the VRT's mask that is wanted.
     """
     for part in _parts_of(dataset, key):
@@ -66,7 +77,7 @@ def check_parts(dataset: Any, key: object, window: Window, check: Check, mask: b
         if part.for_mask != mask or mapped == () or not on_disk(part.location).is_file():
             continue
         if not part.needs:
-            check(part.location, part.band, mapped or None, part.by_mask)
+            check(part, mapped or None)
         elif Path(part.location).is_file() and Path(part.location).stat().st_size < part.needs:
             raise ReadError("It has fewer samples than the VRT says.", path=part.location, remedy=DAMAGED)
 
@@ -83,13 +94,20 @@ def _parts_of(dataset: Any, key: object) -> list[Part]:
     with _lock:
         found = _parts.get(key)
     if found is None:
-        with stream(name) as file:
-            found = list(_read(ET.fromstring(file.read()), name))
+        found = list(_read(ET.fromstring(_text(dataset, name)), name))
         with _lock:
             _parts[key] = found
             while len(_parts) > _KNOWN:
                 _parts.popitem(last=False)
     return found
+
+
+def _text(dataset: Any, name: str) -> str | bytes:
+    """The XML of a VRT; of ``vrt://FILE?…`` what GDAL makes of it."""
+    if str(dataset.name).startswith("vrt://"):
+        return str(dataset.tags(ns="xml:VRT")["xml:VRT"])
+    with stream(name) as file:
+        return file.read()
 
 
 def _read(root: ET.Element, name: str) -> Iterator[Part]:
@@ -109,11 +127,15 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
             before, inner, after = file_in(location)
             location = f"{before}{name.rpartition('/')[0] or '.'}/{inner}{after}"
         kind, _, band = (element.findtext("SourceBand") or "1").rpartition(",")
-        mapped = element.tag in ("SimpleSource", "ComplexSource")
+        as_is = element.find("OpenOptions") is None  # or it is an overview of the file, say
+        mapped = as_is and element.tag in ("SimpleSource", "ComplexSource")
         source, target = (_rect(element.find(tag)) if mapped else None for tag in ("SrcRect", "DstRect"))
         needs = _raw_bytes(element, *shape) if element.tag == "VRTRasterBand" else 0
         number, by_mask = int(band) if band.isdigit() else 1, kind == "mask"
-        part = Part(location, number, source, target, needs, by_mask, element in of_mask)
+        said = element.find("SourceProperties") if as_is else None
+        size = None if said is None else (int(said.get("RasterYSize", 0)), int(said.get("RasterXSize", 0)))
+        size = None if size == (0, 0) else size
+        part = Part(location, number, source, target, needs, size, by_mask, element in of_mask)
         yield part
         if (element.findtext("UseMaskBand") or "").lower() == "true":
             yield part._replace(by_mask=True)
