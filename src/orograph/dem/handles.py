@@ -16,9 +16,11 @@ import contextlib
 import errno
 import os
 import re
+import tarfile
 import threading
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -183,10 +185,11 @@ def states(names: Iterable[str]) -> list[str]:
 
 
 def locate(path: str | os.PathLike[str]) -> str:
-    """What GDAL should open for ``path``: the raster inside a .zip or .gz, else the path itself (URLs pass through).
+    """What GDAL should open for ``path``: the raster inside a .zip, .tar or .gz, else the path itself (URLs pass
+    through).
 
     Raises:
-        ReadError: there is no such file, it is a directory, or a zip archive holds no or several rasters.
+        ReadError: there is no such file, it is a directory, or an archive holds no or several rasters.
     """
     text = os.fspath(path)
     packed = re.fullmatch(r"/vsizip/([^{].*?\.zip)/(.+)", text, re.IGNORECASE)
@@ -207,6 +210,8 @@ def locate(path: str | os.PathLike[str]) -> str:
         raise ReadError("The file is empty.", path=text, remedy="Fetch it again, or restore it from a copy.")
     if file.suffix.lower() == ".zip":
         return f"/vsizip/{{{file.as_posix()}}}/{_member(file)}"
+    if file.name.lower().endswith(TARS):
+        return f"/vsitar/{{{file.as_posix()}}}/{_member(file)}"
     if file.suffix.lower() == ".gz":
         return f"/vsigzip/{file.as_posix()}"
     return text
@@ -246,13 +251,30 @@ _SIDECARS = {
 }
 
 
+TARS = (".tar", ".tar.gz", ".tgz")
+"""How the names of tar archives end."""
+
+
+def _within(file: Path) -> str:
+    """What GDAL calls an archive."""
+    return f"/vsi{'tar' if file.name.lower().endswith(TARS) else 'zip'}/{file.as_posix()}"
+
+
+def _names(file: Path) -> list[str]:
+    """The files in an archive."""
+    if not file.name.lower().endswith(TARS):
+        with zipfile.ZipFile(file) as packed:
+            return [name for name in packed.namelist() if not name.endswith("/")]
+    with tarfile.open(file) as archive:
+        return [member.name for member in archive if member.isfile()]
+
+
 def _member(file: Path) -> str:
     try:
-        with zipfile.ZipFile(file) as archive:
-            names = [n for n in archive.namelist() if not n.endswith("/") and not n.startswith("__MACOSX")]
-    except (zipfile.BadZipFile, OSError) as error:
+        names = [name for name in _names(file) if not name.startswith("__MACOSX")]
+    except (zipfile.BadZipFile, tarfile.TarError, EOFError, zlib.error, OSError) as error:
         raise ReadError(
-            f"This is not a readable zip archive ({error}).", path=file, remedy="Fetch it again, or unpack it by hand."
+            f"This is not a readable archive ({error}).", path=file, remedy="Fetch it again, or unpack it by hand."
         ) from None
     rasters = [n for n in names if Path(n).suffix.lower() not in _SIDECARS] if len(names) > 1 else names
     if len(rasters) == 1:
@@ -263,7 +285,7 @@ def _member(file: Path) -> str:
     raise ReadError(
         f"The archive holds {len(rasters)} files that may be rasters ({shown}).",
         path=file,
-        remedy=f"Name one of them: /vsizip/{file.as_posix()}/{rasters[0]}",
+        remedy=f"Name one of them: {_within(file)}/{rasters[0]}",
     )
 
 

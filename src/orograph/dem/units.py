@@ -39,6 +39,7 @@ _SPELLINGS: dict[float, tuple[str, ...]] = {
     0.1: ("dm", "decimetre", "decimetres", "decimeter", "decimeters"),
     0.001: ("mm", "millimetre", "millimetres", "millimeter", "millimeters"),
     1000.0: ("km", "kilometre", "kilometres", "kilometer", "kilometers"),
+    0.0254: ("in", "inch", "inches"),
     0.9144: ("yd", "yard", "yards"),
     1.8288: ("fathom", "fathoms"),
 }

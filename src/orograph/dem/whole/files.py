@@ -109,6 +109,14 @@ def _member(name: str) -> str:
     return name.partition("/vsi")[2].partition("/")[2].removeprefix("{")[len(str(on_disk(name))) :].lstrip("}/")
 
 
+def _zip_member(packed: zipfile.ZipFile, name: str) -> IO[bytes]:
+    """Open a file of an archive; ReadError if it is packed in a way that Python does not know, or with a password."""
+    try:
+        return packed.open(_member(name))
+    except (NotImplementedError, RuntimeError) as error:
+        raise ReadError(f"It cannot be unpacked here ({error}).", path=name, remedy="Unpack it by hand.") from None
+
+
 @contextmanager
 def _tar_member(name: str) -> Iterator[IO[bytes]]:
     with tarfile.open(on_disk(name)) as packed:
@@ -137,7 +145,7 @@ def stream(name: str) -> Iterator[IO[bytes]]:
             with gzip.open(name.removeprefix("/vsigzip/")) as unpacked:
                 yield unpacked  # type: ignore[misc]
         elif name.startswith("/vsizip/"):
-            with zipfile.ZipFile(on_disk(name)) as packed, packed.open(_member(name)) as inside:
+            with zipfile.ZipFile(on_disk(name)) as packed, _zip_member(packed, name) as inside:
                 yield inside
         else:
             with _tar_member(name) as inside:
