@@ -59,8 +59,8 @@ def verbs(dem: str, store: str, work: Path, size: int, picture: str) -> dict[str
         "tessellate": ["tessellate", store, "-o", str(work / "m.npz")],
         "viewshed": [
             "measure",
-            store,
             HERE,
+            store,
             "viewshed",
             f"{x:.0f},{y:.0f}",
             "-o",
