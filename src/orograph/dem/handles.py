@@ -210,7 +210,7 @@ def locate(path: str | os.PathLike[str]) -> str:
         raise ReadError("The file is empty.", path=text, remedy="Fetch it again, or restore it from a copy.")
     if file.suffix.lower() == ".zip":
         return f"/vsizip/{{{file.as_posix()}}}/{_member(file)}"
-    if file.name.lower().endswith(TARS):
+    if _kind(file) == "tar":
         return f"/vsitar/{{{file.as_posix()}}}/{_member(file)}"
     if file.suffix.lower() == ".gz":
         return f"/vsigzip/{file.as_posix()}"
@@ -255,14 +255,14 @@ TARS = (".tar", ".tar.gz", ".tgz")
 """How the names of tar archives end."""
 
 
-def _within(file: Path) -> str:
-    """What GDAL calls an archive."""
-    return f"/vsi{'tar' if file.name.lower().endswith(TARS) else 'zip'}/{file.as_posix()}"
+def _kind(file: Path) -> str:
+    """Of an archive: tar or zip."""
+    return "tar" if file.name.lower().endswith(TARS) else "zip"
 
 
 def _names(file: Path) -> list[str]:
     """The files in an archive."""
-    if not file.name.lower().endswith(TARS):
+    if _kind(file) == "zip":
         with zipfile.ZipFile(file) as packed:
             return [name for name in packed.namelist() if not name.endswith("/")]
     with tarfile.open(file) as archive:
@@ -274,7 +274,9 @@ def _member(file: Path) -> str:
         names = [name for name in _names(file) if not name.startswith("__MACOSX")]
     except (zipfile.BadZipFile, tarfile.TarError, EOFError, zlib.error, OSError) as error:
         raise ReadError(
-            f"This is not a readable archive ({error}).", path=file, remedy="Fetch it again, or unpack it by hand."
+            f"This is not a readable {_kind(file)} archive ({error}).",
+            path=file,
+            remedy="Fetch it again, or unpack it by hand.",
         ) from None
     rasters = [n for n in names if Path(n).suffix.lower() not in _SIDECARS] if len(names) > 1 else names
     if len(rasters) == 1:
@@ -285,7 +287,7 @@ def _member(file: Path) -> str:
     raise ReadError(
         f"The archive holds {len(rasters)} files that may be rasters ({shown}).",
         path=file,
-        remedy=f"Name one of them: {_within(file)}/{rasters[0]}",
+        remedy=f"Name one of them: /vsi{_kind(file)}/{file.as_posix()}/{rasters[0]}",
     )
 
 
