@@ -31,12 +31,14 @@ def raster(path: Path, heights: np.ndarray = HEIGHTS) -> Path:
 
 @pytest.mark.parametrize("ending", [".tar", ".tar.gz", ".tgz"])
 def test_a_tar_is_read_by_its_path(tmp_path: Path, ending: str) -> None:
-    packed = tmp_path / f"dem{ending}"
+    packed = tmp_path / f"dem.tif{ending}"
     with tarfile.open(packed, "w:" + ("gz" if ending != ".tar" else "")) as archive:
         archive.add(raster(tmp_path / "dem.tif"), "folder/dem.tif")
         (tmp_path / "read.txt").write_text("of whom it is")
         archive.add(tmp_path / "read.txt", "folder/read.txt")
-    np.testing.assert_array_equal(orograph.read(packed).heights, HEIGHTS)
+    dem = orograph.read(packed)
+    np.testing.assert_array_equal(dem.heights, HEIGHTS)
+    assert dem.name == "dem"
 
 
 def test_a_tar_of_several_rasters_names_them(tmp_path: Path) -> None:

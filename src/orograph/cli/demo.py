@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 import time
 from pathlib import Path
 
@@ -64,12 +67,15 @@ def command(ctx: click.Context, /, output: Path) -> None:
     out = picture.save(output / "jacksboro.png")
     step("written")
     click.echo(f"\nThe picture: {out}\n")
+    # Where it was installed into a virtual environment that is not active, its plain name would not be found.
+    beside = Path(sys.executable).with_name("orograph")
+    called = "orograph" if shutil.which("orograph") or not beside.exists() else os.path.relpath(beside)
     click.echo(
         "Try next:\n"
-        f"  orograph info {dem}\n"
-        f"  orograph render {dem} -o map.png --projection plan --furniture\n"
-        f"  orograph render {dem} -o dusk.png --from 140 --pitch 18 --distance 14000 --sun 270,20 --sky "
+        f"  {called} info {dem}\n"
+        f"  {called} render {dem} -o map.png --projection plan --furniture\n"
+        f"  {called} render {dem} -o dusk.png --from 140 --pitch 18 --distance 14000 --sun 270,20 --sky "
         "--exaggeration 1.5\n"
-        f"  orograph build {dem} -o jacksboro.oro\n"
+        f"  {called} build {dem} -o jacksboro.oro\n"
         "and the same with your own DEM in its place."
     )

@@ -9,8 +9,8 @@ from __future__ import annotations
 import uuid
 from typing import Any
 
-from orograph.dem.raster import Dem
-from orograph.dem.source import MAX_READ_BYTES, Source
+from orograph.dem.raster import MAX_READ_BYTES, Dem
+from orograph.dem.source import Source
 from orograph.errors import ReadError, UsageError
 
 

@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from orograph.cards import Row, amount, card, extent_rows, heights_row, one_line, relief
 from orograph.geo.grid import Grid
 
+MAX_READ_BYTES = 2 << 30
+"""Bytes of heights (float32) that one holds at most, unless it is said otherwise: 536 million heights, e.g. 23170²."""
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Dem:

@@ -37,14 +37,10 @@ from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
 from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
-from orograph.dem.raster import Dem
 from orograph.dem.whole import DAMAGED, check_blocks, check_mask
 from orograph.dem.whole.files import files_in
-from orograph.errors import ReadError, UsageError
+from orograph.errors import ReadError
 from orograph.geo.grid import Grid
-
-MAX_READ_BYTES = 2 << 30
-"""``read`` holds at most this many bytes of heights (float32: 536 million samples, e.g. 23170²)."""
 
 HUGE = 1e12  # metres; nodata values such as ±3.4e38 and 1e20 lie beyond, heights of any body do not
 
@@ -359,58 +355,10 @@ class Source:
 
 def _stem(path: str | os.PathLike[str]) -> str:
     name = os.fspath(path).rstrip("/").replace("\\", "/").rpartition("/")[2].partition("?")[0]
-    if name.lower().endswith((".zip", ".gz")):
+    while name.lower().endswith((".zip", ".gz", ".tar", ".tgz")):
         name = name.rpartition(".")[0]
     stem = name.rpartition(".")[0]
     return stem or name
 
 
-def read(
-    path: str | os.PathLike[str],
-    *,
-    band: int = 1,
-    nodata: float | str | None = None,
-    spacing: float | None = None,
-    assume_crs: str | None = None,
-    encoding: str | None = None,
-    vertical_unit: str | None = None,
-    assume_vertical: str | None = None,
-    max_bytes: int = MAX_READ_BYTES,
-) -> Dem:
-    """Read a whole raster as a ``Dem``. The options are those of ``Source.open``.
-
-    Args:
-        max_bytes: refuse rasters whose heights (float32) take more memory than this.
-
-    Raises:
-        ReadError: the file cannot be read, is damaged, or is too large.
-        UsageError: an option that does not fit the file.
-    """
-    if not isinstance(path, str | os.PathLike):
-        raise UsageError(
-            f"`orograph.read` reads one file, not {type(path).__name__}.", remedy="Use `orograph.terrain` for all else."
-        )
-    source = Source.open(
-        path,
-        band=band,
-        nodata=nodata,
-        spacing=spacing,
-        assume_crs=assume_crs,
-        encoding=encoding,
-        vertical_unit=vertical_unit,
-        assume_vertical=assume_vertical,
-    )
-    rows, cols = source.shape
-    if rows * cols * 4 > max_bytes:
-        raise ReadError(
-            f"Its {rows} × {cols} heights would take {rows * cols * 4 / 2**30:,.1f} GiB of memory "
-            f"(the limit is {max_bytes / 2**30:.1f} GiB).",
-            path=path,
-            remedy="Use `orograph.build` or `orograph.render`, which work in blocks, or read windows with Source.",
-        )
-    with source:
-        heights = source.read(0, rows, 0, cols)
-    return Dem(heights, source.grid, source.vertical, source.name, source.attribution)
-
-
-__all__ = ["HUGE", "MAX_BLOCK_BYTES", "MAX_READ_BYTES", "Source", "read"]
+__all__ = ["HUGE", "MAX_BLOCK_BYTES", "Source"]

@@ -15,8 +15,7 @@ from pyproj import CRS
 
 from orograph.dem.lattice import group
 from orograph.dem.projection import flat_crs
-from orograph.dem.raster import Dem
-from orograph.dem.source import MAX_READ_BYTES
+from orograph.dem.raster import MAX_READ_BYTES, Dem
 from orograph.dem.undulation import ConvertedLattice, Direction, check_datums, check_request
 from orograph.errors import ReadError, UsageError
 from orograph.fetching.areas import Box, area_of

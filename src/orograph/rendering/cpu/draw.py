@@ -81,10 +81,10 @@ def draw(
         progress.warn(warning)
     subject = _Subject(scene)
     meshed = mesh is not None or mesh_choice(scene.surface.method, "cpu") is not None
-    own = "faces" if meshed and not scene.surface.wireframe else "computed"
-    if scene.surface.normals not in ("auto", own):
+    usual = "faces" if meshed and not scene.surface.wireframe else "computed"
+    if scene.surface.normals not in ("auto", usual):
         raise UsageError(
-            f"The CPU draws this with normals {own!r}; `normals={scene.surface.normals!r}` are the GPU's.",
+            f"The CPU draws this with normals {usual!r}; `normals={scene.surface.normals!r}` are the GPU's.",
             remedy='Use `backend="gpu"`.',
         )
     if meshed:

@@ -1,0 +1,57 @@
+"""``orograph.read``: one raster as a whole."""
+
+from __future__ import annotations
+
+import os
+
+from orograph.dem.raster import MAX_READ_BYTES, Dem
+from orograph.dem.source import Source
+from orograph.errors import ReadError, UsageError
+
+
+def read(
+    path: str | os.PathLike[str],
+    *,
+    band: int = 1,
+    nodata: float | str | None = None,
+    spacing: float | None = None,
+    assume_crs: str | None = None,
+    encoding: str | None = None,
+    vertical_unit: str | None = None,
+    assume_vertical: str | None = None,
+    max_bytes: int = MAX_READ_BYTES,
+) -> Dem:
+    """Read a whole raster as a ``Dem``. The options are those of ``Source.open``.
+
+    Args:
+        max_bytes: refuse rasters whose heights (float32) take more memory than this.
+
+    Raises:
+        ReadError: the file cannot be read, is damaged, or is too large.
+        UsageError: an option that does not fit the file.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise UsageError(
+            f"`orograph.read` reads one file, not {type(path).__name__}.", remedy="Use `orograph.terrain` for all else."
+        )
+    source = Source.open(
+        path,
+        band=band,
+        nodata=nodata,
+        spacing=spacing,
+        assume_crs=assume_crs,
+        encoding=encoding,
+        vertical_unit=vertical_unit,
+        assume_vertical=assume_vertical,
+    )
+    rows, cols = source.shape
+    if rows * cols * 4 > max_bytes:
+        raise ReadError(
+            f"Its {rows} × {cols} heights would take {rows * cols * 4 / 2**30:,.1f} GiB of memory "
+            f"(the limit is {max_bytes / 2**30:.1f} GiB).",
+            path=path,
+            remedy="Use `orograph.build` or `orograph.render`, which work in blocks, or read windows with Source.",
+        )
+    with source:
+        heights = source.read(0, rows, 0, cols)
+    return Dem(heights, source.grid, source.vertical, source.name, source.attribution)
