@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 SOURCES := $(shell find src -name '*.py' 2>/dev/null)
 
-.PHONY: demo test test-all check bench clean help
+.PHONY: demo test test-all check bench docs clean help
 
 help:
 	@echo 'make demo   install, and render the built-in sample to out/'
@@ -13,6 +13,7 @@ help:
 	@echo 'make test-all  also the long ones: fuzzing, kills, concurrent runs'
 	@echo 'make check  ruff, mypy and the direction of imports'
 	@echo 'make bench  the benchmarks, as tables; QUICK=1: in small forms, ten minutes at most'
+	@echo 'make docs   the documentation site, its gallery and tutorials run, in site/'
 	@echo 'make clean  remove .venv/ and what was made'
 
 $(BIN)/python:
@@ -43,5 +44,8 @@ check: $(VENV)/.check $(VENV)/.test
 bench: $(VENV)/.bench
 	@$(BIN)/python bench/every.py $(if $(QUICK),--quick)
 
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs site
+
 clean:
-	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) out build dist site docs/made docs/sg_execution_times.rst *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

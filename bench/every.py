@@ -70,6 +70,7 @@ BENCHES = {
     "store_build": Bench("--size 1025 --rounds 1", modules=("rio_cogeo",)),
     "store_read": Bench("--size 1025", modules=("zarr", "tensorstore")),
     "threshold_spheres": Bench("--size 1025 --frames 8"),
+    "tin": Bench("--size 513 --max-error 5", modules=("pydelatin", "meshoptimizer", "fast_simplification")),
     "triangle_patches": Bench("--part select", data=True),
     "view": Bench(
         f"--frames 12 --size 320x180 --terrain {{data}}/{HGT}", data=True, gpu=True, least="california-3s-tiles"

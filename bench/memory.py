@@ -4,6 +4,7 @@
 
 A synthetic terrain of so many samples a side is read by each verb in a process of its own; told are its seconds and its
 peak resident set. A peak counts what the interpreter and its libraries take. ``kept``: from a store that is there.
+Where a software driver draws, its memory counts too: there 704 MiB is the least that a picture by tiles is allowed.
 """
 
 from __future__ import annotations
@@ -57,6 +58,7 @@ def verbs(dem: str, store: str, work: Path, size: int, picture: str) -> dict[str
         "movie": ["movie", store, "-o", str(work / "m.mp4"), "--size", "320x180", "--orbit", "--seconds", "0.2"],
         "compare": ["compare", store, "--method", "soar"],
         "tessellate": ["tessellate", store, "-o", str(work / "m.npz")],
+        "tin": ["tin", store, "-o", str(work / "t.npz"), "--max-error", "10"],
         "viewshed": [
             "measure",
             HERE,
@@ -103,17 +105,19 @@ def main() -> None:
         )
         subprocess.run([*OROGRAPH, "build", dem, "-o", store], check=True, stdout=subprocess.DEVNULL)
         write_image(dem, str(work / "image.tif"))
-        print(f"{given.size}² samples, {given.allowed} allowed")
-        print("| verb | seconds | peak, MiB | of what is allowed |\n|---|---|---|---|")
+        print(f"{given.size}² samples")
+        print("| verb | seconds | peak, MiB | allowed, MiB | of what is allowed |\n|---|---|---|---|---|")
         for name, command in verbs(dem, store, work, given.size, given.picture).items():
             if given.only and name.split(",")[0].split()[0] not in given.only:
                 continue
-            limit = ["--max-memory", given.allowed]
+            most = max(allowed, 704) if "gpu" in name else allowed
+            limit = ["--max-memory", f"{most:.0f}MiB"]
             at = command.index(HERE) if HERE in command else len(command)
             code, seconds, mib = peak([*OROGRAPH, *command[:at], *limit, *command[at + 1 :]], work / "cache")
             failed += code != 0
             print(
-                f"| {name} | {seconds:.1f} | {mib:.0f} | {mib / allowed:.2f} |" + f" failed ({code})" * bool(code),
+                f"| {name} | {seconds:.1f} | {mib:.0f} | {most:.0f} | {mib / most:.2f} |"
+                + f" failed ({code})" * bool(code),
                 flush=True,
             )
     sys.exit(1 if failed else 0)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from orograph.dem import Dem, read
     from orograph.fetching import fetch
     from orograph.geo import Grid
-    from orograph.geovis.layers import Layer
+    from orograph.geovis.layers import Layer, basemap
     from orograph.lighting import make as light
     from orograph.lighting.bake import bake
     from orograph.lighting.sun import Sun
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from orograph.verbs.movie import movie
     from orograph.verbs.synth import synth
     from orograph.verbs.tessellate import tessellate
+    from orograph.verbs.tin import tin
     from orograph.verbs.tour import tour
     from orograph.viewer.notebook import view
     from orograph.viewpoint import View
@@ -63,6 +64,7 @@ __all__ = [
     "View",
     "__version__",
     "bake",
+    "basemap",
     "build",
     "camera",
     "check",
@@ -81,6 +83,7 @@ __all__ = [
     "synth",
     "terrain",
     "tessellate",
+    "tin",
     "tour",
     "view",
 ]
@@ -98,6 +101,7 @@ _HOMES = {
     "Tour": "orograph.touring.tour",
     "View": "orograph.viewpoint",
     "bake": "orograph.lighting.bake",
+    "basemap": "orograph.geovis.layers",
     "build": "orograph.store",
     "camera": "orograph.scene.camera:",
     "check": "orograph.verbs.check",
@@ -116,6 +120,7 @@ _HOMES = {
     "synth": "orograph.verbs.synth",
     "terrain": "orograph.store",
     "tessellate": "orograph.verbs.tessellate",
+    "tin": "orograph.verbs.tin",
     "tour": "orograph.verbs.tour",
     "view": "orograph.viewer.notebook",
 }

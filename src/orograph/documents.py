@@ -1,4 +1,4 @@
-"""Reading the JSON files that people write by hand (views, flights, tours), and saying which is wrong, and where."""
+"""The JSON files that people read and write (views, flights, tours): which is wrong, and where, is said."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from orograph.errors import ReadError, UsageError
+from orograph.output import Beside
 
 
 def parse(text: str) -> Any:
@@ -22,6 +23,16 @@ def parse(text: str) -> Any:
         return json.loads(text)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
+
+
+def write(values: Any, path: str | Path) -> None:
+    """Write a JSON file, whole or not at all.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    with Beside(Path(path)) as part:
+        part.write_text(json.dumps(values, allow_nan=False, indent=2) + "\n", encoding="utf-8")
 
 
 def load_object(path: str | Path, what: str, holds: str) -> dict[str, Any]:

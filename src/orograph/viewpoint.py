@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orograph.cards import card
-from orograph.documents import load_object, naming
+from orograph.documents import load_object, naming, write
 from orograph.errors import UsageError
 from orograph.geo.chart import AffineChart, Chart
 from orograph.geo.grid import Grid
@@ -169,6 +169,10 @@ class View:
         values = load_object(path, "view", "eye, target, fov_y, width and height")
         with naming(path):
             return cls.from_dict(values, crs=crs)
+
+    def save(self, path: str | Path) -> None:
+        """Write a VIEW.json; OutputError: it cannot be written."""
+        write(self.to_dict(), path)
 
     def to_dict(self) -> dict[str, Any]:
         """What ``from_dict`` reads; an unlimited ``far`` is left out (JSON knows no infinity)."""

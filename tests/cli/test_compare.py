@@ -10,11 +10,11 @@ import rasterio
 from affine import Affine
 from PIL import Image
 
-from orograph.cli.compare import load_views
 from orograph.errors import ReadError, UsageError
 from orograph.lod.registry import METHODS
 from orograph.rendering.comparison import Panel, columns, panel_view, sheet, usual_views
 from orograph.store.prepare import prepare
+from orograph.verbs.compare import load_views
 
 SMALL = ("--size", "240x160", "--quiet")
 EYE = {"eye": [500_900, 3_997_500, 1400], "target": [501_000, 3_999_000, 500], "width": 240, "height": 160}

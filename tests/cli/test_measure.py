@@ -170,6 +170,10 @@ def test_what_is_wrong_is_said(run, hilly, tmp_path, monkeypatch, args, code, sa
 def test_the_order_is_told(run, hilly):
     code, _, err = run("measure", "profile", hilly, A, B)
     assert code == 2 and "The DEM or store comes first" in err
+    code, _, err = run("measure", hilly, "--max-memory", "1GiB", "pick", A)
+    assert code == 2 and "--max-memory comes before the DEM or store" in err
+    code, _, err = run("measure", hilly, "--lonlat", "pick", A)
+    assert code == 2 and "--lonlat comes after what is measured" in err
 
 
 def test_the_input_is_not_overwritten(run, hilly):

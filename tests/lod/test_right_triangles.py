@@ -142,8 +142,9 @@ def test_numbers_may_be_numpys():
 
 
 def fewest(name):
-    """Triangles and vertices of the coarsest mesh of the plain: two triangles, or two patches of 8 segments a leg."""
-    return (128, 81) if name == "triangle-patches" else (2, 4)
+    """Triangles and vertices of the coarsest mesh of the plain: two triangles, a square's four, or two patches of 8
+    segments a leg."""
+    return {"triangle-patches": (128, 81), "restricted-quadtree": (4, 5)}.get(name, (2, 4))
 
 
 def test_a_budget_that_cannot_be_kept_is_recorded():

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from orograph import store
 from orograph.errors import OutputError, UsageError
 from orograph.measuring import profile
+from orograph.measuring.ground import own_heights
 from orograph.measuring.places import Places
 
 ROUGH = {t: terrain_of(rough((30, 33), 4), t) for t in (SQUARE, RECTANGULAR, ROTATED)}
@@ -149,6 +150,20 @@ def test_holes_are_told_not_bridged():
     inside = profile(terrain_of(h), [(500_300, 3_999_700), (500_320, 3_999_700)])
     assert inside.straight is None and inside.lowest is None
     assert inside.length == inside.bridged == pytest.approx(20)
+
+
+def test_lowest_and_highest_are_those_of_bilinear_ground():
+    """Between the places where the line crosses edges, too: as brute force finds them at a hundred thousand places."""
+    rng = np.random.default_rng(5)
+    terrain = terrain_of(rng.normal(0, 50, (12, 12)).astype(np.float32))
+    for _ in range(20):
+        ends = 500_015 + rng.uniform(0, 330, 2), 3_999_985 - rng.uniform(0, 330, 2)
+        line = np.stack(ends, axis=1)
+        found = profile(terrain, line)
+        dense = line[0] + np.linspace(0, 1, 100_001)[:, None] * (line[1] - line[0])
+        truth = own_heights(terrain, dense)
+        assert truth.min() - 0.02 < found.lowest <= truth.min() + 1e-9  # (3 mm from place to place of the truth)
+        assert truth.max() - 1e-9 <= found.highest < truth.max() + 0.02
 
 
 def test_at_and_rows_are_exact():

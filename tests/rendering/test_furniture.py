@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from orograph.rendering.furniture import furnish as furniture
 from orograph.rendering.furniture import lettering
 from orograph.rendering.furniture.furnish import furnish
-from orograph.rendering.furniture.pieces import Legend, bar_length, number, ticks
+from orograph.rendering.furniture.pieces import Legend, Scale, bar_length, number, ticks
 
 RAMP = np.linspace([0.1, 0.4, 0.2], [1.0, 0.9, 0.9], 256)
-LEGEND = Legend(12.0, 4392.0, RAMP, water=(112, 153, 178), missing=(0.6, 0.6, 0.6))
+LEGEND = Legend((Scale(12.0, 4392.0, RAMP),), (("Water", (112, 153, 178)), ("No data", (0.6, 0.6, 0.6))))
 ALL: dict[str, Any] = {
     "title": "Sierra Nevada", "subtitle": "UTM zone 11N", "legend": LEGEND, "north": 0.0, "metres_per_pixel": 85.0,
     "note": "Light from 315°, 45° · heights ×2",
@@ -201,7 +201,7 @@ def test_pieces_go_where_less_ground_is() -> None:
 
 def test_ends_of_the_ramp_tell_of_ground_beyond() -> None:
     def reach(**more: bool) -> tuple[int, int]:
-        after = furnish(blank(1280, 720), legend=Legend(12.0, 4392.0, RAMP, **more)).astype(int)
+        after = furnish(blank(1280, 720), legend=Legend((Scale(12.0, 4392.0, RAMP, **more),))).astype(int)
         return tuple(int((np.abs(after - np.round(RAMP[i] * 255)).sum(2) < 4).sum()) for i in (-1, 0))  # type: ignore[return-value]
 
     high, low = reach()
@@ -212,7 +212,7 @@ def test_ends_of_the_ramp_tell_of_ground_beyond() -> None:
 def test_patterns_are_drawn_pixel_by_pixel() -> None:
     tile = np.zeros((7, 7, 3), np.uint8)
     tile[..., 0], tile[..., 1] = np.arange(7)[:, None] + 201, np.arange(7) + 11
-    after = furnish(blank(1280, 720), legend=Legend(0, 1, None, missing=tile)).astype(int)
+    after = furnish(blank(1280, 720), legend=Legend((), (("No data", tile),))).astype(int)
     rows, cols = np.nonzero((after[..., 2] == 0) & (after[..., 0] >= 201))
     assert len(rows) > 150
     swatch = after[rows.min() : rows.max() + 1, cols.min() : cols.max() + 1]

@@ -36,8 +36,8 @@ def test_keys_are_of_what_is_seen(monkeypatch):
     heights[80:110, 60:90] = np.nan
     ground = terrain(heights)
     keys = told(monkeypatch, plan(ground))["legend"]
-    assert keys.water is not None and keys.colors is not None
-    tile = keys.missing
+    assert len(keys.scales) == 1 and [words for words, _ in keys.swatches] == ["Water", "No data"]
+    tile = dict(keys.swatches)["No data"]
     assert tile.shape == (7, 7, 3) and len(np.unique(tile.reshape(-1, 3), axis=0)) == 2
     assert all((tile == np.roll(tile, (k, -k), (0, 1))).all() for k in range(7))  # lines at 45°
     # The same terrain, its eastern part alone in the picture.
@@ -45,8 +45,8 @@ def test_keys_are_of_what_is_seen(monkeypatch):
     east = camera.fit(np.array([[x - 2000, y - 1500, 800.0], [x + 2000, y + 1500, 800.0]]),
                       camera.direction(180, 90), 30, SIZE)  # fmt: skip
     keys = told(monkeypatch, Scene.of(ground, east, samples=1, furniture=True))["legend"]
-    assert keys.water is None and keys.missing is None
-    assert told(monkeypatch, plan(ground, water=None))["legend"].water is None
+    assert keys.swatches == ()
+    assert [words for words, _ in told(monkeypatch, plan(ground, water=None))["legend"].swatches] == ["No data"]
 
 
 @pytest.mark.parametrize(("covered", "explained"), [(0.5, True), (1.0, False)])
@@ -63,7 +63,33 @@ def test_heights_are_explained_unless_an_image_hides_them(monkeypatch, tmp_path,
     heights = hills(200, 400)
     heights[80:110, 60:90] = np.nan
     keys = told(monkeypatch, plan(terrain(heights), layers=(Layer(str(path)),)))["legend"]
-    assert keys.missing is not None and (keys.colors is not None) == explained
+    assert dict(keys.swatches).keys() == {"No data"} and bool(keys.scales) == explained
+
+
+def test_layers_are_explained(monkeypatch, tmp_path):
+    """Each scale has the values and the unit of its raster; classes have swatches; heights come last, if seen."""
+    import rasterio
+
+    ground, path = terrain(hills(200, 400)), tmp_path / "rain_of_may.tif"
+    values = np.linspace(10, 90, 200 * 410, dtype=np.float32).reshape(200, 410)
+    with rasterio.open(path, "w", driver="GTiff", width=410, height=200, count=1, dtype="float32", crs="EPSG:32611",
+                       transform=NORTH_UP) as file:  # fmt: skip
+        file.write(values, 1)
+        file.units = ("Kelvin",)
+    over = Layer(str(path), colormap="viridis", range=(20, 80), opacity=0.6)
+    keys = told(monkeypatch, plan(ground, layers=(over,)))["legend"]
+    (scale,) = keys.scales
+    assert (scale.words, scale.low, scale.high) == ("rain of may (K)", 20, 80)
+    np.testing.assert_array_equal(scale.colors[0], [68, 1, 84])
+    thin = Layer(str(path), colormap="magma", range=(0, 100), opacity=0.3, name="Heat")
+    keys = told(monkeypatch, plan(ground, layers=(over, thin)))["legend"]
+    assert [one.label for one in keys.scales] == ["Heat", "rain of may"]
+    keys = told(monkeypatch, plan(ground, layers=(thin,)))["legend"]
+    assert [one.label for one in keys.scales] == ["Heat", "Height"]
+    classes = Layer((values > 50).astype(np.uint8) + 1, colormap={1: "#00ff00", 2: "#0000ff"}, name="Cover")
+    keys = told(monkeypatch, plan(ground, layers=(classes,)))["legend"]
+    assert keys.scales == () and [words for words, _ in keys.swatches] == ["Cover 1", "Cover 2"]
+    np.testing.assert_array_equal(dict(keys.swatches)["Cover 1"], [0, 255, 0])
 
 
 def test_counts_do_not_depend_on_threads(monkeypatch):
@@ -71,7 +97,9 @@ def test_counts_do_not_depend_on_threads(monkeypatch):
     heights[:, :150] = 0
     seen = []
     shown = legend._legend
-    monkeypatch.setattr(legend, "_legend", lambda drawn: (seen.append(dict(drawn.shown)), shown(drawn))[1])
+    monkeypatch.setattr(
+        legend, "_legend", lambda drawn, scene: (seen.append(dict(drawn.shown)), shown(drawn, scene))[1]
+    )
     for jobs in (1, 4):
         cpu.draw(plan(terrain(heights), jobs=jobs))
     assert seen[0] == seen[1] and seen[0]["ground"] > seen[0]["water"] > 0

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 from surfaces import rough, source
+from webserver import serving
 
 from orograph import store
 from orograph.errors import StoreError, StoreReplacedError
@@ -71,6 +72,33 @@ def test_at_a_url(tmp_path):
             with pytest.raises(StoreReplacedError):
                 terrain.read(0, *window)
         np.testing.assert_array_equal(terrain.reopen().read(0, 0, 300, 0, 280), NEW)
+
+
+def test_at_a_url_from_memory_alone(monkeypatch):
+    """All tiles are held, so that no shard is read any more: the look at the root tells."""
+    monkeypatch.setattr("orograph.store.watch.EVERY_REMOTE", 0.05)
+    url = "memory://replaced/u"
+    store.build(source(OLD), url, **SIZES)
+    with store.open(url) as terrain:
+        terrain.read(0, 0, 50, 0, 50)
+        time.sleep(0.1)
+        np.testing.assert_array_equal(terrain.read(0, 0, 50, 0, 50), OLD[:50, :50])
+        store.build(source(NEW), url, overwrite=True, **SIZES)
+        time.sleep(0.1)
+        for _ in range(2):
+            with pytest.raises(StoreReplacedError):
+                terrain.read(0, 0, 50, 0, 50)
+        np.testing.assert_array_equal(terrain.reopen().read(0, 0, 300, 0, 280), NEW)
+
+
+def test_a_server_that_is_gone_takes_nothing_that_is_held(tmp_path, monkeypatch):
+    monkeypatch.setattr("orograph.store.watch.EVERY_REMOTE", 0.05)
+    store.build(source(OLD), tmp_path / "s", **SIZES).close()
+    with serving(tmp_path) as web:
+        terrain = store.open(f"{web.url}/s")
+        terrain.read(0, 0, 50, 0, 50)
+    time.sleep(0.1)
+    np.testing.assert_array_equal(terrain.read(0, 0, 50, 0, 50), OLD[:50, :50])
 
 
 def test_at_a_url_while_it_is_built(monkeypatch):

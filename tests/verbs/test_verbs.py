@@ -62,7 +62,7 @@ NOT_HERE = {
     "": {"paths", "path", "output", "as_json", "json_path", "picture", "outputs"},
     "render": {"depth", "save_view"},
     "build": {"dem", "store", "repair", "products", "methods", "color_errors", "drape"},
-    "compare": {"views_path", "flight_path", "judged", "every", "method"},
+    "compare": {"every", "method"},
     "movie": {"tour_path"},
     "light": {"products", "byte", "resume"},
     "bake": {"products"},
@@ -182,6 +182,24 @@ def test_compare(dem: orograph.Dem) -> None:
     assert orograph.compare(dem, {"a": view}, methods=["roam"])["roam"].triangles
 
 
+def test_compare_on_a_flight_and_on_a_sheet(dem: orograph.Dem, path: Path, tmp_path: Path) -> None:
+    """As the command line does it: the same frames, the same triangles, the same sheet."""
+    tour = orograph.tour(dem, orbit=True, seconds=0.2, size=(160, 120))
+    tour.save(tmp_path / "t.json")
+    found = orograph.compare(dem, flight=tour, judged=2, methods=["soar"])
+    told = json.loads(run("compare", path, "--flight", tmp_path / "t.json", "--judged", 2, "--method", "soar",
+                          "--json", "-"))["methods"]["soar"]  # fmt: skip
+    assert found.flight and found["soar"].judged == 2 and found["soar"].changes is not None
+    assert {k: told[k] for k in ("frames", "triangles", "largest")} == {
+        k: getattr(found["soar"], k) for k in ("frames", "triangles", "largest")
+    }
+    orograph.compare(dem, methods=["soar"], size=(160, 120), picture=tmp_path / "own.png")
+    run("compare", path, "--method", "soar", "--size", "160x120", "--picture", tmp_path / "cli.png")
+    assert (tmp_path / "own.png").read_bytes() == (tmp_path / "cli.png").read_bytes()
+    with pytest.raises(UsageError, match="not both"):
+        orograph.compare(dem, [tour.keys[0].view], flight=tour)
+
+
 def test_tour_and_movie(dem: orograph.Dem, path: Path, tmp_path: Path) -> None:
     made = orograph.tour(dem, seconds=2, pitch=40, size=(64, 48))
     run("tour", "new", path, "--orbit", "--seconds", 2, "--pitch", 40, "--size", "64x48", "-o", tmp_path / "t.json")
@@ -281,3 +299,20 @@ def test_views_and_stores_that_are_nearly_right(dem: orograph.Dem, tmp_path: Pat
     ):  # fmt: skip
         with pytest.raises(UsageError, match=words):
             call()
+
+
+def test_films_name_whom_their_makers_want_to_be_named(tmp_path: Path) -> None:
+    """In the metadata of videos and of single frames."""
+    av = pytest.importorskip("av")
+    from PIL import Image
+
+    y, x = np.mgrid[:65, :81]
+    heights = (800 + 90 * np.sin(x / 9) * np.cos(y / 7)).astype(np.float32)
+    ground = orograph.Dem(heights, GRID, name="hills", attribution=("Éric's survey",))
+    how: dict[str, Any] = {"orbit": True, "seconds": 1, "fps": 2, "size": (64, 48), "samples": 1, "progress": False}
+    for name in ("a.mp4", "a.webm", "a.mkv"):
+        with av.open(str(orograph.movie(ground, tmp_path / name, **how))) as film:
+            assert {k.lower(): v for k, v in film.metadata.items()}["copyright"] == "Éric's survey"
+    orograph.movie(ground, tmp_path / "f%02d.png", **how)
+    with Image.open(tmp_path / "f00.png") as frame:
+        assert frame.info["Copyright"] == "Éric's survey"

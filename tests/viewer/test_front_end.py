@@ -1,4 +1,4 @@
-"""The widget in a real front end: JupyterLab in a headless Chromium, with mouse, wheel, keys and clipboard.
+"""The widget in JupyterLab, Notebook 7 and marimo, in a headless Chromium: mouse, wheel, keys, clipboard, traits.
 
 Skipped where JupyterLab, playwright or a Chromium is missing: no other test needs them.
 """
@@ -30,6 +30,11 @@ CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")]
 
 VIEW = ".renderview-view"
+DRAWN = f"""(() => {{
+    const all = root => [...root.querySelectorAll("*")].flatMap(e => e.shadowRoot ? [e, ...all(e.shadowRoot)] : [e]);
+    return all(document).some(e => e.matches("{VIEW}") && (e.src ?? "").startsWith("blob"));
+}})()"""
+"""Whether the widget has a picture; marimo keeps it in a shadow tree."""
 SOON = 120_000
 """Milliseconds: nothing takes as long."""
 
@@ -38,16 +43,24 @@ def cell(code: str) -> dict:
     return {"cell_type": "code", "source": code, "metadata": {}, "outputs": [], "execution_count": None}
 
 
-@pytest.fixture
-def page(dem: Path, device, tmp_path: Path) -> Iterator:
+FRONT_ENDS = {"jupyterlab": "lab/tree", "notebook": "notebooks"}
+"""Modules that serve notebooks, and where."""
+
+
+@pytest.fixture(params=["jupyterlab", pytest.param("notebook", marks=pytest.mark.stress)])
+def page(request, dem: Path, device, tmp_path: Path) -> Iterator:
     """A notebook, opened, whose first cell shows the test terrain and whose second closes it."""
+    pytest.importorskip(request.param)
     orograph.build([str(dem)], str(tmp_path / "area.oro")).close()
     kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
     notebook = {
         "nbformat": 4, "nbformat_minor": 4, "metadata": {"kernelspec": kernel},
         "cells": [
-            cell("import orograph\nw = orograph.open('area.oro').view(size=(700, 420))\nw"),
+            cell("import orograph\nw = orograph.view('area.oro', size=(700, 420))\nw"),
             cell("w.close()\nprint('closed' if w.canvas.get_closed() else 'open')"),
+            cell("import ipywidgets, traitlets\ns = ipywidgets.FloatSlider(10.0, min=0, max=90)\n"
+                 "traitlets.link((s, 'value'), (w, 'altitude'))\n"
+                 "print('sun', w.window.session.scene().lighting.sun.altitude, 'eye', w.camera.eye[2])"),
         ],
     }  # fmt: skip
     (tmp_path / "look.ipynb").write_text(json.dumps(notebook))
@@ -56,7 +69,7 @@ def page(dem: Path, device, tmp_path: Path) -> Iterator:
         port = free.getsockname()[1]
     folders = {f"JUPYTER_{kind}_DIR": str(tmp_path / kind) for kind in ("CONFIG", "DATA", "RUNTIME")}
     server = subprocess.Popen(
-        [sys.executable, "-m", "jupyterlab", "--allow-root", "--no-browser", "--ip=127.0.0.1", f"--port={port}",
+        [sys.executable, "-m", request.param, "--allow-root", "--no-browser", "--ip=127.0.0.1", f"--port={port}",
          "--ServerApp.token=", "--ServerApp.password=", "--ServerApp.disable_check_xsrf=True"],
         cwd=tmp_path, env={**os.environ, **folders, "OROGRAPH_ADAPTER": "software"}, stderr=subprocess.DEVNULL,
     )  # fmt: skip
@@ -73,7 +86,7 @@ def page(dem: Path, device, tmp_path: Path) -> Iterator:
             context = browser.new_context(viewport={"width": 1280, "height": 900})
             context.grant_permissions(["clipboard-read", "clipboard-write"], origin=base)
             found = context.new_page()
-            found.goto(f"{base}/lab/tree/look.ipynb")
+            found.goto(f"{base}/{FRONT_ENDS[request.param]}/look.ipynb")
             found.wait_for_selector(".jp-CodeCell", timeout=SOON)
             for _ in range(300):  # until the notebook has its kernel
                 found.wait_for_timeout(200)
@@ -175,6 +188,56 @@ def test_a_person_explores_a_cell(page):
             break
     assert small["height"] == round(page.locator(VIEW).bounding_box()["height"])
 
+    run(page, 2)  # traits: a slider moves the sun, the mouse moved the camera
+    said = page.locator("text=/^sun /").first.inner_text(timeout=SOON).split()
+    assert float(said[1]) == 10.0 and float(said[3]) == pytest.approx(small["eye"][2], rel=1e-3)
+
     run(page, 1)
     page.wait_for_selector("text=/^closed/", timeout=SOON)
     page.wait_for_function(f"!document.querySelector('{VIEW}')", timeout=SOON)
+
+
+@pytest.mark.stress
+def test_a_cell_of_marimo(dem: Path, device, tmp_path: Path) -> None:
+    """It shows the terrain, and a drag moves the camera."""
+    pytest.importorskip("marimo")
+    orograph.build([str(dem)], str(tmp_path / "area.oro")).close()
+    (tmp_path / "app.py").write_text(
+        "import marimo\napp = marimo.App()\n\n@app.cell\ndef _():\n"
+        "    import orograph\n    w = orograph.view('area.oro', size=(700, 420))\n    w\n    return (w,)\n\n"
+        "@app.cell\ndef _(w):\n    w.observe(lambda c: open('eye', 'w').write(repr(c.new.eye)), 'camera')\n    return\n"
+    )
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    server = subprocess.Popen(
+        [sys.executable, "-m", "marimo", "run", "app.py", "--headless", "--no-token", "--port", str(port)],
+        cwd=tmp_path, env={**os.environ, "OROGRAPH_ADAPTER": "software"}, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        with sync_api.sync_playwright() as play:
+            browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+            found = browser.new_page(viewport={"width": 1280, "height": 900})
+            for _ in range(300):
+                try:
+                    found.goto(f"http://127.0.0.1:{port}")
+                    break
+                except sync_api.Error:
+                    time.sleep(0.2)
+            found.wait_for_selector(VIEW, timeout=SOON)
+            found.wait_for_function(DRAWN, timeout=SOON)
+            box = found.locator(VIEW).bounding_box()
+            found.mouse.move(box["x"] + 300, box["y"] + 300)
+            found.mouse.down()
+            found.mouse.move(box["x"] + 400, box["y"] + 260, steps=6)
+            found.mouse.up()
+            for _ in range(300):
+                found.wait_for_timeout(100)
+                if (tmp_path / "eye").exists():
+                    break
+            assert (tmp_path / "eye").exists() and seen(found).std() > 15
+            browser.close()
+    finally:
+        server.terminate()
+        server.wait(30)

@@ -35,6 +35,7 @@ VERBS = {
     "light": "Make maps of light: slope, hillshade, horizons, sky, openness…",
     "measure": "Measure heights, lengths, areas and what is seen.",
     "tessellate": "Triangulate a DEM or a store for a view.",
+    "tin": "Triangulate a DEM or a store within metres, for no view.",
     "compare": "Measure methods side by side.",
     "methods": "Tell which methods there are, and what their options mean.",
     "doctor": "Tell what this machine offers for drawing, and what to install.",

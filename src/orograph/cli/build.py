@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli.memory import megabytes, peak_memory
-from orograph.cli.options import FILE, Float, jobs_option, memory_option, progress_of, source_options, vertical_options
+from orograph.cli.options import (
+    FILE,
+    Float,
+    area_options,
+    jobs_option,
+    memory_option,
+    progress_of,
+    source_options,
+    vertical_options,
+)
 from orograph.cli.products import Names
 from orograph.errors import UsageError
 
@@ -45,6 +54,7 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
 @click.command("build", short_help="Build a terrain store from DEM files.")
 @click.argument("dem", nargs=-1, type=click.Path())
 @click.option("--output", "-o", "store", required=True, metavar="STORE", help="Folder or URL (s3://…) of the store.")
+@area_options
 @click.option("--crs", help="Projected CRS of the terrain.  [default: the files' own, or their UTM zone]")
 @click.option("--resolution", type=Float(), metavar="METRES", help="Distance between samples.  [default: as the files]")
 @click.option(

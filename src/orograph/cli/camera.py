@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.options import FILE, F, Float, FloatRange, ParamType, with_options
-from orograph.scene.given import numbers
+from orograph.cli.options import FILE, F, Float, FloatRange, Numbers, ParamType, with_options
 
 if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
@@ -24,21 +23,6 @@ PLACES = ("azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov
 
 CAMERA = (*PLACES, "projection", "size")
 """All that ``camera_options`` gives."""
-
-
-class Numbers(ParamType):
-    """Numbers separated by commas, so many of them."""
-
-    def __init__(self, names: str, optional: int = 0) -> None:
-        self.name, self.optional = names, optional
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        if isinstance(value, tuple):
-            return value
-        try:
-            return numbers(str(value), self.name, self.optional)
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
 
 
 class Size(ParamType):
@@ -163,7 +147,7 @@ def camera_view(terrain: Terrain, options: Mapping[str, Any]) -> View:
     if options.get("furniture"):
         from orograph.rendering.furniture import furnish as furniture
 
-        insets = furniture.insets(size, "; ".join(terrain.attribution))
+        insets = furniture.insets(size, terrain.attribution, options.get("layers") or ())
     if options["projection"] == "plan":
         return camera.plan(terrain, size, azimuth=azimuth, insets=insets)
     if options["lonlat"] is not None:

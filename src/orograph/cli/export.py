@@ -6,11 +6,11 @@ from typing import Any
 
 import click
 
-from orograph.cli.camera import Numbers
 from orograph.cli.files import check_outputs
 from orograph.cli.memory import megabytes
 from orograph.cli.options import (
     FILE,
+    area_options,
     jobs_option,
     memory_option,
     progress_of,
@@ -23,7 +23,7 @@ from orograph.cli.options import (
 @click.command("export")
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("-o", "--output", required=True, type=FILE, help="The GeoTIFF to write.")
-@click.option("--bbox", type=Numbers("W,S,E,N"), help="The area, in degrees.  [default: all of it]")
+@area_options
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
 @source_options
 @vertical_options

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.camera import Numbers
 from orograph.cli.options import (
     FILE,
     FloatRange,
+    Numbers,
     ParamType,
     jobs_option,
     memory_option,

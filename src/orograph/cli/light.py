@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.camera import Numbers
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
     FILE,
+    Numbers,
     grid_options,
     jobs_option,
     memory_option,

@@ -46,12 +46,13 @@ class Measures(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         if args[0] not in self.commands:
-            known = ", ".join(self.commands)
-            hint = (
-                " The DEM or store comes first, then what to measure."
-                if ctx.params.get("path") in self.commands
-                else ""
-            )
+            known, option = ", ".join(self.commands), args[0].partition("=")[0]
+            if option in {name for p in self.params for name in p.opts}:
+                ctx.fail(f"{option} comes before the DEM or store.")
+            if option.startswith("-"):
+                ctx.fail(f"{option} comes after what is measured; that is one of {known}.")
+            swapped = ctx.params.get("path") in self.commands
+            hint = " The DEM or store comes first, then what to measure." if swapped else ""
             ctx.fail(f"There is no measure {args[0]!r}; there are {known}.{hint}")
         return super().resolve_command(ctx, args)
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from orograph.cli.camera import Numbers
 from orograph.cli.files import check_outputs
-from orograph.cli.options import FILE, F, Float, progress_of, with_options
+from orograph.cli.options import FILE, F, Float, Numbers, progress_of, with_options
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:

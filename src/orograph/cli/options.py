@@ -2,8 +2,8 @@
 
 ``@source_options`` gives a verb the options of ``orograph.dem.Source.open`` as keyword arguments ``band``, ``nodata``,
 ``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``; ``@vertical_options`` gives
-``to_vertical`` and ``geoid``, ``@grid_options(…)`` ``crs`` and ``resolution``, ``@memory_option`` ``max_memory``
-(bytes, int), ``@jobs_option`` ``jobs`` (int or None: all processors).
+``to_vertical`` and ``geoid``, ``@area_options`` ``bbox`` and ``clip``, ``@grid_options(…)`` these, ``crs`` and
+``resolution``, ``@memory_option`` ``max_memory`` (bytes, int), ``@jobs_option`` ``jobs`` (int or None: all processors).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from orograph.folders import parse_bytes
+from orograph.scene.given import numbers
 
 if TYPE_CHECKING:
     from orograph.cli.progress import LineProgress
@@ -51,7 +52,7 @@ class Bytes(ParamType):
 
 
 def grid_options(doing: str) -> Callable[[F], F]:
-    """Give a verb ``crs`` and ``resolution``, those of the grid that terrain is brought to.
+    """Give a verb ``crs`` and ``resolution``, those of the grid that terrain is brought to, and the ``area_options``.
 
     Args:
         doing: what the verb does in that CRS ("draw", "measure"…).
@@ -60,7 +61,18 @@ def grid_options(doing: str) -> Callable[[F], F]:
     resolution = click.option(
         "--resolution", type=Float(), metavar="METRES", help="Distance between samples.  [default: the files']"
     )
-    return lambda function: crs(resolution(function))
+    return lambda function: area_options(crs(resolution(function)))
+
+
+def area_options(function: F) -> F:
+    """``--bbox`` and ``--clip``: the part of the ground that is read."""
+    return with_options(
+        function,
+        click.option(
+            "--bbox", type=Numbers("W,S,E,N"), help="Of the ground only this area, in degrees.  [default: all of it]"
+        ),
+        click.option("--clip", type=FILE, help="Of the ground only what lies in these polygons (GeoJSON)."),
+    )
 
 
 class Float(click.types.FloatParamType):
@@ -81,6 +93,21 @@ def _number(kind: click.ParamType[Any], value: Any, param: click.Parameter | Non
     if value != value:
         kind.fail("nan is not a number.", param, ctx)
     return value
+
+
+class Numbers(ParamType):
+    """Numbers separated by commas, so many of them."""
+
+    def __init__(self, names: str, optional: int = 0) -> None:
+        self.name, self.optional = names, optional
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        if isinstance(value, tuple):
+            return value
+        try:
+            return numbers(str(value), self.name, self.optional)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
 
 
 class Nodata(ParamType):

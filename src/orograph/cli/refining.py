@@ -1,13 +1,12 @@
-"""Methods on the command line: ``--method NAME[,key=value…]``, what it is to reach, and the method they describe.
+"""Methods on the command line: ``--method NAME[,key=value…]``, and what it is to reach.
 
 ``@method_option(…)`` gives a verb ``method`` and ``conservative``, ``@goal_options`` ``tolerance``, ``triangles``,
-``drape`` and ``exaggeration`` (all are ``REFINE``), ``@terrain_options(…)`` what is said of the terrain. ``choice_of``
-reads a method once options are checked; ``terrain_of`` reads the terrain, for which ``make_method`` makes it.
+``drape`` and ``exaggeration`` (all are ``REFINE``), ``@terrain_options(…)`` what is said of the terrain.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -21,21 +20,16 @@ from orograph.cli.options import (
     grid_options,
     jobs_option,
     memory_option,
-    source_of,
     source_options,
     vertical_options,
     with_options,
 )
-from orograph.errors import UsageError
 from orograph.scene.given import read_method
 from orograph.verbs import goals
 
 if TYPE_CHECKING:
     from orograph.error import ErrorKind
-    from orograph.lod.method import Goal, Method
     from orograph.lod.registry import Choice
-    from orograph.progress import Progress
-    from orograph.store.terrain import Terrain
 
 REFINE = ("tolerance", "triangles", "drape", "exaggeration", "conservative")
 """What ``goal_options`` and ``method_option`` give besides the method."""
@@ -127,28 +121,6 @@ def check_written(
     )  # fmt: skip
 
 
-def terrain_of(
-    paths: Sequence[str], options: Mapping[str, Any], own: Collection[str], choices: Sequence[Choice],
-    max_memory: int, jobs: int | None, progress: Progress,
-) -> Terrain:  # fmt: skip
-    """The terrain, with the errors of diamonds that methods need.
-
-    Args:
-        options: of the verb. own: those of them that say nothing about reading, besides ``REFINE``.
-    """
-    from orograph.store.prepare import prepare
-
-    source = source_of(options, {*own, *REFINE})
-    return prepare(
-        list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=error_kinds(choices), **source
-    )
-
-
-def goal_of(options: Mapping[str, Any], *names: str) -> Goal:
-    """The one of the options ``names`` that is given; else a tolerance of 1 pixel (``verbs.goals``)."""
-    return goals.goal_of(**{name: options[name] for name in names})
-
-
 choice_of = goals.choice_of
 
 
@@ -157,32 +129,3 @@ def error_kinds(choices: Sequence[Choice]) -> tuple[ErrorKind, ...]:
     from orograph.lod.needs import kinds_of
 
     return kinds_of(need for choice in choices for need in choice.method.needs(choice.options))
-
-
-def not_enough(budget: int, method: str, made: int) -> str:
-    """The warning about a mesh with more triangles than asked for."""
-    return f"{budget:,} triangles are not enough for a sound mesh of this view by {method}: it has {made:,}."
-
-
-def check_colors(options: Mapping[str, Any], choices: Sequence[Choice]) -> None:
-    """Raise UsageError where an image is given of which nothing is asked."""
-    asked = any(getattr(choice.options, "color_tolerance", None) is not None for choice in choices)
-    if options["drape"] is not None and not asked:
-        raise UsageError(
-            "--drape is looked at for a method's color-tolerance.",
-            remedy="Say how much colours may change (ΔE): --method soar,color-tolerance=2.3.",
-        )
-
-
-def make_method(
-    choice: Choice, terrain: Terrain, options: Mapping[str, Any], max_memory: int, jobs: int | None, progress: Progress
-) -> Method:  # fmt: skip
-    """The method for a terrain.
-
-    Raises:
-        UsageError, StoreError, ReadError: as ``scene.methods.made``.
-    """
-    from orograph.lod.method import Resources
-    from orograph.scene.methods import made
-
-    return made(choice, terrain, Resources(max_memory // 2, jobs, progress), options["drape"])

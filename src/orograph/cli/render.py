@@ -76,10 +76,10 @@ def command(
     with progress.task("Loading Orograph"):
         from orograph.errors import DamagedChunkError, NothingInViewError
         from orograph.folders import cache_folder
-        from orograph.output import Beside, check_folder
+        from orograph.output import check_folder
         from orograph.rendering.backends import draw, session
         from orograph.rendering.large import ACROSS, draw_large, is_large
-        from orograph.rendering.memory import check_memory
+        from orograph.rendering.memory import band_pixels, check_memory
         from orograph.rendering.picture import picture_format
         from orograph.scene.diagnostics import LEAVE_CAMERA
         from orograph.store.prepare import prepare
@@ -109,8 +109,9 @@ def command(
         if large:
             draws = session(progress, backend=options["backend"])
             facts = draw_large(
-                scene, output, depth=depth, draw=draws, across=ACROSS if gpu else None, progress=progress
-            )
+                scene, output, depth=depth, draw=draws, across=ACROSS if gpu else None, progress=progress,
+                pixels=band_pixels(max_memory, gpu=gpu),
+            )  # fmt: skip
         else:
             picture = draw(scene, progress, backend=options["backend"])
             facts = picture.facts
@@ -127,8 +128,7 @@ def command(
         if depth:
             picture.save_depth(depth)
     if save_view:
-        with Beside(Path(save_view)) as part:
-            part.write_text(json.dumps(view.to_dict(), indent=2) + "\n", encoding="utf-8")
+        view.save(save_view)
     seconds = time.perf_counter() - began
     if as_json:
         crs = terrain.grid.crs

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import time
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from orograph.cli import refining
 from orograph.cli.camera import CAMERA, camera_options, camera_view, check_camera
-from orograph.cli.options import FILE, Float, progress_of
+from orograph.cli.options import FILE, Float, progress_of, source_of
 from orograph.errors import OrographError
+
+if TYPE_CHECKING:
+    from orograph.progress import Progress
+    from orograph.verify.report import Report
 
 OWN = (*CAMERA, "seconds")
 """What is said about the mesh besides the method and its goal; all other options are about reading."""
@@ -51,58 +54,39 @@ def command(
     check_camera(options)
     refining.check_written({"--output": output}, paths, options, view=options["view_path"])
     with progress.task("Loading Orograph"):
-        from orograph.meshing import mesh_format, write
-        from orograph.output import check_folder
-        from orograph.scene.parts import check_exaggeration
-        from orograph.viewpoint import Camera
-
-        choice = refining.choice_of(method, options["conservative"])
-        goal = refining.goal_of(options, "tolerance", "triangles", "seconds")
-        choice.check_triangles()
-        choice.info.check_goal(goal.name)
-        refining.check_colors(options, [choice])
-    mesh_format(output)
-    check_folder(Path(output))
-    check_exaggeration(options["exaggeration"])
-    terrain = refining.terrain_of(paths, options, OWN, [choice], max_memory, jobs, progress)
-    view = camera_view(terrain, options)
-    with progress.task("Errors of the terrain"):
-        selects = refining.make_method(choice, terrain, options, max_memory, jobs, progress)
-    with progress.task(f"Selecting ({choice})"):
-        selection = selects.select(Camera.over(terrain.grid, view, options["exaggeration"]), goal)
-        mesh = selection.tessellation()
-    stats, count = selection.stats, len(mesh.triangles)
-    if goal.triangles is not None and count > goal.triangles:
-        progress.warn(refining.not_enough(goal.triangles, choice.info.name, count))
-    with progress.task("Writing"):
-        write(mesh, terrain.grid, output)
-    report = None
-    if check:
-        from orograph import verify
-
-        with progress.task("The referee"):
-            report = verify.judge_mesh(mesh, terrain, view, exaggeration=options["exaggeration"], jobs=jobs)
+        from orograph.verbs.tessellate import triangulate
+    goals = {name: options[name] for name in ("tolerance", "triangles", "seconds")}
+    made = triangulate(
+        list(paths), lambda terrain: camera_view(terrain, options), method=method, goals=goals,
+        conservative=options["conservative"], drape=options["drape"], exaggeration=options["exaggeration"],
+        check=check, output=output, max_memory=max_memory, jobs=jobs, progress=progress,
+        **source_of(options, {*OWN, *refining.REFINE}),
+    )  # fmt: skip
+    stats, count, report = made.stats, len(made.mesh.triangles), made.report
     if as_json:
-        crs = terrain.grid.crs
+        crs = made.terrain.grid.crs
         told = {
             "mesh": output, "seconds_in_all": round(time.perf_counter() - began, 3),
-            "crs": crs.to_string() if crs else None, "view": view.to_dict(), "vertices": len(mesh.vertices),
-            **stats, "triangles": count, "bound": selection.bound,
-            "report": None if report is None else report.to_dict(),
+            "crs": crs.to_string() if crs else None, "view": made.view.to_dict(), "vertices": len(made.mesh.vertices),
+            **stats, "triangles": count, "bound": made.bound, "report": None if report is None else report.to_dict(),
         }  # fmt: skip
         click.echo(json.dumps(told, allow_nan=False))
     else:
         took = f"  {stats['refine_ms']:.1f} ms" if "refine_ms" in stats else ""
-        click.echo(f"{output}  {choice}: {count:,} triangles{took}")
+        click.echo(f"{output}  {made.choice}: {count:,} triangles{took}")
         if report is not None:
             click.echo(str(report))
     if report is not None:
-        promised = selection.bound
-        if report.defects and promised is None:
-            progress.warn("The mesh is not sound (see the report), and nothing was promised.")
-        elif promised is not None and not report.ok(promised):
-            raise OrographError(
-                "The mesh is not sound (see the report)." if report.defects else
-                f"The mesh is off by {report.largest:.4g} pixels, and {choice} promised {promised:g}.",
-                path=output, remedy="This is a fault of Orograph: please report it, with the terrain and the view.",
-            )  # fmt: skip
+        _judge(report, made.bound, str(made.choice), output, progress)
+
+
+def _judge(report: Report, promised: float | None, choice: str, output: str, progress: Progress) -> None:
+    """Warn of a mesh that is not sound, or raise OrographError where a promise is broken."""
+    if report.defects and promised is None:
+        progress.warn("The mesh is not sound (see the report), and nothing was promised.")
+    elif promised is not None and not report.ok(promised):
+        raise OrographError(
+            "The mesh is not sound (see the report)." if report.defects else
+            f"The mesh is off by {report.largest:.4g} pixels, and {choice} promised {promised:g}.",
+            path=output, remedy="This is a fault of Orograph: please report it, with the terrain and the view.",
+        )  # fmt: skip

@@ -52,14 +52,13 @@ def new(
     check_outputs({"--output": output}, {"the input": paths, "the line": [options["line"]]})
     source = source_of(options, WAY)
     with progress.task("Loading Orograph"):
-        from orograph.output import Beside, check_folder
+        from orograph.output import check_folder
         from orograph.store.prepare import prepare
 
     check_folder(Path(output))
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **source)
     made = tour_of(terrain, size, options, (315.0, 45.0), exaggeration)
-    with Beside(Path(output)) as part:
-        part.write_text(json.dumps(made.to_dict(), indent=1) + "\n", encoding="utf-8")
+    made.save(output)
     click.echo(f"{output}  {len(made.keys)} key frame(s), {made.duration:.1f} s")
 
 

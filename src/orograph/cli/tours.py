@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import click
 
-from orograph.cli.camera import Numbers
-from orograph.cli.options import FILE, F, Float, FloatRange, with_options
+from orograph.cli.options import FILE, F, Float, FloatRange, Numbers, with_options
 
 
 def tour_options(function: F) -> F:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
+from orograph.dem.area import Area, said
 from orograph.dem.handles import files_of, states
 from orograph.dem.lattice import Lattice, Raster, SourceLattice, group
 from orograph.dem.layers import fill, layer_of
@@ -68,6 +69,8 @@ class Mosaic:
         resampling: str = "bilinear",
         to_vertical: Direction | None = None,
         geoid: Geoid | str | os.PathLike[str] | None = None,
+        bbox: Sequence[float] | None = None,
+        clip: Any = None,
         options: dict[str, Any] | None = None,
     ) -> None:
         if resampling not in METHODS:
@@ -76,7 +79,8 @@ class Mosaic:
             raise UsageError("There is no file to read.")
         check_request(to_vertical, geoid)
         wanted = None if crs is None else parse_crs(crs)
-        self.sources: tuple[Raster, ...] = tuple(sources)
+        area = Area.of(bbox, clip)
+        self.sources: tuple[Raster, ...] = tuple(sources if area is None else area.cut(sources))
         self.resampling = resampling
         self.warnings: list[str] = []
         grids = turned([placed(s, options or {}, self.warnings) for s in self.sources])
@@ -98,7 +102,8 @@ class Mosaic:
         self.projection = target.reason
         self._layers = [layer_of(lattice, target.grid, resampling) for lattice in lattices]
         self.lossless = all(layer.offset is not None for layer in self._layers)
-        self.name = self.sources[0].name + (f" and {len(sources) - 1} more" if len(sources) > 1 else "")
+        others = f" and {len(self.sources) - 1} more" if len(self.sources) > 1 else ""
+        self.name = self.sources[0].name + others
         self.height_source = [Path(getattr(s, "path", s.name)).name for s in self.sources]
         self.dtypes = tuple(sorted({str(getattr(s, "dtype", "float32")) for s in self.sources}))
         self.attribution = tuple(dict.fromkeys(a for s in self.sources for a in getattr(s, "attribution", ())))
@@ -118,6 +123,7 @@ class Mosaic:
             "crs": None if wanted is None else wanted.to_wkt(),
             "resolution": resolution,
             "to_vertical": to_vertical,
+            **({} if area is None else {"bbox": area.box, "clip": said(clip)}),
             **(options or {}),
         }
         self._gather_warnings()
@@ -133,6 +139,8 @@ class Mosaic:
         resampling: str = "bilinear",
         to_vertical: Direction | None = None,
         geoid: Geoid | str | os.PathLike[str] | None = None,
+        bbox: Sequence[float] | None = None,
+        clip: Any = None,
         progress: Progress = SILENT,
         **options: Any,
     ) -> Mosaic:
@@ -145,6 +153,8 @@ class Mosaic:
             resampling: "nearest", "bilinear" or "cubic"; has no effect where samples are kept.
             to_vertical: "ellipsoidal" or "orthometric": convert heights to those above the ellipsoid, or the geoid.
             geoid: the geoid grid, or its file, by which to convert.
+            bbox: west, south, east, north in degrees: read this area only.
+            clip: polygons outside which samples are missing (``Area.of``).
             options: those of ``Source.open``.
 
         Raises:
@@ -174,6 +184,8 @@ class Mosaic:
             resampling=resampling,
             to_vertical=to_vertical,
             geoid=geoid,
+            bbox=bbox,
+            clip=clip,
             options=options,
         )
 

@@ -97,6 +97,8 @@ class Drape:
         budget = BUDGET if max_memory is None else max(max_memory // IMAGES, 1 << 16)
         least = 1.0 if metres is None else metres * float(laid.lattice.density().max())
         size = window.row1 - window.row0, window.col1 - window.col0
+        if laid.layer.asks:  # a server is asked for what the picture shows
+            return step_for(*size, FEW, 1.0).bit_length() - 1, budget
         step = step_for(*size, budget, least)
         if step == step_for(*size, math.inf, least):
             return step.bit_length() - 1, 0

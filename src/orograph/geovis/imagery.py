@@ -10,6 +10,7 @@ from overviews if the file has them. Units: pixels.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -190,9 +191,25 @@ def pieces(location: str, window: ImageWindow, bands: Bands) -> Iterator[tuple[i
 
 def unreadable(location: str, error: BaseException) -> ReadError:
     """What is said of an image that GDAL fails to read."""
+    if location.endswith(".xml") and (why := asked_in_vain(error)):
+        return ReadError(
+            f"A map's server did not give a tile: {why}.", path=location,
+            remedy="Try again later: what it gave already is kept.",
+        )  # fmt: skip
     return ReadError(
         f"The image cannot be read: {cause_of(error)}", path=location, remedy="Fetch it again if it was cut short."
     )
+
+
+def asked_in_vain(error: BaseException) -> str:
+    """What GDAL's tile driver says of a server, "" if it was not at fault."""
+    inner: BaseException | None = error
+    while inner is not None:
+        found = re.search(r"HTTP status code: (\d+), error: ([^\n]*)", str(inner))
+        if found:
+            return f"status {found[1]}" if found[1] != "0" else found[2].strip().rstrip(".")
+        inner = inner.__cause__ or inner.__context__
+    return ""
 
 
 def _around(window: ImageWindow, width: int) -> list[tuple[int, int]]:

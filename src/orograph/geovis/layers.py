@@ -23,8 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
+from orograph.dem.handles import locate
 from orograph.documents import number
 from orograph.errors import UsageError
+from orograph.geovis.basemaps import PREFIX, Basemap, location_of
 from orograph.geovis.held import Held, held
 from orograph.geovis.tables import Table
 
@@ -44,8 +46,9 @@ class Layer:
     """An image or a raster over the ground.
 
     Attributes:
-        path: the file, in any CRS; without any georeference it is stretched over the terrain. Also an array of values
-            or colours, a DataArray, or an open rasterio dataset (``held``); it is then the name of a file in memory.
+        path: the file, in any CRS; without any georeference it is stretched over the terrain. Also a tile service or
+            tiles (``xyz:NAME``: ``basemaps``); an array of values or colours, a DataArray, or an open rasterio dataset
+            (``held``), whose path is then that of a file in memory.
         opacity: 0 to 1, times the image's own.
         visible: whether it is drawn.
         name: what to call it; None: the file's name.
@@ -124,8 +127,35 @@ class Layer:
     @property
     def label(self) -> str:
         """What to call it."""
+        if self.path.startswith(PREFIX):
+            return self.name or Basemap.of(self.path).name
         file = Path(self.path)
         return self.name or (file.name if self.held is None else file.stem) or str(self.path)
+
+    @property
+    def title(self) -> str:
+        """What to call it in a picture: its name, or its file's without what comes after the dot."""
+        return self.name or Path(self.label).stem.replace("_", " ")
+
+    @property
+    def location(self) -> str:
+        """What GDAL opens.
+
+        Raises:
+            ReadError: there is no such file. UsageError: there is no such tile service.
+        """
+        return locate(location_of(self.path))
+
+    @property
+    def asks(self) -> bool:
+        """Whether a server is asked for its tiles."""
+        return self.path.startswith(PREFIX) and "://" in Basemap.of(self.path).url
+
+    @property
+    def attribution(self) -> tuple[str, ...]:
+        """Whom a tile service wants to be named."""
+        said = Basemap.of(self.path).attribution if self.path.startswith(PREFIX) else ""
+        return (said,) if said else ()
 
     @property
     def content(self) -> Layer:
@@ -153,7 +183,7 @@ class Layer:
         """
         path = text
         told: list[str] = []
-        while not Path(path).exists():
+        while not Path(path).exists() or path.startswith(PREFIX):
             head, comma, last = path.rpartition(",")
             if not comma or "=" not in last or not head:
                 break
@@ -222,6 +252,24 @@ Given = Any
 """A layer, or what becomes one: the path of an image, an array, a DataArray, an open dataset."""
 
 
+def basemap(name: str, **options: Any) -> Layer:
+    """A layer of a tile service, as ``--drape xyz:NAME`` has it.
+
+    Args:
+        name: of the xyzservices catalogue ("OpenTopoMap", "Esri.WorldImagery"), or a URL or a folder with {z}, {x} and
+            {y}; "?apikey=…" after a name gives a service what it asks for.
+        options: of ``Layer``: ``opacity``, ``blend``, ``name``…
+
+    Returns:
+        a ``Layer``, for ``layers=``.
+
+    Raises:
+        UsageError: there is no such service, or it asks for a token.
+    """
+    Basemap.of(name)
+    return Layer(name if name.startswith(PREFIX) else PREFIX + name, **options)
+
+
 def layers_of(given: Given | Iterable[Given] | None) -> tuple[Layer, ...]:
     """Layers, bottom to top, from what a user may give: one or several, each a ``Layer`` or a path.
 
@@ -249,6 +297,11 @@ def check_count(layers: Iterable[Layer]) -> None:
 def drawn(layers: Iterable[Layer]) -> tuple[Layer, ...]:
     """Those that can be seen, bottom to top."""
     return tuple(layer for layer in layers if layer.drawn)
+
+
+def attributed(own: Iterable[str], layers: Iterable[Layer]) -> tuple[str, ...]:
+    """Whom a picture names: the makers of its heights, and of its layers, each once."""
+    return tuple(dict.fromkeys([*own, *(one for layer in drawn(layers) for one in layer.attribution)]))
 
 
 def found_beside(layers: Iterable[Layer], folder: Path) -> tuple[Layer, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from orograph.dem.handles import HANDLES, locate
+from orograph.dem.handles import HANDLES
 from orograph.errors import ReadError
 from orograph.geo.grid import Grid
 from orograph.geovis.imagery import Bands, ImageWindow, unreadable
@@ -56,7 +56,7 @@ class Laid:
         from rasterio.errors import RasterioError
 
         name = layer.path if layer.held is None else layer.label
-        location = locate(layer.path)
+        location = layer.location
         warnings: list[str] = []
         with HANDLES.borrow(location) as file:
             image = grid_of(file)

@@ -27,11 +27,13 @@ class Table:
         name: what to call it.
         rgba: (n, 4) uint8 sRGB and opacity, row by row.
         span: the values of the first and the last entry; None: whatever is coloured decides.
+        classes: whether each entry is a class of its own.
     """
 
     name: str
     rgba: bytes
     span: tuple[float, float] | None = None
+    classes: bool = False
 
     def __repr__(self) -> str:
         return f"<Table {self.name}>"
@@ -102,7 +104,7 @@ def _classes(given: Mapping[Any, Any]) -> Table:
         except (ValueError, TypeError) as error:
             raise UsageError(f"{color!r}, of class {value}, is no colour.") from error
         colors[int(value) - low] = np.round(np.array([red, green, blue, opacity]) * 255)
-    return Table("classes", colors.tobytes(), (float(low), float(low + len(colors) - 1)))
+    return Table("classes", colors.tobytes(), (float(low), float(low + len(colors) - 1)), True)
 
 
 def _bytes(colors: Any) -> bytes:

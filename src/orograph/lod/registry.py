@@ -30,6 +30,7 @@ METHODS: dict[str, str | type[Method]] = {
     "threshold-spheres": "orograph.lod.threshold_spheres:ThresholdSpheres",
     "stateless": "orograph.lod.stateless:Stateless",
     "soar": "orograph.lod.soar:Soar",
+    "restricted-quadtree": "orograph.lod.restricted_quadtree:RestrictedQuadtree",
 }
 """Name to MODULE:CLASS, or to the class."""
 

@@ -6,76 +6,79 @@ coordinate is ignored: heights are measured, not told.
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.documents import parse
-from orograph.errors import ReadError, UsageError
+from orograph.errors import ReadError
+from orograph.geo.geojson import crs_name, geometries, lines, load
 from orograph.geo.transform import transformer
 from orograph.measuring.places import Places
 
 Array = NDArray[np.float64]
 
+DEPTHS = {"Point": 0, "MultiPoint": 1, "LineString": 0, "MultiLineString": 1, "Polygon": 1, "MultiPolygon": 2}
+"""How deep the lines or points of a geometry lie in its coordinates."""
 
-def read_geojson(path: str | os.PathLike[str], kind: str, places: Places) -> list[Array]:
+
+def read_geojson(path: Any, kind: str, places: Places) -> list[Array]:
     """The rings of the file's polygon, or its line as a list of one, in the terrain's CRS.
 
     Args:
+        path: of the file, or what else ``geo.geojson.load`` takes.
         kind: "Polygon" or "LineString".
 
     Raises:
         ReadError: the file cannot be read, or is no GeoJSON of one such geometry.
         UsageError: its coordinates cannot be brought to the terrain's CRS.
     """
-    try:
-        data = parse(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ReadError(f"It cannot be read: {error.strerror}.", path=path) from error
-    except ValueError as error:
-        raise ReadError(f"This is not JSON: {error}.", path=path) from error
-    found = [g for g in _geometries(data) if g.get("type") == kind]
+    data, called = load(path)
+    found = [g for g in geometries(data) if g.get("type") == kind]
     if len(found) != 1:
         raise ReadError(
-            f"It holds {len(found)} geometries of type {kind}, and one is measured at a time.", path=path,
+            f"It holds {len(found)} geometries of type {kind}, and one is measured at a time.", path=called,
             remedy=f"Give a GeoJSON file with one {kind}.",
         )  # fmt: skip
+    parts = found[0].get("coordinates")
     try:
-        parts = found[0]["coordinates"]
-        rings = [np.array([p[:2] for p in part], np.float64) for part in (parts if kind == "Polygon" else [parts])]
-        if not rings or any(ring.ndim != 2 or ring.shape[1] != 2 for ring in rings):
-            raise ValueError("coordinates")
+        rings = lines(parts if kind == "Polygon" else [parts])
+    except ValueError as error:
+        raise ReadError(f"The {kind} has no list of coordinates.", path=called) from error
+    return _moved(rings, data, places)
+
+
+def read_lines(path: Any, places: Places) -> list[Array]:
+    """All lines, outlines of polygons, and points (as lines of one place) of a file, in the terrain's CRS.
+
+    Args:
+        path: of the file, or what else ``geo.geojson.load`` takes.
+
+    Raises:
+        ReadError: the file cannot be read, or is no GeoJSON with any of these.
+        UsageError: as ``read_geojson``.
+    """
+    data, called = load(path)
+    found: list[Array] = []
+    try:
+        for geometry in geometries(data):
+            depth, parts = DEPTHS[geometry["type"]], [geometry["coordinates"]]
+            for _ in range(depth):
+                parts = [part for several in parts for part in several]
+            if geometry["type"].endswith("Point"):
+                parts = [[part] for part in parts]
+            found += lines([part for part in parts if part]) if any(parts) else []
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise ReadError(f"The {kind} has no list of coordinates.", path=path) from error
-    name = _crs(data)
+        raise ReadError(f"This is no GeoJSON of lines, polygons or points: {error!r}.", path=called) from error
+    if not found:
+        raise ReadError("It holds no lines, polygons or points.", path=called)
+    return _moved(found, data, places)
+
+
+def _moved(found: list[Array], data: dict[str, Any], places: Places) -> list[Array]:
+    """Lines of a GeoJSON object in the terrain's CRS."""
+    name = crs_name(data)
     if name is None:
-        return [places.of_lonlat(ring) for ring in rings]
+        return [places.of_lonlat(line) for line in found]
     move = transformer(name, places.grid.crs)
-    return [np.stack(move(ring[:, 0], ring[:, 1]), axis=-1) for ring in rings]
-
-
-def _geometries(data: Any) -> list[dict[str, Any]]:
-    """All geometries in a GeoJSON object."""
-    if not isinstance(data, dict):
-        return []
-    if data.get("type") == "FeatureCollection":
-        return [g for feature in data.get("features") or [] for g in _geometries(feature)]
-    if data.get("type") == "Feature":
-        return _geometries(data.get("geometry"))
-    if data.get("type") == "GeometryCollection":
-        return [g for each in data.get("geometries") or [] for g in _geometries(each)]
-    return [data]
-
-
-def _crs(data: dict[str, Any]) -> str | None:
-    """The name in an old-style ``crs`` member; None where it is longitude and latitude."""
-    try:
-        name = data["crs"]["properties"]["name"]
-    except (KeyError, TypeError):
-        return None
-    if not isinstance(name, str):
-        raise UsageError(f"The file's crs has no name that can be understood: {name!r}.")
-    return None if name.rstrip("/").endswith(("CRS84", "4326")) else name
+    return [np.stack(move(line[:, 0], line[:, 1]), axis=-1) for line in found]

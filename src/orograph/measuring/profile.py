@@ -104,12 +104,29 @@ class Profile:
     @property
     def lowest(self) -> float | None:
         """The lowest ground on the line, metres; None if there is none."""
-        return None if np.isnan(self.heights).all() else float(np.nanmin(self.heights))
+        return None if self._extremes is None else self._extremes[0]
 
     @property
     def highest(self) -> float | None:
         """The highest ground on the line, metres; None if there is none."""
-        return None if np.isnan(self.heights).all() else float(np.nanmax(self.heights))
+        return None if self._extremes is None else self._extremes[1]
+
+    @cached_property
+    def _extremes(self) -> tuple[float, float] | None:
+        """The lowest and the highest of ``heights``, between places too: along a line bilinear ground is a parabola,
+        which may turn there. Where samples were resampled, the turn is that of the parabola through three places."""
+        if np.isnan(self.heights).all():
+            return None
+        terrain, step = self.places.terrain, np.diff(self.points, axis=0)
+        start, end = self.heights[:-1], self.heights[1:]
+        middle = own_heights(terrain, self.points[:-1] + 0.5 * step)
+        bend, slope = 2 * (start + end) - 4 * middle, 4 * middle - 3 * start - end
+        with np.errstate(invalid="ignore", divide="ignore"):
+            turn = -0.5 * slope / bend
+        inside = (turn > 0) & (turn < 1)
+        turning = own_heights(terrain, self.points[:-1][inside] + turn[inside, None] * step[inside])
+        found = np.concatenate([self.heights, turning])
+        return float(np.nanmin(found)), float(np.nanmax(found))
 
     def at(self, distance: ArrayLike) -> tuple[Array, Array, Array]:
         """Points (k, 2), surface heights (k,) and ground (k,) at distances (k,) along the line; exact: the surface is

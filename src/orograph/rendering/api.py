@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
 from orograph.errors import UsageError
+from orograph.geovis.layers import layers_of
 from orograph.lod.options import Described
 from orograph.progress import Progress
 from orograph.rendering.backends import BACKENDS, draw
@@ -95,7 +96,8 @@ def render(
     terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
     from orograph.rendering.furniture.furnish import insets
 
-    free = insets(size, "; ".join(terrain.attribution)) if options.get("furniture") else NO_INSETS
+    layers = layers_of(options.get("layers"))
+    free = insets(size, terrain.attribution, layers) if options.get("furniture") else NO_INSETS
     view = view_of(view, terrain, size, exaggeration=options.get("exaggeration", 1.0), insets=free)
     return draw(Scene.of(terrain, view, **options), heard, backend=backend)
 

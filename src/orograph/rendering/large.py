@@ -113,7 +113,7 @@ def draw_large(
             sheet.furnish()
         scratch.close()
         with progress.task(f"Writing {out.name}"):
-            aside(lambda: encode(scratch, kind, place, scene.terrain.attribution))
+            aside(lambda: encode(scratch, kind, place, scene.attribution))
     sheet.facts["seconds"] = {"all": round(time.perf_counter() - began, 4)}
     return sheet.facts
 

@@ -15,9 +15,22 @@ BYTES_PER_PIXEL = 50
 """Of a picture while it is drawn: depth, window, void fill, linear light, bytes and masks."""
 
 
-def band_pixels(max_memory: int | None) -> int:
-    """Pixels of a large picture that are drawn at a time: an eighth of the memory allowed, 4 million at most."""
-    return min(4 << 20, (max_memory or 1 << 40) // 8 // BYTES_PER_PIXEL)
+ON_GPU = 100
+"""Bytes per pixel where a GPU draws; a software driver's textures are among them."""
+DRIVER = 320 << 20
+"""Bytes that a software driver takes with its compiler."""
+TILED = 704 << 20
+"""Bytes that a picture by tiles takes with a software driver, whatever is allowed."""
+
+
+def band_pixels(max_memory: int | None, *, gpu: bool = False) -> int:
+    """Pixels of a large picture that are drawn at a time, 4 million at most: those of an eighth of the memory allowed,
+    on a GPU of a quarter of what a software driver leaves."""
+    if max_memory is None:
+        return 4 << 20
+    if gpu:
+        return max(min(4 << 20, (max_memory - DRIVER) // 4 // ON_GPU), 1 << 18)
+    return min(4 << 20, max_memory // 8 // BYTES_PER_PIXEL)
 
 
 def check_memory(size: tuple[int, int], max_memory: int | None = None) -> None:

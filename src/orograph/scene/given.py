@@ -79,11 +79,10 @@ def read_sun(text: str) -> Placed | Moment:
 
 def read_layer(text: str) -> Layer:
     """A layer as ``Layer.parse`` reads it, whose file is there."""
-    from orograph.dem.handles import locate
     from orograph.geovis.layers import Layer
 
     layer = Layer.parse(text)
-    locate(layer.path)
+    assert layer.location
     return layer
 
 
@@ -159,8 +158,8 @@ def colormap(value: Any, terrain: Terrain) -> str | Table | None:
 
 
 def layers(value: Any, terrain: Terrain) -> tuple[Layer, ...]:
-    """Takes one or several: paths, arrays (which span the terrain), DataArrays, open rasterio datasets, or `Layer`s,
-    which say what keys say, and where an array lies."""
+    """Takes one or several: paths, arrays (which span the terrain), DataArrays, open rasterio datasets, or a `Layer`
+    of each, which says what keys say, and where an array lies."""
     from orograph.geovis.layers import layers_of
 
     return layers_of(value)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 from orograph.errors import ReadError
+from orograph.geovis.layers import attributed
 from orograph.scene.parts import OPTIONS, PARTS, Annotations, Budget, Data, Lighting, Surface, by_part
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.viewpoint import View
@@ -67,6 +68,11 @@ class Scene:
         if view is not None:
             parts["view"] = view
         return replace(self, **parts)
+
+    @property
+    def attribution(self) -> tuple[str, ...]:
+        """Whom the makers of its heights and layers want to be named."""
+        return attributed(self.terrain.attribution, self.data.layers)
 
     @property
     def pixel_tolerance(self) -> float:

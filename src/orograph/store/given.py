@@ -15,7 +15,8 @@ import numpy as np
 from orograph.errors import UsageError
 from orograph.progress import SILENT, Progress
 from orograph.store.memory import MemoryTerrain, is_metric
-from orograph.store.source import ArraySource, HeightSource
+from orograph.store.source import ArraySource, HeightSource, StoreSource
+from orograph.store.stored import StoredTerrain
 
 if TYPE_CHECKING:
     from orograph.dem.raster import Dem
@@ -29,7 +30,9 @@ TAKES = (
 OF_FILES = ("band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit", "assume_vertical")
 """How a file is read; of these ``OF_ARRAYS`` also say something about heights in memory."""
 OF_ARRAYS = ("transform", "spacing", "nodata", "vertical_unit", "assume_vertical", "name")
-OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid")
+OF_AREAS = ("bbox", "clip")
+"""What of the ground is read (``dem.area``)."""
+OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid", *OF_AREAS)
 """What the grid of the terrain is to be (``Mosaic.open``)."""
 
 READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_ARRAYS)))
@@ -81,12 +84,11 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
         from orograph.dem.mosaic import Mosaic
 
         return Mosaic.open(files, progress=progress, **_fitting(said, (*OF_GRIDS, *OF_FILES), "files"))
-    if isinstance(given, MemoryTerrain):
-        _fitting(said, (), "a Terrain, which was read already")
-        return ArraySource(given.heights, given.grid, given.name, given.vertical, given.attribution)
+    if isinstance(given, MemoryTerrain | StoredTerrain):
+        source = source_of_terrain(given)
+        return _part(source, _fitting(said, OF_AREAS, "a Terrain, which was read already"))
     if isinstance(given, HeightSource):
-        _fitting(said, (), "heights that are read by windows already")
-        return given
+        return _part(given, _fitting(said, OF_AREAS, "heights that are read by windows already"))
     several = isinstance(given, list | tuple) and not _is_window(given) and not is_rows(given)
     if several and not given:
         raise UsageError(f"{called} got an empty list: there is nothing to read.")
@@ -104,6 +106,22 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
     from orograph.dem.mosaic import Mosaic
 
     return Mosaic([raster for raster, _ in made], **grid)
+
+
+def source_of_terrain(terrain: MemoryTerrain | StoredTerrain) -> HeightSource:
+    """The full resolution of a terrain as a source."""
+    if isinstance(terrain, StoredTerrain):
+        return StoreSource(terrain)
+    return ArraySource(terrain.heights, terrain.grid, terrain.name, terrain.vertical, terrain.attribution)
+
+
+def _part(source: HeightSource, area: dict[str, Any]) -> HeightSource:
+    """A source, or the part of it that lies in an area."""
+    if not area:
+        return source
+    from orograph.dem.mosaic import Mosaic
+
+    return Mosaic([source], **area)
 
 
 def check_names(options: Any, called: str) -> None:

@@ -11,8 +11,8 @@ from orograph.errors import UsageError
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.store.build import in_memory
-from orograph.store.given import READING, check_names, files_of, source_of
-from orograph.store.prepare import prepare
+from orograph.store.given import OF_AREAS, READING, check_names, files_of, source_of
+from orograph.store.prepare import part_of, prepare
 from orograph.store.terrain import Terrain
 
 if TYPE_CHECKING:
@@ -49,7 +49,9 @@ def terrain(
             ``nodata``, ``spacing``, ``assume_crs``, ``encoding``, ``vertical_unit`` and ``assume_vertical``; of all
             those of ``Mosaic``: ``crs``, ``resolution``, ``resampling``, ``to_vertical`` and ``geoid``. ``crs`` is the
             projected CRS of the terrain; heights in memory that name none are also taken to be in it. Without a
-            transform the samples of an array are 1 m apart, and a warning says so.
+            transform the samples of an array are 1 m apart, and a warning says so. Of anything, terrains and stores
+            too, ``bbox`` (west, south, east, north in degrees) and ``clip`` (polygons: a GeoJSON file or object, or
+            shapely's, geopandas') say what part of it is wanted.
 
     Raises:
         ReadError, StoreError: a file cannot be read, or its heights are no real numbers.
@@ -59,10 +61,13 @@ def terrain(
     check_names(reading, called)
     said = {k: v for k, v in reading.items() if v is not None}
     if isinstance(source, Terrain):
+        area = {name: said.pop(name) for name in OF_AREAS if name in said}
         if said:
             names = ", ".join(f"`{name}`" for name in said)
             raise UsageError(f"{names} cannot be said of a Terrain, which was read already.")
-        return source
+        if not area:
+            return source
+        return part_of(source, area, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
     files = files_of(source)
     if files is not None and not {"transform", "name"} & set(said):
         return prepare(files, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **said)

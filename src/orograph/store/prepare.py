@@ -11,12 +11,13 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Collection
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from orograph.errors import OrographError, StoreError, UsageError
 from orograph.folders import cache_folder, cache_limit
 from orograph.progress import SILENT, Progress
 from orograph.store.build import build, in_memory
+from orograph.store.given import OF_AREAS, source_of
 from orograph.store.stored import open
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 
@@ -62,22 +63,46 @@ def prepare(
         ReadError, StoreError, UsageError: as ``store.open``, ``Mosaic.open`` and ``store.build``.
     """
     from orograph.store.detect import is_store
-    from orograph.store.layout import FORMAT
 
+    said = {k: v for k, v in options.items() if v is not None}
     if len(paths) == 1 and is_store(paths[0]):
-        given = {k: v for k, v in options.items() if v is not None}
-        if given:
-            names = ", ".join(f"`{k}`" for k in sorted(given))
+        area = {name: said.pop(name) for name in OF_AREAS if name in said}
+        if said:
+            names = ", ".join(f"`{k}`" for k in sorted(said))
             raise UsageError(
                 f"{names} cannot be used: a store is built already, and says itself what it is.",
                 path=paths[0],
                 remedy="Give such options to `orograph.build`, or render the DEM files.",
             )
-        return open(paths[0], cache_bytes=cache_bytes(max_memory), jobs=jobs)
+        terrain = open(paths[0], cache_bytes=cache_bytes(max_memory), jobs=jobs)
+        if not area:
+            return terrain
+        return part_of(terrain, area, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
     from orograph.dem.mosaic import Mosaic
-    from orograph.store.kept import Use, make_room
 
-    mosaic = Mosaic.open(paths, progress=progress, **{k: v for k, v in options.items() if v is not None})
+    mosaic = Mosaic.open(paths, progress=progress, **said)
+    return of_mosaic(mosaic, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
+
+
+def part_of(terrain: Terrain, area: dict[str, Any], **how: Any) -> Terrain:
+    """The part of a terrain that lies in an area (``bbox``, ``clip``), as a terrain of its own.
+
+    Args:
+        how: as for ``of_mosaic``.
+    """
+    from orograph.dem.mosaic import Mosaic
+
+    return of_mosaic(Mosaic([source_of(terrain)], **area), **how)
+
+
+def of_mosaic(
+    mosaic: Mosaic, *, max_memory: int | None = None, jobs: int | None = None, progress: Progress = SILENT,
+    errors: Collection[ErrorKind] = (),
+) -> Terrain:  # fmt: skip
+    """The terrain of a mosaic: in memory where it is small enough, else a store that is kept (see ``prepare``)."""
+    from orograph.store.kept import Use, make_room
+    from orograph.store.layout import FORMAT
+
     for warning in mosaic.warnings:
         progress.warn(warning)
     rows, cols = mosaic.grid.shape
@@ -119,6 +144,7 @@ def prepare(
 
 def _told(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
     """The terrain with its files' samples, after saying what is doubtful about the heights of these."""
+    from orograph.dem.area import Cut
     from orograph.dem.inspect import doubtful_heights
     from orograph.dem.source import Source
 
@@ -127,10 +153,11 @@ def _told(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
     said: set[str] = set()
     every = -(-len(mosaic.sources) // 64)  # of many files some are read
     for i, source in enumerate(mosaic.sources):
-        if mosaic.undulation is not None or not isinstance(source, Source):
+        file = source.raster if isinstance(source, Cut) else source
+        if mosaic.undulation is not None or not isinstance(file, Source):
             continue  # the heights are no longer those of the files
         windows = max(1, 16 // len(mosaic.sources)) if i % every == 0 else 0
-        for text in doubtful_heights(source, low, high, windows):
+        for text in doubtful_heights(cast(Source, source), low, high, windows):
             if text not in said:
                 said.add(text)
                 progress.warn(text if len(mosaic.sources) == 1 else f"{source.name}: {text}")

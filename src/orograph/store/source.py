@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
 from orograph.geo.grid import Grid
 from orograph.store.terrain import Heights
+
+if TYPE_CHECKING:
+    from orograph.store.stored import StoredTerrain
 
 
 @runtime_checkable
@@ -53,3 +56,17 @@ class ArraySource:
         digest = hashlib.sha256(repr((self.grid.shape, tuple(self.grid.transform), self.name, self.vertical)).encode())
         digest.update(np.ascontiguousarray(self.heights).view(np.uint8).data)
         return digest.hexdigest()[:32]
+
+
+class StoreSource:
+    """The full resolution of a store as a source."""
+
+    def __init__(self, terrain: StoredTerrain) -> None:
+        self.terrain, self.grid, self.name = terrain, terrain.grid, terrain.name
+        self.vertical, self.attribution = terrain.vertical, terrain.attribution
+
+    def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        return self.terrain.read(0, row0, row1, col0, col1)
+
+    def fingerprint(self) -> str:
+        return self.terrain.record.source

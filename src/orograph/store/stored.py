@@ -241,7 +241,8 @@ def open(
 
 
 def _open(storage: Storage, cache_bytes: int, jobs: int | None) -> StoredTerrain:
-    stamp = storage.stamp(ROOT)  # before the record: if it is replaced in between, the first read notices
+    # Before the record: if it is replaced in between, the first read notices. (At a URL it compares records.)
+    stamp = None if storage.remote else storage.stamp(ROOT)
     record = read_record(storage)
     return StoredTerrain(storage, record, cache_bytes, jobs, Watch(storage, record, stamp, read_record))
 

@@ -3,12 +3,12 @@
 A store may be replaced while a reader has it open. What the reader gets is always of the store that it opened: the
 digests in that store's record see to it (``digests``). The watch tells it soon: before a read, but not oftener than
 every ``EVERY`` seconds, it looks whether the root is still the same file, and reads it if not. A bake that changes
-layers only is no replacement. At a URL there is no such cheap look: there a shard that is not what it was tells.
+layers only is no replacement. At a URL the look is a request: there it is taken every ``EVERY_REMOTE`` seconds at most,
+and a shard that is not what it was tells sooner.
 """
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +19,8 @@ from orograph.store.places import ROOT, left_over, missing
 from orograph.store.registry import KINDS
 from orograph.store.storage import FolderStorage, Storage
 
-EVERY = 0.02
+EVERY, EVERY_REMOTE = 0.02, 30.0
+"""Seconds between two looks."""
 
 
 class Watch:
@@ -37,25 +38,36 @@ class Watch:
 
     def __init__(self, storage: Storage, record: Record, stamp: Any, read: Callable[[Storage], Record]) -> None:
         self.storage, self.record, self.stamp, self._read = storage, record, stamp, read
-        self._due = math.inf if storage.remote else 0.0
+        self._due = time.monotonic() + EVERY_REMOTE if storage.remote else 0.0
         self.replaced = False
 
     def __call__(self) -> None:
-        """Raise StoreReplacedError if the store is another by now, StoreError if it is gone."""
+        """Raise StoreReplacedError if the store is another by now, StoreError if it is gone.
+
+        A server that does not answer says nothing: what a reader holds already it may read on.
+        """
         now = time.monotonic()
         if now < self._due:
             return
-        stamp = self.storage.stamp(ROOT)
-        if stamp != self.stamp:
-            self._look()
-            self.stamp = stamp
-        self._due = now + EVERY
+        self._due = now + (EVERY_REMOTE if self.storage.remote else EVERY)  # other threads do not wait for the look
+        try:
+            stamp = self.storage.stamp(ROOT)
+            if stamp != self.stamp:
+                self._look()
+                self.stamp = stamp
+        except StoreError as error:
+            if self.storage.remote and not isinstance(error, StoreReplacedError):
+                return
+            self._due = 0.0
+            raise
 
     def _look(self) -> None:
         if isinstance(self.storage, FolderStorage) and not self.storage.path.exists():
             if left_over(self.storage.path):
                 raise missing(self.storage)
             self.storage.must_stand()
+        if self.storage.remote and not self.storage.exists(ROOT):  # it is built in place, and the root comes last
+            raise self._replaced()
         if _ground(self._read(self.storage)) != _ground(self.record):
             raise self._replaced()
 

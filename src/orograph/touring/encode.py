@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -132,11 +133,14 @@ class Video:
         path: ends in one of ``CODECS``. size: (width, height). fps: frames per second.
         crf: constant rate factor, lower is better; None: ``QUALITY``.
         jobs: threads of the encoder; None: as it likes.
+        attribution: whom to name in the file's metadata (of a .gif, which has none, nobody is).
     """
 
     def __init__(
-        self, path: str | Path, size: tuple[int, int], fps: float, *, crf: int | None = None, jobs: int | None = None
-    ) -> None:
+        self, path: str | Path, size: tuple[int, int], fps: float, *, crf: int | None = None, jobs: int | None = None,
+        attribution: Sequence[str] = (),
+    ) -> None:  # fmt: skip
+        self.attribution = attribution
         self.path, self.size, self.fps = Path(path), size, Fraction(fps).limit_denominator(1001)
         self.codec, self.format = CODECS[self.path.suffix.lower()]
         self.crf, self.jobs = QUALITY.get(self.codec) if crf is None else crf, jobs
@@ -154,6 +158,8 @@ class Video:
             self.file: Any = av.open(str(part), "w", format=self.format, options=options)
         except OSError as error:
             raise OutputError(f"The movie cannot be written: {error}.", path=self.path) from error
+        if self.attribution:
+            self.file.metadata["copyright"] = "; ".join(self.attribution)
         stream: Any = self.file.add_stream(self.codec, rate=self.fps)
         stream.width, stream.height = self.size
         context = stream.codec_context
@@ -247,10 +253,13 @@ class Pictures:
     Args:
         path: with a number in its name, such as frames/%05d.png; its folder is made.
         fingerprint: of the film (``Film.fingerprint``): frames of another are never mixed with these.
-        overwrite: draw all frames anew.
+        overwrite: draw all frames anew. attribution: whom to name in the files' metadata.
     """
 
-    def __init__(self, path: str | Path, fingerprint: str, overwrite: bool = False) -> None:
+    def __init__(
+        self, path: str | Path, fingerprint: str, overwrite: bool = False, attribution: Sequence[str] = ()
+    ) -> None:
+        self.attribution = tuple(attribution)
         self.path, self.fingerprint, self.overwrite = Path(path), fingerprint, overwrite
         self.sign = self.path.with_name(f".{NUMBERED.sub('N', self.path.name)}.film")
         self.made: list[Path] = []
@@ -301,7 +310,7 @@ class Pictures:
     def add(self, number: int, pixels: Pixels) -> None:
         from orograph.rendering.picture import save_pixels
 
-        save_pixels(pixels, self.of(number))
+        save_pixels(pixels, self.of(number), self.attribution)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -28,7 +28,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.documents import load_object, naming, number
+from orograph.documents import load_object, naming, number, write
 from orograph.errors import UsageError
 from orograph.flight import SAME, Flight
 from orograph.geovis.layers import Layer, found_beside
@@ -261,6 +261,14 @@ class Tour:
         folder = Path(path).parent  # paths in a file are meant as they are, or beside it
         keys = [k if k.layers is None else replace(k, layers=found_beside(k.layers, folder)) for k in tour.keys]
         return replace(tour, keys=tuple(keys))
+
+    def save(self, path: str | Path) -> None:
+        """Write a tour's file, whole or not at all.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        write(self.to_dict(), path)
 
     @staticmethod
     def readable(path: str | Path) -> None:

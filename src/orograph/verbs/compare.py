@@ -1,23 +1,34 @@
-"""``orograph.compare``: methods on the same views, measured by the same referee."""
+"""``orograph.compare``: methods on the same views or the same flight, measured by the same referee."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from orograph import verify
+from orograph.documents import parse
+from orograph.errors import ReadError, UsageError
+from orograph.flight import Flight
 from orograph.lod.field import check_surface
-from orograph.lod.method import Resources
+from orograph.lod.method import Goal, Resources
 from orograph.lod.needs import kinds_of
-from orograph.lod.registry import METHODS
+from orograph.lod.registry import METHODS, Choice
+from orograph.output import check_folder
 from orograph.progress import Progress
-from orograph.rendering.comparison import usual_views
+from orograph.rendering.comparison import Panel, caption, panel_view, sheet, usual_views
+from orograph.rendering.picture import Picture, picture_format
 from orograph.reporting import reporting
 from orograph.scene.methods import MEMORY, made
 from orograph.scene.parts import check_exaggeration
 from orograph.store.opening import terrain as opened
-from orograph.verbs.goals import choice_of, goal_of
-from orograph.verify.measure import Measurement, measure_views
-from orograph.viewpoint import View
+from orograph.store.terrain import Terrain
+from orograph.touring import Tour, moves
+from orograph.verbs.goals import check_colors, choice_of, goal_of, not_enough
+from orograph.verify.measure import Measurement, measure_flight, measure_views
+from orograph.viewpoint import Camera, View
 
 COLUMNS: dict[str, Callable[[Measurement], str]] = {
     "triangles": lambda m: "-" if m.triangles is None else f"{m.triangles:,.0f}", "ms": lambda m: f"{m.ms:,.1f}",
@@ -26,9 +37,30 @@ COLUMNS: dict[str, Callable[[Measurement], str]] = {
 }  # fmt: skip
 """What a table of measurements tells of each."""
 
+SIZE = (1280, 720)
+"""Pixels of the usual views."""
+
+JUDGED = 12
+"""Frames of a flight that the referee sees unless more are asked for."""
+
 
 class Comparison(dict[str, Measurement]):
-    """Measurements by method, which read as a table."""
+    """Measurements by method, which read as a table.
+
+    Attributes:
+        terrain: which. goal: what was asked for. exaggeration: of heights on the screen.
+        views: the cameras by name; of a flight its frames by number. flight: whether they are a flight's.
+    """
+
+    def __init__(self, terrain: Terrain, goal: Goal, views: dict[str, View], flight: bool, exaggeration: float) -> None:
+        super().__init__()
+        self.terrain, self.goal, self.views, self.flight = terrain, goal, views, flight
+        self.exaggeration = exaggeration
+
+    @property
+    def broken(self) -> list[str]:
+        """Methods whose promise does not hold: a fault of Orograph."""
+        return [name for name, m in self.items() if m.kept is False]
 
     def rows(self) -> list[list[str]]:
         """The table's cells, its heads first."""
@@ -48,17 +80,36 @@ class Comparison(dict[str, Measurement]):
         return table(self.rows())
 
 
+@dataclass(frozen=True, slots=True)
+class _Means:
+    """What methods are made with."""
+
+    terrain: Terrain
+    goal: Goal
+    drape: Any
+    exaggeration: float
+    max_memory: int
+    jobs: int | None
+    progress: Progress
+
+    def method(self, choice: Choice) -> Any:
+        return made(choice, self.terrain, Resources(self.max_memory // 2, self.jobs, self.progress), self.drape)
+
+
 def compare(
     terrain: Any,
-    views: Sequence[View] | Mapping[str, View] | None = None,
+    views: Sequence[View] | Mapping[str, View] | str | os.PathLike[str] | None = None,
     *,
+    flight: Flight | Tour | str | os.PathLike[str] | None = None,
+    judged: int | None = None,
     methods: Sequence[str] = (),
     tolerance: float | None = None,
     triangles: int | None = None,
     conservative: bool = False,
     drape: Any = None,
     exaggeration: float = 1.0,
-    size: tuple[int, int] = (1280, 720),
+    size: tuple[int, int] | None = None,
+    picture: str | os.PathLike[str] | None = None,
     max_memory: int | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
@@ -68,43 +119,163 @@ def compare(
 
     Args:
         terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
-        views: the cameras; None: an overview, a low oblique view, straight down.
-        methods: which, NAME[,key=value…]; none: all that can reach the goal.
+        views: the cameras, or the path of a JSON list of them; None: an overview, a low oblique view, straight down.
+        flight: frame by frame instead: a flight, a tour, or the path of one. judged: frames of it that the referee
+            sees, evenly spread; None: 12.
+        methods: which, NAME[,key=value…]; "all", or none: all that can reach the goal.
         tolerance: pixels; None: 1, unless ``triangles`` (at most so many) are the goal.
         conservative: refuse methods with which the tolerance is no promise.
         drape: the image whose colours a method's color-tolerance looks at.
-        exaggeration: how heights are stretched on the screen. size: of the usual views, pixels.
+        exaggeration: how heights are stretched on the screen.
+        size: of the views, pixels; None: their own, of the usual ones 1280 × 720.
+        picture: also draw the first view's meshes side by side, into this file.
         max_memory: bytes that heights may take. jobs: threads. progress: hears of it; False: nothing is said.
 
     Returns:
-        ``verify.measure.Measurement``s by method; they print as a table.
+        a ``verify.measure.Measurement`` by method; they print as a table.
 
     Raises:
-        UsageError: there is no such method, or it cannot reach the goal. ReadError, StoreError: the terrain cannot be
-            read.
+        UsageError: there is no such method, or it cannot reach the goal. ReadError, StoreError: the terrain, or a file
+            of views, cannot be read. OutputError: the picture cannot be written.
     """
     heard, goal = reporting(progress), goal_of(tolerance=tolerance, triangles=triangles)
+    if views is not None and flight is not None:
+        raise UsageError("Give `views` or `flight`, not both.")
+    if judged is not None and flight is None:
+        raise UsageError("`judged` is about the frames of a `flight`; separate views are all judged.")
+    choices = _contenders(methods, conservative, goal, heard)
+    check_colors(drape, choices)
     check_exaggeration(exaggeration)
-    choices = [choice_of(name, conservative) for name in (methods or METHODS)]
-    if methods:
-        for choice in choices:
-            choice.info.check_goal(goal.name)
-    choices = [choice for choice in choices if goal.name in choice.info.goals]
+    if picture is not None:
+        picture_format(Path(picture))
+        check_folder(Path(picture))
     errors = kinds_of(need for choice in choices for need in choice.method.needs(choice.options))
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, errors=errors, called="compare", **reading)
     check_surface(ground)
-    if views is None:
-        views = usual_views(ground, size, exaggeration)
-    seen = list(views.values() if isinstance(views, Mapping) else views)
-    found = Comparison()
+    seen = _views(ground, views, flight, size, exaggeration)
+    means = _Means(ground, goal, drape, exaggeration, max_memory or MEMORY, jobs, heard)
+    found = Comparison(ground, goal, seen, flight is not None, exaggeration)
     for choice in choices:
-        with heard.task(str(choice), total=len(seen)) as task:
-            method = made(choice, ground, Resources((max_memory or MEMORY) // 2, jobs, heard), drape)
-            found[str(choice)] = measure_views(
-                method, ground, seen, goal, exaggeration=exaggeration, jobs=jobs, task=task
-            )
-            method.close()
+        found[str(choice)] = _measured(choice, means, list(seen.values()), (judged or JUDGED) if found.flight else None)
+    for name, m in found.items():
+        if m.beyond is not None and goal.triangles is not None:
+            heard.warn(not_enough(goal.triangles, name, m.beyond))
+    if picture is not None:
+        drawn = [choice for choice in choices if choice.info.kind != "rays"]
+        _draw(means, next(iter(seen.values())), drawn).save(picture)
     return found
+
+
+def _contenders(given: Sequence[str], conservative: bool, goal: Goal, progress: Progress) -> list[Choice]:
+    """The methods to measure, each once; of all, those that can reach the goal.
+
+    Raises:
+        UsageError: one that is given cannot, or is refused.
+    """
+    found: dict[str, Choice] = {}
+    for name in METHODS if not given or "all" in given else ():
+        choice = choice_of(name, conservative)
+        if goal.name in choice.info.goals:
+            found[str(choice)] = choice
+        else:
+            progress.note(f"{name} cannot aim at {goal.name} and is left out.")
+    for text in given:
+        if text != "all":
+            choice = choice_of(text, conservative)
+            choice.info.check_goal(goal.name)
+            found[str(choice)] = choice
+    return list(found.values())
+
+
+def _views(
+    terrain: Terrain, views: Any, flight: Any, size: tuple[int, int] | None, exaggeration: float
+) -> dict[str, View]:  # fmt: skip
+    """The views by name; a flight's frames by number."""
+    crs = terrain.grid.crs
+    if flight is not None:
+        gone = flight if isinstance(flight, Flight | Tour) else moves(flight, crs=crs)
+        found = {str(k): view for k, view in enumerate(gone.frames())}
+    elif views is None:
+        return usual_views(terrain, size or SIZE, exaggeration)
+    elif isinstance(views, str | os.PathLike):
+        found = load_views(views, crs)
+    elif isinstance(views, Mapping):
+        found = dict(views)
+    else:
+        found = {str(k): view for k, view in enumerate(views, 1)}
+    return found if size is None else {name: view.resized(*size) for name, view in found.items()}
+
+
+def load_views(path: str | os.PathLike[str], crs: Any = None) -> dict[str, View]:
+    """A list of views from a JSON file, by their names, or their numbers from 1.
+
+    Raises:
+        ReadError: the file cannot be read, or is no list of objects. UsageError: a view is wrong, or two have one name.
+    """
+    try:
+        values = parse(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ReadError(f"The views cannot be read: {error.strerror}.", path=path) from error
+    except ValueError as error:
+        raise ReadError(f"This is not JSON: {error}.", path=path) from error
+    if not isinstance(values, list) or not values or not all(isinstance(v, dict) for v in values):
+        raise ReadError("Views are a JSON list of objects, each as a VIEW.json; there is at least one.", path=path)
+    views: dict[str, View] = {}
+    for i, value in enumerate(values, 1):
+        name = str(value.get("name", i))
+        if name in views:
+            raise UsageError(f"Two views are called {name!r}.", path=path)
+        try:
+            views[name] = View.from_dict({k: v for k, v in value.items() if k != "name"}, crs=crs)
+        except UsageError as error:
+            raise UsageError(f"View {name}: {error.what}", path=path, remedy=error.remedy) from error
+    return views
+
+
+def _measured(choice: Choice, means: _Means, views: list[View], judged: int | None) -> Measurement:
+    """A method on views; with ``judged`` on a flight, of which the referee sees so many frames."""
+    with means.progress.task(str(choice), total=len(views)) as task:
+        method = means.method(choice)
+        about: dict[str, Any] = {"exaggeration": means.exaggeration, "jobs": means.jobs, "task": task}
+        try:
+            if judged is None:
+                return measure_views(method, means.terrain, views, means.goal, **about)
+            return measure_flight(method, means.terrain, views, means.goal, judged=judged, **about)
+        finally:
+            method.close()
+
+
+def _draw(means: _Means, view: View, choices: Sequence[Choice]) -> Picture:
+    """The meshes of a view on one sheet, each selected and judged for its panel."""
+    import numpy as np
+
+    terrain, goal, view = means.terrain, means.goal, panel_view(view, len(choices))
+    panels = []
+    with means.progress.task("Drawing the meshes") as task:
+        for choice in choices:
+            method = means.method(choice)
+            selection = method.select(Camera.over(terrain.grid, view, means.exaggeration), goal)
+            mesh = selection.tessellation()
+            method.close()
+            report = verify.judge_mesh(mesh, terrain, view, exaggeration=means.exaggeration, jobs=means.jobs)
+            lines, alarm = caption(
+                len(mesh.triangles), selection.bound, selection.stats.get("tolerance"), report.largest
+            )
+            panels.append(Panel(str(choice), mesh, lines, alarm))
+            task.note(panels[-1].title)
+        asked = f"{goal.triangles:,} triangles" if goal.triangles is not None else f"tolerance {goal.tolerance:g} px"
+        rows, cols = terrain.grid.shape
+        note = (
+            f"{terrain.name}, {cols} × {rows} samples. Each mesh is refined for its panel of {view.width} × "
+            f"{view.height} pixels ({asked}); errors are the referee's, over all of the surface in view."
+        )
+        pixels = sheet(
+            terrain, view, panels, note=note,
+            title=f"The same view, {asked}" if len(panels) > 1 else f"{terrain.name}, {asked}",
+            exaggeration=means.exaggeration, jobs=means.jobs,
+        )  # fmt: skip
+        task.note("")
+    return Picture(pixels, np.empty((0, 0), np.float32), view)
 
 
 def _pixels(value: float | None) -> str:

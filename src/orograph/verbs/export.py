@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pyproj import CRS, Transformer
+from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import ProjError
 
+from orograph.dem.area import both, box_window, checked, whole
 from orograph.dem.header import copyright_tags
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
@@ -25,9 +25,6 @@ from orograph.store.terrain import Terrain
 
 STEP = 1024
 """Samples along the side of what is read at a time."""
-
-BORDER = 65
-"""Points along each side of an area whose outline is found in another CRS."""
 
 
 def export(
@@ -102,25 +99,12 @@ def area_of(terrain: Terrain, bbox: tuple[float, float, float, float]) -> tuple[
     Raises:
         UsageError: there is none, the area is no area, or the terrain has no CRS.
     """
-    west, south, east, north = bbox
-    if not (south < north and west < east and all(map(math.isfinite, bbox))):
-        raise UsageError(f"An area is west, south, east, north in degrees, not {', '.join(f'{v:g}' for v in bbox)}.")
-    crs = terrain.grid.crs
-    if crs is None:
+    box = checked(bbox)
+    if terrain.grid.crs is None:
         raise UsageError("The terrain has no CRS, so an area in degrees lies nowhere in it.", path=terrain.name)
-    across, up = np.linspace(west, east, BORDER), np.linspace(south, north, BORDER)
-    lon = np.concatenate([across, across, np.full(BORDER, west), np.full(BORDER, east)])
-    lat = np.concatenate([np.full(BORDER, south), np.full(BORDER, north), up, up])
-    geographic = crs.geodetic_crs or CRS.from_epsg(4326)
-    x, y = Transformer.from_crs(geographic, crs, always_xy=True).transform(lon, lat)
-    col, row = terrain.grid.index(x, y)
-    known = np.isfinite(col) & np.isfinite(row)
-    rows, cols = terrain.grid.shape
-    if known.any():
-        row0, row1 = max(math.ceil(row[known].min() - 1e-6), 0), min(math.floor(row[known].max() + 1e-6) + 1, rows)
-        col0, col1 = max(math.ceil(col[known].min() - 1e-6), 0), min(math.floor(col[known].max() + 1e-6) + 1, cols)
-        if row1 > row0 and col1 > col0:
-            return row0, row1, col0, col1
+    window = both(whole(terrain.grid), box_window(terrain.grid, box))
+    if window[1] > window[0] and window[3] > window[2]:
+        return window
     raise UsageError(
         f"No sample of the terrain lies within {', '.join(f'{v:g}' for v in bbox)}.", path=terrain.name,
         remedy="See where it is with orograph info.",

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 from orograph.errors import UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from orograph.lod.method import Goal
     from orograph.lod.registry import Backend, Choice
 
@@ -37,3 +39,17 @@ def choice_of(text: str, conservative: bool, backend: Backend = "cpu") -> Choice
     if conservative:
         choice.check_promise()
     return choice
+
+
+def check_colors(drape: Any, choices: Sequence[Choice]) -> None:
+    """Raise UsageError where an image is given of which nothing is asked."""
+    if drape is not None and all(getattr(choice.options, "color_tolerance", None) is None for choice in choices):
+        raise UsageError(
+            "`drape` is looked at for a method's color-tolerance.",
+            remedy="Say how much colours may change (ΔE): soar,color-tolerance=2.3.",
+        )
+
+
+def not_enough(budget: int, method: str, made: int) -> str:
+    """The warning about a mesh with more triangles than asked for."""
+    return f"{budget:,} triangles are not enough for a sound mesh of this view by {method}: it has {made:,}."

@@ -115,9 +115,9 @@ def shoot(
     """
     writer: Pictures | Video
     if is_numbered(path):
-        writer = Pictures(path, film.fingerprint(), overwrite)
+        writer = Pictures(path, film.fingerprint(), overwrite, film.base.attribution)
     else:
-        writer = Video(path, size, film.tour.fps, crf=crf, jobs=jobs)
+        writer = Video(path, size, film.tour.fps, crf=crf, jobs=jobs, attribution=film.base.attribution)
     drawn, number = 0, film.numbers[0]
     try:
         with writer, progress.task("Filming", total=len(film)) as task:

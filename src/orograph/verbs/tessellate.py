@@ -3,19 +3,45 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from orograph.lod.method import Resources
 from orograph.lod.needs import kinds_of
+from orograph.lod.registry import Choice
+from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.scene.camera import view_of
 from orograph.scene.methods import MEMORY, made
 from orograph.scene.parts import check_exaggeration
 from orograph.store.opening import terrain as opened
+from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
-from orograph.verbs.goals import choice_of, goal_of
+from orograph.verbs.goals import check_colors, choice_of, goal_of, not_enough
+from orograph.verify.report import Report
 from orograph.viewpoint import Camera, View
+
+
+@dataclass(frozen=True, slots=True)
+class Triangulated:
+    """A mesh and what it was made for.
+
+    Attributes:
+        choice: the method. terrain, view: what was triangulated, and for which camera.
+        stats: what the method says of the selection. bound: the promise in pixels; None: there is none.
+        report: the referee's, if it was asked.
+    """
+
+    mesh: Tessellation
+    choice: Choice
+    terrain: Terrain
+    view: View
+    stats: dict[str, Any]
+    bound: float | None
+    report: Report | None
 
 
 def tessellate(
@@ -59,33 +85,59 @@ def tessellate(
         UsageError: an option makes no sense, or the method makes no triangles. ReadError, StoreError: the terrain
             cannot be read. NothingInViewError: it has no valid sample. OutputError: the file cannot be written.
     """
-    heard = reporting(progress)
-    choice, goal = choice_of(method, conservative), goal_of(tolerance=tolerance, triangles=triangles, seconds=seconds)
+    made = triangulate(
+        terrain, lambda ground: view_of(view, ground, size, exaggeration=exaggeration), method=method,
+        goals={"tolerance": tolerance, "triangles": triangles, "seconds": seconds}, conservative=conservative,
+        drape=drape, exaggeration=exaggeration, check=check, output=output, max_memory=max_memory, jobs=jobs,
+        progress=reporting(progress), **reading,
+    )  # fmt: skip
+    made.mesh.stats["bound"] = made.bound
+    if made.report is not None:
+        made.mesh.stats["report"] = made.report.to_dict()
+    return made.mesh
+
+
+def triangulate(
+    terrain: Any, view: Callable[[Terrain], View], *, method: str, goals: dict[str, Any], conservative: bool,
+    drape: Any, exaggeration: float, check: bool, output: str | os.PathLike[str] | None, max_memory: int | None,
+    jobs: int | None, progress: Progress, **reading: Any,
+) -> Triangulated:  # fmt: skip
+    """``tessellate``, with all that there is to tell.
+
+    Args:
+        view: gives the camera over the terrain. goals: of which one may be given (``goal_of``).
+    """
+    choice, goal = choice_of(method, conservative), goal_of(**goals)
     choice.check_triangles()
     choice.info.check_goal(goal.name)
+    check_colors(drape, [choice])
     check_exaggeration(exaggeration)
     if output is not None:
         from orograph.meshing import mesh_format
 
         mesh_format(os.fspath(output))
+        check_folder(Path(output))
     errors = kinds_of(choice.method.needs(choice.options))
     ground = opened(
-        terrain, heard, max_memory=max_memory, jobs=jobs, errors=errors, called="tessellate", **reading
+        terrain, progress, max_memory=max_memory, jobs=jobs, errors=errors, called="tessellate", **reading
     )  # fmt: skip
-    view = view_of(view, ground, size, exaggeration=exaggeration)
-    selects = made(choice, ground, Resources((max_memory or MEMORY) // 2, jobs, heard), drape)
-    with heard.task(f"Selecting ({choice})"):
-        selection = selects.select(Camera.over(ground.grid, view, exaggeration), goal)
+    seen = view(ground)
+    selects = made(choice, ground, Resources((max_memory or MEMORY) // 2, jobs, progress), drape)
+    with progress.task(f"Selecting ({choice})"):
+        selection = selects.select(Camera.over(ground.grid, seen, exaggeration), goal)
         mesh = selection.tessellation()
     selects.close()
-    mesh.stats["bound"] = selection.bound
-    if check:
-        from orograph import verify
-
-        with heard.task("The referee"):
-            mesh.stats["report"] = verify.judge_mesh(mesh, ground, view, exaggeration=exaggeration, jobs=jobs).to_dict()
+    if goal.triangles is not None and len(mesh.triangles) > goal.triangles:
+        progress.warn(not_enough(goal.triangles, choice.info.name, len(mesh.triangles)))
     if output is not None:
         from orograph.meshing import write
 
-        write(mesh, ground.grid, os.fspath(output))
-    return mesh
+        with progress.task("Writing"):
+            write(mesh, ground.grid, os.fspath(output))
+    report = None
+    if check:
+        from orograph import verify
+
+        with progress.task("The referee"):
+            report = verify.judge_mesh(mesh, ground, seen, exaggeration=exaggeration, jobs=jobs)
+    return Triangulated(mesh, choice, ground, seen, selection.stats, selection.bound, report)

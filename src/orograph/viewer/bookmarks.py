@@ -7,17 +7,15 @@ built from share their views if their grids are the same.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from orograph.documents import load_object
+from orograph.documents import load_object, write
 from orograph.errors import OrographError, OutputError
 from orograph.geo.grid import Grid
-from orograph.output import Beside
 from orograph.viewpoint import View
 
 SLOTS = tuple("123456789")
@@ -109,5 +107,4 @@ class Bookmarks:
             raise OutputError(
                 f"The folder of views cannot be made: {error.strerror}.", path=self.path.parent
             ) from error
-        with Beside(self.path) as part:
-            part.write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
+        write(values, self.path)

@@ -9,7 +9,7 @@ still is drawn by the CPU.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from orograph.cards import png
 from orograph.errors import OrographError
@@ -20,6 +20,9 @@ from orograph.scene.scene import Scene
 from orograph.store.given import READING
 from orograph.store.opening import terrain as opened
 from orograph.viewpoint import View
+
+if TYPE_CHECKING:
+    from orograph.viewer.traits import Widget
 
 SIZE = (900, 560)
 
@@ -40,44 +43,6 @@ class Still:
 
     def _repr_png_(self) -> bytes:
         return png(self.picture.pixels)
-
-
-class Widget:
-    """A terrain in a cell.
-
-    Attributes:
-        window: the window in it (``viewer.window.Window``): its ``session`` has camera and settings.
-        canvas: the widget itself, to be put beside others.
-    """
-
-    def __init__(self, window: Any, canvas: Any, still: bytes) -> None:
-        self.window, self.canvas, self._still = window, canvas, still
-
-    @property
-    def camera(self) -> View:
-        """The camera as it is now; set it to fly there."""
-        found: View = self.window.session.view
-        return found
-
-    @camera.setter
-    def camera(self, view: View) -> None:
-        self.window.session.nav.go(view)
-        self.window.refresh()
-
-    def close(self) -> None:
-        """Stop drawing and let go of the GPU's memory."""
-        self.canvas.close()
-
-    def _repr_mimebundle_(self, **options: Any) -> Any:
-        import base64
-
-        data = self.canvas._repr_mimebundle_(**options)
-        rest: tuple[Any, ...] = ()
-        if isinstance(data, tuple):
-            data, *more = data
-            rest = tuple(more)
-        data = {**(data or {}), "image/png": base64.b64encode(self._still).decode()}
-        return (data, *rest) if rest else data
 
 
 def view(
@@ -120,6 +85,7 @@ def view(
 
         from orograph.viewer.app import renderer_of
         from orograph.viewer.cell import Clipboard, make_canvas
+        from orograph.viewer.traits import Widget
         from orograph.viewer.window import Window
     except ImportError as error:
         session.close()

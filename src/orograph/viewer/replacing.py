@@ -1,9 +1,9 @@
 """Going on with the store that is there now, when the one that is looked at was replaced.
 
-A thread looks every ``EVERY`` seconds whether the store is still the same; at a URL, where that cannot be seen, a read
-that fails tells. Then the same thread opens the new store, and makes what a window needs of it (the probe, a renderer
-that is ready for its first frame), while the last picture stays; the next frame takes all of it. A new store that
-cannot be opened, or shown, is a message, and is tried again.
+A thread looks every ``EVERY`` seconds whether the store is still the same (at a URL as seldom as ``store.watch`` does;
+there a read that fails tells sooner). Then the same thread opens the new store, and makes what a window needs of it
+(the probe, a renderer that is ready for its first frame), while the last picture stays; the next frame takes all of it.
+A new store that cannot be opened, or shown, is a message, and is tried again.
 
 Coordinates are metres in the terrains' CRSs.
 """

@@ -8,7 +8,6 @@ and metres.
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +20,6 @@ from numpy.typing import NDArray
 from orograph.errors import OrographError
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Placed
-from orograph.output import Beside
 from orograph.scene.parts import HOMES, OPTIONS
 from orograph.touring.course import Course
 from orograph.touring.keys import Key
@@ -308,8 +306,7 @@ class Touring:
             self.session.messages.say(self.trouble or "There is no tour to be saved: keep some cameras first.")
             return False
         try:
-            with Beside(path) as part:
-                part.write_text(json.dumps(tour.to_dict(), indent=1) + "\n", encoding="utf-8")
+            tour.save(path)
         except OrographError as error:
             self.session.messages.say(f"The tour was not saved: {error}", error=True)
             return False

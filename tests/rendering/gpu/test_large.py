@@ -90,3 +90,21 @@ def test_maps_of_light_have_a_bound(side):
     outer = found[0]
     assert (outer.row0, outer.col0, outer.row1, outer.col1) == (0, 0, *flat.mean_shape(outer.level))
     assert all(a.level > b.level for a, b in pairwise(found))
+
+
+def test_a_software_driver_keeps_within_what_is_allowed(device, monkeypatch):
+    """Its textures are the process' memory: they take a third of what the driver leaves, at least 64 MiB."""
+    from orograph.rendering.gpu import draw as module
+
+    made: list[dict[str, int]] = []
+    monkeypatch.setattr(module, "Renderer", lambda *_, **share: made.append(share))
+    ground = terrain(hills(60, 70))
+    scene = Scene.of(ground, camera.whole(ground, (40, 30)))
+    for software in (True, False):
+        adapter = replace(device.adapter, kind="CPU" if software else "DiscreteGPU")
+        fake = type("Fake", (), {"adapter": adapter})()
+        for mib in (512, 1280, None):
+            module.renderer_of(fake, scene.but(max_memory=None if mib is None else mib << 20))
+    atlases = [share.get("gpu_memory") for share in made]
+    assert atlases == [64 << 20, 320 << 20, None, None, None, None]
+    assert [share.get("memory") for share in made] == 2 * [64 << 20, 160 << 20, None]

@@ -308,6 +308,54 @@ def test_lakes_and_voids_are_unknown_until_they_are_known(bench, monkeypatch: py
     assert lines(120) < 20 and lines(280) > 50
 
 
+def test_lakes_beyond_the_last_map_are_unknown(bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A camera that jumps sees hatching on lakes for which water was not looked for yet."""
+    row, col = np.mgrid[:300, :3000]
+    heights = (300 + 0.002 * ((row - 150.0) ** 2 + ((col % 1000) - 500.0) ** 2)).astype(np.float32)
+    for centre in (500, 2500):
+        heights[np.hypot(row - 150, col - centre) < 60] = heights[150, centre - 60]  # a lake
+    terrain = make(heights)
+    b = bench(terrain)
+    east, north = (float(v) for v in terrain.grid.xy(500, 150))
+    here = View((east, north - 50.0, 4300.0), (east, north, 300.0), width=SIZE[0], height=SIZE[1])
+    jump = 2000 * 20.0
+    there = replace(here, eye=(east + jump, north - 50.0, 4300.0), target=(east + jump, north, 300.0))
+
+    def settled(view: View) -> float:
+        scene = Scene.of(terrain, view, tolerance=1.0)
+        for _ in range(500):
+            b.draw(scene)
+            if not b.renderer.busy:
+                break
+            time.sleep(0.02)
+        return lines()
+
+    def lines() -> float:
+        middle = (
+            b.pixels().astype(float).mean(-1)[SIZE[1] // 2 - 8 : SIZE[1] // 2 + 9, SIZE[0] // 2 - 8 : SIZE[0] // 2 + 9]
+        )
+        return float(middle.max() - middle.min())
+
+    assert settled(here) < 20
+    drawn, made = threading.Event(), following.light_maps
+
+    def held_back(*args: object, **how: object) -> object:
+        drawn.wait(60)
+        return made(*args, **how)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(following, "light_maps", held_back)
+    try:
+        for _ in range(200):  # tiles come
+            b.draw(Scene.of(terrain, there, tolerance=1.0))
+            if not b.renderer.tiles.waiting:
+                break
+            time.sleep(0.02)
+        assert lines() > 50
+    finally:
+        drawn.set()
+    assert settled(there) < 20
+
+
 def test_screen_space_occlusion_darkens_hollows_and_not_plains(bench) -> None:
     heights = np.zeros((400, 400), np.float32)
     heights[150:250, 150:250] = -400.0  # a shaft of two kilometres

@@ -12,7 +12,7 @@ struct Shade {
   extinction: vec4<f32>,    // per metre; w: depth where the air begins
   mist: vec4<f32>,          // w: how fast it fades
   disc: vec4<f32>,          // radiance of the sun's disc; w: 1 if there is a sky
-  tint: vec4<f32>,          // low, high, floor (metres); w: 1 until it is known which level ground is water
+  tint: vec4<f32>,          // low, high, floor (metres)
   contour: vec4<f32>,       // interval (metres, 0: none), every how many an index contour, width in pixels, opacity
   contour_colour: vec4<f32>,
   edge: vec4<f32>,          // of silhouettes: color, opacity
@@ -23,6 +23,7 @@ struct Shade {
   land_at: u32, land_count: u32,
   sea_at: u32, sea_count: u32,
   levels: u32, flags: u32,
+  searched: vec4<i32>,      // the samples (from column, row, to column, row) where it is known what of level ground is water
   light: vec4<i32>,         // the map of light: offset, rows, cols, level
   light_first: vec2<i32>,   // its first block (row, col)
   windows: u32, hatch: u32,
@@ -314,7 +315,8 @@ fn fragment(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {
     return hatched(at.xy, d, depth);
   }
   let seen = ground(hit.place, hit.height, hit.footprint, position, depth, pixel);
-  if (shade.tint.w > 0.5 && all(seen.slope == vec2<f32>(0.0))) {   // a lake, or level ground
+  let beyond = any(hit.place.whole < shade.searched.xy) || any(hit.place.whole >= shade.searched.zw);
+  if (beyond && all(seen.slope == vec2<f32>(0.0))) {   // a lake, or level ground
     return hatched(at.xy, d, depth);
   }
   var color = seen.color;

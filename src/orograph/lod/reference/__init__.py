@@ -3,15 +3,16 @@
 Read a page beside its paper; then the method in ``orograph.lod`` that does the same fast. The methods are tested
 against these pages, so they are right, and slow: dictionaries, sets and recursion, for rasters of some hundred samples.
 
-====================  ==================================================================================
-``children``          triangles (l, L, ω) and diamonds: who is whose child, sibling, parent
-``terrain``           what all pages work on: the vertices of a small raster, with errors and spheres
-``camera``            a view in the numbers that the criteria need
-``criterion``         from metres to pixels: which diamonds and triangles are accurate
-``top_down``          refinement with forced splits (lecture; ROAM without its memory)
-``roam``              Duchaineau et al. 1997: a split queue and a merge queue, from frame to frame
-``soar``              Lindstrom & Pascucci 2001: ten lines of recursion that leave one triangle strip
-``threshold_spheres`` Blow 2000: spheres around the diamonds, split while the eye is inside
-``stateless``         the lecture's refinement that remembers nothing, for monotonic criteria
-====================  ==================================================================================
+=======================  ===============================================================================
+``children``             triangles (l, L, ω) and diamonds: who is whose child, sibling, parent
+``terrain``              what all pages work on: the vertices of a small raster, with errors and spheres
+``camera``               a view in the numbers that the criteria need
+``criterion``            from metres to pixels: which diamonds and triangles are accurate
+``top_down``             refinement with forced splits (lecture; ROAM without its memory)
+``roam``                 Duchaineau et al. 1997: a split queue and a merge queue, from frame to frame
+``soar``                 Lindstrom & Pascucci 2001: ten lines of recursion that leave one triangle strip
+``threshold_spheres``    Blow 2000: spheres around the diamonds, split while the eye is inside
+``stateless``            the lecture's refinement that remembers nothing, for monotonic criteria
+``restricted_quadtree``  squares whose neighbours differ by one level at most, cut in three ways
+=======================  ===============================================================================
 """

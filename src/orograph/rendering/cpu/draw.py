@@ -103,7 +103,7 @@ def draw(
     place = plan_grid(view, scene.terrain.grid.crs)
     return Picture(
         pixels, depth.astype(np.float32), view, facts, place, void_filled if void_filled.any() else None,
-        canvas.shader.tint, scene.terrain.grid.crs, scene.surface.exaggeration, scene.terrain.attribution,
+        canvas.shader.tint, scene.terrain.grid.crs, scene.surface.exaggeration, scene.attribution,
     )  # fmt: skip
 
 

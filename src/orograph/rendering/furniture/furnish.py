@@ -11,19 +11,22 @@ shrink, then go, the last first: title, legend, scale bar, north arrow, note, su
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.geovis.layers import Layer, attributed, drawn
 from orograph.rendering.furniture.lettering import Color, Style, set_type
 from orograph.rendering.furniture.pieces import (
     INK,
     PAPER,
     Legend,
     Piece,
+    Scale,
     arrow,
     foot,
     heading,
@@ -45,6 +48,9 @@ COVER = 0.36
 TALL = 0.56
 """The part of the picture's height that the legend may take."""
 
+USUAL = Legend((Scale(-5000.0, 5000.0, np.zeros((2, 3))),), (("Water", (0, 0, 0)), ("No data", (0, 0, 0))))
+"""A legend as wide as they usually are."""
+
 MOVED = 0.01
 """The part of the picture of which ground must be saved to move a piece out of its usual corner."""
 
@@ -52,18 +58,23 @@ MOST_INSET = 0.3
 """The part of the picture's width or height that one side leaves free at most: tiny pictures are for the terrain."""
 
 
-def insets(size: tuple[int, int], credit: str | None = None) -> tuple[float, float, float, float]:
+def insets(
+    size: tuple[int, int], own: Sequence[str] = (), layers: Sequence[Layer] = ()
+) -> tuple[float, float, float, float]:
     """Parts of a picture of ``size`` (width, height) to leave free for furniture: left, right, top, bottom.
 
     Args:
-        credit: as of ``lay_out``.
+        own: whom the makers of the heights want to be named. layers: what lies over the ground.
 
     The right side holds the legend and the north arrow; titles and notes run along the top and the foot.
     """
+    credit = "; ".join(attributed(own, layers)) or None
+    scales = [replace(USUAL.scales[0], label=one.title) for one in drawn(layers) if one.colormap is not None]
+    usual = replace(USUAL, scales=(*USUAL.scales, *scales))
     style = Style.of(size, credit or "")
     far = 100 * max(size)
     title = heading("A", None, style, far)
-    column = key(Legend(-5000.0, 5000.0, np.zeros((2, 3)), water=(0, 0, 0), missing=(0, 0, 0)), style, 6.5, True)
+    column = key(usual, style, 6.5, True)
     beside = size[0] - 2 * style.margin - math.ceil(column.width) - style.gap
     base = foot(1.0, "A", credit, style, far, 1.0, beside) or foot(1.0, "A", None, style, far, 1.0)
     edge = style.margin + style.gap
@@ -161,7 +172,7 @@ def lay_out(
     Args:
         size: (width, height) in pixels.
         title, subtitle: text at the top left.
-        legend: the colours of heights.
+        legend: what colours mean.
         north: direction of north on the screen, degrees clockwise from up.
         metres_per_pixel: for the scale bar; None (a perspective has no one scale) leaves it out.
         note: a line of small type, such as "Light from 315°, 45° · heights ×2".
@@ -170,7 +181,7 @@ def lay_out(
         ground: what should not be hidden; None: everywhere alike.
         paper: whether all the rest is bare paper, on which pieces need none of their own.
     """
-    words = " ".join(t for t in (title, subtitle, note, credit, legend.label + legend.unit if legend else None) if t)
+    words = " ".join(t for t in (title, subtitle, note, credit, legend.words if legend else None) if t)
     style = Style.of(size, words)
     inner = size[0] - 2 * style.margin
     chosen: dict[Corner, tuple[Piece, Box]] = {}
@@ -261,11 +272,11 @@ def _paint(sheet: Any, piece: Piece, box: Box, style: Style, framed: bool = True
         line = max(s, round(style.hair * s))
         whole = 0, 0, w * s - 1, h * s - 1
         pen.rounded_rectangle(whole, 0.3 * style.unit * s, (*PAPER, 255), outline=(*EDGE, 255), width=line)
-    if piece.ramp is not None:
-        x0, y0, x1, y1 = (round(v) for v in piece.ramp[:4])
+    for ramp in piece.ramps:
+        x0, y0, x1, y1 = (round(v) for v in ramp[:4])
         line = max(1, round(style.hair * s / 2))
         pen.rectangle((x0 * s - line, y0 * s - line, x1 * s - 1 + line, y1 * s - 1 + line), (*INK, 255))
-        table = piece.ramp[4].astype(np.float64)
+        table = ramp[4].astype(np.float64)
         # Row centres of the bar run from high to low through the table.
         at = (1 - (np.arange(y1 - y0) + 0.5) / (y1 - y0)) * (len(table) - 1)
         k = np.minimum(at.astype(int), max(len(table) - 2, 0))

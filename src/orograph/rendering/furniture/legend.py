@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.geo.grid import Grid
 from orograph.geovis.color import Tint, linear_to_srgb
+from orograph.geovis.layers import Layer
+from orograph.geovis.layers import drawn as visible
+from orograph.geovis.tables import Table
 from orograph.memo import Memo
-from orograph.rendering.furniture.pieces import Legend
+from orograph.rendering.furniture.pieces import Legend, Scale
 from orograph.rendering.palette import HATCH, VISIBLE, WATER, hatching
 from orograph.rendering.survey import stride
 from orograph.scene.scene import Scene
@@ -26,6 +30,13 @@ ONE_SCALE = 3.0
 
 CONVERGENCE = 3.0
 """Degrees between grid north and true north from which on the arrow, which shows the grid's, says so."""
+
+MOST_SCALES, MOST_CLASSES = 3, 12
+"""Of a legend."""
+
+UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "degree_celsius": "°C", "degc": "°C",
+         "degrees celsius": "°C", "kelvin": "K", "percent": "%", "1": ""}  # fmt: skip
+"""Units as people write them."""
 
 NAMELESS = ("unknown", "unnamed", "undefined", "undetermined", "none")
 """How the names of CRS begin that are none."""
@@ -74,29 +85,52 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
         parts.append(crs)
     title = scene.annotations.title
     return {
-        "title": title if title is not None else _title(terrain.name), "legend": _legend(drawn),
+        "title": title if title is not None else _title(terrain.name), "legend": _legend(drawn, scene),
         "north": north_on_screen(scene), "metres_per_pixel": metres, "note": " · ".join(parts),
-        "credit": "; ".join(terrain.attribution) or None,
+        "credit": "; ".join(scene.attribution) or None,
         "grid_north": abs(convergence(scene)) > CONVERGENCE, "paper": not scene.lighting.sky,
     }  # fmt: skip
 
 
-def _legend(drawn: Drawn) -> Legend | None:
-    """What the colours mean that were drawn: of heights unless an image covers (nearly) all, of water, of no data."""
+def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
+    """What the colours mean that were drawn: of layers' values, the uppermost first, of heights unless an image covers
+    (nearly) all, of water, of no data."""
     shown, tint = drawn.shown, drawn.tint
-    low, high, colors = tint.scale()
     dry = shown["ground"] - shown["water"]
-    tinted = not drawn.draped or shown["draped"] < DRAPED * dry
-    wet, missing = (shown[what] >= VISIBLE for what in ("water", "missing"))
-    if not (tinted or wet or missing):
-        return None
-    y, x = np.mgrid[:HATCH, :HATCH].reshape(2, -1) + 0.5
-    return Legend(
-        low, high, linear_to_srgb(colors) if tinted else None,
-        water=linear_to_srgb(WATER) if wet else None,
-        missing=linear_to_srgb(hatching(x, y)).reshape(HATCH, HATCH, 3) if missing else None,
-        below=tint.below, above=tint.above,
-    )  # fmt: skip
+    scales: list[Scale] = []
+    swatches: list[tuple[str, Any]] = []
+    for layer in [one for one in reversed(visible(scene.data.layers)) if one.colormap is not None]:
+        explained = explain(layer, scene.terrain.grid)
+        if isinstance(explained, Scale):
+            scales.append(explained)
+        else:
+            swatches += explained
+    if not drawn.draped or shown["draped"] < DRAPED * dry:
+        low, high, colors = tint.scale()
+        scales.append(Scale(low, high, linear_to_srgb(colors), below=tint.below, above=tint.above))
+    if shown["water"] >= VISIBLE:
+        swatches.append(("Water", linear_to_srgb(WATER)))
+    if shown["missing"] >= VISIBLE:
+        y, x = np.mgrid[:HATCH, :HATCH].reshape(2, -1) + 0.5
+        swatches.append(("No data", linear_to_srgb(hatching(x, y)).reshape(HATCH, HATCH, 3)))
+    return Legend(tuple(scales[:MOST_SCALES]), tuple(swatches)) if scales or swatches else None
+
+
+def explain(layer: Layer, grid: Grid) -> Scale | list[tuple[str, Any]]:
+    """What the colours of a layer's values mean over a terrain: a scale, or a swatch for each class."""
+    from orograph.dem.handles import HANDLES
+    from orograph.geovis.laying import Laid
+
+    laid = Laid.open(layer.content, grid)
+    table, (low, high) = laid.bands.table, laid.bands.span
+    assert table is not None
+    if isinstance(layer.colormap, Table) and layer.colormap.classes:
+        there = np.flatnonzero(table[:, 3]) if table.shape[1] == 4 else np.arange(len(table))
+        return [(f"{layer.title} {round(low + k)}", table[k, :3]) for k in there[:MOST_CLASSES]]
+    with HANDLES.borrow(laid.location) as file:
+        unit = (file.units[layer.band - 1] or "").strip()
+    beyond = layer.range is None and getattr(layer.colormap, "span", None) is None  # (the ends are percentiles)
+    return Scale(low, high, table[:, :3], UNITS.get(unit.lower(), unit), layer.title, beyond, beyond)
 
 
 def _crs_name(crs: Any) -> str | None:

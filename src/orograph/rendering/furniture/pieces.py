@@ -18,6 +18,33 @@ GREY: Color = (92, 96, 102)
 
 MOST_LINES = 5
 """Of note and credit."""
+WIDEST, LEAST = 11.0, 3.5
+"""Units: of words in a legend, and of the height of one of several scales."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """What the colours of heights, or of a layer's values, mean.
+
+    Attributes:
+        low, high: values at the ends of the colour table.
+        colors: (n, 3), from low to high, sRGB: uint8, or float in [0, 1].
+        unit: of the values; ``label``: what they are.
+        below, above: whether there are values beyond an end of the table, in the end's colour: a triangle says so.
+    """
+
+    low: float
+    high: float
+    colors: NDArray[Any]
+    unit: str = "m"
+    label: str = "Height"
+    below: bool = False
+    above: bool = False
+
+    @property
+    def words(self) -> str:
+        """What stands above it."""
+        return f"{self.label} ({self.unit})" if self.unit else self.label
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,23 +52,18 @@ class Legend:
     """What the colours of a picture mean.
 
     Attributes:
-        low, high: heights at the ends of the colour table.
-        colours: (n, 3), from low to high, sRGB: uint8, or float in [0, 1]; None: heights have no colours.
-        unit: of the heights; ``label``: what the colours show.
-        water, missing: sRGB colours (uint8 or float) of water and of ground without data, None if there is none; a tile
+        scales: one below the other.
+        swatches: (words, colour) of classes, of water and of ground without data: sRGB (uint8 or float); a tile
             (rows, cols, 3) is a pattern, repeated pixel by pixel.
-        below, above: whether there is ground beyond an end of the table, in the end's colour: a triangle says so.
     """
 
-    low: float
-    high: float
-    colors: NDArray[Any] | None
-    unit: str = "m"
-    label: str = "Height"
-    water: Any = None
-    missing: Any = None
-    below: bool = False
-    above: bool = False
+    scales: tuple[Scale, ...] = ()
+    swatches: tuple[tuple[str, Any], ...] = ()
+
+    @property
+    def words(self) -> str:
+        """All that is written in it, but for numbers."""
+        return " ".join([*(scale.words for scale in self.scales), *(words for words, _ in self.swatches)])
 
 
 @dataclass(slots=True)
@@ -52,7 +74,7 @@ class Piece:
     height: float
     polygons: list[tuple[list[tuple[float, float]], Color]] = field(default_factory=list)
     texts: list[tuple[float, float, str, Any, Color, str]] = field(default_factory=list)
-    ramp: tuple[float, float, float, float, NDArray[np.uint8]] | None = None
+    ramps: list[tuple[float, float, float, float, NDArray[np.uint8]]] = field(default_factory=list)
     patterns: list[tuple[float, float, float, float, NDArray[np.uint8]]] = field(default_factory=list)
 
     def box(self, x0: float, y0: float, x1: float, y1: float, color: Color) -> None:
@@ -87,38 +109,20 @@ def heading(title: str, subtitle: str | None, style: Style, inner: int) -> Piece
 
 
 def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
-    """The ramp with its ticks, ``size`` units high; below it the swatches, if ``extras``."""
+    """The scales with their ticks, ``size`` units high in all; below them the swatches, if ``extras``."""
     u, pad, small = style.unit, style.pad, style.font(0.9)
-    label = style.text(f"{legend.label} ({legend.unit})" if legend.unit else legend.label)
-    if legend.colors is None:
-        label, size = "", 0.0
-    rows = [(style.text("Water"), legend.water), (style.text("No data"), legend.missing)]
-    rows = [(words, color) for words, color in rows if color is not None and extras]
-    bar, tall, tip = round(1.15 * u), round(size * u), 0.8 * u
-    top = pad + (1.35 * u if label else 0.0) + (tip if legend.above and label else 0.0)
-    span = legend.high - legend.low
-    values = ticks(legend.low, legend.high, max(2, int(tall / (1.9 * u)))) if label else []
-    names = [number(v, values) for v in values]
-    reach = max([length(small, n) for n in names], default=0.0)
-    width = max(bar + 0.8 * u + reach, length(small, label), *(bar + 0.6 * u + length(small, w) for w, _ in rows), 0)
-    foot = top + tall + (tip if legend.below and label else 0.0)
-    lead = 0.75 * u if label else 0.15 * u
-    piece = Piece(width + 2 * pad, foot + pad + (lead - 0.5 * u + len(rows) * 1.5 * u if rows else 0.25 * u))
-    if legend.colors is not None:
-        piece.texts.append((pad, pad + 0.72 * u, label, small, GREY, "ls"))
-        table = _bytes(legend.colors)
-        piece.ramp = pad, top, pad + bar, top + tall, table
-        line = style.hair / 2
-        ends = ((legend.above, top, -1, table[-1]), (legend.below, top + tall, 1, table[0]))
-        for _, y, way, color in (end for end in ends if end[0]):
-            for grow, ink in ((line, INK), (-line, _color(color))):
-                left, right, point = pad - grow, pad + bar + grow, y + way * (tip + 1.6 * grow)
-                piece.polygons.append(([(left, y), (right, y), ((left + right) / 2, point)], ink))
-    for value, name in zip(values, names):
-        y = top + tall * (1 - (value - legend.low) / span) if span > 0 else top + tall / 2
-        piece.box(pad + bar, y - style.hair / 2, pad + bar + 0.35 * u, y + style.hair / 2, INK)
-        piece.texts.append((pad + bar + 0.65 * u, y + 0.31 * u, name, small, INK, "ls"))
-    y, high = float(round(foot + lead)), round(0.95 * u)  # whole pixels, for patterns
+    rows = [(cut(style.text(words), small, WIDEST * u, style), color) for words, color in legend.swatches if extras]
+    bar, tip = round(1.15 * u), 0.8 * u
+    each = max(size / max(len(legend.scales), 1), LEAST)
+    piece = Piece(max([bar + 0.6 * u + length(small, words) for words, _ in rows], default=0.0), float(pad))
+    for i, scale in enumerate(legend.scales):
+        piece.height += 0.9 * u if i else 0.0
+        top = piece.height + 1.35 * u + (tip if scale.above else 0.0)
+        _scale(piece, scale, style, top, round(each * u), bar, tip)
+    lead = 0.75 * u if legend.scales else 0.15 * u
+    y, high = float(round(piece.height + lead)), round(0.95 * u)  # whole pixels, for patterns
+    piece.height += pad + (lead - 0.5 * u + len(rows) * 1.5 * u if rows else 0.25 * u)
+    piece.width += 2 * pad
     for words, color in rows:
         sample = _bytes(color)
         piece.framed(pad, y, pad + bar, y + high, _color(sample.reshape(-1, 3)[0]), style.hair / 2)
@@ -127,6 +131,29 @@ def key(legend: Legend, style: Style, size: float, extras: bool) -> Piece:
         piece.texts.append((pad + bar + 0.65 * u, y + 0.78 * u, words, small, INK, "ls"))
         y = round(y + 1.5 * u)
     return piece
+
+
+def _scale(piece: Piece, scale: Scale, style: Style, top: float, tall: float, bar: float, tip: float) -> None:
+    """Add a scale whose bar begins at ``top``: its words, colours, ends and ticks. The piece grows with it."""
+    u, pad, small = style.unit, style.pad, style.font(0.9)
+    words = cut(style.text(scale.words), small, WIDEST * u, style)
+    piece.texts.append((pad, top - (tip if scale.above else 0.0) - 0.63 * u, words, small, GREY, "ls"))
+    table, line = _bytes(scale.colors), style.hair / 2
+    piece.ramps.append((pad, top, pad + bar, top + tall, table))
+    for there, y, way, color in ((scale.above, top, -1, table[-1]), (scale.below, top + tall, 1, table[0])):
+        for grow, ink in ((line, INK), (-line, _color(color))) if there else ():
+            left, right, point = pad - grow, pad + bar + grow, y + way * (tip + 1.6 * grow)
+            piece.polygons.append(([(left, y), (right, y), ((left + right) / 2, point)], ink))
+    span = scale.high - scale.low
+    values = ticks(scale.low, scale.high, max(2, int(tall / (1.9 * u))))
+    names = [number(v, values) for v in values]
+    for value, name in zip(values, names):
+        y = top + tall * (1 - (value - scale.low) / span) if span > 0 else top + tall / 2
+        piece.box(pad + bar, y - style.hair / 2, pad + bar + 0.35 * u, y + style.hair / 2, INK)
+        piece.texts.append((pad + bar + 0.65 * u, y + 0.31 * u, name, small, INK, "ls"))
+    reach = max([length(small, name) for name in names], default=0.0)
+    piece.width = max(piece.width, bar + 0.8 * u + reach, length(small, words))
+    piece.height = top + tall + (tip if scale.below else 0.0)
 
 
 def foot(

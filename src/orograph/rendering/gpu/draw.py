@@ -23,8 +23,9 @@ from orograph.rendering.furniture.furnish import furnish
 from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
 from orograph.rendering.gpu.frame import PLAIN, Overlay
 from orograph.rendering.gpu.overview import rimmed
-from orograph.rendering.gpu.renderer import Renderer
+from orograph.rendering.gpu.renderer import ATLASES, Renderer
 from orograph.rendering.gpu.shade.tracing import casts
+from orograph.rendering.memory import DRIVER, TILED
 from orograph.rendering.picture import Picture, plan_grid
 from orograph.scene.diagnostics import diagnose, what_to_do, why_empty
 from orograph.scene.methods import mesh_choice
@@ -32,6 +33,8 @@ from orograph.scene.scene import Scene
 
 TOLERANCE = 1.0
 """Pixels, where the scene does not say."""
+LEAST = 64 << 20
+"""Bytes of a method's tables, and of textures for tiles, however little memory is allowed."""
 
 
 def draw(
@@ -67,7 +70,7 @@ def draw(
     if max(around.width, around.height) > most:
         raise UsageError(
             f"{device.adapter.name} draws at most {most} × {most} pixels at once, not {view.width} × {view.height}.",
-            remedy="Draw it by tiles: orograph render, or picture.large.draw_large.",
+            remedy="Draw it by tiles: orograph render, or rendering.large.draw_large.",
         )
     if scene.surface.tolerance is None and scene.surface.triangles is None:
         scene = scene.but(tolerance=TOLERANCE)
@@ -76,10 +79,13 @@ def draw(
     if scene.surface.normals != "auto":
         overlay = replace(overlay, normals=scene.surface.normals)
     warnings = diagnose(scene) if around.frame[:2] == (0, 0) else []  # of tiles, the first
+    allowed = scene.budget.max_memory
+    if not whole and device.adapter.software and allowed is not None and allowed < TILED:
+        warnings.append(f"A software driver takes about {TILED >> 20} MiB, more than `max_memory` allows.")
     for warning in warnings:
         progress.warn(warning)
     own = renderer is None
-    renderer = renderer or Renderer(device, scene.terrain, jobs=scene.budget.jobs)
+    renderer = renderer or renderer_of(device, scene)
     renderer.imagery.progress = progress
     try:
         by_rays = casts(scene)
@@ -90,6 +96,11 @@ def draw(
             first = scene.but(light="none", lamps=(), discs=()) if by_rays else scene
             stats = renderer.draw(target, "rgba8unorm", first, overlay=overlay, wait=True, samples=1)
             notes = list(stats.notes)
+            if scene.surface.tolerance is not None and stats.error_px > scene.surface.tolerance * (1 + 1e-6):
+                notes.append(
+                    f"The ground is up to {stats.error_px:.2g} pixels off, not {scene.surface.tolerance:g}: more tiles "
+                    "do not fit into the GPU's memory."
+                )
             if renderer.imagery.full:
                 notes.append("Layers are coarser than they could be: more would not fit into the GPU's memory.")
             for warning in notes:
@@ -132,8 +143,19 @@ def draw(
     place = plan_grid(view, scene.terrain.grid.crs)
     return Picture(
         pixels, depth, view, facts, place, void_filled if void_filled.any() else None, renderer.tint,
-        scene.terrain.grid.crs, scene.surface.exaggeration, scene.terrain.attribution,
+        scene.terrain.grid.crs, scene.surface.exaggeration, scene.attribution,
     )  # fmt: skip
+
+
+def renderer_of(device: Device, scene: Scene) -> Renderer:
+    """A renderer of the scene's terrain, within its budget; the memory of a software driver is the process'."""
+    allowed = scene.budget.max_memory
+    share: dict[str, int] = {}
+    if allowed is not None:
+        share["memory"] = max(allowed // 8, LEAST)
+        if device.adapter.software:
+            share["gpu_memory"] = max(min((allowed - DRIVER) // 3, ATLASES), LEAST)
+    return Renderer(device, scene.terrain, jobs=scene.budget.jobs, **share)
 
 
 def largest(device: Device) -> int:
@@ -154,7 +176,7 @@ def session() -> Callable[[Scene], Picture]:
         if not held or held[0].terrain is not scene.terrain:
             for renderer in held:
                 renderer.close()
-            held[:] = [Renderer(device, scene.terrain, jobs=scene.budget.jobs)]
+            held[:] = [renderer_of(device, scene)]
         return draw(scene, device=device, renderer=held[0])
 
     return drawn

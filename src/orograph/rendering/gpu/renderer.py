@@ -47,6 +47,8 @@ from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
+ATLASES = 1 << 29
+"""Bytes of textures for tiles, where nobody says how many."""
 LATE, PASSED = 0.008, 3
 """A frame that took so many seconds until it was handed over looks not ahead, nor do the next ones, so many at most."""
 
@@ -76,7 +78,8 @@ class Renderer(Reading):
     Args:
         device: where.
         terrain: what; it is read from several threads.
-        gpu_memory: bytes of the atlases, a quarter of it for layers, if there are any.
+        gpu_memory: bytes of the atlases, a quarter of it for layers, if there are any; half as many more hold what rays
+            meet.
         memory: bytes of the method's tables.
         jobs: threads that read tiles.
     """
@@ -86,7 +89,7 @@ class Renderer(Reading):
         device: Device,
         terrain: Terrain,
         *,
-        gpu_memory: int = 1 << 29,
+        gpu_memory: int = ATLASES,
         memory: int = 1 << 30,
         jobs: int | None = None,
     ) -> None:
@@ -116,7 +119,7 @@ class Renderer(Reading):
         self._flags = 0
         self._samples = Jitter()
         self._antialiasing = TemporalAntialiasing(device, self._camera)
-        self._around = Around(terrain, device.largest)
+        self._around = Around(terrain, min(device.largest, gpu_memory // 2))
         self._missing = self._late = 0
         self._lit: Scene | None = None
 

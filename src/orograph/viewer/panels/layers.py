@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from imgui_bundle import imgui
 
-from orograph.dem.handles import locate
 from orograph.errors import OrographError
+from orograph.geovis.basemaps import PREFIX
 from orograph.geovis.color import TINTS, color_table, tint_of
 from orograph.geovis.layers import Layer, check_count
 from orograph.geovis.laying import Laid
@@ -230,9 +230,9 @@ def add(window: Window, text: str) -> bool:
     session = window.session
     try:
         layer = Layer.parse(text.strip().strip("'\""))
-        layer = replace(layer, path=str(path_of(layer.path)))
+        if not layer.path.startswith(PREFIX):
+            layer = replace(layer, path=str(path_of(layer.path)))
         if "://" not in layer.path:  # what is far away is waited for by the threads that draw it
-            locate(layer.path)
             Laid.open(layer, session.terrain.grid)
         check_count([*session.settings.layers, layer])
     except OrographError as error:

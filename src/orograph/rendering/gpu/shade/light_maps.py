@@ -59,7 +59,8 @@ class LightMaps:
             first row and column, words per sample, unused; outermost first. told: what they are.
         by_rays: whether rays find the sun's shadows, without windows.
         strength: factor on slopes for shading that suits the ground in view.
-        water_fraction: of the map. known: whether water was looked for.
+        water_fraction: of the map.
+        searched: where it is known what of level ground is water; None: everywhere.
     """
 
     pool: Values
@@ -71,7 +72,7 @@ class LightMaps:
     told: str
     strength: float
     water_fraction: float
-    known: bool = True
+    searched: Rectangle | None = None
     by_rays: bool = False
 
 
@@ -130,8 +131,15 @@ def light_maps(scene: Scene, points: Array, memo: Memo, *, detail: float | None 
         parts.append(packed(values) if channels == 4 else values.ravel())
     return LightMaps(
         np.concatenate(parts), (0, rows, cols, level), (row0, col0), wet, windows, fields, told, grid.strength,
-        grid.water_fraction, by_rays=sunlit and detail is None,
+        grid.water_fraction, None if detail is None else _searched(scene, grid.window), sunlit and detail is None,
     )  # fmt: skip
+
+
+def _searched(scene: Scene, window: Rectangle) -> Rectangle | None:
+    """Where a search for water over a window leaves nothing unknown."""
+    if scene.data.water != "auto" or window == Rectangle.whole(window.level, scene.terrain.mean_shape(window.level)):
+        return None
+    return window
 
 
 def has_sun_maps(scene: Scene) -> bool:
@@ -168,12 +176,13 @@ def quick_maps(scene: Scene, points: Array, memo: Memo, *, detail: float) -> Lig
 def plain_maps() -> LightMaps:
     """Light before any map of it is there: an open sky, no shadows; where water is, is not known."""
     nothing: NDArray[np.int32] = np.zeros((0, 8), np.int32)
-    return LightMaps(np.ones(1, np.float32), (0, 1, 1, 0), (0, 0), False, nothing, nothing, "", 1.0, 0.0, False)
+    nowhere = Rectangle(0, 0, 0, 0, 0)
+    return LightMaps(np.ones(1, np.float32), (0, 1, 1, 0), (0, 0), False, nothing, nothing, "", 1.0, 0.0, nowhere)
 
 
 def _watered(scene: Scene, window: Rectangle, memo: Memo) -> LightMaps:
     """An open sky over a window, with the water in it, if there is any."""
-    plain = replace(plain_maps(), known=True)
+    plain = replace(plain_maps(), searched=_searched(scene, window))
     if scene.data.water is None:
         return plain
     water, fraction = water_map(scene, _ground(scene), window, memo)  # type: ignore[arg-type]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geovis.color import Tint, tint_of
+from orograph.hierarchy.clip_stack import Rectangle
 from orograph.lighting.aperture import Lights
 from orograph.memo import Memo
 from orograph.rendering.gpu.shade.light_maps import LightMaps
@@ -27,8 +28,9 @@ SHADE = np.dtype(
         ("contour_color", "<f4", 4), ("edge", "<f4", 4), ("edge_range", "<f4", 4),
         ("side", "<f4", 2), ("sky_at", "<u4"), ("sky_rows", "<u4"), ("sky_cols", "<u4"),
         ("ring_at", "<u4"), ("land_at", "<u4"), ("land_count", "<u4"), ("sea_at", "<u4"), ("sea_count", "<u4"),
-        ("levels", "<u4"), ("flags", "<u4"), ("light", "<i4", 4), ("light_first", "<i4", 2), ("windows", "<u4"),
-        ("hatch", "<u4"), ("fields", "<u4"), ("suns", "<u4"), ("lamps", "<u4"), ("corner", "<u4"),
+        ("levels", "<u4"), ("flags", "<u4"), ("searched", "<i4", 4), ("light", "<i4", 4),
+        ("light_first", "<i4", 2), ("windows", "<u4"), ("hatch", "<u4"), ("fields", "<u4"), ("suns", "<u4"),
+        ("lamps", "<u4"), ("corner", "<u4"),
     ]
 )  # fmt: skip
 """The uniform ``Shade`` of ``shaders/shade.wgsl``."""
@@ -76,8 +78,8 @@ class Look:
         u["skylight"] = *skylight, BOUNCE
         u["water"] = *WATER, SHORE
         u["paper"] = *PAPER, math.sqrt(abs(terrain.grid.transform.determinant))
-        unknown = scene.data.water == "auto" and not maps.known
-        u["tint"] = self.tint.low, self.tint.high, self.tint.floor, float(unknown)
+        u["tint"][:3] = self.tint.low, self.tint.high, self.tint.floor
+        u["searched"] = _samples(maps.searched if scene.data.water == "auto" else None)
         u["land_at"], u["land_count"] = put(self.tint.land), len(self.tint.land)
         u["sea_at"], u["sea_count"] = put(self.tint.sea), len(self.tint.sea)
         u["hatch"] = put(MISSING)
@@ -116,6 +118,14 @@ class Look:
         u["flags"] = flags | min(len(self.lights.suns), 7) << SUNS | (LAMPS if self.lights.lamps else 0)
         self.uniform = u
         self.tables = np.concatenate(parts)
+
+
+def _samples(window: Rectangle | None) -> tuple[int, int, int, int]:
+    """First column and row of a window, and those after its last, in samples of level 0; None: all there can be."""
+    if window is None:
+        return -(2**30), -(2**30), 2**30, 2**30
+    level, row0, row1, col0, col1 = window
+    return col0 << level, row0 << level, col1 << level, row1 << level
 
 
 def _color(color: NDArray[np.float32]) -> tuple[float, float, float]:

@@ -1,0 +1,13 @@
+"""
+Evening light
+=============
+
+The sun of a day and an hour, long shadows, a sky, and air that fades what is far.
+"""
+
+import orograph
+from orograph.sample import jacksboro
+
+terrain = orograph.terrain(jacksboro(), progress=False)
+view = orograph.camera.around(terrain, (960, 540), azimuth=225, pitch=22, distance=None, exaggeration=2)
+picture = orograph.render(terrain, view, sun="2026-10-21T17:00-05:00", sky=True, exaggeration=2)

@@ -1,0 +1,88 @@
+"""``orograph tin``: the irregular triangles that stand for a terrain within a bound in metres, in a file."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+import click
+
+from orograph.cli.files import check_outputs
+from orograph.cli.options import (
+    FILE,
+    FloatRange,
+    grid_options,
+    jobs_option,
+    memory_option,
+    progress_of,
+    source_of,
+    source_options,
+    vertical_options,
+)  # fmt: skip
+
+
+@click.command("tin")
+@click.argument("paths", nargs=-1, required=True, metavar="PATH...")
+@click.option("--output", "-o", required=True, type=FILE, help="The mesh: .npz, .ply, .obj or .glb.")
+@click.option("--max-error", type=FloatRange(min=0), metavar="METRES", help="By how much it may be off, vertically.")
+@click.option("--triangles", type=click.IntRange(min=2), metavar="N", help="Instead: at most so many.")
+@click.option(
+    "--bound", type=click.Choice(["surface", "samples"]), default="surface", show_default=True,
+    help="Where that holds: everywhere, or at samples only.",
+)  # fmt: skip
+@click.option(
+    "--breaklines", type=FILE, metavar="FILE", help="GeoJSON: lines that become edges, points that become vertices."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
+@grid_options("triangulate")
+@source_options
+@vertical_options
+@memory_option
+@jobs_option
+@click.pass_context
+def command(
+    ctx: click.Context, /, paths: tuple[str, ...], output: str, max_error: float | None, triangles: int | None,
+    bound: Any, breaklines: str | None, as_json: bool, max_memory: int, jobs: int | None, **options: Any,
+) -> None:  # fmt: skip
+    """Triangulate a DEM (one file or many) or a store as a TIN: few triangles on its samples, within a bound in metres.
+
+    The bound holds on the surface between the samples, too. Holes stay holes. The files are those of orograph
+    tessellate.
+
+    \b
+    Examples:
+      orograph tin N44W072.hgt --max-error 10 -o ground.ply
+      orograph tin area.oro --triangles 100000 -o ground.glb
+      orograph tin dem.tif --max-error 2 --bound samples -o ground.npz
+    """
+    began = time.perf_counter()
+    check_outputs(
+        {"--output": output},
+        {"the input": paths, "the grid of --geoid": [options["geoid"]], "the file of --breaklines": [breaklines]},
+    )
+    progress = progress_of(ctx)
+    with progress.task("Loading Orograph"):
+        from orograph.store.prepare import prepare
+        from orograph.verbs.tin import check_goal, tin
+
+    check_goal(max_error, triangles)
+    reading = source_of(options, ())
+    terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, **reading)
+    mesh = tin(
+        terrain, max_error=max_error, triangles=triangles, bound=bound, breaklines=breaklines, output=output,
+        max_memory=max_memory, jobs=jobs, progress=progress,
+    )  # fmt: skip
+    stats, count = mesh.stats, len(mesh.triangles)
+    if as_json:
+        crs = terrain.grid.crs
+        told = {
+            "mesh": output, "seconds_in_all": round(time.perf_counter() - began, 3),
+            "crs": crs.to_string() if crs else None, "vertices": len(mesh.vertices), "triangles": count, **stats,
+        }  # fmt: skip
+        click.echo(json.dumps(told, allow_nan=False))
+    else:
+        click.echo(
+            f"{output}  {count:,} triangles, off by at most {stats['largest']:.4g} m on the surface, "
+            f"{stats['largest_at_samples']:.4g} m at samples"
+        )

@@ -1,0 +1,146 @@
+"""Maps and imagery of tile services as layers: ``xyz:NAME`` of the xyzservices catalogue, or ``xyz:URL`` with {z}, {x}
+and {y}; local folders of tiles (``xyz:FOLDER/{z}/{x}/{y}.png``), MBTiles and PMTiles.
+
+GDAL reads a service as one image in Web Mercator whose overviews are the zoom levels, so that a picture asks for the
+tiles of the zoom that its pixels need. Its description and the tiles that were read are kept in the cache folder for
+``FRESH`` seconds at least; the folder is one of the images that make room for others (``store.kept``). Folders and
+PMTiles become an MBTiles file there. Tiles that a server does not have (404) are transparent.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+from orograph.errors import UsageError
+from orograph.fetching.asking import user_agent
+from orograph.geovis.tile_packs import kept_folder, of_folder, of_pmtiles
+from orograph.output import Beside
+
+PREFIX = "xyz:"
+FRESH = 7 * 86400
+"""Seconds for which a tile that was read is not asked for again."""
+WORLD = 20037508.342789244
+"""Metres from the middle of Web Mercator to its border."""
+FINEST = 18
+"""Zoom of a service that does not say its finest."""
+PATIENCE, CONNECTIONS = 15, 4
+"""Seconds for which an answer is waited for; tiles that are asked for at once."""
+
+DESCRIPTION = """<GDAL_WMS>
+  <Service name="TMS"><ServerUrl>{url}</ServerUrl></Service>
+  <DataWindow>
+    <UpperLeftX>-{world}</UpperLeftX><UpperLeftY>{world}</UpperLeftY>
+    <LowerRightX>{world}</LowerRightX><LowerRightY>-{world}</LowerRightY>
+    <TileLevel>{finest}</TileLevel><TileCountX>1</TileCountX><TileCountY>1</TileCountY><YOrigin>{origin}</YOrigin>
+  </DataWindow>
+  <Projection>EPSG:3857</Projection>
+  <BlockSizeX>{side}</BlockSizeX><BlockSizeY>{side}</BlockSizeY><BandsCount>4</BandsCount>
+  <OverviewCount>{levels}</OverviewCount>
+  <UserAgent>{agent}</UserAgent><ZeroBlockHttpCodes>204,404</ZeroBlockHttpCodes>
+  <Timeout>{patience}</Timeout><MaxConnections>{connections}</MaxConnections>
+  <Cache><Path>{cache}</Path><Expires>{fresh}</Expires></Cache>
+</GDAL_WMS>
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Basemap:
+    """A tile service.
+
+    Attributes:
+        name: what to call it. url: with {z}, {x} and {y}. attribution: whom it wants to be named.
+        coarsest, finest: its zoom levels. side: pixels of a tile. bottom: whether rows are counted from the south.
+    """
+
+    name: str
+    url: str
+    attribution: str = ""
+    coarsest: int = 0
+    finest: int = FINEST
+    side: int = 256
+    bottom: bool = False
+
+    @classmethod
+    def of(cls, text: str) -> Basemap:
+        """The service of ``xyz:NAME`` or ``xyz:URL``; ``?key=value&…`` after a name says what the service asks for.
+
+        Raises:
+            UsageError: there is none of that name, or it asks for a token.
+        """
+        what = text.removeprefix(PREFIX)
+        if "{" in what:
+            lacking = [part for part in ("{z}", "{x}") if part not in what]
+            if lacking or not ("{y}" in what or "{-y}" in what):
+                raise UsageError(f"A URL of tiles has {{z}}, {{x}} and {{y}}: {what}.")
+            name = re.sub(r"^\w+://(www\.)?", "", what).partition("/")[0] if "://" in what else Path(what).parts[0]
+            return cls(name, what.replace("{-y}", "{y}"), bottom="{-y}" in what)
+        name, _, said = what.partition("?")
+        return _of_catalogue(name, dict(part.partition("=")[::2] for part in said.split("&") if part))
+
+    def description(self, cache: Path) -> str:
+        """What GDAL reads."""
+        url = self.url.replace("{z}", "${z}").replace("{x}", "${x}").replace("{y}", "${y}")
+        return DESCRIPTION.format(
+            url=escape(url), world=WORLD, finest=self.finest, origin="bottom" if self.bottom else "top", side=self.side,
+            levels=self.finest - self.coarsest, agent=escape(user_agent()), patience=PATIENCE,
+            connections=CONNECTIONS, cache=escape(str(cache)), fresh=FRESH,
+        )  # fmt: skip
+
+
+def location_of(path: str) -> str:
+    """The file of a service or of packed tiles that GDAL opens; any other path as it is."""
+    if path.startswith(PREFIX):
+        found = Basemap.of(path)
+        if "://" not in found.url:
+            return str(of_folder(found.url, bottom=found.bottom))
+        return str(_described(found))
+    if path.lower().endswith(".pmtiles") and "://" not in path:
+        return str(of_pmtiles(Path(path)))
+    return path
+
+
+def _described(found: Basemap) -> Path:
+    """The file that describes a service, beside the tiles that were read of it."""
+    folder = kept_folder(found.name, found.url)
+    text, path = found.description(folder / "tiles"), folder / "map.xml"
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        with Beside(path) as part:
+            part.write_text(text, encoding="utf-8")
+    return path
+
+
+def _of_catalogue(name: str, said: dict[str, str]) -> Basemap:
+    """A service of the xyzservices catalogue."""
+    import difflib
+
+    from xyzservices import providers
+
+    every = providers.flatten()
+    try:
+        found = providers.query_name(name)
+    except ValueError:
+        close = difflib.get_close_matches(name, every, 3, 0.5)
+        remedy = f"Did you mean {' or '.join(close)}?" if close else "See https://xyzservices.readthedocs.io."
+        raise UsageError(f"There is no tile service {name!r}.", remedy=remedy) from None
+    found = found.copy()
+    unknown = sorted(set(said) - set(found))
+    if unknown:
+        raise UsageError(f"{found.name} asks for no {unknown[0]!r}.")
+    found.update(said)
+    if found.requires_token():
+        wanted = next((key for key, value in found.items() if "<insert" in str(value)), "token")
+        raise UsageError(
+            f"{found.name} asks for a token of yours.", remedy=f"Write it after the name: xyz:{found.name}?{wanted}=…"
+        )
+    if str(found.get("crs", "EPSG:3857")) != "EPSG:3857":
+        raise UsageError(f"{found.name} is in {found['crs']}; only Web Mercator is read.")
+    template = {key: f"{{{key}}}" for key in ("x", "y", "z")}
+    url = found.build_url(**template) if "{-y}" not in found["url"] else found["url"].replace("{-y}", "{y}")
+    bottom = "{-y}" in found["url"] or bool(found.get("tms"))
+    return Basemap(
+        found.name, url, found.get("attribution", ""), int(found.get("min_zoom", 0)),
+        int(found.get("max_zoom", FINEST)), int(found.get("tileSize", 256) or 256), bottom,
+    )  # fmt: skip

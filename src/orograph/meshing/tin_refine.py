@@ -1,0 +1,193 @@
+"""Greedy insertion: the sample that is farthest from the TIN becomes a vertex, until none is farther than the bound.
+
+Each triangle knows its worst sample; a heap of triangles knows the worst of all; after an insertion only the triangles
+around the new vertex are looked at again (Garland & Heckbert 1995, *Fast polygonal approximation of terrains and height
+fields*, §4.3, algorithm III). For a bound on the surface a second run looks at the crossings of edges with the
+surface's edges, too, and inserts the nearer sample of the edge that is crossed at the worst. In a Delaunay
+triangulation an edge of the surface between two vertices is an edge of the TIN, so one of the two samples is free.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import kernel, leaf
+from orograph.meshing.tin_error import worst_crossing, worst_sample
+from orograph.meshing.tin_mesh import TRIANGLES, after, before, insert, locate
+
+NOWHERE = -1
+"""The place of a triangle that is not in the heap."""
+
+
+class Queue(NamedTuple):
+    """Triangles by error: a binary heap, the largest first.
+
+    Attributes:
+        error: (t,) float64, metres. x, y: (t,) int32, the sample that would mend it.
+        heap: (t,) int32, triangles. place: (t,) int32, where a triangle is in it.
+        size: (1,) int64, of the heap.
+    """
+
+    error: NDArray[np.float64]
+    x: NDArray[np.int32]
+    y: NDArray[np.int32]
+    heap: NDArray[np.int32]
+    place: NDArray[np.int32]
+    size: NDArray[np.int64]
+
+
+def new_queue(rows: int, cols: int) -> Queue:
+    """Room for all triangles of a window."""
+    room = 2 * rows * cols
+    return Queue(
+        np.empty(room), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
+        np.full(room, NOWHERE, np.int32), np.zeros(1, np.int64),
+    )  # fmt: skip
+
+
+@leaf
+def comes_first(q, t, u):
+    """The order of the heap: larger errors, then lower numbers."""
+    return q.error[t] > q.error[u] or (q.error[t] == q.error[u] and t < u)
+
+
+@leaf
+def sift(q, i):
+    """Move the triangle at place i of the heap to where it belongs."""
+    t = q.heap[i]
+    while i > 0:
+        up = (i - 1) >> 1
+        if not comes_first(q, t, q.heap[up]):
+            break
+        q.heap[i] = q.heap[up]
+        q.place[q.heap[i]] = i
+        i = up
+    while True:
+        down = 2 * i + 1
+        if down >= q.size[0]:
+            break
+        if down + 1 < q.size[0] and comes_first(q, q.heap[down + 1], q.heap[down]):
+            down += 1
+        if not comes_first(q, q.heap[down], t):
+            break
+        q.heap[i] = q.heap[down]
+        q.place[q.heap[i]] = i
+        i = down
+    q.heap[i] = t
+    q.place[t] = i
+
+
+@leaf
+def take_out(q, t):
+    """Take a triangle out of the heap, if it is in there."""
+    i = q.place[t]
+    if i == NOWHERE:
+        return
+    q.place[t] = NOWHERE
+    q.size[0] -= 1
+    last = q.heap[q.size[0]]
+    if last != t:
+        q.heap[i] = last
+        q.place[last] = i
+        sift(q, i)
+
+
+@leaf
+def is_free(m, x, y):
+    """Whether a sample may become a vertex: it is none, and not on the border of the window, which others share."""
+    rows, cols = m.at.shape
+    return m.at[y, x] < 0 and 0 < x < cols - 1 and 0 < y < rows - 1
+
+
+@leaf
+def assess(m, heights, q, t, limit, surface):
+    """Find the worst of a triangle, and put it into the heap if that is over the limit."""
+    h = 3 * t
+    error, x, y, _ = worst_sample(heights, m, m.corner[h], m.corner[h + 1], m.corner[h + 2])
+    if surface:
+        for k in range(3):
+            # each edge is looked at from one side, the same whichever slots its triangles have
+            if not m.fixed[h + k] and m.corner[h + k] < m.corner[h + (k + 1) % 3]:
+                off, near_x, near_y, far_x, far_y = worst_crossing(
+                    heights, m, m.corner[h + k], m.corner[h + (k + 1) % 3]
+                )
+                if off > error and off > limit:
+                    if not is_free(m, near_x, near_y):
+                        near_x, near_y = far_x, far_y
+                    if is_free(m, near_x, near_y):
+                        error, x, y = off, near_x, near_y
+    if error <= limit:
+        take_out(q, t)
+        return
+    q.error[t], q.x[t], q.y[t] = error, x, y
+    if q.place[t] == NOWHERE:
+        q.heap[q.size[0]] = t
+        q.place[t] = q.size[0]
+        q.size[0] += 1
+    sift(q, q.place[t])
+
+
+@kernel
+def refine(m, heights, q, limit, surface):
+    """Insert samples until every triangle is within the limit.
+
+    Args:
+        m: a constrained Delaunay triangulation. heights: (rows, cols) float32 of its window.
+        q: an empty heap. limit: metres. surface: whether the bound is on the surface, or only at samples.
+    """
+    stack = np.empty(3 * len(q.heap) // 2 + 16, np.int32)
+    for t in range(m.counts[TRIANGLES]):
+        if m.live[t]:
+            assess(m, heights, q, t, limit, surface)
+    while q.size[0]:
+        t = q.heap[0]
+        x, y = np.int64(q.x[t]), np.int64(q.y[t])
+        if surface:
+            if not is_free(m, x, y):  # a sample beyond the triangle, inserted since
+                assess(m, heights, q, t, limit, surface)
+                continue
+            t = locate(m, t, x, y)
+        v = insert(m, t, x, y, np.float64(heights[y, x]), stack)
+        first = m.out[v]
+        h = first
+        while True:
+            if m.live[h // 3]:
+                assess(m, heights, q, h // 3, limit, surface)
+            h = m.twin[before(h)]
+            if h == first:
+                break
+
+
+@kernel
+def missed(m, heights, limit):
+    """Why the bound on the surface is not kept where it is not.
+
+    Returns:
+        (n, 2) int64, columns and rows of samples on the border of the window that are to be vertices: ends of an edge
+        of the surface that is crossed over the limit, while its other end is a vertex already. And (k, 4), edges of the
+        surface both of whose ends are vertices: fixed edges that cross them are in their way.
+    """
+    samples = np.empty((2 * (m.at.shape[0] + m.at.shape[1]), 2), np.int64)
+    edges = np.empty((16, 4), np.int64)
+    count, size = 0, 0
+    for h in range(3 * m.counts[TRIANGLES]):
+        if not m.live[h // 3] or m.fixed[h] or m.twin[h] < h:
+            continue
+        off, near_x, near_y, far_x, far_y = worst_crossing(heights, m, m.corner[h], m.corner[after(h)])
+        if off <= limit:
+            continue
+        if m.at[near_y, near_x] >= 0 and m.at[far_y, far_x] >= 0:
+            if size == len(edges):
+                edges = np.concatenate((edges, np.empty_like(edges)))
+            edges[size, 0], edges[size, 1], edges[size, 2], edges[size, 3] = near_x, near_y, far_x, far_y
+            size += 1
+        for k in range(2):
+            x, y = (near_x, near_y) if k == 0 else (far_x, far_y)
+            if m.at[y, x] == -1:
+                m.at[y, x] = -2
+                samples[count, 0], samples[count, 1] = x, y
+                count += 1
+    return samples[:count].copy(), edges[:size].copy()

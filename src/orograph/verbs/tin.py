@@ -1,0 +1,102 @@
+"""``orograph.tin``: the irregular triangles that stand for a terrain within a bound in metres."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from orograph.errors import UsageError
+from orograph.meshing import mesh_format, write
+from orograph.meshing import tin as meshing
+from orograph.output import check_folder
+from orograph.progress import Progress
+from orograph.reporting import reporting
+from orograph.store.opening import terrain as opened
+from orograph.store.terrain import Terrain
+from orograph.tessellation import Tessellation
+
+
+def tin(
+    terrain: Any,
+    *,
+    max_error: float | None = None,
+    triangles: int | None = None,
+    bound: Literal["surface", "samples"] = "surface",
+    breaklines: str | os.PathLike[str] | Sequence[ArrayLike] | None = None,
+    output: str | os.PathLike[str] | None = None,
+    max_memory: int | None = None,
+    jobs: int | None = None,
+    progress: Progress | bool | None = None,
+    **reading: Any,
+) -> Tessellation:
+    """Triangulate a terrain with as few triangles as a bound allows: a TIN, for no view in particular.
+
+    Its vertices are samples of the terrain, with their heights; holes stay holes, to the sample. The result is the same
+    for any number of threads. Garland & Heckbert 1995 (*Fast polygonal approximation of terrains and height fields*),
+    within a bound on the surface, and with the vertices taken out that the bound does not need.
+
+    Args:
+        terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
+        max_error: metres by which the TIN may be off on the vertical. triangles: instead: at most so many, with the
+            lowest bound that is found.
+        bound: where it holds: everywhere on the surface, or only at samples, which takes fewer triangles.
+        breaklines: lines that become edges, and points that become vertices, at the nearest samples: a GeoJSON file, or
+            arrays (n, 2) of easting and northing, each a line, or a point where n is 1.
+        output: also write it: .npz, .ply, .obj or .glb.
+        max_memory: bytes that heights and tiles at work may take; the mesh is held besides. jobs: threads.
+        progress: hears of it; False: nothing is said.
+
+    Returns:
+        the mesh; ``stats`` has max_error, bound, and by how many metres it is off: ``largest`` on the surface,
+        ``largest_at_samples``.
+
+    Raises:
+        UsageError: an option makes no sense. ReadError, StoreError: the terrain cannot be read. NothingInViewError: it
+            has no surface. OutputError: the file cannot be written.
+    """
+    check_goal(max_error, triangles)
+    heard = reporting(progress)
+    if output is not None:
+        mesh_format(output)
+        check_folder(Path(output))
+    ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="tin", **reading)
+    lines = [] if breaklines is None else lines_of(ground, breaklines)
+    more: dict[str, Any] = {"bound": bound, "lines": lines, "max_memory": max_memory, "jobs": jobs, "progress": heard}
+    if triangles is not None:
+        mesh = meshing.tin_of_size(ground, triangles, **more)
+        if len(mesh.triangles) > triangles:
+            heard.warn(f"The coarsest TIN has {len(mesh.triangles):,} triangles, more than {triangles:,}.")
+    else:
+        assert max_error is not None
+        mesh = meshing.tin(ground, max_error, **more)
+    if output is not None:
+        with heard.task("Writing"):
+            write(mesh, ground.grid, output)
+    return mesh
+
+
+def lines_of(terrain: Terrain, given: str | os.PathLike[str] | Sequence[ArrayLike]) -> list[NDArray[np.float64]]:
+    """Break lines as columns and rows of the terrain."""
+    if isinstance(given, str | os.PathLike):
+        from orograph.measuring.geojson import read_lines
+        from orograph.measuring.places import Places
+
+        lines = read_lines(given, Places(terrain))
+    else:
+        try:
+            lines = [np.asarray(line, np.float64).reshape(-1, 2) for line in given]
+        except (TypeError, ValueError) as error:
+            raise UsageError(f"Break lines are arrays (n, 2) of easting and northing: {error}.") from error
+    return [np.stack(terrain.grid.index(line[:, 0], line[:, 1]), -1) for line in lines]
+
+
+def check_goal(max_error: float | None, triangles: int | None) -> None:
+    """Raise UsageError unless one of the two is given."""
+    if (max_error is None) == (triangles is None):
+        which = "either `max_error` or `triangles`" if max_error is None else "only one of `max_error` and `triangles`"
+        raise UsageError(f"Give {which}: how fine the TIN is to be.")

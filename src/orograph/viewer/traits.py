@@ -1,0 +1,182 @@
+"""A terrain in a cell whose camera, light, layers and picks are traits: cells read, set, observe and link them.
+
+    widget = orograph.view("area.oro")
+    widget.exaggeration = 2
+    ipywidgets.link((slider, "value"), (widget, "altitude"))
+    traitlets.link((widget, "camera"), (other, "camera"))       # both show the same view
+
+What is set goes into the window's session, and the picture follows; what the mouse, keys and panels change comes back
+with the next frame.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Sequence
+from typing import Any, get_args
+
+from traitlets import Any as Anything
+from traitlets import Float as Number
+from traitlets import HasTraits, Instance, TraitError, Tuple, Unicode, observe, validate
+
+from orograph.errors import UsageError
+from orograph.geovis.layers import layers_of
+from orograph.scene.parts import Light, check_exaggeration
+from orograph.viewer.results import KINDS
+from orograph.viewpoint import View
+
+
+class Widget(HasTraits):
+    """A terrain in a cell.
+
+    Attributes:
+        window: the window in it (``viewer.window.Window``): its ``session`` has all settings.
+        canvas: the widget itself, to be put beside others.
+
+    Traits:
+        camera: the ``View``, of the cell's own size; set it to be there at once (``fly`` takes its time).
+        exaggeration: how heights are stretched on the screen.
+        azimuth, altitude: degrees, where the sun is placed; of a moment, where it is then. Setting one places the sun.
+        light: "relief", "ao", "aperture", "raytraced" or "none".
+        layers: over the ground, bottom to top, as ``orograph.render`` takes them.
+        measure: what clicks measure: "pick", "profile"…; "" while they do not.
+        picked: the points that were clicked, each (easting, northing, height); set them to have them measured.
+        measured: what they measure (``orograph.measure``), or None.
+    """
+
+    camera = Instance(View)
+    exaggeration = Number(1.0)
+    azimuth = Number(315.0)
+    altitude = Number(45.0)
+    light = Unicode("relief")
+    layers = Anything(())
+    measure = Unicode("")
+    picked = Tuple()
+    measured = Anything(None, allow_none=True, read_only=True)
+
+    def __init__(self, window: Any, canvas: Any, still: bytes) -> None:
+        self.window, self.canvas, self._still = window, canvas, still
+        self._telling = True
+        super().__init__()
+        self._tell()
+        self._telling = False
+        window.on_frame.append(lambda _: self._told())
+
+    def fly(self, camera: View) -> None:
+        """Fly to a view."""
+        self.window.session.nav.go(camera)
+        self.window.refresh()
+
+    def close(self) -> None:
+        """Stop drawing and let go of the GPU's memory."""
+        self.canvas.close()
+
+    def _repr_mimebundle_(self, **options: Any) -> Any:
+        data = self.canvas._repr_mimebundle_(**options)
+        rest: tuple[Any, ...] = ()
+        if isinstance(data, tuple):
+            data, *more = data
+            rest = tuple(more)
+        data = {**(data or {}), "image/png": base64.b64encode(self._still).decode()}
+        return (data, *rest) if rest else data
+
+    def _display_(self) -> Any:
+        """What marimo shows."""
+        return self.canvas
+
+    # ---- from the window ---------------------------------------------------------------------------------------------
+
+    def _told(self) -> None:
+        """Let cells know what a frame was drawn with."""
+        self._telling = True
+        try:
+            with self.hold_trait_notifications():
+                self._tell()
+        finally:
+            self._telling = False
+
+    def _tell(self) -> None:
+        session, tools = self.window.session, self.window.tools
+        settings = session.settings
+        sun = settings.sun.sun(session.terrain)
+        self.camera, self.exaggeration, self.light = session.view, settings.exaggeration, settings.light
+        self.azimuth, self.altitude = float(sun.azimuth), float(sun.altitude)
+        self.layers = tuple(settings.layers)
+        self.measure = tools.kind if tools.active else ""
+        self.picked = tuple(tuple(point) for point in tools.points)
+        if self.measured is not tools.result:
+            self.set_trait("measured", tools.result)
+
+    # ---- into the window ---------------------------------------------------------------------------------------------
+
+    @validate("camera")
+    def _own_size(self, proposal: Any) -> View:
+        view: View = proposal["value"]
+        own = self.window.session.view
+        return view.resized(own.width, own.height)
+
+    @validate("exaggeration", "light", "layers", "measure", "picked")
+    def _sensible(self, proposal: Any) -> Any:
+        name, value = proposal["trait"].name, proposal["value"]
+        try:
+            return CHECKS[name](value)
+        except UsageError as error:
+            raise TraitError(str(error)) from error
+
+    @observe("camera", "exaggeration", "azimuth", "altitude", "light", "layers", "measure", "picked")
+    def _set(self, change: Any) -> None:
+        if self._telling:
+            return
+        name, value = change["name"], change["new"]
+        session, tools = self.window.session, self.window.tools
+        if name == "camera":
+            session.nav.jump(value)
+        elif name == "exaggeration":
+            session.stretch(value)
+        elif name in ("azimuth", "altitude"):
+            sun = session.settings.sun
+            sun.mode, sun.azimuth, sun.altitude = "placed", self.azimuth % 360.0, self.altitude
+        elif name == "layers":
+            session.settings.layers = list(value)
+        elif name == "light":
+            session.settings.light = value
+        elif name == "measure":
+            tools.leave() if not value else tools.choose(value)
+            tools.active = bool(value)
+        elif name == "picked":
+            tools.active, tools.points = True, list(value)
+            tools.measure()
+        self.window.refresh()
+
+
+def _exaggeration(value: float) -> float:
+    check_exaggeration(value)
+    return value
+
+
+def _light(value: str) -> str:
+    if value not in get_args(Light):
+        raise UsageError(f"There is no light {value!r}; there are {', '.join(get_args(Light))}.")
+    return value
+
+
+def _kind(value: str) -> str:
+    if value and value not in KINDS:
+        raise UsageError(f"There is no measure {value!r}; there are {', '.join(KINDS)}.")
+    return value
+
+
+def _points(value: Sequence[Any]) -> tuple[tuple[float, ...], ...]:
+    try:
+        points = tuple(tuple(float(v) for v in point) for point in value)
+    except (TypeError, ValueError):
+        points = ((),)
+    if any(len(point) != 3 for point in points):
+        raise UsageError("Points are (easting, northing, height) each.")
+    return points
+
+
+CHECKS: dict[str, Callable[[Any], Any]] = {
+    "exaggeration": _exaggeration, "light": _light, "layers": layers_of, "measure": _kind, "picked": _points,
+}  # fmt: skip
+"""What makes a trait's value of what is given, or raises UsageError."""
