@@ -221,7 +221,7 @@ def test_a_video_on_a_full_disk_is_whole_or_not_there(tmp_path, small_disk, endi
     noise = np.random.default_rng(1).integers(0, 255, (8, 48, 64, 3)).astype(np.uint8)
     whole = tmp_path / f"whole.{ending}"
     write(whole)
-    size, written = whole.stat().st_size, 0
+    size, frames, written = whole.stat().st_size, frames_of(whole)[1], 0
     for kib in (4, size // 2048, *range(size // 1024 - 7, size // 1024 + 12, 2)):
         out = small_disk(kib) / f"out.{ending}"
         try:
@@ -231,7 +231,8 @@ def test_a_video_on_a_full_disk_is_whole_or_not_there(tmp_path, small_disk, endi
             assert not list(out.parent.iterdir())
         else:
             written += 1
-            assert out.stat().st_size == size and len(frames_of(out)[1]) == 8
+            for (at, pixels), (then, drawn) in zip(frames_of(out)[1], frames, strict=True):  # encoders of threads vary
+                assert at == then and np.abs(pixels.astype(int) - drawn).mean() < 10
     assert 0 < written < 10
 
 
