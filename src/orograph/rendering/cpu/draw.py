@@ -20,6 +20,7 @@ from orograph.geovis.color import linear_to_srgb
 from orograph.memo import Memo
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress, Task
+from orograph.rendering.cpu.ahead import while_compiling
 from orograph.rendering.cpu.ground import LEAST_MEMORY, Ground, fixed_memory
 from orograph.rendering.cpu.shading import Shader
 from orograph.rendering.gbuffer import Area
@@ -94,9 +95,10 @@ def draw(
             "method": scene.surface.method, "triangles": len(subject.mesh.triangles), **subject.mesh.stats
         }  # fmt: skip
         clock.lap("mesh")
-    ground = _ground(subject, memo, progress)
-    clock.lap("heights")
-    canvas = _Canvas(subject, ground, memo, progress, clock)
+    with while_compiling(scene.lighting.light):
+        ground = _ground(subject, memo, progress)
+        clock.lap("heights")
+        canvas = _Canvas(subject, ground, memo, progress, clock)
     facts |= canvas.facts
     pixels, depth, void_filled = canvas.finished()
     facts |= {"shader": canvas.shader.facts, "shown": canvas.shader.shown, "seconds": clock.seconds}
