@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import time
 
 import pytest
 
+from orograph import compiling
 from orograph.cli.progress import COMPILING_KERNELS, LineProgress
 from orograph.compiling import COMPILING
 
@@ -61,3 +63,51 @@ def test_compiling_has_a_line_of_its_own(capsys: pytest.CaptureFixture[str]) -> 
     with progress.task("Again"):
         time.sleep(0.02)
     assert capsys.readouterr().err.startswith("Again")
+
+
+@pytest.fixture
+def started(monkeypatch):
+    found = []
+    monkeypatch.setattr(compiling, "_start", lambda *command: found.append(command))
+    monkeypatch.setattr(compiling, "_worthwhile", lambda: True)
+    return found
+
+
+def a_kernel():
+    COMPILING.begin()
+    COMPILING.end()
+
+
+def test_the_first_kernel_starts_the_other_process_once(started):
+    with compiling.while_compiling("a.program", "ao"):
+        assert started == []
+        a_kernel()
+        a_kernel()
+    assert started == [("a.program", "ao")]
+
+
+def test_without_a_kernel_nothing_is_started(started):
+    before = list(COMPILING.changed)
+    with pytest.raises(ValueError, match="x"), compiling.while_compiling("a.program"):
+        raise ValueError("x")
+    a_kernel()
+    assert started == [] and COMPILING.changed == before
+
+
+def test_the_other_process_starts_none_and_ends(monkeypatch):
+    monkeypatch.setattr(compiling, "_STARTED", {})
+    compiling._start("this")  # prints the Zen of Python
+    assert compiling._STARTED["this"].wait(60) == 0
+
+
+@pytest.mark.parametrize(
+    ("executable", "wanted", "expected"),
+    [("/a/python3.12", "1", True), ("/a/python3.12", "0", False), ("/a/qgis", "1", False), (None, "1", False)],
+)
+def test_only_python_itself_is_started(monkeypatch, executable, wanted, expected):
+    monkeypatch.setattr(sys, "executable", executable)
+    monkeypatch.setenv("OROGRAPH_COMPILE_AHEAD", wanted)
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1}, raising=False)
+    assert compiling._worthwhile() is expected
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0}, raising=False)
+    assert not compiling._worthwhile()

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from orograph.compiling import while_compiling
 from orograph.error import ErrorKind
 from orograph.progress import Progress
 from orograph.store.diamond_table import DIAMONDS, DiamondCodes
@@ -49,7 +50,8 @@ def make_diamonds(record: Record, work: Work) -> Record:
         return record
     first = work.terrain(record).tiles(0)
     survey = Errors(record.grid, work.writer, record.shard, record.chunk, first, work.errors, work.resume)
-    go_through("Finding errors", survey.tasks(), survey.run, work.jobs, work.progress, survey.finish)
+    with while_compiling("orograph.error.ahead", *work.errors):
+        go_through("Finding errors", survey.tasks(), survey.run, work.jobs, work.progress, survey.finish)
     return DIAMONDS.put(record, DiamondCodes(survey.codes, survey.radius))
 
 

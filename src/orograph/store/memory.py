@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.compiling import while_compiling
 from orograph.error import ErrorKind
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
@@ -138,14 +139,16 @@ class MemoryTerrain(Terrain):
             code = ErrorCode.of(high - low, kind, self.n)
             encoder = Encoder({kind: code}, RadiusCode.of(high - low, metric(self.grid), self.n))
             parts = diamonds(
-                lambda row0, row1, col0, col1: self.heights[row0:row1, col0:col1],
+                # (a copy: kernels are compiled anew for what may not be written to)
+                lambda row0, row1, col0, col1: self.heights[row0:row1, col0:col1].copy(),
                 subsample(self.heights, NESTED),
                 surface(self.grid, self.tiles(0).minimum, low),
                 (kind,),
                 radii=known is None,
                 rounding=encoder,
             )
-            errors, radii = gather(self.grid.shape, parts, kind)
+            with while_compiling("orograph.error.ahead", kind):
+                errors, radii = gather(self.grid.shape, parts, kind)
             errors = [code.decode(encoder.errors(kind, level)) for level in errors]
             for array in (*errors, *radii):
                 _frozen(array)

@@ -1,63 +1,14 @@
-"""A second process that compiles what a first picture needs last, while the first compiles what it needs first.
+"""The program that compiles the kernels of light and colour while a first picture's ray caster is compiled.
 
-Numba compiles one kernel at a time in a process. A picture needs its ray caster, and after that the kernels of light
-and colour, which take as long: ``while_compiling`` starts this module as a program at the first kernel that is compiled,
-and it colours a small hill by depths that need no caster. Each finds the other's kernels in Numba's cache.
+``python -m orograph.rendering.cpu.ahead LIGHT`` colours a small hill by depths that need no caster (see ``compiling``).
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
-import subprocess
 import sys
-from collections.abc import Iterator
-from pathlib import Path
-
-from orograph.compiling import COMPILING
 
 SIDE = 33
 """Samples of the hill along a side."""
-
-
-@contextlib.contextmanager
-def while_compiling(light: str) -> Iterator[None]:
-    """Within it, the first kernel that has to be compiled starts the second process, for a picture in ``light``.
-
-    On one core, in a program that is not Python itself (its executable would start that program), or where
-    ``OROGRAPH_COMPILE_AHEAD`` is 0, there is none.
-    """
-
-    def start() -> None:
-        COMPILING.changed.remove(start)
-        _start(light)
-
-    if not _worthwhile():
-        yield
-        return
-    COMPILING.changed.append(start)
-    try:
-        yield
-    finally:
-        if start in COMPILING.changed:
-            COMPILING.changed.remove(start)
-
-
-def _worthwhile() -> bool:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    wanted = os.environ.get("OROGRAPH_COMPILE_AHEAD", "1") != "0" and not _STARTED
-    return wanted and cores > 1 and Path(sys.executable or "").stem.startswith("python")
-
-
-def _start(light: str) -> None:
-    silent = subprocess.DEVNULL
-    command = [sys.executable, "-P", "-m", __name__, light]  # -P: modules of the folder one is in are not ours
-    with contextlib.suppress(OSError):  # one process compiles all, then
-        _STARTED.append(subprocess.Popen(command, stdin=silent, stdout=silent, stderr=silent))
-
-
-_STARTED: list[subprocess.Popen[bytes]] = []
-"""The second process: one is enough, and it ends by itself."""
 
 
 def color_a_hill(light: str) -> None:

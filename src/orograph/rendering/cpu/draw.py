@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.compiling import while_compiling
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.color import linear_to_srgb
 from orograph.memo import Memo
 from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress, Task
-from orograph.rendering.cpu.ahead import while_compiling
 from orograph.rendering.cpu.ground import LEAST_MEMORY, Ground, fixed_memory
 from orograph.rendering.cpu.shading import Shader
 from orograph.rendering.gbuffer import Area
@@ -95,7 +95,7 @@ def draw(
             "method": scene.surface.method, "triangles": len(subject.mesh.triangles), **subject.mesh.stats
         }  # fmt: skip
         clock.lap("mesh")
-    with while_compiling(scene.lighting.light):
+    with while_compiling("orograph.rendering.cpu.ahead", scene.lighting.light):
         ground = _ground(subject, memo, progress)
         clock.lap("heights")
         canvas = _Canvas(subject, ground, memo, progress, clock)
