@@ -52,7 +52,7 @@ TOLERANCES = (0.5, 1.0, 2.0, 4.0, 8.0)
 METHODS = (
     "top-down", "top-down,metric=wedgie", "stateless,queue=fifo", "soar", "soar,metric=anisotropic",
     "threshold-spheres", "threshold-spheres,metric=isotropic", "roam", "roam,metric=wedgie", "soar,error=midpoint",
-    "restricted-quadtree", "restricted-quadtree,triangulation=restricted", "soar,metric=isotropic-published",
+    "restricted-quadtree", "restricted-quadtree,triangulation=restricted", "seamless-patches", "soar,metric=isotropic-published",
     "top-down,metric=anisotropic-published",
 )  # fmt: skip
 FEW = 200
@@ -124,7 +124,9 @@ class Bench:
             choice = chosen(label)
             method: Any = choice.make(terrain, Resources(1 << 33, 1))
             self.methods[label] = method
-            if method.error == "exact" and choice.info.name != "roam":  # (ROAM's nodes know their own pages)
+            if (
+                getattr(method, "error", None) == "exact" and choice.info.name != "roam"
+            ):  # (ROAM's nodes know their own pages)
                 method.field = self.exact
 
     def measure(self, number: int) -> list[dict[str, Any]]:

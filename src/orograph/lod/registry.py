@@ -31,6 +31,7 @@ METHODS: dict[str, str | type[Method]] = {
     "stateless": "orograph.lod.stateless:Stateless",
     "soar": "orograph.lod.soar:Soar",
     "restricted-quadtree": "orograph.lod.restricted_quadtree:RestrictedQuadtree",
+    "seamless-patches": "orograph.lod.seamless_patches:SeamlessPatches",
 }
 """Name to MODULE:CLASS, or to the class."""
 

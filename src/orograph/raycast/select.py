@@ -89,17 +89,23 @@ def off_axis(view: View) -> float:
 def pixel_error(terrain: Terrain, view: View, exaggeration: float, level: int, boxes: Boxes) -> Array:
     """An upper bound, in pixels, of what drawing each tile at ``level`` displaces on the screen."""
     table = terrain.tiles(level)
-    error = table.error.astype(np.float64) * exaggeration
-    focal = 1.0 / view.pixel_slope
-    spacing = max(terrain.grid.spacing) * 2.0**level
     if view.projection == "plan":
+        spacing = max(terrain.grid.spacing) * 2.0**level
         return np.where(table.valid == 1, spacing / view.pixel_metres, 0.0)
+    displaced = moved(terrain, view, exaggeration, table.error.astype(np.float64), boxes)
+    rim = spacing_error(terrain, view, exaggeration, level, boxes)
+    return np.maximum(displaced, np.where(table.valid == 1, rim * 0.5, 0.0))
+
+
+def moved(terrain: Terrain, view: View, exaggeration: float, error: Array, boxes: Boxes) -> Array:
+    """An upper bound, in pixels, of what vertical distances (metres) within boxes displace on the screen."""
+    if view.projection == "plan":
+        return np.zeros(error.shape)
+    error, focal = error * exaggeration, 1.0 / view.pixel_slope
     d = np.maximum(distances(terrain, view, exaggeration, boxes), view.near)
     with np.errstate(divide="ignore", invalid="ignore"):
-        moved = np.where(d > error, focal * error / ((d - error) * off_axis(view)), np.inf)
-        moved = np.where(error > 0, moved, 0.0)
-        rim = np.where(d > 0, focal * spacing / d, np.inf)
-    return np.maximum(moved, np.where(table.valid == 1, rim * 0.5, 0.0))
+        found = np.where(d > error, focal * error / ((d - error) * off_axis(view)), np.inf)
+    return np.where(error > 0, found, 0.0)
 
 
 def spacing_error(terrain: Terrain, view: View, exaggeration: float, level: int, boxes: Boxes) -> Array:

@@ -86,7 +86,7 @@ def patch_errors(
     q, n, top = legs.bit_length() - 1, terrain.n, terrain.levels - 1
     table: DiamondTable = terrain.derived("diamonds", error=kind)
     octaves = range(q, n)
-    found = [np.zeros(_octave_shape(terrain, k), np.float32) for k in octaves]
+    found = [np.zeros(octave_shape(terrain, k), np.float32) for k in octaves]
     size = max(BLOCK, 1024 >> q)
     work = [
         (k, i, j)
@@ -112,7 +112,7 @@ def patch_errors(
         _saturate(P, last)
         last = P
         rows, cols = P.shape
-        mixed = np.isinf(_window(terrain, table, k, (0, 0), (rows, cols)))
+        mixed = np.isinf(octave_window(terrain, table, k, (0, 0), (rows, cols)))
         signed = np.where(mixed, -np.maximum(P, NOTHING), P)
         if k < top:
             result[k] = signed
@@ -121,14 +121,14 @@ def patch_errors(
     return result
 
 
-def _octave_shape(terrain: Terrain, k: int) -> Shape:
+def octave_shape(terrain: Terrain, k: int) -> Shape:
     """Entries of an octave: those of its level, or every so manieth of the padded square at the top."""
     level = min(k, terrain.levels - 1)
     rows, cols = terrain.diamond_shape(level)
     return ((rows - 1) >> (k - level)) + 1, ((cols - 1) >> (k - level)) + 1
 
 
-def _window(terrain: Terrain, table: DiamondTable, k: int, begin: Shape, end: Shape) -> Heights:
+def octave_window(terrain: Terrain, table: DiamondTable, k: int, begin: Shape, end: Shape) -> Heights:
     """The errors of an octave's entries ``[begin, end)``."""
     level = min(k, terrain.levels - 1)
     s = k - level
@@ -141,7 +141,7 @@ def _block(
     terrain: Terrain, table: DiamondTable, k: int, q: int, begin: Shape, end: Shape, spread: float
 ) -> Heights:  # fmt: skip
     """P of the patch diamonds ``[begin, end)`` of an octave."""
-    shapes = [_octave_shape(terrain, j) for j in range(k - q, k + 1)]
+    shapes = [octave_shape(terrain, j) for j in range(k - q, k + 1)]
     first = [max(v - REACH, 0) for v in begin]
     windows = []
     for step, shape in enumerate(shapes):
@@ -150,13 +150,13 @@ def _block(
     if min(windows[0]) <= 0:  # the padded square goes on where finer levels end
         return np.zeros((end[0] - begin[0], end[1] - begin[1]), np.float32)
     at = first[0] << q, first[1] << q
-    errors = _window(terrain, table, k - q, at, (at[0] + windows[0][0], at[1] + windows[0][1]))
-    lifted = _lifted(_finite(errors, terrain, k - q, at, spread), q, windows)
+    errors = octave_window(terrain, table, k - q, at, (at[0] + windows[0][0], at[1] + windows[0][1]))
+    lifted = _lifted(finite_errors(errors, terrain, k - q, at, spread), q, windows)
     here = begin[0] - first[0], begin[1] - first[1]
     return lifted[here[0] : here[0] + end[0] - begin[0], here[1] : here[1] + end[1] - begin[1]]
 
 
-def _finite(errors: Heights, terrain: Terrain, k: int, at: Shape, spread: float) -> Heights:
+def finite_errors(errors: Heights, terrain: Terrain, k: int, at: Shape, spread: float) -> Heights:
     """The errors of a window, those of mixed diamonds replaced by what holds where both surfaces are."""
     mixed = np.isinf(errors)
     if not mixed.any():

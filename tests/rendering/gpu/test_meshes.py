@@ -51,7 +51,16 @@ def views() -> dict[str, View]:
 
 @pytest.mark.parametrize(
     "method",
-    ["soar", "roam", "top-down", "stateless", "threshold-spheres", "triangle-patches,legs=8", "restricted-quadtree"],
+    [
+        "soar",
+        "roam",
+        "top-down",
+        "stateless",
+        "threshold-spheres",
+        "triangle-patches,legs=8",
+        "restricted-quadtree",
+        "seamless-patches",
+    ],
 )
 def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: Terrain, method: str) -> None:
     for name, view in views().items():

@@ -1,0 +1,139 @@
+"""How far a level's surface is off in a block of the raster, for all levels and blocks that patches ask for.
+
+Cell (i, j) of level k is two triangles, those of the square diamond at its centre: their ``exact`` error is that of the
+level's surface over the cell. What is kept are the largest over square blocks, of sides from half a smallest patch up
+to half a patch of 2^Q segments of 2^k samples: some thirtieth of the raster's bytes for Q = 6. Metres, samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.error import ErrorKind
+from orograph.lod.method import Resources
+from orograph.parallel import map_ordered
+from orograph.raycast.select import Boxes
+from orograph.store.diamond_table import DiamondTable
+from orograph.store.patches import finite_errors, octave_window
+from orograph.store.terrain import TILE, Heights, Terrain
+
+ROWS = 512
+"""Cells of a level that are read at a time, in rows."""
+
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Of blocks (rows, cols): the largest error, metres, and whether ground and missing ground meet in one."""
+
+    error: Heights
+    mixed: NDArray[np.bool_]
+
+    def coarser(self) -> Block:
+        """Of blocks twice as large."""
+        return Block(_pooled(self.error, np.maximum), _pooled(self.mixed, np.logical_or))
+
+
+class BlockErrors:
+    """Errors of all levels by blocks, and the heights that blocks have.
+
+    Args:
+        terrain: the ground. kind: of errors. big: Q.
+        resources: threads, progress.
+    """
+
+    def __init__(self, terrain: Terrain, kind: ErrorKind, big: int, resources: Resources) -> None:
+        self.terrain, self.big = terrain, big
+        self._table: DiamondTable = terrain.derived("diamonds", error=kind)
+        self._spread = terrain.height_range[1] - terrain.height_range[0]
+        self._blocks: dict[tuple[int, int], Block] = {}
+        levels = range(1, terrain.n + 1)
+        strips = {level: range(0, self._cells(level)[0], ROWS) for level in levels}
+        with resources.progress.task("Errors of blocks", sum(len(s) for s in strips.values())) as task:
+            for level in levels:
+                parts = []
+                for part in map_ordered(lambda row: self._strip(level, row), strips[level], resources.jobs):  # noqa: B023
+                    parts.append(part)
+                    task.advance()
+                self._keep(level, parts)
+        table = terrain.tiles(0)
+        self._low, self._high = [table.minimum], [table.maximum]
+        while max(self._low[-1].shape) > 1:
+            self._low.append(_pooled(self._low[-1], np.fmin))
+            self._high.append(_pooled(self._high[-1], np.fmax))
+
+    def _cells(self, level: int) -> tuple[int, int]:
+        rows, cols = self.terrain.grid.shape
+        return -((1 - rows) >> level), -((1 - cols) >> level)
+
+    def _strip(self, level: int, row: int) -> Block:
+        """Blocks of a level's cells from a row on, as small as they are kept."""
+        rows, cols = self._cells(level)
+        last, k = min(row + ROWS, rows), level - 1
+        errors = octave_window(self.terrain, self._table, k, (2 * row, 0), (2 * last, 2 * cols))[1::2, 1::2]
+        mixed = np.isinf(errors)
+        if mixed.any():
+            whole = octave_window(self.terrain, self._table, k, (2 * row, 0), (2 * last, 2 * cols))
+            errors = finite_errors(whole, self.terrain, k, (2 * row, 0), self._spread)[1::2, 1::2]
+        found = Block(errors, mixed)
+        for _ in range(self._least(level) - level):
+            found = found.coarser()
+        return found
+
+    def _least(self, level: int) -> int:
+        """The exponent of the sides of the smallest blocks of a level."""
+        return max(level, self.big - 1)
+
+    def _keep(self, level: int, parts: list[Block]) -> None:
+        block = Block(np.concatenate([p.error for p in parts]), np.concatenate([p.mixed for p in parts]))
+        least = self._least(level)
+        for side in range(least, min(level + self.big - 1, self.terrain.n) + 1):
+            if side > least:
+                block = block.coarser()
+            self._blocks[level, side] = block
+
+    def around(self, level: int, boxes: Boxes, side: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """The largest errors of a level in boxes (m,), and whether ground and missing ground meet there.
+
+        Args:
+            boxes: of two blocks by two at most, of sides 2^side.
+        """
+        if level == 0:
+            return np.zeros(len(boxes.west)), np.zeros(len(boxes.west), bool)  # (samples are as they are)
+        side = max(side, self._least(level))
+        block = self._blocks[level, side]
+        i, j = _touched(boxes, side, block.error.shape)
+        return block.error[i, j].max(0).astype(np.float64), np.asarray(block.mixed[i, j].any(0))
+
+    def with_heights(self, west: Index, north: Index, east: Index, south: Index, side: int) -> Boxes:
+        """Boxes (m,) of extents in samples, of two blocks by two of sides 2^side at most, cut to the raster."""
+        last_row, last_col = self.terrain.grid.rows - 1, self.terrain.grid.cols - 1
+        w, e = (np.clip(v, 0, last_col).astype(np.float64) for v in (west, east))
+        n, s = (np.clip(v, 0, last_row).astype(np.float64) for v in (north, south))
+        at = min(max(side - (TILE.bit_length() - 1), 0), len(self._low) - 1)
+        i, j = _touched(Boxes(w, e, n, s, w, w), at + TILE.bit_length() - 1, self._low[at].shape)
+        low, high = np.fmin.reduce(self._low[at][i, j]), np.fmax.reduce(self._high[at][i, j])
+        return Boxes(w, e, n, s, low.astype(np.float64), high.astype(np.float64))
+
+
+def _touched(boxes: Boxes, side: int, shape: tuple[int, ...]) -> tuple[Index, Index]:
+    """Rows and columns (4, m) of the blocks that boxes touch."""
+    ends = []
+    for least, most, count in ((boxes.north, boxes.south, shape[0]), (boxes.west, boxes.east, shape[1])):
+        first = least.astype(np.int64) >> side
+        last = np.maximum(np.ceil(most).astype(np.int64) - 1, least.astype(np.int64)) >> side
+        ends.append((np.minimum(first, count - 1), np.minimum(last, count - 1)))
+    (top, bottom), (left, right) = ends
+    return np.stack([top, top, bottom, bottom]), np.stack([left, right, left, right])
+
+
+def _pooled(blocks: Any, pool: np.ufunc) -> Any:
+    """Two by two; those beyond the last ones do not count."""
+    rows, cols = blocks.shape
+    high = pool.reduceat(blocks, np.arange(0, rows, 2), axis=0)
+    return pool.reduceat(high, np.arange(0, cols, 2), axis=1)

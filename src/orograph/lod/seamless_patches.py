@@ -1,0 +1,191 @@
+"""Seamless patches: a patch for each square of a quadtree; resolution changes inside of patches, never across an edge.
+
+Livny, Kogan & El-Sana, *Seamless patches for GPU-based terrain rendering* (The Visual Computer 25, 2009). A patch is
+four triangular tiles, each as fine as the patch's edge that it stands on, and four strips between them
+(``seamless_pieces``). A selection is nothing but where patches are and how fine their edges are (``seamless_layout``);
+tiles and strips are made once and drawn as instances, whose vertices take their heights from the terrain.
+
+How fine an edge is, is a function of that edge alone, so patches that touch agree about it without asking each other.
+In print it follows from the camera; here it is the spacing whose surface keeps the tolerance around the edge
+(``seamless_errors``). Tiles are the surface of such a level. A fan of a strip lies within one triangle of it, and its
+corners on the terrain: it is off by twice the level's error at most. So edges keep half of the tolerance, and all that
+is drawn keeps the tolerance. Metres, samples, pixels.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.lod.field import check_surface
+from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
+from orograph.lod.options import check, option
+from orograph.lod.right_triangles import Pass, by_tolerance
+from orograph.lod.seamless_errors import BlockErrors, Index
+from orograph.lod.seamless_layout import Layout, Patches
+from orograph.lod.seamless_pieces import Pieces, turned
+from orograph.lod.selection import PatchSet
+from orograph.store.terrain import TILE
+from orograph.tessellation import Tessellation
+from orograph.viewpoint import Camera
+
+PIECE = np.dtype([("row", "<i4"), ("col", "<i4"), ("p", "<i4"), ("turns", "<i4"), ("level", "<i4")])
+"""A piece of a patch: its upper left sample, the exponent of the patch's side, quarters by which it is turned
+clockwise, and the level that its finest vertices are on."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeamlessPatchesOptions:
+    """Options of ``seamless-patches``."""
+
+    segments: int = option(
+        64, "Segments along a patch's edge at most, and samples along a smallest patch's; fewer where the raster is "
+        "smaller than that.", choices=(8, 16, 32, 64, 128),
+    )  # fmt: skip
+    strips: str = option(
+        "kept", "Whether strips keep the tolerance, too: kept (edges take half of it), free (edges take all of it, and "
+        "where resolution changes twice as much may be off: no promise).", choices=("kept", "free"),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(slots=True)
+class Selected:
+    """What one tolerance gives.
+
+    Attributes:
+        patches: from large to small. triangles: of all pieces. within, tolerance: as of a ``right_triangles.Mesh``.
+    """
+
+    patches: list[Patches]
+    shapes: NDArray[np.uint8]
+    pieces: NDArray[Any]
+    triangles: int
+    within: bool = True
+    tolerance: float | None = None
+
+    def kept(self) -> Selected:
+        """Itself: nothing of it is used again."""
+        return self
+
+
+class SeamlessPatches(Method):
+    """Seamless patches. See ``Method`` for the arguments.
+
+    Raises:
+        UsageError: the terrain has no surface.
+        StoreError: the store lacks the errors of diamonds.
+    """
+
+    info = MethodInfo(
+        "seamless-patches", "squares of a quadtree, of four tiles as fine as their edges and four strips between them",
+        "Livny, Kogan & El-Sana 2009", "patches", SeamlessPatchesOptions,
+        lambda options: options.strips == "kept",
+    )  # fmt: skip
+
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        check_surface(self.terrain)
+        self.big = max(min(self.options.segments.bit_length() - 1, self.terrain.n), 1)
+        self._errors = BlockErrors(self.terrain, "exact", self.big, self.resources)
+        self._pieces = Pieces.of(self.big)
+        self._sizes = np.array([len(t.triangles) for t in self._pieces.topologies])
+        self._last = Pass()
+
+    @classmethod
+    def needs(cls, options: Any) -> tuple[Need, ...]:
+        """The exact errors of diamonds."""
+        return (Need("diamonds", {"error": "exact"}),)
+
+    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> PatchSet:
+        """The patches of a view."""
+        self.info.check_goal(goal.name)
+        began = time.perf_counter()
+        found = (
+            self._at(camera, goal.tolerance) if goal.tolerance is not None
+            else by_tolerance(lambda pixels: self._at(camera, pixels), goal, self._last)
+        )  # fmt: skip
+        tolerance = goal.tolerance if goal.tolerance is not None else found.tolerance
+        promised = self.conservative and found.within
+        stats: dict[str, Any] = {
+            "method": self.info.name, "tolerance": tolerance, "conservative": promised,
+            "exaggeration": camera.exaggeration, "refine_ms": round((time.perf_counter() - began) * 1e3, 3),
+            "patches": sum(len(p.squares) for p in found.patches), "pieces": len(found.pieces),
+            "triangles": found.triangles,
+        }  # fmt: skip
+        if goal.triangles is not None:
+            stats["within_budget"] = found.within
+        return PatchSet(
+            method=self.info.name, bound=tolerance if promised else None, stats=stats,
+            topologies=self._pieces.topologies, instances=found.pieces, shapes=found.shapes, expand=self._expand,
+        )  # fmt: skip
+
+    def _at(self, camera: Camera, tolerance: float) -> Selected:
+        share = 0.5 if self.conservative else 1.0
+        patches = Layout(camera, share * tolerance, self._errors).patches()
+        made = [self._pieces_of(one) for one in patches]
+        shapes = np.concatenate([np.zeros(0, np.uint8), *(shape for shape, _ in made)])
+        pieces = np.concatenate([np.zeros(0, PIECE), *(piece for _, piece in made)])
+        return Selected(patches, shapes, pieces, int(self._sizes[shapes].sum()))
+
+    def _pieces_of(self, patches: Patches) -> tuple[NDArray[np.uint8], NDArray[Any]]:
+        """The pieces of patches of one size: which they are, and where."""
+        squares, p = patches.squares, patches.squares.p
+        fine = p - patches.spacing
+        shapes, found = [], []
+        for side in range(4):
+            own, last = fine[:, side], fine[:, side - 1]
+            for shape, q in ((self._pieces.tile(own), own), (self._pieces.strip(own, last), np.maximum(own, last))):
+                here = self._sizes[shape] > 0
+                piece = np.zeros(int(here.sum()), PIECE)
+                piece["row"], piece["col"] = squares.row[here] << p, squares.col[here] << p
+                piece["p"], piece["turns"], piece["level"] = p, side, np.maximum(p - q[here], 0)
+                shapes.append(shape[here].astype(np.uint8))
+                found.append(piece)
+        return np.concatenate(shapes), np.concatenate(found)
+
+    def _expand(self, selection: PatchSet) -> Tessellation:
+        keys, levels = [np.zeros((0, 3), np.int64)], [np.zeros((0, 3), np.int64)]
+        side = 1 << self._pieces.big
+        for shape in np.unique(selection.shapes):
+            topology = selection.topologies[shape]
+            here = selection.instances[selection.shapes == shape]
+            for turns in np.unique(here["turns"]):
+                some = here[here["turns"] == turns]
+                points = turned(topology.points.astype(np.int64), int(turns), side)
+                at = (points[None] << some["p"][:, None, None]) >> self._pieces.big
+                key = (some["row"][:, None] + at[..., 0]) << 32 | (some["col"][:, None] + at[..., 1])
+                keys.append(key[:, topology.triangles].reshape(-1, 3))
+                level = np.broadcast_to(some["level"][:, None, None], (len(some), *topology.triangles.shape))
+                levels.append(level.reshape(-1, 3).astype(np.int64))
+        corners = np.concatenate(keys)
+        heights = self._heights(corners.ravel(), np.concatenate(levels).ravel()).reshape(-1, 3)
+        there = ~np.isnan(heights).any(1)
+        stats = dict(selection.stats)
+        made = Tessellation.from_triangles(
+            self.terrain.grid, corners[there], heights[there], clockwise=True, stats=stats
+        )  # fmt: skip
+        stats["triangles"] = len(made.triangles)
+        return made
+
+    def _heights(self, keys: Index, levels: Index) -> NDArray[np.float32]:
+        """The heights (n,) of vertices by their keys, read from levels that have them, tile by tile."""
+        level = np.minimum(levels, self.terrain.levels - 1)
+        row, col = (keys >> 32) >> level, (keys & 0xFFFFFFFF) >> level
+        high, wide = (np.array(sides) for sides in zip(*map(self.terrain.shape, range(self.terrain.levels))))
+        row, col = np.minimum(row, high[level] - 1), np.minimum(col, wide[level] - 1)
+        tiles = level << 48 | (row // TILE) << 24 | col // TILE
+        order = np.argsort(tiles, kind="stable")
+        names, begins = np.unique(tiles[order], return_index=True)
+        found = np.empty(len(keys), np.float32)
+        for name, here in zip(names.tolist(), np.split(order, begins[1:])):
+            k, row0, col0 = name >> 48, (name >> 24 & 0xFFFFFF) * TILE, (name & 0xFFFFFF) * TILE
+            row1, col1 = min(row0 + TILE, int(high[k])), min(col0 + TILE, int(wide[k]))
+            found[here] = self.terrain.read(k, row0, row1, col0, col1)[row[here] - row0, col[here] - col0]
+        return found
