@@ -12,8 +12,9 @@ from orograph import verify
 from orograph.lod.method import Goal, Resources
 from orograph.lod.reference.seamless_patches import Quadtree, vertices
 from orograph.lod.registry import chosen
-from orograph.lod.seamless_layout import Layout, Squares
+from orograph.lod.seamless_layout import Layout
 from orograph.lod.seamless_pieces import Pieces, turned
+from orograph.lod.squares import Squares
 from orograph.viewpoint import Camera
 
 
@@ -197,7 +198,7 @@ def test_errors_of_blocks_are_the_largest_of_their_cells():
     for level, side in ((1, 3), (2, 4), (4, 5)):
         for i, j in itertools.product(range(90 >> side), range(140 >> side)):
             rows, cols = slice(i << side, ((i + 1) << side) + 1), slice(j << side, ((j + 1) << side) + 1)
-            box = errors.with_heights(
+            box = errors.heights.around(
                 *(np.array([v]) for v in (cols.start, rows.start, cols.stop - 1, rows.stop - 1)), side
             )
             here, _ = errors.around(level, box, side)

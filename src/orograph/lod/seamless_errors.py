@@ -8,23 +8,21 @@ to half a patch of 2^Q segments of 2^k samples: some thirtieth of the raster's b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error import ErrorKind
 from orograph.lod.method import Resources
+from orograph.lod.squares import BlockHeights, pooled, touched
 from orograph.parallel import map_ordered
 from orograph.raycast.select import Boxes
 from orograph.store.diamond_table import DiamondTable
 from orograph.store.patches import finite_errors, octave_window
-from orograph.store.terrain import TILE, Heights, Terrain
+from orograph.store.terrain import Heights, Terrain
 
 ROWS = 512
 """Cells of a level that are read at a time, in rows."""
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,15 +34,18 @@ class Block:
 
     def coarser(self) -> Block:
         """Of blocks twice as large."""
-        return Block(_pooled(self.error, np.maximum), _pooled(self.mixed, np.logical_or))
+        return Block(pooled(self.error, np.maximum), pooled(self.mixed, np.logical_or))
 
 
 class BlockErrors:
-    """Errors of all levels by blocks, and the heights that blocks have.
+    """Errors of all levels by blocks.
 
     Args:
         terrain: the ground. kind: of errors. big: Q.
         resources: threads, progress.
+
+    Attributes:
+        heights: of blocks.
     """
 
     def __init__(self, terrain: Terrain, kind: ErrorKind, big: int, resources: Resources) -> None:
@@ -61,11 +62,7 @@ class BlockErrors:
                     parts.append(part)
                     task.advance()
                 self._keep(level, parts)
-        table = terrain.tiles(0)
-        self._low, self._high = [table.minimum], [table.maximum]
-        while max(self._low[-1].shape) > 1:
-            self._low.append(_pooled(self._low[-1], np.fmin))
-            self._high.append(_pooled(self._high[-1], np.fmax))
+        self.heights = BlockHeights(terrain)
 
     def _cells(self, level: int) -> tuple[int, int]:
         rows, cols = self.terrain.grid.shape
@@ -107,33 +104,5 @@ class BlockErrors:
             return np.zeros(len(boxes.west)), np.zeros(len(boxes.west), bool)  # (samples are as they are)
         side = max(side, self._least(level))
         block = self._blocks[level, side]
-        i, j = _touched(boxes, side, block.error.shape)
+        i, j = touched(boxes, side, block.error.shape)
         return block.error[i, j].max(0).astype(np.float64), np.asarray(block.mixed[i, j].any(0))
-
-    def with_heights(self, west: Index, north: Index, east: Index, south: Index, side: int) -> Boxes:
-        """Boxes (m,) of extents in samples, of two blocks by two of sides 2^side at most, cut to the raster."""
-        last_row, last_col = self.terrain.grid.rows - 1, self.terrain.grid.cols - 1
-        w, e = (np.clip(v, 0, last_col).astype(np.float64) for v in (west, east))
-        n, s = (np.clip(v, 0, last_row).astype(np.float64) for v in (north, south))
-        at = min(max(side - (TILE.bit_length() - 1), 0), len(self._low) - 1)
-        i, j = _touched(Boxes(w, e, n, s, w, w), at + TILE.bit_length() - 1, self._low[at].shape)
-        low, high = np.fmin.reduce(self._low[at][i, j]), np.fmax.reduce(self._high[at][i, j])
-        return Boxes(w, e, n, s, low.astype(np.float64), high.astype(np.float64))
-
-
-def _touched(boxes: Boxes, side: int, shape: tuple[int, ...]) -> tuple[Index, Index]:
-    """Rows and columns (4, m) of the blocks that boxes touch."""
-    ends = []
-    for least, most, count in ((boxes.north, boxes.south, shape[0]), (boxes.west, boxes.east, shape[1])):
-        first = least.astype(np.int64) >> side
-        last = np.maximum(np.ceil(most).astype(np.int64) - 1, least.astype(np.int64)) >> side
-        ends.append((np.minimum(first, count - 1), np.minimum(last, count - 1)))
-    (top, bottom), (left, right) = ends
-    return np.stack([top, top, bottom, bottom]), np.stack([left, right, left, right])
-
-
-def _pooled(blocks: Any, pool: np.ufunc) -> Any:
-    """Two by two; those beyond the last ones do not count."""
-    rows, cols = blocks.shape
-    high = pool.reduceat(blocks, np.arange(0, rows, 2), axis=0)
-    return pool.reduceat(high, np.arange(0, cols, 2), axis=1)

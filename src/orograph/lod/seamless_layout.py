@@ -15,53 +15,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.lod.seamless_errors import BlockErrors, Index
+from orograph.lod.seamless_errors import BlockErrors
+from orograph.lod.squares import Index, Squares
 from orograph.raycast.select import Boxes, in_frustum, moved
 from orograph.viewpoint import Camera
 
 SIDES = ((0, 0), (0, 1), (1, 0), (0, 0))
 """Of the edges above, to the right, below and to the left of a square: rows and columns on from its corner's."""
-BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
-"""Rows and columns from a square to its neighbours on those sides."""
-
-
-@dataclass(frozen=True, slots=True)
-class Squares:
-    """Squares (m,) of one size.
-
-    Attributes:
-        p: the exponent of their sides. row, col: of their upper left corners, in sides.
-    """
-
-    p: int
-    row: Index
-    col: Index
-
-    def __len__(self) -> int:
-        return len(self.row)
-
-    def where(self, chosen: NDArray[np.bool_]) -> Squares:
-        """Some of them."""
-        return Squares(self.p, self.row[chosen], self.col[chosen])
-
-    def children(self) -> Squares:
-        """Their quarters."""
-        row, col = (np.concatenate([2 * v + d for d in steps]) for v, steps in
-                    ((self.row, (0, 0, 1, 1)), (self.col, (0, 1, 0, 1))))  # fmt: skip
-        return Squares(self.p - 1, row, col)
-
-    def beside(self, side: int) -> Squares:
-        """Their neighbours."""
-        return Squares(self.p, self.row + BESIDE[side][0], self.col + BESIDE[side][1])
-
-    def parents(self) -> Squares:
-        """The squares that they are quarters of, once for each."""
-        return Squares(self.p + 1, self.row >> 1, self.col >> 1)
-
-    @property
-    def codes(self) -> Index:
-        """Their numbers."""
-        return np.asarray(self.row << 32 | self.col)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,17 +64,11 @@ class Layout:
                 found.append(Patches(leaves, np.stack(sides, 1)))
             if squares.p == self.errors.big:
                 break
-            squares = self._on_ground(squares.where(is_split).children())
+            squares = self.errors.heights.on_ground(squares.where(is_split).children())
         return found
 
     def _root(self) -> Squares:
         return Squares(self.errors.terrain.n, np.zeros(1, np.int64), np.zeros(1, np.int64))
-
-    def _on_ground(self, squares: Squares) -> Squares:
-        """Those that have a cell of the raster."""
-        rows, cols = self.errors.terrain.grid.shape
-        row, col, p = squares.row, squares.col, squares.p
-        return squares.where((row >= 0) & (col >= 0) & (row << p < rows - 1) & (col << p < cols - 1))
 
     def _split_wanted(self) -> None:
         """Split what is seen from the root down, where an edge wants it."""
@@ -126,14 +80,14 @@ class Layout:
                 wants |= self._wanted(*_edges(squares, side)) < squares.p - big
             squares = squares.where(wants)
             self.split[squares.p] = np.sort(squares.codes)
-            squares = self._on_ground(squares.children())
+            squares = self.errors.heights.on_ground(squares.children())
 
     def _restrict(self) -> None:
         """Split what lies beside squares of less than half its side, from small to large."""
         for p in range(self.errors.big + 1, self.errors.terrain.n):
             codes = self.split.get(p, np.zeros(0, np.int64))
             split = Squares(p, codes >> 32, codes & 0xFFFFFFFF)
-            around = [self._on_ground(split.beside(side)).parents().codes for side in range(4)]
+            around = [self.errors.heights.on_ground(split.beside(side)).parents().codes for side in range(4)]
             more = np.concatenate([split.parents().codes, *around, self.split.get(p + 1, np.zeros(0, np.int64))])
             self.split[p + 1] = np.unique(more)
 
@@ -147,15 +101,14 @@ class Layout:
         found = self._wanted(p, across, row, col)
         found = np.where(self._is_split(beside), np.minimum(found, p - 2), np.minimum(found, p - 1))
         if p < self.errors.terrain.n:
-            ground = np.isin(beside.codes, self._on_ground(beside).codes)
+            ground = np.isin(beside.codes, self.errors.heights.on_ground(beside).codes)
             larger = ground & ~self._is_split(beside.parents())
             found[larger] = np.minimum(self._wanted(p + 1, across, row[larger] >> 1, col[larger] >> 1), p - 1)
         return np.maximum(found, p - self.errors.big)
 
     def _seen(self, squares: Squares) -> NDArray[np.bool_]:
         """Which are not wholly out of view."""
-        p, row, col = squares.p, squares.row, squares.col
-        boxes = self.errors.with_heights(col << p, row << p, (col + 1) << p, (row + 1) << p, p)
+        boxes = self.errors.heights.of(squares)
         return in_frustum(self.errors.terrain, self.camera.view, self.camera.exaggeration, boxes)
 
     def _wanted(self, p: int, across: bool, row: Index, col: Index) -> Index:
@@ -178,7 +131,7 @@ class Layout:
         """The boxes around edges: half a length on either side."""
         half, side = (1 << p) >> 1, 1 << p
         north, west = (row << p) - (half if across else 0), (col << p) - (0 if across else half)
-        return self.errors.with_heights(west, north, west + side, north + side, p - 1)
+        return self.errors.heights.around(west, north, west + side, north + side, p - 1)
 
 
 def _edges(squares: Squares, side: int) -> tuple[int, bool, Index, Index]:

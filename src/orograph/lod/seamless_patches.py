@@ -25,10 +25,11 @@ from orograph.lod.field import check_surface
 from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
 from orograph.lod.right_triangles import Pass, by_tolerance
-from orograph.lod.seamless_errors import BlockErrors, Index
+from orograph.lod.seamless_errors import BlockErrors
 from orograph.lod.seamless_layout import Layout, Patches
 from orograph.lod.seamless_pieces import Pieces, turned
 from orograph.lod.selection import PatchSet
+from orograph.lod.squares import Index
 from orograph.store.terrain import TILE
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
