@@ -18,7 +18,9 @@ from orograph.lod.registry import chosen, method_of, names
 from orograph.lod.right_triangles import Mesh, MeshOptions, RightTriangleMeshes, by_tolerance
 from orograph.viewpoint import View
 
-MESHES = tuple(name for name in names("triangles", "patches") if name != "seamless-patches")  # (not on right triangles)
+MESHES = tuple(
+    name for name in names("triangles", "patches") if name not in ("seamless-patches", "cdlod")
+)  # (not on right triangles)
 FLAT = plain.terrain(np.zeros((9, 9), np.float32))
 VIEW = View((5e5, 4e6, 900.0), (5e5 + 100, 4e6 - 100, 0.0))
 

@@ -32,6 +32,7 @@ METHODS: dict[str, str | type[Method]] = {
     "soar": "orograph.lod.soar:Soar",
     "restricted-quadtree": "orograph.lod.restricted_quadtree:RestrictedQuadtree",
     "seamless-patches": "orograph.lod.seamless_patches:SeamlessPatches",
+    "cdlod": "orograph.lod.cdlod:Cdlod",
 }
 """Name to MODULE:CLASS, or to the class."""
 

@@ -1,0 +1,289 @@
+"""CDLOD: a quadtree of one small grid; levels by distance alone, and vertices that slide as the next level comes near.
+
+Strugar, *Continuous Distance-Dependent Level of Detail for Rendering Heightmaps* (Journal of Graphics, GPU, and Game
+Tools 14, 2009). Level l has the range r_l. From the root down, a square whose box the sphere of the range of the next
+finer level meets is drawn by those of its quarters that meet it, and by itself over the others (``LODSelect``). All are
+instances of one grid. In the last third of its level's range a vertex of odd number slides to the even one before it,
+so that a level has become the next one where that begins.
+
+*Ranges.* In print they are the user's, each twice the one before. Here they follow from the tolerance: a level is left
+where the next one's largest error on the terrain, at the distance where vertices begin to slide, is as many pixels.
+Vertices that slide leave the samples, and nothing bounds what they are off by: no promise. *Seams*: two levels meet
+without one if vertices of the finer have all arrived there and none of the coarser has begun, which holds if a range
+is longer than the one before by 1.5 diagonals of the finer's squares. ``seams=closed`` lengthens ranges until they are.
+Metres, pixels.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.lod.field import check_surface
+from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Ready
+from orograph.lod.options import check, option
+from orograph.lod.right_triangles import Pass, by_tolerance
+from orograph.lod.selection import PatchSet, Topology
+from orograph.lod.squares import BlockHeights, Index, Squares
+from orograph.raycast.select import Boxes, distances, in_frustum
+from orograph.store.terrain import Heights
+from orograph.tessellation import Tessellation, turn
+from orograph.viewpoint import Camera
+
+START = 2 / 3
+"""The part of a level's range after which its vertices slide."""
+
+STEPS = 4096
+"""In so many steps vertices slide, so that their places are exact numbers."""
+
+QUARTER = np.dtype([("row", "<i4"), ("col", "<i4"), ("level", "<i4")])
+"""A quarter of the grid: its upper left sample, and its level."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CdlodOptions:
+    """Options of ``cdlod``."""
+
+    grid: int = option(
+        32, "Cells along a side of the grid; fewer where the raster is smaller.", choices=(8, 16, 32, 64)
+    )
+    seams: str = option(
+        "closed", "Ranges so long that levels meet without a seam (closed), or no longer than the tolerance asks "
+        "(open).", choices=("closed", "open"),
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(slots=True)
+class Selected:
+    """What one tolerance gives.
+
+    Attributes:
+        quarters: (k,) of ``QUARTER``. nodes: the squares they are parts of. ranges: metres, by level.
+        triangles: of all quarters. within, tolerance: as of a ``right_triangles.Mesh``.
+    """
+
+    quarters: NDArray[Any]
+    nodes: int
+    ranges: Array
+    triangles: int
+    within: bool = True
+    tolerance: float | None = None
+
+    def kept(self) -> Selected:
+        """Itself: nothing of it is used again."""
+        return self
+
+
+class Cdlod(Method):
+    """CDLOD. See ``Method`` for the arguments.
+
+    Raises:
+        UsageError: the terrain has no surface.
+    """
+
+    info = MethodInfo(
+        "cdlod", "instances of one grid, as fine as the distance asks; vertices slide into the next level",
+        "Strugar 2009", "patches", CdlodOptions, lambda options: False,
+    )  # fmt: skip
+
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        check_surface(self.terrain)
+        self.n = max(self.terrain.n, 1)
+        self.exponent = min(self.options.grid.bit_length() - 1, self.n)
+        self.top = self.n - self.exponent
+        self._heights = BlockHeights(self.terrain)
+        self._errors = level_errors(self.terrain, self.top)
+        self._topology = _quarter((1 << self.exponent) // 2)
+        self._last = Pass()
+
+    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> PatchSet:
+        """The squares of a view."""
+        self.info.check_goal(goal.name)
+        began = time.perf_counter()
+        found = (
+            self._at(camera, goal.tolerance) if goal.tolerance is not None
+            else by_tolerance(lambda pixels: self._at(camera, pixels), goal, self._last)
+        )  # fmt: skip
+        tolerance = goal.tolerance if goal.tolerance is not None else found.tolerance
+        stats: dict[str, Any] = {
+            "method": self.info.name, "tolerance": tolerance, "conservative": False,
+            "exaggeration": camera.exaggeration, "refine_ms": round((time.perf_counter() - began) * 1e3, 3),
+            "patches": found.nodes, "pieces": len(found.quarters), "triangles": found.triangles,
+        }  # fmt: skip
+        if goal.triangles is not None:
+            stats["within_budget"] = found.within
+        return PatchSet(
+            method=self.info.name, bound=None, stats=stats, topologies=(self._topology,), instances=found.quarters,
+            shapes=np.zeros(len(found.quarters), np.uint8),
+            expand=lambda selection: self._expand(selection, camera, found.ranges),
+        )  # fmt: skip
+
+    # ---- selecting ----
+
+    def _at(self, camera: Camera, tolerance: float) -> Selected:
+        ranges = self.ranges(camera, tolerance)
+        found, nodes = [], 0
+        squares = Squares(self.n, np.zeros(1, np.int64), np.zeros(1, np.int64))
+        for level in range(self.top, -1, -1):
+            squares = squares.where(self._seen(camera, squares))
+            near = self._within(camera, squares, ranges[level - 1]) if level else np.zeros(len(squares), bool)
+            children, parts = squares.children(), squares.where(~near).children()
+            nodes += int((~near).sum())
+            if near.any():
+                finer = self._heights.on_ground(squares.where(near).children())
+                wanted = self._within(camera, finer, ranges[level - 1])
+                left = finer.where(~wanted)
+                nodes += len(np.unique(left.parents().codes))
+                children = finer.where(wanted)
+                parts = Squares(parts.p, np.append(parts.row, left.row), np.append(parts.col, left.col))
+            found.append(_instances(self._heights.on_ground(parts), level))
+            if not near.any():
+                break
+            squares = children
+        quarters = np.concatenate(found)
+        return Selected(quarters, nodes, ranges, len(quarters) * len(self._topology.triangles))
+
+    def ranges(self, camera: Camera, tolerance: float) -> Array:
+        """(top + 1,) metres of stretched space: how far each level reaches; the last one reaches everywhere."""
+        view, x = camera.view, camera.exaggeration
+        if view.projection == "plan":
+            return np.append(np.zeros(self.top), np.inf)
+        found = np.full(self.top + 1, np.inf)
+        before = 0.0
+        for level in range(self.top):
+            with np.errstate(divide="ignore"):
+                asked = x * self._errors[level + 1] / (START * view.pixel_slope * np.float64(tolerance))
+            least = 2 * before
+            if self.options.seams == "closed" and level:
+                least = max(least, before + self._diagonal(level - 1, x) / START)
+            found[level] = before = max(least, float(asked))
+        return found
+
+    def _diagonal(self, level: int, exaggeration: float) -> float:
+        """No square of a level has a longer one, metres of stretched space."""
+        p = level + self.exponent
+        rows, cols = (-((1 - side) >> p) for side in self.terrain.grid.shape)
+        row, col = (a.ravel() for a in np.mgrid[: max(rows, 1), : max(cols, 1)])
+        boxes = self._heights.of(Squares(p, row, col))
+        a, b, _, d, e, _ = self.terrain.grid.samples[:6]
+        wide, high = boxes.east - boxes.west, boxes.south - boxes.north
+        flat = np.maximum(np.hypot(a * wide + b * high, d * wide + e * high),
+                          np.hypot(a * wide - b * high, d * wide - e * high))  # fmt: skip
+        return float(np.nanmax(np.hypot(flat, exaggeration * (boxes.high - boxes.low)), initial=0.0))
+
+    def _seen(self, camera: Camera, squares: Squares) -> NDArray[np.bool_]:
+        return in_frustum(self.terrain, camera.view, camera.exaggeration, self._heights.of(squares))
+
+    def _within(self, camera: Camera, squares: Squares, reach: float) -> NDArray[np.bool_]:
+        """Whose boxes a sphere around the eye meets."""
+        boxes: Boxes = self._heights.of(squares)
+        return np.asarray(distances(self.terrain, camera.view, camera.exaggeration, boxes) < reach)
+
+    # ---- triangles ----
+
+    def _expand(self, selection: PatchSet, camera: Camera, ranges: Array) -> Tessellation:
+        rows, cols, heights = list[Array](), list[Array](), list[Array]()
+        for level in np.unique(selection.instances["level"]).tolist():
+            here = selection.instances[selection.instances["level"] == level]
+            for name, part in zip((rows, cols, heights), self._moved(here, level, camera, ranges)):
+                name.append(part)
+        nothing = np.zeros((0, len(self._topology.points)))
+        row, col, height = (np.concatenate([nothing, *parts]) for parts in (rows, cols, heights))
+        corners = np.stack([col, row, height], -1)[:, self._topology.triangles].reshape(-1, 3, 3)
+        corners = corners[~np.isnan(corners[..., 2]).any(1)]
+        vertices, where = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+        triangles = where.reshape(-1, 3).astype(np.int32)
+        a, b, c = vertices[triangles, :2].transpose(1, 0, 2)
+        area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+        triangles = triangles[area != 0]
+        if turn(self.terrain.grid) < 0:  # rows run southwards: clockwise as drawn is clockwise from above
+            triangles = triangles[:, ::-1]
+        stats = selection.stats | {"triangles": len(triangles)}
+        used, places = np.unique(triangles, return_inverse=True)
+        return Tessellation(vertices[used], places.reshape(-1, 3).astype(np.int32), None, stats)
+
+    def _moved(self, quarters: NDArray[Any], level: int, camera: Camera, ranges: Array) -> tuple[Array, Array, Array]:
+        """Rows, columns and heights (k, points) of the vertices of a level's quarters, where they have slid to."""
+        i = (quarters["row"][:, None] >> level) + self._topology.points[:, 0].astype(np.int64)
+        j = (quarters["col"][:, None] >> level) + self._topology.points[:, 1].astype(np.int64)
+        last_row, last_col = self.terrain.grid.rows - 1, self.terrain.grid.cols - 1
+        row, col = np.minimum(i << level, last_row), np.minimum(j << level, last_col)
+        own = self._at_level(level, i, j)
+        slid = self._slid(row, col, own, level, camera, ranges)
+        down, right = slid * (i & 1), slid * (j & 1)
+        row_, col_ = np.minimum((i - (i & 1)) << level, last_row), np.minimum((j - (j & 1)) << level, last_col)
+        height = np.zeros(own.shape)
+        for di in (0, 1):
+            for dj in (0, 1):
+                weight = (down if di else 1 - down) * (right if dj else 1 - right)
+                z = self._at_level(level, i - di * (i & 1), j - dj * (j & 1))
+                height += np.where(weight > 0, weight * z, 0.0)
+        return row + (row_ - row) * down, col + (col_ - col) * right, height
+
+    def _slid(self, row: Index, col: Index, height: Heights, level: int, camera: Camera, ranges: Array) -> Array:
+        """How far vertices have slid, 0 to 1, by their distance from the eye where they came from."""
+        if not np.isfinite(ranges[level]):
+            return np.zeros(row.shape)
+        x, y = self.terrain.grid.xy(col, row)
+        view, z = camera.view, np.nan_to_num(height.astype(np.float64))
+        d = np.sqrt((x - view.eye[0]) ** 2 + (y - view.eye[1]) ** 2 + (camera.exaggeration * (z - view.eye[2])) ** 2)
+        begin = ranges[level - 1] if level else 0.0
+        start = begin + START * (ranges[level] - begin)
+        slid = np.clip((d - start) / max(ranges[level] - start, 1e-300), 0.0, 1.0)
+        return np.asarray(np.rint(slid * STEPS) / STEPS)
+
+    def _at_level(self, level: int, i: Index, j: Index) -> Heights:
+        """Heights of entries of a level (those beyond the last are the last); levels coarser than stored ones, too."""
+        stored = min(level, self.terrain.levels - 1)
+        rows, cols = self.terrain.shape(stored)
+        up = level - stored
+        i, j = np.minimum(i << up, rows - 1), np.minimum(j << up, cols - 1)
+        row0, row1, col0, col1 = int(i.min()), int(i.max()) + 1, int(j.min()), int(j.max()) + 1
+        return self.terrain.read(stored, row0, row1, col0, col1)[i - row0, j - col0]
+
+
+def level_errors(terrain: Any, top: int) -> Array:
+    """(top + 1,) metres: the largest error of each level on the terrain; of levels that are not stored what their
+    bilinear surface is off by at the samples of the last one that is, and that one's."""
+    last = terrain.levels - 1
+    found = [float(np.nanmax(terrain.tiles(k).error, initial=0.0)) for k in range(min(top, last) + 1)]
+    rows, cols = terrain.shape(last)
+    samples = terrain.read(last, 0, rows, 0, cols).astype(np.float64)
+    for level in range(last + 1, top + 1):
+        step = 1 << (level - last)
+        i, j = (np.minimum(np.arange(-(-side // step) + 1) * step, side - 1) for side in (rows, cols))
+        coarse = samples[np.ix_(i, j)]
+        u, v = np.arange(rows) / step, np.arange(cols) / step
+        a, b = np.minimum(u.astype(int), len(i) - 2), np.minimum(v.astype(int), len(j) - 2)
+        s, t = (u - a)[:, None], (v - b)[None]
+        smooth = (1 - s) * ((1 - t) * coarse[np.ix_(a, b)] + t * coarse[np.ix_(a, b + 1)])
+        smooth += s * ((1 - t) * coarse[np.ix_(a + 1, b)] + t * coarse[np.ix_(a + 1, b + 1)])
+        found.append(found[last] + float(np.nanmax(np.abs(smooth - samples), initial=0.0)))
+    return np.maximum.accumulate(found)
+
+
+def _quarter(side: int) -> Topology:
+    """A quarter of the grid, of ``side`` cells a side, all cut alike: so two by two become one where they slide."""
+    points = np.mgrid[: side + 1, : side + 1].reshape(2, -1).T.copy()
+    row, col = np.mgrid[:side, :side].reshape(2, -1)
+    nw = row * (side + 1) + col
+    ne, sw, se = nw + 1, nw + side + 1, nw + side + 2
+    triangles = np.concatenate([np.stack([nw, ne, se], 1), np.stack([nw, se, sw], 1)])
+    return Topology(points.astype(np.int32), triangles.astype(np.int32))
+
+
+def _instances(quarters: Squares, level: int) -> NDArray[Any]:
+    found = np.zeros(len(quarters), QUARTER)
+    found["row"], found["col"] = quarters.row << quarters.p, quarters.col << quarters.p
+    found["level"] = level
+    return found
