@@ -60,6 +60,7 @@ def views() -> dict[str, View]:
         "triangle-patches,legs=8",
         "restricted-quadtree",
         "seamless-patches",
+        "cdlod",
     ],
 )
 def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: Terrain, method: str) -> None:

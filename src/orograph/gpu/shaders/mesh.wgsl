@@ -1,9 +1,9 @@
-// A mesh that a method made: vertices are samples of the raster, as those of the patches are, and so equal to the bit
-// where meshes and patches share them. Corners are pulled by number, so that each triangle knows all three of its own.
+// A mesh that a method made. Most vertices are samples of the raster, as those of the patches are, and so equal to the bit
+// where meshes and patches share them; others lie between, in 65536ths. Corners are pulled by number, so that each triangle knows all three of its own.
 // include: camera.wgsl
 // include: drawn.wgsl
 
-struct Sample { row: i32, col: i32, height: f32, pad: u32 };
+struct Sample { row: i32, col: i32, height: f32, between: u32 };   // between: of the column (low 16 bits), of the row
 
 @group(0) @binding(1) var<storage, read> samples: array<Sample>;
 @group(0) @binding(2) var<storage, read> corners: array<u32>;
@@ -22,20 +22,24 @@ struct Vertex {
   @location(3) cell: vec2<f32>,                      // (col, row) from the eye's
 };
 
-fn place(k: u32) -> vec3<f32> {
-  let s = samples[k];
-  return vec3<f32>(from_eye(vec2<f32>(vec2<i32>(s.col, s.row) - camera.eye_cell)), s.height);
+// (col, row) of a vertex from another cell: whole cells are subtracted in integers.
+fn from_cell(s: Sample, cell: vec2<i32>) -> vec2<f32> {
+  let between = vec2<f32>(vec2<u32>(s.between & 0xffffu, s.between >> 16u)) / 65536.0;
+  return vec2<f32>(vec2<i32>(s.col, s.row) - cell) + between;
 }
 
 @vertex
 fn vertex(@builtin(vertex_index) k: u32) -> Vertex {
   let first = k - k % 3u;
-  let here = place(corners[k]);
+  let own = samples[corners[k]];
+  let cell = from_cell(own, camera.eye_cell);
+  let here = vec3<f32>(from_eye(cell), own.height);
   let a = samples[corners[first]];
   let b = samples[corners[first + 1u]];
   let c = samples[corners[first + 2u]];
-  let u = vec2<f32>(f32(b.col - a.col), f32(b.row - a.row));
-  let v = vec2<f32>(f32(c.col - a.col), f32(c.row - a.row));
+  let begin = vec2<i32>(a.col, a.row);
+  let u = from_cell(b, begin) - from_cell(a, begin);
+  let v = from_cell(c, begin) - from_cell(a, begin);
   let area = u.x * v.y - u.y * v.x;   // in samples, twice: 4^s where the legs follow rows and columns, 2 · 4^s where not
   let rise = vec2<f32>(b.height - a.height, c.height - a.height);
   let across = vec2<f32>(rise.x * v.y - rise.y * u.y, rise.y * u.x - rise.x * v.x) / area;
@@ -44,8 +48,7 @@ fn vertex(@builtin(vertex_index) k: u32) -> Vertex {
   out.position = to_clip(vec3<f32>(here.xy, above_eye(here.z)));
   out.part = select(vec3<f32>(0.0), vec3<f32>(1.0), vec3<u32>(0u, 1u, 2u) == vec3<u32>(k % 3u));
   out.what = ((size >> 1u) << 8u) | ((size & 1u) << 4u) | 1u;
-  let own = samples[corners[k]];
-  out.cell = vec2<f32>(vec2<i32>(own.col, own.row) - camera.eye_cell);
+  out.cell = cell;
   out.slope = vec2<f32>(dot(across, camera.inverse.xz), dot(across, camera.inverse.yw));
   return out;
 }

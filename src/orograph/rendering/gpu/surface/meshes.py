@@ -1,11 +1,11 @@
 """Meshes of any method, drawn in place of the patches: selected on the CPU, drawn and lit as patches are.
 
-A method selects in a thread of its own while the mesh there is serves (its vertices are samples of the ground, so it
+A method selects in a thread of its own while the mesh there is serves (its vertices lie on the ground, so it
 is drawn right from everywhere, only finer or coarser than asked for); methods are kept, so that those which go on
 from frame to frame do. Until the first mesh is there, patches stand in.
 
-Vertices reach the GPU as whole rows and columns and a height; differences to the eye's cell are taken in integers
-(``shaders/mesh.wgsl``), so their precision is the patches'.
+Vertices reach the GPU as whole rows and columns, what is left of them in 65536ths, and a height; differences to the
+eye's cell are taken in integers (``shaders/mesh.wgsl``), so their precision is the patches'.
 """
 
 from __future__ import annotations
@@ -35,14 +35,16 @@ from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera, View
 
-SAMPLE = np.dtype([("row", "<i4"), ("col", "<i4"), ("height", "<f4"), ("pad", "<u4")])
+SAMPLE = np.dtype([("row", "<i4"), ("col", "<i4"), ("height", "<f4"), ("between", "<u4")])
 """A vertex: ``Sample`` of ``shaders/mesh.wgsl``."""
 
 
 def packed(mesh: Tessellation) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
     """Vertices (n,) of ``SAMPLE`` and corners (3 m,) of a mesh."""
     points = np.zeros(len(mesh.vertices), SAMPLE)
-    points["col"], points["row"], points["height"] = mesh.vertices.T
+    places = np.rint(mesh.vertices[:, :2] * 65536).astype(np.int64)
+    (points["col"], points["row"]), points["height"] = (places >> 16).T, mesh.vertices[:, 2]
+    points["between"] = places[:, 0] & 0xFFFF | (places[:, 1] & 0xFFFF) << 16
     return points, np.ascontiguousarray(mesh.triangles, np.uint32).reshape(-1)
 
 
