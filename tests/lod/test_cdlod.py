@@ -109,6 +109,21 @@ def test_far_from_everything_it_is_a_regular_grid():
     assert not report.defects
 
 
+def test_every_t_junction_is_filled_by_an_upright_triangle():
+    rng, found = np.random.default_rng(3), 0
+    for _ in range(6):
+        t = plain.terrain(plain.rough(rng, (257, 257)))
+        view = plain.random_view(rng, t)
+        mesh = make(t).select(Camera.over(t.grid, view), Goal(4.0)).tessellation()
+        defects = verify.judge_mesh(mesh, t, view).defects
+        assert set(defects) <= {"t_junctions", "flat", "wrong_heights"}  # (what slides may stop on a sample)
+        found += defects.get("t_junctions", 0)
+        a, b, c = mesh.vertices[mesh.triangles].transpose(1, 0, 2)
+        area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+        assert (area <= 0).all() and (area == 0).sum() >= defects.get("t_junctions", 0)
+    assert found
+
+
 def test_it_promises_nothing_and_keeps_budgets():
     t = plain.terrain(plain.rough(np.random.default_rng(11), (513, 300), amplitude=500.0, gaps=0.05))
     camera = Camera.over(t.grid, whole(t, (640, 480)))

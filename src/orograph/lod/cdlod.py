@@ -203,9 +203,8 @@ class Cdlod(Method):
         corners = corners[~np.isnan(corners[..., 2]).any(1)]
         vertices, where = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
         triangles = where.reshape(-1, 3).astype(np.int32)
-        a, b, c = vertices[triangles, :2].transpose(1, 0, 2)
-        area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-        triangles = triangles[area != 0]
+        one, two, three = triangles.T  # (upright ones stay: they fill what opens beside a vertex that slides on alone)
+        triangles = triangles[(one != two) & (two != three) & (three != one)]
         if turn(self.terrain.grid) < 0:  # rows run southwards: clockwise as drawn is clockwise from above
             triangles = triangles[:, ::-1]
         stats = selection.stats | {"triangles": len(triangles)}

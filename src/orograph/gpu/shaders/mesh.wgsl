@@ -42,7 +42,8 @@ fn vertex(@builtin(vertex_index) k: u32) -> Vertex {
   let v = from_cell(c, begin) - from_cell(a, begin);
   let area = u.x * v.y - u.y * v.x;   // in samples, twice: 4^s where the legs follow rows and columns, 2 · 4^s where not
   let rise = vec2<f32>(b.height - a.height, c.height - a.height);
-  let across = vec2<f32>(rise.x * v.y - rise.y * u.y, rise.y * u.x - rise.x * v.x) / area;
+  let across = vec2<f32>(rise.x * v.y - rise.y * u.y, rise.y * u.x - rise.x * v.x)
+    / select(area, 1.0, area == 0.0);   // (an upright triangle has no slope)
   let size = u32(clamp(round(log2(max(abs(area), 1.0))), 0.0, 60.0));
   var out: Vertex;
   out.position = to_clip(vec3<f32>(here.xy, above_eye(here.z)));

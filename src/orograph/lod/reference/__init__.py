@@ -15,5 +15,6 @@ against these pages, so they are right, and slow: dictionaries, sets and recursi
 ``stateless``            the lecture's refinement that remembers nothing, for monotonic criteria
 ``restricted_quadtree``  squares whose neighbours differ by one level at most, cut in three ways
 ``seamless_patches``     Livny et al. 2009: squares of a quadtree, and how fine each of their edges is
+``cdlod``                Strugar 2009: squares by distance, and how far their vertices slide
 =======================  ===============================================================================
 """
