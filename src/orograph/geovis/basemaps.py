@@ -30,6 +30,7 @@ PATIENCE, CONNECTIONS = 15, 4
 """Seconds for which an answer is waited for; tiles that are asked for at once."""
 
 DESCRIPTION = """<GDAL_WMS>
+  <!-- {called} -->
   <Service name="TMS"><ServerUrl>{url}</ServerUrl></Service>
   <DataWindow>
     <UpperLeftX>-{world}</UpperLeftX><UpperLeftY>{world}</UpperLeftY>
@@ -84,7 +85,8 @@ class Basemap:
         """What GDAL reads."""
         url = self.url.replace("{z}", "${z}").replace("{x}", "${x}").replace("{y}", "${y}")
         return DESCRIPTION.format(
-            url=escape(url), world=WORLD, finest=self.finest, origin="bottom" if self.bottom else "top", side=self.side,
+            called=f"{PREFIX}{self.name}".replace("--", "-"), url=escape(url), world=WORLD, finest=self.finest,
+            origin="bottom" if self.bottom else "top", side=self.side,
             levels=self.finest - self.coarsest, agent=escape(user_agent()), patience=PATIENCE,
             connections=CONNECTIONS, cache=escape(str(cache)), fresh=FRESH,
         )  # fmt: skip

@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -193,12 +194,18 @@ def unreadable(location: str, error: BaseException) -> ReadError:
     """What is said of an image that GDAL fails to read."""
     if location.endswith(".xml") and (why := asked_in_vain(error)):
         return ReadError(
-            f"A map's server did not give a tile: {why}.", path=location,
+            f"The server did not give a tile: {why}.", path=_service(location),
             remedy="Try again later: what it gave already is kept.",
         )  # fmt: skip
     return ReadError(
         f"The image cannot be read: {cause_of(error)}", path=location, remedy="Fetch it again if it was cut short."
     )
+
+
+def _service(location: str) -> str:
+    """What the tile service that a file describes is called (``basemaps.DESCRIPTION``)."""
+    found = re.search(r"<!-- (.*) -->", Path(location).read_text(encoding="utf-8"))
+    return found[1] if found else location
 
 
 def asked_in_vain(error: BaseException) -> str:
