@@ -124,6 +124,15 @@ def test_every_t_junction_is_filled_by_an_upright_triangle():
     assert found
 
 
+def test_cells_cut_by_turns_are_the_terrain_at_their_finest():
+    t = plain.terrain(plain.rough(np.random.default_rng(5), (65, 50)))
+    view = whole(t, (640, 480))
+    camera = Camera.over(t.grid, view)
+    method = chosen("cdlod,grid=8,cells=surface").make(t, Resources())
+    assert verify.judge_mesh(method.select(camera, Goal(0.0)).tessellation(), t, view).ok(0.0)
+    assert verify.judge_mesh(make(t).select(camera, Goal(0.0)).tessellation(), t, view).largest > 0
+
+
 def test_it_promises_nothing_and_keeps_budgets():
     t = plain.terrain(plain.rough(np.random.default_rng(11), (513, 300), amplitude=500.0, gaps=0.05))
     camera = Camera.over(t.grid, whole(t, (640, 480)))

@@ -57,6 +57,11 @@ class CdlodOptions:
         "closed", "Ranges so long that levels meet without a seam (closed), or no longer than the tolerance asks "
         "(open).", choices=("closed", "open"),
     )  # fmt: skip
+    cells: str = option(
+        "alike", "How cells are cut: all alike, so that four become one where they slide, or by turns as the terrain's "
+        "surface is (surface), so that the finest level is the terrain; cells then turn over where a level begins.",
+        choices=("alike", "surface"),
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         check(self)
@@ -103,7 +108,7 @@ class Cdlod(Method):
         self.top = self.n - self.exponent
         self._heights = BlockHeights(self.terrain)
         self._errors = level_errors(self.terrain, self.top)
-        self._topology = _quarter((1 << self.exponent) // 2)
+        self._topology = _quarter((1 << self.exponent) // 2, alike=self.options.cells == "alike")
         self._last = Pass()
 
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> PatchSet:
@@ -271,14 +276,16 @@ def level_errors(terrain: Any, top: int) -> Array:
     return np.maximum.accumulate(found)
 
 
-def _quarter(side: int) -> Topology:
-    """A quarter of the grid, of ``side`` cells a side, all cut alike: so two by two become one where they slide."""
+def _quarter(side: int, *, alike: bool) -> Topology:
+    """A quarter of the grid, of ``side`` cells a side, cut alike, or by turns."""
     points = np.mgrid[: side + 1, : side + 1].reshape(2, -1).T.copy()
     row, col = np.mgrid[:side, :side].reshape(2, -1)
     nw = row * (side + 1) + col
     ne, sw, se = nw + 1, nw + side + 1, nw + side + 2
-    triangles = np.concatenate([np.stack([nw, ne, se], 1), np.stack([nw, se, sw], 1)])
-    return Topology(points.astype(np.int32), triangles.astype(np.int32))
+    falling = ((row + col) % 2 == 0)[:, None] | alike
+    one = np.where(falling, np.stack([nw, ne, se], 1), np.stack([nw, ne, sw], 1))
+    two = np.where(falling, np.stack([nw, se, sw], 1), np.stack([ne, se, sw], 1))
+    return Topology(points.astype(np.int32), np.concatenate([one, two]).astype(np.int32))
 
 
 def _instances(quarters: Squares, level: int) -> NDArray[Any]:
