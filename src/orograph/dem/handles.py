@@ -16,6 +16,7 @@ import contextlib
 import errno
 import os
 import re
+import struct
 import tarfile
 import threading
 import warnings
@@ -80,6 +81,10 @@ def _settings() -> dict[str, Any]:
     }  # fmt: skip
 
 
+_MISLED = (ValueError, LookupError, ArithmeticError, SyntaxError, OSError, struct.error)
+"""What comes of headers that say what cannot be."""
+
+
 class Handles:
     """A pool of open rasterio datasets. All methods may be called from any thread."""
 
@@ -108,7 +113,13 @@ class Handles:
             if dataset is None:
                 dataset = open_dataset(location)
             try:
-                check_file(dataset, location, key)
+                try:
+                    check_file(dataset, location, key)
+                except _MISLED as error:
+                    raise ReadError(
+                        f"Its header cannot be understood ({' '.join(str(error).split())}).", path=location,
+                        remedy=DAMAGED,
+                    ) from None  # fmt: skip
                 yield dataset
             except CPLE_BaseError as error:  # of what rasterio asks for a header's parts, which it lets pass
                 dataset.close()

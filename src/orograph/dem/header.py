@@ -23,6 +23,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
 from orograph.dem.axes import east_north
+from orograph.dem.bands import tags_of, unit_tag
 from orograph.dem.units import METRES, metres_per
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
@@ -184,13 +185,13 @@ def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
     if dataset.driver == "SRTMHGT":
         return "EGM96 height"  # SRTM product specification: heights above the EGM96 geoid
     if dataset.driver == "DTED":  # MIL-PRF-89020B, DSI record: MSL (mean sea level) or E96 (EGM96)
-        return {"MSL": "mean sea level", "E96": "EGM96 height"}.get(dataset.tags().get("DTED_VerticalDatum", ""))
-    return dataset.tags().get("VERTICAL_DATUM") or None  # as what is fetched says it where no CRS can
+        return {"MSL": "mean sea level", "E96": "EGM96 height"}.get(tags_of(dataset).get("DTED_VerticalDatum", ""))
+    return tags_of(dataset).get("VERTICAL_DATUM") or None  # as what is fetched says it where no CRS can
 
 
 def attribution_of(dataset: Any) -> tuple[str, ...]:
     """Whom the makers of a file want to be named, as its tag ATTRIBUTION says."""
-    text = (dataset.tags().get("ATTRIBUTION") or "").strip()
+    text = (tags_of(dataset).get("ATTRIBUTION") or "").strip()
     return (text,) if text else ()
 
 
@@ -230,12 +231,12 @@ def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warning
                 f"{asked!r} is not a unit of length that is known here (known: {known} and their full names)."
             )
         return factor
-    tag = dataset.units[band - 1]
-    if tag and tag.strip():
+    tag = unit_tag(dataset, band)
+    if tag:
         factor = metres_per(tag)
         if factor is not None:
             return factor
-        warnings.append(f"The unit of its values is {tag.strip()!r}, which is not a length: are these heights?")
+        warnings.append(f"The unit of its values is {tag!r}, which is not a length: are these heights?")
     try:
         axis = next((a for a in (crs.axis_info if crs is not None else ()) if a.direction in ("up", "down")), None)
     except ProjError:

@@ -31,6 +31,7 @@ from orograph.dem.bands import (
     description_of,
     is_palette,
     is_picture,
+    unit_tag,
 )
 from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
@@ -171,7 +172,7 @@ class Source:
                 block=tuple(dataset.block_shapes[band - 1]),
                 driver=dataset.driver,
                 description=description_of(dataset, band),
-                unit=(dataset.units[band - 1] or "").strip(),
+                unit=unit_tag(dataset, band),
                 warnings=warnings,
                 picture=plain and (is_picture(dataset) or is_palette(dataset, band)),
                 attribution=attribution_of(dataset),

@@ -28,9 +28,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from orograph.dem.whole import deflate, hfa, netcdf, png, sizes, text
-from orograph.dem.whole.deflate import check_archived, deflated
-from orograph.dem.whole.files import DAMAGED, archived, check_packed, here, local_file, main_file
+from orograph.dem.whole import blocks, containers, header_text, hfa, jp2, mrf, netcdf, png, sizes, text, tiff
+from orograph.dem.whole.files import DAMAGED, archived, check_packed, here, local_file, main_file, stream
 from orograph.dem.whole.virtual import Part, check_parts
 from orograph.errors import ReadError
 
@@ -41,19 +40,21 @@ Lend = Callable[[str], AbstractContextManager[tuple[Any, object]]]
 __all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask"]
 
 
-def _refuse_deflate(dataset: Any, path: str) -> None:
-    if dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION") == "DEFLATE":
-        raise ReadError(
-            "It is an MRF of Deflate, whose damage cannot be noticed.", path=path,
-            remedy="Make a GeoTIFF of it where it is known to be whole (gdal_translate).",
-        )  # fmt: skip
-
-
 def _refuse_index(path: str) -> None:
     raise ReadError(
         "It is an index of tiles (GTI): that one of them is lost or changed would not be noticed, and GDAL gives 0.",
         path=path, remedy="Name the tiles themselves, or make a VRT of them (gdalbuildvrt).",
     )  # fmt: skip
+
+
+def _check_tiff(dataset: Any, location: str) -> None:
+    name = main_file(dataset)
+    with stream(name) as file:
+        fault = tiff.fault(dataset, file)
+    if fault is not None:
+        raise ReadError(fault, path=location, remedy=DAMAGED)
+    if archived(name):
+        blocks.check_archived(dataset)
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
@@ -66,14 +67,49 @@ def _refuse_lost_mask(dataset: Any) -> None:
         raise ReadError("Its mask, which lies beside it, cannot be read.", path=mask, remedy=DAMAGED)
 
 
-_CHECKS: dict[str, Callable[[Any, str], str | None]] = {
+Check = Callable[[Any, str], str | None]
+
+
+def _checks(*checks: Check) -> Check:
+    """The first fault that one of them finds."""
+    return lambda dataset, path: next((fault for check in checks if (fault := check(dataset, path))), None)
+
+
+_CHECKS: dict[str, Check] = {
     "PNG": png.fault,
     "HFA": hfa.fault,
-    "netCDF": netcdf.fault,
+    "netCDF": _checks(netcdf.fault, containers.hdf5),
+    "HDF5": containers.hdf5,
+    "HDF5Image": containers.hdf5,
+    "BAG": containers.hdf5,
+    "GPKG": containers.database,
+    "MBTiles": containers.database,
+    "Rasterlite": containers.database,
+    "JP2OpenJPEG": jp2.fault,
+    "MRF": mrf.fault,
     "PCIDSK": sizes.pcidsk,
     "PCRaster": sizes.pcraster,
-    "ENVI": sizes.envi,
     "ILWIS": sizes.ilwis,
+    "NITF": sizes.nitf,
+    "BMP": sizes.bmp,
+    "DTED": sizes.dted,
+    "GS7BG": sizes.surfer7,
+    "NTv2": sizes.ntv2,
+    "ENVI": _checks(header_text.check("ENVI"), sizes.envi),
+    "EHdr": _checks(header_text.check("EHdr"), sizes.ehdr),
+    "ERS": _checks(header_text.check("ERS"), sizes.ers),
+    "SAGA": _checks(header_text.check("SAGA"), sizes.saga),
+    "PAux": _checks(header_text.check("PAux"), sizes.paux),
+    "MFF": _checks(header_text.check("MFF"), sizes.mff),
+    "RST": _checks(header_text.check("RST"), sizes.behind(0)),
+    "RRASTER": _checks(header_text.check("RRASTER"), sizes.beside(".gri", ".GRI")),
+    "ISCE": sizes.behind(0),
+    "BT": sizes.behind(256),
+    "GSBG": sizes.behind(56),
+    "GTX": sizes.behind(40),
+    "KRO": sizes.behind(20),
+    "CTable2": sizes.behind(160),
+    "LAN": sizes.behind(128),
     "AAIGrid": text.arc,
     "GRASSASCIIGrid": text.grass,
     "GSAG": text.surfer,
@@ -100,12 +136,10 @@ def check_file(dataset: Any, location: str, key: object) -> None:
             return
     check_packed(dataset)
     _refuse_lost_mask(dataset)
-    if dataset.driver == "MRF":
-        _refuse_deflate(dataset, location)
-    elif dataset.driver == "GTI":
+    if dataset.driver == "GTI":
         _refuse_index(location)
-    elif deflated(dataset) and archived(main_file(dataset)):
-        check_archived(dataset)
+    elif dataset.driver == "GTiff" and here(main_file(dataset)):
+        _check_tiff(dataset, location)
     check = _CHECKS.get(dataset.driver)
     if check is not None:
         with local_file(dataset) as path:
@@ -131,7 +165,7 @@ def check_blocks(dataset: Any, key: object, band: int, window: Window, step: int
     if dataset.driver == "VRT":
         check_parts(dataset, key, window, partial(_check_part, lend))
     else:
-        deflate.check_blocks(dataset, key, band, window, step)
+        blocks.check_blocks(dataset, key, band, window, step)
 
 
 def check_mask(dataset: Any, key: object, window: Window, lend: Lend) -> None:

@@ -24,7 +24,7 @@ _FETCHED = {"PNG", "AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ"}
 
 _UNLISTED = {
     "BT": (".prj",), "ILWIS": (".mp#", ".csy", ".grf", ".dom"),
-    "MRF": (".idx", ".til", ".ppg", ".pjg", ".pjp", ".pzp", ".ptf", ".lrc"),
+    "MRF": (".idx", ".til", ".ppg", ".pjg", ".pjp", ".pzp", ".ptf", ".lrc", ".pzs"),
 }  # fmt: skip
 """Formats → endings of files beside the main one, under its name, that their drivers read and do not list."""
 

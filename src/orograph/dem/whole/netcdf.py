@@ -21,11 +21,16 @@ def fault(dataset: Any, path: str) -> str | None:
         if magic[:3] != b"CDF" or magic[3] not in (1, 2, 5):
             return None
         try:
-            end = _Header(file, magic[3]).end()
-        except (struct.error, KeyError, IndexError):
+            header = _Header(file, magic[3])
+            end = header.end()
+        except (struct.error, LookupError, ValueError, OverflowError):
             return "Its header is cut short or damaged."
+        file.seek(max(end, size - 65536))
+        behind = size > end + 3 and not header.streaming and any(file.read())
     if size < end - 3:  # the last variable may lack its padding
         return f"It ends after {size:,} of the {end:,} bytes that its header promises."
+    if behind:
+        return f"It has {size:,} bytes where its header promises {end:,}: the one or the other is damaged."
     return None
 
 
@@ -36,10 +41,12 @@ class _Header:
         self.file = file
         self.count = ">q" if version == 5 else ">I"
         self.offset = ">I" if version == 1 else ">q"
+        self.streaming = False
 
     def end(self) -> int:
         """The byte at which the last variable ends."""
         records = self._number(self.count)
+        self.streaming = records in (_STREAMING, -1)
         lengths = [self._dimension() for _ in range(self._list_length())]
         self._attributes()
         plain, begins = 0, list[tuple[int, int]]()
@@ -57,7 +64,7 @@ class _Header:
                 begins.append((begin, size))
             else:
                 plain = max(plain, begin + size)
-        if not begins or records in (_STREAMING, -1):
+        if not begins or self.streaming:
             return plain
         per_record = sum(-(-s // 4) * 4 for _, s in begins) if len(begins) > 1 else begins[0][1]
         last = max(begins)

@@ -1,21 +1,64 @@
-"""Formats of raw samples whose drivers do not compare the file's size with what its header promises."""
+"""Formats of raw samples whose drivers do not compare the file's size with what its header promises.
+
+A file that is shorter lacks samples; one that is longer has bytes that were inserted, or a header that promises too
+little. Zeros that fill a last block of 128 bytes are no fault: that is how records are padded.
+"""
 
 from __future__ import annotations
 
-import configparser
+import re
+import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from orograph.dem.whole.header_text import pairs
 
-def _short(path: str, wanted: int) -> str | None:
-    size = Path(path).stat().st_size
-    return None if size >= wanted else f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+_BLOCK = 128
+_TAIL = 1 << 16
+
+
+def exact(path: str | Path, wanted: int) -> str | None:
+    """What is wrong with the size of a file that should have ``wanted`` bytes, a sentence; None: nothing."""
+    file = Path(path)
+    if not file.is_file():
+        return f"Its file {file.name} is not there."
+    size = file.stat().st_size
+    if size < wanted:
+        return f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+    if size == wanted or (size % _BLOCK == 0 and not _any(file, wanted)):
+        return None
+    return f"It has {size:,} bytes where its header promises {wanted:,}: the one or the other is damaged."
+
+
+def _any(file: Path, begin: int) -> bool:
+    """Whether a file has anything but zeros from a byte on."""
+    with file.open("rb") as opened:
+        opened.seek(max(begin, file.stat().st_size - _TAIL))
+        return any(opened.read())
 
 
 def _samples(dataset: Any) -> int:
     return int(dataset.width * dataset.height * sum(np.dtype(t).itemsize for t in dataset.dtypes))
+
+
+def behind(begin: int) -> Callable[[Any, str], str | None]:
+    """The check of formats whose samples fill their file from a byte on."""
+    return lambda dataset, path: exact(path, begin + _samples(dataset))
+
+
+def beside(*endings: str) -> Callable[[Any, str], str | None]:
+    """The check of formats whose samples fill a file of one of these endings ("": none), beside the header."""
+
+    def check(dataset: Any, path: str) -> str | None:
+        stem = Path(path).with_suffix("")
+        files = [Path(f"{stem}{ending}") for ending in endings]
+        found = next((file for file in files if file.is_file()), None)
+        return None if found is None else exact(found, _samples(dataset))
+
+    return check
 
 
 def envi(dataset: Any, path: str) -> str | None:
@@ -23,26 +66,211 @@ def envi(dataset: Any, path: str) -> str | None:
     header = dataset.tags(ns="ENVI")
     if header.get("file_compression", "0").strip() not in ("", "0"):
         return None
-    return _short(path, int(header.get("header_offset", "0").strip() or 0) + _samples(dataset))
+    return exact(path, int(header.get("header_offset", "0").strip() or 0) + _samples(dataset))
+
+
+def ehdr(dataset: Any, path: str) -> str | None:
+    """ESRI .hdr: bytes to skip, then rows, each band's or each row's rounded up to whole bytes."""
+    header = next((p for e in (".hdr", ".HDR") if (p := Path(path).with_suffix(e)).is_file()), None)
+    if header is None:
+        return None
+    said = {key.upper(): value for key, value in pairs(header.read_text("latin-1"), None)}
+    bits = int(said.get("NBITS", 8 * np.dtype(dataset.dtypes[0]).itemsize))
+    rows, bands = dataset.height, dataset.count
+    layout = said.get("LAYOUT", "BIL").upper()
+    line = -(-dataset.width * bits // 8)
+    skip = int(said.get("SKIPBYTES", 0))
+    if layout == "BSQ":
+        return exact(path, skip + bands * rows * line + (bands - 1) * int(said.get("BANDGAPBYTES", 0)))
+    if layout == "BIP":
+        line = -(-dataset.width * bits * bands // 8)
+        return exact(path, skip + rows * max(line, int(said.get("TOTALROWBYTES", line))))
+    line = bands * int(said.get("BANDROWBYTES", line))
+    return exact(path, skip + rows * max(line, int(said.get("TOTALROWBYTES", line))))
+
+
+def ers(dataset: Any, path: str) -> str | None:
+    """ERS: the samples lie in the file that the header is called after, behind an offset."""
+    text = Path(path).read_text("latin-1")
+    data = Path(path).with_suffix("")
+    offset = re.search(r"^\s*HeaderOffset\s*=\s*(\d+)", text, re.M)
+    if not re.search(r"DataSetType\s*=\s*ERStorage", text) or not data.is_file():
+        return None
+    return exact(data, (int(offset[1]) if offset else 0) + _samples(dataset))
+
+
+def saga(dataset: Any, path: str) -> str | None:
+    """SAGA: the samples behind an offset that the header (.sgrd) says."""
+    said = dict(pairs(Path(path).with_suffix(".sgrd").read_text("latin-1"), "="))
+    return exact(path, int(said.get("DATAFILE_OFFSET", "0") or 0) + _samples(dataset))
+
+
+def paux(dataset: Any, path: str) -> str | None:
+    """PCI .aux: each channel's first byte, and the steps from sample to sample and from row to row."""
+    end = 0
+    for key, value in pairs(Path(path).with_suffix(".aux").read_text("latin-1"), ":"):
+        if key.startswith("ChanDefinition"):
+            kind, first, pixel, line = (value.split() + ["0"] * 4)[:4]
+            item = int(re.sub(r"\D", "", kind) or 8) // 8
+            last = int(first) + (dataset.height - 1) * int(line) + (dataset.width - 1) * int(pixel) + item
+            end = max(end, last)
+    return exact(path, end) if end else None
+
+
+def mff(dataset: Any, path: str) -> str | None:
+    """MFF: one file for each band, .b00 and so on after its type."""
+    for file in sorted(Path(path).parent.glob(f"{Path(path).stem}.*")):
+        if re.fullmatch(r"\.[bijrx]\d\d", file.suffix.lower()) and (fault := exact(file, _band_bytes(dataset))):
+            return fault
+    return None
+
+
+def _band_bytes(dataset: Any) -> int:
+    return int(dataset.width * dataset.height * np.dtype(dataset.dtypes[0]).itemsize)
+
+
+def surfer7(dataset: Any, path: str) -> str | None:
+    """Surfer 7: sections, each with its length; that of the samples holds them all."""
+    size = Path(path).stat().st_size
+    at, found = 0, False
+    with Path(path).open("rb") as file:
+        while at < size:
+            file.seek(at)
+            head = file.read(8)
+            if len(head) < 8 or not head[:4].isalpha():
+                return f"It has no section at byte {at:,}, where one should begin."
+            length = struct.unpack("<i", head[4:])[0]
+            if length < 0 or (head[:4] == b"DATA" and length != 8 * dataset.width * dataset.height):
+                return f"Its section {head[:4].decode()} has {length:,} bytes, which its grid does not."
+            found |= head[:4] == b"DATA"
+            at += 8 + length
+    if at > size:
+        return f"It ends after {size:,} of the {at:,} bytes that its sections have."
+    return None if found else "It has no section of samples."
+
+
+def ntv2(dataset: Any, path: str) -> str | None:
+    """NTv2: a header of 11 records, then each grid of 11 records and one for each of its points, then an end record."""
+    size = Path(path).stat().st_size
+    with Path(path).open("rb") as file:
+        head = file.read(176)
+        order = "<" if head[8:12] == b"\x0b\0\0\0" else ">"
+        (grids,) = struct.unpack_from(order + "i", head, 40)
+        at = 176
+        for _ in range(max(0, min(grids, 1 << 16))):
+            file.seek(at)
+            sub = file.read(176)
+            if len(sub) < 176 or sub[:8] != b"SUB_NAME":
+                return f"It has no grid at byte {at:,}, where one should begin."
+            (points,) = struct.unpack_from(order + "i", sub, 168)
+            south, north, east, west, lat, lon = struct.unpack_from(order + "d8xd8xd8xd8xd8xd", sub, 72)
+            if min(abs(lat), abs(lon)) == 0 or not np.isfinite((south, north, east, west, lat, lon)).all():
+                return "The extent of its grid is damaged."
+            rows, cols = round(abs((north - south) / lat)) + 1, round(abs((west - east) / lon)) + 1
+            if rows * cols != points:
+                return f"Its grid has {rows} × {cols} points by its extent, and {points:,} by its count."
+            at += 176 + 16 * points
+    if size < at:
+        return f"It ends after {size:,} of the {at:,} bytes that its header promises."
+    if size - at not in (0, 8, 16):
+        return f"It has {size:,} bytes where its header promises {at + 16:,}: the one or the other is damaged."
+    return None
 
 
 def pcraster(dataset: Any, path: str) -> str | None:
-    """PCRaster: a header of 256 bytes, then all samples (CSF, version 2)."""
-    return _short(path, 256 + _samples(dataset))
+    """PCRaster: a header of 256 bytes, then all samples; then perhaps a table of attributes (CSF, version 2)."""
+    wanted = 256 + _samples(dataset)
+    with Path(path).open("rb") as file:
+        head = file.read(64)
+    order = "<" if head[46:50] == b"\x01\0\0\0" else ">"
+    (attributes,) = struct.unpack_from(order + "I", head, 40)
+    if attributes:
+        size = Path(path).stat().st_size
+        return None if size >= wanted else f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+    return exact(path, wanted)
+
+
+def nitf(dataset: Any, path: str) -> str | None:
+    """NITF: the header says how long the file is (MIL-STD-2500C, field FL)."""
+    with Path(path).open("rb") as file:
+        head = file.read(360)
+    at = {b"NITF02.10": 342, b"NSIF01.00": 342, b"NITF02.00": 342}.get(head[:9])
+    said = b"" if at is None else head[at : at + 12]
+    if at is None or (head[:9] == b"NITF02.00" and not said.isdigit()) or said == b"9" * 12:
+        return None
+    if not said.isdigit():
+        return "Its header does not say how long it is."
+    return exact(path, int(said))
+
+
+def bmp(dataset: Any, path: str) -> str | None:
+    """BMP: the header says how long the file is, or 0."""
+    with Path(path).open("rb") as file:
+        head = file.read(14)
+    (said,) = struct.unpack_from("<I", head, 2)
+    size = Path(path).stat().st_size
+    return exact(path, said) if said and size < said else None
+
+
+def dted(dataset: Any, path: str) -> str | None:
+    """DTED: three headers, then a record for each column (MIL-PRF-89020B)."""
+    wanted = 3428 + dataset.width * (12 + 2 * dataset.height)
+    size = Path(path).stat().st_size
+    return exact(path, wanted) if size > wanted else None
 
 
 def pcidsk(dataset: Any, path: str) -> str | None:
-    """PCIDSK: the header's second field says how many blocks of 512 bytes the file has."""
+    """PCIDSK: the header's second field says how many blocks of 512 bytes the file has; channels may lie beside it."""
+    size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         blocks = file.read(32)[16:32].decode("latin-1").strip()
-    return _short(path, int(blocks) * 512) if blocks.isdigit() else "Its header does not say how long it is."
+        file.seek(0)
+        kind = file.read(512)[360:364]
+    if not blocks.isdigit():
+        return "Its header does not say how long it is."
+    if kind == b"FILE":
+        for file_name in dataset.files[1:]:
+            beside_it = Path(path).with_name(Path(str(file_name)).name)
+            if re.fullmatch(r"\.\d{3}", beside_it.suffix) and (fault := exact(beside_it, _band_bytes(dataset))):
+                return fault
+    wanted = int(blocks) * 512
+    if size >= wanted or _tiled(path):
+        return None
+    return f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+
+
+def _tiled(path: str) -> bool:
+    """Whether the samples of a PCIDSK file lie in a block system, whose segment is extended ahead of what it holds."""
+    with Path(path).open("rb") as file:
+        return b"Block Tile Directory" in file.read(1 << 20)
 
 
 def ilwis(dataset: Any, path: str) -> str | None:
     """ILWIS: the samples lie in a file of their own (.mp#), whose type the header (.mpr) names."""
-    header = configparser.ConfigParser(strict=False, interpolation=None)
-    header.read_string(Path(path).read_text("latin-1"))
-    kind = header.get("MapStore", "Type", fallback="Byte").lower()
-    item = {"byte": 1, "int": 2, "long": 4, "float": 4, "real": 8}.get(kind, 1)
-    data = Path(path).with_name(header.get("MapStore", "Data", fallback=Path(path).stem + ".mp#").strip("'\""))
-    return _short(str(data), dataset.width * dataset.height * item) if data.is_file() else None
+    said = {(part, key): value for part, key, value in _sections(Path(path).read_text("latin-1"))}
+    kind = said.get(("mapstore", "type"), "Byte").lower()
+    item = {"byte": 1, "int": 2, "long": 4, "float": 4, "real": 8}.get(kind)
+    if item is None:
+        return f"Its header calls its numbers {kind!r}, which are of no type that there is."
+    data = Path(path).with_name(said.get(("mapstore", "data"), Path(path).stem + ".mp#").strip("'\""))
+    rows, cols = dataset.height, dataset.width
+    place = Path(path).with_name(said.get(("map", "georef"), "").strip("'\""))
+    if place.is_file():
+        there = {key: value for _, key, value in _sections(place.read_text("latin-1"))}
+        size = there.get("lines", str(rows)), there.get("columns", str(cols))
+        if size != (str(rows), str(cols)):
+            return f"It has {rows} × {cols} samples, and its place ({place.name}) {size[0]} × {size[1]}."
+    return exact(data, rows * cols * item) if data.is_file() else None
+
+
+def _sections(text: str) -> list[tuple[str, str, str]]:
+    """(section, key, value) of an .ini text, sections and keys in small letters."""
+    found, part = [], ""
+    for line in text.splitlines():
+        title = re.fullmatch(r"\s*\[(.*)\]\s*", line)
+        if title:
+            part = title[1].lower()
+        elif "=" in line:
+            key, _, value = line.partition("=")
+            found.append((part, key.strip().lower(), value.strip()))
+    return found
