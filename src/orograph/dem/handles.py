@@ -121,6 +121,11 @@ class Handles:
                         remedy=DAMAGED,
                     ) from None  # fmt: skip
                 yield dataset
+            except (SyntaxError, UnicodeDecodeError, struct.error) as error:
+                dataset.close()
+                raise ReadError(
+                    f"Its header cannot be understood ({' '.join(str(error).split())}).", path=location, remedy=DAMAGED
+                ) from None
             except CPLE_BaseError as error:  # of what rasterio asks for a header's parts, which it lets pass
                 dataset.close()
                 raise ReadError(f"GDAL cannot read it: {cause_of(error)}", path=location, remedy=DAMAGED) from None
@@ -285,7 +290,7 @@ def _member(file: Path) -> str:
         names = [name for name in _names(file) if not name.startswith("__MACOSX")]
     except (zipfile.BadZipFile, tarfile.TarError, EOFError, zlib.error, OSError) as error:
         raise ReadError(
-            f"This is not a readable {_kind(file)} archive ({error}).",
+            f"This is not a readable {_kind(file)} archive ({' '.join(str(error).split())}).",
             path=file,
             remedy="Fetch it again, or unpack it by hand.",
         ) from None

@@ -47,14 +47,17 @@ def _refuse_index(path: str) -> None:
     )  # fmt: skip
 
 
-def _check_tiff(dataset: Any, location: str) -> None:
+def _check_layout(dataset: Any, key: object) -> None:
+    """Look at where the parts of a TIFF lie, once."""
     name = main_file(dataset)
+    known = ("layout", key)
+    if dataset.driver != "GTiff" or not here(name) or _seen(known):
+        return
     with stream(name) as file:
         fault = tiff.fault(dataset, file)
     if fault is not None:
-        raise ReadError(fault, path=location, remedy=DAMAGED)
-    if archived(name):
-        blocks.check_archived(dataset)
+        raise ReadError(fault, path=dataset.name, remedy=DAMAGED)
+    _remember(known)
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
@@ -131,21 +134,29 @@ def check_file(dataset: Any, location: str, key: object) -> None:
         location: what GDAL opened, for the message.
         key: the file's name and state; what was found whole is not looked at again.
     """
-    with _lock:
-        if key in _whole:
-            return
+    if _seen(key):
+        return
     check_packed(dataset)
     _refuse_lost_mask(dataset)
     if dataset.driver == "GTI":
         _refuse_index(location)
-    elif dataset.driver == "GTiff" and here(main_file(dataset)):
-        _check_tiff(dataset, location)
+    elif dataset.driver == "GTiff" and archived(main_file(dataset)):
+        blocks.check_archived(dataset)
     check = _CHECKS.get(dataset.driver)
     if check is not None:
         with local_file(dataset) as path:
             fault = None if path is None else check(dataset, path)
         if fault is not None:
             raise ReadError(fault, path=location, remedy=text.REMEDY if check in text.CHECKS else DAMAGED)
+    _remember(key)
+
+
+def _seen(key: object) -> bool:
+    with _lock:
+        return key in _whole
+
+
+def _remember(key: object) -> None:
     with _lock:
         _whole[key] = None
         while len(_whole) > _KNOWN:
@@ -165,6 +176,7 @@ def check_blocks(dataset: Any, key: object, band: int, window: Window, step: int
     if dataset.driver == "VRT":
         check_parts(dataset, key, window, partial(_check_part, lend))
     else:
+        _check_layout(dataset, key)
         blocks.check_blocks(dataset, key, band, window, step)
 
 

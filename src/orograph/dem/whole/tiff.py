@@ -23,6 +23,7 @@ _INNER = (330, 34665, 34853, 40965)  # sub-directories, EXIF, GPS, interoperabil
 _MOST = 4096  # directories
 _LARGEST = 1 << 27  # entries of a table that is looked at
 _TAIL = 1 << 16
+_BLOCK = 128  # zeros that fill the last such block are no part of a file
 
 
 class _Directory(NamedTuple):
@@ -170,12 +171,16 @@ def _behind(dataset: Any, tiff: _Tiff, found: list[_Directory], size: int) -> st
         at, sizes = tiff.blocks(directory)
         if not at.size:
             continue
+        if directory is found[0] and (at + np.minimum(sizes, _block_bytes(dataset)) > size).any():
+            return None  # it is cut short, and GDAL says where
         wanted = np.maximum(sizes, _block_bytes(dataset)) if directory is found[0] else sizes  # some say too little
         for ends in (at + sizes, at + wanted):
             end = max(end, int(ends[ends <= size].max(initial=0)))
     end += 4 if _trailed(tiff.file) else 0
+    if size == end or (size == end + 1 and end % 2):
+        return None
     tiff.file.seek(max(end, size - _TAIL))
-    if not any(tiff.file.read()):
+    if size % _BLOCK == 0 and not any(tiff.file.read()):
         return None
     return f"It has {size - end:,} bytes behind its last part: bytes were inserted, which shift its samples."
 
