@@ -19,7 +19,12 @@ def check_size(dataset: Any, path: str | os.PathLike[str]) -> None:
     from rasterio.enums import Interleaving
 
     rows, cols = dataset.block_shapes[0]
-    together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
+    try:
+        together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
+    except ValueError as error:
+        raise ReadError(
+            f"Its header cannot be understood ({error}).", path=path, remedy="Mend it, or restore it from a copy."
+        ) from None
     size = rows * cols * together * _itemsize(dataset.dtypes[0])
     if size > MAX_BLOCK_BYTES:
         raise ReadError(

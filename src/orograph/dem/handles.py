@@ -227,10 +227,24 @@ def locate(path: str | os.PathLike[str]) -> str:
     if file.suffix.lower() == ".zip":
         return f"/vsizip/{{{file.as_posix()}}}/{_member(file)}"
     if _kind(file) == "tar":
-        return f"/vsitar/{{{file.as_posix()}}}/{_member(file)}"
+        return _in_tar(file, _member(file))
     if file.suffix.lower() == ".gz":
         return f"/vsigzip/{file.as_posix()}"
     return text
+
+
+def _in_tar(file: Path, name: str) -> str:
+    """GDAL's name of a member of a tar: what its plain header calls it, where GDAL does not read the name in the
+    extended one (PAX), which alone holds letters beyond ASCII."""
+    from orograph.dem.whole.files import plain_name
+
+    location = f"/vsitar/{{{file.as_posix()}}}/{name}"
+    if name.isascii() and len(name) <= 100:
+        return location
+    from rasterio.shutil import exists
+
+    plain = plain_name(file, name)
+    return location if plain is None or exists(location) else f"/vsitar/{{{file.as_posix()}}}/{plain}"
 
 
 def _absent(file: Path, error: OSError | ValueError) -> ReadError:
@@ -319,6 +333,11 @@ def open_dataset(location: str) -> Any:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+    from orograph.dem.whole import DAMAGED, fault_before
+
+    fault = fault_before(location)
+    if fault is not None:
+        raise ReadError(fault, path=location, remedy=DAMAGED)
     try:
         with _OPENING, warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)

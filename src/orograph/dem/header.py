@@ -78,8 +78,8 @@ def place_of(
 
 
 _NORTH_FIRST = {
-    "AAIGrid", "BT", "DTED", "EHdr", "GRASSASCIIGrid", "GS7BG", "GSAG", "GSBG", "GTX", "ILWIS", "ISG", "NTv2", "RRASTER",
-    "RST", "SAGA", "SIGDEM", "SRTMHGT", "ZMap",
+    "AAIGrid", "BT", "DTED", "EHdr", "GRASSASCIIGrid", "GS7BG", "GSAG", "GSBG", "GTX", "ILWIS", "ISG", "NTv2",
+    "RRASTER", "RST", "SAGA", "SIGDEM", "SRTMHGT", "ZMap",
 }  # fmt: skip
 """Formats whose rows run south and columns east by definition, so that all else is a damaged header."""
 
@@ -92,7 +92,7 @@ def _transform_of(dataset: Any) -> Affine:
     passes over the .aux.xml beside it."""
     beside = [str(name) for name in dataset.files[1:]]
     if dataset.driver != "PNM" or any(not name.endswith(".aux.xml") for name in beside):
-        return dataset.transform
+        return Affine(*dataset.transform[:6])
     text = ET.fromstring(Path(beside[0]).read_bytes()).findtext("GeoTransform") if beside else None
     return Affine.identity() if text is None else Affine.from_gdal(*map(float, text.split(",")))
 

@@ -21,6 +21,7 @@ Formats without checksums (raw samples, LZW…) cannot tell an altered number fr
 from __future__ import annotations
 
 import threading
+import xml.etree.ElementTree as ET
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -29,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from orograph.dem.whole import blocks, containers, header_text, hfa, jp2, mrf, netcdf, png, sizes, text, tiff
-from orograph.dem.whole.files import DAMAGED, archived, check_packed, here, local_file, main_file, stream
+from orograph.dem.whole.files import DAMAGED, archived, check_packed, here, local_file, main_file, on_disk, stream
 from orograph.dem.whole.virtual import Part, check_parts
 from orograph.errors import ReadError
 
@@ -37,7 +38,7 @@ Window = tuple[int, int, int, int]
 Lend = Callable[[str], AbstractContextManager[tuple[Any, object]]]
 """Opens what GDAL calls by a name: a dataset, and the file's name and state (``handles.lent``)."""
 
-__all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask"]
+__all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask", "fault_before"]
 
 
 def _refuse_index(path: str) -> None:
@@ -58,6 +59,20 @@ def _check_layout(dataset: Any, key: object) -> None:
     if fault is not None:
         raise ReadError(fault, path=dataset.name, remedy=DAMAGED)
     _remember(known)
+
+
+def _refuse_lost_notes(dataset: Any) -> None:
+    """GDAL goes on without what it wrote beside a raster (.aux.xml: nodata, CRS…) where that is no XML any more."""
+    notes = Path(f"{main_file(dataset)}.aux.xml")
+    if not notes.is_file():
+        return
+    try:
+        ET.fromstring(notes.read_bytes())
+    except ET.ParseError as error:
+        raise ReadError(
+            f"What was noted beside the raster cannot be understood ({error}).", path=notes,
+            remedy="Restore it from a copy, or remove it if the raster needs none.",
+        ) from None  # fmt: skip
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
@@ -92,8 +107,8 @@ _CHECKS: dict[str, Check] = {
     "MRF": mrf.fault,
     "PCIDSK": sizes.pcidsk,
     "PCRaster": sizes.pcraster,
-    "ILWIS": sizes.ilwis,
-    "NITF": sizes.nitf,
+    "ILWIS": _checks(header_text.ilwis, sizes.ilwis),
+    "NITF": _checks(sizes.nitf, jp2.nitf),
     "BMP": sizes.bmp,
     "DTED": sizes.dted,
     "GS7BG": sizes.surfer7,
@@ -107,7 +122,8 @@ _CHECKS: dict[str, Check] = {
     "RST": _checks(header_text.check("RST"), sizes.behind(0)),
     "RRASTER": _checks(header_text.check("RRASTER"), sizes.beside(".gri", ".GRI")),
     "ISCE": sizes.behind(0),
-    "BT": sizes.behind(256),
+    "BT": sizes.terrain,
+    "SIGDEM": sizes.sigdem,
     "GSBG": sizes.behind(56),
     "GTX": sizes.behind(40),
     "KRO": sizes.behind(20),
@@ -126,6 +142,17 @@ _whole: OrderedDict[object, None] = OrderedDict()
 _lock = threading.Lock()
 
 
+def fault_before(location: str) -> str | None:
+    """What is wrong with a file that GDAL has not opened yet, and should not; None: nothing that is known."""
+    path = on_disk(location)
+    if archived(location) or not path.is_file():
+        return None
+    try:
+        return netcdf.fault_before(str(path))
+    except OSError:
+        return None  # GDAL says why it cannot be opened
+
+
 def check_file(dataset: Any, location: str, key: object) -> None:
     """Raise ReadError if the file of an open dataset is not whole, in a way that its driver would not notice.
 
@@ -137,6 +164,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
     if _seen(key):
         return
     check_packed(dataset)
+    _refuse_lost_notes(dataset)
     _refuse_lost_mask(dataset)
     if dataset.driver == "GTI":
         _refuse_index(location)

@@ -40,7 +40,7 @@ def check_blocks(dataset: Any, key: object, band: int, window: tuple[int, int, i
     if dataset.driver != "GTiff" or archived(name) or not Path(name).is_file():
         return
     codec, guarded = _compression(dataset), _guarded(dataset)
-    if codec not in _CODECS and not guarded:
+    if codec not in CODECS and not guarded:
         return
     top, left, height, width = window
     high, wide = dataset.block_shapes[band - 1]
@@ -66,7 +66,7 @@ def _block_rows(top: int, height: int, high: int, step: int) -> Iterable[int]:
 def check_archived(dataset: Any) -> None:
     """Raise ReadError if any block of a GeoTIFF in an archive is damaged: all at once, in the order of the file."""
     codec, guarded = _compression(dataset), _guarded(dataset)
-    if codec not in _CODECS and not guarded:
+    if codec not in CODECS and not guarded:
         return
     high, wide = dataset.block_shapes[0]
     blocks = [
@@ -126,9 +126,9 @@ def _check(dataset: Any, file: IO[bytes], band: int, row: int, col: int, codec: 
         before, data, after = data[:4], data[4:-4], data[-4:]
         if int.from_bytes(before, "little") != place[1] or after != data[-4:]:
             cause = "what stands before and behind it to guard it does not fit it"
-    if cause is None and codec in _CODECS:
+    if cause is None and codec in CODECS:
         least, most = _bytes_held(dataset, band, row)
-        cause = _CODECS[codec](data, least, most)
+        cause = CODECS[codec](data, least, most)
     if cause is not None:
         high, wide = dataset.block_shapes[band - 1]
         raise ReadError(
@@ -187,7 +187,7 @@ def _frame_end(data: bytes) -> int:
     return 0
 
 
-_CODECS: dict[str, Callable[[bytes, int, int], str | None]] = {
+CODECS: dict[str, Callable[[bytes, int, int], str | None]] = {
     "DEFLATE": _deflate, "LZW": _lzw, "PACKBITS": _packed, "ZSTD": _zstandard,
 }  # fmt: skip
 """Codec → what is wrong with a block's data, given how many bytes they must and may hold; None: nothing."""

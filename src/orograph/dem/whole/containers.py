@@ -13,6 +13,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from orograph.dem.whole.png import bytes_fault
+from orograph.dem.whole.tiff import tile_fault
+
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _LARGEST = 1 << 30
 """Bytes of a database up to which all its pages are looked at."""
@@ -39,11 +42,34 @@ def database(dataset: Any, path: str) -> str | None:
         connection = sqlite3.connect(f"file:{quote(str(Path(path).absolute()))}?mode=ro&immutable=1", uri=True)
         try:
             said = [str(row[0]) for row in connection.execute("PRAGMA integrity_check(1)")]
+            lost = None if said != ["ok"] else _lost_tile(connection)
         finally:
             connection.close()
     except sqlite3.Error as error:
         return f"Its database is damaged ({error})."
-    return None if said == ["ok"] else f"Its database is damaged ({' '.join(said[0].split())})."
+    if said != ["ok"]:
+        return f"Its database is damaged ({' '.join(said[0].split())})."
+    return lost
+
+
+def _lost_tile(connection: sqlite3.Connection) -> str | None:
+    """A tile that does not decode, which GDAL gives as 0."""
+    tables = [str(row[0]) for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+    for table in tables:
+        quoted = table.replace('"', '""')
+        columns = {str(row[1]) for row in connection.execute(f'PRAGMA table_info("{quoted}")')}
+        if not {"zoom_level", "tile_column", "tile_row", "tile_data"} <= columns:
+            continue
+        query = f'SELECT zoom_level, tile_column, tile_row, tile_data FROM "{quoted}"'
+        for zoom, col, row, data in connection.execute(query):
+            whole = isinstance(data, bytes) and (
+                bytes_fault(data) is None if data[:4] == b"\x89PNG"
+                else tile_fault(data) is None if data[:2] in (b"II", b"MM")
+                else data[:3] == b"\xff\xd8\xff" or data[:4] == b"RIFF" or data[:2] == b"\x1f\x8b"
+            )  # fmt: skip
+            if not whole:
+                return f"Its tile {zoom}/{col}/{row} does not decode, and would be read as 0."
+    return None
 
 
 def hdf5(dataset: Any, path: str) -> str | None:

@@ -10,7 +10,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -117,10 +117,30 @@ def _zip_member(packed: zipfile.ZipFile, name: str) -> IO[bytes]:
         raise ReadError(f"It cannot be unpacked here ({error}).", path=name, remedy="Unpack it by hand.") from None
 
 
+def _plain(packed: tarfile.TarFile, member: tarfile.TarInfo) -> str:
+    """What the plain header of a tar's member calls it."""
+    if packed.fileobj is None or "path" not in member.pax_headers:
+        return member.name
+    packed.fileobj.seek(member.offset_data - tarfile.BLOCKSIZE)
+    return packed.fileobj.read(100).rstrip(b"\0").decode("utf-8", "replace")
+
+
+def plain_name(file: Path, name: str) -> str | None:
+    """What the plain header of a member of a tar calls it; None if there is no such member."""
+    with tarfile.open(file) as packed:
+        member = next((one for one in packed if one.name == name), None)
+        return None if member is None else _plain(packed, member)
+
+
 @contextmanager
 def _tar_member(name: str) -> Iterator[IO[bytes]]:
     with tarfile.open(on_disk(name)) as packed:
-        inside = packed.extractfile(_member(name))
+        wanted = _member(name)
+        try:
+            member = packed.getmember(wanted)
+        except KeyError:  # GDAL's name of one that has another in its extended header
+            member = next((one for one in packed if _plain(packed, one) == wanted), None) or packed.getmember(wanted)
+        inside = packed.extractfile(member)
         if inside is None:
             raise tarfile.TarError(f"{_member(name)} is no file")
         with inside:
@@ -167,6 +187,20 @@ def check_packed(dataset: Any) -> None:
                 pass
 
 
+def _unlisted(dataset: Any, name: str) -> list[str]:
+    """GDAL's names of what may lie beside a file in its archive, and is not listed."""
+    if name.startswith("/vsigzip/"):
+        return []
+    stem = name.rpartition(".")[0]
+    return [stem + ending for ending in _UNLISTED.get(dataset.driver, ())]
+
+
+def _unpack(name: str, folder: str) -> None:
+    """Write a file of an archive into a folder."""
+    with stream(name) as inside, (Path(folder) / Path(name).name).open("wb") as file:
+        shutil.copyfileobj(inside, file)
+
+
 @contextmanager
 def local_file(dataset: Any) -> Iterator[str | None]:
     """The path on this disk of a dataset's main file, unpacked or fetched for this if need be; None if it is remote and
@@ -184,8 +218,10 @@ def local_file(dataset: Any) -> Iterator[str | None]:
         if archived(name):
             for part in dataset.files:  # headers and samples beside it count, too
                 if archived(part):
-                    with stream(part) as inside, (Path(folder) / Path(part).name).open("wb") as file:
-                        shutil.copyfileobj(inside, file)
+                    _unpack(part, folder)
+            for part in _unlisted(dataset, name):
+                with suppress(ReadError):  # not all of them are there
+                    _unpack(part, folder)
         elif dataset.driver in _FETCHED:
             from rasterio.shutil import copyfiles
 

@@ -1,8 +1,8 @@
 """Headers of text beside raw samples: every number is one, every word a known one, nothing is said twice.
 
 GDAL takes what it understands of a header and its defaults for the rest: of ``NBITS x`` 8 bits, of a damaged
-``BYTEORDER`` the order of this machine, of a lost ``XDIM`` a step of 1. A key that is one letter away from a known one is
-taken for that one, damaged; all others are left to their writers.
+``BYTEORDER`` the order of this machine, of a lost ``XDIM`` a step of 1. A key that is one letter away from a known one
+is taken for that one, damaged; all others are left to their writers.
 
 Sources: ESRI's .hdr, ENVI's header, ER Mapper's .ers, Idrisi's .rdc, SAGA's .sgrd, R's .grd and PCI's .aux as their
 makers document them.
@@ -54,8 +54,8 @@ FORMS = {
         other=("NODATA", "NODATA_VALUE"),
     ),
     "ENVI": Form(
-        (".hdr", ".HDR", "+.hdr"), "=", ("samples", "lines", "bands", "header offset", "data type", "byte order"), (),
-        {"interleave": ("BSQ", "BIL", "BIP")},
+        (".hdr", ".HDR", "+.hdr"), "=", ("samples", "lines", "bands", "header offset", "data type"), (),
+        {"interleave": ("BSQ", "BIL", "BIP"), "byte order": ("0", "1")},
         (("", "samples", "lines", "data type"),),
         other=("map info", "coordinate system string", "data ignore value", "description", "file type", "band names",
                "sensor type", "wavelength units", "geo points", "projection info", "pixel size", "default bands"),
@@ -64,15 +64,16 @@ FORMS = {
         ("",), "=", ("NrOfLines", "NrOfCellsPerLine", "NrOfBands", "HeaderOffset"),
         ("Xdimension", "Ydimension", "Eastings", "Northings", "RegistrationCellX", "RegistrationCellY"),
         {"ByteOrder": ("LSBFIRST", "MSBFIRST"),
-         "CellType": tuple(f"{sign}SIGNED{bits}BITINTEGER" for sign in ("", "UN") for bits in (8, 16, 32))
-         + ("IEEE4BYTEREAL", "IEEE8BYTEREAL")},
+         "CellType": (*(f"{sign}SIGNED{bits}BITINTEGER" for sign in ("", "UN") for bits in (8, 16, 32)),
+                      "IEEE4BYTEREAL", "IEEE8BYTEREAL")},
         (("", "NrOfLines", "NrOfCellsPerLine", "CellType"), ("Xdimension", "Ydimension"), ("Eastings", "Northings")),
         other=("DataSetType", "Datum", "Projection", "Rotation", "NullCellValue"),
     ),
     "RST": Form(
         (".rdc", ".RDC"), ":", ("columns", "rows"), ("unit dist.", "min. X", "max. X", "min. Y", "max. Y"),
         {"data type": ("BYTE", "INTEGER", "REAL", "RGB24"), "file type": ("BINARY", "ASCII", "PACKED BINARY")},
-        (("", "columns", "rows", "data type", "file type", "min. X", "max. X", "min. Y", "max. Y"),),
+        (("", "columns", "rows", "data type", "file type", "min. X", "max. X", "min. Y", "max. Y",
+          "flag value"),),
         (("min. X", "max. X"), ("min. Y", "max. Y")),
         ("ref. system", "ref. units", "resolution", "flag value", "flag def'n", "value units", "min. value",
          "max. value"),
@@ -80,10 +81,11 @@ FORMS = {
     "SAGA": Form(
         (".sgrd", ".SGRD"), "=", ("CELLCOUNT_X", "CELLCOUNT_Y", "DATAFILE_OFFSET"),
         ("POSITION_XMIN", "POSITION_YMIN", "CELLSIZE", "Z_FACTOR"),
-        {"DATAFORMAT": ("BIT", "BYTE_UNSIGNED", "BYTE", "SHORTINT_UNSIGNED", "SHORTINT", "INTEGER_UNSIGNED", "INTEGER",
-                        "FLOAT", "DOUBLE"),
+        {"DATAFORMAT": ("BIT", "BYTE_UNSIGNED", "BYTE", "SHORTINT_UNSIGNED", "SHORTINT", "INTEGER_UNSIGNED",
+                        "INTEGER", "FLOAT", "DOUBLE"),
          "BYTEORDER_BIG": ("TRUE", "FALSE"), "TOPTOBOTTOM": ("TRUE", "FALSE")},
-        (("", "CELLCOUNT_X", "CELLCOUNT_Y", "POSITION_XMIN", "POSITION_YMIN", "CELLSIZE", "DATAFORMAT"),),
+        (("", "CELLCOUNT_X", "CELLCOUNT_Y", "POSITION_XMIN", "POSITION_YMIN", "CELLSIZE", "DATAFORMAT",
+          "NODATA_VALUE"),),
         other=("NODATA_VALUE", "DESCRIPTION"),
     ),
     "RRASTER": Form(
@@ -148,6 +150,15 @@ def _header(path: str, endings: Iterable[str]) -> Path | None:
 
 def braces_fault(text: str) -> str | None:
     """What is wrong with the braces of a header, a sentence; None: nothing."""
+    open_parts: list[str] = []
+    if text.lstrip().startswith("DatasetHeader"):
+        for name, what in re.findall(r"^[ \t]*(\w+)[ \t]+(Begin|End)[ \t]*\r?$", text, re.M):
+            if what == "Begin":
+                open_parts.append(name)
+            elif not open_parts or open_parts.pop() != name:
+                return f"The parts of its header do not fit one another ({name})."
+        if open_parts:
+            return f"The part {open_parts[-1]!r} of its header does not end: it is damaged or was cut short."
     if text.lstrip().startswith("ENVI") and text.count("{") != text.count("}"):
         return "A brace of its header is not closed: it is damaged or was cut short."
     return None
@@ -184,13 +195,14 @@ def _value_fault(form: Form, values: dict[str, str]) -> str | None:
         wrong = (
             (key in form.whole and not _WHOLE.match(value))
             or (key in form.numbers and not (_NUMBER.match(value) and math.isfinite(float(value))))
+            or (re.search("dim|cellsize", key, re.I) and float(value) <= 0)
             or (key in form.words and value.upper() not in form.words[key])
         )
         if wrong:
             return f"Its header says {key!r} is {value[:40]!r}, which cannot be."
     for less, more in form.ordered:
         if less in values and more in values and not float(values[less]) < float(values[more]):
-            return f"Its header says {less!r} is {values[less]} and {more!r} {values[more]}: they contradict each other."
+            return f"Its header says {less!r} is {values[less]} and {more!r} {values[more]}: one of them is wrong."
     return None
 
 
@@ -212,3 +224,29 @@ def _nearly(a: str, b: str) -> bool:
         return sum(x != y for x, y in zip(a, b, strict=True)) == 1
     short, long = sorted((a, b), key=len)
     return any(long[:i] + long[i + 1 :] == short for i in range(len(long)))
+
+
+_MAP = Form(
+    (), None, other=("domain", "range", "georef", "size", "data", "structure"),
+    needed=(("", "domain", "georef", "size", "data"),),
+)  # fmt: skip
+_CORNERS = Form(
+    (), None, ("columns", "lines"), ("maxx", "maxy", "minx", "miny"), {"cornersofcorners": ("YES", "NO")},
+    (("minx", "miny", "maxx", "maxy"),), (("minx", "maxx"), ("miny", "maxy")), ("coordsystem",),
+)  # fmt: skip
+
+
+def ilwis(dataset: Any, path: str) -> str | None:
+    """What is wrong with the header (.mpr) of an ILWIS map and its place (.grf), a sentence; None: nothing."""
+    said = _said(Path(path))
+    if fault := form_fault(_MAP, said):
+        return fault
+    place = Path(path).with_name(dict(said).get("georef", "").strip("'\""))
+    if dict(said).get("georef", "").lower() in ("none", "none.grf"):
+        return None
+    return form_fault(_CORNERS, _said(place)) if place.is_file() else f"Its place {place.name!r} is not there."
+
+
+def _said(file: Path) -> list[tuple[str, str]]:
+    """Keys, in small letters, and values of an .ini file, but for "type", which every section has."""
+    return [(key.lower(), value) for key, value in pairs(file.read_text("latin-1"), "=") if key.lower() != "type"]

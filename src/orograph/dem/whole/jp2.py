@@ -7,6 +7,7 @@ Source: ITU-T T.800, annexes A (markers) and I (boxes).
 
 from __future__ import annotations
 
+import mmap
 import struct
 from pathlib import Path
 from typing import IO, Any
@@ -35,6 +36,16 @@ def fault(dataset: Any, path: str) -> str | None:
                 return stream_fault(file, begin, end)
             at = end
     return "It has no codestream."
+
+
+def nitf(dataset: Any, path: str) -> str | None:
+    """What is wrong with the JPEG 2000 codestream in a NITF file, a sentence; None: nothing, or there is none."""
+    if dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION") != "JPEG2000":
+        return None
+    size = Path(path).stat().st_size
+    with Path(path).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as held:
+        at = held.find(b"\xff\x4f\xff\x51")
+        return "It has no codestream." if at < 0 else stream_fault(file, at, size)
 
 
 def stream_fault(file: IO[bytes], begin: int, end: int) -> str | None:

@@ -44,7 +44,8 @@ def lzw_length(data, most):
     lengths = np.empty(4096, np.int64)
     for i in range(256):
         lengths[i] = 1
-    made, at, held, bits, width, entries, last = 0, 0, 0, 0, 9, 258, -1
+    made = at = held = bits = np.int64(0)
+    width, entries, last = 9, 258, np.int64(-1)
     while made <= most:
         while bits < width and at < data.size:
             held, bits, at = (held << 8 | np.int64(data[at])) & 0xFFFFFFFF, bits + 8, at + 1
@@ -55,7 +56,7 @@ def lzw_length(data, most):
         if code == 257:
             return made, True
         if code == 256:
-            width, entries, last = 9, 258, -1
+            width, entries, last = 9, 258, np.int64(-1)
             continue
         if last < 0:
             if code > 255:
@@ -80,7 +81,7 @@ def packed_length(data, most):
 
     What follows when ``most`` bytes are made must be no-operations or zeros.
     """
-    made, at = 0, 0
+    made = at = np.int64(0)
     while at < data.size:
         head = np.int64(data[at])
         if made >= most:

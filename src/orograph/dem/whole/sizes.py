@@ -61,6 +61,21 @@ def beside(*endings: str) -> Callable[[Any, str], str | None]:
     return check
 
 
+def terrain(dataset: Any, path: str) -> str | None:
+    """BT: a header of 256 bytes, which says whether the CRS lies in a file beside it (.prj), then all samples."""
+    with Path(path).open("rb") as file:
+        head = file.read(256)
+    beside_it = Path(path).with_suffix(".prj")
+    if head[60:62] == b"\x01\0" and not beside_it.is_file() and not str(dataset.name).startswith("/vsigzip/"):
+        return f"Its CRS lies in {beside_it.name}, which is not there."
+    return exact(path, 256 + _samples(dataset))
+
+
+def sigdem(dataset: Any, path: str) -> str | None:
+    """SIGDEM: a header of 132 bytes, then whole numbers of 32 bits."""
+    return exact(path, 132 + 4 * dataset.width * dataset.height)
+
+
 def envi(dataset: Any, path: str) -> str | None:
     """ENVI: the header's offset, then all samples (a compressed file has its own end)."""
     header = dataset.tags(ns="ENVI")
@@ -75,6 +90,8 @@ def ehdr(dataset: Any, path: str) -> str | None:
     if header is None:
         return None
     said = {key.upper(): value for key, value in pairs(header.read_text("latin-1"), None)}
+    if fault := _row_fault(said, dataset.width, dataset.count):
+        return fault
     bits = int(said.get("NBITS", 8 * np.dtype(dataset.dtypes[0]).itemsize))
     rows, bands = dataset.height, dataset.count
     layout = said.get("LAYOUT", "BIL").upper()
@@ -87,6 +104,15 @@ def ehdr(dataset: Any, path: str) -> str | None:
         return exact(path, skip + rows * max(line, int(said.get("TOTALROWBYTES", line))))
     line = bands * int(said.get("BANDROWBYTES", line))
     return exact(path, skip + rows * max(line, int(said.get("TOTALROWBYTES", line))))
+
+
+def _row_fault(said: dict[str, str], cols: int, bands: int) -> str | None:
+    """Rows are of as many bytes as their samples need, or padded a little."""
+    needed = -(-cols * int(said.get("NBITS", 8)) // 8)
+    for key, most in (("BANDROWBYTES", needed), ("TOTALROWBYTES", needed * bands)):
+        if key in said and not needed <= int(said[key]) < most + _BLOCK // 2:
+            return f"Its header says {key!r} is {said[key]}, which does not fit {cols} samples of its 'NBITS'."
+    return None
 
 
 def ers(dataset: Any, path: str) -> str | None:
@@ -229,20 +255,46 @@ def pcidsk(dataset: Any, path: str) -> str | None:
     if not blocks.isdigit():
         return "Its header does not say how long it is."
     if kind == b"FILE":
-        for file_name in dataset.files[1:]:
-            beside_it = Path(path).with_name(Path(str(file_name)).name)
-            if re.fullmatch(r"\.\d{3}", beside_it.suffix) and (fault := exact(beside_it, _band_bytes(dataset))):
-                return fault
+        fault = _channels_fault(dataset, path)
+        if fault is not None:
+            return fault
     wanted = int(blocks) * 512
+    if size % 512 and size > wanted:
+        return f"It has {size:,} bytes where its header promises {wanted:,}: the one or the other is damaged."
     if size >= wanted or _tiled(path):
         return None
     return f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+
+
+def _channels_fault(dataset: Any, path: str) -> str | None:
+    """What is wrong with the files that hold a PCIDSK file's channels (image headers: name, first byte, steps)."""
+    with Path(path).open("rb") as file:
+        head = file.read(512)
+        at = (int(head[336:352]) - 1) * 512
+        for band in range(dataset.count):
+            file.seek(at + 1024 * band)
+            said = file.read(1024)
+            name = said[64:128].decode("latin-1").strip()
+            channel = Path(path).with_name(Path(name).name)
+            if not name or name.startswith("/SIS=") or not channel.is_file():
+                continue
+            first, pixel, line = int(said[168:184]), int(said[184:192]), int(said[192:200])
+            item = np.dtype(dataset.dtypes[band]).itemsize
+            if pixel < item or line < pixel * dataset.width or said[201:202] not in b"NS":
+                return f"Its header contradicts itself about channel {band + 1}."
+            fault = exact(channel, first + (dataset.height - 1) * line + (dataset.width - 1) * pixel + item)
+            if fault is not None:
+                return fault
+    return None
 
 
 def _tiled(path: str) -> bool:
     """Whether the samples of a PCIDSK file lie in a block system, whose segment is extended ahead of what it holds."""
     with Path(path).open("rb") as file:
         return b"Block Tile Directory" in file.read(1 << 20)
+
+
+_SPAN = re.compile(r"(-?[\d.e+-]+):(-?[\d.e+-]+):([\d.e+-]+)(:offset=-?[\d.e+-]+)?")
 
 
 def ilwis(dataset: Any, path: str) -> str | None:
@@ -252,6 +304,13 @@ def ilwis(dataset: Any, path: str) -> str | None:
     item = {"byte": 1, "int": 2, "long": 4, "float": 4, "real": 8}.get(kind)
     if item is None:
         return f"Its header calls its numbers {kind!r}, which are of no type that there is."
+    span = _SPAN.fullmatch(said.get(("basemap", "range"), ""))
+    of_values = said.get(("basemap", "domain"), "").lower().startswith("value.dom")
+    if of_values and (span is None or not float(span[1]) <= float(span[2])):
+        return "Its header does not say what its numbers mean ('Range')."
+    step = 0.0 if span is None else float(span[3])
+    if np.dtype(dataset.dtypes[0]).itemsize < item and (kind in ("float", "real") or step == 0):
+        return f"Its header says that its numbers are {kind!r} and {dataset.dtypes[0]}, which contradict each other."
     data = Path(path).with_name(said.get(("mapstore", "data"), Path(path).stem + ".mp#").strip("'\""))
     rows, cols = dataset.height, dataset.width
     place = Path(path).with_name(said.get(("map", "georef"), "").strip("'\""))

@@ -1,9 +1,9 @@
 """TIFF: where its parts lie in the file, and that nothing lies where none can.
 
-GDAL takes what directories say as it is. A file in which bytes were inserted still opens, its samples shifted from there
-on; a changed offset gives samples of another block; a link to the directories behind the first that leads nowhere loses
-a mask without a word. What tells it: blocks that overlap, a chain of directories that breaks off, and, where samples
-are not compressed, bytes at the end of the file that belong to nothing.
+GDAL takes what directories say as it is. A file in which bytes were inserted still opens, its samples shifted from
+there on; a changed offset gives samples of another block; a link to the directories behind the first that leads nowhere
+loses a mask without a word. What tells it: blocks that overlap, a chain of directories that breaks off, and, where
+samples are not compressed, bytes at the end of the file that belong to nothing.
 
 Sources: TIFF 6.0, section 2; BigTIFF (Aware Systems).
 """
@@ -11,10 +11,13 @@ Sources: TIFF 6.0, section 2; BigTIFF (Aware Systems).
 from __future__ import annotations
 
 import struct
+from io import BytesIO
 from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from orograph.dem.whole.blocks import CODECS
 
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
 _CODES = {1: "u1", 3: "u2", 4: "u4", 13: "u4", 16: "u8", 18: "u8"}
@@ -52,7 +55,50 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
         return "Its directories break off: a mask or an overview behind the first is lost."
     if not found:
         return None
-    return _overlap(dataset, tiff, found[0]) or _behind(dataset, tiff, found, size)
+    return _half_there(tiff, found[0]) or _overlap(dataset, tiff, found[0]) or _behind(dataset, tiff, found, size)
+
+
+_CODEC = {1: "", 5: "LZW", 8: "DEFLATE", 32946: "DEFLATE", 32773: "PACKBITS", 50000: "ZSTD"}
+
+
+def tile_fault(data: bytes, wide: int = 0, high: int = 0) -> str | None:
+    """What is wrong with a small TIFF in memory that is a tile of something else, a sentence; None: nothing.
+
+    Args:
+        wide, high: the samples that it must have; 0: any.
+    """
+    file = BytesIO(data)
+    try:
+        tiff = _Tiff(file, len(data))
+        found, broken = tiff.directories()
+    except (struct.error, ValueError):
+        found, broken = [], True
+    if broken or not found:
+        return "It is no TIFF."
+
+    def one(tag: int, otherwise: int) -> int:
+        numbers = tiff.numbers(found[0], tag)
+        return int(numbers[0]) if numbers.size else otherwise
+
+    cols, rows = one(256, 0), one(257, 0)
+    line = cols if (tiled := one(322, 0)) == 0 else tiled
+    tall = one(323, 0) or min(one(278, rows), rows)
+    if not cols or not rows or not line or not tall or (wide and (cols, rows) != (wide, high)):
+        return f"It has {rows} × {cols} samples."
+    together = one(277, 1) if one(284, 1) == 1 else 1
+    most = tall * -(-line * together * one(258, 1) // 8)
+    at, sizes = tiff.blocks(found[0])
+    down = -(-rows // tall)
+    if at.size != down * -(-cols // line) * (one(277, 1) // together):
+        return "It lacks blocks."
+    for number, (begin, size) in enumerate(zip(at.tolist(), sizes.tolist(), strict=True)):
+        held = data[begin : begin + size]
+        least = most if tiled else min(tall, rows - (number % down) * tall) * (most // tall)
+        check = CODECS.get(_CODEC.get(one(259, 1), "?"))
+        short = len(held) < size or (one(259, 1) == 1 and size < least)
+        if short or (check is not None and check(held, least, most) is not None):
+            return "A block of it does not decode."
+    return None
 
 
 class _Tiff:
@@ -147,6 +193,15 @@ def _block_bytes(dataset: Any) -> int:
     sample = int(bits) if bits else 8 * np.dtype(dataset.dtypes[0]).itemsize
     together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
     return int(high * -(-wide * together * sample // 8))
+
+
+def _half_there(tiff: _Tiff, first: _Directory) -> str | None:
+    """Blocks that have a size and no place; those that a sparse file leaves out have no size."""
+    for places, sizes in zip(_OFFSETS, _COUNTS, strict=True):
+        at, size = tiff.numbers(first, places), tiff.numbers(first, sizes)
+        if at.size and at.size == size.size and ((at == 0) & (size > 0)).any():
+            return "A block of it has a size and no place: the table of its blocks is damaged."
+    return None
 
 
 def _overlap(dataset: Any, tiff: _Tiff, first: _Directory) -> str | None:
