@@ -29,7 +29,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from orograph.dem.whole import blocks, containers, header_text, hfa, jp2, mrf, netcdf, png, sizes, text, tiff
+from orograph.dem.whole import (
+    blocks,
+    containers,
+    grib,
+    header_text,
+    hfa,
+    jp2,
+    labels,
+    mrf,
+    netcdf,
+    png,
+    sizes,
+    text,
+    tiff,
+)
 from orograph.dem.whole.files import DAMAGED, archived, check_packed, here, local_file, main_file, on_disk, stream
 from orograph.dem.whole.virtual import Part, check_parts
 from orograph.errors import ReadError
@@ -129,6 +143,14 @@ _CHECKS: dict[str, Check] = {
     "KRO": sizes.behind(20),
     "CTable2": sizes.behind(160),
     "LAN": sizes.behind(128),
+    "ELAS": sizes.elas,
+    "R": sizes.rdata,
+    "Zarr": sizes.zarr,
+    "GRIB": grib.fault,
+    "ISIS3": labels.isis,
+    "VICAR": labels.vicar,
+    "PDS4": labels.pds4,
+    "GXF": text.gxf,
     "AAIGrid": text.arc,
     "GRASSASCIIGrid": text.grass,
     "GSAG": text.surfer,

@@ -41,8 +41,9 @@ def fault(dataset: Any, path: str) -> str | None:
         except (struct.error, LookupError, ValueError, OverflowError):
             return "Its header is cut short or damaged."
         file.seek(max(end, size - 65536))
-        behind = size > end + 3 and not header.streaming and any(file.read())
-    if size < end:  # (the last variable may lack its padding)
+        padded = size in (end, -(-end // 4) * 4) or (size % 128 == 0 and not any(file.read()))
+        behind = not header.streaming and not padded
+    if size < end:
         return f"It ends after {size:,} of the {end:,} bytes that its header promises."
     if behind:
         return f"It has {size:,} bytes where its header promises {end:,}: the one or the other is damaged."

@@ -6,8 +6,12 @@ little. Zeros that fill a last block of 128 bytes are no fault: that is how reco
 
 from __future__ import annotations
 
+import gzip
+import json
+import math
 import re
 import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +22,7 @@ from orograph.dem.whole.header_text import pairs
 
 _BLOCK = 128
 _TAIL = 1 << 16
+_CHUNKS = 1 << 16  # of a Zarr, that are looked for
 
 
 def exact(path: str | Path, wanted: int) -> str | None:
@@ -234,8 +239,49 @@ def bmp(dataset: Any, path: str) -> str | None:
     with Path(path).open("rb") as file:
         head = file.read(14)
     (said,) = struct.unpack_from("<I", head, 2)
-    size = Path(path).stat().st_size
-    return exact(path, said) if said and size < said else None
+    return exact(path, said) if said else None
+
+
+def elas(dataset: Any, path: str) -> str | None:
+    """ELAS: the header says how many bytes it has itself, and how many a record, of which each row has one."""
+    with Path(path).open("rb") as file:
+        header, record = struct.unpack(">2I", file.read(8))
+    return exact(path, header + record * dataset.height)
+
+
+def rdata(dataset: Any, path: str) -> str | None:
+    """R's data: a file of gzip, whose checksum GDAL leaves unread."""
+    with Path(path).open("rb") as file:
+        if file.read(2) != b"\x1f\x8b":
+            return None
+    try:
+        with gzip.open(path) as unpacked:
+            while unpacked.read(1 << 20):
+                pass
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        return f"It cannot be unpacked ({error})."
+    return None
+
+
+def zarr(dataset: Any, path: str) -> str | None:
+    """Zarr, version 2: chunks that are not compressed have the size that they must; all are there if nothing says what
+    those are that are not."""
+    header = next((p for name in dataset.files if (p := Path(str(name))).name == ".zarray" and p.is_file()), None)
+    if header is None:
+        return None
+    said = json.loads(header.read_bytes())
+    counts = [-(-size // chunk) for size, chunk in zip(said["shape"], said["chunks"], strict=True)]
+    wanted = math.prod(said["chunks"]) * np.dtype(said["dtype"]).itemsize
+    if math.prod(counts) > _CHUNKS:
+        return None
+    for index in np.ndindex(*counts):
+        chunk = header.parent / said.get("dimension_separator", ".").join(map(str, index))
+        if not chunk.is_file():
+            if said.get("fill_value") is None:
+                return f"Its chunk {chunk.name} is not there, and nothing says what it would hold."
+        elif said.get("compressor") is None and not said.get("filters") and chunk.stat().st_size != wanted:
+            return f"Its chunk {chunk.name} has {chunk.stat().st_size:,} bytes, not {wanted:,}."
+    return None
 
 
 def dted(dataset: Any, path: str) -> str | None:
