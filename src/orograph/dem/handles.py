@@ -81,7 +81,7 @@ def _settings() -> dict[str, Any]:
     }  # fmt: skip
 
 
-_MISLED = (ValueError, LookupError, ArithmeticError, SyntaxError, OSError, struct.error)
+_MISLED = (ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, OSError, struct.error)
 """What comes of headers that say what cannot be."""
 
 

@@ -31,6 +31,7 @@ class Form(NamedTuple):
         needed: groups of keys of which all are there or none; a group that begins with "" must be there.
         ordered: pairs of keys, the first of which is the lesser number.
         other: further keys.
+        shortest: letters of a key that another may be a damaged form of.
     """
 
     endings: tuple[str, ...]
@@ -41,7 +42,14 @@ class Form(NamedTuple):
     needed: tuple[tuple[str, ...], ...] = ()
     ordered: tuple[tuple[str, str], ...] = ()
     other: tuple[str, ...] = ()
+    shortest: int = 4
 
+
+_MFF_CORNERS = tuple(
+    f"{side}_CORNER_{axis}"
+    for side in ("TOP_LEFT", "TOP_RIGHT", "BOTTOM_RIGHT", "BOTTOM_LEFT")
+    for axis in ("LATITUDE", "LONGITUDE")
+)
 
 FORMS = {
     "EHdr": Form(
@@ -103,8 +111,8 @@ FORMS = {
         ("RawDefinition", "ChanDefinition-1", "AuxilaryTarget"),
     ),
     "MFF": Form(
-        ("",), "=", ("IMAGE_LINES", "LINE_SAMPLES"), (), {"BYTE_ORDER": ("LSB", "MSB")},
-        (("", "IMAGE_LINES", "LINE_SAMPLES"),),
+        ("",), "=", ("IMAGE_LINES", "LINE_SAMPLES"), _MFF_CORNERS, {"BYTE_ORDER": ("LSB", "MSB")},
+        (("", "IMAGE_LINES", "LINE_SAMPLES"), _MFF_CORNERS),
         other=("BYTE_ORDER", "FILE_TYPE"),
     ),
 }  # fmt: skip
@@ -176,7 +184,8 @@ def form_fault(form: Form, said: list[tuple[str, str]]) -> str | None:
     for written, value in said:
         key = spelt.get(re.sub(r"\s+", " ", written).lower())
         if key is None:
-            meant = next((known for known in spelt.values() if _nearly(written.lower(), known.lower())), None)
+            long = (known for known in spelt.values() if len(known) >= form.shortest)
+            meant = next((known for known in long if _nearly(written.lower(), known.lower())), None)
             if meant is not None:
                 return f"Its header says {written!r}, which is {meant!r} damaged."
             continue
@@ -217,18 +226,23 @@ def _lack(form: Form, values: dict[str, str]) -> str | None:
 
 
 def _nearly(a: str, b: str) -> bool:
-    """Whether two words of four letters or more differ by one letter: changed, lost or added."""
-    if len(b) < 4 or abs(len(a) - len(b)) > 1 or a == b:
+    """Whether two words differ by one letter: changed (but one number for another), lost or added."""
+    if abs(len(a) - len(b)) > 1 or a == b:
         return False
     if len(a) == len(b):
-        return sum(x != y for x, y in zip(a, b, strict=True)) == 1
+        changed = [(x, y) for x, y in zip(a, b, strict=True) if x != y]
+        return len(changed) == 1 and not (changed[0][0].isdigit() and changed[0][1].isdigit())
     short, long = sorted((a, b), key=len)
     return any(long[:i] + long[i + 1 :] == short for i in range(len(long)))
 
 
 _MAP = Form(
     (), None, other=("domain", "range", "georef", "size", "data", "structure"),
-    needed=(("", "domain", "georef", "size", "data"),),
+    needed=(("", "domain", "size", "data"),), shortest=6,
+)  # fmt: skip
+_SYSTEM = Form(
+    (), None, words={"type": ("PROJECTION", "LATLON", "BOUNDSONLY", "FORMULA", "TIEPOINTS", "ORTHO", "DIRECTLINEAR")},
+    needed=(("", "type"),), other=("projection", "ellipsoid"), shortest=6,
 )  # fmt: skip
 _CORNERS = Form(
     (), None, ("columns", "lines"), ("maxx", "maxy", "minx", "miny"), {"cornersofcorners": ("YES", "NO")},
@@ -241,12 +255,30 @@ def ilwis(dataset: Any, path: str) -> str | None:
     said = _said(Path(path))
     if fault := form_fault(_MAP, said):
         return fault
-    place = Path(path).with_name(dict(said).get("georef", "").strip("'\""))
-    if dict(said).get("georef", "").lower() in ("none", "none.grf"):
+    name = dict(said).get("georef", "none").strip("'\"")
+    if name.lower() in ("", "none", "none.grf"):
         return None
-    return form_fault(_CORNERS, _said(place)) if place.is_file() else f"Its place {place.name!r} is not there."
+    place = Path(path).with_name(name)
+    if not place.is_file():
+        return f"Its place {place.name!r} is not there."
+    corners = _said(place)
+    return form_fault(_CORNERS, corners) or _system_fault(Path(path).with_name(dict(corners).get("coordsystem", "")))
 
 
-def _said(file: Path) -> list[tuple[str, str]]:
-    """Keys, in small letters, and values of an .ini file, but for "type", which every section has."""
-    return [(key.lower(), value) for key, value in pairs(file.read_text("latin-1"), "=") if key.lower() != "type"]
+def _system_fault(file: Path) -> str | None:
+    """What is wrong with the coordinate system (.csy) of an ILWIS map, without which GDAL knows no CRS."""
+    if not file.is_file():
+        return None  # one that ILWIS has itself
+    said = dict(_said(file, keep_type=True))
+    if fault := form_fault(_SYSTEM, list(said.items())):
+        return fault
+    if said["type"] == "Projection" and "projection" not in said:
+        return "Its coordinate system (.csy) does not say what its projection is."
+    return None
+
+
+def _said(file: Path, keep_type: bool = False) -> list[tuple[str, str]]:
+    """Keys, in small letters, and values of an .ini file; without "type", which every section has, or its first."""
+    said = [(key.lower(), value) for key, value in pairs(file.read_text("latin-1"), "=")]
+    first = next((value for key, value in said if key == "type"), None) if keep_type else None
+    return [pair for pair in said if pair[0] != "type"] + ([] if first is None else [("type", first)])

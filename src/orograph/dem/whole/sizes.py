@@ -83,7 +83,7 @@ def sigdem(dataset: Any, path: str) -> str | None:
 
 def envi(dataset: Any, path: str) -> str | None:
     """ENVI: the header's offset, then all samples (a compressed file has its own end)."""
-    header = dataset.tags(ns="ENVI")
+    header = {key.lower(): value for key, value in dataset.tags(ns="ENVI").items()}
     if header.get("file_compression", "0").strip() not in ("", "0"):
         return None
     return exact(path, int(header.get("header_offset", "0").strip() or 0) + _samples(dataset))
@@ -112,11 +112,11 @@ def ehdr(dataset: Any, path: str) -> str | None:
 
 
 def _row_fault(said: dict[str, str], cols: int, bands: int) -> str | None:
-    """Rows are of as many bytes as their samples need, or padded a little."""
+    """Rows are of as many bytes as their samples need: GDAL reads padded ones as if they were not."""
     needed = -(-cols * int(said.get("NBITS", 8)) // 8)
-    for key, most in (("BANDROWBYTES", needed), ("TOTALROWBYTES", needed * bands)):
-        if key in said and not needed <= int(said[key]) < most + _BLOCK // 2:
-            return f"Its header says {key!r} is {said[key]}, which does not fit {cols} samples of its 'NBITS'."
+    for key, sizes in (("BANDROWBYTES", (needed,)), ("TOTALROWBYTES", (needed, needed * bands))):
+        if key in said and int(said[key]) not in sizes:
+            return f"Its header says {key!r} is {said[key]} where {cols} samples of its 'NBITS' need {needed}."
     return None
 
 
@@ -136,12 +136,17 @@ def saga(dataset: Any, path: str) -> str | None:
     return exact(path, int(said.get("DATAFILE_OFFSET", "0") or 0) + _samples(dataset))
 
 
+_CHANNEL = re.compile(r"(8U|16U|16S|32U|32S|32R|64R|C16U|C16S|C32R)\s+\d+\s+\d+\s+\d+(\s+(Swapped|Unswapped))?\s*")
+
+
 def paux(dataset: Any, path: str) -> str | None:
     """PCI .aux: each channel's first byte, and the steps from sample to sample and from row to row."""
     end = 0
     for key, value in pairs(Path(path).with_suffix(".aux").read_text("latin-1"), ":"):
         if key.startswith("ChanDefinition"):
-            kind, first, pixel, line = (value.split() + ["0"] * 4)[:4]
+            if not _CHANNEL.fullmatch(value):
+                return f"Its header says {key!r} is {value[:40]!r}, which cannot be."
+            kind, first, pixel, line = value.split()[:4]
             item = int(re.sub(r"\D", "", kind) or 8) // 8
             last = int(first) + (dataset.height - 1) * int(line) + (dataset.width - 1) * int(pixel) + item
             end = max(end, last)
@@ -340,7 +345,7 @@ def _tiled(path: str) -> bool:
         return b"Block Tile Directory" in file.read(1 << 20)
 
 
-_SPAN = re.compile(r"(-?[\d.e+-]+):(-?[\d.e+-]+):([\d.e+-]+)(:offset=-?[\d.e+-]+)?")
+_SPAN = re.compile(r"(-?[\d.]+(?:[eE][+-]?\d+)?):(-?[\d.]+(?:[eE][+-]?\d+)?)(?::([\d.]+(?:[eE][+-]?\d+)?))?(:.*)?")
 
 
 def ilwis(dataset: Any, path: str) -> str | None:
@@ -354,7 +359,7 @@ def ilwis(dataset: Any, path: str) -> str | None:
     of_values = said.get(("basemap", "domain"), "").lower().startswith("value.dom")
     if of_values and (span is None or not float(span[1]) <= float(span[2])):
         return "Its header does not say what its numbers mean ('Range')."
-    step = 0.0 if span is None else float(span[3])
+    step = 0.0 if span is None else float(span[3] or 0)
     if np.dtype(dataset.dtypes[0]).itemsize < item and (kind in ("float", "real") or step == 0):
         return f"Its header says that its numbers are {kind!r} and {dataset.dtypes[0]}, which contradict each other."
     data = Path(path).with_name(said.get(("mapstore", "data"), Path(path).stem + ".mp#").strip("'\""))

@@ -232,7 +232,7 @@ def _behind(dataset: Any, tiff: _Tiff, found: list[_Directory], size: int) -> st
         for ends in (at + sizes, at + wanted):
             end = max(end, int(ends[ends <= size].max(initial=0)))
     end += 4 if _trailed(tiff.file) else 0
-    if size == end or (size == end + 1 and end % 2):
+    if size <= end or (size == end + 1 and end % 2):
         return None
     tiff.file.seek(max(end, size - _TAIL))
     if size % _BLOCK == 0 and not any(tiff.file.read()):
