@@ -20,6 +20,7 @@ Formats without checksums (raw samples, LZW…) cannot tell an altered number fr
 
 from __future__ import annotations
 
+import os
 import threading
 import xml.etree.ElementTree as ET
 from collections import OrderedDict
@@ -44,7 +45,17 @@ from orograph.dem.whole import (
     text,
     tiff,
 )
-from orograph.dem.whole.files import DAMAGED, archived, check_packed, here, local_file, main_file, on_disk, stream
+from orograph.dem.whole.files import (
+    DAMAGED,
+    archived,
+    check_packed,
+    files_listed,
+    here,
+    local_file,
+    main_file,
+    on_disk,
+    stream,
+)
 from orograph.dem.whole.virtual import Part, check_parts
 from orograph.errors import ReadError
 
@@ -144,6 +155,7 @@ _CHECKS: dict[str, Check] = {
     "CTable2": sizes.behind(160),
     "LAN": sizes.behind(128),
     "ELAS": sizes.elas,
+    "FIT": sizes.fit,
     "R": sizes.rdata,
     "Zarr": sizes.zarr,
     "GRIB": grib.fault,
@@ -183,6 +195,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
         location: what GDAL opened, for the message.
         key: the file's name and state; what was found whole is not looked at again.
     """
+    key = key, _beside(dataset)
     if _seen(key):
         return
     check_packed(dataset)
@@ -199,6 +212,22 @@ def check_file(dataset: Any, location: str, key: object) -> None:
         if fault is not None:
             raise ReadError(fault, path=location, remedy=text.REMEDY if check in text.CHECKS else DAMAGED)
     _remember(key)
+
+
+def _beside(dataset: Any) -> tuple[object, ...]:
+    """The states of what lies beside a raster on this disk, which may change while its main file does not."""
+    name = str(dataset.name)
+    if not Path(name).exists():
+        return ()
+    found: list[tuple[int, int] | None] = []
+    for file in (*files_listed(dataset), f"{name}.aux.xml", f"{name}.msk"):
+        try:
+            state = os.stat(file)  # noqa: PTH116 (of mosaics thousands at a time)
+        except (OSError, ValueError):
+            found.append(None)
+        else:
+            found.append((state.st_mtime_ns, state.st_size))
+    return tuple(found)
 
 
 def _seen(key: object) -> bool:

@@ -82,6 +82,15 @@ def main_file(dataset: Any) -> str:
     return str(dataset.files[0] if dataset.files else dataset.name)
 
 
+def files_listed(dataset: Any) -> list[str]:
+    """GDAL's names of the files of a dataset, and those beside it, there or not, that its driver reads and does not
+    list."""
+    main = Path(str(dataset.name))
+    if main.is_dir():
+        return files_in(dataset)
+    return [*map(str, dataset.files), *(str(main.with_suffix(e)) for e in _UNLISTED.get(dataset.driver, ()))]
+
+
 def files_in(dataset: Any) -> list[str]:
     """GDAL's names of the files of a dataset: those its driver lists, and those that some do not."""
     listed = [str(name) for name in dataset.files]

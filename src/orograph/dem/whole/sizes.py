@@ -116,7 +116,10 @@ def _row_fault(said: dict[str, str], cols: int, bands: int) -> str | None:
     needed = -(-cols * int(said.get("NBITS", 8)) // 8)
     for key, sizes in (("BANDROWBYTES", (needed,)), ("TOTALROWBYTES", (needed, needed * bands))):
         if key in said and int(said[key]) not in sizes:
-            return f"Its header says {key!r} is {said[key]} where {cols} samples of its 'NBITS' need {needed}."
+            return (
+                f"Its header says {key!r} is {said[key]} where {cols} samples of its 'NBITS' need {needed}: it is "
+                "damaged, or its rows are padded, which GDAL misreads."
+            )
     return None
 
 
@@ -245,6 +248,12 @@ def bmp(dataset: Any, path: str) -> str | None:
         head = file.read(14)
     (said,) = struct.unpack_from("<I", head, 2)
     return exact(path, said) if said else None
+
+
+def fit(dataset: Any, path: str) -> str | None:
+    """FIT: GDAL gives other samples than there are where the last page is not full."""
+    high, wide = dataset.block_shapes[0]
+    return "Its last page is not full, which GDAL misreads." if dataset.height % high or dataset.width % wide else None
 
 
 def elas(dataset: Any, path: str) -> str | None:
