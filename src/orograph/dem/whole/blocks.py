@@ -212,6 +212,7 @@ def _bytes_held(dataset: Any, band: int, row: int) -> tuple[int, int]:
     high, wide = dataset.block_shapes[band - 1]
     bits = dataset.tags(band, ns="IMAGE_STRUCTURE").get("NBITS")
     sample = int(bits) if bits else 8 * np.dtype(dataset.dtypes[band - 1]).itemsize
-    rows = min(high, dataset.height - row * high)
+    tiled = wide != dataset.width  # tiles are always full
+    rows = high if tiled else min(high, dataset.height - row * high)
     line = -(-wide * _together(dataset) * sample // 8)
     return int(rows * line), int(high * line)
