@@ -38,6 +38,7 @@ from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
 from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
+from orograph.dem.pool import forget_parts, is_virtual
 from orograph.dem.whole import DAMAGED, check_blocks, check_mask
 from orograph.dem.whole.files import files_in
 from orograph.errors import ReadError
@@ -131,6 +132,8 @@ class Source:
             UsageError: an option that does not fit the file.
         """
         location = locate(path)
+        if is_virtual(location):
+            forget_parts()
         HANDLES.close(location)  # what lies beside it, or in a VRT, may have changed, and an open dataset would not see
         opened = [Seen([location])]
         warnings: list[str] = []
@@ -230,6 +233,8 @@ class Source:
         try:
             out = self._window(n_rows, n_cols, first_row, first_col, step)
         except ReadError:
+            if self.driver == "VRT":
+                forget_parts()
             self._refuse_changed()  # rather than what is wrong with what it is now
             raise
         self._refuse_changed()

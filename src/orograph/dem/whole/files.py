@@ -103,6 +103,11 @@ def files_in(dataset: Any) -> list[str]:
     return listed
 
 
+def archive_name(name: str) -> bool:
+    """Whether a name of GDAL's is that of a file in an archive."""
+    return bool(_ARCHIVE.match(name)) and "/vsi" not in name[4:]
+
+
 def archived(name: str) -> bool:
     """Whether a file of GDAL's name lies in a .zip, .gz or .tar on this disk."""
     return name.startswith(("/vsigzip/", "/vsizip/", "/vsitar/")) and on_disk(name).is_file()
