@@ -372,3 +372,49 @@ def test_deflate_of_an_mrf_of_other_writers(tmp_path: Path) -> None:
     for packed in (zlib.compress(data), gzip.compress(data), bare.compress(data) + bare.flush()):
         assert _length(packed, "DEFLATE") == 1000
         assert _length(packed[:-5], "DEFLATE") != 1000
+
+
+def test_a_geotiff_with_a_label_of_pds4(tmp_path: Path) -> None:
+    path = made(tmp_path / "made", "PDS4", "a.xml", IMAGE_FORMAT="GEOTIFF")
+    np.testing.assert_array_equal(read(path).heights, hill())
+    altered(path.with_suffix(".tif"), b"\x07")
+    with pytest.raises(ReadError, match="bytes"):
+        read(path)
+
+
+def test_columns_that_a_dted_file_lacks(tmp_path: Path) -> None:
+    """GDAL takes them for missing heights."""
+    heights = np.resize(hill(), (121, 121))
+    place = Affine(1 / 120, 0, -72 - 1 / 240, 0, -1 / 120, 45 + 1 / 240)
+    profile = {"driver": "GTiff", "height": 121, "width": 121, "count": 1, "dtype": "int16", "crs": "EPSG:4326"}
+    with rasterio.open(tmp_path / "plain.tif", "w", transform=place, **profile) as file:
+        file.write(heights, 1)
+    path = tmp_path / "a.dt0"
+    copy(str(tmp_path / "plain.tif"), str(path), driver="DTED")
+    np.testing.assert_array_equal(read(path).heights, heights)
+    data = path.read_bytes()
+    for mutant in (data[:-254], data[:20000] + data[20001:], data[:20000] + b"1" + data[20000:]):
+        path.write_bytes(mutant)
+        with pytest.raises(ReadError):
+            read(path)
+
+
+def test_a_tar_is_made_of_whole_blocks(tmp_path: Path) -> None:
+    import tarfile
+
+    made(tmp_path / "made", "GTiff", "a.tif")
+    path = tmp_path / "a.tar"
+    with tarfile.open(path, "w") as archive:
+        archive.add(tmp_path / "made" / "a.tif", "a.tif")
+    data = path.read_bytes()
+    path.write_bytes(data[:5000] + b"12" + data[5000:])
+    with pytest.raises(ReadError, match="blocks"):
+        read(path)
+
+
+def test_the_samples_of_a_terragen_file(tmp_path: Path) -> None:
+    path = made(tmp_path / "made", "Terragen", "a.ter", "float32", MINUSERPIXELVALUE="100", MAXUSERPIXELVALUE="2000")
+    assert read(path).heights.shape == (ROWS, COLS)
+    altered(path, b"12")
+    with pytest.raises(ReadError, match="bytes"):
+        read(path)

@@ -155,6 +155,7 @@ _CHECKS: dict[str, Check] = {
     "CTable2": sizes.behind(160),
     "LAN": sizes.behind(128),
     "ELAS": sizes.elas,
+    "Terragen": sizes.terragen,
     "FIT": sizes.fit,
     "R": sizes.rdata,
     "Zarr": sizes.zarr,

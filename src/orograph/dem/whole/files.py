@@ -196,6 +196,12 @@ def check_packed(dataset: Any) -> None:
         ReadError: an archive is damaged.
     """
     for name in filter(archived, dataset.files):
+        if (
+            name.startswith("/vsitar/")
+            and on_disk(name).suffix.lower() == ".tar"
+            and on_disk(name).stat().st_size % 512
+        ):
+            raise ReadError("It is not made of whole blocks, as a tar is.", path=name, remedy=DAMAGED)
         with stream(name) as inside:
             while inside.read(1 << 20):
                 pass

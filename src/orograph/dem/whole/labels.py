@@ -78,12 +78,25 @@ def vicar(dataset: Any, path: str) -> str | None:
 
 
 def pds4(dataset: Any, path: str) -> str | None:
-    """What is wrong with the size of the file of a PDS 4 array that lies alone in it, a sentence; None: nothing."""
+    """What is wrong with the size of the file of a PDS 4 array that is the last thing in it; None: nothing."""
     root = ET.fromstring(Path(path).read_bytes())
-    parts = [element for element in root.iter() if element.tag.endswith("}offset")]
+    begins = [int(element.text or 0) for element in root.iter() if element.tag.endswith("}offset")]
+    arrays = [element for element in root.iter() if element.tag.rpartition("}")[2].startswith("Array_")]
     files = [element.text or "" for element in root.iter() if element.tag.endswith("}file_name")]
-    if len(parts) != 1 or len(files) != 1 or files[0].lower().endswith((".tif", ".tiff")):
+    if len(arrays) != 1 or len(files) != 1:
         return None
+    begin = next((int(child.text or 0) for child in arrays[0] if child.tag.endswith("}offset")), -1)
     data = Path(path).with_name(files[0])
+    if begin != max(begins, default=0) or not data.is_file():
+        return None
+    if data.suffix.lower() in (".tif", ".tiff") and not _before(data, begin):
+        return None
     samples = sum(np.dtype(dtype).itemsize for dtype in dataset.dtypes) * dataset.width * dataset.height
-    return exact(data, int(parts[0].text or 0) + samples) if data.is_file() else None
+    return exact(data, begin + samples)
+
+
+def _before(file: Path, begin: int) -> bool:
+    """Whether the directory of a TIFF lies before a byte, from which on it has samples alone."""
+    with file.open("rb") as opened:
+        head = opened.read(8)
+    return head[:4] == b"II*\0" and int.from_bytes(head[4:], "little") < begin

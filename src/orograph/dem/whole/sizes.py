@@ -300,9 +300,24 @@ def zarr(dataset: Any, path: str) -> str | None:
 
 def dted(dataset: Any, path: str) -> str | None:
     """DTED: three headers, then a record for each column (MIL-PRF-89020B)."""
-    wanted = 3428 + dataset.width * (12 + 2 * dataset.height)
+    record = 12 + 2 * dataset.height
     size = Path(path).stat().st_size
-    return exact(path, wanted) if size > wanted else None
+    partial = dataset.tags().get("DTED_PartialCellIndicator", "00").strip() not in ("", "0", "00")
+    if partial and size < 3428 + dataset.width * record and (size - 3428) % record == 0:
+        return None  # of a partial cell columns may be left out
+    return exact(path, 3428 + dataset.width * record)
+
+
+def terragen(dataset: Any, path: str) -> str | None:
+    """Terragen: the last section holds two numbers and the samples, and a mark may follow."""
+    with Path(path).open("rb") as file:
+        at = file.read(1024).find(b"ALTW")
+        end = at + 8 + 2 * dataset.width * dataset.height
+        file.seek(max(end, 0))
+        mark = file.read(4)
+    if at < 0:
+        return "It has no section of samples."
+    return exact(path, end + 4 if mark == b"EOF " else end)
 
 
 def pcidsk(dataset: Any, path: str) -> str | None:
