@@ -1,19 +1,24 @@
 """Whether a raster's file is whole: what GDAL's drivers read past without a word.
 
 Most drivers notice a file that was cut short or a block that does not decode. Some do not, and give zeros or whatever
-was in memory. ``check_file`` looks at those formats once, when a file is first opened; ``check_blocks`` at the blocks
-of a GeoTIFF of Deflate as they are read. Which formats need it was found by cutting and altering files of every driver
-(``tests/dem/test_mutants.py``):
+was in memory. ``check_file`` looks at those formats when a file is first opened, and again when it or a file beside it
+was changed; ``check_blocks`` at the blocks of a GeoTIFF as they are read. Which formats need it was found by cutting
+and altering files of every driver (``tests/dem/test_mutants.py``):
 
+- GeoTIFF: streams that do not fill their block, or yield more than it holds (``blocks``); blocks that overlap, bytes
+  that were put in, a mask behind a link that leads nowhere (``tiff``).
+- Raw samples: sizes that differ from what the header promises (``sizes``, ``labels``, ``ilwis``); headers of text with
+  words that are damaged, numbers that are none, or contradictions (``header_text``).
 - PNG: a file that ends early is padded with uninitialised memory (``png``).
-- HFA (.img), PCIDSK, PCRaster, ENVI, ILWIS, classic netCDF: blocks beyond the end of the file are uninitialised or 0
-  (``sizes``, ``hfa``, ``netcdf``).
-- GeoTIFF of Deflate: a stream that yields more than its block is taken for whole, its checksum unread (``deflate``).
+- HFA (.img), classic netCDF: blocks beyond the end of the file are uninitialised or 0 (``hfa``, ``netcdf``).
+- JPEG 2000, MRF: tiles that are lost or do not decode are uninitialised memory (``jp2``, ``mrf``).
+- GeoPackage, MBTiles: tiles that do not decode are 0; HDF5: bytes too many (``containers``).
+- GRIB 2: packed pictures whose checksums differ (``grib``).
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
 - VRT: what it is made of is read by the drivers above (``virtual``).
 - Archives: what is read on where their checksums differ (``files``).
+- Notes beside a raster (.aux.xml) and masks (.msk) that cannot be read, which GDAL does without.
 - GTI: a tile that is lost is 0. Nobody says which tiles there are: refused.
-- MRF of Deflate: a tile that does not decode is uninitialised. It has no checksum that could be compared: refused.
 
 Formats without checksums (raw samples, LZW…) cannot tell an altered number from a true one.
 """
@@ -36,6 +41,7 @@ from orograph.dem.whole import (
     grib,
     header_text,
     hfa,
+    ilwis,
     jp2,
     labels,
     mrf,
@@ -132,7 +138,7 @@ _CHECKS: dict[str, Check] = {
     "MRF": mrf.fault,
     "PCIDSK": sizes.pcidsk,
     "PCRaster": sizes.pcraster,
-    "ILWIS": _checks(header_text.ilwis, sizes.ilwis),
+    "ILWIS": ilwis.fault,
     "NITF": _checks(sizes.nitf, jp2.nitf),
     "BMP": sizes.bmp,
     "DTED": sizes.dted,
