@@ -152,12 +152,12 @@ def _lzw(data: bytes, least: int, most: int) -> str | None:
     if data[:1] == b"\0" and data[1:2] and data[1] & 1:  # of before TIFF 6.0: the other order of bits
         return None
     made, ended = lzw_length(np.frombuffer(data, np.uint8), most)
-    return None if ended and least <= made <= most else "its LZW stream is damaged"
+    return None if ended and made in (least, most) else "its LZW stream is damaged"
 
 
 def _packed(data: bytes, least: int, most: int) -> str | None:
     made = packed_length(np.frombuffer(data, np.uint8), most)
-    return None if least <= made <= most else "its PackBits runs do not fill it"
+    return None if made in (least, most) else "its PackBits runs do not fill it"
 
 
 def _zstandard(data: bytes, least: int, most: int) -> str | None:
@@ -168,7 +168,7 @@ def _zstandard(data: bytes, least: int, most: int) -> str | None:
         made = len(zstandard.decode(data[:end])) if end else -1
     except (RuntimeError, ValueError):
         made = -1
-    return None if least <= made <= most else "its Zstandard frame is damaged"
+    return None if made in (least, most) else "its Zstandard frame is damaged"
 
 
 def _frame_end(data: bytes) -> int:
@@ -190,7 +190,8 @@ def _frame_end(data: bytes) -> int:
 CODECS: dict[str, Callable[[bytes, int, int], str | None]] = {
     "DEFLATE": _deflate, "LZW": _lzw, "PACKBITS": _packed, "ZSTD": _zstandard,
 }  # fmt: skip
-"""Codec → what is wrong with a block's data, given how many bytes they must and may hold; None: nothing."""
+"""Codec → what is wrong with a block's data, given how many bytes they hold, without and with rows
+beyond the raster; None: nothing."""
 
 
 def _place(dataset: Any, band: int, row: int, col: int) -> tuple[int, int] | None:
@@ -208,11 +209,10 @@ def _together(dataset: Any) -> int:
 
 
 def _bytes_held(dataset: Any, band: int, row: int) -> tuple[int, int]:
-    """Bytes of the block's rows that lie within the raster (a last strip may end with them), and of all its rows."""
+    """Bytes of the block's rows that lie within the raster (a last one may end with them), and of all its rows."""
     high, wide = dataset.block_shapes[band - 1]
     bits = dataset.tags(band, ns="IMAGE_STRUCTURE").get("NBITS")
     sample = int(bits) if bits else 8 * np.dtype(dataset.dtypes[band - 1]).itemsize
-    tiled = wide != dataset.width  # tiles are always full
-    rows = high if tiled else min(high, dataset.height - row * high)
+    rows = min(high, dataset.height - row * high)
     line = -(-wide * _together(dataset) * sample // 8)
     return int(rows * line), int(high * line)

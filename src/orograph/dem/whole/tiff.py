@@ -93,7 +93,8 @@ def tile_fault(data: bytes, wide: int = 0, high: int = 0) -> str | None:
         return "It lacks blocks."
     for number, (begin, size) in enumerate(zip(at.tolist(), sizes.tolist(), strict=True)):
         held = data[begin : begin + size]
-        least = most if tiled else min(tall, rows - (number % down) * tall) * (most // tall)
+        across = -(-cols // line)
+        least = min(tall, rows - (number // across % down) * tall) * (most // tall)
         check = CODECS.get(_CODEC.get(one(259, 1), "?"))
         short = len(held) < size or (one(259, 1) == 1 and size < least)
         if short or (check is not None and check(held, least, most) is not None):
