@@ -37,3 +37,4 @@ def _load() -> Any:
 
 
 blosc = _load()
+zstandard = importlib.import_module("numcodecs.zstd").Zstd()

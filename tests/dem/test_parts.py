@@ -312,3 +312,52 @@ def test_an_index_of_tiles_is_refused(tmp_path: Path) -> None:
         pytest.skip("this GDAL has no GTI")
     with pytest.raises(ReadError, match="index of tiles"):
         read(f"GTI:{index}")
+
+
+@pytest.mark.parametrize("how", ["gone", "cut", "replaced"])
+def test_a_part_that_is_there_again_is_read_again(tmp_path: Path, how: str) -> None:
+    """GDAL's pool of parts outlives a VRT in a VRT, and gives 0 for what it could not open once."""
+    part = write(tmp_path / "part.tif", "GTiff", compress="lzw")
+    area = virtual(tmp_path / "area.vrt", source("part.tif"))
+    outer = virtual(tmp_path / "outer.vrt", source("area.vrt"))
+    assert np.array_equal(read(outer), heights())
+    data = part.read_bytes()
+    if how == "replaced":
+        with rasterio.open(part, "r+") as file:
+            file.write(heights()[::-1], 1)
+        assert np.array_equal(read(area), heights()[::-1])
+        assert np.array_equal(read(outer), heights()[::-1])
+        return
+    if how == "gone":
+        part.unlink()
+    else:
+        part.write_bytes(data[:-900])
+    for path in (area, outer, area):
+        with pytest.raises(ReadError):
+            read(path)
+    part.write_bytes(data)
+    assert np.array_equal(read(area), heights())
+    assert np.array_equal(read(outer), heights())
+
+
+@pytest.mark.parametrize("change", [('xSize="200"', 'xSize="20 0x"'), ("<SimpleSource>", "<SimpleSource> &")])
+def test_parts_that_cannot_be_understood(tmp_path: Path, change: tuple[str, str]) -> None:
+    write(tmp_path / "part.tif", "GTiff")
+    area = virtual(tmp_path / "area.vrt", source("part.tif", 0))
+    area.write_text(area.read_text().replace(*change, 1))
+    with pytest.raises(ReadError, match=r"area\.vrt"):
+        read(area)
+
+
+def test_what_a_filter_takes_of_a_part_that_is_too_small(tmp_path: Path) -> None:
+    kernel = '<Kernel normalized="1"><Size>1</Size><Coefs>1</Coefs></Kernel></KernelFilteredSource>'
+    body = source("part.tif", 0).replace("<Simple", "<KernelFiltered").replace("</SimpleSource>", kernel)
+    write(tmp_path / "part.tif", "GTiff")
+    area = virtual(tmp_path / "area.vrt", body)
+    assert np.array_equal(read(area), heights())
+    with rasterio.open(
+        tmp_path / "part.tif", "w", driver="GTiff", width=99, height=99, count=1, dtype="uint16"
+    ) as file:
+        file.write(heights()[:99, :99], 1)
+    with pytest.raises(ReadError, match="99 × 99"):
+        read(area)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,12 @@ def check_size(dataset: Any, path: str | os.PathLike[str]) -> None:
     from rasterio.enums import Interleaving
 
     rows, cols = dataset.block_shapes[0]
-    together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
+    try:
+        together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
+    except ValueError as error:
+        raise ReadError(
+            f"Its header cannot be understood ({error}).", path=path, remedy="Mend it, or restore it from a copy."
+        ) from None
     size = rows * cols * together * _itemsize(dataset.dtypes[0])
     if size > MAX_BLOCK_BYTES:
         raise ReadError(
@@ -62,7 +68,7 @@ def check_encoding(dataset: Any, encoding: str, path: str | os.PathLike[str]) ->
 def _list_bands(dataset: Any) -> str:
     if dataset.count == 1:
         return "it has one band"
-    names = [f"{i}: {d}" for i, d in enumerate(dataset.descriptions[:12], 1) if d]
+    names = [f"{i}: {d}" for i, d in enumerate(_descriptions(dataset)[:12], 1) if d]
     return f"it has {dataset.count} bands" + (f" ({', '.join(names)})" if names else "")
 
 
@@ -84,8 +90,39 @@ def is_palette(dataset: Any, band: int) -> bool:
 
 def description_of(dataset: Any, band: int) -> str:
     """The band's name: GDAL's description, else what a netCDF variable is called."""
-    tags = dataset.tags(band)
-    return str(dataset.descriptions[band - 1] or tags.get("long_name") or tags.get("standard_name") or "").strip()
+    tags = tags_of(dataset, band)
+    return str(_descriptions(dataset)[band - 1] or tags.get("long_name") or tags.get("standard_name") or "").strip()
+
+
+def _descriptions(dataset: Any) -> Sequence[str | None]:
+    """The names of its bands; none where they are in an encoding that nobody names."""
+    try:
+        return tuple(dataset.descriptions)
+    except UnicodeDecodeError:
+        return (None,) * int(dataset.count)
+
+
+def tags_of(dataset: Any, band: int = 0) -> dict[str, str]:
+    """The tags of a dataset (0) or a band; none where they are in an encoding that nobody names."""
+    try:
+        return dict(dataset.tags(band))
+    except UnicodeDecodeError:
+        return {}
+
+
+def unit_tag(dataset: Any, band: int) -> str:
+    """What the file calls the unit of a band's numbers, "" if it does not say.
+
+    Raises:
+        ReadError: it is no text.
+    """
+    try:
+        return (dataset.units[band - 1] or "").strip()
+    except UnicodeDecodeError:
+        raise ReadError(
+            "The unit of its values is no text.", path=dataset.name,
+            remedy="Mend its header, or restore it from a copy.",
+        ) from None  # fmt: skip
 
 
 _ELEVATION = ("elev", "height", "altitude", "dem", "dtm", "dsm", "topo", "orog", "relief", "bathy", "hgt", "dhm", "dgm")
@@ -96,7 +133,7 @@ def band_warnings(dataset: Any, band: int) -> list[str]:
 
     if dataset.count == 2 and dataset.colorinterp[1] == ColorInterp.alpha and band == 1:
         return []
-    names = [d or "" for d in dataset.descriptions[:1000]]
+    names = [d or "" for d in _descriptions(dataset)[:1000]]
     likely = [i for i, n in enumerate(names, 1) if any(word in n.lower() for word in _ELEVATION)]
     if band in likely:
         return []

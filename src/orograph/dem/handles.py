@@ -16,6 +16,7 @@ import contextlib
 import errno
 import os
 import re
+import struct
 import tarfile
 import threading
 import warnings
@@ -73,11 +74,17 @@ def bounded_cache() -> dict[str, Any]:
 
 def _settings() -> dict[str, Any]:
     """What GDAL is told: damaged JPEGs and checksums of DTED that differ are errors; text is read as doubles, not as
-    what its first lines look like."""
+    what its first lines look like; VRTs do not share their parts, for one that could not be opened once would be 0 in
+    all of them, even when it is there again."""
     return {
+        "VRT_SHARED_SOURCE": "0",
         "GDAL_ERROR_ON_LIBJPEG_WARNING": True, "DTED_VERIFY_CHECKSUM": True, "AAIGRID_DATATYPE": "Float64",
         **bounded_cache(),
     }  # fmt: skip
+
+
+_MISLED = (ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, OSError, struct.error)
+"""What comes of headers that say what cannot be."""
 
 
 class Handles:
@@ -108,8 +115,19 @@ class Handles:
             if dataset is None:
                 dataset = open_dataset(location)
             try:
-                check_file(dataset, location, key)
+                try:
+                    check_file(dataset, location, key)
+                except _MISLED as error:
+                    raise ReadError(
+                        f"Its header cannot be understood ({' '.join(str(error).split())}).", path=location,
+                        remedy=DAMAGED,
+                    ) from None  # fmt: skip
                 yield dataset
+            except (SyntaxError, UnicodeDecodeError, struct.error) as error:
+                dataset.close()
+                raise ReadError(
+                    f"Its header cannot be understood ({' '.join(str(error).split())}).", path=location, remedy=DAMAGED
+                ) from None
             except CPLE_BaseError as error:  # of what rasterio asks for a header's parts, which it lets pass
                 dataset.close()
                 raise ReadError(f"GDAL cannot read it: {cause_of(error)}", path=location, remedy=DAMAGED) from None
@@ -211,10 +229,24 @@ def locate(path: str | os.PathLike[str]) -> str:
     if file.suffix.lower() == ".zip":
         return f"/vsizip/{{{file.as_posix()}}}/{_member(file)}"
     if _kind(file) == "tar":
-        return f"/vsitar/{{{file.as_posix()}}}/{_member(file)}"
+        return _in_tar(file, _member(file))
     if file.suffix.lower() == ".gz":
         return f"/vsigzip/{file.as_posix()}"
     return text
+
+
+def _in_tar(file: Path, name: str) -> str:
+    """GDAL's name of a member of a tar: what its plain header calls it, where GDAL does not read the name in the
+    extended one (PAX), which alone holds letters beyond ASCII."""
+    from orograph.dem.whole.files import plain_name
+
+    location = f"/vsitar/{{{file.as_posix()}}}/{name}"
+    if name.isascii() and len(name) <= 100:
+        return location
+    from rasterio.shutil import exists
+
+    plain = plain_name(file, name)
+    return location if plain is None or exists(location) else f"/vsitar/{{{file.as_posix()}}}/{plain}"
 
 
 def _absent(file: Path, error: OSError | ValueError) -> ReadError:
@@ -274,7 +306,7 @@ def _member(file: Path) -> str:
         names = [name for name in _names(file) if not name.startswith("__MACOSX")]
     except (zipfile.BadZipFile, tarfile.TarError, EOFError, zlib.error, OSError) as error:
         raise ReadError(
-            f"This is not a readable {_kind(file)} archive ({error}).",
+            f"This is not a readable {_kind(file)} archive ({' '.join(str(error).split())}).",
             path=file,
             remedy="Fetch it again, or unpack it by hand.",
         ) from None
@@ -303,6 +335,11 @@ def open_dataset(location: str) -> Any:
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+    from orograph.dem.whole import DAMAGED, fault_before
+
+    fault = fault_before(location)
+    if fault is not None:
+        raise ReadError(fault, path=location, remedy=DAMAGED)
     try:
         with _OPENING, warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)

@@ -14,8 +14,10 @@
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from affine import Affine
@@ -23,6 +25,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError, ProjError
 
 from orograph.dem.axes import east_north
+from orograph.dem.bands import tags_of, unit_tag
 from orograph.dem.units import METRES, metres_per
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
@@ -53,7 +56,7 @@ def place_of(
     if spacing is not None and not (0 < spacing < float("inf")):
         raise UsageError(f"The spacing must be a positive number of metres, not {spacing:g}.")
     assumed = None if assume_crs is None else parsed_crs(assume_crs)
-    transform: Affine = dataset.transform
+    transform = _transform_of(dataset)
     if transform.is_identity:
         return Place(_local(dataset, shape, spacing, full, assumed, warnings), False, False, False), None
     if spacing is not None:
@@ -62,6 +65,7 @@ def place_of(
         full = assumed
     elif assumed is not None and assumed != full:
         warnings.append("It names its own CRS, so `assume_crs` is not used for it.")
+    _refuse_impossible(dataset, transform)
     try:
         place = oriented(shape, transform, full)
     except ValueError as error:
@@ -71,6 +75,45 @@ def place_of(
     if full is None:
         warnings.append(_nameless(place.grid))
     return place, full
+
+
+_NORTH_FIRST = {
+    "AAIGrid", "BT", "DTED", "EHdr", "GRASSASCIIGrid", "GS7BG", "GSAG", "GSBG", "GTX", "ILWIS", "ISG", "NTv2",
+    "RRASTER", "RST", "SAGA", "SIGDEM", "SRTMHGT", "ZMap",
+}  # fmt: skip
+"""Formats whose rows run south and columns east by definition, so that all else is a damaged header."""
+
+_FAR = 1e13
+"""Coordinates that no CRS of any body has, in any unit."""
+
+
+def _transform_of(dataset: Any) -> Affine:
+    """The geotransform of a dataset. That of a PNM without a world file is what happened to be in memory to GDAL, which
+    passes over the .aux.xml beside it."""
+    beside = [str(name) for name in dataset.files[1:]]
+    if dataset.driver != "PNM" or any(not name.endswith(".aux.xml") for name in beside):
+        return Affine(*dataset.transform[:6])
+    text = ET.fromstring(Path(beside[0]).read_bytes()).findtext("GeoTransform") if beside else None
+    return Affine.identity() if text is None else Affine.from_gdal(*map(float, text.split(",")))
+
+
+def _refuse_impossible(dataset: Any, transform: Affine) -> None:
+    """Raise ReadError where samples cannot lie as a header says."""
+    a, b, c, d, e, f = transform[:6]
+    reach = max(abs(c), abs(f)) + dataset.width * max(abs(a), abs(d)) + dataset.height * max(abs(b), abs(e))
+    step = min(max(abs(a), abs(d)), max(abs(b), abs(e)))
+    fault = None
+    if not reach < _FAR:
+        fault = "which is nowhere"
+    elif step < reach * 2**-48 or step < 1e-14:
+        fault = "where neighbours cannot be told apart"
+    elif dataset.driver in _NORTH_FIRST and not (a > 0 > e):
+        fault = "which this format cannot say: its extent is turned round"
+    if fault is not None:
+        raise ReadError(
+            f"Its header places samples by ({', '.join(f'{v:.6g}' for v in (a, b, c, d, e, f))}), {fault}.",
+            path=dataset.name, remedy="Mend it with gdal_edit -a_ullr, or restore it from a copy.",
+        )  # fmt: skip
 
 
 def oriented(shape: tuple[int, int], transform: Affine, crs: CRS | None) -> Place:
@@ -184,13 +227,13 @@ def vertical_of(dataset: Any, crs: CRS | None) -> str | None:
     if dataset.driver == "SRTMHGT":
         return "EGM96 height"  # SRTM product specification: heights above the EGM96 geoid
     if dataset.driver == "DTED":  # MIL-PRF-89020B, DSI record: MSL (mean sea level) or E96 (EGM96)
-        return {"MSL": "mean sea level", "E96": "EGM96 height"}.get(dataset.tags().get("DTED_VerticalDatum", ""))
-    return dataset.tags().get("VERTICAL_DATUM") or None  # as what is fetched says it where no CRS can
+        return {"MSL": "mean sea level", "E96": "EGM96 height"}.get(tags_of(dataset).get("DTED_VerticalDatum", ""))
+    return tags_of(dataset).get("VERTICAL_DATUM") or None  # as what is fetched says it where no CRS can
 
 
 def attribution_of(dataset: Any) -> tuple[str, ...]:
     """Whom the makers of a file want to be named, as its tag ATTRIBUTION says."""
-    text = (dataset.tags().get("ATTRIBUTION") or "").strip()
+    text = (tags_of(dataset).get("ATTRIBUTION") or "").strip()
     return (text,) if text else ()
 
 
@@ -230,12 +273,12 @@ def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warning
                 f"{asked!r} is not a unit of length that is known here (known: {known} and their full names)."
             )
         return factor
-    tag = dataset.units[band - 1]
-    if tag and tag.strip():
+    tag = unit_tag(dataset, band)
+    if tag:
         factor = metres_per(tag)
         if factor is not None:
             return factor
-        warnings.append(f"The unit of its values is {tag.strip()!r}, which is not a length: are these heights?")
+        warnings.append(f"The unit of its values is {tag!r}, which is not a length: are these heights?")
     try:
         axis = next((a for a in (crs.axis_info if crs is not None else ()) if a.direction in ("up", "down")), None)
     except ProjError:

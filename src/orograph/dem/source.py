@@ -31,12 +31,14 @@ from orograph.dem.bands import (
     description_of,
     is_palette,
     is_picture,
+    unit_tag,
 )
 from orograph.dem.encode import decode_rgb
 from orograph.dem.handles import HANDLES, Seen, cause_of, lent, locate, stamped
 from orograph.dem.header import attribution_of, place_of, settled_vertical, unit_of, vertical_of
 from orograph.dem.lattice import FLOAT
 from orograph.dem.missing import is_nodata, mask_of, nodata_of
+from orograph.dem.pool import forget_parts, is_virtual
 from orograph.dem.whole import DAMAGED, check_blocks, check_mask
 from orograph.dem.whole.files import files_in
 from orograph.errors import ReadError
@@ -130,6 +132,8 @@ class Source:
             UsageError: an option that does not fit the file.
         """
         location = locate(path)
+        if is_virtual(location):
+            forget_parts()
         HANDLES.close(location)  # what lies beside it, or in a VRT, may have changed, and an open dataset would not see
         opened = [Seen([location])]
         warnings: list[str] = []
@@ -171,7 +175,7 @@ class Source:
                 block=tuple(dataset.block_shapes[band - 1]),
                 driver=dataset.driver,
                 description=description_of(dataset, band),
-                unit=(dataset.units[band - 1] or "").strip(),
+                unit=unit_tag(dataset, band),
                 warnings=warnings,
                 picture=plain and (is_picture(dataset) or is_palette(dataset, band)),
                 attribution=attribution_of(dataset),
@@ -226,6 +230,22 @@ class Source:
         n_rows, n_cols = -(-(row1 - row0) // step), -(-(col1 - col0) // step)
         first_row = rows - 1 - (row0 + (n_rows - 1) * step) if self._flip_rows else row0
         first_col = cols - 1 - (col0 + (n_cols - 1) * step) if self._flip_cols else col0
+        try:
+            out = self._window(n_rows, n_cols, first_row, first_col, step)
+        except ReadError:
+            if self.driver == "VRT":
+                forget_parts()
+            self._refuse_changed()  # rather than what is wrong with what it is now
+            raise
+        self._refuse_changed()
+        if self._flip_rows:
+            out = out[::-1]
+        if self._flip_cols:
+            out = out[:, ::-1]
+        return np.ascontiguousarray(out)
+
+    def _window(self, n_rows: int, n_cols: int, first_row: int, first_col: int, step: int) -> NDArray[np.float32]:
+        """Every ``step``-th of the file's own rows and columns from these on."""
         out = np.empty((n_rows, n_cols), np.float32)
         with HANDLES.borrow(self.location) as dataset:
             key = stamped(self.location)
@@ -237,15 +257,13 @@ class Source:
                     check_blocks(dataset, key, band, (top, left, height, width), step, lent)
                 if self._mask == "gdal":
                     check_mask(dataset, key, (top, left, height, width), lent)
+        return out
+
+    def _refuse_changed(self) -> None:
         changed = next(filter(None, (seen.changed() for seen in self._opened)), None)
         if changed is not None:
             name = self.path if changed == self.location else changed
             raise ReadError("The file was changed after it was opened.", path=name, remedy="Open it again.")
-        if self._flip_rows:
-            out = out[::-1]
-        if self._flip_cols:
-            out = out[:, ::-1]
-        return np.ascontiguousarray(out)
 
     def turned(self, row0: int, row1: int, col0: int, col1: int) -> tuple[int, int, int, int]:
         """A window of the file's own rows and columns as ``read`` counts them, from the north-west."""

@@ -1,26 +1,33 @@
 """Whether a raster's file is whole: what GDAL's drivers read past without a word.
 
 Most drivers notice a file that was cut short or a block that does not decode. Some do not, and give zeros or whatever
-was in memory. ``check_file`` looks at those formats once, when a file is first opened; ``check_blocks`` at the blocks
-of a GeoTIFF of Deflate as they are read. Which formats need it was found by cutting and altering files of every driver
-(``tests/dem/test_mutants.py``):
+was in memory. ``check_file`` looks at those formats when a file is first opened, and again when it or a file beside it
+was changed; ``check_blocks`` at the blocks of a GeoTIFF as they are read. Which formats need it was found by cutting
+and altering files of every driver (``tests/dem/test_mutants.py``):
 
+- GeoTIFF: streams that do not fill their block, or yield more than it holds (``blocks``); blocks that overlap, bytes
+  that were put in, a mask behind a link that leads nowhere (``tiff``).
+- Raw samples: sizes that differ from what the header promises (``sizes``, ``labels``, ``ilwis``); headers of text with
+  words that are damaged, numbers that are none, or contradictions (``header_text``).
 - PNG: a file that ends early is padded with uninitialised memory (``png``).
-- HFA (.img), PCIDSK, PCRaster, ENVI, ILWIS, classic netCDF: blocks beyond the end of the file are uninitialised or 0
-  (``sizes``, ``hfa``, ``netcdf``).
-- GeoTIFF of Deflate: a stream that yields more than its block is taken for whole, its checksum unread (``deflate``).
+- HFA (.img), classic netCDF: blocks beyond the end of the file are uninitialised or 0 (``hfa``, ``netcdf``).
+- JPEG 2000, MRF: tiles that are lost or do not decode are uninitialised memory (``jp2``, ``mrf``).
+- GeoPackage, MBTiles: tiles that do not decode are 0; HDF5: bytes too many (``containers``).
+- GRIB 2: packed pictures whose checksums differ (``grib``).
 - Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
 - VRT: what it is made of is read by the drivers above (``virtual``).
 - Archives: what is read on where their checksums differ (``files``).
+- Notes beside a raster (.aux.xml) and masks (.msk) that cannot be read, which GDAL does without.
 - GTI: a tile that is lost is 0. Nobody says which tiles there are: refused.
-- MRF of Deflate: a tile that does not decode is uninitialised. It has no checksum that could be compared: refused.
 
 Formats without checksums (raw samples, LZW…) cannot tell an altered number from a true one.
 """
 
 from __future__ import annotations
 
+import os
 import threading
+import xml.etree.ElementTree as ET
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -28,9 +35,33 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from orograph.dem.whole import deflate, hfa, netcdf, png, sizes, text
-from orograph.dem.whole.deflate import check_archived, deflated
-from orograph.dem.whole.files import DAMAGED, archived, check_packed, here, local_file, main_file
+from orograph.dem.whole import (
+    blocks,
+    containers,
+    grib,
+    header_text,
+    hfa,
+    ilwis,
+    jp2,
+    labels,
+    mrf,
+    netcdf,
+    png,
+    sizes,
+    text,
+    tiff,
+)
+from orograph.dem.whole.files import (
+    DAMAGED,
+    archived,
+    check_packed,
+    files_listed,
+    here,
+    local_file,
+    main_file,
+    on_disk,
+    stream,
+)
 from orograph.dem.whole.virtual import Part, check_parts
 from orograph.errors import ReadError
 
@@ -38,15 +69,7 @@ Window = tuple[int, int, int, int]
 Lend = Callable[[str], AbstractContextManager[tuple[Any, object]]]
 """Opens what GDAL calls by a name: a dataset, and the file's name and state (``handles.lent``)."""
 
-__all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask"]
-
-
-def _refuse_deflate(dataset: Any, path: str) -> None:
-    if dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION") == "DEFLATE":
-        raise ReadError(
-            "It is an MRF of Deflate, whose damage cannot be noticed.", path=path,
-            remedy="Make a GeoTIFF of it where it is known to be whole (gdal_translate).",
-        )  # fmt: skip
+__all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask", "fault_before"]
 
 
 def _refuse_index(path: str) -> None:
@@ -54,6 +77,33 @@ def _refuse_index(path: str) -> None:
         "It is an index of tiles (GTI): that one of them is lost or changed would not be noticed, and GDAL gives 0.",
         path=path, remedy="Name the tiles themselves, or make a VRT of them (gdalbuildvrt).",
     )  # fmt: skip
+
+
+def _check_layout(dataset: Any, key: object) -> None:
+    """Look at where the parts of a TIFF lie, once."""
+    name = main_file(dataset)
+    known = ("layout", key)
+    if dataset.driver != "GTiff" or not here(name) or _seen(known):
+        return
+    with stream(name) as file:
+        fault = tiff.fault(dataset, file)
+    if fault is not None:
+        raise ReadError(fault, path=dataset.name, remedy=DAMAGED)
+    _remember(known)
+
+
+def _refuse_lost_notes(dataset: Any) -> None:
+    """GDAL goes on without what it wrote beside a raster (.aux.xml: nodata, CRS…) where that is no XML any more."""
+    notes = Path(f"{main_file(dataset)}.aux.xml")
+    if not notes.is_file():
+        return
+    try:
+        ET.fromstring(notes.read_bytes())
+    except ET.ParseError as error:
+        raise ReadError(
+            f"What was noted beside the raster cannot be understood ({error}).", path=notes,
+            remedy="Restore it from a copy, or remove it if the raster needs none.",
+        ) from None  # fmt: skip
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
@@ -66,14 +116,60 @@ def _refuse_lost_mask(dataset: Any) -> None:
         raise ReadError("Its mask, which lies beside it, cannot be read.", path=mask, remedy=DAMAGED)
 
 
-_CHECKS: dict[str, Callable[[Any, str], str | None]] = {
+Check = Callable[[Any, str], str | None]
+
+
+def _checks(*checks: Check) -> Check:
+    """The first fault that one of them finds."""
+    return lambda dataset, path: next((fault for check in checks if (fault := check(dataset, path))), None)
+
+
+_CHECKS: dict[str, Check] = {
     "PNG": png.fault,
     "HFA": hfa.fault,
-    "netCDF": netcdf.fault,
+    "netCDF": _checks(netcdf.fault, containers.hdf5),
+    "HDF5": containers.hdf5,
+    "HDF5Image": containers.hdf5,
+    "BAG": containers.hdf5,
+    "GPKG": containers.database,
+    "MBTiles": containers.database,
+    "Rasterlite": containers.database,
+    "JP2OpenJPEG": jp2.fault,
+    "MRF": mrf.fault,
     "PCIDSK": sizes.pcidsk,
     "PCRaster": sizes.pcraster,
-    "ENVI": sizes.envi,
-    "ILWIS": sizes.ilwis,
+    "ILWIS": ilwis.fault,
+    "NITF": _checks(sizes.nitf, jp2.nitf),
+    "BMP": sizes.bmp,
+    "DTED": sizes.dted,
+    "GS7BG": sizes.surfer7,
+    "NTv2": sizes.ntv2,
+    "ENVI": _checks(header_text.check("ENVI"), sizes.envi),
+    "EHdr": _checks(header_text.check("EHdr"), sizes.ehdr),
+    "ERS": _checks(header_text.check("ERS"), sizes.ers),
+    "SAGA": _checks(header_text.check("SAGA"), sizes.saga),
+    "PAux": _checks(header_text.check("PAux"), sizes.paux),
+    "MFF": _checks(header_text.check("MFF"), sizes.mff),
+    "RST": _checks(header_text.check("RST"), sizes.behind(0)),
+    "RRASTER": _checks(header_text.check("RRASTER"), sizes.beside(".gri", ".GRI")),
+    "ISCE": sizes.behind(0),
+    "BT": sizes.terrain,
+    "SIGDEM": sizes.sigdem,
+    "GSBG": sizes.behind(56),
+    "GTX": sizes.behind(40),
+    "KRO": sizes.behind(20),
+    "CTable2": sizes.behind(160),
+    "LAN": sizes.behind(128),
+    "ELAS": sizes.elas,
+    "Terragen": sizes.terragen,
+    "FIT": sizes.fit,
+    "R": sizes.rdata,
+    "Zarr": sizes.zarr,
+    "GRIB": grib.fault,
+    "ISIS3": labels.isis,
+    "VICAR": labels.vicar,
+    "PDS4": labels.pds4,
+    "GXF": text.gxf,
     "AAIGrid": text.arc,
     "GRASSASCIIGrid": text.grass,
     "GSAG": text.surfer,
@@ -87,6 +183,17 @@ _whole: OrderedDict[object, None] = OrderedDict()
 _lock = threading.Lock()
 
 
+def fault_before(location: str) -> str | None:
+    """What is wrong with a file that GDAL has not opened yet, and should not; None: nothing that is known."""
+    path = on_disk(location)
+    if archived(location) or not path.is_file():
+        return None
+    try:
+        return netcdf.fault_before(str(path))
+    except OSError:
+        return None  # GDAL says why it cannot be opened
+
+
 def check_file(dataset: Any, location: str, key: object) -> None:
     """Raise ReadError if the file of an open dataset is not whole, in a way that its driver would not notice.
 
@@ -95,23 +202,47 @@ def check_file(dataset: Any, location: str, key: object) -> None:
         location: what GDAL opened, for the message.
         key: the file's name and state; what was found whole is not looked at again.
     """
-    with _lock:
-        if key in _whole:
-            return
+    key = key, _beside(dataset)
+    if _seen(key):
+        return
     check_packed(dataset)
+    _refuse_lost_notes(dataset)
     _refuse_lost_mask(dataset)
-    if dataset.driver == "MRF":
-        _refuse_deflate(dataset, location)
-    elif dataset.driver == "GTI":
+    if dataset.driver == "GTI":
         _refuse_index(location)
-    elif deflated(dataset) and archived(main_file(dataset)):
-        check_archived(dataset)
+    elif dataset.driver == "GTiff" and archived(main_file(dataset)):
+        blocks.check_archived(dataset)
     check = _CHECKS.get(dataset.driver)
     if check is not None:
         with local_file(dataset) as path:
             fault = None if path is None else check(dataset, path)
         if fault is not None:
             raise ReadError(fault, path=location, remedy=text.REMEDY if check in text.CHECKS else DAMAGED)
+    _remember(key)
+
+
+def _beside(dataset: Any) -> tuple[object, ...]:
+    """The states of what lies beside a raster on this disk, which may change while its main file does not."""
+    name = str(dataset.name)
+    if not Path(name).exists():
+        return ()
+    found: list[tuple[int, int] | None] = []
+    for file in (*files_listed(dataset), f"{name}.aux.xml", f"{name}.msk"):
+        try:
+            state = os.stat(file)  # noqa: PTH116 (of mosaics thousands at a time)
+        except (OSError, ValueError):
+            found.append(None)
+        else:
+            found.append((state.st_mtime_ns, state.st_size))
+    return tuple(found)
+
+
+def _seen(key: object) -> bool:
+    with _lock:
+        return key in _whole
+
+
+def _remember(key: object) -> None:
     with _lock:
         _whole[key] = None
         while len(_whole) > _KNOWN:
@@ -131,7 +262,8 @@ def check_blocks(dataset: Any, key: object, band: int, window: Window, step: int
     if dataset.driver == "VRT":
         check_parts(dataset, key, window, partial(_check_part, lend))
     else:
-        deflate.check_blocks(dataset, key, band, window, step)
+        _check_layout(dataset, key)
+        blocks.check_blocks(dataset, key, band, window, step)
 
 
 def check_mask(dataset: Any, key: object, window: Window, lend: Lend) -> None:

@@ -10,7 +10,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,7 +24,7 @@ _FETCHED = {"PNG", "AAIGrid", "GRASSASCIIGrid", "GSAG", "XYZ"}
 
 _UNLISTED = {
     "BT": (".prj",), "ILWIS": (".mp#", ".csy", ".grf", ".dom"),
-    "MRF": (".idx", ".til", ".ppg", ".pjg", ".pjp", ".pzp", ".ptf", ".lrc"),
+    "MRF": (".idx", ".til", ".ppg", ".pjg", ".pjp", ".pzp", ".ptf", ".lrc", ".pzs"),
 }  # fmt: skip
 """Formats → endings of files beside the main one, under its name, that their drivers read and do not list."""
 
@@ -82,6 +82,15 @@ def main_file(dataset: Any) -> str:
     return str(dataset.files[0] if dataset.files else dataset.name)
 
 
+def files_listed(dataset: Any) -> list[str]:
+    """GDAL's names of the files of a dataset, and those beside it, there or not, that its driver reads and does not
+    list."""
+    main = Path(str(dataset.name))
+    if main.is_dir():
+        return files_in(dataset)
+    return [*map(str, dataset.files), *(str(main.with_suffix(e)) for e in _UNLISTED.get(dataset.driver, ()))]
+
+
 def files_in(dataset: Any) -> list[str]:
     """GDAL's names of the files of a dataset: those its driver lists, and those that some do not."""
     listed = [str(name) for name in dataset.files]
@@ -92,6 +101,11 @@ def files_in(dataset: Any) -> list[str]:
     if dataset.driver == "Zarr" and main.is_dir():
         return list(dict.fromkeys([*listed, *sorted(str(path) for path in main.rglob("*") if path.is_file())]))
     return listed
+
+
+def archive_name(name: str) -> bool:
+    """Whether a name of GDAL's is that of a file in an archive."""
+    return bool(_ARCHIVE.match(name)) and "/vsi" not in name[4:]
 
 
 def archived(name: str) -> bool:
@@ -117,10 +131,30 @@ def _zip_member(packed: zipfile.ZipFile, name: str) -> IO[bytes]:
         raise ReadError(f"It cannot be unpacked here ({error}).", path=name, remedy="Unpack it by hand.") from None
 
 
+def _plain(packed: tarfile.TarFile, member: tarfile.TarInfo) -> str:
+    """What the plain header of a tar's member calls it."""
+    if packed.fileobj is None or "path" not in member.pax_headers:
+        return member.name
+    packed.fileobj.seek(member.offset_data - tarfile.BLOCKSIZE)
+    return packed.fileobj.read(100).rstrip(b"\0").decode("utf-8", "replace")
+
+
+def plain_name(file: Path, name: str) -> str | None:
+    """What the plain header of a member of a tar calls it; None if there is no such member."""
+    with tarfile.open(file) as packed:
+        member = next((one for one in packed if one.name == name), None)
+        return None if member is None else _plain(packed, member)
+
+
 @contextmanager
 def _tar_member(name: str) -> Iterator[IO[bytes]]:
     with tarfile.open(on_disk(name)) as packed:
-        inside = packed.extractfile(_member(name))
+        wanted = _member(name)
+        try:
+            member = packed.getmember(wanted)
+        except KeyError:  # GDAL's name of one that has another in its extended header
+            member = next((one for one in packed if _plain(packed, one) == wanted), None) or packed.getmember(wanted)
+        inside = packed.extractfile(member)
         if inside is None:
             raise tarfile.TarError(f"{_member(name)} is no file")
         with inside:
@@ -162,9 +196,29 @@ def check_packed(dataset: Any) -> None:
         ReadError: an archive is damaged.
     """
     for name in filter(archived, dataset.files):
+        if (
+            name.startswith("/vsitar/")
+            and on_disk(name).suffix.lower() == ".tar"
+            and on_disk(name).stat().st_size % 512
+        ):
+            raise ReadError("It is not made of whole blocks, as a tar is.", path=name, remedy=DAMAGED)
         with stream(name) as inside:
             while inside.read(1 << 20):
                 pass
+
+
+def _unlisted(dataset: Any, name: str) -> list[str]:
+    """GDAL's names of what may lie beside a file in its archive, and is not listed."""
+    if name.startswith("/vsigzip/"):
+        return []
+    stem = name.rpartition(".")[0]
+    return [stem + ending for ending in _UNLISTED.get(dataset.driver, ())]
+
+
+def _unpack(name: str, folder: str) -> None:
+    """Write a file of an archive into a folder."""
+    with stream(name) as inside, (Path(folder) / Path(name).name).open("wb") as file:
+        shutil.copyfileobj(inside, file)
 
 
 @contextmanager
@@ -184,8 +238,10 @@ def local_file(dataset: Any) -> Iterator[str | None]:
         if archived(name):
             for part in dataset.files:  # headers and samples beside it count, too
                 if archived(part):
-                    with stream(part) as inside, (Path(folder) / Path(part).name).open("wb") as file:
-                        shutil.copyfileobj(inside, file)
+                    _unpack(part, folder)
+            for part in _unlisted(dataset, name):
+                with suppress(ReadError):  # not all of them are there
+                    _unpack(part, folder)
         elif dataset.driver in _FETCHED:
             from rasterio.shutil import copyfiles
 

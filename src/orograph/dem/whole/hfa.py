@@ -28,14 +28,20 @@ def fault(dataset: Any, path: str) -> str | None:
     size = Path(path).stat().st_size
     high, wide = dataset.block_shapes[0]
     count = -(-dataset.height // high) * -(-dataset.width // wide)
+    spilled = spills = layers = 0
     with Path(path).open("rb") as file:
         try:
             for kind, at in _nodes(file):
                 if kind == b"ImgExternalRaster":
                     wanted = _spilled_end(file, at, count * high * wide * np.dtype(dataset.dtypes[0]).itemsize)
-                    sizes = [Path(path).with_name(Path(f).name).stat().st_size
-                             for f in dataset.files if f.lower().endswith(".ige")]  # fmt: skip
-                    if sizes and sizes[0] < wanted:
+                    spilled = max(spilled, wanted)
+                    layers += 1
+                    files = [Path(path).with_name(Path(f).name) for f in dataset.files if f.lower().endswith(".ige")]
+                    sizes = [f.stat().st_size for f in files if f.exists()]
+                    if not sizes:
+                        return "The file that holds its samples (.ige) is not there."
+                    spills = sizes[0]
+                    if sizes[0] < wanted:
                         return f"Its .ige file ends after {sizes[0]:,} of at least {wanted:,} bytes."
                 if kind != b"Edms_State":
                     continue
@@ -47,6 +53,8 @@ def fault(dataset: Any, path: str) -> str | None:
                     return "A compressed block of it does not decode."
         except (struct.error, ValueError):
             return "Its list of blocks is cut short or damaged."
+    if layers == 1 and spills > spilled:
+        return f"Its .ige file has {spills:,} bytes where its header promises {spilled:,}."
     return None
 
 

@@ -1,6 +1,8 @@
-"""Compiled passes over the bytes of files: tokens of text, and runs of compressed blocks."""
+"""Compiled passes over the bytes of files: tokens of text, and how much compressed blocks make."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from orograph._numba import kernel
 
@@ -24,6 +26,77 @@ def run_lengths(data, runs):
         total += length
         at += 1 + more
     return total
+
+
+@kernel
+def lzw_length(data, most):
+    """How many bytes an LZW stream of TIFF 6.0 (section 13) makes, and whether it ends as one does.
+
+    It ends with its code for that, or, as some write it, with its last byte.
+
+    Args:
+        data: bytes of the stream.
+        most: bytes it may make; it is read no further than a little beyond.
+
+    Returns:
+        Bytes made (-1: there is a code that cannot be), and whether the stream ends there.
+    """
+    lengths = np.empty(4096, np.int64)
+    for i in range(256):
+        lengths[i] = 1
+    made = at = held = bits = np.int64(0)
+    width, entries, last = 9, 258, np.int64(-1)
+    while made <= most:
+        while bits < width and at < data.size:
+            held, bits, at = (held << 8 | np.int64(data[at])) & 0xFFFFFFFF, bits + 8, at + 1
+        if bits < width:
+            return made, at == data.size
+        code = held >> (bits - width) & ((1 << width) - 1)
+        bits -= width
+        if code == 257:
+            return made, True
+        if code == 256:
+            width, entries, last = 9, 258, np.int64(-1)
+            continue
+        if last < 0:
+            if code > 255:
+                return -1, False
+        elif entries < 4096:
+            if code > entries:
+                return -1, False
+            lengths[entries] = lengths[last] + 1
+            entries += 1
+            if entries >= (1 << width) - 1 and width < 12:
+                width += 1
+        elif code >= entries:
+            return -1, False
+        made += lengths[code]
+        last = code
+    return made, False
+
+
+@kernel
+def packed_length(data, most):
+    """How many bytes PackBits (TIFF 6.0, section 9) make; -1 if a run does not end within them.
+
+    What follows when ``most`` bytes are made must be no-operations or zeros.
+    """
+    made = at = np.int64(0)
+    while at < data.size:
+        head = np.int64(data[at])
+        if made >= most:
+            if head != 0 and head != 128:
+                return made + 1
+            at += 1
+        elif head < 128:
+            at += head + 2
+            made += head + 1
+        elif head > 128:
+            at += 2
+            made += 257 - head
+        else:
+            at += 1
+    return made if at == data.size else -1
 
 
 @kernel

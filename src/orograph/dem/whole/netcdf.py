@@ -13,6 +13,21 @@ _ITEM = {1: 1, 2: 1, 3: 2, 4: 4, 5: 4, 6: 8, 7: 1, 8: 2, 9: 4, 10: 8, 11: 8}
 _STREAMING = 0xFFFFFFFF
 
 
+def fault_before(path: str) -> str | None:
+    """What is wrong with the header of a classic file that GDAL has not opened yet: numbers in it that cannot be make
+    the library ask for memory for many seconds. None: nothing, or it is none."""
+    size = Path(path).stat().st_size
+    with Path(path).open("rb") as file:
+        magic = file.read(4)
+        if len(magic) < 4 or magic[:3] != b"CDF" or magic[3] not in (1, 2, 5):
+            return None
+        try:
+            end = _Header(file, magic[3], size).end()
+        except (struct.error, LookupError, ValueError, OverflowError):
+            return "Its header is cut short or damaged."
+    return None if end <= size else f"It ends after {size:,} of the {end:,} bytes that its header promises."
+
+
 def fault(dataset: Any, path: str) -> str | None:
     """What is wrong with a netCDF file, a sentence; None: nothing."""
     size = Path(path).stat().st_size
@@ -21,25 +36,34 @@ def fault(dataset: Any, path: str) -> str | None:
         if magic[:3] != b"CDF" or magic[3] not in (1, 2, 5):
             return None
         try:
-            end = _Header(file, magic[3]).end()
-        except (struct.error, KeyError, IndexError):
+            header = _Header(file, magic[3], size)
+            end = header.end()
+        except (struct.error, LookupError, ValueError, OverflowError):
             return "Its header is cut short or damaged."
-    if size < end - 3:  # the last variable may lack its padding
+        file.seek(max(end, size - 65536))
+        padded = size in (end, -(-end // 4) * 4) or (size % 128 == 0 and not any(file.read()))
+        behind = not header.streaming and not padded
+    if size < end:
         return f"It ends after {size:,} of the {end:,} bytes that its header promises."
+    if behind:
+        return f"It has {size:,} bytes where its header promises {end:,}: the one or the other is damaged."
     return None
 
 
 class _Header:
     """Reads the header of a classic file from its fifth byte on."""
 
-    def __init__(self, file: BinaryIO, version: int) -> None:
+    def __init__(self, file: BinaryIO, version: int, size: int) -> None:
         self.file = file
+        self.size = size
         self.count = ">q" if version == 5 else ">I"
         self.offset = ">I" if version == 1 else ">q"
+        self.streaming = False
 
     def end(self) -> int:
         """The byte at which the last variable ends."""
         records = self._number(self.count)
+        self.streaming = records in (_STREAMING, -1)
         lengths = [self._dimension() for _ in range(self._list_length())]
         self._attributes()
         plain, begins = 0, list[tuple[int, int]]()
@@ -57,7 +81,7 @@ class _Header:
                 begins.append((begin, size))
             else:
                 plain = max(plain, begin + size)
-        if not begins or records in (_STREAMING, -1):
+        if not begins or self.streaming:
             return plain
         per_record = sum(-(-s // 4) * 4 for _, s in begins) if len(begins) > 1 else begins[0][1]
         last = max(begins)
@@ -67,11 +91,19 @@ class _Header:
         return int(struct.unpack(form, self.file.read(struct.calcsize(form)))[0])
 
     def _list_length(self) -> int:
-        self._number(">I")  # the list's tag
-        return self._number(self.count)
+        tag, count = self._number(">I"), self._number(self.count)
+        if tag not in (0, 10, 11, 12) or (tag == 0 and count) or count > self.size:
+            raise ValueError("no list")
+        return count
 
     def _name(self) -> None:
-        self.file.seek(-(-self._number(self.count) // 4) * 4, 1)
+        self._skip(-(-self._number(self.count) // 4) * 4)
+
+    def _skip(self, size: int) -> None:
+        """Pass over some bytes of the header."""
+        if not 0 <= size <= self.size:
+            raise ValueError("beyond the end")
+        self.file.seek(size, 1)
 
     def _dimension(self) -> int:
         self._name()
@@ -81,4 +113,4 @@ class _Header:
         for _ in range(self._list_length()):
             self._name()
             item = _ITEM[self._number(">I")]
-            self.file.seek(-(-self._number(self.count) * item // 4) * 4, 1)
+            self._skip(-(-self._number(self.count) * item // 4) * 4)

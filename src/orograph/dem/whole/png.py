@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import struct
 import zlib
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 _MAGIC = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
@@ -18,28 +19,37 @@ _PASSES = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4),
 def fault(dataset: Any, path: str) -> str | None:
     """What is wrong with a PNG file, a sentence; None: nothing."""
     with Path(path).open("rb") as file:
-        if file.read(8) != _MAGIC:
-            return "It does not begin as a PNG does."
-        wanted, found, inflate = 0, 0, zlib.decompressobj()
-        while True:
-            head = file.read(8)
-            if len(head) < 8:
-                return f"It ends after {file.tell():,} bytes, before its last chunk (IEND)."
-            length, kind = struct.unpack(">I4s", head)
-            data, check = file.read(length), file.read(4)
-            if len(check) < 4:
-                return f"It ends within chunk {kind.decode('latin-1')!r}, after {file.tell():,} bytes."
-            if zlib.crc32(kind + data) != int.from_bytes(check, "big"):
-                return f"Its chunk {kind.decode('latin-1')!r} before byte {file.tell():,} fails its checksum."
-            if kind == b"IHDR":
-                wanted = _image_bytes(data)
-            elif kind == b"IDAT" and not inflate.eof:
-                try:
-                    found += _inflated(inflate, data)
-                except zlib.error as error:
-                    return f"Its image data do not decode ({error})."
-            elif kind == b"IEND":
-                break
+        return _fault(file)
+
+
+def bytes_fault(data: bytes) -> str | None:
+    """The same of a PNG's bytes."""
+    return _fault(BytesIO(data))
+
+
+def _fault(file: IO[bytes]) -> str | None:
+    if file.read(8) != _MAGIC:
+        return "It does not begin as a PNG does."
+    wanted, found, inflate = 0, 0, zlib.decompressobj()
+    while True:
+        head = file.read(8)
+        if len(head) < 8:
+            return f"It ends after {file.tell():,} bytes, before its last chunk (IEND)."
+        length, kind = struct.unpack(">I4s", head)
+        data, check = file.read(length), file.read(4)
+        if len(check) < 4:
+            return f"It ends within chunk {kind.decode('latin-1')!r}, after {file.tell():,} bytes."
+        if zlib.crc32(kind + data) != int.from_bytes(check, "big"):
+            return f"Its chunk {kind.decode('latin-1')!r} before byte {file.tell():,} fails its checksum."
+        if kind == b"IHDR":
+            wanted = _image_bytes(data)
+        elif kind == b"IDAT" and not inflate.eof:
+            try:
+                found += _inflated(inflate, data)
+            except zlib.error as error:
+                return f"Its image data do not decode ({error})."
+        elif kind == b"IEND":
+            break
     if found < wanted or not inflate.eof:
         return f"Its image data end after {found:,} of {wanted:,} bytes."
     return None

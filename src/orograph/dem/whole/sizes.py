@@ -1,48 +1,369 @@
-"""Formats of raw samples whose drivers do not compare the file's size with what its header promises."""
+"""Formats of raw samples whose drivers do not compare the file's size with what its header promises.
+
+A file that is shorter lacks samples; one that is longer has bytes that were inserted, or a header that promises too
+little. Zeros that fill a last block of 128 bytes are no fault: that is how records are padded.
+"""
 
 from __future__ import annotations
 
-import configparser
+import gzip
+import json
+import math
+import re
+import struct
+import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from orograph.dem.whole.header_text import pairs
 
-def _short(path: str, wanted: int) -> str | None:
-    size = Path(path).stat().st_size
-    return None if size >= wanted else f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+_BLOCK = 128
+_TAIL = 1 << 16
+_CHUNKS = 1 << 16  # of a Zarr, that are looked for
+
+
+def exact(path: str | Path, wanted: int) -> str | None:
+    """What is wrong with the size of a file that should have ``wanted`` bytes, a sentence; None: nothing."""
+    file = Path(path)
+    if not file.is_file():
+        return f"Its file {file.name} is not there."
+    size = file.stat().st_size
+    if size < wanted:
+        return f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+    if size == wanted or (size % _BLOCK == 0 and not _any(file, wanted)):
+        return None
+    return f"It has {size:,} bytes where its header promises {wanted:,}: the one or the other is damaged."
+
+
+def _any(file: Path, begin: int) -> bool:
+    """Whether a file has anything but zeros from a byte on."""
+    with file.open("rb") as opened:
+        opened.seek(max(begin, file.stat().st_size - _TAIL))
+        return any(opened.read())
 
 
 def _samples(dataset: Any) -> int:
     return int(dataset.width * dataset.height * sum(np.dtype(t).itemsize for t in dataset.dtypes))
 
 
+def behind(begin: int) -> Callable[[Any, str], str | None]:
+    """The check of formats whose samples fill their file from a byte on."""
+    return lambda dataset, path: exact(path, begin + _samples(dataset))
+
+
+def beside(*endings: str) -> Callable[[Any, str], str | None]:
+    """The check of formats whose samples fill a file of one of these endings ("": none), beside the header."""
+
+    def check(dataset: Any, path: str) -> str | None:
+        stem = Path(path).with_suffix("")
+        files = [Path(f"{stem}{ending}") for ending in endings]
+        found = next((file for file in files if file.is_file()), None)
+        return None if found is None else exact(found, _samples(dataset))
+
+    return check
+
+
+def terrain(dataset: Any, path: str) -> str | None:
+    """BT: a header of 256 bytes, which says whether the CRS lies in a file beside it (.prj), then all samples."""
+    with Path(path).open("rb") as file:
+        head = file.read(256)
+    beside_it = Path(path).with_suffix(".prj")
+    if head[60:62] == b"\x01\0" and not beside_it.is_file() and not str(dataset.name).startswith("/vsigzip/"):
+        return f"Its CRS lies in {beside_it.name}, which is not there."
+    return exact(path, 256 + _samples(dataset))
+
+
+def sigdem(dataset: Any, path: str) -> str | None:
+    """SIGDEM: a header of 132 bytes, then whole numbers of 32 bits."""
+    return exact(path, 132 + 4 * dataset.width * dataset.height)
+
+
 def envi(dataset: Any, path: str) -> str | None:
     """ENVI: the header's offset, then all samples (a compressed file has its own end)."""
-    header = dataset.tags(ns="ENVI")
+    header = {key.lower(): value for key, value in dataset.tags(ns="ENVI").items()}
     if header.get("file_compression", "0").strip() not in ("", "0"):
         return None
-    return _short(path, int(header.get("header_offset", "0").strip() or 0) + _samples(dataset))
+    return exact(path, int(header.get("header_offset", "0").strip() or 0) + _samples(dataset))
+
+
+def ehdr(dataset: Any, path: str) -> str | None:
+    """ESRI .hdr: bytes to skip, then rows, each band's or each row's rounded up to whole bytes."""
+    header = next((p for e in (".hdr", ".HDR") if (p := Path(path).with_suffix(e)).is_file()), None)
+    if header is None:
+        return None
+    said = {key.upper(): value for key, value in pairs(header.read_text("latin-1"), None)}
+    if fault := _row_fault(said, dataset.width, dataset.count):
+        return fault
+    bits = int(said.get("NBITS", 8 * np.dtype(dataset.dtypes[0]).itemsize))
+    rows, bands = dataset.height, dataset.count
+    layout = said.get("LAYOUT", "BIL").upper()
+    line = -(-dataset.width * bits // 8)
+    skip = int(said.get("SKIPBYTES", 0))
+    if layout == "BSQ":
+        return exact(path, skip + bands * rows * line + (bands - 1) * int(said.get("BANDGAPBYTES", 0)))
+    if layout == "BIP":
+        line = -(-dataset.width * bits * bands // 8)
+        return exact(path, skip + rows * max(line, int(said.get("TOTALROWBYTES", line))))
+    line = bands * int(said.get("BANDROWBYTES", line))
+    return exact(path, skip + rows * max(line, int(said.get("TOTALROWBYTES", line))))
+
+
+def _row_fault(said: dict[str, str], cols: int, bands: int) -> str | None:
+    """Rows are of as many bytes as their samples need: GDAL reads padded ones as if they were not."""
+    needed = -(-cols * int(said.get("NBITS", 8)) // 8)
+    for key, sizes in (("BANDROWBYTES", (needed,)), ("TOTALROWBYTES", (needed, needed * bands))):
+        if key in said and int(said[key]) not in sizes:
+            return (
+                f"Its header says {key!r} is {said[key]} where {cols} samples of its 'NBITS' need {needed}: it is "
+                "damaged, or its rows are padded, which GDAL misreads."
+            )
+    return None
+
+
+def ers(dataset: Any, path: str) -> str | None:
+    """ERS: the samples lie in the file that the header is called after, behind an offset."""
+    text = Path(path).read_text("latin-1")
+    data = Path(path).with_suffix("")
+    offset = re.search(r"^\s*HeaderOffset\s*=\s*(\d+)", text, re.M)
+    if not re.search(r"DataSetType\s*=\s*ERStorage", text) or not data.is_file():
+        return None
+    return exact(data, (int(offset[1]) if offset else 0) + _samples(dataset))
+
+
+def saga(dataset: Any, path: str) -> str | None:
+    """SAGA: the samples behind an offset that the header (.sgrd) says."""
+    said = dict(pairs(Path(path).with_suffix(".sgrd").read_text("latin-1"), "="))
+    return exact(path, int(said.get("DATAFILE_OFFSET", "0") or 0) + _samples(dataset))
+
+
+_CHANNEL = re.compile(r"(8U|16U|16S|32U|32S|32R|64R|C16U|C16S|C32R)\s+\d+\s+\d+\s+\d+(\s+(Swapped|Unswapped))?\s*")
+
+
+def paux(dataset: Any, path: str) -> str | None:
+    """PCI .aux: each channel's first byte, and the steps from sample to sample and from row to row."""
+    end = 0
+    for key, value in pairs(Path(path).with_suffix(".aux").read_text("latin-1"), ":"):
+        if key.startswith("ChanDefinition"):
+            if not _CHANNEL.fullmatch(value):
+                return f"Its header says {key!r} is {value[:40]!r}, which cannot be."
+            kind, first, pixel, line = value.split()[:4]
+            item = int(re.sub(r"\D", "", kind) or 8) // 8
+            last = int(first) + (dataset.height - 1) * int(line) + (dataset.width - 1) * int(pixel) + item
+            end = max(end, last)
+    return exact(path, end) if end else None
+
+
+def mff(dataset: Any, path: str) -> str | None:
+    """MFF: one file for each band, .b00 and so on after its type."""
+    for file in sorted(Path(path).parent.glob(f"{Path(path).stem}.*")):
+        if re.fullmatch(r"\.[bijrx]\d\d", file.suffix.lower()) and (fault := exact(file, _band_bytes(dataset))):
+            return fault
+    return None
+
+
+def _band_bytes(dataset: Any) -> int:
+    return int(dataset.width * dataset.height * np.dtype(dataset.dtypes[0]).itemsize)
+
+
+def surfer7(dataset: Any, path: str) -> str | None:
+    """Surfer 7: sections, each with its length; that of the samples holds them all."""
+    size = Path(path).stat().st_size
+    at, found = 0, False
+    with Path(path).open("rb") as file:
+        while at < size:
+            file.seek(at)
+            head = file.read(8)
+            if len(head) < 8 or not head[:4].isalpha():
+                return f"It has no section at byte {at:,}, where one should begin."
+            length = struct.unpack("<i", head[4:])[0]
+            if length < 0 or (head[:4] == b"DATA" and length != 8 * dataset.width * dataset.height):
+                return f"Its section {head[:4].decode()} has {length:,} bytes, which its grid does not."
+            found |= head[:4] == b"DATA"
+            at += 8 + length
+    if at > size:
+        return f"It ends after {size:,} of the {at:,} bytes that its sections have."
+    return None if found else "It has no section of samples."
+
+
+def ntv2(dataset: Any, path: str) -> str | None:
+    """NTv2: a header of 11 records, then each grid of 11 records and one for each of its points, then an end record."""
+    size = Path(path).stat().st_size
+    with Path(path).open("rb") as file:
+        head = file.read(176)
+        order = "<" if head[8:12] == b"\x0b\0\0\0" else ">"
+        (grids,) = struct.unpack_from(order + "i", head, 40)
+        at = 176
+        for _ in range(max(0, min(grids, 1 << 16))):
+            file.seek(at)
+            sub = file.read(176)
+            if len(sub) < 176 or sub[:8] != b"SUB_NAME":
+                return f"It has no grid at byte {at:,}, where one should begin."
+            (points,) = struct.unpack_from(order + "i", sub, 168)
+            south, north, east, west, lat, lon = struct.unpack_from(order + "d8xd8xd8xd8xd8xd", sub, 72)
+            if min(abs(lat), abs(lon)) == 0 or not np.isfinite((south, north, east, west, lat, lon)).all():
+                return "The extent of its grid is damaged."
+            rows, cols = round(abs((north - south) / lat)) + 1, round(abs((west - east) / lon)) + 1
+            if rows * cols != points:
+                return f"Its grid has {rows} × {cols} points by its extent, and {points:,} by its count."
+            at += 176 + 16 * points
+    if size < at:
+        return f"It ends after {size:,} of the {at:,} bytes that its header promises."
+    if size - at not in (0, 8, 16):
+        return f"It has {size:,} bytes where its header promises {at + 16:,}: the one or the other is damaged."
+    return None
 
 
 def pcraster(dataset: Any, path: str) -> str | None:
-    """PCRaster: a header of 256 bytes, then all samples (CSF, version 2)."""
-    return _short(path, 256 + _samples(dataset))
+    """PCRaster: a header of 256 bytes, then all samples; then perhaps a table of attributes (CSF, version 2)."""
+    wanted = 256 + _samples(dataset)
+    with Path(path).open("rb") as file:
+        head = file.read(64)
+    order = "<" if head[46:50] == b"\x01\0\0\0" else ">"
+    (attributes,) = struct.unpack_from(order + "I", head, 40)
+    if attributes:
+        size = Path(path).stat().st_size
+        return None if size >= wanted else f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
+    return exact(path, wanted)
+
+
+def nitf(dataset: Any, path: str) -> str | None:
+    """NITF: the header says how long the file is (MIL-STD-2500C, field FL)."""
+    with Path(path).open("rb") as file:
+        head = file.read(360)
+    at = {b"NITF02.10": 342, b"NSIF01.00": 342, b"NITF02.00": 342}.get(head[:9])
+    said = b"" if at is None else head[at : at + 12]
+    if at is None or (head[:9] == b"NITF02.00" and not said.isdigit()) or said == b"9" * 12:
+        return None
+    if not said.isdigit():
+        return "Its header does not say how long it is."
+    return exact(path, int(said))
+
+
+def bmp(dataset: Any, path: str) -> str | None:
+    """BMP: the header says how long the file is, or 0."""
+    with Path(path).open("rb") as file:
+        head = file.read(14)
+    (said,) = struct.unpack_from("<I", head, 2)
+    return exact(path, said) if said else None
+
+
+def fit(dataset: Any, path: str) -> str | None:
+    """FIT: GDAL gives other samples than there are where the last page is not full."""
+    high, wide = dataset.block_shapes[0]
+    return "Its last page is not full, which GDAL misreads." if dataset.height % high or dataset.width % wide else None
+
+
+def elas(dataset: Any, path: str) -> str | None:
+    """ELAS: the header says how many bytes it has itself, and how many a record, of which each row has one."""
+    with Path(path).open("rb") as file:
+        header, record = struct.unpack(">2I", file.read(8))
+    return exact(path, header + record * dataset.height)
+
+
+def rdata(dataset: Any, path: str) -> str | None:
+    """R's data: a file of gzip, whose checksum GDAL leaves unread."""
+    with Path(path).open("rb") as file:
+        if file.read(2) != b"\x1f\x8b":
+            return None
+    try:
+        with gzip.open(path) as unpacked:
+            while unpacked.read(1 << 20):
+                pass
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        return f"It cannot be unpacked ({error})."
+    return None
+
+
+def zarr(dataset: Any, path: str) -> str | None:
+    """Zarr, version 2: chunks that are not compressed have the size that they must; all are there if nothing says what
+    those are that are not."""
+    header = next((p for name in dataset.files if (p := Path(str(name))).name == ".zarray" and p.is_file()), None)
+    if header is None:
+        return None
+    said = json.loads(header.read_bytes())
+    counts = [-(-size // chunk) for size, chunk in zip(said["shape"], said["chunks"], strict=True)]
+    wanted = math.prod(said["chunks"]) * np.dtype(said["dtype"]).itemsize
+    if math.prod(counts) > _CHUNKS:
+        return None
+    for index in np.ndindex(*counts):
+        chunk = header.parent / said.get("dimension_separator", ".").join(map(str, index))
+        if not chunk.is_file():
+            if said.get("fill_value") is None:
+                return f"Its chunk {chunk.name} is not there, and nothing says what it would hold."
+        elif said.get("compressor") is None and not said.get("filters") and chunk.stat().st_size != wanted:
+            return f"Its chunk {chunk.name} has {chunk.stat().st_size:,} bytes, not {wanted:,}."
+    return None
+
+
+def dted(dataset: Any, path: str) -> str | None:
+    """DTED: three headers, then a record for each column (MIL-PRF-89020B)."""
+    record = 12 + 2 * dataset.height
+    size = Path(path).stat().st_size
+    partial = dataset.tags().get("DTED_PartialCellIndicator", "00").strip() not in ("", "0", "00")
+    if partial and size < 3428 + dataset.width * record and (size - 3428) % record == 0:
+        return None  # of a partial cell columns may be left out
+    return exact(path, 3428 + dataset.width * record)
+
+
+def terragen(dataset: Any, path: str) -> str | None:
+    """Terragen: the last section holds two numbers and the samples, and a mark may follow."""
+    with Path(path).open("rb") as file:
+        at = file.read(1024).find(b"ALTW")
+        end = at + 8 + 2 * dataset.width * dataset.height
+        file.seek(max(end, 0))
+        mark = file.read(4)
+    if at < 0:
+        return "It has no section of samples."
+    return exact(path, end + 4 if mark == b"EOF " else end)
 
 
 def pcidsk(dataset: Any, path: str) -> str | None:
-    """PCIDSK: the header's second field says how many blocks of 512 bytes the file has."""
+    """PCIDSK: the header's second field says how many blocks of 512 bytes the file has; channels may lie beside it."""
+    size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         blocks = file.read(32)[16:32].decode("latin-1").strip()
-    return _short(path, int(blocks) * 512) if blocks.isdigit() else "Its header does not say how long it is."
+        file.seek(0)
+        kind = file.read(512)[360:364]
+    if not blocks.isdigit():
+        return "Its header does not say how long it is."
+    if kind == b"FILE":
+        fault = _channels_fault(dataset, path)
+        if fault is not None:
+            return fault
+    wanted = int(blocks) * 512
+    if size % 512 and size > wanted:
+        return f"It has {size:,} bytes where its header promises {wanted:,}: the one or the other is damaged."
+    if size >= wanted or _tiled(path):
+        return None
+    return f"It ends after {size:,} of the {wanted:,} bytes that its header promises."
 
 
-def ilwis(dataset: Any, path: str) -> str | None:
-    """ILWIS: the samples lie in a file of their own (.mp#), whose type the header (.mpr) names."""
-    header = configparser.ConfigParser(strict=False, interpolation=None)
-    header.read_string(Path(path).read_text("latin-1"))
-    kind = header.get("MapStore", "Type", fallback="Byte").lower()
-    item = {"byte": 1, "int": 2, "long": 4, "float": 4, "real": 8}.get(kind, 1)
-    data = Path(path).with_name(header.get("MapStore", "Data", fallback=Path(path).stem + ".mp#").strip("'\""))
-    return _short(str(data), dataset.width * dataset.height * item) if data.is_file() else None
+def _channels_fault(dataset: Any, path: str) -> str | None:
+    """What is wrong with the files that hold a PCIDSK file's channels (image headers: name, first byte, steps)."""
+    with Path(path).open("rb") as file:
+        head = file.read(512)
+        at = (int(head[336:352]) - 1) * 512
+        for band in range(dataset.count):
+            file.seek(at + 1024 * band)
+            said = file.read(1024)
+            name = said[64:128].decode("latin-1").strip()
+            channel = Path(path).with_name(Path(name).name)
+            if not name or name.startswith("/SIS=") or not channel.is_file():
+                continue
+            first, pixel, line = int(said[168:184]), int(said[184:192]), int(said[192:200])
+            item = np.dtype(dataset.dtypes[band]).itemsize
+            if pixel < item or line < pixel * dataset.width or said[201:202] not in b"NS":
+                return f"Its header contradicts itself about channel {band + 1}."
+            fault = exact(channel, first + (dataset.height - 1) * line + (dataset.width - 1) * pixel + item)
+            if fault is not None:
+                return fault
+    return None
+
+
+def _tiled(path: str) -> bool:
+    """Whether the samples of a PCIDSK file lie in a block system, whose segment is extended ahead of what it holds."""
+    with Path(path).open("rb") as file:
+        return b"Block Tile Directory" in file.read(1 << 20)

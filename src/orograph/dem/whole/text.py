@@ -28,6 +28,7 @@ _ARC = re.compile(
 )
 _GRASS = re.compile(rb"\s*(?:(?:north|south|east|west|rows|cols|null|type|multiplier):\s*\S+\s+)+", re.I)
 _SURFER = re.compile(rb"DSAA\s+(?:\S+\s+){8}")
+_GXF = re.compile(rb".*?^#GRID[ \t]*\r?\n", re.S | re.M)
 _TITLES = re.compile(rb"[^\n]*[A-Za-z][^\n]*\n")
 _FIELDS = re.compile(rb"[\s,;]+")
 _NEGATIVE = re.compile(rb"\s*[^\s,;]+[\s,;]+[^\s,;]+[\s,;]+-[0-9.]*[1-9]")
@@ -36,17 +37,27 @@ _KNOWN = re.compile(rb"[+-]?(?:inf(?:inity)?|1\.#(?:inf|qnan|snan|ind)0*)\Z", re
 
 def arc(dataset: Any, path: str) -> str | None:
     """What is wrong with an Arc/Info ASCII grid, a sentence; None: nothing."""
-    return _grid_fault(dataset, path, _ARC, True)
+    return _header_fault(path, (b"xll", b"yll")) or _grid_fault(dataset, path, _ARC, True)
 
 
 def grass(dataset: Any, path: str) -> str | None:
     """What is wrong with a GRASS ASCII grid, a sentence; None: nothing."""
-    return _grid_fault(dataset, path, _GRASS, True)
+    sides = (b"north", b"south", b"east", b"west")
+    return _header_fault(path, sides) or _grid_fault(dataset, path, _GRASS, True)
 
 
 def surfer(dataset: Any, path: str) -> str | None:
     """What is wrong with a Surfer ASCII grid, a sentence; None: nothing."""
     return _grid_fault(dataset, path, _SURFER, False)
+
+
+def gxf(dataset: Any, path: str) -> str | None:
+    """What is wrong with a Grid eXchange File that is not compressed, a sentence; None: nothing."""
+    with Path(path).open("rb") as file:
+        head = file.read(_HEADER)
+    if re.search(rb"^#GTYPE\s+[1-9]", head, re.M):
+        return None
+    return _grid_fault(dataset, path, _GXF, False)
 
 
 def points(dataset: Any, path: str) -> str | None:
@@ -88,7 +99,15 @@ def _column_fault(dataset: Any, file: BinaryIO, start: int) -> str | None:
     return "Its points run along columns, where negative whole numbers are read as one too high: sort them by rows."
 
 
-CHECKS = (arc, grass, surfer, points)
+def _header_fault(path: str, needed: tuple[bytes, ...]) -> str | None:
+    """A key without which GDAL would place the grid at 0."""
+    with Path(path).open("rb") as file:
+        head = file.read(_HEADER)
+    lacks = next((key.decode() for key in needed if not re.search(rb"^\s*" + key, head, re.I | re.M)), None)
+    return None if lacks is None else f"Its header does not say where it lies ({lacks!r}…)."
+
+
+CHECKS = (arc, grass, surfer, points, gxf)
 
 
 def _grid_fault(dataset: Any, path: str, header: re.Pattern[bytes], comma: bool) -> str | None:

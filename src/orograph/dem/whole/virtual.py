@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from orograph.dem.whole.files import DAMAGED, file_in, here, main_file, on_disk, stream
+from orograph.dem.whole.files import DAMAGED, archive_name, file_in, here, main_file, on_disk, stream
 from orograph.errors import ReadError
 
 Rect = tuple[float, float, float, float]
@@ -40,6 +40,7 @@ class Part(NamedTuple):
         shape: rows, cols that the VRT says it has; None: it does not say.
         by_mask: whether its mask is read, not its band.
         for_mask: whether it is a part of the VRT's mask.
+        taken: left, top, width, height of what is taken of it, mapped or not; None: it is not known.
     """
 
     location: str
@@ -50,13 +51,14 @@ class Part(NamedTuple):
     shape: tuple[int, int] | None
     by_mask: bool
     for_mask: bool
+    taken: Rect | None = None
 
     @property
     def reach(self) -> tuple[int, int] | None:
         """Rows, cols that it must have for what is taken of it, to the nearest sample; None: it is not known."""
-        if self.source is None:
+        if self.taken is None:
             return None
-        left, top, width, height = self.source
+        left, top, width, height = self.taken
         return round(top + height), round(left + width)
 
 
@@ -74,12 +76,24 @@ def check_parts(
     """
     for part in _parts_of(dataset, key):
         mapped = _mapped(part, window)
-        if part.for_mask != mask or mapped == () or not on_disk(part.location).is_file():
+        if part.for_mask != mask or mapped == ():
+            continue
+        if not on_disk(part.location).is_file():
+            if _named_here(part.location):
+                raise ReadError(
+                    "A part of it is not there, and would be read as missing or 0.", path=part.location,
+                    remedy="Restore it, or make the VRT again (gdalbuildvrt).",
+                )  # fmt: skip
             continue
         if not part.needs:
             check(part, mapped or None)
         elif Path(part.location).is_file() and Path(part.location).stat().st_size < part.needs:
             raise ReadError("It has fewer samples than the VRT says.", path=part.location, remedy=DAMAGED)
+
+
+def _named_here(location: str) -> bool:
+    """Whether a name can only be that of a file on this disk, in an archive or not."""
+    return archive_name(location) or not (location.startswith(("/vsi", "<")) or ":" in location[2:])
 
 
 def locations(dataset: Any, key: object) -> list[str]:
@@ -94,7 +108,10 @@ def _parts_of(dataset: Any, key: object) -> list[Part]:
     with _lock:
         found = _parts.get(key)
     if found is None:
-        found = list(_read(ET.fromstring(_text(dataset, name)), name))
+        try:
+            found = list(_read(ET.fromstring(_text(dataset, name)), name))
+        except (ValueError, TypeError, SyntaxError) as error:
+            raise ReadError(f"Its parts cannot be understood ({error}).", path=name, remedy=DAMAGED) from None
         with _lock:
             _parts[key] = found
             while len(_parts) > _KNOWN:
@@ -121,7 +138,9 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
             continue
         location = file.text
         if location.lstrip().startswith("<"):  # a VRT in a VRT's own text
-            yield from (inner._replace(source=None, target=None) for inner in _read(ET.fromstring(location), name))
+            yield from (
+                inner._replace(source=None, target=None, taken=None) for inner in _read(ET.fromstring(location), name)
+            )
             continue
         if file.get("relativeToVRT", file.get("relativetoVRT")) == "1":
             before, inner, after = file_in(location)
@@ -135,7 +154,8 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
         said = element.find("SourceProperties") if as_is else None
         size = None if said is None else (int(said.get("RasterYSize", 0)), int(said.get("RasterXSize", 0)))
         size = None if size == (0, 0) else size
-        part = Part(location, number, source, target, needs, size, by_mask, element in of_mask)
+        taken = _rect(element.find("SrcRect")) if as_is and element.tag != "VRTRasterBand" else None
+        part = Part(location, number, source, target, needs, size, by_mask, element in of_mask, taken)
         yield part
         if (element.findtext("UseMaskBand") or "").lower() == "true":
             yield part._replace(by_mask=True)

@@ -1,0 +1,42 @@
+"""GDAL's pool of the parts of VRTs, made to forget them.
+
+The pool belongs to the process and goes with the last VRT that uses it; but one VRT in another keeps it alive for good.
+From then on a part that could not be opened once is 0 without a word, even when it is there again, and one that was
+replaced is what it was. What makes it forget is to be filled with others: as many as it holds, of one sample each, in
+memory (some 10 ms).
+"""
+
+from __future__ import annotations
+
+import os
+import uuid
+
+_PART = (
+    "<SimpleSource><SourceFilename>/vsisubfile/0_{size},{name}</SourceFilename><SourceBand>1</SourceBand>"
+    '<SourceProperties RasterXSize="1" RasterYSize="1" DataType="Byte" BlockXSize="1" BlockYSize="1"/>'
+    '<SrcRect xOff="0" yOff="0" xSize="1" ySize="1"/><DstRect xOff="{col}" yOff="0" xSize="1" ySize="1"/>'
+    "</SimpleSource>"
+)
+_HELD = 100  # GDAL's own default
+
+
+def is_virtual(location: str) -> bool:
+    """Whether GDAL's name of a raster is that of a VRT."""
+    return location.lower().endswith(".vrt") or location.startswith("vrt://")
+
+
+def forget_parts() -> None:
+    """Close what GDAL holds open of the parts of VRTs, and forget what it could not open. Safe from any thread."""
+    import rasterio
+    from rasterio.io import MemoryFile
+
+    said = os.environ.get("GDAL_MAX_DATASET_POOL_SIZE", "")
+    count = min(max(int(said), 2), 1000) if said.isdigit() else _HELD
+    with rasterio.Env(), MemoryFile(filename=f"{uuid.uuid4().hex}/part.pgm") as memory:
+        memory.write(b"P5\n1 1\n255\n\xff")
+        size = len(memory.getbuffer())
+        parts = "".join(_PART.format(size=size + col, name=memory.name, col=col) for col in range(count))
+        band = f'<VRTRasterBand dataType="Byte" band="1">{parts}</VRTRasterBand>'
+        place = "<GeoTransform>0, 1, 0, 1, 0, -1</GeoTransform>"  # (or rasterio warns that there is none)
+        with rasterio.open(f'<VRTDataset rasterXSize="{count}" rasterYSize="1">{place}{band}</VRTDataset>') as dataset:
+            dataset.read(1)

@@ -1,0 +1,247 @@
+"""TIFF: where its parts lie in the file, and that nothing lies where none can.
+
+GDAL takes what directories say as it is. A file in which bytes were inserted still opens, its samples shifted from
+there on; a changed offset gives samples of another block; a link to the directories behind the first that leads nowhere
+loses a mask without a word. What tells it: blocks that overlap, a chain of directories that breaks off, and, where
+samples are not compressed, bytes at the end of the file that belong to nothing.
+
+Sources: TIFF 6.0, section 2; BigTIFF (Aware Systems).
+"""
+
+from __future__ import annotations
+
+import struct
+from io import BytesIO
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.dem.whole.blocks import CODECS
+
+_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8}
+_CODES = {1: "u1", 3: "u2", 4: "u4", 13: "u4", 16: "u8", 18: "u8"}
+_OFFSETS, _COUNTS = (273, 324), (279, 325)
+_INNER = (330, 34665, 34853, 40965)  # sub-directories, EXIF, GPS, interoperability
+_MOST = 4096  # directories
+_LARGEST = 1 << 27  # entries of a table that is looked at
+_TAIL = 1 << 16
+_BLOCK = 128  # zeros that fill the last such block are no part of a file
+
+
+class _Directory(NamedTuple):
+    """One directory: its tags' (type, count, place of the values), and where it and all its values end."""
+
+    tags: dict[int, tuple[int, int, int]]
+    end: int
+    following: int
+
+
+def fault(dataset: Any, file: IO[bytes]) -> str | None:
+    """What is wrong with the layout of a TIFF, a sentence; None: nothing.
+
+    Args:
+        dataset: of rasterio, open.
+        file: its bytes.
+    """
+    size = file.seek(0, 2)
+    file.seek(0)
+    try:
+        tiff = _Tiff(file, size)
+    except (struct.error, ValueError):
+        return None  # no TIFF that is known here: GDAL judges
+    found, broken = tiff.directories()
+    if broken:
+        return "Its directories break off: a mask or an overview behind the first is lost."
+    if not found:
+        return None
+    return _half_there(tiff, found[0]) or _overlap(dataset, tiff, found[0]) or _behind(dataset, tiff, found, size)
+
+
+_CODEC = {1: "", 5: "LZW", 8: "DEFLATE", 32946: "DEFLATE", 32773: "PACKBITS", 50000: "ZSTD"}
+
+
+def tile_fault(data: bytes, wide: int = 0, high: int = 0) -> str | None:
+    """What is wrong with a small TIFF in memory that is a tile of something else, a sentence; None: nothing.
+
+    Args:
+        wide, high: the samples that it must have; 0: any.
+    """
+    file = BytesIO(data)
+    try:
+        tiff = _Tiff(file, len(data))
+        found, broken = tiff.directories()
+    except (struct.error, ValueError):
+        found, broken = [], True
+    if broken or not found:
+        return "It is no TIFF."
+
+    def one(tag: int, otherwise: int) -> int:
+        numbers = tiff.numbers(found[0], tag)
+        return int(numbers[0]) if numbers.size else otherwise
+
+    cols, rows = one(256, 0), one(257, 0)
+    line = cols if (tiled := one(322, 0)) == 0 else tiled
+    tall = one(323, 0) or min(one(278, rows), rows)
+    if not cols or not rows or not line or not tall or (wide and (cols, rows) != (wide, high)):
+        return f"It has {rows} × {cols} samples."
+    together = one(277, 1) if one(284, 1) == 1 else 1
+    most = tall * -(-line * together * one(258, 1) // 8)
+    at, sizes = tiff.blocks(found[0])
+    down = -(-rows // tall)
+    if at.size != down * -(-cols // line) * (one(277, 1) // together):
+        return "It lacks blocks."
+    for number, (begin, size) in enumerate(zip(at.tolist(), sizes.tolist(), strict=True)):
+        held = data[begin : begin + size]
+        across = -(-cols // line)
+        least = min(tall, rows - (number // across % down) * tall) * (most // tall)
+        check = CODECS.get(_CODEC.get(one(259, 1), "?"))
+        short = len(held) < size or (one(259, 1) == 1 and size < least)
+        if short or (check is not None and check(held, least, most) is not None):
+            return "A block of it does not decode."
+    return None
+
+
+class _Tiff:
+    def __init__(self, file: IO[bytes], size: int) -> None:
+        self.file, self.size = file, size
+        head = file.read(16)
+        self.order = {b"II": "<", b"MM": ">"}.get(head[:2], "")
+        (version,) = struct.unpack((self.order or "<") + "H", head[2:4])
+        if not self.order or version not in (42, 43):
+            raise ValueError("no TIFF")
+        self.big = version == 43
+        self.entry = struct.Struct(self.order + ("HHQ8s" if self.big else "HHI4s"))
+        self.word = self.order + ("Q" if self.big else "I")
+        (self.first,) = struct.unpack_from(self.word, head, 8 if self.big else 4)
+
+    def directories(self) -> tuple[list[_Directory], bool]:
+        """All directories, the first of the chain first, and whether the chain breaks off."""
+        found: list[_Directory] = []
+        waiting, seen, broken = [(self.first, True)], set[int](), False
+        while waiting and len(found) < _MOST:
+            at, chained = waiting.pop()
+            if at == 0 or at in seen:
+                broken |= chained and at in seen
+                continue
+            seen.add(at)
+            try:
+                directory = self._directory(at)
+            except (struct.error, ValueError):
+                broken |= chained
+                continue
+            found.append(directory)
+            for tag in _INNER:
+                if tag in directory.tags:
+                    waiting += [(int(inner), False) for inner in self.numbers(directory, tag)[:_MOST]]
+            if chained:
+                waiting.append((directory.following, True))
+        return found, broken and bool(found)
+
+    def _directory(self, at: int) -> _Directory:
+        self.file.seek(at)
+        (count,) = struct.unpack(self.order + ("Q" if self.big else "H"), self.file.read(8 if self.big else 2))
+        if not 0 < count < _MOST:
+            raise ValueError("no directory")
+        data = self.file.read(count * self.entry.size)
+        begin = at + (8 if self.big else 2)
+        end = begin + count * self.entry.size + struct.calcsize(self.word)
+        tags: dict[int, tuple[int, int, int]] = {}
+        for i in range(count):
+            tag, kind, number, value = self.entry.unpack_from(data, i * self.entry.size)
+            room = _SIZES.get(kind, 0) * number
+            place = begin + i * self.entry.size + self.entry.size - len(value)
+            if room > len(value):
+                (place,) = struct.unpack(self.word, value)
+                if place + room <= self.size:
+                    end = max(end, place + room)
+            tags.setdefault(tag, (kind, number, place))
+        if not any(tag in tags for tag in (256, *_OFFSETS, 513)) and at == self.first:
+            raise ValueError("no directory of a picture")
+        (following,) = struct.unpack(self.word, self.file.read(struct.calcsize(self.word)))
+        return _Directory(tags, end, following)
+
+    def numbers(self, directory: _Directory, tag: int) -> NDArray[np.int64]:
+        """The whole numbers of a tag; none if it is not there or not in the file."""
+        kind, count, place = directory.tags.get(tag, (0, 0, 0))
+        if kind not in _CODES or not 0 < count < _LARGEST or place + count * _SIZES[kind] > self.size:
+            return np.zeros(0, np.int64)
+        self.file.seek(place)
+        read = np.frombuffer(self.file.read(count * _SIZES[kind]), self.order + _CODES[kind])
+        return np.minimum(read.astype(np.uint64), np.uint64(1 << 62)).astype(np.int64)
+
+    def blocks(self, directory: _Directory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Offsets and sizes of the blocks that are there."""
+        for places, sizes in zip(_OFFSETS, _COUNTS, strict=True):
+            at, size = self.numbers(directory, places), self.numbers(directory, sizes)
+            if at.size and at.size == size.size:
+                there = (at > 0) & (size > 0)
+                return at[there], size[there]
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+
+    def plain(self, directory: _Directory) -> bool:
+        """Whether samples are not compressed."""
+        code = self.numbers(directory, 259)
+        return not code.size or code[0] == 1
+
+
+def _block_bytes(dataset: Any) -> int:
+    """Bytes of an uncompressed block, at most."""
+    from rasterio.enums import Interleaving
+
+    high, wide = dataset.block_shapes[0]
+    bits = dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS")
+    sample = int(bits) if bits else 8 * np.dtype(dataset.dtypes[0]).itemsize
+    together = dataset.count if dataset.interleaving == Interleaving.pixel else 1
+    return int(high * -(-wide * together * sample // 8))
+
+
+def _half_there(tiff: _Tiff, first: _Directory) -> str | None:
+    """Blocks that have a size and no place; those that a sparse file leaves out have no size."""
+    for places, sizes in zip(_OFFSETS, _COUNTS, strict=True):
+        at, size = tiff.numbers(first, places), tiff.numbers(first, sizes)
+        if at.size and at.size == size.size and ((at == 0) & (size > 0)).any():
+            return "A block of it has a size and no place: the table of its blocks is damaged."
+    return None
+
+
+def _overlap(dataset: Any, tiff: _Tiff, first: _Directory) -> str | None:
+    """Blocks of the raster that lie partly in one another (the very same block may stand for several)."""
+    at, size = tiff.blocks(first)
+    if tiff.plain(first):
+        size = np.minimum(size, _block_bytes(dataset))
+    order = np.argsort(at, kind="stable")
+    at, size = at[order], size[order]
+    inside = at[1:] < (at + size)[:-1]
+    if np.any(inside & ~((at[1:] == at[:-1]) & (size[1:] == size[:-1]))):
+        return "Its blocks overlap one another: the table of where they lie is damaged."
+    return None
+
+
+def _behind(dataset: Any, tiff: _Tiff, found: list[_Directory], size: int) -> str | None:
+    """Bytes behind all that the directories speak of, of a raster that is not compressed."""
+    if not tiff.plain(found[0]) or not tiff.blocks(found[0])[0].size:
+        return None
+    end = max(directory.end for directory in found)
+    for directory in found:
+        at, sizes = tiff.blocks(directory)
+        if not at.size:
+            continue
+        if directory is found[0] and (at + np.minimum(sizes, _block_bytes(dataset)) > size).any():
+            return None  # it is cut short, and GDAL says where
+        wanted = np.maximum(sizes, _block_bytes(dataset)) if directory is found[0] else sizes  # some say too little
+        for ends in (at + sizes, at + wanted):
+            end = max(end, int(ends[ends <= size].max(initial=0)))
+    end += 4 if _trailed(tiff.file) else 0
+    if size <= end or (size == end + 1 and end % 2):
+        return None
+    tiff.file.seek(max(end, size - _TAIL))
+    if size % _BLOCK == 0 and not any(tiff.file.read()):
+        return None
+    return f"It has {size - end:,} bytes behind its last part: bytes were inserted, which shift its samples."
+
+
+def _trailed(file: IO[bytes]) -> bool:
+    """Whether the last bytes of each block stand behind it once more, as in cloud-optimised files."""
+    file.seek(0)
+    return b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED" in file.read(1024)
