@@ -15,14 +15,16 @@ import pytest
 import rasterio
 from affine import Affine
 from click.testing import CliRunner
-from pyproj import Geod, Transformer
+from pyproj import CRS, Geod, Transformer
 
 from orograph.cli import cli
+from orograph.cli.memory import megabytes
 from orograph.cli.options import parse_bytes
 from orograph.dem import Source
 from orograph.dem import statistics as statistics_module
 from orograph.dem.statistics import statistics
 from orograph.errors import UsageError
+from orograph.verbs.info import _crs_line
 
 KEYS = {
     "kind",
@@ -143,6 +145,16 @@ def test_of_a_store_an_area_is_told_as_terrain(tmp_path: Path) -> None:
     assert of_store["shape"] == of_file["shape"] and of_store["transform"] == pytest.approx(of_file["transform"])
     assert of_store["height_range"] == of_file["height_range"]
     assert of_store["kind"] == "terrain" and set(of_store) == KEYS
+
+
+def test_a_crs_that_a_file_leaves_unnamed_has_the_name_of_its_code() -> None:
+    unnamed = CRS(CRS.from_epsg(26710).to_wkt("WKT1_GDAL").replace("NAD27 / UTM zone 10N", "unnamed"))
+    assert unnamed.name == "unnamed"
+    assert _crs_line({"_crs": unnamed, "crs": "EPSG:26710"}) == "EPSG:26710 (NAD27 / UTM zone 10N)"
+
+
+def test_small_files_are_not_nothing() -> None:
+    assert [megabytes(n) for n in (17_000, 2_500_000)] == ["17.0 kB", "2.5 MB"]
 
 
 def test_an_area_beside_the_file_is_refused(tmp_path: Path) -> None:

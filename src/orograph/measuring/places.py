@@ -135,7 +135,8 @@ class Places:
 
     def _remedy(self, point: Array) -> str:
         """What to do about a point outside: one that would lie on the terrain in degrees was meant in degrees."""
-        plain = "Give easting, northing in the terrain's CRS, or longitude, latitude with `lonlat`."
+        how = "with `lonlat` (in Python: Places.of_lonlat)."
+        plain = f"Give easting, northing in the terrain's CRS, or longitude, latitude {how}"
         if self.grid.crs is None or not (abs(point[0]) <= 360 and abs(point[1]) <= 90):
             return plain
         try:
@@ -144,7 +145,7 @@ class Places:
             return plain
         rows, cols = self.grid.shape
         on = (at > -1).all() and (at < [cols, rows]).all()
-        return "It does as longitude, latitude: say so with `lonlat`." if on else plain
+        return f"As longitude, latitude it lies there: say so {how}" if on else plain
 
     def _nearest(self, at: Array) -> str:
         """The point of the surface nearest to a place (2,) in sample coordinates, in both systems; what is written is

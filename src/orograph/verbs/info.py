@@ -307,9 +307,16 @@ def _crs_line(facts: Mapping[str, Any]) -> str:
         return "none" if facts["_georeferenced"] else "none: the file does not say where it lies"
     text = facts["crs"]
     if len(text) < 40:
-        return f"{text} ({crs.name})"
+        return f"{text} ({_name(crs, text)})"
     method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
     return f"{crs.name}" + (f", {method}" if method and method != "unknown" else "") + " (no code)"
+
+
+def _name(crs: Any, code: str) -> str:
+    """A CRS's name; the code's own where a file leaves it away."""
+    if crs.name.lower() not in ("unnamed", "unknown", ""):
+        return str(crs.name)
+    return str(type(crs).from_user_input(code).name)
 
 
 def _degrees(facts: Mapping[str, Any]) -> str:
