@@ -15,13 +15,16 @@ import pytest
 import rasterio
 from affine import Affine
 from click.testing import CliRunner
-from pyproj import Geod
+from pyproj import CRS, Geod, Transformer
 
 from orograph.cli import cli
+from orograph.cli.memory import megabytes
 from orograph.cli.options import parse_bytes
 from orograph.dem import Source
 from orograph.dem import statistics as statistics_module
 from orograph.dem.statistics import statistics
+from orograph.errors import UsageError
+from orograph.verbs.info import _crs_line
 
 KEYS = {
     "kind",
@@ -108,6 +111,57 @@ def test_voids_and_several_paths(shared_data: Path) -> None:
         truth = dataset.read(1, masked=True)
     assert first["valid_fraction"] == truth.count() / truth.size
     assert first["height_range"] == [truth.min(), truth.max()] and second["kind"] == "dem"
+
+
+def test_of_an_area_only_its_samples_are_told(shared_data: Path, tmp_path: Path) -> None:
+    path = shared_data / "n44w072-hgt" / "N44W072.hgt"
+    with rasterio.open(path) as dataset:
+        heights, transform = dataset.read(1), dataset.transform
+    third = 1 / 1200  # samples of the box's border are within
+    rows, cols = slice(840, 961), slice(120, 241)
+    found = info(path, "--bbox", "-71.9,44.2,-71.8,44.3")
+    assert found["kind"] == "dem" and set(found) == KEYS and found["shape"] == [121, 121]
+    west, south = transform.c + 120 * third, transform.f - 961 * third
+    assert found["transform"] == pytest.approx([third, 0, west, 0, -third, south + 121 * third], abs=1e-9)
+    assert found["height_range"] == [heights[rows, cols].min(), heights[rows, cols].max()]
+    assert found["valid_fraction"] == 1
+
+    clip = tmp_path / "half.geojson"
+    corners = [[-71.9003, 44.1997], [-71.7998, 44.1997], [-71.9003, 44.3002], [-71.9003, 44.1997]]
+    clip.write_text(json.dumps({"type": "Polygon", "coordinates": [corners]}))
+    half = info(path, "--clip", clip)
+    assert half["shape"] == [121, 121] and half["valid_fraction"] == 120 * 121 / 2 / 121**2
+    assert "missing outside the polygons" in CliRunner().invoke(cli, ["info", str(path), "--clip", str(clip)]).output
+
+
+def test_of_a_store_an_area_is_told_as_terrain(tmp_path: Path) -> None:
+    path, store = write(tmp_path / "a.tif", hills()), str(tmp_path / "a.oro")
+    assert CliRunner().invoke(cli, ["--quiet", "build", str(path), "-o", store]).exit_code == 0
+    with rasterio.open(path) as dataset:
+        place = Transformer.from_crs(dataset.crs, 4326, always_xy=True)
+    west, south = place.transform(500000 + 30 * 20.6, 4000000 - 30 * 50.4)
+    east, north = place.transform(500000 + 30 * 40.4, 4000000 - 30 * 30.6)
+    of_file, of_store = (info(p, "--bbox", f"{west},{south},{east},{north}") for p in (path, store))
+    assert of_store["shape"] == of_file["shape"] and of_store["transform"] == pytest.approx(of_file["transform"])
+    assert of_store["height_range"] == of_file["height_range"]
+    assert of_store["kind"] == "terrain" and set(of_store) == KEYS
+
+
+def test_a_crs_that_a_file_leaves_unnamed_has_the_name_of_its_code() -> None:
+    unnamed = CRS(CRS.from_epsg(26710).to_wkt("WKT1_GDAL").replace("NAD27 / UTM zone 10N", "unnamed"))
+    assert unnamed.name == "unnamed"
+    assert _crs_line({"_crs": unnamed, "crs": "EPSG:26710"}) == "EPSG:26710 (NAD27 / UTM zone 10N)"
+
+
+def test_small_files_are_not_nothing() -> None:
+    assert [megabytes(n) for n in (17_000, 2_500_000)] == ["17.0 kB", "2.5 MB"]
+
+
+def test_an_area_beside_the_file_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", hills())
+    reach = r"No sample lies within 1, 2, 3, 4: it reaches from -117, 36.12 to -116.97, 36.14"
+    with pytest.raises(UsageError, match=reach):
+        CliRunner().invoke(cli, ["info", str(path), "--bbox", "1,2,3,4"], catch_exceptions=False, standalone_mode=False)
 
 
 def test_feet_crs_spacing_is_in_metres(tmp_path: Path) -> None:

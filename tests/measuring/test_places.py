@@ -111,6 +111,18 @@ def test_a_point_outside_is_told_how_far_and_the_nearest_point_inside_is_taken(s
     places.points(places.of_lonlat((float(nearest[3]), float(nearest[4]))))
 
 
+def test_degrees_given_as_metres_are_recognised():
+    places = Places(terrain_of(FLAT, crs="EPSG:32611"))
+    inside = np.stack(places.grid.xy(20.0, 15.0))
+    with pytest.raises(UsageError) as refused:
+        places.points(places.lonlat(inside[None])[0])
+    assert refused.value.remedy.startswith("As longitude, latitude it lies there: say so with")
+    for elsewhere in [(10.0, 50.0), (200.0, 95.0)]:
+        with pytest.raises(UsageError) as refused:
+            places.points(elsewhere)
+        assert refused.value.remedy.startswith("Give easting, northing")
+
+
 def test_outside_of_a_turned_grid_is_told_along_both_axes():
     places = Places(terrain_of(FLAT, ROTATED))
     edge = np.stack(places.grid.xy(49.0, 20.0))

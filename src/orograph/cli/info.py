@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from orograph.cli.options import jobs_option, progress_of, source_options
+from orograph.cli.options import area_options, jobs_option, progress_of, source_options
 from orograph.cli.wording import spoken
 
 
@@ -15,6 +15,7 @@ from orograph.cli.wording import spoken
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object (a list for several paths).")
 @click.option("--exact", is_flag=True, help="Read every sample of a raster however large it is.")
+@area_options
 @source_options
 @jobs_option
 @click.pass_context
@@ -24,12 +25,13 @@ def command(
     """Tell what a DEM or a store is, and what is suspicious about it.
 
     PATH is anything GDAL reads (also inside .zip and .gz, or a URL), or a terrain store. Heights are in metres, after
-    scale, offset and unit.
+    scale, offset and unit. --bbox and --clip tell what one area of it holds.
 
     \b
     Examples:
       orograph info N44W072.hgt
       orograph info tiles/*.tif --json
+      orograph info dem.tif --bbox 7.5,45.9,7.8,46.1
       orograph info height.png --spacing 30
     """
     progress = progress_of(ctx)

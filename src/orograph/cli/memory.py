@@ -26,4 +26,6 @@ def megabytes(size: int | None) -> str:
     """A size for people."""
     if size is None:
         return "unknown size"
+    if size < 1e6:
+        return f"{size / 1e3:.1f} kB"
     return f"{size / 1e6:.1f} MB" if size < 1e9 else f"{size / 1e9:.2f} GB"

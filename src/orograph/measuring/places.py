@@ -130,8 +130,22 @@ class Places:
             f"The point {point[0]:.10g}, {point[1]:.10g} lies {' and '.join(ways)} of {self.terrain.name}, whose "
             f"surface reaches from {x.min():.10g}, {y.min():.10g} to {x.max():.10g}, {y.max():.10g}"
             f"{self._degrees(x, y)}. The nearest point of it is {self._nearest(at)}.",
-            remedy="Give easting, northing in the terrain's CRS, or longitude, latitude and say so.",
+            remedy=self._remedy(point),
         )
+
+    def _remedy(self, point: Array) -> str:
+        """What to do about a point outside: one that would lie on the terrain in degrees was meant in degrees."""
+        how = "with `lonlat` (in Python: Places.of_lonlat)."
+        plain = f"Give easting, northing in the terrain's CRS, or longitude, latitude {how}"
+        if self.grid.crs is None or not (abs(point[0]) <= 360 and abs(point[1]) <= 90):
+            return plain
+        try:
+            at = np.stack(self.grid.index(*self.of_lonlat([point]).T), axis=-1)
+        except UsageError:
+            return plain
+        rows, cols = self.grid.shape
+        on = (at > -1).all() and (at < [cols, rows]).all()
+        return f"As longitude, latitude it lies there: say so {how}" if on else plain
 
     def _nearest(self, at: Array) -> str:
         """The point of the surface nearest to a place (2,) in sample coordinates, in both systems; what is written is

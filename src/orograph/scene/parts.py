@@ -147,7 +147,7 @@ class Annotations:
     silhouettes: Silhouettes | None = option(
         None, "Draw lines along ridges and creases.", given=given.silhouettes, details=Silhouettes
     )
-    furniture: bool = option(False, "Add a title, a colour bar, a north arrow and a scale bar.")
+    furniture: bool = option(False, "Add a title, a legend, a north arrow and a scale bar.")
     title: str | None = option(None, "The title (with `furniture`).", shown="the file's name")
 
 

@@ -21,19 +21,22 @@ from orograph.progress import Progress
 from orograph.reporting import reporting
 
 if TYPE_CHECKING:
+    from orograph.dem.area import Area
     from orograph.store.layers import LayerRecord
     from orograph.store.terrain import Terrain
 
 
 def info(
-    source: Any, *, exact: bool | None = None, jobs: int | None = None, progress: Progress | bool | None = None,
-    **reading: Any,
+    source: Any, *, exact: bool | None = None, bbox: Sequence[float] | None = None, clip: Any = None,
+    jobs: int | None = None, progress: Progress | bool | None = None, **reading: Any,
 ) -> Facts:  # fmt: skip
     """What heights are, and what is suspicious about them.
 
     Args:
         source: whatever ``orograph.terrain`` takes but lists. Of a file as little is read as need be.
         exact: whether every sample of a raster is read however large it is; None: only of small ones.
+        bbox: west, south, east, north in degrees: of this area only. clip: of what lies in polygons only (GeoJSON, a
+            file or an object; shapely's, geopandas'). Of a store the area is told as terrain, not the store's insides.
         jobs: threads. progress: hears of what is being done; False: nothing is said.
         reading: how a file is read: ``band``, ``nodata``, ``spacing``… (``orograph.terrain``).
 
@@ -41,18 +44,23 @@ def info(
         a dict, which prints as the command line has it; its keys are told above (those with "_" are for people).
 
     Raises:
-        ReadError, StoreError: it cannot be read. UsageError: it is nothing that holds heights.
+        ReadError, StoreError: it cannot be read. UsageError: it is nothing that holds heights, or none lie in the area.
     """
+    from orograph.dem.area import Area
     from orograph.store.detect import is_store
     from orograph.store.given import files_of
 
     heard = reporting(progress)
     files = files_of(source)
-    if files is None or len(files) > 1:
+    area = Area.of(bbox, clip)
+    store = files is not None and len(files) == 1 and is_store(files[0])
+    if files is None or len(files) > 1 or (store and area is not None):
         from orograph.store.opening import terrain
 
-        return _terrain_facts(terrain(source, heard, jobs=jobs, called="info", **reading))
-    return _store_facts(files[0]) if is_store(files[0]) else _dem_facts(files[0], heard, exact, jobs, reading)
+        part = {} if area is None else {"bbox": bbox, "clip": clip}
+        how = {} if store else reading  # (a store says itself how it was read)
+        return _terrain_facts(terrain(source, heard, jobs=jobs, called="info", **part, **how))
+    return _store_facts(files[0]) if store else _dem_facts(files[0], heard, exact, area, jobs, reading)
 
 
 class Facts(dict[str, Any]):
@@ -67,13 +75,16 @@ class Facts(dict[str, Any]):
         return f"<pre>{html.escape(describe(self))}</pre>"
 
 
-def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | None, options: Any) -> Facts:
+def _dem_facts(
+    path: str, progress: Progress, exact: bool | None, area: Area | None, jobs: int | None, options: Any
+) -> Facts:
     from orograph.dem.inspect import crs_text, spacing_metres, suspicions
     from orograph.dem.source import Source
     from orograph.dem.statistics import statistics
     from orograph.store.terrain import exponent, level_count
 
-    with Source.open(path, **options) as source:
+    with Source.open(path, **options) as opened:
+        source: Any = opened if area is None else area.cut([opened])[0]
         spacing = spacing_metres(source.grid)
         found = statistics(source, spacing[0], exact=exact, jobs=jobs, progress=progress)
         warnings = suspicions(source, found)
@@ -84,7 +95,7 @@ def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | No
             "path": path,
             "crs": crs_text(crs),
             "transform": list(source.grid.transform[:6]),
-            "shape": list(source.shape),
+            "shape": list(source.grid.shape),
             "spacing_m": [_finite(v) for v in spacing],
             "height_range": [_finite(found.low), _finite(found.high)],
             "height_range_exact": found.exact,
@@ -93,8 +104,8 @@ def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | No
             "nodata": _finite(source.nodata),
             "vertical_datum": source.vertical,
             "attribution": list(source.attribution),
-            "levels": level_count(source.shape),
-            "side": (1 << exponent(source.shape)) + 1,
+            "levels": level_count(source.grid.shape),
+            "side": (1 << exponent(source.grid.shape)) + 1,
             "errors": [],
             "colors": None,
             "resampled": None,
@@ -107,6 +118,7 @@ def _dem_facts(path: str, progress: Progress, exact: bool | None, jobs: int | No
             "_crs": crs,
             "_nodata": source.nodata,
             "_masked": source.masked,
+            "_clipped": area is not None and bool(area.polygons),
             "_bands": (source.band, source.bands, source.description),
             "_scaling": (source.scale, source.offset, source.unit_factor),
             "_georeferenced": source.georeferenced,
@@ -284,6 +296,8 @@ def _valid(facts: Mapping[str, Any]) -> str:
     if facts["_masked"]:
         rule = "by its mask" + ("" if nodata is None else f" and {rule}")
     sampled = "" if facts["height_range_exact"] else " of the samples looked at (`exact` reads all)"
+    if facts.get("_clipped"):
+        rule += "; missing outside the polygons"
     return f"{text}{sampled} ({rule})"
 
 
@@ -293,9 +307,16 @@ def _crs_line(facts: Mapping[str, Any]) -> str:
         return "none" if facts["_georeferenced"] else "none: the file does not say where it lies"
     text = facts["crs"]
     if len(text) < 40:
-        return f"{text} ({crs.name})"
+        return f"{text} ({_name(crs, text)})"
     method = crs.coordinate_operation.method_name if crs.coordinate_operation is not None else ""
     return f"{crs.name}" + (f", {method}" if method and method != "unknown" else "") + " (no code)"
+
+
+def _name(crs: Any, code: str) -> str:
+    """A CRS's name; the code's own where a file leaves it away."""
+    if crs.name.lower() not in ("unnamed", "unknown", ""):
+        return str(crs.name)
+    return str(type(crs).from_user_input(code).name)
 
 
 def _degrees(facts: Mapping[str, Any]) -> str:
