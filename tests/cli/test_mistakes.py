@@ -104,6 +104,18 @@ def test_no_room_for_a_map(run, hilly, tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_an_interrupt_while_something_is_collected():
+    """Python cannot raise it there; the process ends all the same, and shows no traceback."""
+    code = (
+        "import os, signal, time\nfrom orograph.cli import stopping\nstopping.guard()\n"
+        "class Last:\n    def __del__(self):\n        os.kill(os.getpid(), signal.SIGINT)\n        time.sleep(0.1)\n"
+        "last = Last()\ndel last\ntime.sleep(20)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=15)
+    assert done.returncode == 130 and done.stderr == "\norograph: interrupted\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 @pytest.mark.parametrize("seed", range(6))
 def test_interrupts_at_any_time(hilly, tmp_path, seed):
     """From the import of the command line on: 130 (143 for SIGTERM) within a second, and the words for it."""

@@ -50,6 +50,7 @@ def guard(cleaning: bool = True) -> None:
         _handle(signal.SIG_DFL, signal.SIGTERM)
         return
     _handle(_raise)
+    sys.unraisablehook = _unraisable
     if os.name == "posix":
         reading, writing = os.pipe()
         os.set_blocking(writing, False)
@@ -72,6 +73,13 @@ def _handle(handler: signal._HANDLER, *signals: signal.Signals) -> None:
 def _raise(signum: int, frame: object) -> None:
     _asked.append(signum)
     raise KeyboardInterrupt if signum == signal.SIGINT else Stopped
+
+
+def _unraisable(what: sys.UnraisableHookArgs) -> None:
+    """Say nothing of an interrupt that came where Python cannot pass it on (a callback while something is collected):
+    ``_watch`` ends the process."""
+    if not isinstance(what.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(what)
 
 
 def _watch(reading: int) -> None:
