@@ -1,9 +1,9 @@
 """The layout of seamless patches: which squares of the quadtree are drawn, and how fine each of their edges is.
 
-*The spacing of an edge is a function of the edge alone*: the coarsest level whose surface, anywhere in the square box
-around the edge (half of it on either side), keeps the tolerance on the screen; that of the samples where ground and
-missing ground meet. A square is split where one of its edges
-wants more than 2^Q segments. Squares beside each other differ by one level at most. Where they do, the edge is the
+*The spacing of an edge is a function of the edge alone*: the coarsest level whose surface keeps the tolerance on the
+screen everywhere in the square box around the edge, half of it on either side; that of the samples where ground and
+missing ground meet. A square is split where one of its edges wants more than 2^Q segments. Squares beside each other
+differ by one level at most. Where they do, the edge is the
 larger square's, and the smaller ones take its spacing. It is at most half of the smaller side: so an edge has two
 segments at least, and on both sides of it there are the same vertices. Levels, samples, pixels.
 """
@@ -42,12 +42,14 @@ class Layout:
 
     Attributes:
         camera, tolerance: of the view. errors: of its terrain.
+        times: what is drawn may be off by so many times a level's error.
         split: by exponent, the sorted numbers of the squares that are split.
     """
 
     camera: Camera
     tolerance: float
     errors: BlockErrors
+    times: float = 1.0
     split: dict[int, Index] = field(default_factory=dict)
 
     def patches(self) -> list[Patches]:
@@ -123,7 +125,7 @@ class Layout:
         terrain, (view, exaggeration) = self.errors.terrain, (self.camera.view, self.camera.exaggeration)
         for level in range(max(p - self.errors.big, 0), p + 1):
             error, mixed = self.errors.around(level, boxes, p - 1)
-            fits = ~mixed & (moved(terrain, view, exaggeration, error, boxes) <= self.tolerance)
+            fits = ~mixed & (moved(terrain, view, exaggeration, self.times * error, boxes) <= self.tolerance)
             found = np.where(fits, level, found)
         return found
 

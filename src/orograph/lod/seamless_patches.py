@@ -8,8 +8,8 @@ tiles and strips are made once and drawn as instances, whose vertices take their
 How fine an edge is, is a function of that edge alone, so patches that touch agree about it without asking each other.
 In print it follows from the camera; here it is the spacing whose surface keeps the tolerance around the edge
 (``seamless_errors``). Tiles are the surface of such a level. A fan of a strip lies within one triangle of it, and its
-corners on the terrain: it is off by twice the level's error at most. So edges keep half of the tolerance, and all that
-is drawn keeps the tolerance. Metres, samples, pixels.
+corners on the terrain: it is off by twice the level's error at most. So an edge keeps the tolerance with twice that
+error, and so does all that is drawn. Metres, samples, pixels.
 """
 
 from __future__ import annotations
@@ -48,8 +48,9 @@ class SeamlessPatchesOptions:
         "smaller than that.", choices=(8, 16, 32, 64, 128),
     )  # fmt: skip
     strips: str = option(
-        "kept", "Whether strips keep the tolerance, too: kept (edges take half of it), free (edges take all of it, and "
-        "where resolution changes twice as much may be off: no promise).", choices=("kept", "free"),
+        "kept", "Whether strips keep the tolerance, too: kept (edges allow for twice a level's error), free (for the "
+        "error itself: where resolution changes twice as much may be off, and nothing is promised).",
+        choices=("kept", "free"),
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -128,8 +129,7 @@ class SeamlessPatches(Method):
         )  # fmt: skip
 
     def _at(self, camera: Camera, tolerance: float) -> Selected:
-        share = 0.5 if self.conservative else 1.0
-        patches = Layout(camera, share * tolerance, self._errors).patches()
+        patches = Layout(camera, tolerance, self._errors, times=2.0 if self.conservative else 1.0).patches()
         made = [self._pieces_of(one) for one in patches]
         shapes = np.concatenate([np.zeros(0, np.uint8), *(shape for shape, _ in made)])
         pieces = np.concatenate([np.zeros(0, PIECE), *(piece for _, piece in made)])
