@@ -13,7 +13,7 @@ from orograph.lod.method import Goal, Resources
 from orograph.lod.reference.seamless_patches import Quadtree, vertices
 from orograph.lod.registry import chosen
 from orograph.lod.seamless_layout import Layout
-from orograph.lod.seamless_pieces import Pieces, turned
+from orograph.lod.seamless_pieces import SeamlessPieces, turned
 from orograph.lod.squares import Squares
 from orograph.viewpoint import Camera
 
@@ -46,7 +46,7 @@ def edges_of(triangles):
 
 @pytest.mark.parametrize("big", [1, 2, 3])
 def test_every_patch_is_filled_once_without_a_t_junction_or_a_flat_triangle(big):
-    pieces, side = Pieces.of(big), 1 << big
+    pieces, side = SeamlessPieces.of(big), 1 << big
     for own in itertools.product(range(1, big + 1), repeat=4):
         made = []
         for turns in range(4):
@@ -72,7 +72,7 @@ def check(triangles, own, side):
 @pytest.mark.parametrize("q", [1, 2, 3])
 def test_a_patch_of_equal_edges_is_the_surface_of_a_level(q):
     """Its triangles are cells cut from (even, even) to (odd, odd) corners."""
-    pieces, n, same = Pieces.of(q), 1 << q, np.array(q)
+    pieces, n, same = SeamlessPieces.of(q), 1 << q, np.array(q)
     made = [corners(pieces.topologies[int(pieces.tile(same))], turns, n) for turns in range(4)]
     made += [corners(pieces.topologies[int(pieces.strip(same, same))], turns, n) for turns in range(4)]
     wanted = set()

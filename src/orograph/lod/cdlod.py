@@ -16,17 +16,15 @@ Metres, pixels.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.lod.field import check_surface
-from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Ready
+from orograph.lod.method import MethodInfo
 from orograph.lod.options import check, option
-from orograph.lod.right_triangles import Pass, by_tolerance
+from orograph.lod.quadtree_patches import Pieces, QuadtreePatches
 from orograph.lod.selection import PatchSet, Topology
 from orograph.lod.squares import BlockHeights, Index, Squares
 from orograph.raycast.select import Boxes, distances, in_frustum
@@ -67,28 +65,7 @@ class CdlodOptions:
         check(self)
 
 
-@dataclass(slots=True)
-class Selected:
-    """What one tolerance gives.
-
-    Attributes:
-        quarters: (k,) of ``QUARTER``. nodes: the squares they are parts of. ranges: metres, by level.
-        triangles: of all quarters. within, tolerance: as of a ``right_triangles.Mesh``.
-    """
-
-    quarters: NDArray[Any]
-    nodes: int
-    ranges: Array
-    triangles: int
-    within: bool = True
-    tolerance: float | None = None
-
-    def kept(self) -> Selected:
-        """Itself: nothing of it is used again."""
-        return self
-
-
-class Cdlod(Method):
+class Cdlod(QuadtreePatches):
     """CDLOD. See ``Method`` for the arguments.
 
     Raises:
@@ -102,40 +79,16 @@ class Cdlod(Method):
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
-        check_surface(self.terrain)
         self.n = max(self.terrain.n, 1)
         self.exponent = min(self.options.grid.bit_length() - 1, self.n)
         self.top = self.n - self.exponent
         self._heights = BlockHeights(self.terrain)
         self._errors = level_errors(self.terrain, self.top)
-        self._topology = _quarter((1 << self.exponent) // 2, alike=self.options.cells == "alike")
-        self._last = Pass()
-
-    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> PatchSet:
-        """The squares of a view."""
-        self.info.check_goal(goal.name)
-        began = time.perf_counter()
-        found = (
-            self._at(camera, goal.tolerance) if goal.tolerance is not None
-            else by_tolerance(lambda pixels: self._at(camera, pixels), goal, self._last)
-        )  # fmt: skip
-        tolerance = goal.tolerance if goal.tolerance is not None else found.tolerance
-        stats: dict[str, Any] = {
-            "method": self.info.name, "tolerance": tolerance, "conservative": False,
-            "exaggeration": camera.exaggeration, "refine_ms": round((time.perf_counter() - began) * 1e3, 3),
-            "patches": found.nodes, "pieces": len(found.quarters), "triangles": found.triangles,
-        }  # fmt: skip
-        if goal.triangles is not None:
-            stats["within_budget"] = found.within
-        return PatchSet(
-            method=self.info.name, bound=None, stats=stats, topologies=(self._topology,), instances=found.quarters,
-            shapes=np.zeros(len(found.quarters), np.uint8),
-            expand=lambda selection: self._expand(selection, camera, found.ranges),
-        )  # fmt: skip
+        self.topologies = (_quarter((1 << self.exponent) // 2, alike=self.options.cells == "alike"),)
 
     # ---- selecting ----
 
-    def _at(self, camera: Camera, tolerance: float) -> Selected:
+    def _pieces(self, camera: Camera, tolerance: float) -> Pieces:
         ranges = self.ranges(camera, tolerance)
         found, nodes = [], 0
         squares = Squares(self.n, np.zeros(1, np.int64), np.zeros(1, np.int64))
@@ -156,7 +109,8 @@ class Cdlod(Method):
                 break
             squares = children
         quarters = np.concatenate(found)
-        return Selected(quarters, nodes, ranges, len(quarters) * len(self._topology.triangles))
+        triangles = len(quarters) * len(self.topologies[0].triangles)
+        return Pieces(quarters, np.zeros(len(quarters), np.uint8), nodes, triangles)
 
     def ranges(self, camera: Camera, tolerance: float) -> Array:
         """(top + 1,) metres of stretched space: how far each level reaches; the last one reaches everywhere."""
@@ -196,15 +150,16 @@ class Cdlod(Method):
 
     # ---- triangles ----
 
-    def _expand(self, selection: PatchSet, camera: Camera, ranges: Array) -> Tessellation:
+    def _expand(self, selection: PatchSet, camera: Camera, tolerance: float) -> Tessellation:
+        ranges = self.ranges(camera, tolerance)
         rows, cols, heights = list[Array](), list[Array](), list[Array]()
         for level in np.unique(selection.instances["level"]).tolist():
             here = selection.instances[selection.instances["level"] == level]
             for name, part in zip((rows, cols, heights), self._moved(here, level, camera, ranges)):
                 name.append(part)
-        nothing = np.zeros((0, len(self._topology.points)))
+        nothing = np.zeros((0, len(self.topologies[0].points)))
         row, col, height = (np.concatenate([nothing, *parts]) for parts in (rows, cols, heights))
-        corners = np.stack([col, row, height], -1)[:, self._topology.triangles].reshape(-1, 3, 3)
+        corners = np.stack([col, row, height], -1)[:, self.topologies[0].triangles].reshape(-1, 3, 3)
         corners = corners[~np.isnan(corners[..., 2]).any(1)]
         vertices, where = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
         triangles = where.reshape(-1, 3).astype(np.int32)
@@ -218,8 +173,8 @@ class Cdlod(Method):
 
     def _moved(self, quarters: NDArray[Any], level: int, camera: Camera, ranges: Array) -> tuple[Array, Array, Array]:
         """Rows, columns and heights (k, points) of the vertices of a level's quarters, where they have slid to."""
-        i = (quarters["row"][:, None] >> level) + self._topology.points[:, 0].astype(np.int64)
-        j = (quarters["col"][:, None] >> level) + self._topology.points[:, 1].astype(np.int64)
+        i = (quarters["row"][:, None] >> level) + self.topologies[0].points[:, 0].astype(np.int64)
+        j = (quarters["col"][:, None] >> level) + self.topologies[0].points[:, 1].astype(np.int64)
         last_row, last_col = self.terrain.grid.rows - 1, self.terrain.grid.cols - 1
         row, col = np.minimum(i << level, last_row), np.minimum(j << level, last_col)
         own = self._at_level(level, i, j)

@@ -14,20 +14,18 @@ error, and so does all that is drawn. Metres, samples, pixels.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.lod.field import check_surface
-from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
+from orograph.lod.method import MethodInfo, Need
 from orograph.lod.options import check, option
-from orograph.lod.right_triangles import Pass, by_tolerance
+from orograph.lod.quadtree_patches import Pieces, QuadtreePatches
 from orograph.lod.seamless_errors import BlockErrors
 from orograph.lod.seamless_layout import Layout, Patches
-from orograph.lod.seamless_pieces import Pieces, turned
+from orograph.lod.seamless_pieces import SeamlessPieces, turned
 from orograph.lod.selection import PatchSet
 from orograph.lod.squares import Index
 from orograph.store.terrain import TILE
@@ -57,27 +55,7 @@ class SeamlessPatchesOptions:
         check(self)
 
 
-@dataclass(slots=True)
-class Selected:
-    """What one tolerance gives.
-
-    Attributes:
-        patches: from large to small. triangles: of all pieces. within, tolerance: as of a ``right_triangles.Mesh``.
-    """
-
-    patches: list[Patches]
-    shapes: NDArray[np.uint8]
-    pieces: NDArray[Any]
-    triangles: int
-    within: bool = True
-    tolerance: float | None = None
-
-    def kept(self) -> Selected:
-        """Itself: nothing of it is used again."""
-        return self
-
-
-class SeamlessPatches(Method):
+class SeamlessPatches(QuadtreePatches):
     """Seamless patches. See ``Method`` for the arguments.
 
     Raises:
@@ -93,47 +71,24 @@ class SeamlessPatches(Method):
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
-        check_surface(self.terrain)
         self.big = max(min(self.options.segments.bit_length() - 1, self.terrain.n), 1)
         self._errors = BlockErrors(self.terrain, "exact", self.big, self.resources)
-        self._pieces = Pieces.of(self.big)
-        self._sizes = np.array([len(t.triangles) for t in self._pieces.topologies])
-        self._last = Pass()
+        self._made = SeamlessPieces.of(self.big)
+        self.topologies = self._made.topologies
+        self._sizes = np.array([len(t.triangles) for t in self.topologies])
 
     @classmethod
     def needs(cls, options: Any) -> tuple[Need, ...]:
         """The exact errors of diamonds."""
         return (Need("diamonds", {"error": "exact"}),)
 
-    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> PatchSet:
-        """The patches of a view."""
-        self.info.check_goal(goal.name)
-        began = time.perf_counter()
-        found = (
-            self._at(camera, goal.tolerance) if goal.tolerance is not None
-            else by_tolerance(lambda pixels: self._at(camera, pixels), goal, self._last)
-        )  # fmt: skip
-        tolerance = goal.tolerance if goal.tolerance is not None else found.tolerance
-        promised = self.conservative and found.within
-        stats: dict[str, Any] = {
-            "method": self.info.name, "tolerance": tolerance, "conservative": promised,
-            "exaggeration": camera.exaggeration, "refine_ms": round((time.perf_counter() - began) * 1e3, 3),
-            "patches": sum(len(p.squares) for p in found.patches), "pieces": len(found.pieces),
-            "triangles": found.triangles,
-        }  # fmt: skip
-        if goal.triangles is not None:
-            stats["within_budget"] = found.within
-        return PatchSet(
-            method=self.info.name, bound=tolerance if promised else None, stats=stats,
-            topologies=self._pieces.topologies, instances=found.pieces, shapes=found.shapes, expand=self._expand,
-        )  # fmt: skip
-
-    def _at(self, camera: Camera, tolerance: float) -> Selected:
-        patches = Layout(camera, tolerance, self._errors, times=2.0 if self.conservative else 1.0).patches()
+    def _pieces(self, camera: Camera, tolerance: float) -> Pieces:
+        times = 2.0 if self.conservative else 1.0
+        patches = Layout(camera, tolerance, self._errors, times=times).patches()
         made = [self._pieces_of(one) for one in patches]
         shapes = np.concatenate([np.zeros(0, np.uint8), *(shape for shape, _ in made)])
         pieces = np.concatenate([np.zeros(0, PIECE), *(piece for _, piece in made)])
-        return Selected(patches, shapes, pieces, int(self._sizes[shapes].sum()))
+        return Pieces(pieces, shapes, sum(len(p.squares) for p in patches), int(self._sizes[shapes].sum()))
 
     def _pieces_of(self, patches: Patches) -> tuple[NDArray[np.uint8], NDArray[Any]]:
         """The pieces of patches of one size: which they are, and where."""
@@ -142,7 +97,7 @@ class SeamlessPatches(Method):
         shapes, found = [], []
         for side in range(4):
             own, last = fine[:, side], fine[:, side - 1]
-            for shape, q in ((self._pieces.tile(own), own), (self._pieces.strip(own, last), np.maximum(own, last))):
+            for shape, q in ((self._made.tile(own), own), (self._made.strip(own, last), np.maximum(own, last))):
                 here = self._sizes[shape] > 0
                 piece = np.zeros(int(here.sum()), PIECE)
                 piece["row"], piece["col"] = squares.row[here] << p, squares.col[here] << p
@@ -151,16 +106,16 @@ class SeamlessPatches(Method):
                 found.append(piece)
         return np.concatenate(shapes), np.concatenate(found)
 
-    def _expand(self, selection: PatchSet) -> Tessellation:
+    def _expand(self, selection: PatchSet, camera: Camera, tolerance: float) -> Tessellation:
         keys, levels = [np.zeros((0, 3), np.int64)], [np.zeros((0, 3), np.int64)]
-        side = 1 << self._pieces.big
+        side = 1 << self._made.big
         for shape in np.unique(selection.shapes):
             topology = selection.topologies[shape]
             here = selection.instances[selection.shapes == shape]
             for turns in np.unique(here["turns"]):
                 some = here[here["turns"] == turns]
                 points = turned(topology.points.astype(np.int64), int(turns), side)
-                at = (points[None] << some["p"][:, None, None]) >> self._pieces.big
+                at = (points[None] << some["p"][:, None, None]) >> self._made.big
                 key = (some["row"][:, None] + at[..., 0]) << 32 | (some["col"][:, None] + at[..., 1])
                 keys.append(key[:, topology.triangles].reshape(-1, 3))
                 level = np.broadcast_to(some["level"][:, None, None], (len(some), *topology.triangles.shape))

@@ -80,7 +80,7 @@ def _topology(triangles: Sequence[Triangle], step: int = 1) -> Topology:
 
 
 @dataclass(frozen=True, slots=True)
-class Pieces:
+class SeamlessPieces:
     """All pieces of patches of 2^big segments a side: their topologies, and which is which.
 
     Attributes:
@@ -92,11 +92,11 @@ class Pieces:
 
     @staticmethod
     @lru_cache(maxsize=8)
-    def of(big: int) -> Pieces:
+    def of(big: int) -> SeamlessPieces:
         """Those of patches of 2^big segments a side, ``big`` ≥ 1."""
         every = range(1, big + 1)
         made = [tile(q, big) for q in every]
-        return Pieces(big, (*made, *(strip(top, left, big) for top in every for left in every)))
+        return SeamlessPieces(big, (*made, *(strip(top, left, big) for top in every for left in every)))
 
     def tile(self, q: NDArray[np.int64]) -> NDArray[np.int64]:
         """Numbers of tiles."""
