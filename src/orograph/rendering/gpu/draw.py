@@ -21,7 +21,7 @@ from orograph.gpu.device import Device, open_device
 from orograph.progress import SILENT, Progress
 from orograph.rendering.furniture.furnish import furnish
 from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
-from orograph.rendering.gpu.frame import PLAIN, Overlay
+from orograph.rendering.gpu.frame import PLAIN, FrameStats, Overlay
 from orograph.rendering.gpu.overview import rimmed
 from orograph.rendering.gpu.renderer import ATLASES, Renderer
 from orograph.rendering.gpu.shade.tracing import casts
@@ -95,14 +95,7 @@ def draw(
             # What is seen is asked without its light if that takes its time.
             first = scene.but(light="none", lamps=(), discs=()) if by_rays else scene
             stats = renderer.draw(target, "rgba8unorm", first, overlay=overlay, wait=True, samples=1)
-            notes = list(stats.notes)
-            if scene.surface.tolerance is not None and stats.error_px > scene.surface.tolerance * (1 + 1e-6):
-                notes.append(
-                    f"The ground is up to {stats.error_px:.2g} pixels off, not {scene.surface.tolerance:g}: more tiles "
-                    "do not fit into the GPU's memory."
-                )
-            if renderer.imagery.full:
-                notes.append("Layers are coarser than they could be: more would not fit into the GPU's memory.")
+            notes = [*stats.notes, *_coarser(scene, stats, renderer)]
             for warning in notes:
                 progress.warn(warning)
             warnings += notes
@@ -145,6 +138,19 @@ def draw(
         pixels, depth, view, facts, place, void_filled if void_filled.any() else None, renderer.tint,
         scene.terrain.grid.crs, scene.surface.exaggeration, scene.attribution,
     )  # fmt: skip
+
+
+def _coarser(scene: Scene, stats: FrameStats, renderer: Renderer) -> list[str]:
+    """What is drawn coarser than asked for, because memory holds no more."""
+    found = []
+    if scene.surface.tolerance is not None and stats.error_px > scene.surface.tolerance * (1 + 1e-6):
+        found.append(
+            f"The ground is up to {stats.error_px:.2g} pixels off, not {scene.surface.tolerance:g}: more tiles "
+            "do not fit into the GPU's memory."
+        )
+    if renderer.imagery.full:
+        found.append("Layers are coarser than they could be: more would not fit into the GPU's memory.")
+    return found
 
 
 def renderer_of(device: Device, scene: Scene) -> Renderer:
