@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from orograph.dem import Dem, read
     from orograph.fetching import fetch
     from orograph.geo import Grid
+    from orograph.geovis.data.dataset import Dataset, Uncertainty
     from orograph.geovis.layers import Layer, basemap
     from orograph.lighting import make as light
     from orograph.lighting.bake import bake
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Contours",
+    "Dataset",
     "Dem",
     "Grid",
     "Layer",
@@ -61,6 +63,7 @@ __all__ = [
     "Terrain",
     "Tessellation",
     "Tour",
+    "Uncertainty",
     "View",
     "__version__",
     "bake",
@@ -90,6 +93,7 @@ __all__ = [
 
 _HOMES = {
     "Contours": "orograph.scene.contours",
+    "Dataset": "orograph.geovis.data.dataset",
     "Dem": "orograph.dem",
     "Grid": "orograph.geo",
     "Layer": "orograph.geovis.layers",
@@ -99,6 +103,7 @@ _HOMES = {
     "Terrain": "orograph.store",
     "Tessellation": "orograph.tessellation",
     "Tour": "orograph.touring.tour",
+    "Uncertainty": "orograph.geovis.data.dataset",
     "View": "orograph.viewpoint",
     "bake": "orograph.lighting.bake",
     "basemap": "orograph.geovis.layers",

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from orograph.geovis.keys import Legend, Scale
 from orograph.rendering.furniture import furnish as furniture
 from orograph.rendering.furniture import lettering
 from orograph.rendering.furniture.furnish import furnish
-from orograph.rendering.furniture.pieces import Legend, Scale, bar_length, number, ticks
+from orograph.rendering.furniture.pieces import bar_length, number, ticks
 
 RAMP = np.linspace([0.1, 0.4, 0.2], [1.0, 0.9, 0.9], 256)
 LEGEND = Legend((Scale(12.0, 4392.0, RAMP),), (("Water", (112, 153, 178)), ("No data", (0.6, 0.6, 0.6))))

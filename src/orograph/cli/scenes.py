@@ -60,6 +60,57 @@ def scene_option(name: str, **changes: Any) -> Callable[[F], F]:
     return _option(replace(OPTIONS[name], **changes))
 
 
+class DataOption(click.Option):
+    """``--data``, to each of which the ``--uncertainty`` that stands after it belongs."""
+
+    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
+        super().add_to_parser(parser, ctx)
+        listened = parser._long_opt[self.opts[0]]
+        took = listened.process
+
+        def process(value: str, state: Any) -> None:
+            ctx.meta.setdefault(ORDER, []).append((self.name, value))
+            took(value, state)
+
+        listened.process = process
+
+    def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
+        pairs = self._pairs(ctx)
+        if self.name == "uncertainty":
+            return None
+        from orograph.geovis.data.dataset import Uncertainty
+
+        made = []
+        for text, doubt in pairs:
+            (one,) = super().type_cast_value(ctx, (text,))
+            made.append(one if doubt is None else one.but(uncertainty=Uncertainty.parse(doubt)))
+        return tuple(made)
+
+    def _pairs(self, ctx: click.Context) -> list[tuple[str, str | None]]:
+        """Data and the uncertainty of each, as the command line has them."""
+        found: list[tuple[str, str | None]] = []
+        for name, text in ctx.meta.get(ORDER, []):
+            if name == "data":
+                found.append((text, None))
+            elif not found or found[-1][1] is not None:
+                why = "Each --data has one." if found else "It belongs to the --data before it, and there is none."
+                raise click.BadParameter(f"{text!r} is too much: {why}", ctx, self, param_hint="'--uncertainty'")
+            else:
+                found[-1] = found[-1][0], text
+        return found
+
+
+ORDER = "orograph.data"
+"""Where the order of ``--data`` and ``--uncertainty`` is kept while a command line is read."""
+
+uncertainty_option = click.option(
+    "--uncertainty", cls=DataOption, multiple=True, expose_value=False, metavar="FILE|spread|ci90[,KEY=VALUE…]",
+    help="How uncertain the --data before it are: spread (standard deviation) or ci90 (half of the central 90 %) of "
+    "its members, or a raster of standard deviations. Keys: variable, band, time, member, range, style (transparency, "
+    "noise, blur, saturation, whiteness, palette, glyphs, hatching).",
+)  # fmt: skip
+
+
 def _option(one: Described, name: str = "") -> Callable[[F], F]:
     """The option of the command line that a field describes."""
     flag = f"--{one.key}"
@@ -81,6 +132,8 @@ def _option(one: Described, name: str = "") -> Callable[[F], F]:
         more["type"] = _type(one)
         if one.metavar:
             more["metavar"] = one.metavar
+    if one.name == "data":
+        more["cls"] = DataOption
     return click.option(flag, name or one.name, **more)
 
 
@@ -113,6 +166,7 @@ def scene_options(without: tuple[str, ...] = (), backend: bool = True, **changes
                 options.append(scene_option(name, **changes.get(name, {})))
                 options += [_option(one, detail) for detail, one in DETAILS.get(name, {}).items()]
                 options += [conservative_option] if name == "method" else []
+                options += [uncertainty_option] if name == "data" else []
         options.append(grid_options("draw"))
         if backend:
             options.append(
@@ -133,6 +187,7 @@ def inputs_of(paths: Sequence[str], options: Mapping[str, Any]) -> dict[str, Seq
     """The files that a picture is made of, by what they are (``files.check_outputs``)."""
     return {
         "the input": paths, "a layer of --drape": [layer.path for layer in options["layers"]],
+        "the data of --data": [str(one.source) for one in options["data"]],
         "the camera of --mesh-view": [options["mesh_view"]], "the grid of --geoid": [options["geoid"]],
     }  # fmt: skip
 

@@ -28,6 +28,7 @@ from orograph.documents import number
 from orograph.errors import UsageError
 from orograph.geovis.basemaps import PREFIX, Basemap, location_of
 from orograph.geovis.held import Held, held
+from orograph.geovis.keys import Legend
 from orograph.geovis.tables import Table
 
 Colors = NDArray[np.float32]
@@ -61,6 +62,7 @@ class Layer:
         nodata: the value that means "nothing here", instead of the one the file declares.
         transform, crs: where an array lies (not kept: they are the file's in memory).
         norm: matplotlib's, of the colour map (not kept: it is folded into it).
+        key: what the colours of an image mean, for the legend.
 
     Raises:
         UsageError: a number is out of its range, a name is unknown.
@@ -76,6 +78,7 @@ class Layer:
     band: int = 1
     nodata: float | None = None
     held: Held | None = field(default=None, repr=False, compare=False)
+    key: Legend | None = field(default=None, repr=False, compare=False)
     transform: InitVar[Any] = None
     crs: InitVar[Any] = None
     norm: InitVar[Any] = None
@@ -181,20 +184,10 @@ class Layer:
         Raises:
             UsageError: a key is unknown or its value makes no sense.
         """
-        path = text
-        told: list[str] = []
-        while not Path(path).exists() or path.startswith(PREFIX):
-            head, comma, last = path.rpartition(",")
-            if not comma or "=" not in last or not head:
-                break
-            path, told = head, [last, *told]
-        values: dict[str, Any] = {"path": path}
-        for part in told:
-            key, _, value = part.partition("=")
-            key = key.strip().lower()
-            if key in values:
-                raise UsageError(f"{key} is said twice.", path=text)
-            values[key] = value.strip()
+        path, keys = keyed(text)
+        if "path" in keys:
+            raise UsageError("path is said twice.", path=text)
+        values: dict[str, Any] = {"path": path, **keys}
         return cls.from_dict(values)
 
     @classmethod
@@ -247,6 +240,30 @@ class Layer:
 
 
 FIELDS = tuple(f.name for f in fields(Layer) if f.compare)
+
+
+def keyed(text: str) -> tuple[str, dict[str, str]]:
+    """What stands before ``[,KEY=VALUE…]`` on the command line, a path that may hold commas, and the values by key.
+
+    Raises:
+        UsageError: a key is said twice.
+    """
+    path = text
+    told: list[str] = []
+    while not Path(path).exists() or path.startswith(PREFIX):
+        head, comma, last = path.rpartition(",")
+        if not comma or "=" not in last or not head:
+            break
+        path, told = head, [last, *told]
+    values: dict[str, str] = {}
+    for part in told:
+        key, _, value = part.partition("=")
+        key = key.strip().lower()
+        if key in values:
+            raise UsageError(f"{key} is said twice.", path=text)
+        values[key] = value.strip()
+    return path, values
+
 
 Given = Any
 """A layer, or what becomes one: the path of an image, an array, a DataArray, an open dataset."""

@@ -19,6 +19,8 @@ from orograph.scene.contours import Contours
 from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
+    from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.priority import Priority
     from orograph.geovis.layers import Layer
     from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
@@ -84,6 +86,25 @@ def read_layer(text: str) -> Layer:
     layer = Layer.parse(text)
     assert layer.location
     return layer
+
+
+def read_data(text: str) -> Dataset:
+    """Data as ``Dataset.parse`` reads them, whose file is there."""
+    from orograph.dem.handles import locate
+    from orograph.geovis.data.dataset import Dataset
+
+    found = Dataset.parse(text)
+    assert locate(found.source)
+    return found
+
+
+def read_priority(text: str) -> Priority:
+    from orograph.geovis.data.priority import Priority
+
+    try:
+        return Priority.parse(text)
+    except UsageError as error:
+        raise ValueError(str(error)) from None
 
 
 def read_water(text: str) -> str | float:
@@ -163,6 +184,21 @@ def layers(value: Any, terrain: Terrain) -> tuple[Layer, ...]:
     from orograph.geovis.layers import layers_of
 
     return layers_of(value)
+
+
+def data(value: Any, terrain: Terrain) -> tuple[Dataset, ...]:
+    """Takes one or several: paths, DataArrays, arrays (which span the terrain), or an `orograph.Dataset` of each, which
+    says what keys say, and how uncertain they are."""
+    from orograph.geovis.data.dataset import datasets_of
+
+    return datasets_of(value)
+
+
+def priority(value: Priority | str | None, terrain: Terrain) -> Priority | None:
+    """Takes such a text."""
+    from orograph.geovis.data.priority import Priority
+
+    return Priority.parse(value) if isinstance(value, str) else value
 
 
 def water(value: Literal["auto", "none"] | float | None, terrain: Terrain) -> Literal["auto"] | float | None:

@@ -20,6 +20,8 @@ from orograph.scene.contours import Contours
 from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
+    from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.priority import Priority
     from orograph.geovis.layers import Layer
     from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
@@ -137,6 +139,25 @@ class Data:
 
 
 @dataclass(frozen=True, slots=True)
+class Theme:
+    """Data that belong to the ground, how uncertain they are, and what of terrain, data and uncertainty comes first."""
+
+    data: tuple[Dataset, ...] = option(
+        (),
+        "Show values of a raster in any CRS. Keys: variable, band, time, member (which of several), style (continuous, "
+        "segmented, isolines, isobands, cells, hatching, stipple), colormap, range (LOW:HIGH), classes, breaks "
+        "(quantiles, equal, jenks, or values: 0:5:10), size, opacity, name, unit: era5.grib,time=T12,style=segmented.",
+        read=given.read_data, given=given.data, metavar="FILE[,KEY=VALUE…]", multiple=True,
+    )  # fmt: skip
+    priority: Priority | None = option(
+        None,
+        "What comes first: T+ shaded relief, T- a line drawing; D+ a continuous scale, D- classes; U+ glyphs of "
+        "uncertainty, U- transparency or noise. Or overview, approach, overflight, replanning.",
+        read=given.read_priority, given=given.priority, metavar="T±D±U±", shown="T+D+U- with data",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
 class Annotations:
     """Lines on the ground, and what stands around the picture."""
 
@@ -208,7 +229,8 @@ class Budget:
 
 
 PARTS: dict[str, type] = {
-    "lighting": Lighting, "data": Data, "annotations": Annotations, "surface": Surface, "budget": Budget
+    "lighting": Lighting, "data": Data, "theme": Theme, "annotations": Annotations, "surface": Surface,
+    "budget": Budget,
 }  # fmt: skip
 """The parts of a scene, by the names of its fields."""
 

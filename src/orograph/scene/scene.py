@@ -8,7 +8,8 @@ from typing import Any, Self
 
 from orograph.errors import ReadError
 from orograph.geovis.layers import attributed
-from orograph.scene.parts import OPTIONS, PARTS, Annotations, Budget, Data, Lighting, Surface, by_part
+from orograph.scene.parts import OPTIONS, PARTS, Annotations, Budget, Data, Lighting, Surface, Theme, by_part
+from orograph.scene.theming import themed
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.viewpoint import View
 
@@ -22,7 +23,7 @@ class Scene:
 
     Attributes:
         terrain, view: what is looked at, and from where.
-        surface, lighting, annotations, data, budget: see ``scene.parts``.
+        surface, lighting, annotations, data, theme, budget: see ``scene.parts``.
 
     Raises:
         ReadError: the terrain has fewer than two rows or columns.
@@ -34,6 +35,7 @@ class Scene:
     lighting: Lighting = field(default_factory=Lighting)
     annotations: Annotations = field(default_factory=Annotations)
     data: Data = field(default_factory=Data)
+    theme: Theme = field(default_factory=Theme)
     budget: Budget = field(default_factory=Budget)
 
     def __post_init__(self) -> None:
@@ -51,7 +53,7 @@ class Scene:
         Raises:
             UsageError: there is no such option, or as the parts.
         """
-        parts = _sorted(options, terrain)
+        parts = _sorted(themed(options, terrain, view), terrain)
         return cls(terrain, view, **{part: PARTS[part](**given) for part, given in parts.items()})
 
     def but(self, *, terrain: Terrain | None = None, view: View | None = None, **options: Any) -> Self:

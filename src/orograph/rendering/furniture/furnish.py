@@ -19,14 +19,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.geovis.keys import Legend, Scale
 from orograph.geovis.layers import Layer, attributed, drawn
 from orograph.rendering.furniture.lettering import Color, Style, set_type
 from orograph.rendering.furniture.pieces import (
     INK,
     PAPER,
-    Legend,
     Piece,
-    Scale,
     arrow,
     foot,
     heading,
@@ -70,6 +69,7 @@ def insets(
     """
     credit = "; ".join(attributed(own, layers)) or None
     scales = [replace(USUAL.scales[0], label=one.title) for one in drawn(layers) if one.colormap is not None]
+    scales += [scale for one in drawn(layers) if one.key is not None for scale in one.key.scales]
     usual = replace(USUAL, scales=(*USUAL.scales, *scales))
     style = Style.of(size, credit or "")
     far = 100 * max(size)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from orograph.geo.grid import Grid
 from orograph.geovis.color import Tint, linear_to_srgb
+from orograph.geovis.keys import Legend, Scale
 from orograph.geovis.layers import Layer
 from orograph.geovis.layers import drawn as visible
 from orograph.geovis.tables import Table
 from orograph.memo import Memo
-from orograph.rendering.furniture.pieces import Legend, Scale
 from orograph.rendering.palette import HATCH, VISIBLE, WATER, hatching
 from orograph.rendering.survey import stride
 from orograph.scene.scene import Scene
@@ -73,7 +73,9 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
     metres = _scale(scene, drawn)
     if metres is not None:
         metres /= stretch(scene)
-    parts = [f"Light from {round(scene.lighting.sun.azimuth, 1):g}°, {round(scene.lighting.sun.altitude, 1):g}° high"]
+    sun, parts = scene.lighting.sun, []
+    if scene.lighting.light != "none":
+        parts.append(f"Light from {round(sun.azimuth, 1):g}°, {round(sun.altitude, 1):g}° high")
     if scene.surface.exaggeration != 1:
         parts.append(f"heights ×{scene.surface.exaggeration:g}")
     if scene.annotations.contours is not None:
@@ -81,6 +83,7 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
         parts.append(f"contours every {interval:g} m")
     if view.projection == "perspective" and metres is not None:
         parts.append("scale at the picture's middle")
+    parts += [one.key.note for one in visible(scene.data.layers) if one.key is not None and one.key.note]
     if crs := _crs_name(terrain.grid.crs):
         parts.append(crs)
     title = scene.annotations.title
@@ -99,13 +102,18 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
     dry = shown["ground"] - shown["water"]
     scales: list[Scale] = []
     swatches: list[tuple[str, Any]] = []
-    for layer in [one for one in reversed(visible(scene.data.layers)) if one.colormap is not None]:
+    for layer in [one for one in reversed(visible(scene.data.layers)) if one.colormap is not None or one.key]:
+        if layer.key is not None:
+            scales += layer.key.scales
+            swatches += layer.key.swatches
+            continue
         explained = explain(layer, scene.terrain.grid)
         if isinstance(explained, Scale):
             scales.append(explained)
         else:
             swatches += explained
-    if not drawn.draped or shown["draped"] < DRAPED * dry:
+    plain = bool((tint.land == tint.land[0]).all())
+    if not plain and (not drawn.draped or shown["draped"] < DRAPED * dry):
         low, high, colors = tint.scale()
         scales.append(Scale(low, high, linear_to_srgb(colors), below=tint.below, above=tint.above))
     if shown["water"] >= VISIBLE:

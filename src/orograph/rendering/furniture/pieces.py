@@ -10,60 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.geovis.keys import Legend, Scale
 from orograph.rendering.furniture.lettering import Color, Style, cut, length
 
 PAPER: Color = (246, 244, 239)
 INK: Color = (36, 40, 46)
 GREY: Color = (92, 96, 102)
 
-MOST_LINES = 5
-"""Of note and credit."""
+MOST_LINES, MOST_NOTES = 5, 2
+"""Of note and credit, and of the note alone, which is cut where it is longer."""
 WIDEST, LEAST = 11.0, 3.5
 """Units: of words in a legend, and of the height of one of several scales."""
-
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """What the colours of heights, or of a layer's values, mean.
-
-    Attributes:
-        low, high: values at the ends of the colour table.
-        colors: (n, 3), from low to high, sRGB: uint8, or float in [0, 1].
-        unit: of the values; ``label``: what they are.
-        below, above: whether there are values beyond an end of the table, in the end's colour: a triangle says so.
-    """
-
-    low: float
-    high: float
-    colors: NDArray[Any]
-    unit: str = "m"
-    label: str = "Height"
-    below: bool = False
-    above: bool = False
-
-    @property
-    def words(self) -> str:
-        """What stands above it."""
-        return f"{self.label} ({self.unit})" if self.unit else self.label
-
-
-@dataclass(frozen=True, slots=True)
-class Legend:
-    """What the colours of a picture mean.
-
-    Attributes:
-        scales: one below the other.
-        swatches: (words, colour) of classes, of water and of ground without data: sRGB (uint8 or float); a tile
-            (rows, cols, 3) is a pattern, repeated pixel by pixel.
-    """
-
-    scales: tuple[Scale, ...] = ()
-    swatches: tuple[tuple[str, Any], ...] = ()
-
-    @property
-    def words(self) -> str:
-        """All that is written in it, but for numbers."""
-        return " ".join([*(scale.words for scale in self.scales), *(words for words, _ in self.swatches)])
 
 
 @dataclass(slots=True)
@@ -187,7 +144,9 @@ def foot(
         piece.width = max(x0 + pixels, end + length(small, name)) + pad
         piece.height = y0 + thick + 0.15 * u
     room = (room_for_note or inner) - 2 * pad
-    lines = [] if not note else [cut(style.text(note), tiny, room, style)]
+    lines = wrapped(style.text(note), tiny, room) if note else []
+    if note and (not all(lines) or len(lines) > MOST_NOTES):
+        lines = [cut(style.text(note), tiny, room, style)]
     if credit:
         lines += wrapped(style.text(credit), tiny, room)
     if not all(lines) or len(lines) > MOST_LINES:

@@ -1,0 +1,1 @@
+"""Data and their uncertainty on the terrain that they belong to ([page](docs/data.md))."""

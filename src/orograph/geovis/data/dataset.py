@@ -1,0 +1,227 @@
+"""Data as users name them: a source, which part of it, and how it is shown; and with it, how uncertain it is.
+
+On the command line ``--data FILE[,KEY=VALUE…]`` and after it ``--uncertainty FILE|spread|ci90[,KEY=VALUE…]``; in Python
+``Dataset("era5.grib", time="T12", uncertainty="spread")``. Units are the data's own.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, Self, TypeVar, get_args
+
+from orograph.errors import UsageError
+from orograph.geovis.layers import keyed
+
+Style = Literal["continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple"]
+"""Ways of showing values on the surface (A² of Dübel et al. 2014)."""
+
+Standing = Literal["bars", "spheres", "cones", "discs", "flags"]
+"""Ways of showing values at places by things that stand on the ground (A³)."""
+
+Sign = Literal[
+    "transparency", "noise", "blur", "saturation", "whiteness", "palette", "glyphs", "hatching", "errorbars", "none"
+]  # fmt: skip
+"""Ways of showing uncertainty; the first six are intrinsic."""
+
+INTRINSIC = ("transparency", "noise", "blur", "saturation", "whiteness", "palette")
+
+Measure = Literal["spread", "ci90"]
+"""Uncertainties of the members of an ensemble: their standard deviation (n − 1), or half the width between their 5 %
+and 95 % quantiles (linear between members)."""
+
+T = TypeVar("T")
+
+Breaks = Literal["quantiles", "equal", "jenks"]
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """How uncertain data are.
+
+    Attributes:
+        source: "spread" or "ci90", of the data's own members; else one standard deviation in the data's unit: a raster,
+            or an array, or for points the name of an attribute.
+        variable, band, time, member: as of a ``Dataset``.
+        style: see ``Sign``; None: what the priority says.
+        range: the uncertainties at the ends of its scale; None: from 0 to the 98th percentile.
+
+    Raises:
+        UsageError: a value makes no sense.
+    """
+
+    source: Any
+    variable: str | None = None
+    band: str | int | None = None
+    time: str | None = None
+    member: str | int | None = None
+    style: Sign | None = None
+    range: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        _check_choice("style of an uncertainty", self.style, get_args(Sign))
+        _check_range(self.range, "uncertainties")
+
+    @property
+    def of_members(self) -> bool:
+        """Whether it follows from the data's own members."""
+        return isinstance(self.source, str) and self.source in get_args(Measure)
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """An uncertainty from the command line.
+
+        Raises:
+            UsageError: a key is unknown or its value makes no sense.
+        """
+        return _parsed(cls, text, {"range": _range})
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """Data to be shown on a terrain.
+
+    Attributes:
+        source: a raster or a file of points in any CRS; a ``DataArray`` (with dimensions ``time`` and ``member``, if it
+            has them); a mapping of columns, a table, or GeoJSON, with places in its columns.
+        variable: of several (NetCDF, HDF5), or the attribute of points that is shown.
+        band: of a raster, from 1: ``3``, ``1-13``, ``all``. time: of a series: the beginning of a time
+            (``2019-03-01T12``), or an hour of all days (``T12``). member: as ``band``, of an ensemble.
+            Where several are chosen their mean is shown.
+        style: see ``Style`` and ``Standing``; None: what the priority says, of points spheres.
+        colormap: any name of the cmap catalogue. range: the values at its ends; None: the 2nd and the 98th percentile.
+        classes, breaks: of segments: how many (2 to 12), and where they begin: quantiles, equal steps, Jenks' natural
+            breaks, or the values themselves.
+        size: metres on the ground from sign to sign, or of a cell; of what stands, its height or diameter at the upper
+            end of the range. None: what suits the terrain.
+        opacity: 0 to 1. unit, name: what the legend says instead of what the source says.
+        uncertainty: how uncertain they are.
+
+    Raises:
+        UsageError: a value makes no sense.
+    """
+
+    source: Any
+    variable: str | None = None
+    band: str | int | None = None
+    time: str | None = None
+    member: str | int | None = None
+    style: Style | Standing | None = None
+    colormap: str = "viridis"
+    range: tuple[float, float] | None = None
+    classes: int = 5
+    breaks: Breaks | tuple[float, ...] = "quantiles"
+    size: float | None = None
+    opacity: float = 1.0
+    unit: str | None = None
+    name: str | None = None
+    uncertainty: Uncertainty | None = None
+
+    def __post_init__(self) -> None:
+        from orograph.geovis.color import color_table
+
+        if isinstance(self.source, os.PathLike):
+            object.__setattr__(self, "source", os.fspath(self.source))
+        if self.source is None or self.source == "":
+            raise UsageError("A dataset has no source.", remedy="Name a raster or a file of points.")
+        _check_choice("style", self.style, (*get_args(Style), *get_args(Standing)))
+        _check_range(self.range, "values")
+        color_table(self.colormap, 2)
+        if not 2 <= self.classes <= 12:
+            raise UsageError(f"There are 2 to 12 classes, not {self.classes}.")
+        if isinstance(self.breaks, str):
+            _check_choice("way of finding breaks", self.breaks, get_args(Breaks))
+        elif len(self.breaks) < 3 or any(not a < b for a, b in zip(self.breaks, self.breaks[1:])):
+            raise UsageError(f"Breaks are at least three values, each above the last, not {self.breaks}.")
+        if self.size is not None and not 0 < self.size < math.inf:
+            raise UsageError(f"A size is in metres, above 0, not {self.size}.")
+        if not 0 <= self.opacity <= 1:
+            raise UsageError(f"An opacity is a number from 0 to 1, not {self.opacity:g}.")
+        doubt: Any = self.uncertainty
+        if doubt is not None and not isinstance(doubt, Uncertainty):
+            object.__setattr__(self, "uncertainty", Uncertainty(doubt))
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Data from the command line: ``FILE[,KEY=VALUE…]``.
+
+        Raises:
+            UsageError: a key is unknown or its value makes no sense.
+        """
+        return _parsed(
+            cls, text, {"range": _range, "classes": _whole, "breaks": _breaks, "size": _number, "opacity": _number},
+            without=("uncertainty",),
+        )  # fmt: skip
+
+    def but(self, **changes: Any) -> Dataset:
+        """The same with other attributes."""
+        return replace(self, **changes)
+
+
+def datasets_of(given: Any) -> tuple[Dataset, ...]:
+    """Data of what a user may give: one or several, each a ``Dataset`` or its source."""
+    if given is None:
+        return ()
+    several = given if isinstance(given, list | tuple) else [given]
+    return tuple(one if isinstance(one, Dataset) else Dataset(one) for one in several)
+
+
+def _parsed(kind: type[T], text: str, readers: Mapping[str, Any], without: tuple[str, ...] = ()) -> T:
+    source, values = keyed(text)
+    known = [f.name for f in fields(kind) if f.name not in ("source", *without)]  # type: ignore[arg-type]
+    made: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in known:
+            close = difflib.get_close_matches(key, known, 1)
+            hint = f"Did you mean {close[0]}?" if close else f"There are {', '.join(known)}."
+            raise UsageError(f"There is no {key!r} of data.", path=source, remedy=hint)
+        made[key] = readers.get(key, str)(value)
+    try:
+        return kind(source, **made)  # type: ignore[call-arg]
+    except UsageError as error:
+        raise UsageError(error.what, path=source, remedy=error.remedy) from None
+
+
+def _number(text: str) -> float:
+    try:
+        found = float(text)
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found):
+        raise UsageError(f"{text!r} is no number.")
+    return found
+
+
+def _whole(text: str) -> int:
+    found = _number(text)
+    if found != int(found):
+        raise UsageError(f"{text!r} is no whole number.")
+    return int(found)
+
+
+def _range(text: str) -> tuple[float, float]:
+    parts = [_number(part) for part in text.split(":")]
+    if len(parts) != 2:
+        raise UsageError(f"A range is LOW:HIGH, not {text!r}.")
+    return parts[0], parts[1]
+
+
+def _breaks(text: str) -> Any:
+    return tuple(_number(part) for part in text.split(":")) if ":" in text else text
+
+
+def _check_choice(what: str, value: Any, known: tuple[str, ...]) -> None:
+    if value is not None and value not in known:
+        close = difflib.get_close_matches(str(value), known, 1)
+        raise UsageError(
+            f"There is no {what} {value!r}.",
+            remedy=f"Did you mean {close[0]}?" if close else f"There are {', '.join(known)}.",
+        )
+
+
+def _check_range(given: tuple[float, float] | None, what: str) -> None:
+    if given is not None and not -math.inf < given[0] < given[1] < math.inf:
+        raise UsageError(f"A range of {what} goes from a lower to a higher one, not {given}.")

@@ -1,0 +1,280 @@
+"""Data painted on the ground (A² of Dübel et al. 2014): values and their uncertainty become one image over the terrain.
+
+Values are interpolated between the data's own samples, then coloured, so that classes have sharp borders at any scale.
+The image is a layer like any other: every backend, film and window draws it. Units: texels; colours linear until the
+image is made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+
+from orograph.geo.grid import Grid
+from orograph.geovis.color import linear_to_srgb
+from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.patterns import covered, dotted, hatched
+from orograph.geovis.data.priority import Priority
+from orograph.geovis.data.reading import Field, read, sampled
+from orograph.geovis.data.scales import ColorScale, spanned
+from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
+from orograph.geovis.keys import Legend, Scale
+from orograph.geovis.layers import Layer
+
+Array = NDArray[np.float64]
+Colors = NDArray[np.float32]
+
+SIGNS = 44
+"""Signs along the longer side of the terrain, where no size is given."""
+
+LEAST_PITCH = 6.0
+"""Texels from sign to sign."""
+
+LINE = 1.6
+"""Texels that an isoline is wide."""
+
+EDGE = np.array([0.03, 0.03, 0.04], np.float32)
+
+SWATCH, SWATCHES = 32, (0.15, 0.5, 0.85)
+"""Texels of a legend's swatch, and the places along the scale of uncertainties that it shows."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """Data over a terrain, ready to be painted or to stand.
+
+    Attributes:
+        dataset: as given. style, sign: how values and uncertainty are shown. field: what was read.
+        sigma: (rows, cols) of the field's grid, in the data's unit; None: nothing is known. its grid is ``over``'s.
+        scale: colours of values. doubt: the ends of the scale of uncertainties.
+    """
+
+    dataset: Dataset
+    style: str
+    sign: str
+    field: Field
+    values: NDArray[np.float32]
+    sigma: NDArray[np.float32] | None
+    over: Grid
+    scale: ColorScale
+    doubt: tuple[float, float]
+
+    @property
+    def title(self) -> str:
+        """What the legend calls it."""
+        if self.dataset.name is not None:
+            return self.dataset.name
+        return self.field.name
+
+    @property
+    def note(self) -> str:
+        """What else a reader must know."""
+        parts = [self.field.chosen]
+        if self.sigma is not None:
+            source = self.dataset.uncertainty.source if self.dataset.uncertainty is not None else None
+            words = {"spread": "± standard deviation", "ci90": "± half of the central 90 %"}
+            parts.append(words.get(source, "± standard deviation") if isinstance(source, str) else words["spread"])
+        told = ", ".join(filter(None, parts))
+        return f"{self.title}: {told}" if told else ""
+
+    @property
+    def unit(self) -> str:
+        return self.field.unit if self.dataset.unit is None else self.dataset.unit
+
+
+def shown(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Shown:
+    """Read data and say how they are shown.
+
+    Args:
+        grid: the terrain's. texels: along the longer side of the image.
+
+    Raises: as ``reading.read``.
+    """
+    field = read(dataset, grid)
+    over = _cropped(field, grid, texels)
+    values = sampled(field.mean, field, over)
+    sigma = _sigma(dataset, field, grid, over)
+    style = dataset.style or priority.style
+    given = None if dataset.uncertainty is None else dataset.uncertainty.style
+    sign = "none" if sigma is None else (given or priority.sign)
+    parts = style not in ("continuous", "bars", "spheres", "cones", "discs", "flags")
+    scale = ColorScale.of(
+        values, dataset.colormap, dataset.range, dataset.classes if parts else 0, dataset.breaks
+    )  # fmt: skip
+    doubt = (0.0, 1.0)
+    if sigma is not None:
+        asked = None if dataset.uncertainty is None else dataset.uncertainty.range
+        doubt = asked or (0.0, spanned(sigma, None)[1])
+    return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt)
+
+
+def _sigma(dataset: Dataset, field: Field, grid: Grid, over: Grid) -> NDArray[np.float32] | None:
+    """Standard deviations over the image, in the data's unit."""
+    doubt = dataset.uncertainty
+    if doubt is None:
+        return None
+    if doubt.of_members:
+        return sampled(field.uncertainty(doubt.source), field, over)
+    other = read(doubt, grid)
+    found = sampled(other.mean, other, over)
+    if (found < 0).any():
+        from orograph.errors import ReadError
+
+        raise ReadError(
+            f"An uncertainty is a standard deviation, never negative; its lowest is {float(np.nanmin(found)):g}.",
+            path=str(doubt.source), remedy="Name another band, or mend it.",
+        )  # fmt: skip
+    return found
+
+
+def _cropped(field: Field, grid: Grid, texels: int) -> Grid:
+    """The grid of the image: the part of the terrain that has data, in texels as long as the whole allows."""
+    longer = max(grid.shape)
+    step = longer / texels
+    rows, cols = (max(2, round(n / step)) for n in grid.shape)
+    whole = Grid((rows, cols), grid.transform * Affine.scale(grid.cols / cols, grid.rows / rows), grid.crs)
+    if grid.crs is None:
+        return whole
+    few = 8
+    coarse = Grid(
+        (-(-rows // few), -(-cols // few)), whole.transform * Affine.scale(few), grid.crs
+    )  # fmt: skip
+    there = np.isfinite(sampled(field.mean, field, coarse))
+    if not there.any():
+        return whole
+    i, j = (np.flatnonzero(there.any(axis)) for axis in (1, 0))
+    row0, row1 = max(0, (i[0] - 1) * few), min(rows, (i[-1] + 2) * few)
+    col0, col1 = max(0, (j[0] - 1) * few), min(cols, (j[-1] + 2) * few)
+    return Grid((row1 - row0, col1 - col0), whole.transform * Affine.translation(col0, row0), grid.crs)
+
+
+def painted(found: Shown) -> Layer:
+    """The layer of data that are shown on the surface, with its legend."""
+    rows, cols = found.over.shape
+    y, x = np.mgrid[:rows, :cols] + 0.5
+    sigma = None if found.sigma is None else found.sigma.astype(np.float64)
+    pitch = _pitch(found)
+    paint = _paint(found, Paint(
+        x, y, pitch, found.values.astype(np.float64), sigma, _along(found, sigma, found.values.shape),
+        np.zeros((rows, cols, 3), np.float32), np.zeros((rows, cols)),
+    ))  # fmt: skip
+    image = np.empty((rows, cols, 4), np.uint8)
+    image[..., :3] = np.rint(linear_to_srgb(paint.rgb) * 255)
+    image[..., 3] = np.rint(paint.alpha * 255)
+    placed = found.over.crs is not None
+    return Layer(
+        image, opacity=found.dataset.opacity, name=found.title, key=key_of(found),
+        transform=found.over.transform if placed else None, crs=found.over.crs if placed else None,
+    )  # fmt: skip
+
+
+def _pitch(found: Shown) -> float:
+    metres = float(np.sqrt(abs(found.over.transform.determinant)))
+    size = found.dataset.size
+    return max(LEAST_PITCH, size / metres if size is not None else max(found.over.shape) / SIGNS)
+
+
+def _along(found: Shown, sigma: Any, shape: tuple[int, ...]) -> Array:
+    """Uncertainties along their scale, 0 to 1."""
+    if sigma is None:
+        return np.zeros(shape)
+    low, high = found.doubt
+    return np.asarray(np.clip((sigma - low) / max(high - low, 1e-30), 0, 1))
+
+
+def _paint(found: Shown, paint: Paint) -> Paint:
+    """Values and their uncertainty, painted."""
+    if found.style == "cells":
+        paint = _aggregated(paint)
+    values = drawn_values(paint, found.scale, found.sign)
+    there = np.isfinite(values)
+    paint = replace(paint, rgb=colored(values, paint.u, found.scale, found.sign), alpha=there.astype(np.float64))
+    share = (np.nan_to_num(found.scale.place(values)) + 1) / max(len(found.scale.table) + 1, 2)
+    if found.style in ("isolines", "isobands") and found.scale.edges is not None:
+        cover = _isolines(values, found.scale.edges[1:-1]) * there
+        if found.style == "isobands":
+            paint = paint.under(EDGE, cover * 0.8)
+        else:
+            paint = replace(paint, alpha=cover)
+    elif found.style == "hatching":
+        paint = replace(paint, alpha=hatched(paint.x, paint.y, paint.pitch / 2, share) * there)
+    elif found.style == "stipple":
+        paint = replace(paint, alpha=dotted(paint.x, paint.y, paint.pitch / 2, 0.7 * share) * there)
+    elif found.style == "cells":
+        border = np.minimum(*(0.5 - np.abs(v / paint.pitch % 1 - 0.5) for v in (paint.x, paint.y))) * paint.pitch
+        paint = paint.under(EDGE, covered(border - 0.5) * 0.5 * there)
+    return signed(paint, found.sign)
+
+
+def _aggregated(paint: Paint) -> Paint:
+    """Means of square cells of a pitch: of values, and of variances."""
+    i, j = (np.floor(v / paint.pitch).astype(np.int64) for v in (paint.y, paint.x))
+    cell = i * (int(j.max()) + 1) + j
+
+    def mean(values: Array) -> Array:
+        known = np.isfinite(values)
+        total = np.bincount(cell.ravel(), np.where(known, values, 0).ravel())
+        count = np.bincount(cell.ravel(), known.ravel())
+        size = np.bincount(cell.ravel())
+        found = np.where(2 * count >= size, total / np.maximum(count, 1), np.nan)
+        return np.asarray(found[cell])
+
+    sigma = None if paint.sigma is None else np.sqrt(mean(paint.sigma**2))
+    return replace(paint, values=mean(paint.values), sigma=sigma, u=mean(paint.u))
+
+
+def _isolines(values: Array, levels: tuple[float, ...]) -> Array:
+    """Coverage by lines at some values: by the distance to them, the difference over the gradient."""
+    filled = np.where(np.isfinite(values), values, np.nan)
+    down, across = np.gradient(filled)
+    slope = np.hypot(down, across)
+    cover = np.zeros(values.shape)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for level in levels:
+            cover = np.fmax(cover, covered(np.abs(filled - level) / slope - LINE / 2))
+    return np.nan_to_num(cover)
+
+
+def key_of(found: Shown) -> Legend:
+    """What the colours and signs of data mean."""
+    scale = Scale(
+        found.scale.low, found.scale.high, linear_to_srgb(found.scale.colors), found.unit, found.title,
+        below=found.dataset.range is None, above=found.dataset.range is None,
+    )  # fmt: skip
+    if found.sign == "none" or found.sigma is None:
+        return Legend((scale,), note=found.note)
+    low, high = found.doubt
+    swatches = []
+    for part in SWATCHES:
+        sigma = low + part * (high - low)
+        words = f"± {_rounded(sigma, high)} {found.unit}".rstrip()
+        swatches.append((words, _swatch(found, sigma)))
+    return Legend((scale,), tuple(swatches), found.note)
+
+
+def _swatch(found: Shown, sigma: float) -> NDArray[np.uint8]:
+    """A tile (rows, cols, 3) of what the data look like in the middle of their scale, so uncertain."""
+    y, x = np.mgrid[:SWATCH, :SWATCH] + 0.5
+    middle = np.full((SWATCH, SWATCH), (found.scale.low + found.scale.high) / 2)
+    doubt = np.full(middle.shape, sigma)
+    bare = Paint(x, y, SWATCH / 2, middle, doubt, _along(found, doubt, middle.shape),
+                 np.zeros((SWATCH, SWATCH, 3), np.float32), np.zeros(middle.shape))  # fmt: skip
+    paint = _paint(replace_style(found), bare)
+    alpha = paint.alpha[..., None].astype(np.float32)
+    seen = paint.rgb * alpha + np.float32(0.8) * (1 - alpha)
+    return np.asarray(np.rint(linear_to_srgb(seen) * 255), np.uint8)
+
+
+def replace_style(found: Shown) -> Shown:
+    """The same as plain colours, under which signs are told best."""
+    return replace(found, style="continuous" if found.scale.edges is None else "segmented")
+
+
+def _rounded(value: float, top: float) -> str:
+    """A number with the digits that its scale needs."""
+    digits = max(0, 2 - int(np.floor(np.log10(top))) - 1) if top > 0 else 0
+    return f"{value:.{min(digits, 6)}f}"

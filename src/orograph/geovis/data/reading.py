@@ -1,0 +1,395 @@
+"""Values of rasters over a terrain: which bands are meant, what they are, their mean and how they differ.
+
+A file's bands are the members of an ensemble, the times of a series, or different things, as the user says; GDAL's
+metadata tell times (GRIB's valid time, CF's ``time`` dimension) and units. Larger windows than ``MOST`` samples are
+averaged as they are read.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from affine import Affine
+from numpy.typing import NDArray
+
+from orograph.dem.handles import HANDLES, cause_of, locate
+from orograph.errors import ReadError, UsageError
+from orograph.geo.grid import Grid
+from orograph.geovis.data.dataset import Dataset, Uncertainty
+from orograph.geovis.placement import Lattice, Placement, extent, grid_of
+
+Values = NDArray[np.float32]
+
+MOST = 1 << 22
+"""Samples of a window that are held of each band."""
+
+HELD = 1 << 27
+"""Samples of all bands together."""
+
+HOT = 150.0
+"""Degrees Celsius that no air or ground has: values above it are kelvin, whatever the file says."""
+
+UNITS = {"[c]": "°C", "c": "°C", "degc": "°C", "celsius": "°C", "degree_celsius": "°C", "degrees celsius": "°C",
+         "[k]": "K", "kelvin": "K", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "percent": "%",
+         "[m/s]": "m/s", "m s**-1": "m/s", "m s-1": "m/s", "[pa]": "Pa", "1": ""}  # fmt: skip
+"""Units as people write them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """Values of one thing over a terrain.
+
+    Attributes:
+        values: (members, rows, cols) float32, NaN where there are none. grid: of rows and columns, in their own CRS.
+        name, unit: what they are. chosen: what was chosen of several, in words. warnings: full sentences.
+    """
+
+    values: Values
+    grid: Grid
+    name: str
+    unit: str
+    chosen: str = ""
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def mean(self) -> Values:
+        """(rows, cols): of the members that are known at a sample."""
+        if len(self.values) == 1:
+            return np.asarray(self.values[0])
+        known = np.isfinite(self.values)
+        count = known.sum(0)
+        total = np.where(known, self.values, 0).sum(0, dtype=np.float64)
+        with np.errstate(invalid="ignore"):
+            return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+
+    def uncertainty(self, measure: str) -> Values:
+        """(rows, cols): how members differ, "spread" or "ci90" (see ``dataset.Measure``).
+
+        Raises:
+            UsageError: there are fewer than two members.
+        """
+        if len(self.values) < 2:
+            raise UsageError(
+                f"The {measure} is that of members, and {self.name} has one.",
+                remedy="Choose several: band=all, time=T12, or member=all.",
+            )
+        few = np.isfinite(self.values).sum(0) < 2
+        values = np.where(few, 0, self.values).astype(np.float64)
+        if measure == "spread":
+            found = np.nanstd(values, axis=0, ddof=1)
+        else:
+            low, high = np.nanquantile(values, [0.05, 0.95], axis=0)
+            found = (high - low) / 2
+        return np.where(few, np.nan, found).astype(np.float32)
+
+
+def read(given: Dataset | Uncertainty, grid: Grid) -> Field:
+    """The values of data over a terrain with this grid.
+
+    Raises:
+        ReadError: the file is missing or broken, or lies beside the terrain, or has no valid value there.
+        UsageError: what was chosen is not there, or it is not clear what is meant.
+    """
+    if isinstance(given.source, str):
+        found = _of_file(given, grid)
+    else:
+        found = _of_array(given, grid)
+    if not np.isfinite(found.values).any():
+        raise ReadError(
+            "None of its values over the terrain is valid (all are nodata).", path=found.name,
+            remedy="Name data that cover it, or another band.",
+        )  # fmt: skip
+    return found
+
+
+def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
+    from rasterio.errors import RasterioError
+
+    location = _subdataset(locate(given.source), given.variable, given.source)
+    told: list[str] = []
+    with HANDLES.borrow(location) as file:
+        bands, chosen = _chosen(file, given)
+        placement = Placement.of(grid, grid_of(file), given.source, told)
+        window = _window(placement, given.source)
+        row0, row1, col0, col1 = window
+        step = _step(row1 - row0, col1 - col0, len(bands))
+        rows, cols = -(-(row1 - row0) // step), -(-(col1 - col0) // step)
+        place = Affine.scale((col1 - col0) / cols, (row1 - row0) / rows)
+        own = Grid(
+            (rows, cols), placement.image.transform * Affine.translation(col0, row0) * place, placement.image.crs
+        )
+        from rasterio.enums import Resampling
+        from rasterio.windows import Window
+
+        where = Window(col0, row0, col1 - col0, row1 - row0)
+        way = Resampling.nearest if step == 1 else Resampling.average
+        values = np.empty((len(bands), rows, cols), np.float32)
+        try:
+            for i, band in enumerate(bands):
+                read = file.read(band, window=where, out_shape=(rows, cols), resampling=way, masked=True)
+                scale, offset = file.scales[band - 1], file.offsets[band - 1]
+                values[i] = np.ma.filled(read.astype(np.float64) * scale + offset, np.nan)
+        except (RasterioError, OSError) as error:
+            raise ReadError(f"Its values cannot be read: {cause_of(error)}", path=given.source) from None
+        tags = file.tags(bands[0])
+        unit = (file.units[bands[0] - 1] or tags.get("GRIB_UNIT") or tags.get("units") or "").strip()
+        said = tags.get("long_name") or tags.get("GRIB_COMMENT") or ""
+        name = re.sub(r"\s*\[.*?\]\s*$", "", said) or (given.variable or Path(given.source).stem).replace("_", " ")
+    values[~np.isfinite(values)] = np.nan
+    return _in_units(Field(values, own, name, UNITS.get(unit.lower(), unit.strip("[]")), chosen, tuple(told)))
+
+
+def _in_units(field: Field) -> Field:
+    """The same in the unit that it says: GRIB's tables call temperatures in kelvin degrees Celsius."""
+    known = field.values[np.isfinite(field.values)]
+    if field.unit != "°C" or not len(known) or float(known.min()) <= HOT:
+        return field
+    return replace(field, values=field.values - np.float32(273.15))
+
+
+def _step(rows: int, cols: int, bands: int) -> int:
+    """Pixels along the side of a sample, so that neither a band nor all of them are too many."""
+    most = min(MOST, max(HELD // bands, 1))
+    return max(1, math.ceil(math.sqrt(rows * cols / most)))
+
+
+def _window(placement: Placement, name: str) -> tuple[int, int, int, int]:
+    """Pixels of a raster around the terrain, with a margin; all columns where it goes once around the body.
+
+    Raises:
+        ReadError: the terrain lies beside it.
+    """
+    bounds = Lattice.over(placement).bounds()
+    rows, cols = placement.image.shape
+    if bounds is not None:
+        u0, u1, v0, v1 = bounds
+        row0, row1 = max(0, math.floor(v0) - 2), min(rows, math.ceil(v1) + 2)
+        col0, col1 = (0, cols) if placement.cyclic else (max(0, math.floor(u0) - 2), min(cols, math.ceil(u1) + 2))
+        if v1 > 0 and v0 < rows and (placement.cyclic or (u1 > 0 and u0 < cols)):
+            return row0, row1, col0, col1
+    raise ReadError(
+        f"The data do not overlap the terrain: they cover {extent(placement.image)}, and the terrain "
+        f"{extent(placement.grid)}.",
+        path=name,
+        remedy="Name data of the same area, or mend their georeference (gdal_edit.py).",
+    )
+
+
+def _subdataset(location: str, variable: str | None, name: str) -> str:
+    """What GDAL opens for a variable of a file.
+
+    Raises:
+        UsageError: there is no such variable, or there are several and none is named.
+    """
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with rasterio.open(location) as file:  # (what is damaged, who opens it next says)
+                inside, count = list(file.subdatasets), file.count
+    except RasterioError:
+        inside, count = [], 1
+    if not inside:
+        return location
+    known = {one.rpartition(":")[2].rpartition("/")[2]: one for one in inside}
+    if variable is None:
+        if count:
+            return location
+        if len(known) == 1:
+            return str(next(iter(known.values())))
+    if variable in known:
+        return str(known[variable])
+    what = "It holds several variables" if variable is None else f"It holds no variable {variable!r}"
+    raise UsageError(f"{what}: {', '.join(known)}.", path=name, remedy="Choose one: variable=NAME.")
+
+
+def _chosen(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], str]:
+    """Bands that are meant, from 1, and in words which of several they are.
+
+    Raises:
+        UsageError: there are none such.
+    """
+    bands = list(range(1, file.count + 1))
+    words: list[str] = []
+    if given.time is not None:
+        times = times_of(file)
+        if not any(times):
+            raise UsageError("Its bands say no times.", path=str(given.source), remedy="Choose by band=.")
+        bands = [band for band in bands if matches(times[band - 1], given.time)]
+        if not bands:
+            raise UsageError(
+                f"It has no time {given.time}; its times go from {min(filter(None, times))} to {max(times)}.",
+                path=str(given.source), remedy="Give the beginning of one, or an hour of all days: T12.",
+            )  # fmt: skip
+        words.append(f"at {given.time[1:]} h" if given.time.startswith("T") else times[bands[0] - 1].replace("T", " "))
+    for asked in (given.band, given.member):
+        if asked is not None:
+            bands = _picked(bands, str(asked), str(given.source))
+    wanted = isinstance(given, Dataset) and given.uncertainty is not None and given.uncertainty.of_members
+    if given.time is None and given.band is None and given.member is None and not wanted:
+        bands = bands[:1]
+    if len(bands) > 1:
+        words.insert(0, f"mean of {len(bands)}")
+    elif file.count > 1 and not words:
+        words.append(file.descriptions[bands[0] - 1] or f"band {bands[0]}")
+    return bands, " ".join(words)
+
+
+def _picked(bands: Sequence[int], asked: str, name: str) -> list[int]:
+    """Of the bands at hand those at positions ``3``, ``1-13`` or ``all``, from 1."""
+    if asked.lower() == "all":
+        return list(bands)
+    found = re.fullmatch(r"(\d+)(?:-(\d+))?", asked.strip())
+    if found is None:
+        raise UsageError(f"Bands are 3, 1-13 or all, not {asked!r}.", path=name)
+    first, last = int(found[1]), int(found[2] or found[1])
+    if not 1 <= first <= last <= len(bands):
+        raise UsageError(f"Bands are counted from 1 to {len(bands)} here; there is no {asked}.", path=name)
+    return list(bands[first - 1 : last])
+
+
+def matches(time: str, asked: str) -> bool:
+    """Whether a time, ISO 8601 in UTC, is the one asked for: by its beginning, or (``T12``) by its hour."""
+    return asked in time if asked.startswith("T") else time.startswith(asked.replace(" ", "T"))
+
+
+def times_of(file: Any) -> list[str]:
+    """The times of a dataset's bands, ISO 8601 in UTC, to the minute; "" where one says none."""
+    scale = re.fullmatch(r"(\w+?)s? since (.+)", file.tags().get("time#units", "").strip())
+    found = []
+    for band in range(1, file.count + 1):
+        tags = file.tags(band)
+        second = tags.get("GRIB_VALID_TIME", "").split()
+        if second:
+            moment: Any = np.datetime64(int(second[0]), "s")
+        elif scale and "NETCDF_DIM_time" in tags and scale[1] in _SECONDS:
+            start = np.datetime64(scale[2].strip().replace(" ", "T").rstrip("Z"), "s")
+            moment = start + np.timedelta64(round(float(tags["NETCDF_DIM_time"]) * _SECONDS[scale[1]]), "s")
+        else:
+            found.append("")
+            continue
+        found.append(str(moment.astype("datetime64[m]")))
+    return found
+
+
+_SECONDS = {"second": 1, "sec": 1, "minute": 60, "min": 60, "hour": 3600, "hr": 3600, "day": 86400}
+
+
+def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
+    """Of a DataArray, or of an array that spans the terrain."""
+    import sys
+
+    xarray = sys.modules.get("xarray")
+    if xarray is not None and isinstance(given.source, xarray.Dataset):
+        if given.variable not in given.source:
+            raise UsageError(
+                f"A Dataset holds {', '.join(map(str, given.source.data_vars))}.", remedy="Choose one: variable=."
+            )
+        given = replace(given, source=given.source[given.variable])
+    if xarray is not None and isinstance(given.source, xarray.DataArray):
+        return _of_dataarray(given, grid)
+    raw = np.ma.filled(np.ma.asarray(given.source).astype(np.float32), np.nan)
+    if raw.ndim == 2:
+        raw = raw[None]
+    if raw.ndim != 3:
+        raise UsageError(f"Data are (rows, cols) or (members, rows, cols), not {raw.shape}.")
+    fit = Affine.scale(grid.cols / raw.shape[2], grid.rows / raw.shape[1])
+    return Field(raw, Grid(raw.shape[1:], grid.transform * fit, grid.crs), "data", "")
+
+
+MEMBERS = ("member", "realization", "realisation", "number", "ensemble", "ens")
+
+
+def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
+    from orograph.dem.dataarray import place_of
+
+    array = given.source
+    words: list[str] = []
+    if given.time is not None:
+        if "time" not in array.coords:
+            raise UsageError("The DataArray has no coordinate time.", remedy="Leave time away.")
+        times = np.atleast_1d(array.coords["time"].values).astype("datetime64[m]").astype(str)
+        keep = [i for i, time in enumerate(times) if matches(time, given.time)]
+        if not keep:
+            raise UsageError(f"It has no time {given.time}; its times go from {times[0]} to {times[-1]}.")
+        array = array.isel(time=keep) if "time" in array.dims else array
+        words.append(f"at {given.time[1:]} h" if given.time.startswith("T") else times[keep[0]].replace("T", " "))
+    lead = [d for d in array.dims if str(d).lower() in MEMBERS or d == "time"]
+    axes = [d for d in array.dims if d not in lead]
+    if len(axes) != 2:
+        raise UsageError(f"A DataArray has rows, columns, and if it likes time and member, not {dict(array.sizes)}.")
+    stacked = array.transpose(*lead, *axes)
+    _, transform, crs = place_of(stacked.isel(dict.fromkeys(lead, 0)))
+    values = np.asarray(stacked.transpose(*lead, *_rows_first(stacked, axes)).to_numpy(), np.float32)
+    values = values.reshape(-1, *values.shape[-2:])
+    asked = given.member if given.member is not None else given.band
+    if asked is not None:
+        values = values[[i - 1 for i in _picked(range(1, len(values) + 1), str(asked), str(array.name))]]
+    elif given.time is None and not (
+        isinstance(given, Dataset) and given.uncertainty is not None and given.uncertainty.of_members
+    ):
+        values = values[:1]
+    if len(values) > 1:
+        words.insert(0, f"mean of {len(values)}")
+    if transform is None:
+        transform, crs = (
+            grid.transform * Affine.scale(grid.cols / values.shape[2], grid.rows / values.shape[1]), grid.crs
+        )  # fmt: skip
+    unit = str(array.attrs.get("units", ""))
+    name = str(array.attrs.get("long_name") or array.name or "data").replace("_", " ")
+    own = Grid(values.shape[1:], transform, crs)
+    return _in_units(Field(values, own, name, UNITS.get(unit.lower(), unit), " ".join(words)))
+
+
+def _rows_first(array: Any, axes: list[Any]) -> tuple[Any, Any]:
+    from orograph.dem.dataarray import axes_of
+
+    flat = array.isel({d: 0 for d in array.dims if d not in axes})
+    return axes_of(flat)
+
+
+def sampled(values: Values, field: Field, over: Grid) -> Values:
+    """Values (rows, cols) of a field at the samples of another grid, bilinear, NaN beyond its samples' cells.
+
+    A sample's cell reaches half a step around it; where neighbours are missing, the known ones stand for them.
+    """
+    placement = Placement.of(over, field.grid, field.name, [])
+    out = np.empty(over.shape, np.float32)
+    cols = np.arange(over.cols, dtype=np.float64)
+    for row in range(0, over.rows, 128):
+        rows = np.arange(row, min(row + 128, over.rows), dtype=np.float64)
+        u, v = placement.pixels(*over.xy(*np.meshgrid(cols, rows)))
+        out[row : row + len(rows)] = bilinear(values, u - 0.5, v - 0.5, placement.cyclic)
+    return out
+
+
+def bilinear(values: Values, c: NDArray[np.float64], r: NDArray[np.float64], cyclic: bool = False) -> Values:
+    """Values (rows, cols) at columns and rows between samples, any shape; NaN farther than half a sample outside, and
+    where the nearest sample is missing."""
+    rows, cols = values.shape
+    inside = (r >= -0.5) & (r <= rows - 0.5) & ((c >= -0.5) & (c <= cols - 0.5) | cyclic)
+    c, r = np.where(inside, c, 0.0), np.where(inside, r, 0.0)
+    c0, r0 = np.floor(c).astype(np.int64), np.floor(r).astype(np.int64)
+    total, weights = np.zeros(c.shape), np.zeros(c.shape)
+    for dr in (0, 1):
+        for dc in (0, 1):
+            i = np.clip(r0 + dr, 0, rows - 1)
+            j = (c0 + dc) % cols if cyclic else np.clip(c0 + dc, 0, cols - 1)
+            weight = np.abs(1 - dr - (r - r0)) * np.abs(1 - dc - (c - c0))
+            value = values[i, j]
+            known = np.isfinite(value)
+            total += np.where(known, value, 0) * weight
+            weights += np.where(known, weight, 0)
+    i = np.clip(np.rint(r), 0, rows - 1).astype(np.int64)
+    j = np.rint(c).astype(np.int64) % cols if cyclic else np.clip(np.rint(c), 0, cols - 1).astype(np.int64)
+    good = inside & np.isfinite(values[i, j]) & (weights > 0)
+    return np.where(good, total / np.maximum(weights, 1e-9), np.nan).astype(np.float32)

@@ -1,0 +1,164 @@
+"""From values to colours: continuous scales, classes, and palettes in which what is uncertain loses its colour.
+
+Colours are linear RGB (n, 3) float32, as everywhere before they are shown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis.color import color_table
+from orograph.geovis.data.dataset import Breaks
+
+Colors = NDArray[np.float32]
+Array = NDArray[np.float64]
+
+PERCENTILES = (2.0, 98.0)
+"""Of the values over a terrain, the ends of a scale of which none are given."""
+
+JENKS_SAMPLES = 4096
+"""Values that natural breaks are found among, evenly from all that are sorted."""
+
+PALE = (0.86, 0.86, 0.86)
+"""Linear grey: what nothing is known of, in a value-suppressing palette."""
+
+LEVELS = 4
+"""Of uncertainty in such a palette: 8 classes of values where they are certain, then 4, 2 and 1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColorScale:
+    """What colour a value has.
+
+    Attributes:
+        low, high: its ends. table: (n, 3) colours from ``low`` to ``high``.
+        edges: of classes, from the lowest value to the highest; None: it is continuous.
+    """
+
+    low: float
+    high: float
+    table: Colors
+    edges: tuple[float, ...] | None = None
+
+    @classmethod
+    def of(
+        cls, values: NDArray[Any], colormap: str, span: tuple[float, float] | None, classes: int = 0,
+        breaks: Breaks | tuple[float, ...] = "quantiles",
+    ) -> ColorScale:  # fmt: skip
+        """The scale of values, of which NaN are left out.
+
+        Args:
+            span: its ends; None: percentiles of the values. classes: how many; 0: it is continuous.
+
+        Raises:
+            UsageError: there is no such colour map.
+        """
+        low, high = spanned(values, span)
+        table = color_table(colormap, 1024)
+        if not classes:
+            return cls(low, high, table)
+        if isinstance(breaks, tuple):
+            edges = breaks
+        else:
+            inside = values[np.isfinite(values) & (values >= low) & (values <= high)]
+            edges = (low, *class_breaks(inside, classes, breaks, low, high), high)
+        middle = (np.arange(len(edges) - 1) + 0.5) / (len(edges) - 1)
+        return cls(edges[0], edges[-1], table[np.round(middle * 1023).astype(int)], edges)
+
+    def place(self, values: NDArray[Any]) -> Array:
+        """Of a value, how far it lies along the table: 0 to 1, or the index of its class."""
+        with np.errstate(invalid="ignore"):
+            if self.edges is None:
+                return np.clip((np.asarray(values, np.float64) - self.low) / (self.high - self.low), 0, 1)
+            return np.searchsorted(np.asarray(self.edges[1:-1]), values, side="right").astype(np.float64)
+
+    @property
+    def colors(self) -> Colors:
+        """(256, 3) at even steps of the values: what a legend shows."""
+        return self.color(np.linspace(self.low, self.high, 256))
+
+    def color(self, values: NDArray[Any]) -> Colors:
+        """Colours (…, 3); those of NaN mean nothing."""
+        at = np.nan_to_num(self.place(values))
+        scaled = at * (len(self.table) - 1) if self.edges is None else at
+        return self.table[np.clip(np.rint(scaled), 0, len(self.table) - 1).astype(np.intp)]
+
+
+def spanned(values: NDArray[Any], span: tuple[float, float] | None) -> tuple[float, float]:
+    """The ends of a scale: those given, or percentiles of the values, which never coincide."""
+    if span is not None:
+        return span
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return 0.0, 1.0
+    low, high = (float(v) for v in np.percentile(known, PERCENTILES))
+    if low == high:
+        low, high = float(known.min()), float(known.max())
+    return (low, high) if low < high else (low - 0.5, low + 0.5)
+
+
+def class_breaks(values: NDArray[Any], classes: int, way: str, low: float, high: float) -> tuple[float, ...]:
+    """Where all classes but the first begin, increasing; fewer than asked for where values coincide.
+
+    Args:
+        way: "equal" steps, "quantiles" (as many values in each), or "jenks": natural breaks, the least sum of squared
+            differences from the classes' means (Jenks 1967; found exactly by dynamic programming, Fisher 1958).
+    """
+    if way == "equal" or not len(values):
+        found = np.linspace(low, high, classes + 1)[1:-1]
+    elif way == "quantiles":
+        found = np.quantile(values, np.arange(1, classes) / classes)
+    else:
+        found = _natural(np.sort(values.astype(np.float64)), classes)
+    return tuple(float(v) for v in np.unique(found) if low < v < high)
+
+
+def _natural(ordered: Array, classes: int) -> Array:
+    """Natural breaks of sorted values: the first value of each class but the first."""
+    if len(ordered) > JENKS_SAMPLES:
+        ordered = ordered[np.linspace(0, len(ordered) - 1, JENKS_SAMPLES).round().astype(int)]
+    n, classes = len(ordered), min(classes, len(ordered))
+    middle = ordered - ordered.mean()
+    sums, squares = np.concatenate([[0], np.cumsum(middle)]), np.concatenate([[0], np.cumsum(middle**2)])
+
+    def cost(first: NDArray[np.intp], last: int) -> Array:
+        """Squared differences of values [first, last) from their mean."""
+        total = sums[last] - sums[first]
+        return np.asarray(squares[last] - squares[first] - total**2 / np.maximum(last - first, 1))
+
+    best = np.array([cost(np.array([0]), last)[0] for last in range(n + 1)])
+    starts: list[NDArray[np.intp]] = []
+    for count in range(2, classes + 1):
+        found, start = np.full(n + 1, np.inf), np.zeros(n + 1, np.intp)
+        for last in range(count, n + 1):
+            first = np.arange(count - 1, last)
+            all_costs = best[first] + cost(first, last)
+            k = int(np.argmin(all_costs))
+            found[last], start[last] = all_costs[k], first[k]
+        best = found
+        starts.append(start)
+    breaks, last = [], n
+    for start in reversed(starts):
+        last = int(start[last])
+        breaks.append(ordered[last])
+    return np.array(breaks[::-1])
+
+
+def suppressed(scale: ColorScale, values: NDArray[Any], u: Array) -> Colors:
+    """Colours of a value-suppressing palette (Correll, Moritz & Heer 2018): a tree of bins that merge, and pale,
+    towards the uncertain.
+
+    Args:
+        u: uncertainty, 0 (certain) to 1.
+    """
+    level = np.clip(np.nan_to_num(u, nan=1.0) * LEVELS, 0, LEVELS - 1).astype(int)
+    bins = 2 ** (LEVELS - 1 - level)
+    at = np.nan_to_num(np.clip((values - scale.low) / (scale.high - scale.low), 0, 1))
+    middle = (np.minimum(np.floor(at * bins), bins - 1) + 0.5) / bins
+    colors = scale.table[np.rint(middle * (len(scale.table) - 1)).astype(int)]
+    pale = (level / LEVELS)[..., None].astype(np.float32)
+    return np.asarray(colors * (1 - pale) + np.asarray(PALE, np.float32) * pale, np.float32)

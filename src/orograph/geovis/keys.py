@@ -1,0 +1,54 @@
+"""What colours mean, for a legend: scales of values, and swatches of classes and signs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """What the colours of heights, or of a layer's values, mean.
+
+    Attributes:
+        low, high: values at the ends of the colour table.
+        colors: (n, 3), from low to high, sRGB: uint8, or float in [0, 1].
+        unit: of the values; ``label``: what they are.
+        below, above: whether there are values beyond an end of the table, in the end's colour: a triangle says so.
+    """
+
+    low: float
+    high: float
+    colors: NDArray[Any]
+    unit: str = "m"
+    label: str = "Height"
+    below: bool = False
+    above: bool = False
+
+    @property
+    def words(self) -> str:
+        """What stands above it."""
+        return f"{self.label} ({self.unit})" if self.unit else self.label
+
+
+@dataclass(frozen=True, slots=True)
+class Legend:
+    """What the colours of a picture mean.
+
+    Attributes:
+        scales: one below the other.
+        swatches: (words, colour) of classes, of water and of ground without data: sRGB (uint8 or float); a tile
+            (rows, cols, 3) is a pattern, repeated pixel by pixel.
+        note: what else a reader must know.
+    """
+
+    scales: tuple[Scale, ...] = ()
+    swatches: tuple[tuple[str, Any], ...] = ()
+    note: str = ""
+
+    @property
+    def words(self) -> str:
+        """All that is written in it, but for numbers."""
+        return " ".join([*(scale.words for scale in self.scales), *(words for words, _ in self.swatches)])
