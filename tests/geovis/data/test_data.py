@@ -13,7 +13,7 @@ from rasterio.transform import from_origin
 
 import orograph
 from orograph.errors import ReadError, UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, apply
 from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data import patterns, signs
 from orograph.geovis.data.dataset import Dataset, Uncertainty
@@ -227,19 +227,20 @@ def test_painted_data_have_the_colours_of_their_values_at_their_places(tmp_path)
     image, transform = _image(painted(found))
     for row, col in ((0, 0), (3, 4), (7, 9)):
         x, y = 501_000 + 200 * (col + 0.5), 5_599_500 - 200 * (row + 0.5)
-        i, j = (int(v) for v in reversed(~transform * (x, y)))
+        i, j = (int(v) for v in reversed(apply(~transform, x, y)))
         wanted = np.rint(linear_to_srgb(found.scale.color(values[row, col])) * 255)
         assert np.abs(image[i, j, :3].astype(int) - wanted).max() <= 12, (row, col)
         assert image[i, j, 3] == 255
-    i, j = (int(v) for v in reversed(~transform * (501_000 - 50, 5_599_000)))
+    i, j = (int(v) for v in reversed(apply(~transform, 501_000 - 50, 5_599_000)))
     assert image[i, j, 3] == 0
 
 
-@pytest.mark.parametrize("sign", ["transparency", "noise", "blur", "saturation", "whiteness", "palette", "glyphs", "hatching"])
+@pytest.mark.parametrize(
+    "sign", ["transparency", "noise", "blur", "saturation", "whiteness", "palette", "glyphs", "hatching"]
+)
 @pytest.mark.parametrize("style", ["continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple"])
 def test_every_style_and_sign_tells_the_certain_from_the_uncertain(tmp_path, style, sign):
     terrain = terrain_of()
-    rng = np.random.default_rng(5)
     place = from_origin(500_000, 5_600_000, 250, 250)
     values = written(tmp_path / "v.tif", [np.linspace(0, 1, 320).reshape(16, 20)], place)
     sigma = np.where(np.arange(20) < 10, 0.01, 1.0) + np.zeros((16, 1))
@@ -247,8 +248,8 @@ def test_every_style_and_sign_tells_the_certain_from_the_uncertain(tmp_path, sty
     dataset = Dataset(values, style=style, uncertainty=Uncertainty(doubt, style=sign))
     bare = Dataset(values, style=style)
     one, two = (_image(painted(shown(d, terrain.grid, 300, Priority())))[0].astype(int) for d in (dataset, bare))
-    seen = [np.abs(one[:, part] * [1, 1, 1, 1] - two[:, part]).mean() for part in (slice(20, 130), slice(170, 290))]
-    assert seen[1] > 1.5 * seen[0], (seen, rng)
+    seen = [np.abs(one[:, part] - two[:, part]).mean() for part in (slice(20, 130), slice(170, 290))]
+    assert seen[1] > 1.5 * seen[0], seen
     legend = painted(shown(dataset, terrain.grid, 300, Priority())).key
     assert len(legend.swatches) == 3
     tiles = [tile.astype(int) for _, tile in legend.swatches]

@@ -125,7 +125,7 @@ class Dataset:
 
         if isinstance(self.source, os.PathLike):
             object.__setattr__(self, "source", os.fspath(self.source))
-        if self.source is None or self.source == "":
+        if self.source is None or (isinstance(self.source, str) and not self.source):
             raise UsageError("A dataset has no source.", remedy="Name a raster or a file of points.")
         _check_choice("style", self.style, (*get_args(Style), *get_args(Standing)))
         _check_range(self.range, "values")

@@ -14,7 +14,7 @@ import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
 
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.patterns import covered, dotted, hatched
@@ -136,12 +136,12 @@ def _cropped(field: Field, grid: Grid, texels: int) -> Grid:
     longer = max(grid.shape)
     step = longer / texels
     rows, cols = (max(2, round(n / step)) for n in grid.shape)
-    whole = Grid((rows, cols), grid.transform * Affine.scale(grid.cols / cols, grid.rows / rows), grid.crs)
+    whole = Grid((rows, cols), compose(grid.transform, Affine.scale(grid.cols / cols, grid.rows / rows)), grid.crs)
     if grid.crs is None:
         return whole
     few = 8
     coarse = Grid(
-        (-(-rows // few), -(-cols // few)), whole.transform * Affine.scale(few), grid.crs
+        (-(-rows // few), -(-cols // few)), compose(whole.transform, Affine.scale(few)), grid.crs
     )  # fmt: skip
     there = np.isfinite(sampled(field.mean, field, coarse))
     if not there.any():
@@ -149,7 +149,7 @@ def _cropped(field: Field, grid: Grid, texels: int) -> Grid:
     i, j = (np.flatnonzero(there.any(axis)) for axis in (1, 0))
     row0, row1 = max(0, (i[0] - 1) * few), min(rows, (i[-1] + 2) * few)
     col0, col1 = max(0, (j[0] - 1) * few), min(cols, (j[-1] + 2) * few)
-    return Grid((row1 - row0, col1 - col0), whole.transform * Affine.translation(col0, row0), grid.crs)
+    return Grid((row1 - row0, col1 - col0), compose(whole.transform, Affine.translation(col0, row0)), grid.crs)
 
 
 def painted(found: Shown) -> Layer:
@@ -259,17 +259,18 @@ def key_of(found: Shown) -> Legend:
 def _swatch(found: Shown, sigma: float) -> NDArray[np.uint8]:
     """A tile (rows, cols, 3) of what the data look like in the middle of their scale, so uncertain."""
     y, x = np.mgrid[:SWATCH, :SWATCH] + 0.5
-    middle = np.full((SWATCH, SWATCH), (found.scale.low + found.scale.high) / 2)
+    at = np.where(x < SWATCH / 2, 0.25, 0.75) if found.sign == "blur" else np.full((SWATCH, SWATCH), 0.5)
+    middle = found.scale.low + at * (found.scale.high - found.scale.low)
     doubt = np.full(middle.shape, sigma)
     bare = Paint(x, y, SWATCH / 2, middle, doubt, _along(found, doubt, middle.shape),
                  np.zeros((SWATCH, SWATCH, 3), np.float32), np.zeros(middle.shape))  # fmt: skip
-    paint = _paint(replace_style(found), bare)
+    paint = _paint(_plainly(found), bare)
     alpha = paint.alpha[..., None].astype(np.float32)
     seen = paint.rgb * alpha + np.float32(0.8) * (1 - alpha)
     return np.asarray(np.rint(linear_to_srgb(seen) * 255), np.uint8)
 
 
-def replace_style(found: Shown) -> Shown:
+def _plainly(found: Shown) -> Shown:
     """The same as plain colours, under which signs are told best."""
     return replace(found, style="continuous" if found.scale.edges is None else "segmented")
 

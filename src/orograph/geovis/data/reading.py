@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.errors import ReadError, UsageError
-from orograph.geo.grid import Grid
+from orograph.geo.grid import Grid, compose
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.placement import Lattice, Placement, extent, grid_of
 
@@ -123,7 +123,9 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         rows, cols = -(-(row1 - row0) // step), -(-(col1 - col0) // step)
         place = Affine.scale((col1 - col0) / cols, (row1 - row0) / rows)
         own = Grid(
-            (rows, cols), placement.image.transform * Affine.translation(col0, row0) * place, placement.image.crs
+            (rows, cols),
+            compose(compose(placement.image.transform, Affine.translation(col0, row0)), place),
+            placement.image.crs,
         )
         from rasterio.enums import Resampling
         from rasterio.windows import Window
@@ -303,7 +305,7 @@ def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
     if raw.ndim != 3:
         raise UsageError(f"Data are (rows, cols) or (members, rows, cols), not {raw.shape}.")
     fit = Affine.scale(grid.cols / raw.shape[2], grid.rows / raw.shape[1])
-    return Field(raw, Grid(raw.shape[1:], grid.transform * fit, grid.crs), "data", "")
+    return Field(raw, Grid(raw.shape[1:], compose(grid.transform, fit), grid.crs), "data", "")
 
 
 MEMBERS = ("member", "realization", "realisation", "number", "ensemble", "ens")
@@ -342,7 +344,7 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
         words.insert(0, f"mean of {len(values)}")
     if transform is None:
         transform, crs = (
-            grid.transform * Affine.scale(grid.cols / values.shape[2], grid.rows / values.shape[1]), grid.crs
+            compose(grid.transform, Affine.scale(grid.cols / values.shape[2], grid.rows / values.shape[1])), grid.crs
         )  # fmt: skip
     unit = str(array.attrs.get("units", ""))
     name = str(array.attrs.get("long_name") or array.name or "data").replace("_", " ")
