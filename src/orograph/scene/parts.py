@@ -22,6 +22,7 @@ from orograph.scene.silhouettes import Silhouettes
 if TYPE_CHECKING:
     from orograph.geovis.data.dataset import Dataset
     from orograph.geovis.data.priority import Priority
+    from orograph.geovis.data.standing import Things
     from orograph.geovis.layers import Layer
     from orograph.geovis.tables import Table
     from orograph.lighting.aperture import Lamp
@@ -140,13 +141,18 @@ class Data:
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """Data that belong to the ground, how uncertain they are, and what of terrain, data and uncertainty comes first."""
+    """Data that belong to the ground, how uncertain they are, and what of terrain, data and uncertainty comes first.
+
+    Attributes:
+        things: what of the data stands on the ground, of a scene that is drawn.
+    """
 
     data: tuple[Dataset, ...] = option(
         (),
-        "Show values of a raster in any CRS. Keys: variable, band, time, member (which of several), style (continuous, "
-        "segmented, isolines, isobands, cells, hatching, stipple), colormap, range (LOW:HIGH), classes, breaks "
-        "(quantiles, equal, jenks, or values: 0:5:10), size, opacity, name, unit: era5.grib,time=T12,style=segmented.",
+        "Show values of a raster in any CRS, or of points (GeoJSON, CSV). Keys: variable, band, time, member (which of "
+        "several), style (continuous, segmented, isolines, isobands, cells, hatching, stipple; standing: bars, "
+        "spheres, cones, discs, flags), colormap, range (LOW:HIGH), classes, breaks (quantiles, equal, jenks, or "
+        "values: 0:5:10), size, opacity, name, unit: era5.grib,time=T12,style=segmented.",
         read=given.read_data, given=given.data, metavar="FILE[,KEY=VALUE…]", multiple=True,
     )  # fmt: skip
     priority: Priority | None = option(
@@ -155,6 +161,7 @@ class Theme:
         "uncertainty, U- transparency or noise. Or overview, approach, overflight, replanning.",
         read=given.read_priority, given=given.priority, metavar="T±D±U±", shown="T+D+U- with data",
     )  # fmt: skip
+    things: Things | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,8 +53,10 @@ class Scene:
         Raises:
             UsageError: there is no such option, or as the parts.
         """
-        parts = _sorted(themed(options, terrain, view), terrain)
-        return cls(terrain, view, **{part: PARTS[part](**given) for part, given in parts.items()})
+        options, things = themed(options, terrain, view)
+        parts = _sorted(options, terrain)
+        made = cls(terrain, view, **{part: PARTS[part](**given) for part, given in parts.items()})
+        return made if things is None else replace(made, theme=replace(made.theme, things=things))
 
     def but(self, *, terrain: Terrain | None = None, view: View | None = None, **options: Any) -> Self:
         """The same scene with another terrain, another view or other options.

@@ -8,10 +8,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from orograph.scene.contours import Contours
 from orograph.scene.silhouettes import Silhouettes
 
 if TYPE_CHECKING:
+    from orograph.geo.grid import Grid
+    from orograph.geovis.data.dataset import Dataset
+    from orograph.geovis.data.priority import Priority
+    from orograph.geovis.data.standing import Things
     from orograph.store.terrain import Terrain
     from orograph.viewpoint import View
 
@@ -22,29 +28,56 @@ PAPER = "#f4f2ec"
 """The ground under data."""
 
 
-def themed(options: Mapping[str, Any], terrain: Terrain, view: View) -> dict[str, Any]:
-    """A scene's options with its theme carried out.
+def themed(options: Mapping[str, Any], terrain: Terrain, view: View) -> tuple[dict[str, Any], Things | None]:
+    """A scene's options with its theme carried out, and what stands on its ground.
 
     Raises:
         ReadError, UsageError: data cannot be read, or do not belong here.
     """
     from orograph.geovis.data.dataset import datasets_of
     from orograph.geovis.data.painting import painted, shown
+    from orograph.geovis.data.points import are_points
     from orograph.geovis.data.priority import Priority
+    from orograph.geovis.data.standing import Things, stands
     from orograph.geovis.layers import layers_of
 
     made = dict(options)
     data = datasets_of(options.get("data"))
     given = options.get("priority")
     if not data and given is None:
-        return made
+        return made, None
     priority = Priority.parse(given) if isinstance(given, str) else given or Priority(data=True)
-    usual = _ground() if priority.terrain else _ground() | _lines()
-    made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
     texels = int(min(MOST, max(LEAST, FINER * max(view.whole.width, view.whole.height))))
-    layers = [painted(shown(one, terrain.grid, texels, priority)) for one in data]
+    standing = [one for one in data if stands(one, are_points(one.source))]
+    flat = [one for one in data if not stands(one, are_points(one.source))]
+    usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})
+    made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
+    layers = [painted(shown(one, terrain.grid, texels, priority)) for one in flat]
     made["layers"] = (*layers_of(options.get("layers")), *layers)
-    return made | {"data": data, "priority": priority}
+    things = Things.joined([_things(one, terrain.grid, priority) for one in standing]) if standing else None
+    return made | {"data": data, "priority": priority}, things
+
+
+def _things(dataset: Dataset, grid: Grid, priority: Priority) -> Things:
+    """What stands for a dataset: for its own points, or for a raster's values on a lattice."""
+    from orograph.geovis.data.points import Points, are_points, read_points
+    from orograph.geovis.data.reading import read, values_at
+    from orograph.geovis.data.standing import lattice_points, things_of
+
+    if are_points(dataset.source):
+        return things_of(dataset, read_points(dataset, grid), grid, priority, dataset.unit or "", "")
+    field = read(dataset, grid)
+    x, y = lattice_points(grid, dataset.size)
+    values = values_at(field.mean, field, grid, x, y)
+    doubt, sigma = dataset.uncertainty, None
+    if doubt is not None and doubt.of_members:
+        sigma = values_at(field.uncertainty(doubt.source), field, grid, x, y)
+    elif doubt is not None:
+        other = read(doubt, grid)
+        sigma = values_at(other.mean, other, grid, x, y)
+    known = np.isfinite(values) & (np.isfinite(sigma) if sigma is not None else True)
+    points = Points(x[known], y[known], values[known], None if sigma is None else sigma[known], field.name)
+    return things_of(dataset, points, grid, priority, dataset.unit or field.unit, field.chosen)
 
 
 def _ground() -> dict[str, Any]:

@@ -287,7 +287,8 @@ def test_a_picture_shows_data_and_says_what_they_are(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "what"),
-    [("a.tif,stile=bars", "Did you mean style"), ("a.tif,style=bar", "Did you mean bars"), ("a.tif,classes=1", "2 to 12"),
+    [("a.tif,stile=bars", "Did you mean style"), ("a.tif,style=bar", "Did you mean bars"),
+     ("a.tif,classes=1", "2 to 12"),
      ("a.tif,range=3:1", "lower to a higher"), ("a.tif,opacity=2", "0 to 1"), ("a.tif,breaks=5:1", "each above"),
      ("a.tif,colormap=nix", "no colour map"), ("a.tif,size=-3", "above 0")],
 )  # fmt: skip

@@ -251,7 +251,7 @@ def key_of(found: Shown) -> Legend:
     swatches = []
     for part in SWATCHES:
         sigma = low + part * (high - low)
-        words = f"± {_rounded(sigma, high)} {found.unit}".rstrip()
+        words = f"± {rounded(sigma, high)} {found.unit}".rstrip()
         swatches.append((words, _swatch(found, sigma)))
     return Legend((scale,), tuple(swatches), found.note)
 
@@ -275,7 +275,7 @@ def _plainly(found: Shown) -> Shown:
     return replace(found, style="continuous" if found.scale.edges is None else "segmented")
 
 
-def _rounded(value: float, top: float) -> str:
+def rounded(value: float, top: float) -> str:
     """A number with the digits that its scale needs."""
     digits = max(0, 2 - int(np.floor(np.log10(top))) - 1) if top > 0 else 0
     return f"{value:.{min(digits, 6)}f}"

@@ -374,6 +374,15 @@ def sampled(values: Values, field: Field, over: Grid) -> Values:
     return out
 
 
+def values_at(
+    values: Values, field: Field, grid: Grid, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]:  # fmt: skip
+    """Values (n,) of a field at places in the CRS of a terrain with this grid, as ``sampled`` has them."""
+    placement = Placement.of(grid, field.grid, field.name, [])
+    u, v = placement.pixels(x, y)
+    return bilinear(values, u - 0.5, v - 0.5, placement.cyclic).astype(np.float64)
+
+
 def bilinear(values: Values, c: NDArray[np.float64], r: NDArray[np.float64], cyclic: bool = False) -> Values:
     """Values (rows, cols) at columns and rows between samples, any shape; NaN farther than half a sample outside, and
     where the nearest sample is missing."""

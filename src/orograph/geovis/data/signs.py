@@ -36,7 +36,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 WARNING = np.array([[0.95, 0.83, 0.30], [0.90, 0.42, 0.10], [0.55, 0.03, 0.08]], np.float32)
 """Linear colours of glyphs, by a third of the scale of uncertainties: amber, orange, dark red; told apart in grey."""
 
-OUTLINE = np.array([0.02, 0.02, 0.03], np.float32)
+INK = np.array([0.02, 0.02, 0.03], np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +93,7 @@ def signed(paint: Paint, sign: str) -> Paint:
         return replace(paint, alpha=paint.alpha * (1 - (1 - CLEAREST) * u))
     there = np.isfinite(paint.values)
     if sign == "hatching":
-        return paint.under(OUTLINE, hatched(paint.x, paint.y, paint.pitch / 3, 0.6 * u) * there)
+        return paint.under(INK, hatched(paint.x, paint.y, paint.pitch / 3, 0.6 * u) * there)
     return _glyphs(paint) if sign == "glyphs" else paint
 
 
@@ -110,7 +110,7 @@ def _glyphs(paint: Paint) -> Paint:
     away = triangle(paint.x - cx, paint.y - cy - 0.1 * paint.pitch, radius)
     color = WARNING[np.minimum((u * 3).astype(int), 2)]
     line = max(1.0, 0.05 * paint.pitch)
-    edged = paint.under(OUTLINE, covered(away - line) * there)
+    edged = paint.under(INK, covered(away - line) * there)
     return edged.under(color, covered(away) * there)
 
 

@@ -287,6 +287,11 @@ class _Canvas:
                 )  # fmt: skip
             self.clock.lap("edges")
         pixels = encode(linear)
+        if scene.theme.things is not None:
+            from orograph.rendering.standing import stand
+
+            with self.progress.task("Drawing what stands on the ground"):
+                pixels, depth = stand(scene.theme.things, pixels, depth, scene).told(self.progress)
         if scene.annotations.furniture:
             from orograph.rendering.furniture.furnish import furnish
             from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled

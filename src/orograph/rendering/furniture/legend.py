@@ -83,6 +83,8 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
         parts.append(f"contours every {interval:g} m")
     if view.projection == "perspective" and metres is not None:
         parts.append("scale at the picture's middle")
+    if scene.theme.things is not None and scene.theme.things.legend.note:
+        parts.append(scene.theme.things.legend.note)
     parts += [one.key.note for one in visible(scene.data.layers) if one.key is not None and one.key.note]
     if crs := _crs_name(terrain.grid.crs):
         parts.append(crs)
@@ -102,6 +104,9 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
     dry = shown["ground"] - shown["water"]
     scales: list[Scale] = []
     swatches: list[tuple[str, Any]] = []
+    if scene.theme.things is not None:
+        scales += scene.theme.things.legend.scales
+        swatches += scene.theme.things.legend.swatches
     for layer in [one for one in reversed(visible(scene.data.layers)) if one.colormap is not None or one.key]:
         if layer.key is not None:
             scales += layer.key.scales

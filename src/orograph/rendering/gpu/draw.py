@@ -115,6 +115,11 @@ def draw(
             pixels = device.read_texture(texture, np.uint8, 4)[..., :3][own_pixels].copy()
             depth, void_filled, scene = depth[own_pixels], void_filled[own_pixels], scene.but(view=view)
             shown = renderer.shown(scene, depth, void_filled)
+            if scene.theme.things is not None:
+                from orograph.rendering.standing import stand
+
+                pixels, stood = stand(scene.theme.things, pixels, depth, scene).told(progress)
+                depth = stood.astype(np.float32)
             if scene.annotations.furniture:
                 drawn = Drawn(
                     renderer.tint, shown, bool(visible(scene.data.layers)), sampled(depth, *depth.shape),

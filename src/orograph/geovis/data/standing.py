@@ -1,0 +1,201 @@
+"""Values shown by things that stand on the ground at their places (A³ of Dübel et al. 2014).
+
+Bars, cones and flags grow with the value, of spheres and discs the area does (Tufte's rule: ink by value); all have the
+value's colour as well. Uncertainty stands as an error bar at the top, or makes colours pale. Sizes are metres of the
+picture: what the terrain's heights are stretched by does not stretch what stands on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geo.grid import Grid
+from orograph.geovis.color import linear_to_srgb
+from orograph.geovis.data.dataset import Dataset, Standing
+from orograph.geovis.data.painting import SWATCHES, rounded
+from orograph.geovis.data.points import Points
+from orograph.geovis.data.priority import Priority
+from orograph.geovis.data.scales import ColorScale, spanned
+from orograph.geovis.data.signs import INK, colored
+from orograph.geovis.keys import Legend, Scale
+
+Array = NDArray[np.float64]
+
+ACROSS = {"bars": 14, "cones": 14, "flags": 16, "spheres": 30, "discs": 24}
+"""How many of the largest stand side by side along the terrain's longer side, where no size is given (of what grows,
+upright)."""
+
+SLENDER = {"bars": 0.07, "cones": 0.13, "flags": 0.42}
+"""Radius by height."""
+
+LATTICE = 28
+"""Things along the longer side that show a raster's values."""
+
+FLOOR = 0.06
+"""Of the largest, what the least value still is."""
+
+
+class Kind(IntEnum):
+    """Shapes: ``base`` is the middle of their foot."""
+
+    BAR = 0
+    SPHERE = 1
+    CONE = 2
+    CYLINDER = 3
+    FLAG = 4
+
+
+KINDS = {"bars": Kind.BAR, "spheres": Kind.SPHERE, "cones": Kind.CONE, "discs": Kind.CYLINDER, "flags": Kind.FLAG}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Things:
+    """What stands on the ground.
+
+    Attributes:
+        kind: (n,) of ``Kind``. x, y: (n,) in the terrain's CRS. lift: (n,) metres of the picture above the ground.
+        radius, height: (n,) metres of the picture. rgb: (n, 3) linear.
+        values: (n,), what they show, NaN of parts that show none. legend: what it means.
+    """
+
+    kind: NDArray[np.int8]
+    x: Array
+    y: Array
+    lift: Array
+    radius: Array
+    height: Array
+    rgb: NDArray[np.float32]
+    values: Array
+    legend: Legend
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    @classmethod
+    def joined(cls, several: list[Things]) -> Things:
+        """All of several."""
+        arrays = {
+            name: np.concatenate([getattr(one, name) for one in several])
+            for name in ("kind", "x", "y", "lift", "radius", "height", "rgb", "values")
+        }
+        legends = [one.legend for one in several]
+        return cls(
+            **arrays,
+            legend=Legend(
+                tuple(scale for one in legends for scale in one.scales),
+                tuple(swatch for one in legends for swatch in one.swatches),
+                "; ".join(one.note for one in legends if one.note),
+            ),
+        )
+
+
+def stands(dataset: Dataset, points: bool) -> bool:
+    """Whether data are shown by things that stand: where their style is such, or they are points without a style."""
+    return dataset.style in get_args(Standing) or (dataset.style is None and points)
+
+
+def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, unit: str, note: str) -> Things:
+    """What stands for values at points.
+
+    Args:
+        unit, note: what the legend says besides.
+    """
+    style = dataset.style or "spheres"
+    scale = ColorScale.of(points.values, dataset.colormap, dataset.range)
+    order = np.argsort(points.values, kind="stable")  # (equal depths: the greater value is seen)
+    x, y, values = points.x[order], points.y[order], points.values[order]
+    sigma = None if points.sigma is None else points.sigma[order]
+    part = np.maximum(np.clip((values - scale.low) / (scale.high - scale.low), 0, 1), FLOOR)
+    size = dataset.size if dataset.size is not None else _longer(grid) / ACROSS[style]
+    sign = _sign(dataset, priority, style) if sigma is not None else "none"
+    doubt = (0.0, spanned(sigma, None)[1]) if sigma is not None else (0.0, 1.0)
+    if dataset.uncertainty is not None and dataset.uncertainty.range is not None:
+        doubt = dataset.uncertainty.range
+    u = np.zeros(len(values)) if sigma is None else np.clip((sigma - doubt[0]) / (doubt[1] - doubt[0]), 0, 1)
+    radius, height = _shape(style, size, part)
+    main = Things(
+        np.full(len(values), KINDS[style], np.int8), x, y, np.zeros(len(values)), radius, height,
+        colored(values, u, scale, sign), values, _legend(dataset, points.name, scale, unit, note, sign, doubt),
+    )  # fmt: skip
+    if sign != "errorbars" or sigma is None:
+        return main
+    return Things.joined([main, *_error_bars(main, sigma / (scale.high - scale.low) * size)])
+
+
+def _sign(dataset: Dataset, priority: Priority, style: str) -> str:
+    given = None if dataset.uncertainty is None else dataset.uncertainty.style
+    if given is not None:
+        return given
+    return "errorbars" if priority.uncertainty and style in ("bars", "cones") else "whiteness"
+
+
+def _shape(style: str, size: float, part: Array) -> tuple[Array, Array]:
+    """Radius and height, metres, of things whose values lie at ``part`` of their scale."""
+    if style == "spheres":
+        radius = size / 2 * np.sqrt(part)
+        return radius, 2 * radius
+    if style == "discs":
+        radius = size / 2 * np.sqrt(part)
+        return radius, np.full(len(part), size / 30)
+    if style == "flags":
+        return np.full(len(part), SLENDER[style] * size), size * (0.4 + 0.6 * part)
+    return np.full(len(part), SLENDER[style] * size), size * part
+
+
+def _error_bars(main: Things, half: Array) -> list[Things]:
+    """Thin posts from one standard deviation below the top to one above it, with a plate at each end."""
+    n, thin = len(main), main.radius / 5
+    low = np.maximum(main.height - half, 0)
+    ink = np.broadcast_to(np.asarray(INK, np.float32), (n, 3))
+    none = np.full(n, np.nan)
+
+    def part(lift: Array, radius: Array, height: Array) -> Things:
+        kind = np.full(n, Kind.CYLINDER, np.int8)
+        return Things(kind, main.x, main.y, lift, radius, height, ink, none, Legend())
+
+    plate = main.radius / 5
+    at_low = np.where(main.kind == Kind.CONE, main.radius * np.clip(1 - low / main.height, 0, 1), main.radius)
+    return [
+        part(low, thin, main.height + half - low), part(low, at_low + thin, plate),
+        part(main.height + half, 0.5 * main.radius, plate),
+    ]  # fmt: skip
+
+
+def _longer(grid: Grid) -> float:
+    """Metres along the longer side of a terrain."""
+    a, b, _, d, e, _ = grid.transform[:6]
+    return max(grid.cols * float(np.hypot(a, d)), grid.rows * float(np.hypot(b, e)))
+
+
+def _legend(
+    dataset: Dataset, name: str, scale: ColorScale, unit: str, note: str, sign: str, doubt: tuple[float, float]
+) -> Legend:  # fmt: skip
+    title = dataset.name or name
+    beyond = dataset.range is None
+    colors = Scale(scale.low, scale.high, linear_to_srgb(scale.colors), unit, title, below=beyond, above=beyond)
+    swatches: list[tuple[str, Any]] = []
+    if sign not in ("none", "errorbars"):
+        middle = np.full(len(SWATCHES), (scale.low + scale.high) / 2)
+        shades = linear_to_srgb(colored(middle, np.array(SWATCHES), scale, sign))
+        for part, shade in zip(SWATCHES, shades):
+            sigma = doubt[0] + part * (doubt[1] - doubt[0])
+            swatches.append((f"± {rounded(sigma, doubt[1])} {unit}".rstrip(), shade))
+    return Legend((colors,), tuple(swatches), f"{title}: {note}" if note else "")
+
+
+def lattice_points(grid: Grid, size: float | None) -> tuple[Array, Array]:
+    """Places, in the terrain's CRS, of things that show a raster's values: a square lattice over the terrain.
+
+    Args:
+        size: metres of the largest thing; things then stand at least half as far apart. None: ``LATTICE``.
+    """
+    a, b, _, d, e, _ = grid.transform[:6]
+    step = _longer(grid) / LATTICE if size is None else max(size / 2, _longer(grid) / 200)
+    cols = np.arange(step / 2 / np.hypot(a, d), grid.cols - 1, step / np.hypot(a, d))
+    rows = np.arange(step / 2 / np.hypot(b, e), grid.rows - 1, step / np.hypot(b, e))
+    return grid.xy(*(v.ravel() for v in np.meshgrid(cols, rows)))

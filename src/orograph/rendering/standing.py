@@ -1,0 +1,138 @@
+"""Things that stand on the ground, drawn over a finished picture of it: what its depth hides is hidden.
+
+Each thing is a solid that rays are cast at, exactly, several through each pixel that it may cover; the pictures of both
+backends carry the depth that this needs. The foot of a thing is at the surface's own height; what stands is not
+stretched by the exaggeration, the ground beneath it is. Units: metres, pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.geovis.color import linear_to_srgb, srgb_to_linear
+from orograph.geovis.data.standing import Kind, Things
+from orograph.measuring.ground import heights
+from orograph.parallel import for_each
+from orograph.progress import Progress
+from orograph.rendering.jitter import pattern
+from orograph.scene.scene import Scene
+
+Array = NDArray[np.float64]
+
+ROWS = 32
+"""Rows of a picture that a thread draws at a time."""
+
+AMBIENT = 0.45
+"""Of the light on things, what comes from all sides."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stood:
+    """A picture with things on its ground.
+
+    Attributes:
+        pixels: (height, width, 3) uint8. depth: (height, width), with theirs. which: (height, width) the thing that is
+            seen, −1 where it is none. missing: things whose place has no ground.
+    """
+
+    pixels: NDArray[np.uint8]
+    depth: Array
+    which: NDArray[np.int32]
+    missing: int
+
+    def told(self, progress: Progress) -> tuple[NDArray[np.uint8], Array]:
+        """Pixels and depth; it is said how many things are not drawn."""
+        if self.missing:
+            progress.warn(f"{self.missing} place(s) of the data have no ground: nothing stands there.")
+        return self.pixels, self.depth
+
+
+def stand(things: Things, pixels: NDArray[np.uint8], depth: NDArray[np.floating], scene: Scene) -> Stood:
+    """Draw things over a picture.
+
+    Args:
+        pixels: (height, width, 3) uint8 sRGB; left as they are. depth: (height, width) metres, NaN where no ground is.
+        scene: what the picture shows; its view may be a tile.
+    """
+    from orograph.rendering.standing_kernels import cast
+
+    place = feet(things, scene)
+    known = np.isfinite(place[:, 2])
+    basis, origin = _basis(scene)
+    boxes = _boxes(things, place, scene)
+    seen = known & (boxes[:, 0] <= boxes[:, 1]) & (boxes[:, 2] <= boxes[:, 3])
+    rows, cols = depth.shape
+    offsets = pattern(max(1, min(scene.surface.samples, 16)))
+    far = np.where(np.isfinite(depth), depth, np.inf).astype(np.float64)
+    out, nearest_depth = pixels.copy(), np.array(depth, np.float64)
+    which = np.full(depth.shape, -1, np.int32)
+    sun = np.array(scene.lighting.sun.direction)
+    forward = np.asarray(scene.view.axes(scene.surface.exaggeration)[2])[:2]
+    flat = float(np.hypot(*forward))
+    ahead = forward / flat if flat > 1e-9 else np.array([0.0, 1.0])
+
+    def band(top: int) -> None:
+        last = min(top + ROWS, rows)
+        chosen = np.flatnonzero(seen & (boxes[:, 2] < last) & (boxes[:, 3] >= top))
+        if not len(chosen):
+            return
+        shape = last - top, cols, len(offsets)
+        color, nearest = np.zeros((*shape, 3), np.float32), np.full(shape, np.inf)
+        cast(
+            things.kind, place - origin, things.radius, things.height, things.rgb, boxes, chosen, basis, offsets,
+            ahead, sun, AMBIENT, scene.view.near, top, far[top:last], color, nearest, which[top:last],
+        )  # fmt: skip
+        hit = np.isfinite(nearest)
+        some = hit.any(-1)
+        part = hit.sum(-1)[some][:, None] / np.float32(len(offsets))
+        under = srgb_to_linear(out[top:last][some] / np.float32(255))
+        mixed = under * (1 - part) + color[some].sum(1) / np.float32(len(offsets))
+        out[top:last][some] = np.rint(linear_to_srgb(mixed) * 255)
+        mostly = 2 * hit.sum(-1) > len(offsets)
+        nearest_depth[top:last][mostly] = nearest.min(-1)[mostly]
+
+    for_each(band, range(0, rows, ROWS), scene.budget.jobs)
+    return Stood(out, nearest_depth, which, int((~known).sum()))
+
+
+def feet(things: Things, scene: Scene) -> Array:
+    """(n, 3) where things stand: easting, northing, and the stretched height of their foot; NaN where no ground is."""
+    terrain = scene.terrain
+    col, row = terrain.grid.index(things.x, things.y)
+    rows, cols = terrain.grid.shape
+    inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1)
+    z = heights(terrain, np.clip(col, 0, cols - 1), np.clip(row, 0, rows - 1))
+    stretched = np.where(inside, z, np.nan) * scene.surface.exaggeration + things.lift
+    return np.stack([things.x, things.y, stretched], 1)
+
+
+def _basis(scene: Scene) -> tuple[Array, Array]:
+    """Rays by pixel position, in stretched space relative to an origin, and that origin: (6, 3), (3,)."""
+    stretch = np.array([1.0, 1.0, scene.surface.exaggeration])
+    rays = np.stack(scene.view.ray_basis(scene.surface.exaggeration)) * stretch
+    origin = rays[0].copy()
+    rays[0] = 0.0
+    return rays, origin
+
+
+def _boxes(things: Things, place: Array, scene: Scene) -> NDArray[np.int64]:
+    """(n, 4) first and last column, first and last row that each may cover; of what lies around the eye, all."""
+    wide = np.where(things.kind == Kind.FLAG, things.radius, things.radius * np.sqrt(2))
+    corners = np.stack([
+        place + np.stack([i * wide, j * wide, k * things.height], 1) for i in (-1, 1) for j in (-1, 1) for k in (0, 1)
+    ])  # fmt: skip
+    corners[..., 2] /= scene.surface.exaggeration
+    (xy, depth), view = scene.view.project(corners, scene.surface.exaggeration), scene.view
+    around = (depth <= 0).any(0) & (depth > 0).any(0)
+    behind = (depth <= 0).all(0) | ~np.isfinite(place[:, 2])
+    xy = np.nan_to_num(xy)
+    low, high = np.floor(xy.min(0)), np.floor(xy.max(0))
+    boxes = np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], 1)
+    boxes[around] = 0, view.width - 1, 0, view.height - 1
+    boxes[behind] = 0, -1, 0, -1
+    size = np.array([view.width, view.width, view.height, view.height])
+    clipped: NDArray[np.int64] = np.clip(boxes, -1, size).astype(np.int64)
+    return clipped

@@ -1,0 +1,220 @@
+"""Things that stand on the ground: the kernels against Embree and closed forms, and what is seen of them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from rasterio.transform import from_origin
+
+import orograph
+from orograph.errors import ReadError, UsageError
+from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.points import read_points
+from orograph.geovis.data.standing import Kind, Things
+from orograph.geovis.keys import Legend
+from orograph.rendering import standing_kernels as kernels
+from orograph.rendering.standing import stand
+from orograph.scene.scene import Scene
+
+UTM = "EPSG:32630"
+
+
+def ground(rows=60, cols=80, ridge=False):
+    heights = np.zeros((rows, cols), np.float32)
+    if ridge:
+        heights[rows // 2] = 400
+    return orograph.terrain(heights, transform=from_origin(500_000, 5_600_000, 10, 10), crs=UTM)
+
+
+def thing(kind, x, y, radius=20.0, height=60.0):
+    one = np.ones(1)
+    return Things(
+        np.array([kind], np.int8), x * one, y * one, 0 * one, radius * one, height * one,
+        np.array([[1.0, 0.0, 0.0]], np.float32), one, Legend(),
+    )  # fmt: skip
+
+
+def rays(count, around, seed=0):
+    """Origins on a sphere around a place, towards points near it."""
+    rng = np.random.default_rng(seed)
+    out = rng.normal(size=(count, 3))
+    out *= 200 / np.linalg.norm(out, axis=1)[:, None]
+    return out + around, rng.uniform(-60, 60, (count, 3)) - out
+
+
+@pytest.mark.parametrize("shape", ["box", "cone", "cylinder"])
+def test_kernels_meet_what_embree_meets(shape):
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+    radius, height, place = 25.0, 70.0, np.array([3.0, -5.0, 11.0])
+    if shape == "box":
+        solid = trimesh.creation.box(extents=(2 * radius, 2 * radius, height))
+        solid.apply_translation([0, 0, height / 2])
+    elif shape == "cone":
+        solid = trimesh.creation.cone(radius=radius, height=height, sections=2048)
+    else:
+        solid = trimesh.creation.cylinder(radius=radius, height=height, sections=2048)
+        solid.apply_translation([0, 0, height / 2])
+    solid.apply_translation(place)
+    o, d = rays(4000, place + np.array([0, 0, height / 2]))
+    o, d = o[o[:, 2] > place[2]], d[o[:, 2] > place[2]]  # from above: what stands has no floor that is seen
+    met, which, _ = RayMeshIntersector(solid).intersects_location(o, d, multiple_hits=False)
+    true = np.full(len(o), np.inf)
+    true[which] = np.linalg.norm(met - o[which], axis=1) / np.linalg.norm(d[which], axis=1)
+    x, y, z = place
+    if shape == "box":
+        found = [
+            kernels._box(*a, *b, x - radius, x + radius, y - radius, y + radius, z, z + height) for a, b in zip(o, d)
+        ]
+    else:
+        tip = 0.0 if shape == "cone" else 1.0
+        found = [kernels._turned(*a, *b, x, y, z, radius, height, tip) for a, b in zip(o, d)]
+    t = np.array([one[0] for one in found])
+    floor = place[2] + 1e-3 >= (o + np.where(np.isfinite(true), true, 0)[:, None] * d)[:, 2]
+    same = np.isfinite(t) == np.isfinite(true)
+    assert (same | floor).mean() > 0.999
+    both = np.isfinite(t) & np.isfinite(true) & ~floor
+    assert both.sum() > 300
+    assert np.quantile(np.abs(t - true)[both] * np.linalg.norm(d[both], axis=1), 0.999) < 0.05
+    normals = np.array([one[1:] for one in found])[both]
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
+    assert (np.einsum("ij,ij->i", normals, d[both]) < 1e-6).all()
+
+
+def test_a_sphere_far_away_is_where_it_is():
+    t, nx, _, _ = kernels._sphere(0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1e7, 0.0, 0.0, 0.5)
+    assert t == pytest.approx(1e7 - 0.5, abs=1e-6)
+    assert nx == pytest.approx(-1)
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+@pytest.mark.parametrize("exaggeration", [1.0, 3.0])
+def test_a_thing_stands_on_its_place(kind, exaggeration):
+    terrain = ground()
+    view = orograph.camera.around(terrain, (300, 200), azimuth=180, pitch=20, distance=None)
+    scene = Scene.of(terrain, view, exaggeration=exaggeration, samples=4)
+    bare = orograph.render(terrain, view, exaggeration=exaggeration)
+    x, y = 500_400.0, 5_599_700.0
+    stood = stand(thing(kind, x, y), bare.pixels, bare.depth, scene)
+    rows, cols = np.nonzero(stood.which >= 0)
+    (foot, top), _ = view.project([[x, y, 0], [x, y, 60 / exaggeration]], exaggeration)
+    assert len(rows) > (6 if kind == Kind.FLAG else 20)
+    assert abs(rows.max() - foot[1]) < 12
+    assert cols.min() - 1 <= foot[0] <= cols.max() + 1
+    if kind != Kind.SPHERE:
+        assert abs(rows.min() - top[1]) < 8
+    changed = (stood.pixels != bare.pixels).any(-1)
+    assert (changed & (stood.which < 0)).sum() < 0.5 * changed.sum()
+    assert (stood.depth[stood.which >= 0] <= np.nan_to_num(bare.depth, nan=np.inf)[stood.which >= 0] + 1e-3).all()
+
+
+def test_the_ground_hides_what_stands_behind_it():
+    terrain = ground(ridge=True)
+    view = orograph.View((500_400, 5_598_500, 100), (500_400, 5_599_700, 50), fov_y=30, width=200, height=150)
+    scene = Scene.of(terrain, view)
+    bare = orograph.render(terrain, view)
+    here, behind = (stand(thing(Kind.BAR, 500_400, y), bare.pixels, bare.depth, scene) for y in (5_599_500, 5_599_900))
+    assert (here.which >= 0).any()
+    assert not (behind.which >= 0).any()
+    np.testing.assert_array_equal(behind.pixels, bare.pixels)
+
+
+def test_a_plan_shows_feet_as_they_are():
+    terrain = ground()
+    view = orograph.camera.plan(terrain, (400, 300))
+    scene = Scene.of(terrain, view)
+    bare = orograph.render(terrain, view)
+    stood = stand(thing(Kind.BAR, 500_400, 5_599_700), bare.pixels, bare.depth, scene)
+    area = (stood.which >= 0).sum() * view.pixel_metres**2
+    assert area == pytest.approx(40 * 40, rel=0.1)
+
+
+def test_tiles_show_what_the_whole_shows():
+    terrain = ground()
+    view = orograph.camera.around(terrain, (240, 160), azimuth=200, pitch=30, distance=None)
+    things = Things.joined([thing(kind, 500_100 + 120 * kind, 5_599_600) for kind in Kind])
+    bare = orograph.render(terrain, view)
+    whole = stand(things, bare.pixels, bare.depth, Scene.of(terrain, view))
+    part = view.tile(64, 32, 120, 100)
+    cut = np.s_[32:132, 64:184]
+    tile = stand(things, bare.pixels[cut], bare.depth[cut], Scene.of(terrain, part))
+    np.testing.assert_array_equal(tile.pixels, whole.pixels[cut])
+    np.testing.assert_array_equal(tile.which, whole.which[cut])
+
+
+def test_one_thread_draws_what_many_do():
+    terrain = ground()
+    view = orograph.camera.around(terrain, (240, 160), azimuth=200, pitch=30, distance=None)
+    rng = np.random.default_rng(1)
+    things = Things.joined([
+        thing(int(k), x, y, 8, 30)
+        for k, x, y in zip(rng.integers(0, 5, 60), *rng.uniform((500_050, 5_599_450), (500_750, 5_599_950), (60, 2)).T)
+    ])  # fmt: skip
+    bare = orograph.render(terrain, view)
+    one, two = (stand(things, bare.pixels, bare.depth, Scene.of(terrain, view, jobs=jobs)) for jobs in (1, 3))
+    np.testing.assert_array_equal(one.pixels, two.pixels)
+
+
+def points_file(path):
+    features = [
+        {"type": "Feature", "properties": {"mag": m, "rms": 0.1 * m, "place": "x"},
+         "geometry": {"type": "Point", "coordinates": [lon, lat, 5.0]}}
+        for m, lon, lat in ((1.0, -2.9975, 50.5500), (3.0, -2.9930, 50.5485), (2.0, 10.0, 10.0))
+    ]  # fmt: skip
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return str(path)
+
+
+def test_points_of_geojson_and_tables_are_the_same(tmp_path):
+    grid = ground().grid
+    one = read_points(Dataset(points_file(tmp_path / "q.geojson"), variable="mag", uncertainty="rms"), grid)
+    assert one.values.tolist() == [1.0, 3.0]
+    np.testing.assert_allclose(one.sigma, [0.1, 0.3])
+    table = tmp_path / "q.csv"
+    table.write_text("Longitude;Latitude;mag\n-2.9975;50.55;1\n-2.993;50.5485;3\n10;10;2\n")
+    two = read_points(Dataset(str(table)), grid)
+    np.testing.assert_allclose(two.x, one.x)
+    columns = {"x": one.x, "y": one.y, "mag": [1.0, np.nan]}
+    assert read_points(Dataset(columns, variable="mag"), grid).values.tolist() == [1.0]
+
+
+def test_points_that_cannot_be_meant_are_refused(tmp_path):
+    grid = ground().grid
+    path = points_file(tmp_path / "q.geojson")
+    with pytest.raises(UsageError, match="mag"):
+        read_points(Dataset(path), grid)
+    with pytest.raises(UsageError, match="magnitude"):
+        read_points(Dataset(path, variable="magnitude"), grid)
+    with pytest.raises(ReadError, match="None of its 1 points"):
+        read_points(Dataset({"lon": [50.0], "lat": [0.0], "v": [1.0]}), grid)
+    with pytest.raises(ReadError, match="where the points lie"):
+        read_points(Dataset({"a": [50.0], "b": [0.0]}), grid)
+    (tmp_path / "broken.geojson").write_text("{")
+    with pytest.raises(ReadError, match="cannot be read"):
+        read_points(Dataset(str(tmp_path / "broken.geojson")), grid)
+
+
+@pytest.mark.parametrize("style", ["bars", "spheres", "cones", "discs", "flags"])
+def test_pictures_have_points_and_their_legend(tmp_path, style):
+    terrain = ground()
+    view = orograph.camera.around(terrain, (300, 200), azimuth=180, pitch=35, distance=None)
+    data = Dataset(points_file(tmp_path / "q.geojson"), variable="mag", style=style, uncertainty="rms")
+    picture = orograph.render(terrain, view, data=data, priority="T+D+U+", furniture=True)
+    bare = orograph.render(terrain, view, furniture=True)
+    assert (picture.pixels != bare.pixels).any(-1).sum() > 100
+    things = Scene.of(terrain, view, data=data).theme.things
+    assert {1.0, 3.0} <= set(things.values[np.isfinite(things.values)])
+
+
+def test_rasters_stand_on_a_lattice(tmp_path):
+    terrain = ground()
+    values = np.tile(np.linspace(0, 1, 80, dtype=np.float32), (60, 1))
+    view = orograph.camera.whole(terrain, (300, 200))
+    things = Scene.of(terrain, view, data=Dataset(values, style="bars", size=100.0)).theme.things
+    assert len(things) == pytest.approx((600 / 50) * (800 / 50), rel=0.2)
+    order = np.argsort(things.x, kind="stable")
+    assert (np.diff(things.height[order]) > -2.0).all()
