@@ -51,6 +51,7 @@ BENCHES = {
     "budgets": Bench("--size 1025 --frames 10 --ms 5 --no-best"),
     "embree": Bench("--size 513 --repeat 1", data=True, modules=("embreex",)),
     "errors": Bench("--size 1025 --rounds 1"),
+    "geovis": Bench("--quick"),
     "horizon": Bench("--size 512 --azimuths 8"),
     "imagery": Bench("--side 2048 --frames 12 --size 320x180", path=HGT, gpu=True),
     "layouts": Bench("--size 1025 --frames 10"),

@@ -53,7 +53,7 @@ class Scene:
         Raises:
             UsageError: there is no such option, or as the parts.
         """
-        options, things = themed(options, terrain, view)
+        options, things = themed(options, terrain, (view.whole.width, view.whole.height))
         parts = _sorted(options, terrain)
         made = cls(terrain, view, **{part: PARTS[part](**given) for part, given in parts.items()})
         return made if things is None else replace(made, theme=replace(made.theme, things=things))

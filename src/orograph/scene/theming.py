@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from orograph.geovis.data.priority import Priority
     from orograph.geovis.data.standing import Things
     from orograph.store.terrain import Terrain
-    from orograph.viewpoint import View
 
 FINER, LEAST, MOST = 1.6, 1024, 3072
 """Texels along the longer side of painted data: so many to a pixel of the picture, within these bounds."""
@@ -28,8 +27,11 @@ PAPER = "#f4f2ec"
 """The ground under data."""
 
 
-def themed(options: Mapping[str, Any], terrain: Terrain, view: View) -> tuple[dict[str, Any], Things | None]:
+def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) -> tuple[dict[str, Any], Things | None]:
     """A scene's options with its theme carried out, and what stands on its ground.
+
+    Args:
+        size: pixels (width, height) of the picture, which painted data suit.
 
     Raises:
         ReadError, UsageError: data cannot be read, or do not belong here.
@@ -47,7 +49,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, view: View) -> tuple[di
     if not data and given is None:
         return made, None
     priority = Priority.parse(given) if isinstance(given, str) else given or Priority(data=True)
-    texels = int(min(MOST, max(LEAST, FINER * max(view.whole.width, view.whole.height))))
+    texels = int(min(MOST, max(LEAST, FINER * max(size))))
     standing = [one for one in data if stands(one, are_points(one.source))]
     flat = [one for one in data if not stands(one, are_points(one.source))]
     usual = ({} if priority.terrain else _lines()) | (_ground() if flat or not priority.terrain else {})

@@ -106,6 +106,7 @@ class Film:
         """A name for what every frame looks like: of the tour, the scene's options and the terrain, in short."""
         left_out = ("sun", "jobs", "max_memory", "mesh_view")
         scene = {name: getattr(getattr(self.base, part), name) for name, part in HOMES.items() if name not in left_out}
+        scene["layers"] = [layer for layer in scene["layers"] if layer.key is None]  # (data are told by themselves)
         sun, mesh_view = self.base.lighting.sun, self.base.surface.mesh_view
         grid = self.base.terrain.grid
         told = {

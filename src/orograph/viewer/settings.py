@@ -20,12 +20,15 @@ from orograph.rendering.gpu.frame import Normals
 from orograph.scene.methods import mesh_choice
 from orograph.scene.parts import OPTIONS, SHINING, check_options
 from orograph.scene.scene import Scene
+from orograph.scene.theming import themed
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
 DEFAULT_TOLERANCE = 1.0
 DAY = 86_400.0
 HAZE = 1.5
+PAINTED = (1920, 1080)
+"""Pixels of a window that painted data suit."""
 PLAY = 3600.0
 """Seconds of the sun's time in a second, while a day is played."""
 
@@ -156,9 +159,20 @@ class Settings:
         for name, value in options.items():
             made = OPTIONS[name].given
             setattr(self, name, value if made is None else made(value, terrain))
+        self._set_theme(terrain)
         self.options["layers"] = list(self.options["layers"])
         if options.get("normals") == "auto":
             self.normals = "computed"
+
+    def _set_theme(self, terrain: Terrain) -> None:
+        """Carry a theme out, once: its data become layers."""
+        made, things = themed(self.options, terrain, PAINTED)
+        if things is not None:
+            raise UsageError(
+                "Things that stand on the ground are drawn in pictures and films only.",
+                remedy="Choose another style of data for the window, or use orograph render.",
+            )
+        self.options = {**made, "data": (), "priority": None}
 
     def __getattr__(self, name: str) -> Any:
         if name == "options" or name not in self.options:

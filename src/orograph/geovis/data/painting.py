@@ -34,7 +34,7 @@ SIGNS = 44
 LEAST_PITCH = 6.0
 """Texels from sign to sign."""
 
-LINE = 1.6
+LINE = 2.4
 """Texels that an isoline is wide."""
 
 EDGE = np.array([0.03, 0.03, 0.04], np.float32)

@@ -28,7 +28,7 @@ GRAIN = 3
 NOISY = 0.2
 """Of the scale of values: the standard deviation of the noise on what is most uncertain."""
 
-WIDEST = 0.5
+WIDEST = 1.5
 """Of a blur: its standard deviation in pitches, where data are most uncertain."""
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)

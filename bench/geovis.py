@@ -1,0 +1,140 @@
+"""Data on the ground: what each style, sign and kind of thing costs beside the bare picture, and the manual's pictures.
+
+    python bench/geovis.py [--pictures FOLDER] [--quick]
+
+The terrain is 2 km orography of the western United Kingdom; its data are ERA5's temperature at noon on the days of
+March 2019 (their mean, and how the days differ) where that file is at hand, else a made field of 13 members. Each time
+is the median of three pictures (one, with ``--quick``) of 900 × 640 pixels, seconds, kernels compiled.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import orograph
+from orograph.geovis.data.dataset import Sign, Standing, Style
+from orograph.rendering.picture import Picture
+
+SHARED = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
+SIZE = (900, 640)
+STRETCH = 40.0
+
+
+def ground() -> Any:
+    path = SHARED / "ukv-theta-over-orography" / "uk_orography_2km.tif"
+    return orograph.terrain(path, vertical_unit="metre") if path.exists() else orograph.terrain(orograph.synth(257))
+
+
+def members() -> orograph.Dataset:
+    path = SHARED / "fields-and-points" / "era5-2mt-2019-03-uk.grib"
+    if path.exists():
+        return orograph.Dataset(str(path), time="T12", uncertainty="spread", name="Temperature")
+    y, x = np.mgrid[:40, :40] / 8
+    field = np.sin(x) + np.cos(y) + np.random.default_rng(0).normal(0, 0.1 + 0.4 * (x > 2.5), (13, 40, 40))
+    return orograph.Dataset(field, uncertainty="spread", name="A made field", band="all")
+
+
+def quakes() -> tuple[Any, orograph.Dataset] | None:
+    tiles = sorted((SHARED / "california-3s-tiles").glob("*.tif"))
+    points = SHARED / "fields-and-points" / "earthquakes.geojson"
+    if not tiles or not points.exists():
+        return None
+    return orograph.terrain([str(t) for t in tiles]), orograph.Dataset(
+        str(points), variable="mag", colormap="magma", name="Magnitude"
+    )
+
+
+def timed(times: int, **options: Any) -> tuple[Picture, float]:
+    """A picture, and the median of the seconds that it takes."""
+    orograph.render(**options)
+    took = []
+    for _ in range(times):
+        began = time.perf_counter()
+        picture = orograph.render(**options)
+        took.append(time.perf_counter() - began)
+    return picture, statistics.median(took)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--pictures", type=Path, help="write the manual's pictures there")
+    parser.add_argument("--quick", action="store_true")
+    given = parser.parse_args()
+    terrain, data, times = ground(), members(), 1 if given.quick else 3
+    view = orograph.camera.whole(terrain, SIZE, exaggeration=STRETCH)
+    common: dict[str, Any] = {"terrain": terrain, "view": view, "exaggeration": STRETCH, "progress": False}
+    made: dict[str, Picture] = {}
+
+    def row(name: str, **options: Any) -> None:
+        made[name], seconds = timed(times, **{**common, **options})
+        print(f"| {name} | {seconds:.2f} |", flush=True)
+
+    print("| picture | seconds |\n|---|---:|")
+    row("bare")
+    for marks in product("+-", repeat=3):
+        name = "".join(letter + mark for letter, mark in zip("TDU", marks))
+        row(name, data=data, priority=name)
+    for style in Style.__args__:  # type: ignore[attr-defined]
+        row(f"style {style}", data=data.but(style=style, uncertainty=None))
+    for sign in Sign.__args__:  # type: ignore[attr-defined]
+        if sign not in ("errorbars", "none"):
+            doubt = orograph.Uncertainty("spread", style=sign)
+            row(f"sign {sign}", data=data.but(style="continuous", uncertainty=doubt))
+    found = quakes()
+    if found is not None:
+        land, points = found
+        around = orograph.camera.around(land, SIZE, azimuth=200, pitch=40, distance=None, exaggeration=5)
+        for style in Standing.__args__:  # type: ignore[attr-defined]
+            doubt = orograph.Uncertainty("rms") if style == "bars" else None
+            row(
+                f"standing {style}", terrain=land, view=around, exaggeration=5, priority="T+D+U+",
+                data=points.but(style=style, uncertainty=doubt),
+            )  # fmt: skip
+    if given.pictures is not None:
+        for letter, name in zip("abc", ("T+D-U-", "T-D+U-", "T-D-U+")):
+            told = {
+                **common,
+                "data": data,
+                "priority": name,
+                "furniture": True,
+                "title": f"Noon in March 2019 ({name})",
+            }
+            made[f"figure-5{letter}"] = orograph.render(**told)
+        save(made, given.pictures)
+
+
+def save(made: dict[str, Picture], folder: Path) -> None:
+    """The manual's pictures: figure 5 of the paper, and sheets of priorities, styles, signs and things."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in (one for one in made if one.startswith("figure")):
+        made[name].save(folder / f"{name}.jpg")
+    for kind, columns in (("T", 4), ("style", 4), ("sign", 4), ("standing", 3)):
+        names = [name for name in made if name.startswith(kind)]
+        if names:
+            sheet(made, names, columns, folder / f"{'priorities' if kind == 'T' else kind + 's'}.jpg")
+
+
+def sheet(made: dict[str, Picture], names: list[str], columns: int, path: Path) -> None:
+    """Pictures side by side, each with its name."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    wide, tall, line = SIZE[0] // 2, SIZE[1] // 2, 26
+    rows = -(-len(names) // columns)
+    whole = Image.new("RGB", (columns * wide, rows * (tall + line)), (246, 244, 239))
+    pen, font = ImageDraw.Draw(whole), ImageFont.load_default(16)
+    for i, name in enumerate(names):
+        x, y = i % columns * wide, i // columns * (tall + line)
+        whole.paste(Image.fromarray(made[name].pixels).resize((wide, tall), Image.Resampling.LANCZOS), (x, y + line))
+        pen.text((x + 10, y + 4), name.partition(" ")[2] or name, (36, 40, 46), font)
+    whole.save(path, quality=88)
+
+
+if __name__ == "__main__":
+    main()
