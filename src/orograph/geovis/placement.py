@@ -158,7 +158,7 @@ class Lattice:
             for du, dv in ((0.5, 0.5), (0.5, 0.0), (0.0, 0.5)):
                 c, r = np.meshgrid(cells + du, cells + dv)
                 exact = placement.pixels(*apply(~index, c, r))
-                off = np.abs(np.stack(exact) - np.stack([_bilinear(u, c, r), _bilinear(v, c, r)]))
+                off = np.abs(np.stack(exact) - np.stack([between(u, c, r), between(v, c, r)]))
                 error = max(error, float(np.nanmax(off)) if np.isfinite(off).any() else 0.0)
             if error <= TOLERANCE or nodes >= MOST_NODES:
                 return cls(u, v, index, error)
@@ -206,7 +206,8 @@ def _nodes(placement: Placement, nodes: int) -> tuple[Array, Array, Affine]:
     return u, v, ~to_crs
 
 
-def _bilinear(a: Array, c: Array, r: Array) -> Array:
+def between(a: Array, c: Array, r: Array) -> Array:
+    """Values of a lattice at columns and rows between its nodes, bilinear."""
     j, i = np.minimum(c.astype(int), a.shape[1] - 2), np.minimum(r.astype(int), a.shape[0] - 2)
     fc, fr = c - j, r - i
     top = a[i, j] * (1 - fc) + a[i, j + 1] * fc

@@ -19,7 +19,7 @@ from orograph.geovis.data import patterns, signs
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.painting import painted, shown
 from orograph.geovis.data.priority import SCENARIOS, Priority
-from orograph.geovis.data.reading import bilinear, matches, read, sampled
+from orograph.geovis.data.reading import Positions, bilinear, matches, read
 from orograph.geovis.data.scales import ColorScale, class_breaks, suppressed
 
 UTM = "EPSG:32630"
@@ -159,7 +159,8 @@ def test_a_dataarray_gives_the_same_as_its_file(tmp_path):
     )  # fmt: skip
     one, other = (read(Dataset(source, uncertainty="spread"), grid) for source in (path, array))
     over = Grid((20, 20), grid.transform, grid.crs)
-    np.testing.assert_allclose(sampled(one.mean, one, over), sampled(other.mean, other, over), rtol=1e-5)
+    found = [Positions.of(over, field).values(field.mean) for field in (one, other)]
+    np.testing.assert_allclose(*found, rtol=1e-5)
     assert (other.name, other.unit) == ("rain", "mm")
 
 

@@ -19,7 +19,7 @@ from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.patterns import covered, dotted, hatched
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.reading import Field, read, sampled
+from orograph.geovis.data.reading import Field, Positions, read
 from orograph.geovis.data.scales import ColorScale, spanned
 from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
 from orograph.geovis.keys import Legend, Scale
@@ -96,8 +96,9 @@ def shown(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Show
     """
     field = read(dataset, grid)
     over = _cropped(field, grid, texels)
-    values = sampled(field.mean, field, over)
-    sigma = _sigma(dataset, field, grid, over)
+    positions = Positions.of(over, field)
+    values = positions.values(field.mean)
+    sigma = _sigma(dataset, field, grid, over, positions)
     style = dataset.style or priority.style
     given = None if dataset.uncertainty is None else dataset.uncertainty.style
     sign = "none" if sigma is None else (given or priority.sign)
@@ -112,15 +113,17 @@ def shown(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Show
     return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt)
 
 
-def _sigma(dataset: Dataset, field: Field, grid: Grid, over: Grid) -> NDArray[np.float32] | None:
+def _sigma(
+    dataset: Dataset, field: Field, grid: Grid, over: Grid, positions: Positions
+) -> NDArray[np.float32] | None:  # fmt: skip
     """Standard deviations over the image, in the data's unit."""
     doubt = dataset.uncertainty
     if doubt is None:
         return None
     if doubt.of_members:
-        return sampled(field.uncertainty(doubt.source), field, over)
+        return positions.values(field.uncertainty(doubt.source))
     other = read(doubt, grid)
-    found = sampled(other.mean, other, over)
+    found = Positions.of(over, other).values(other.mean)
     if (found < 0).any():
         from orograph.errors import ReadError
 
@@ -143,7 +146,7 @@ def _cropped(field: Field, grid: Grid, texels: int) -> Grid:
     coarse = Grid(
         (-(-rows // few), -(-cols // few)), compose(whole.transform, Affine.scale(few)), grid.crs
     )  # fmt: skip
-    there = np.isfinite(sampled(field.mean, field, coarse))
+    there = np.isfinite(Positions.of(coarse, field).values(field.mean))
     if not there.any():
         return whole
     i, j = (np.flatnonzero(there.any(axis)) for axis in (1, 0))

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.errors import ReadError, UsageError
-from orograph.geo.grid import Grid, compose
+from orograph.geo.grid import Grid, apply, compose
 from orograph.geovis.data.dataset import Dataset, Uncertainty
-from orograph.geovis.placement import Lattice, Placement, extent, grid_of
+from orograph.geovis.placement import Lattice, Placement, between, extent, grid_of
 
 Values = NDArray[np.float32]
 
@@ -32,6 +32,9 @@ MOST = 1 << 22
 
 HELD = 1 << 27
 """Samples of all bands together."""
+
+STRIP = 128
+"""Rows that are interpolated at a time."""
 
 HOT = 150.0
 """Degrees Celsius that no air or ground has: values above it are kelvin, whatever the file says."""
@@ -359,25 +362,45 @@ def _rows_first(array: Any, axes: list[Any]) -> tuple[Any, Any]:
     return axes_of(flat)
 
 
-def sampled(values: Values, field: Field, over: Grid) -> Values:
-    """Values (rows, cols) of a field at the samples of another grid, bilinear, NaN beyond its samples' cells.
+@dataclass(frozen=True, slots=True, eq=False)
+class Positions:
+    """Where the samples of one grid lie in another's, to ``placement.TOLERANCE`` of its samples.
 
-    A sample's cell reaches half a step around it; where neighbours are missing, the known ones stand for them.
+    Attributes:
+        c, r: (rows, cols) columns and rows between samples. cyclic: whether the last column meets the first.
     """
-    placement = Placement.of(over, field.grid, field.name, [])
-    out = np.empty(over.shape, np.float32)
-    cols = np.arange(over.cols, dtype=np.float64)
-    for row in range(0, over.rows, 128):
-        rows = np.arange(row, min(row + 128, over.rows), dtype=np.float64)
-        u, v = placement.pixels(*over.xy(*np.meshgrid(cols, rows)))
-        out[row : row + len(rows)] = bilinear(values, u - 0.5, v - 0.5, placement.cyclic)
-    return out
+
+    c: NDArray[np.float64]
+    r: NDArray[np.float64]
+    cyclic: bool
+
+    @classmethod
+    def of(cls, over: Grid, field: Field) -> Positions:
+        """Of the samples of ``over`` in a field."""
+        placement = Placement.of(over, field.grid, field.name, [])
+        lattice = Lattice.over(placement)
+        c, r = np.empty(over.shape), np.empty(over.shape)
+        cols = np.arange(over.cols, dtype=np.float64)
+        for row in range(0, over.rows, STRIP):
+            rows = np.arange(row, min(row + STRIP, over.rows), dtype=np.float64)
+            nodes = apply(lattice.index, *over.xy(*np.meshgrid(cols, rows)))
+            c[row : row + len(rows)] = between(lattice.u, *nodes) - 0.5
+            r[row : row + len(rows)] = between(lattice.v, *nodes) - 0.5
+        return cls(c, r, placement.cyclic)
+
+    def values(self, values: Values) -> Values:
+        """Values (rows, cols) of that field there, bilinear; NaN farther than half a sample outside it."""
+        out = np.empty(self.c.shape, np.float32)
+        for row in range(0, len(out), STRIP):
+            part = slice(row, row + STRIP)
+            out[part] = bilinear(values, self.c[part], self.r[part], self.cyclic)
+        return out
 
 
 def values_at(
     values: Values, field: Field, grid: Grid, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Values (n,) of a field at places in the CRS of a terrain with this grid, as ``sampled`` has them."""
+    """Values (n,) of a field at places in the CRS of a terrain with this grid, as ``Positions`` has them."""
     placement = Placement.of(grid, field.grid, field.name, [])
     u, v = placement.pixels(x, y)
     return bilinear(values, u - 0.5, v - 0.5, placement.cyclic).astype(np.float64)
