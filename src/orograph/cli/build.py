@@ -167,7 +167,8 @@ def command(
 
         check(products)
     progress = progress_of(ctx)
-    errors = (*errors, *(kind for kind in _needed(methods, progress) if kind not in errors))
+    kinds, tins = _needed(methods, progress)
+    errors = (*errors, *(kind for kind in kinds if kind not in errors))
     started = time.perf_counter()
     source = source_of(dem, progress, **options)
     for warning in getattr(source, "warnings", ()):
@@ -181,6 +182,7 @@ def command(
             max_memory=max_memory,
             jobs=jobs,
             errors=errors,
+            tins=tins,
             keep_source=keep_source,
             progress=progress,
         )
@@ -285,28 +287,35 @@ def _repair(
     click.echo(f"{store}: {'nothing was damaged' if not mended else 'sound again'}")
 
 
-def _needed(methods: Sequence[str], progress: Progress) -> tuple[ErrorKind, ...]:
-    """The kinds of errors that methods need.
+def _needed(methods: Sequence[str], progress: Progress) -> tuple[tuple[ErrorKind, ...], int | None]:
+    """The kinds of errors that methods need, and the segments of the patches whose TINs they need.
 
     Raises:
-        UsageError: one of them is no method.
+        UsageError: one of them is no method, or two need other TINs.
     """
     if not methods:
-        return ()
+        return (), None
     from orograph.lod.needs import kinds_of
     from orograph.lod.registry import chosen
     from orograph.store.patches import LEGS
 
     found: dict[ErrorKind, None] = {}
+    tins: dict[int, None] = {}
     for text in methods:
         choice = chosen(text)
         needs = choice.method.needs(choice.options)
         found.update(dict.fromkeys(kinds_of(needs)))
+        tins.update(dict.fromkeys(need.options["legs"] for need in needs if need.name == "tins"))
         if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
             progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
         if getattr(choice.options, "color_tolerance", None) is not None:
             progress.note(f"{choice}: errors of colours are stored with --color-errors.")
-    return tuple(found)
+    if len(tins) > 1:
+        raise UsageError(
+            f"A store has TINs of one kind, not of {' and '.join(map(str, tins))} segments.",
+            remedy="Give --for bdam once.",
+        )  # fmt: skip
+    return tuple(found), next(iter(tins), None)
 
 
 def crs_name(crs: CRS | None) -> str | None:

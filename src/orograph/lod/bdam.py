@@ -35,7 +35,7 @@ from orograph.lod.triangle_patches import Patches, TrianglePatches
 from orograph.parallel import map_ordered
 from orograph.store.terrain import Terrain
 from orograph.store.tin_build import Workplace, make_tins, tins_of
-from orograph.store.tins import LEGS, Tins
+from orograph.store.tins import ALL_LEGS, LEGS, Tins
 from orograph.tessellation import turn
 from orograph.viewpoint import Camera
 
@@ -68,7 +68,7 @@ class BdamOptions(RightTriangleOptions):
     metric: str | None = option(None, METRIC, choices=("anisotropic", "isotropic"))
     legs: int = option(
         LEGS, "Segments along a finest patch's leg; the square of it is the number of a patch's triangles.",
-        choices=(4, 8, 16, 32),
+        choices=ALL_LEGS,
     )  # fmt: skip
 
     @property
@@ -214,4 +214,3 @@ class Bdam(TrianglePatches):
         corners = self._corners[good[self._corners].all(1)]
         used, at = np.unique(corners, return_inverse=True)
         return TinBatch(places[used], at.reshape(-1, 3).astype(np.int32))
-

@@ -22,19 +22,8 @@ from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.diamonds import blank_top, place
 from orograph.store.terrain import TILE, Heights, Terrain
-from orograph.store.tin_kernels import (
-    Window,
-    Work,
-    clipped,
-    deviation,
-    legs_of,
-    look,
-    new_work,
-    patches,
-    simplify,
-    sizes,
-    triangulate,
-)
+from orograph.store.tin_kernels import Work, deviation, new_work, patches, simplify, sizes, triangulate
+from orograph.store.tin_windows import Window, clipped, legs_of, look
 from orograph.store.tins import EDGE, FINER, MOST_OCTAVE, NO_TIN, SQUARE, Marks, MemoryTins, Tins, lattice, octaves
 
 LIMIT = 1e-6
@@ -172,6 +161,7 @@ class Building:
         tiles, lowest = terrain.tiles(0).minimum, terrain.height_range[0]
         self._fill = np.where(np.isnan(tiles), np.float32(0.0 if np.isnan(lowest) else lowest), tiles)
         self._workplace = Workplace()
+        self._levels: dict[int, Heights] = {}
 
     def level(self, octave: int, kind: int, jobs: int | None) -> Figures:
         """Make a level's TINs."""
@@ -229,21 +219,28 @@ class Building:
         """The heights that vertices have where they are missing (``lod.field``)."""
         last_row, last_col = (side - 1 for side in self.terrain.grid.shape)
         i, j = np.minimum(rows, last_row) // TILE, np.minimum(cols, last_col) // TILE
-        return self._fill[
-            np.minimum(i, self._fill.shape[0] - 1), np.minimum(j, self._fill.shape[1] - 1)
-        ].astype(np.float64)  # fmt: skip
+        i, j = np.minimum(i, self._fill.shape[0] - 1), np.minimum(j, self._fill.shape[1] - 1)
+        return np.asarray(self._fill[i, j], np.float64)
 
     def _places(self, rows: Integers, cols: Integers) -> NDArray[np.float64]:
         """Diamonds' vertices (d, 3), metres, squeezed onto the raster and filled."""
         last_row, last_col = (side - 1 for side in self.terrain.grid.shape)
         r, c = np.minimum(rows, last_row), np.minimum(cols, last_col)
-        z = np.array([self._height(int(y), int(x)) for y, x in zip(r, c)], np.float64)
+        z = self._heights(rows, cols)
         z = np.where(np.isnan(z), self._filled(rows, cols), z)
         a, d, b, e = self._metric
         return np.stack([a * c + b * r, d * c + e * r, z], -1)
 
-    def _height(self, row: int, col: int) -> float:
-        return float(self.terrain.read(0, row, row + 1, col, col + 1)[0, 0])
+    def _heights(self, rows: Integers, cols: Integers) -> NDArray[np.float64]:
+        """Heights of the vertices of diamonds of one level, squeezed onto the raster."""
+        if not len(rows):
+            return np.zeros(0)
+        k = min(int(diamonds.octave(rows[0], cols[0])), self.terrain.levels - 1)
+        if k not in self._levels:
+            self._levels[k] = self.terrain.read(k, 0, self.terrain.shape(k)[0], 0, self.terrain.shape(k)[1])
+        whole = self._levels[k]
+        i, j = np.minimum(rows >> k, whole.shape[0] - 1), np.minimum(cols >> k, whole.shape[1] - 1)
+        return np.asarray(whole[i, j], np.float64)
 
     def _from_children(
         self, rows: Integers, cols: Integers
@@ -255,7 +252,9 @@ class Building:
             r, c = diamonds.child(rows, cols, k, self.n)
             there = r >= 0
             rc, cc = r[there], c[there]
-            octave = int(diamonds.octave(rc[0], cc[0])) if len(rc) else 0
+            if not len(rc):
+                continue
+            octave = int(diamonds.octave(rc[0], cc[0]))
             e, size = (of[octave][rc >> octave, cc >> octave] for of in (self.errors, self.radii))
             away = np.sqrt(np.square(self._places(rc, cc) - here[there]).sum(-1))
             error[there] = np.maximum(error[there], e)

@@ -1,8 +1,7 @@
 """The TINs of one diamond: two patches of the hierarchy whose vertices are chosen among the samples of a lattice.
 
-A *window* is the part of a lattice of every ``step``-th sample that holds the diamond's region, cut by the raster's
-last row and column, which belong to every lattice. Which of its samples are vertices is all that makes a TIN: they are
-triangulated in a fixed order, constrained Delaunay, so that whoever triangulates them gets the same triangles. The five
+Which samples of a diamond's window (``tin_windows``) are vertices is all that makes a TIN: they are triangulated in a
+fixed order, constrained Delaunay, so that whoever triangulates them gets the same triangles. The five
 edges of a diamond are constraints: the four legs of its patches, and the hypotenuse that they share. Where one leaves
 the raster it ends in a vertex, on the lattice or not. (A square diamond's legs are the borders of its window.)
 
@@ -18,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import kernel, leaf
+from orograph.store.tin_windows import across, clipped, in_region, line_at, on_leg, place
 from orograph.triangulation.deviation import FUZZ, span, worst_crossing, worst_sample
 from orograph.triangulation.heap import NOWHERE, Queue, sift, take_out
 from orograph.triangulation.mesh import (
@@ -41,36 +41,12 @@ EXTRAS = 16
 """Room for ends of edges that are not on the lattice."""
 
 
-class Window(NamedTuple):
-    """Where a diamond is.
-
-    Attributes:
-        cx, cy: its vertex. s: its extent along an axis. shape: 0 a square, 1 an edge (``hierarchy.diamonds.kind``).
-        axis: which way its hypotenuse runs (``hierarchy.triangles.axis``).
-        width, height: the window's last column and row. step: between samples of the lattice.
-        sparse: how many steps apart samples on the hypotenuse may be vertices. first_i, first_j: the lattice's row and
-            column, counted from the raster's, of the window's first.
-    """
-
-    cx: int
-    cy: int
-    s: int
-    shape: int
-    axis: int
-    width: int
-    height: int
-    step: int
-    sparse: int
-    first_i: int
-    first_j: int
-
-
 class Work(NamedTuple):
     """Arrays that one thread works in.
 
     Attributes:
         mesh: of the triangulation. queue: its triangles. ids: (rows, cols) int32, the vertex at a sample of the window,
-            −1: none. extras: (16, 3) int64, column, row and vertex of ends that are not on the lattice. stack: of flips.
+            −1: none. extras: (16, 3) int64, column, row and vertex of ends beside the lattice. stack: of flips.
     """
 
     mesh: Mesh
@@ -96,81 +72,6 @@ def new_work(vertices: int, side: int) -> Work:
     return Work(
         mesh, queue, np.empty((side, side), np.int32), np.empty((EXTRAS, 3), np.int64), np.empty(6 * slots, np.int32)
     )
-
-
-@inlined
-def place(index, step, last):
-    """The column or row of a line of the lattice."""
-    return min(index * step, last)
-
-
-@inlined
-def line_at(at, step, last):
-    """The line of the lattice at a column or row, −1: none."""
-    if at % step == 0:
-        return at // step
-    return last // step + 1 if at == last else np.int64(-1)
-
-
-@leaf
-def region_corner(w, k):
-    """The corners of a diamond: the ends of its hypotenuse (k = 0, 1), the apexes of its patches (2, 3)."""
-    s, sign = w.s, 1 - 2 * (k & 1)
-    if w.shape == 1:
-        along = (w.axis == 2) == (k < 2)
-        return (w.cx + sign * s, w.cy) if along else (w.cx, w.cy + sign * s)
-    falling = (w.axis == 3) == (k < 2)
-    return (w.cx + sign * s, w.cy + sign * s) if falling else (w.cx + sign * s, w.cy - sign * s)
-
-
-@leaf
-def clipped(w, edge):
-    """An edge of a diamond on the raster: column and row where it begins, its direction, first and last step.
-
-    Edge 0 is the hypotenuse, 1 … 4 are the legs. The first step is after the last if none of it is on the raster.
-    """
-    a = 0 if edge == 0 else (edge - 1) & 1
-    b = 1 if edge == 0 else 2 + ((edge - 1) >> 1)
-    ax, ay = region_corner(w, a)
-    bx, by = region_corner(w, b)
-    long = max(abs(bx - ax), abs(by - ay))
-    dx, dy = (bx - ax) // long, (by - ay) // long
-    low, high = np.int64(0), np.int64(long)
-    for way in range(2):
-        at, d, last = (ax, dx, w.width) if way == 0 else (ay, dy, w.height)
-        if d == 0:
-            if at < 0 or at > last:
-                high = np.int64(-1)
-        elif d > 0:
-            low, high = max(low, -at), min(high, last - at)
-        else:
-            low, high = max(low, at - last), min(high, at)
-    return ax, ay, dx, dy, low, high
-
-
-@inlined
-def in_region(w, x, y):
-    """Whether a sample is in the closed region of a diamond (of a square one all of the window is)."""
-    return w.shape == 0 or abs(x - w.cx) + abs(y - w.cy) <= w.s
-
-
-@leaf
-def across(w, x, y, times):
-    """On which side of the hypotenuse a place is, given so many times: negative on that of top triangle 0, 0 on it."""
-    dx, dy = x - times * w.cx, y - times * w.cy
-    if w.axis == 0:
-        return dx
-    if w.axis == 2:
-        return dy
-    return dy - dx if w.axis == 3 else dx + dy
-
-
-@leaf
-def on_leg(w, x, y):
-    """Whether a sample in the region lies on a leg."""
-    if w.shape == 1:
-        return abs(x - w.cx) + abs(y - w.cy) == w.s
-    return abs(x - w.cx) == w.s or abs(y - w.cy) == w.s
 
 
 @leaf
@@ -317,59 +218,6 @@ def triangulate(w, work, heights, ends, marks):
     return count if good else -1
 
 
-@kernel
-def legs_of(w, source, ratio, bit, marks):
-    """Mark the vertices on a diamond's legs: those on the hypotenuses of its children.
-
-    Args:
-        source: uint8, the marks of the children's lattice, all of the raster; ratio: steps of it along one of this one;
-            bit: of their kind, 0: all samples are vertices.
-    """
-    rows, cols = marks.shape
-    last_i, last_j = source.shape[0] - 1, source.shape[1] - 1
-    for i in range(rows):
-        y = place(i, w.step, w.height)
-        for j in range(cols):
-            x = place(j, w.step, w.width)
-            if in_region(w, x, y) and on_leg(w, x, y):
-                corner = x == w.cx or y == w.cy if w.shape == 1 else abs(x - w.cx) == w.s and abs(y - w.cy) == w.s
-                given = source[min((w.first_i + i) * ratio, last_i), min((w.first_j + j) * ratio, last_j)] & bit
-                marks[i, j] = bit == 0 or corner or given != 0
-
-
-@kernel
-def look(heights, row0, rows, cols, s, fill, metric):
-    """Samples that are there and that are missing in the regions of edge diamonds, and the squared radii around them.
-
-    Args:
-        heights: (h, w) float32, rows of the raster from row0 on, all columns. rows, cols: (d,) of the diamonds, s: their
-            extent. fill: (d,) heights of vertices that are missing. metric: (4,) metres of a column's step (x, y) and a
-            row's.
-
-    Returns: (d, 2) int64 counts, (d,) float64.
-    """
-    count, found = np.zeros((len(rows), 2), np.int64), np.zeros(len(rows))
-    high, wide = heights.shape
-    for d in range(len(rows)):
-        last = row0 + high - 1
-        cy, cx = min(rows[d], last), min(cols[d], wide - 1)
-        z = np.float64(heights[cy - row0, cx])
-        if np.isnan(z):
-            z = fill[d]
-        for y in range(max(rows[d] - s, row0), min(rows[d] + s, last) + 1):
-            reach = s - abs(y - rows[d])
-            for x in range(max(cols[d] - reach, 0), min(cols[d] + reach, wide - 1) + 1):
-                off = heights[y - row0, x] - z
-                if np.isnan(off):
-                    count[d, 1] += 1
-                    continue
-                count[d, 0] += 1
-                u, v = x - cx, y - cy
-                east, north = metric[0] * u + metric[2] * v, metric[1] * u + metric[3] * v
-                found[d] = max(found[d], east * east + north * north + off * off)
-    return count, found
-
-
 @leaf
 def worst(w, m, heights, free, t):
     """The sample of the lattice that may be inserted and is farthest from a triangle: how far, its row and column."""
@@ -385,16 +233,21 @@ def worst(w, m, heights, free, t):
     )  # fmt: skip
     z0, z1, z2 = m.z[a], m.z[b], m.z[c]
     det = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-    across_, down = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / det, ((x1 - x0) * (z2 - z0) - (x2 - x0) * (z1 - z0)) / det
+    right = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / det
+    down = ((x1 - x0) * (z2 - z0) - (x2 - x0) * (z1 - z0)) / det
     largest, at_i, at_j = -1.0, np.int64(0), np.int64(0)
     rows, cols = heights.shape
     i = (y0 + w.step - 1) // w.step
     while i < rows and place(i, w.step, w.height) <= y2:
         y = place(i, w.step, w.height)
         far = span(y, x0, y0, x2, y2)
-        near = span(y, x0, y0, x1, y1) if (y < y1 or y1 == y2) and y1 != y0 else span(y, x1, y1, x2, y2) if y1 != y2 else x1
+        near = x1
+        if y < y1 or (y1 == y2 and y1 != y0):
+            near = span(y, x0, y0, x1, y1)
+        elif y1 != y2:
+            near = span(y, x1, y1, x2, y2)
         low, high = min(near, far) - FUZZ, max(near, far) + FUZZ
-        plane = z0 + down * (y - y0) - across_ * x0
+        plane = z0 + down * (y - y0) - right * x0
         j = np.int64(np.ceil(max(low, 0.0) / w.step))
         if j >= cols:
             j = cols - 1
@@ -403,7 +256,7 @@ def worst(w, m, heights, free, t):
             if x > high:
                 break
             if free[i, j] and x >= low:
-                off = abs(plane + across_ * x - heights[i, j])
+                off = abs(plane + right * x - heights[i, j])
                 if off > largest:
                     largest, at_i, at_j = off, i, j
             j += 1
@@ -494,7 +347,8 @@ def deviation(m, heights):
     largest = 0.0
     for t in range(m.counts[TRIANGLES]):
         if m.live[t]:
-            largest = max(largest, worst_sample(heights, m, m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2])[0])
+            off = worst_sample(heights, m, m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2])[0]
+            largest = max(largest, off)
             for k in range(3):
                 h = 3 * t + k
                 if m.twin[h] < h or not m.live[m.twin[h] // 3]:
