@@ -69,9 +69,11 @@ def _tins(terrain: Terrain, options: Mapping[str, Any], resources: Resources) ->
     if needed > resources.max_memory:
         raise UsageError(
             f"The store has no TINs, and to make them in memory takes {needed >> 20} MiB.", path=terrain.name,
-            remedy="Allow more memory, or build the store with them (`orograph build --for bdam`).",
+            remedy=f"Allow more memory, or build it with them (`orograph.build(..., tins={options['legs']})`).",
         )  # fmt: skip
-    resources.progress.note("the store has no TINs: they are made in memory (`orograph build --for bdam` keeps them)")
+    resources.progress.note(
+        f"the store lacks these TINs: they are made in memory (`orograph.build(..., tins={options['legs']})` keeps them)"
+    )
     # (The method itself makes them: ``lod.bdam``.)
 
 

@@ -50,7 +50,7 @@ class TinKind(Derived[dict[str, Any]]):
         if self.of(terrain.record).get("legs") != options["legs"]:
             raise StoreError(
                 f"This store has no TINs of patches of {options['legs']} segments.", path=terrain.url,
-                remedy="Build it with `--for bdam`, or let the method make them in memory.",
+                remedy=f"Build it with them (`orograph.build(..., tins={options['legs']})`), or have them made.",
             )  # fmt: skip
         return StoredTins(terrain, int(options["legs"]))
 
