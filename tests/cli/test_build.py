@@ -181,6 +181,8 @@ def test_tins_are_stored_ahead(tmp_path):
     assert store.open(tmp_path / "a").has("tins", legs=8)
     again = CliRunner().invoke(command, [*given, "--for", "bdam", "--overwrite"], obj={"quiet": True})
     assert again.exit_code != 0 and "TINs of one kind" in str(again.exception)
+    same = CliRunner().invoke(command, [*given[:3], "--resume", "--tins", "8"], obj={"quiet": True})
+    assert same.exit_code == 0
     other = CliRunner().invoke(command, [*given[:3], "--resume"], obj={"quiet": True})
     assert other.exit_code != 0 and "TINs differ" in str(other.exception)
 

@@ -72,6 +72,11 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
     help="Which errors of its diamonds are stored: some of exact,wedgie,midpoint, or none.",
 )
 @click.option(
+    "--tins",
+    type=click.Choice(["4", "8", "16", "32"]),
+    help="Store also TINs of patches for bdam: segments along a finest patch's leg (bdam's own: 16).",
+)
+@click.option(
     "--for",
     "methods",
     multiple=True,
@@ -124,6 +129,7 @@ def command(
     jobs: int | None,
     errors: tuple[ErrorKind, ...],
     methods: tuple[str, ...],
+    tins: str | None,
     color_errors: bool,
     drape: str | None,
     products: tuple[str, ...] | None,
@@ -167,7 +173,7 @@ def command(
 
         check(products)
     progress = progress_of(ctx)
-    kinds, tins = _needed(methods, progress)
+    kinds, legs = _needed(methods, progress, tins)
     errors = (*errors, *(kind for kind in kinds if kind not in errors))
     started = time.perf_counter()
     source = source_of(dem, progress, **options)
@@ -182,7 +188,7 @@ def command(
             max_memory=max_memory,
             jobs=jobs,
             errors=errors,
-            tins=tins,
+            tins=legs,
             keep_source=keep_source,
             progress=progress,
         )
@@ -264,6 +270,7 @@ def _repair(
         "resume",
         "products",
         "errors",
+        "tins",
         "keep_source",
         "color_errors",
         "drape",
@@ -287,20 +294,23 @@ def _repair(
     click.echo(f"{store}: {'nothing was damaged' if not mended else 'sound again'}")
 
 
-def _needed(methods: Sequence[str], progress: Progress) -> tuple[tuple[ErrorKind, ...], int | None]:
-    """The kinds of errors that methods need, and the segments of the patches whose TINs they need.
+def _needed(methods: Sequence[str], progress: Progress, legs: str | None) -> tuple[tuple[ErrorKind, ...], int | None]:
+    """The kinds of errors that methods need, and the segments of the patches whose TINs are wanted.
+
+    Args:
+        legs: of TINs that are asked for outright.
 
     Raises:
         UsageError: one of them is no method, or two need other TINs.
     """
+    tins = {} if legs is None else {int(legs): None}
     if not methods:
-        return (), None
+        return (), next(iter(tins), None)
     from orograph.lod.needs import kinds_of
     from orograph.lod.registry import chosen
     from orograph.store.patches import LEGS
 
     found: dict[ErrorKind, None] = {}
-    tins: dict[int, None] = {}
     for text in methods:
         choice = chosen(text)
         needs = choice.method.needs(choice.options)
@@ -313,7 +323,7 @@ def _needed(methods: Sequence[str], progress: Progress) -> tuple[tuple[ErrorKind
     if len(tins) > 1:
         raise UsageError(
             f"A store has TINs of one kind, not of {' and '.join(map(str, tins))} segments.",
-            remedy="Give --for bdam once.",
+            remedy="Ask for those of one kind.",
         )  # fmt: skip
     return tuple(found), next(iter(tins), None)
 

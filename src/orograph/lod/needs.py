@@ -72,7 +72,7 @@ def _tins(terrain: Terrain, options: Mapping[str, Any], resources: Resources) ->
             remedy=f"Allow more memory, or build it with them (`orograph.build(..., tins={options['legs']})`).",
         )  # fmt: skip
     resources.progress.note(
-        f"the store lacks these TINs: they are made in memory (`orograph.build(..., tins={options['legs']})` keeps them)"
+        f"the store lacks these TINs: made in memory (`orograph.build(..., tins={options['legs']})` keeps them)"
     )
     # (The method itself makes them: ``lod.bdam``.)
 
