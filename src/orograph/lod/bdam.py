@@ -39,8 +39,8 @@ from orograph.store.tins import ALL_LEGS, LEGS, Tins
 from orograph.tessellation import turn
 from orograph.viewpoint import Camera
 
-BATCH_BYTES = 36 * 256
-"""Of an unpacked patch of 256 triangles, about: vertices and triangles."""
+TRIANGLE_BYTES = 36
+"""Of an unpacked patch, for each of its triangles, about: vertices and triangles."""
 
 Diamond = tuple[int, int]
 Pair = tuple[TinBatch, TinBatch]
@@ -92,7 +92,7 @@ class Bdam(TrianglePatches):
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
         self._kept: OrderedDict[Diamond, Pair] = OrderedDict()
-        self._most = max(1024, self.resources.max_memory // (8 * BATCH_BYTES))
+        self._most = max(256, self.resources.max_memory // (16 * TRIANGLE_BYTES * self.legs**2))
         self._workplace = Workplace()
         self._flip = turn(self.terrain.grid) > 0
         self._points = patch_vertices(self.legs).astype(np.int64)
