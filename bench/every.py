@@ -48,6 +48,7 @@ class Bench:
 
 BENCHES = {
     "aperture": Bench("--size 64 --rounds 1 --cost"),
+    "bdam": Bench("--part table --count 2 --terrain bigtujunga", data=True, least="bigtujunga-srtm30m-utm"),
     "budgets": Bench("--size 1025 --frames 10 --ms 5 --no-best"),
     "embree": Bench("--size 513 --repeat 1", data=True, modules=("embreex",)),
     "errors": Bench("--size 1025 --rounds 1"),

@@ -174,6 +174,19 @@ def test_what_methods_need_is_stored_ahead(tmp_path):
     assert ran.exit_code != 0 and "no method 'sore'" in str(ran.exception)
 
 
+def test_tins_are_stored_ahead(tmp_path):
+    dem = write(tmp_path / "dem.tif", HEIGHTS)
+    given = [str(dem), "-o", str(tmp_path / "a"), "--for", "bdam,legs=8"]
+    assert CliRunner().invoke(command, given, obj={"quiet": True}).exit_code == 0
+    assert store.open(tmp_path / "a").has("tins", legs=8)
+    again = CliRunner().invoke(command, [*given, "--for", "bdam", "--overwrite"], obj={"quiet": True})
+    assert again.exit_code != 0 and "TINs of one kind" in str(again.exception)
+    same = CliRunner().invoke(command, [*given[:3], "--resume", "--tins", "8"], obj={"quiet": True})
+    assert same.exit_code == 0
+    other = CliRunner().invoke(command, [*given[:3], "--resume"], obj={"quiet": True})
+    assert other.exit_code != 0 and "TINs differ" in str(other.exception)
+
+
 def test_color_errors_are_stored_and_used(tmp_path, monkeypatch):
     from orograph.geovis.color_store import StoredColorErrors
     from orograph.lod.method import Resources

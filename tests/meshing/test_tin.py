@@ -27,8 +27,9 @@ from orograph.cli import cli
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geo import Grid
 from orograph.meshing import tin as tins
-from orograph.meshing import tin_error, tin_mesh, tin_outline, tin_tile
+from orograph.meshing import tin_outline, tin_tile
 from orograph.tessellation import Tessellation
+from orograph.triangulation import deviation, mesh
 
 MAPS = [Affine(10, 0, 0, 0, -10, 0), Affine(10, 0, 0, 0, 10, 0), Affine(6, 8, 500, 8, -6, 300)]
 
@@ -46,15 +47,15 @@ def with_holes(heights: np.ndarray, seed: int, part: float) -> np.ndarray:
     return heights
 
 
-def triangulated(heights: np.ndarray, points: list[tuple[int, int]]) -> tin_mesh.Mesh:
-    m = tin_mesh.new_mesh(*heights.shape)
-    tin_mesh.begin(m, heights)
+def triangulated(heights: np.ndarray, points: list[tuple[int, int]]) -> mesh.Mesh:
+    m = mesh.new_mesh(*heights.shape)
+    mesh.begin(m, heights)
     tin_tile.insert_all(m, heights, np.array(points, np.int64).reshape(-1, 2))
     return m
 
 
-def corners_of(m: tin_mesh.Mesh) -> list[tuple[tuple[int, int], ...]]:
-    found = m.corner[: 3 * m.counts[tin_mesh.TRIANGLES]].reshape(-1, 3)
+def corners_of(m: mesh.Mesh) -> list[tuple[tuple[int, int], ...]]:
+    found = m.corner[: 3 * m.counts[mesh.TRIANGLES]].reshape(-1, 3)
     return [tuple((int(m.x[v]), int(m.y[v])) for v in t) for t in found if t[0] >= 0]
 
 
@@ -91,7 +92,7 @@ def test_forced_edges_are_there(seed: int) -> None:
             forced.append((a, b))
     assert len(forced) > 10
     assert tin_tile.fix_all(m, np.array([[*a, *b] for a, b in forced]))
-    tin_mesh.make_delaunay(m)
+    mesh.make_delaunay(m)
     found = corners_of(m)
     edges = {frozenset((t[k], t[(k + 1) % 3])) for t in found for k in range(3)}
     assert all(frozenset(edge) in edges for edge in forced)
@@ -122,11 +123,11 @@ def test_the_worst_of_triangles_and_edges_is_exact(seed: int) -> None:
     points = [(int(x), int(y)) for x, y in zip(rng.integers(0, 17, 3), rng.integers(0, 14, 3))]
     if turn(*points) == 0:
         return
-    m = tin_mesh.new_mesh(14, 17)
-    a, b, c = (tin_mesh.new_vertex(m, x, y, float(heights[y, x])) for x, y in points)
-    off, _, _, squares = tin_error.worst_sample(heights, m, a, b, c)
+    m = mesh.new_mesh(14, 17)
+    a, b, c = (mesh.new_vertex(m, x, y, float(heights[y, x])) for x, y in points)
+    off, _, _, squares = deviation.worst_sample(heights, m, a, b, c)
     assert (off, squares) == pytest.approx(worst_at_samples(heights, tuple(points)), abs=1e-9)
-    off = tin_error.worst_crossing(heights, m, a, b)[0]
+    off = deviation.worst_crossing(heights, m, a, b)[0]
     inner = [(x, y) for x in range(17) for y in range(14) if turn(points[0], points[1], (x, y)) == 0]
     truth = worst_on_edge(heights, points[0], points[1])
     on_it = [_off(heights, points[0], points[1], p) for p in inner if _within(*points[:2], p)]

@@ -72,6 +72,11 @@ class ErrorKinds(click.ParamType[tuple[str, ...]]):
     help="Which errors of its diamonds are stored: some of exact,wedgie,midpoint, or none.",
 )
 @click.option(
+    "--tins",
+    type=click.Choice(["4", "8", "16", "32"]),
+    help="Store also TINs of patches for bdam: segments along a finest patch's leg (bdam's own: 16).",
+)
+@click.option(
     "--for",
     "methods",
     multiple=True,
@@ -124,6 +129,7 @@ def command(
     jobs: int | None,
     errors: tuple[ErrorKind, ...],
     methods: tuple[str, ...],
+    tins: str | None,
     color_errors: bool,
     drape: str | None,
     products: tuple[str, ...] | None,
@@ -167,7 +173,8 @@ def command(
 
         check(products)
     progress = progress_of(ctx)
-    errors = (*errors, *(kind for kind in _needed(methods, progress) if kind not in errors))
+    kinds, legs = _needed(methods, progress, tins)
+    errors = (*errors, *(kind for kind in kinds if kind not in errors))
     started = time.perf_counter()
     source = source_of(dem, progress, **options)
     for warning in getattr(source, "warnings", ()):
@@ -181,6 +188,7 @@ def command(
             max_memory=max_memory,
             jobs=jobs,
             errors=errors,
+            tins=legs,
             keep_source=keep_source,
             progress=progress,
         )
@@ -262,6 +270,7 @@ def _repair(
         "resume",
         "products",
         "errors",
+        "tins",
         "keep_source",
         "color_errors",
         "drape",
@@ -285,14 +294,18 @@ def _repair(
     click.echo(f"{store}: {'nothing was damaged' if not mended else 'sound again'}")
 
 
-def _needed(methods: Sequence[str], progress: Progress) -> tuple[ErrorKind, ...]:
-    """The kinds of errors that methods need.
+def _needed(methods: Sequence[str], progress: Progress, legs: str | None) -> tuple[tuple[ErrorKind, ...], int | None]:
+    """The kinds of errors that methods need, and the segments of the patches whose TINs are wanted.
+
+    Args:
+        legs: of TINs that are asked for outright.
 
     Raises:
-        UsageError: one of them is no method.
+        UsageError: one of them is no method, or two need other TINs.
     """
+    tins = {} if legs is None else {int(legs): None}
     if not methods:
-        return ()
+        return (), next(iter(tins), None)
     from orograph.lod.needs import kinds_of
     from orograph.lod.registry import chosen
     from orograph.store.patches import LEGS
@@ -302,11 +315,17 @@ def _needed(methods: Sequence[str], progress: Progress) -> tuple[ErrorKind, ...]
         choice = chosen(text)
         needs = choice.method.needs(choice.options)
         found.update(dict.fromkeys(kinds_of(needs)))
+        tins.update(dict.fromkeys(need.options["legs"] for need in needs if need.name == "tins"))
         if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
             progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
         if getattr(choice.options, "color_tolerance", None) is not None:
             progress.note(f"{choice}: errors of colours are stored with --color-errors.")
-    return tuple(found)
+    if len(tins) > 1:
+        raise UsageError(
+            f"A store has TINs of one kind, not of {' and '.join(map(str, tins))} segments.",
+            remedy="Ask for those of one kind.",
+        )  # fmt: skip
+    return tuple(found), next(iter(tins), None)
 
 
 def crs_name(crs: CRS | None) -> str | None:

@@ -17,6 +17,9 @@ from orograph.store.terrain import Terrain
 BYTES_PER_SAMPLE = 4 + 8 * 4 / 3 + 4
 """Of heights, errors and radii of diamonds, and what is held while they are made."""
 
+TIN_BYTES_PER_SAMPLE = 4.0
+"""Of marks, errors and radii of TINs while they are made."""
+
 
 def supply(terrain: Terrain, needs: Iterable[Need], resources: Resources) -> None:
     """Make what a terrain lacks of ``needs``.
@@ -59,8 +62,24 @@ def _patches(terrain: Terrain, options: Mapping[str, Any], resources: Resources)
     # (The method's own table makes them: ``lod.patches.tables``.)
 
 
+def _tins(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
+    if not isinstance(terrain, StoredTerrain) or terrain.has("tins", **options):
+        return
+    needed = int(terrain.grid.rows * terrain.grid.cols * TIN_BYTES_PER_SAMPLE)
+    if needed > resources.max_memory:
+        raise UsageError(
+            f"The store has no TINs, and to make them in memory takes {needed >> 20} MiB.", path=terrain.name,
+            remedy=f"Allow more memory, or build it with them (`orograph.build(..., tins={options['legs']})`).",
+        )  # fmt: skip
+    resources.progress.note(
+        f"the store lacks these TINs: made in memory (`orograph.build(..., tins={options['legs']})` keeps them)"
+    )
+    # (The method itself makes them: ``lod.bdam``.)
+
+
 SUPPLIERS: dict[str, Callable[[Terrain, Mapping[str, Any], Resources], None]] = {
     "diamonds": _diamonds,
     "patches": _patches,
+    "tins": _tins,
 }
 """By name of a need, what makes it; the options are the need's."""

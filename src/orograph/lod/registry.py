@@ -33,6 +33,7 @@ METHODS: dict[str, str | type[Method]] = {
     "restricted-quadtree": "orograph.lod.restricted_quadtree:RestrictedQuadtree",
     "seamless-patches": "orograph.lod.seamless_patches:SeamlessPatches",
     "cdlod": "orograph.lod.cdlod:Cdlod",
+    "bdam": "orograph.lod.bdam:Bdam",
 }
 """Name to MODULE:CLASS, or to the class."""
 

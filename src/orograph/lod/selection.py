@@ -126,8 +126,13 @@ class TinBatches(Selection):
         bases = np.cumsum([0, *(len(b.vertices) for b in self.batches)])
         faces = [b.triangles + base for b, base in zip(self.batches, bases)]
         triangles = np.concatenate([np.zeros((0, 3), np.int32), *faces]).astype(np.int32)
-        vertices, where = np.unique(corners, axis=0, return_inverse=True)
-        return Tessellation(vertices, where.reshape(-1)[triangles].astype(np.int32), stats=dict(self.stats))
+        order = np.lexsort(corners.T)
+        ranked = corners[order]
+        new = np.ones(len(ranked), bool)
+        new[1:] = (ranked[1:] != ranked[:-1]).any(1)
+        where = np.empty(len(ranked), np.int32)
+        where[order] = np.cumsum(new) - 1
+        return Tessellation(ranked[new], where[triangles], stats=dict(self.stats))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,8 +7,9 @@ tile samples are inserted greedily (``tin_refine``), and then vertices that can 
 
 The bound is one on the surface, or at samples. A TIN's edges cross cells, so on the surface it may be off by more than
 at any sample; the crossings of its edges with grid lines and diagonals of cells are looked at as well
-(``tin_error``). Where a border has been made too coarse for that, the tile asks for samples of it, and the tiles on
-both sides are made again with them, from the vertices they have. That goes in rounds, so the result stays the same.
+(``triangulation.deviation``). Where a border has been made too coarse for that, the tile asks for samples of it, and
+the tiles on both sides are made again with them, from the vertices they have. That goes in rounds, so the result stays
+the same.
 
 Source: Garland & Heckbert 1995 (*Fast polygonal approximation of terrains and height fields*).
 """

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import kernel, leaf
 from orograph.errors import UsageError
-from orograph.meshing.tin_error import worst_between
+from orograph.triangulation.deviation import worst_between
 
 Edge = tuple[int, int, int, int]
 """Column, row, column, row of its ends."""

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel, leaf
-from orograph.meshing.tin_error import worst_crossing, worst_sample
-from orograph.meshing.tin_mesh import (
+from orograph.triangulation.deviation import worst_crossing, worst_sample
+from orograph.triangulation.mesh import (
     VERTICES,
     after,
     before,

@@ -8,8 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
-from orograph.meshing.tin_error import worst_crossing, worst_sample
-from orograph.meshing.tin_mesh import (
+from orograph.meshing.tin_outline import Window, constraints, unit_triangles
+from orograph.meshing.tin_reduce import reduce
+from orograph.meshing.tin_refine import missed, refine
+from orograph.triangulation.deviation import worst_crossing, worst_sample
+from orograph.triangulation.heap import new_queue
+from orograph.triangulation.mesh import (
     TRIANGLES,
     VERTICES,
     begin,
@@ -19,9 +23,6 @@ from orograph.meshing.tin_mesh import (
     make_delaunay,
     new_mesh,
 )
-from orograph.meshing.tin_outline import Window, constraints, unit_triangles
-from orograph.meshing.tin_reduce import reduce
-from orograph.meshing.tin_refine import missed, new_queue, refine
 
 NONE = np.empty((0, 2), np.int64)
 """No samples."""

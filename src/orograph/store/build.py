@@ -37,6 +37,8 @@ from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage, storage_at
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open, read_record
 from orograph.store.terrain import Samples, Shape, level_count, level_shape
+from orograph.store.tin_kind import TINS
+from orograph.store.tins import ALL_LEGS as TIN_LEGS
 from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:
@@ -59,6 +61,7 @@ def build(
     max_memory: int = MEMORY,
     jobs: int | None = None,
     errors: Sequence[ErrorKind] = ("exact",),
+    tins: int | None = None,
     keep_source: bool = True,
     progress: Progress | bool | None = None,
     storage_options: dict[str, Any] | None = None,
@@ -78,6 +81,8 @@ def build(
         jobs: threads (default: all processors). The store's bytes do not depend on it.
         errors: of which kinds the errors of all diamonds are stored (with their spheres), for methods that refine by
             them; none for ().
+        tins: segments along a leg of the finest patches above which TINs are stored (16 for ``bdam``), which holds some
+            four bytes for each sample in memory besides; None: no TINs.
         keep_source: of sources that have to be resampled, keep the samples as they are, so that places have their
             heights (``measuring.pick``); without them heights are those of the surface, and it is known how far off.
         progress: hears of it; None: bars in terminals and notebooks, and Python's warnings; False: nothing is said.
@@ -96,6 +101,8 @@ def build(
     kinds = tuple(kind for kind in KINDS if kind in errors)
     if len(kinds) != len(set(errors)):
         raise UsageError(f"Errors are of the kinds {', '.join(KINDS)}, not {', '.join(map(str, errors))}.")
+    if tins is not None and tins not in TIN_LEGS:
+        raise UsageError(f"`tins` is one of {', '.join(map(str, TIN_LEGS))}, not {tins!r}.")
     raster = source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
     final = storage_at(url, storage_options)
@@ -109,7 +116,7 @@ def build(
             f"{max_memory >> 20} MiB is less than a build needs; it goes on, one task at a time, and may take "
             f"{needed >> 20} MiB."
         )
-    plan = _plan(raster, shard, chunk, kinds, keep)
+    plan = _plan(raster, shard, chunk, kinds, tins, keep)
     with alone(final, "building this store"):
         storage = final if final.remote else FolderStorage(partial(final.url))
         if overwrite:
@@ -189,7 +196,7 @@ def _lattices(raster: HeightSource) -> Sequence[SourceLattice]:
 
 
 def _plan(
-    raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, ...], keep_source: bool
+    raster: HeightSource, shard: int, chunk: int, kinds: tuple[ErrorKind, ...], tins: int | None, keep_source: bool
 ) -> dict[str, Any]:
     grid = raster.grid
     return {
@@ -203,6 +210,7 @@ def _plan(
         "shard": shard,
         "chunk": chunk,
         "errors": list(kinds),
+        "tins": tins,
         "keep_source": keep_source,
     }
 
@@ -221,6 +229,7 @@ def _plan_of(record: Record) -> dict[str, Any]:
         "shard": record.shard,
         "chunk": record.chunk,
         "errors": list(DIAMONDS.of(record).errors),
+        "tins": TINS.of(record).get("legs"),
         "keep_source": bool(record.lattices),
     }
 
@@ -290,7 +299,7 @@ def _compared(final: Storage, storage: Storage, plan: dict[str, Any], resume: bo
 def _differing(plan: dict[str, Any], before: dict[str, Any]) -> str:
     """What of a plan is not as before, in words; empty if all is."""
     names = {
-        "source": "sources or options", "format": "store format", "errors": "kinds of errors",
+        "source": "sources or options", "format": "store format", "errors": "kinds of errors", "tins": "TINs",
         "keep_source": "source samples to keep",
     }  # fmt: skip
     return ", ".join(names.get(key, key) for key in plan if plan[key] != before.get(key))
@@ -340,7 +349,7 @@ def _fill(
         digests=writer.digests,
     )
     for make in MAKERS.values():
-        record = make(record, Work(kinds, writer, jobs, resume, progress))
+        record = make(record, Work(kinds, writer, jobs, resume, progress, plan.get("tins")))
     if raster.fingerprint() != plan["source"]:
         storage.remove()
         raise StoreError(

@@ -18,7 +18,10 @@ from orograph.store.layout import Record
 from orograph.store.patches import KAPPA, LEGS, PATCHES, patch_errors, spec, stored_levels
 from orograph.store.shards import go_through
 from orograph.store.stored import CACHE_BYTES, StoredTerrain
-from orograph.store.terrain import exponent
+from orograph.store.terrain import diamond_shape, exponent
+from orograph.store.tin_kind import TINS
+from orograph.store.tins import marks_spec, octaves, table_spec
+from orograph.store.tins import stored_levels as stored_tin_levels
 from orograph.store.writer import ShardWriter
 
 
@@ -29,6 +32,7 @@ class Work(NamedTuple):
         errors: the kinds of errors that are wanted.
         writer: of shards; all heights, means and tables are written.
         jobs: threads. resume: use what an interrupted build left. progress: is told of tasks.
+        tins: segments along a leg of the finest patches that TINs are wanted above; None: none are.
     """
 
     errors: tuple[ErrorKind, ...]
@@ -36,6 +40,7 @@ class Work(NamedTuple):
     jobs: int
     resume: bool
     progress: Progress
+    tins: int | None = None
 
     def terrain(self, record: Record) -> StoredTerrain:
         """What is written by now."""
@@ -68,5 +73,25 @@ def make_patches(record: Record, work: Work) -> Record:
     return PATCHES.put(record, {"legs": LEGS, "kappa": KAPPA, "errors": list(work.errors)})
 
 
-MAKERS: dict[str, Callable[[Record, Work], Record]] = {DIAMONDS.name: make_diamonds, PATCHES.name: make_patches}
+def make_tins(record: Record, work: Work) -> Record:
+    """TINs of patches; some four bytes for each sample are held in memory while they are made."""
+    from orograph.store.tin_build import make_tins
+
+    shape, legs = record.grid.shape, work.tins
+    if legs is None or np.isnan(record.height_range[0]) or 1 << exponent(shape) <= legs:
+        return record
+    found = make_tins(work.terrain(record), legs, jobs=work.jobs, progress=work.progress)
+    for level in stored_tin_levels(shape, legs):
+        rows, cols = diamond_shape(shape, level)
+        for name, values in zip(("error", "radius"), found.read(level, 0, rows, 0, cols)):
+            work.writer.array(table_spec(shape, level, name, record.shard, record.chunk), values)
+    for octave in octaves(shape, legs):
+        one = marks_spec(shape, octave, legs, record.shard, record.chunk)
+        work.writer.array(one, found.marks(octave, 0, one.shape[0], 0, one.shape[1]))
+    return TINS.put(record, {"legs": legs})
+
+
+MAKERS: dict[str, Callable[[Record, Work], Record]] = {
+    DIAMONDS.name: make_diamonds, PATCHES.name: make_patches, TINS.name: make_tins,
+}  # fmt: skip
 """By name of the kind, each after those that it needs."""

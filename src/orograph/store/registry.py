@@ -10,8 +10,9 @@ from orograph.store.derived import Derived
 from orograph.store.diamond_table import DIAMONDS
 from orograph.store.layers import LAYERS
 from orograph.store.patches import PATCHES
+from orograph.store.tin_kind import TINS
 
-KINDS: dict[str, Derived[Any]] = {kind.name: kind for kind in (DIAMONDS, PATCHES, COLORS, LAYERS)}
+KINDS: dict[str, Derived[Any]] = {kind.name: kind for kind in (DIAMONDS, PATCHES, TINS, COLORS, LAYERS)}
 """By name, each after those that it needs."""
 
 

@@ -36,6 +36,7 @@ from orograph.store.source import HeightSource
 from orograph.store.storage import Storage, storage_at
 from orograph.store.stored import StoredTerrain, open
 from orograph.store.terrain import Heights
+from orograph.store.tin_kind import TINS
 from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:
@@ -151,7 +152,8 @@ class _Repair:
         for name, make in MAKERS.items():
             if self._any(*(f"{spec.path}/c/" for kind, spec, _ in derived_arrays(self.record) if kind.name == name)):
                 errors = tuple(DIAMONDS.of(self.record).errors)
-                make(self.record, Work(errors, self.mender, self.jobs, False, self.progress))
+                tins = TINS.of(self.record).get("legs")
+                make(self.record, Work(errors, self.mender, self.jobs, False, self.progress, tins))
         self._prove()
         if self.mender.damaged:
             raise self._left()

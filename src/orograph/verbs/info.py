@@ -209,6 +209,8 @@ def _parts(path: str, errors: Sequence[str], layers: Sequence[str]) -> dict[str,
         found = sum(_files(level / kind) for level in (folder / "diamonds").glob("*"))
         if found:
             parts["spheres" if kind == "radius" else f"{kind} errors"] = found
+    if (folder / "tins").is_dir():
+        parts["TINs"] = _files(folder / "tins")
     if (folder / "colors").is_dir():
         parts["color errors"] = _files(folder / "colors")
     for name in layers:

@@ -1,0 +1,182 @@
+"""BDAM, measured: its triangles beside other methods', its bytes, how it was halved, its promise.
+
+    python bench/bdam.py [--data FOLDER] [--part PART] [--count 10] [--terrain NAME]
+
+*table*: ``bdam`` beside ``triangle-patches`` and ``soar`` on the five terrains of ``bench/promise.py``, at 1 pixel over
+``--count`` random views: triangles and patches (means), the largest error anywhere on the surface in view (the referee,
+in half of the views), ms to select (medians of second selections; of ``bdam`` with patches unpacked before), seconds to
+make what each needs besides heights, in memory, and its bytes a sample, compressed as a store has them.
+
+*halving*: of every level of the hierarchy the triangles by those of the patches below, how many vertices the legs of
+diamonds lock, and the largest error.
+
+*promise*: the referee on random views of more terrains (voids, oblong, 1 m, 90 m), tolerances of 0.5 to 8 pixels: the
+largest error by the tolerance, and every defect of a mesh.
+
+Views are those of ``bench/promise.py``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import promise
+from orograph import verify
+from orograph.dem.raster import Dem
+from orograph.geo.grid import Grid
+from orograph.lod.method import Goal
+from orograph.lod.registry import chosen
+from orograph.store.build import build
+from orograph.store.memory import MemoryTerrain
+from orograph.viewpoint import Camera
+
+PARTS = ("table", "halving", "promise")
+
+METHODS = ("triangle-patches", "soar", "bdam,legs=8", "bdam", "bdam,legs=32")
+
+MORE = {
+    "fortbragg 1 m": "fortbragg-1m-dem-ortho/elevation_2016.tif",
+    "winnipeg 1s": "winnipeg-1s-isce3/winnipeg_dem.tif",
+    "everest 90 m": "osgearth-srtm90m-volcano-voids/mt_everest_90m.tif",
+}
+"""Terrains for the promise besides those of ``promise``."""
+
+
+def bytes_of(terrain: MemoryTerrain, text: str, method: Any) -> float:
+    """Bytes a sample of what a method needs besides heights."""
+    with tempfile.TemporaryDirectory() as folder:
+        legs = method.legs if text.startswith("bdam") else None
+        made = build(
+            Dem(terrain.heights, terrain.grid), Path(folder) / "a.oro", tins=legs, progress=False, keep_source=False
+        )  # fmt: skip
+        groups = {"bdam": ["tins"], "triangle-patches": ["diamonds", "patches"], "soar": ["diamonds"]}
+        found = sum(
+            file.stat().st_size
+            for group in groups[text.partition(",")[0]]
+            for file in (Path(folder) / "a.oro" / group).rglob("*")
+            if file.is_file()
+        )
+        made.close()
+    rows, cols = terrain.grid.shape
+    return found / (rows * cols)
+
+
+def table(data: Path, count: int, only: str | None) -> None:
+    """The methods beside each other."""
+    print(
+        f"{'':18} {'triangles':>10} {'patches':>8} {'largest px':>10} {'ms':>6} {'build s':>8} {'bytes a sample':>15}"
+    )
+    for name in promise.TERRAINS:
+        if only not in (None, name) or (terrain := promise.terrain_of(name, data)) is None:
+            continue
+        views = [view for _, view in promise.views(terrain, count, 1)]
+        print(f"{name}, {terrain.grid.cols} x {terrain.grid.rows}")
+        terrain.tiles(0)
+        chosen("bdam").make(MemoryTerrain(terrain.heights[:65, :65].copy(), promise_grid(terrain), "compiles"))
+        for text in METHODS:
+            fresh = MemoryTerrain(terrain.heights, terrain.grid, name)
+            began = time.perf_counter()
+            method = chosen(text).make(fresh)
+            built = time.perf_counter() - began
+            triangles, patches, times, largest = [], [], [], 0.0
+            for number, view in enumerate(views):
+                camera = Camera.over(terrain.grid, view)
+                found = method.select(camera, Goal(1.0))
+                began = time.perf_counter()
+                found = method.select(camera, Goal(1.0))
+                times.append(1e3 * (time.perf_counter() - began))
+                triangles.append(found.stats["triangles"])
+                patches.append(found.stats.get("patches", 0))
+                if number % 2 == 0:
+                    largest = max(largest, verify.judge_mesh(found.tessellation(), terrain, view).largest)
+            print(
+                f"  {text:16} {statistics.mean(triangles):10,.0f} {statistics.mean(patches):8,.0f} {largest:10.3f} "
+                f"{statistics.median(times):6.1f} {built:8.1f} {bytes_of(terrain, text, method):15.2f}",
+                flush=True,
+            )
+
+
+def promise_grid(terrain: MemoryTerrain) -> Any:
+    """The grid of the first 65 × 65 samples."""
+    return Grid((65, 65), terrain.grid.transform, terrain.grid.crs)
+
+
+def halving(data: Path, only: str | None) -> None:
+    """Level by level."""
+    for name in promise.TERRAINS:
+        if only not in (None, name) or (terrain := promise.terrain_of(name, data)) is None:
+            continue
+        for text in ("bdam,legs=4", "bdam,legs=8", "bdam", "bdam,legs=32"):
+            method = chosen(text).make(terrain)
+            print(f"{name}, {text}")
+            for f in method.tins.figures:  # type: ignore[attr-defined]
+                if f.diamonds:
+                    print(
+                        f"  octave {f.octave:2} {'edges' if f.kind else 'squares':8} {f.diamonds:7,} diamonds "
+                        f"{f.triangles:10,} triangles {f.triangles / max(f.below, 1):6.3f} of those below  "
+                        f"{100 * f.legs / max(f.vertices, 1):5.1f} % of vertices on legs  {f.error:9.3f} m",
+                        flush=True,
+                    )
+
+
+def kept(data: Path, count: int, only: str | None) -> None:
+    """The referee's verdicts."""
+    from orograph.dem.mosaic import Mosaic
+    from orograph.store import terrain as in_memory
+
+    rng, total, broken = np.random.default_rng(0), 0, 0
+    for name in (*promise.TERRAINS, *MORE):
+        if only not in (None, name):
+            continue
+        terrain: Any
+        if name in MORE:
+            path = data / MORE[name]
+            terrain = in_memory(Mosaic.open([path])) if path.exists() else None
+        else:
+            terrain = promise.terrain_of(name, data)
+        if terrain is None:
+            continue
+        worst, defects, largest_mesh = 0.0, 0, 0
+        method = chosen("bdam").make(terrain)
+        for number, (_, view) in enumerate(promise.views(terrain, count, 5)):
+            tolerance = 0.5 * 2.0 ** (number % 5) if number < 5 else float(0.5 * 16 ** rng.uniform())
+            found = method.select(Camera.over(terrain.grid, view), Goal(tolerance))
+            report = verify.judge_mesh(found.tessellation(), terrain, view)
+            worst, defects = max(worst, report.largest / tolerance), defects + sum(report.defects.values())
+            largest_mesh = max(largest_mesh, found.stats["triangles"])
+            broken += report.largest > tolerance
+            total += 1
+        print(
+            f"{name:18} {terrain.grid.cols:5} x {terrain.grid.rows:5}  {count} views  largest error "
+            f"{worst:.3f} of the tolerance  {defects} defects  up to {largest_mesh:,} triangles",
+            flush=True,
+        )
+    print(f"{total} views, the promise broken in {broken}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[2] / "shared" / "data")
+    parser.add_argument("--part", choices=PARTS, action="append")
+    parser.add_argument("--count", type=int, default=10)
+    parser.add_argument("--terrain")
+    given = parser.parse_args()
+    for part in given.part or PARTS:
+        print(f"\n{part}")
+        if part == "table":
+            table(given.data, given.count, given.terrain)
+        elif part == "halving":
+            halving(given.data, given.terrain)
+        else:
+            kept(given.data, given.count, given.terrain)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,216 @@
+"""BDAM: the hierarchy of right triangles with a small TIN in place of every triangle.
+
+Cignoni, Ganovelli, Gobbetti, Marton, Ponchio & Scopigno, *BDAM – Batched Dynamic Adaptive Meshes for High Performance
+Terrain Visualization* (Computer Graphics Forum 22(3), 2003). The CPU decides about a few hundred patches, as for
+``triangle-patches``; but a patch's triangles are where the ground needs them. Patches were simplified bottom up, two of
+a diamond at a time (``store.tin_build``): what lies along an edge of the hierarchy was decided once, for that edge, so
+patches that touch list the same vertices, whatever their levels. The finest patches are the samples as they are.
+
+A diamond is split if its error, measured on the surface and saturated, projected over its nested sphere, exceeds the
+tolerance, and its parents are split. Nothing is kept from frame to frame but patches that were unpacked. Diamonds over
+ground and missing ground have no TINs: there it is refined to the samples. Pixels, samples, metres.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.hierarchy import triangles
+from orograph.lod.field import check_surface
+from orograph.lod.method import EVERYTHING, Goal, MethodInfo, Need, Ready
+from orograph.lod.options import option
+from orograph.lod.patches.expand import heights_of
+from orograph.lod.patches.pager import Pager
+from orograph.lod.patches.shape import STEPS, patch_indices, patch_vertices
+from orograph.lod.right_triangles import METRIC, RightTriangleOptions, by_tolerance
+from orograph.lod.selection import TinBatch, TinBatches
+from orograph.lod.triangle_patches import Patches, TrianglePatches
+from orograph.parallel import map_ordered
+from orograph.store.terrain import Terrain
+from orograph.store.tin_build import Workplace, make_tins, tins_of
+from orograph.store.tins import ALL_LEGS, LEGS, Tins
+from orograph.tessellation import turn
+from orograph.viewpoint import Camera
+
+TRIANGLE_BYTES = 36
+"""Of an unpacked patch, for each of its triangles, about: vertices and triangles."""
+
+Diamond = tuple[int, int]
+Pair = tuple[TinBatch, TinBatch]
+
+
+class TinTerrain:
+    """A terrain whose diamonds are those of TINs: what ``lod.field`` makes pages of."""
+
+    def __init__(self, terrain: Terrain, tins: Tins) -> None:
+        self._terrain, self._tins = terrain, tins
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._terrain, name)
+
+    def derived(self, name: str, **options: Any) -> Tins:
+        """The table of its diamonds."""
+        return self._tins
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BdamOptions(RightTriangleOptions):
+    """Options of ``bdam``."""
+
+    error: str = option("exact", "Errors of TINs are measured on the surface; there are no others.", choices=("exact",))
+    metric: str | None = option(None, METRIC, choices=("anisotropic", "isotropic"))
+    legs: int = option(
+        LEGS, "Segments along a finest patch's leg; the square of it is the number of a patch's triangles.",
+        choices=ALL_LEGS,
+    )  # fmt: skip
+
+    @property
+    def geomorph(self) -> bool:
+        """Whether vertices grow; they do not."""
+        return False
+
+
+class Bdam(TrianglePatches):
+    """BDAM. See ``RightTriangles`` for the arguments.
+
+    Attributes:
+        tins: the terrain's.
+    """
+
+    info = MethodInfo(
+        "bdam", "a small TIN for every triangle of the hierarchy, simplified bottom up; batches of 256 triangles",
+        "Cignoni et al. 2003", "batches", BdamOptions, lambda options: options.conservative,
+    )  # fmt: skip
+
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        self._kept: OrderedDict[Diamond, Pair] = OrderedDict()
+        self._most = max(256, self.resources.max_memory // (16 * TRIANGLE_BYTES * self.legs**2))
+        self._workplace = Workplace()
+        self._flip = turn(self.terrain.grid) > 0
+        self._points = patch_vertices(self.legs).astype(np.int64)
+        corners = patch_indices(self.legs).astype(np.int32)
+        self._corners = corners[:, ::-1].copy() if self._flip else corners
+
+    def _pages(self) -> Pager:
+        self.legs = min(self.options.legs, 1 << self.terrain.n)
+        check_surface(self.terrain)
+        progress, jobs = self.resources.progress, self.jobs
+        self.tins: Tins = (
+            self.terrain.derived("tins", legs=self.legs)
+            if self.terrain.has("tins", legs=self.legs)
+            else make_tins(self.terrain, self.legs, jobs=jobs, progress=progress)
+        )
+        ground: Any = TinTerrain(self.terrain, self.tins)
+        return Pager(ground, self.error, max_memory=self.resources.max_memory, jobs=jobs)
+
+    @classmethod
+    def needs(cls, options: Any) -> tuple[Need, ...]:
+        """The TINs."""
+        return (Need("tins", {"legs": options.legs}),)
+
+    def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> TinBatches:  # type: ignore[override]
+        """The patches of a view. What they need is read, whatever is ``ready``; of that, ``lacking`` says what is not.
+
+        Raises:
+            UsageError: more pages are needed than memory allows.
+        """
+        began = time.perf_counter()
+
+        def at(tolerance: float, estimated: bool = False) -> Patches:
+            found = self.patches(camera, tolerance, geomorph=False, estimated=estimated)
+            if goal.tolerance is None:
+                found.stats["triangles"] = sum(len(batch.triangles) for batch in self._batches(found.instances))
+            return found
+
+        patches = at(goal.tolerance) if goal.tolerance is not None else by_tolerance(at, goal, self._last)
+        bounded = goal.triangles is None or patches.within
+        if not bounded:
+            # Around an eye near the ground errors have no bound: where they count for all that, it takes too many.
+            patches = by_tolerance(partial(at, estimated=True), goal, self._last)
+        tolerance = goal.tolerance if goal.tolerance is not None else patches.tolerance if bounded else None
+        promised = self.conservative and patches.within and bounded
+        selected = time.perf_counter()
+        batches = self._batches(patches.instances)
+        stats: dict[str, Any] = {
+            "method": self.info.name, "error": self.error, "metric": self.metric.name, "tolerance": tolerance,
+            "conservative": promised, "exaggeration": camera.exaggeration,
+            "refine_ms": round((time.perf_counter() - began) * 1e3, 3),
+            "select_ms": round((selected - began) * 1e3, 3), "tiles_read": self.field.tiles_read,
+            "tiles_resident": self.field.resident, "patches": len(batches),
+            "triangles": sum(len(batch.triangles) for batch in batches),
+            **{name: patches.stats[name] for name in ("split", "nodes")},
+        }  # fmt: skip
+        if goal.triangles is not None:
+            stats["within_budget"] = patches.within
+        wanted = patches.wanted
+        if ready.tiles is None:
+            wanted = wanted[:0]
+        else:
+            wanted = wanted[ready.tiles[self.tiling.places(wanted)] == 0]
+        return TinBatches(
+            method=self.info.name, bound=tolerance if promised else None, lacking=wanted, stats=stats, batches=batches
+        )
+
+    def _batches(self, instances: NDArray[Any]) -> list[TinBatch]:
+        """The meshes of patches, finest patches last; those without a triangle are left out."""
+        omega = instances["omega"].astype(np.int64)
+        finest = (instances["step"] == 0) & (omega & 1 == 1)
+        others = instances[~finest]
+        sides = omega[~finest] >> 2
+        extent = np.int64(self.legs) << others["step"].astype(np.int64)
+        x, y, _, _ = triangles.with_apex(
+            others["col"].astype(np.int64), others["row"].astype(np.int64), extent, omega[~finest]
+        )
+        keys = list(zip(y.tolist(), x.tolist()))
+        self._unpack(keys)
+        found = [self._kept[key][side] for key, side in zip(keys, sides.tolist())]
+        while len(self._kept) > self._most:
+            self._kept.popitem(last=False)
+        return [batch for batch in (*found, *self._finest(instances[finest])) if len(batch.triangles)]
+
+    def _unpack(self, keys: list[Diamond]) -> None:
+        """Have the TINs of diamonds ready, by several threads."""
+        lacking = list(dict.fromkeys(key for key in keys if key not in self._kept))
+        for key in keys:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+        for key, pair in zip(lacking, map_ordered(self._pair, lacking, self.jobs)):
+            self._kept[key] = pair
+
+    def _pair(self, key: Diamond) -> Pair:
+        """Both patches of a diamond."""
+        vertices, *patches = tins_of(self.terrain, self.tins, *key, self._workplace)
+        made = []
+        for corners in patches:
+            used, places = np.unique(corners, return_inverse=True)
+            turned = places.reshape(-1, 3).astype(np.int32)
+            made.append(TinBatch(vertices[used], turned if self._flip else turned[:, ::-1]))
+        return made[0], made[1]
+
+    def _finest(self, instances: NDArray[Any]) -> list[TinBatch]:
+        """The samples of finest patches; those beyond the raster, and triangles with a missing corner, are left out."""
+        if not len(instances):
+            return []
+        e1, e2 = STEPS[instances["omega"]].astype(np.int64).transpose(1, 0, 2)
+        rows = instances["row"][:, None] + self._points[:, 0] * e1[:, :1] + self._points[:, 1] * e2[:, :1]
+        cols = instances["col"][:, None] + self._points[:, 0] * e1[:, 1:] + self._points[:, 1] * e2[:, 1:]
+        heights = heights_of(self.terrain, instances, rows, cols)
+        last_row, last_col = self.terrain.grid.rows - 1, self.terrain.grid.cols - 1
+        there = (rows <= last_row) & (cols <= last_col) & ~np.isnan(heights)
+        places = np.stack([cols, rows, heights], -1)
+        return [self._part(place, good) for place, good in zip(places, there)]
+
+    def _part(self, places: NDArray[np.float64], good: NDArray[np.bool_]) -> TinBatch:
+        if good.all():
+            return TinBatch(places, self._corners)
+        corners = self._corners[good[self._corners].all(1)]
+        used, at = np.unique(corners, return_inverse=True)
+        return TinBatch(places[used], at.reshape(-1, 3).astype(np.int32))

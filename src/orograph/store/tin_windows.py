@@ -1,0 +1,165 @@
+"""Where a diamond is in a lattice of samples: its region, its edges cut by the raster, who is on a leg.
+
+A *window* is the part of a lattice of every ``step``-th sample that holds the diamond's region, cut by the raster's
+last row and column, which belong to every lattice. Columns and rows are samples from the window's first.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from orograph._numba import inlined, kernel, leaf
+
+
+class Window(NamedTuple):
+    """Where a diamond is.
+
+    Attributes:
+        cx, cy: its vertex. s: its extent along an axis. shape: 0 a square, 1 an edge (``hierarchy.diamonds.kind``).
+        axis: which way its hypotenuse runs (``hierarchy.triangles.axis``).
+        width, height: the window's last column and row. step: between samples of the lattice.
+        sparse: how many steps apart samples on the hypotenuse may be vertices. first_i, first_j: the lattice's row and
+            column, counted from the raster's, of the window's first.
+    """
+
+    cx: int
+    cy: int
+    s: int
+    shape: int
+    axis: int
+    width: int
+    height: int
+    step: int
+    sparse: int
+    first_i: int
+    first_j: int
+
+
+@inlined
+def place(index, step, last):
+    """The column or row of a line of the lattice."""
+    return min(index * step, last)
+
+
+@inlined
+def line_at(at, step, last):
+    """The line of the lattice at a column or row, −1: none."""
+    if at % step == 0:
+        return at // step
+    return last // step + 1 if at == last else np.int64(-1)
+
+
+@leaf
+def region_corner(w, k):
+    """The corners of a diamond: the ends of its hypotenuse (k = 0, 1), the apexes of its patches (2, 3)."""
+    s, sign = w.s, 1 - 2 * (k & 1)
+    if w.shape == 1:
+        along = (w.axis == 2) == (k < 2)
+        return (w.cx + sign * s, w.cy) if along else (w.cx, w.cy + sign * s)
+    falling = (w.axis == 3) == (k < 2)
+    return (w.cx + sign * s, w.cy + sign * s) if falling else (w.cx + sign * s, w.cy - sign * s)
+
+
+@leaf
+def clipped(w, edge):
+    """An edge of a diamond on the raster: column and row where it begins, its direction, first and last step.
+
+    Edge 0 is the hypotenuse, 1 … 4 are the legs. The first step is after the last if none of it is on the raster.
+    """
+    a = 0 if edge == 0 else (edge - 1) & 1
+    b = 1 if edge == 0 else 2 + ((edge - 1) >> 1)
+    ax, ay = region_corner(w, a)
+    bx, by = region_corner(w, b)
+    long = max(abs(bx - ax), abs(by - ay))
+    dx, dy = (bx - ax) // long, (by - ay) // long
+    low, high = np.int64(0), np.int64(long)
+    for way in range(2):
+        at, d, last = (ax, dx, w.width) if way == 0 else (ay, dy, w.height)
+        if d == 0:
+            if at < 0 or at > last:
+                high = np.int64(-1)
+        elif d > 0:
+            low, high = max(low, -at), min(high, last - at)
+        else:
+            low, high = max(low, at - last), min(high, at)
+    return ax, ay, dx, dy, low, high
+
+
+@inlined
+def in_region(w, x, y):
+    """Whether a sample is in the closed region of a diamond (of a square one all of the window is)."""
+    return w.shape == 0 or abs(x - w.cx) + abs(y - w.cy) <= w.s
+
+
+@leaf
+def across(w, x, y, times):
+    """On which side of the hypotenuse a place is, given so many times: negative on that of top triangle 0, 0 on it."""
+    dx, dy = x - times * w.cx, y - times * w.cy
+    if w.axis == 0:
+        return dx
+    if w.axis == 2:
+        return dy
+    return dy - dx if w.axis == 3 else dx + dy
+
+
+@leaf
+def on_leg(w, x, y):
+    """Whether a sample in the region lies on a leg."""
+    if w.shape == 1:
+        return abs(x - w.cx) + abs(y - w.cy) == w.s
+    return abs(x - w.cx) == w.s or abs(y - w.cy) == w.s
+
+
+@kernel
+def legs_of(w, source, ratio, bit, marks):
+    """Mark the vertices on a diamond's legs: those on the hypotenuses of its children.
+
+    Args:
+        source: uint8, the marks of the children's lattice, all of the raster; ratio: steps of it along one of this one;
+            bit: of their kind, 0: all samples are vertices.
+    """
+    rows, cols = marks.shape
+    last_i, last_j = source.shape[0] - 1, source.shape[1] - 1
+    for i in range(rows):
+        y = place(i, w.step, w.height)
+        for j in range(cols):
+            x = place(j, w.step, w.width)
+            if in_region(w, x, y) and on_leg(w, x, y):
+                corner = x == w.cx or y == w.cy if w.shape == 1 else abs(x - w.cx) == w.s and abs(y - w.cy) == w.s
+                given = source[min((w.first_i + i) * ratio, last_i), min((w.first_j + j) * ratio, last_j)] & bit
+                marks[i, j] = bit == 0 or corner or given != 0
+
+
+@kernel
+def look(heights, row0, rows, cols, s, fill, metric):
+    """Samples that are there and that are missing in the regions of edge diamonds, and the squared radii around them.
+
+    Args:
+        heights: (h, w) float32, rows of the raster from row0 on, all columns. rows, cols: (d,) of the diamonds. s:
+            their extent. fill: (d,) heights of vertices that are missing. metric: (4,) metres of a column's step (x, y)
+            and a row's.
+
+    Returns: (d, 2) int64 counts, (d,) float64.
+    """
+    count, found = np.zeros((len(rows), 2), np.int64), np.zeros(len(rows))
+    high, wide = heights.shape
+    for d in range(len(rows)):
+        last = row0 + high - 1
+        cy, cx = min(rows[d], last), min(cols[d], wide - 1)
+        z = np.float64(heights[cy - row0, cx])
+        if np.isnan(z):
+            z = fill[d]
+        for y in range(max(rows[d] - s, row0), min(rows[d] + s, last) + 1):
+            reach = s - abs(y - rows[d])
+            for x in range(max(cols[d] - reach, 0), min(cols[d] + reach, wide - 1) + 1):
+                off = heights[y - row0, x] - z
+                if np.isnan(off):
+                    count[d, 1] += 1
+                    continue
+                count[d, 0] += 1
+                u, v = x - cx, y - cy
+                east, north = metric[0] * u + metric[2] * v, metric[1] * u + metric[3] * v
+                found[d] = max(found[d], east * east + north * north + off * off)
+    return count, found

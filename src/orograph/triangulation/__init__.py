@@ -1,0 +1,1 @@
+"""Triangulations that grow in flat arrays, how far they are from a terrain, and a heap of their triangles."""
