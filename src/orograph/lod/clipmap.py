@@ -14,6 +14,7 @@ Metres, samples, pixels.
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ from orograph.lod.clipmap_errors import LevelErrors
 from orograph.lod.clipmap_holes import Limit, Rims
 from orograph.lod.clipmap_mesh import Ring, blended, triangles
 from orograph.lod.clipmap_toroid import Toroids
-from orograph.lod.clipmap_windows import NO_BLEND, around, as_printed, nested
+from orograph.lod.clipmap_windows import NO_BLEND, around, as_printed, nested, whole
 from orograph.lod.field import check_surface
 from orograph.lod.method import EVERYTHING, Goal, Method, MethodInfo, Need, Ready
 from orograph.lod.options import check, option
@@ -153,6 +154,8 @@ class Clipmap(Method):
         found = self._found(camera, goal)
         tolerance = goal.tolerance if goal.tolerance is not None else found.tolerance
         assert tolerance is not None
+        if ready.tiles is not None:
+            found = self._below(camera, found)
         there, lacking = self._errors.ready(found.stack, camera, ready)
         read = self._stored
         if not self.conservative:
@@ -240,6 +243,12 @@ class Clipmap(Method):
         stack, blends = nested(wanted, width, self.shape, self.coarsest)
         return self._counted(camera, self._culled(camera, stack, blends, self.options.n, tolerance))
 
+    def _below(self, camera: Camera, found: Found) -> Found:
+        """With whole windows of all coarser levels, which show where finer ones are not there."""
+        coarser = [whole(k, self.shape) for k in range(self.coarsest, found.stack[0].level, -1)]
+        stack, blends = ClipStack([*coarser, *found.stack]), [*[NO_BLEND] * len(coarser), *found.blends]
+        return replace(self._culled(camera, stack, blends, found.n, found.tolerance), triangles=found.triangles)
+
     def _culled(
         self, camera: Camera, stack: ClipStack, blends: Sequence[Blend], n: int, tolerance: float | None = None
     ) -> Found:
@@ -278,7 +287,7 @@ class Clipmap(Method):
         """Move the toroidal arrays: how many levels are held now, and what reads heights of them."""
         if found.n != self._toroids.n:
             self._toroids = Toroids(found.n)
-        budget = np.inf if self.options.update is None else self.options.update * found.n**2
+        budget = sys.maxsize if self.options.update is None else int(self.options.update * found.n**2)
         there = self._toroids.move(found.stack[:there], self._stored, budget)
         held = {w.level: (w, self._toroids.heights(w.level)) for w in found.stack[:there]}
 

@@ -92,7 +92,7 @@ class Rims:
             ends = keys[:, 1] + keys[:, 2]
             row, col = ((keys[:, 1] >> 32) + (keys[:, 2] >> 32)), (ends & LOW)
             unit = ((row | col) & 1) == 1
-            there = ~np.isnan(heights).any(1)
+            there: Mask = np.asarray(~np.isnan(heights).any(1))
             found_keys.append(keys[unit & there])
             found_heights.append(heights[unit & there])
             keys, heights, there = keys[~unit], heights[~unit], there[~unit]
@@ -125,10 +125,10 @@ class Rims:
                 part = row0, min(row0 + TILE, high), col0, min(col0 + TILE, wide)
                 at = i[some] - row0, j[some] - col0
                 error[some], radius[some] = (found[at] for found in self._table.read(k, *part))
-        high, wide = (np.array(sides) for sides in zip(*map(terrain.shape, range(terrain.levels))))
-        i, j = np.minimum(i, high[level] - 1), np.minimum(j, wide[level] - 1)  # (squeezed onto the raster)
+        last = np.array([terrain.shape(k) for k in range(terrain.levels)]) - 1
+        i, j = np.minimum(i, last[level, 0]), np.minimum(j, last[level, 1])  # (squeezed onto the raster)
         for k, row0, col0, some in _by_tile(level, i, j):
-            part = row0, min(row0 + TILE, int(high[k])), col0, min(col0 + TILE, int(wide[k]))
+            part = row0, min(row0 + TILE, int(last[k, 0]) + 1), col0, min(col0 + TILE, int(last[k, 1]) + 1)
             z[some] = terrain.read(k, *part)[i[some] - row0, j[some] - col0]
         return error, radius, z
 

@@ -92,7 +92,7 @@ class Ring:
 def _overlaps(first: int, last: int, block: int, origin: int, count: int) -> Index:
     """How many of the cells [first, last) each of ``count`` blocks from number ``origin`` on has."""
     begins = (origin + np.arange(count)) * block
-    return np.maximum(np.minimum(begins + block, last) - np.maximum(begins, first), 0)
+    return np.asarray(np.maximum(np.minimum(begins + block, last) - np.maximum(begins, first), 0))
 
 
 def triangles(ring: Ring, part: Rectangle, shape: Shape) -> Index:

@@ -2,7 +2,7 @@
 
 Sample (i, j) of a level lies at (i mod n, j mod n) of its array, so that a window that moves keeps what it had in place
 and only what is new is read: an L-shaped region (Losasso & Hoppe 2004, section 4.2). Levels are filled from coarse to
-fine; one that a frame's budget does not reach is late. Metres, samples.
+fine; one that a frame's budget does not fill is late, and goes on in the next frame. Metres, samples.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph.hierarchy.clip_stack import Rectangle
 from orograph.store.terrain import Heights
@@ -40,6 +41,23 @@ class Toroid:
         parts = [(a, top, c, d), (bottom, b, c, d), (top, bottom, c, left), (top, bottom, right, d)]
         return [Rectangle(level, *part) for part in parts if part[0] < part[1] and part[2] < part[3]]
 
+    def affordable(self, window: Rectangle, budget: int) -> Rectangle | None:
+        """The part of a window that so many samples to read allow to hold: what it holds already, as wide as the
+        window, and rows beside that; None if that is nothing."""
+        old = self.holds
+        level, a, b, c, d = window
+        if old is None or not _meet(old, window):
+            first, end = a, a
+        else:
+            first, end = max(a, old.row0), min(b, old.row1)
+        budget -= sum(part.samples for part in self.lacks(Rectangle(level, first, end, c, d))) if end > first else 0
+        rows = budget // (d - c)
+        if rows < 0:
+            return None
+        down = min(rows, b - end)
+        first, end = max(a, first - (rows - down)), end + down
+        return Rectangle(level, first, end, c, d) if end > first else None
+
     def move(self, window: Rectangle, read: Read) -> None:
         """Hold another window; what is new of it is read."""
         for part in self.lacks(window):
@@ -49,9 +67,9 @@ class Toroid:
     def heights(self) -> Heights:
         """A copy of what it holds."""
         assert self.holds is not None
-        return self.data[self._at(self.holds)]
+        return np.asarray(self.data[self._at(self.holds)])
 
-    def _at(self, window: Rectangle) -> tuple[np.ndarray, ...]:  # type: ignore[type-arg]
+    def _at(self, window: Rectangle) -> tuple[NDArray[np.int64], ...]:
         rows, cols = np.arange(window.row0, window.row1), np.arange(window.col0, window.col1)
         return np.ix_(rows % self.n, cols % self.n)
 
@@ -69,7 +87,7 @@ class Toroids:
     read: int = 0
     _levels: dict[int, Toroid] = field(default_factory=dict)
 
-    def move(self, windows: Sequence[Rectangle], read: Read, budget: float) -> int:
+    def move(self, windows: Sequence[Rectangle], read: Read, budget: int) -> int:
         """Move windows, coarsest first, to other places.
 
         Args:
@@ -81,11 +99,12 @@ class Toroids:
         self.read = 0
         for k, window in enumerate(windows):
             toroid = self._levels.setdefault(window.level, Toroid(self.n))
-            cost = sum(part.samples for part in toroid.lacks(window))
-            if k and self.read + cost > budget:
+            part = toroid.affordable(window, budget - self.read) if k else window
+            if part is not None:
+                self.read += sum(lacking.samples for lacking in toroid.lacks(part))
+                toroid.move(part, read)
+            if part != window:
                 return k
-            toroid.move(window, read)
-            self.read += cost
         return len(windows)
 
     def heights(self, level: int) -> Heights:
