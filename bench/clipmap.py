@@ -17,13 +17,13 @@ import time
 from pathlib import Path
 
 import numpy as np
-from promise import TERRAINS, TOLERANCES, terrain_of, views
 
 from orograph import verify
 from orograph.lod.method import Goal, Resources
 from orograph.lod.registry import chosen
 from orograph.store import Terrain
 from orograph.viewpoint import Camera, View
+from promise import TERRAINS, TOLERANCES, terrain_of, views
 
 METHODS = ("clipmap", "clipmap,n=511", "clipmap,rings=promise", "clipmap,rings=promise,blend=no", "triangle-patches")
 
@@ -89,8 +89,8 @@ def fly(options: argparse.Namespace) -> None:
             read, late, ms = np.array(told[1:]).T
             steady = np.delete(read, 59)
             print(
-                f"update {update:5} {speed:5.1f} samples a frame: {steady.mean():9,.0f} samples read ({math.ceil(steady.max()):,}"
-                f" most), after the leap {read[59]:,.0f}; late {int((late > 0).sum())} frames, {np.median(ms):.1f} ms"
+                f"update {update:5} {speed:5.1f} samples a frame: {steady.mean():9,.0f} samples read "
+                f"({math.ceil(steady.max()):,} most), after the leap {read[59]:,.0f}; late {int((late > 0).sum())} frames, {np.median(ms):.1f} ms"
             )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import plain
 import pytest
@@ -46,9 +48,9 @@ def test_windows_rings_and_their_outer_rows_are_the_reference_s(n):
         for window, hole in zip(full, [*full[1:], None]):
             if any(borders(window, shape)):
                 continue
-            blocks = tuple((v.row1 - 2) // 32 - v.row0 // 32 + 1 for v in [window])[0]
+            down = (window.row1 - 2) // 32 - window.row0 // 32 + 1
             across = (window.col1 - 2) // 32 - window.col0 // 32 + 1
-            ring = Ring(window, hole, np.ones((blocks, across), bool), 32)
+            ring = Ring(window, hole, np.ones((down, across), bool), 32)
             got = {frozenset(map(tuple, corners)) for corners in triangles(ring, ring.part(), shape).tolist()}
             ours = window_of(window)
             whole_ring = printed.ring(ours, window_of(hole) if hole else None)
@@ -249,7 +251,7 @@ def test_nested_windows_leave_room_for_their_transitions():
             wanted[level] = Rectangle(level, row, row + int(rng.integers(2, 200)), col, col + int(rng.integers(2, 200)))
         stack, blends = nested(wanted, 6, shape, 12)
         assert stack[0] == whole(stack[0].level, shape)
-        for outer, inner in zip(stack, stack[1:]):
+        for outer, inner in pairwise(stack):
             hole = inner.around(outer.level)
             room = (hole.row0 - outer.row0, outer.row1 - hole.row1, hole.col0 - outer.col0, outer.col1 - hole.col1)
             for border, samples in zip(borders(outer, shape), room):

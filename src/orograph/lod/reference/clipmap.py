@@ -41,7 +41,7 @@ def snapped(level: int, n: int, row: float, col: float) -> Window:
     """The window around a full-resolution place: at even samples, its middle within one of the place."""
 
     def first(place: float) -> int:
-        return 2 * round((place / 2**level - (n - 1) / 2) / 2)
+        return 2 * round((place / 2.0**level - (n - 1) / 2) / 2)
 
     return Window(level, n, first(row), first(col))
 
