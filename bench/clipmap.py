@@ -90,7 +90,8 @@ def fly(options: argparse.Namespace) -> None:
             steady = np.delete(read, 59)
             print(
                 f"update {update:5} {speed:5.1f} samples a frame: {steady.mean():9,.0f} samples read "
-                f"({math.ceil(steady.max()):,} most), after the leap {read[59]:,.0f}; late {int((late > 0).sum())} frames, {np.median(ms):.1f} ms"
+                f"({math.ceil(steady.max()):,} most), after the leap {read[59]:,.0f}; "
+                f"late {int((late > 0).sum())} frames, {np.median(ms):.1f} ms"
             )
 
 
