@@ -7,7 +7,7 @@ pops; rings end in even vertices only, so that nothing cracks (``clipmap_mesh``)
 coarse first, within a budget a frame; a level that is late is left out (``clipmap_toroid``). Finest levels are left out
 where the eye is high, and where the tolerance does not ask for them. Distance alone decides: no promise.
 
-``rings=promise`` chooses windows by the errors of the tiles they cover: outside of level l's window level l + 1 keeps
+``rings=promise`` chooses windows by the errors of the blocks they cover: outside of level l's window level l + 1 keeps
 the tolerance, and in its transition, where heights are off by both levels' errors at most, it keeps it with their sum.
 Metres, samples, pixels.
 """
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.geo.chart import AffineChart
 from orograph.hierarchy.clip_stack import ClipStack, Rectangle
-from orograph.lod.clipmap_errors import LevelErrors
+from orograph.lod.clipmap_errors import Blocks, LevelErrors
 from orograph.lod.clipmap_holes import Limit, Rims
 from orograph.lod.clipmap_mesh import Ring, blended, triangles
 from orograph.lod.clipmap_toroid import Toroids
@@ -63,7 +63,7 @@ class ClipmapOptions:
     n: int = option(255, "Samples along a side of a window.", choices=(63, 127, 255, 511))
     rings: str = option(
         "printed", "Windows of n × n samples around the eye (printed), or as large as the tolerance asks by the errors "
-        "of tiles (promise), which makes it a promise.", choices=("printed", "promise"),
+        "of blocks (promise), which makes it a promise.", choices=("printed", "promise"),
     )  # fmt: skip
     blend: bool = option(True, "Heights become the next coarser ring's over the outer tenth of one.")
     update: float | None = option(
@@ -128,7 +128,10 @@ class Clipmap(Method):
         self.shape = self.terrain.grid.shape
         self.coarsest = max(self.terrain.n - 1, 0)
         self._heights = BlockHeights(self.terrain)
-        self._errors = LevelErrors(self.terrain, self.coarsest, self._heights)
+        self._errors = LevelErrors(self.terrain, self.coarsest)
+        self._blocks: Blocks | None = None
+        if self.conservative:
+            self._blocks = Blocks(self.terrain, self.coarsest, self._heights, self.resources)
         voids = bool((self.terrain.tiles(0).valid != 2).any())
         self._rims = Rims(self.terrain) if voids else None
         self._toroids = Toroids(self.options.n)
@@ -239,7 +242,8 @@ class Clipmap(Method):
     def _promised(self, camera: Camera, tolerance: float) -> Found:
         """Windows as large as a tolerance asks."""
         width = self.options.n // 10 if self.options.blend else 0
-        wanted = self._errors.wanted(camera, tolerance, blended=width > 0)
+        assert self._blocks is not None
+        wanted = self._blocks.wanted(camera, tolerance, blended=width > 0)
         stack, blends = nested(wanted, width, self.shape, self.coarsest)
         return self._counted(camera, self._culled(camera, stack, blends, self.options.n, tolerance))
 

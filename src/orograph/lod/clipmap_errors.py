@@ -1,22 +1,25 @@
-"""What the stored errors of tiles say of a clipmap's windows: which a tolerance asks for, and which tiles they lack.
+"""What stored errors say of a clipmap's windows: which a tolerance asks for, and which tiles they lack.
 
-A tile's error bounds the distance between its level's surface and the full-resolution one; of levels that are coarser
-than stored ones there is one number, the largest of the errors of their cells (``store.diamond_table``). Metres,
+Of windows as printed the errors of tiles decide, which bound the distance between a level's surface and the
+full-resolution one; of levels coarser than stored ones there is one number, the largest of the errors of their cells
+(``store.diamond_table``). Windows with a promise are chosen by blocks of 32 × 32 cells (``seamless_errors``). Metres,
 samples, pixels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.hierarchy.clip_stack import Rectangle
-from orograph.lod.method import Ready
+from orograph.lod.method import Ready, Resources
+from orograph.lod.seamless_errors import BlockErrors
 from orograph.lod.selection import NOTHING_WANTED, WANTED
-from orograph.lod.squares import BlockHeights, pooled
+from orograph.lod.squares import BlockHeights, Squares, pooled
 from orograph.raycast.select import Boxes, in_frustum, moved, tile_boxes
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import Camera
@@ -25,14 +28,18 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
+BIG = 6
+"""A block has 2^(BIG − 1) cells a side, or fewer where the raster is smaller."""
+
+
 class LevelErrors:
     """Errors of all levels, by tiles.
 
     Args:
-        terrain: the ground. coarsest: level. heights: of blocks.
+        terrain: the ground. coarsest: level.
     """
 
-    def __init__(self, terrain: Terrain, coarsest: int, heights: BlockHeights) -> None:
+    def __init__(self, terrain: Terrain, coarsest: int) -> None:
         self.terrain, self.coarsest = terrain, coarsest
         stored = min(terrain.levels - 1, coarsest)
         self._errors = [terrain.tiles(k).error.astype(np.float64) for k in range(stored + 1)]
@@ -61,38 +68,6 @@ class LevelErrors:
         within &= in_frustum(self.terrain, view, camera.exaggeration, boxes)
         off = moved(self.terrain, view, camera.exaggeration, self._errors[level], boxes)
         return bool((off[within] <= tolerance).all())
-
-    def wanted(self, camera: Camera, tolerance: float, *, blended: bool) -> dict[int, Rectangle]:
-        """By level, the smallest window outside of which the next coarser level keeps a tolerance.
-
-        Args:
-            blended: it has to keep it with its own error and the level's together, as where heights are between both.
-        """
-        found: dict[int, Rectangle] = {}
-        for level in range(self.coarsest):
-            need = self._exceeds(camera, tolerance, level + 1, blended)
-            if not need.any():
-                continue
-            rows, cols = np.flatnonzero(need.any(1)), np.flatnonzero(need.any(0))
-            side = 2 * TILE
-            if level + 1 >= self.terrain.levels:
-                side = 2 << self.terrain.n
-            found[level] = Rectangle(
-                level, int(rows[0]) * side, (int(rows[-1]) + 1) * side + 1, int(cols[0]) * side,
-                (int(cols[-1]) + 1) * side + 1,
-            )  # fmt: skip
-        return found
-
-    def _exceeds(self, camera: Camera, tolerance: float, level: int, blended: bool) -> Mask:
-        """Which tiles of a level are in view and off by more than a tolerance."""
-        error, boxes = self._errors[level], self._boxes[level]
-        if blended:
-            finer = self._errors[level - 1]
-            if finer.shape != error.shape:
-                finer = pooled(finer, np.fmax)
-            error = error + np.fmax(finer, error)
-        need = moved(self.terrain, camera.view, camera.exaggeration, error, boxes) > tolerance
-        return need & in_frustum(self.terrain, camera.view, camera.exaggeration, boxes)
 
     def ready(self, stack: Sequence[Rectangle], camera: Camera, ready: Ready) -> tuple[int, NDArray[Any]]:
         """How many windows, from the coarsest, have all their tiles; and the tiles that the others lack."""
@@ -129,3 +104,59 @@ class LevelErrors:
             return there, NOTHING_WANTED
         every = np.concatenate(lacking)
         return there, every[np.argsort(-every["pixels"], kind="stable")]
+
+
+class Blocks:
+    """Errors of all levels by blocks of 32 × 32 cells.
+
+    Args:
+        terrain: the ground. coarsest: level. heights: of blocks. resources: threads, progress.
+    """
+
+    def __init__(self, terrain: Terrain, coarsest: int, heights: BlockHeights, resources: Resources) -> None:
+        self.terrain, self.coarsest = terrain, coarsest
+        self._big = max(min(BIG, terrain.n), 1)
+        made = BlockErrors(terrain, "exact", self._big, resources)
+        self._errors: list[Array] = []
+        self._boxes: list[Boxes] = []
+        for level in range(1, coarsest + 1):
+            side = self._side(level)
+            error = made.blocks(level, side).error.astype(np.float64)
+            row, col = (v.ravel() for v in np.indices(error.shape))
+            boxes = heights.of(Squares(side, row, col))
+            shaped = (getattr(boxes, f.name).reshape(error.shape) for f in fields(Boxes))
+            self._errors.append(error)
+            self._boxes.append(Boxes(*shaped))
+
+    def _side(self, level: int) -> int:
+        """The exponent of a block's sides, in samples."""
+        return min(level + self._big - 1, self.terrain.n)
+
+    def wanted(self, camera: Camera, tolerance: float, *, blended: bool) -> dict[int, Rectangle]:
+        """By level, the smallest window outside of which the next coarser level keeps a tolerance.
+
+        Args:
+            blended: it has to keep it with its own error and the level's together, as where heights are between both.
+        """
+        found: dict[int, Rectangle] = {}
+        for level in range(self.coarsest):
+            need = self._exceeds(camera, tolerance, level + 1, blended)
+            if need.any():
+                rows, cols = np.flatnonzero(need.any(1)), np.flatnonzero(need.any(0))
+                s = self._side(level + 1) - level
+                found[level] = Rectangle(
+                    level, int(rows[0]) << s, (int(rows[-1] + 1) << s) + 1, int(cols[0]) << s,
+                    (int(cols[-1] + 1) << s) + 1,
+                )  # fmt: skip
+        return found
+
+    def _exceeds(self, camera: Camera, tolerance: float, level: int, blended: bool) -> Mask:
+        """Which blocks of a level are in view and off by more than a tolerance."""
+        error, boxes = self._errors[level - 1], self._boxes[level - 1]
+        if blended:
+            finer = self._errors[level - 2] if level > 1 else np.zeros(error.shape)
+            if finer.shape != error.shape:
+                finer = pooled(finer, np.maximum)
+            error = error + np.maximum(finer, error)
+        need = moved(self.terrain, camera.view, camera.exaggeration, error, boxes) > tolerance
+        return np.asarray(need & in_frustum(self.terrain, camera.view, camera.exaggeration, boxes))
