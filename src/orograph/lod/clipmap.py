@@ -43,7 +43,7 @@ from orograph.store.terrain import TILE, Heights
 from orograph.tessellation import Tessellation
 from orograph.viewpoint import Camera
 
-BLOCK = 32
+BLOCK = 16
 """Cells along a side of what is culled as one."""
 
 HIGH = 0.4
