@@ -156,7 +156,6 @@ class Clipmap(Method):
         began = time.perf_counter()
         found = self._found(camera, goal)
         tolerance = goal.tolerance if goal.tolerance is not None else found.tolerance
-        assert tolerance is not None
         if ready.tiles is not None:
             found = self._below(camera, found)
         there, lacking = self._errors.ready(found.stack, camera, ready)
@@ -187,11 +186,10 @@ class Clipmap(Method):
         if self.conservative:
             at = partial(self._promised, camera)
             return at(goal.tolerance) if goal.tolerance is not None else by_tolerance(at, goal, self._last)
-        tolerance = goal.tolerance or 0.0
-        found = self._printed(camera, tolerance, self.options.n)
+        found = self._printed(camera, goal.tolerance or 0.0, self.options.n)
         if goal.triangles is not None and found.triangles > goal.triangles:
             found = self._small(camera, goal.triangles)
-        found.tolerance = tolerance
+        found.tolerance = goal.tolerance
         return found
 
     def _printed(self, camera: Camera, tolerance: float, n: int, finest: int = 0) -> Found:
@@ -230,13 +228,11 @@ class Clipmap(Method):
                 best, low = found, middle + 1
             else:
                 high = middle - 1
-        finest = 0
         while best is None:
-            finest = max(finest + 1, found.stack[-1].level + 1) if finest else found.stack[-1].level + 1
-            found = self._printed(camera, 0.0, LEAST, min(finest, self.coarsest))
-            if found.triangles <= budget or finest >= self.coarsest:
-                best = found
-                best.within = found.triangles <= budget
+            finest = min(found.stack[-1].level + 1, self.coarsest)
+            found = self._printed(camera, 0.0, LEAST, finest)
+            if found.triangles <= budget or finest == self.coarsest:
+                best, found.within = found, found.triangles <= budget
         return best
 
     def _promised(self, camera: Camera, tolerance: float) -> Found:
