@@ -34,6 +34,7 @@ METHODS: dict[str, str | type[Method]] = {
     "seamless-patches": "orograph.lod.seamless_patches:SeamlessPatches",
     "cdlod": "orograph.lod.cdlod:Cdlod",
     "bdam": "orograph.lod.bdam:Bdam",
+    "clipmap": "orograph.lod.clipmap:Clipmap",
 }
 """Name to MODULE:CLASS, or to the class."""
 

@@ -94,6 +94,10 @@ class BlockErrors:
                 block = block.coarser()
             self._blocks[level, side] = block
 
+    def blocks(self, level: int, side: int) -> Block:
+        """All blocks of a level, of sides 2^side (one of those that are kept)."""
+        return self._blocks[level, side]
+
     def around(self, level: int, boxes: Boxes, side: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """The largest errors of a level in boxes (m,), and whether ground and missing ground meet there.
 

@@ -135,18 +135,45 @@ class TinBatches(Selection):
         return Tessellation(ranked[new], where[triangles], stats=dict(self.stats))
 
 
+@dataclass(frozen=True, slots=True)
+class Blend:
+    """Where the heights of a ring become those of the next coarser one, in the ring's own samples.
+
+    Attributes:
+        north, south, west, east: rows and columns from which on they begin to; infinite where they do not.
+        width: samples after which they have become so.
+    """
+
+    north: float
+    south: float
+    west: float
+    east: float
+    width: float
+
+    def at(self, row: NDArray[Any], col: NDArray[Any]) -> NDArray[np.float64]:
+        """The share of the coarser heights, 0 to 1, at rows and columns that broadcast against each other."""
+        down = np.maximum(self.north - row, row - self.south)
+        across = np.maximum(self.west - col, col - self.east)
+        return np.asarray(np.clip(np.maximum(down, across) / self.width, 0.0, 1.0))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClipRings(Selection):
     """Nested rings, each twice as coarse as the one within it.
 
     Attributes:
-        stack: the windows, outermost first. blends: of each, (rows, cols) float32, 0 where the level's own heights are
-            drawn, 1 where the next coarser's are.
+        stack: the windows, outermost first. They begin and end at even samples, and so may reach a sample beyond their
+            level's last one, which stands for the raster's last.
+        blends: of each. seen: of each, (block rows, block cols) bool: which of its blocks of ``block`` × ``block``
+            cells, counted from the one with its first sample, are in view.
+        block: cells along a side.
         expand: makes the triangles of the rings.
     """
 
     stack: ClipStack
-    blends: Sequence[NDArray[np.float32]]
+    blends: Sequence[Blend]
+    seen: Sequence[NDArray[np.bool_]]
+    block: int
     expand: Any
 
     def tessellation(self) -> Tessellation:

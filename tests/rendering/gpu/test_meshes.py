@@ -62,6 +62,7 @@ def views() -> dict[str, View]:
         "seamless-patches",
         "cdlod",
         "bdam",
+        "clipmap,n=63",
     ],
 )
 def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: Terrain, method: str) -> None:
