@@ -31,7 +31,7 @@ struct Stack {
 const GONE: f32 = -1e29;     // below it: a missing sample
 const STILL: f32 = 1e-15;    // samples per metre below which a ray does not move
 const NEVER: f32 = 1e30;
-const BEGIN: i32 = {{BEGIN}};   // level of nodes on which rays begin
+const BEGIN: i32 = 4;        // level of nodes on which rays begin
 
 // o + t·v: columns and rows from the eye's cell, metres above the eye.
 struct Way { o: vec3<f32>, v: vec3<f32>, inverse: vec2<f32>, still: vec2<bool>, right: vec2<i32> };

@@ -1,8 +1,8 @@
 """Nested windows of heights with their pyramids in one array, as shaders look them up.
 
 Of each window the pool holds its heights, row by row, its maxima from level 1 up, and, if they are wanted, its minima
-from level 2 up (``raycast.mips``). Heights are metres, float32; a missing one lies far below any other (``MISSING``), as
-does the maximum of a node without any, whose minimum lies far above. Places are samples of the raster.
+from level 2 up (``raycast.mips``). Heights are metres, float32; a missing one lies far below any other (``MISSING``),
+as does the maximum of a node without any, whose minimum lies far above. Places are samples of the raster.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ class Pool:
 
     Attributes:
         values: (n,) float32, the heights and the pyramids. windows: where they are.
-        nodes: (levels of all windows, 4) int32: offset of the maxima, nodes per row, offset of the minima (−1: none), 0.
+        nodes: (levels of all windows, 4) int32: offset of the maxima, nodes per row, offset of the minima (−1: none),
+            0.
         low, high: metres between which all heights lie; 0 where there are none.
     """
 

@@ -2,8 +2,8 @@
 
 A *surface* draws one kind of selection into depth and marks. The terrain's own patches are streamed and drawn as
 instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind (windows
-that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``). All that comes after (light, lines, voids) reads the targets only. A new kind of
-selection gets its surface by a line in ``Ground.surfaces``.
+that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``). All that comes after (light, lines, voids)
+reads the targets only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 """
 
 from __future__ import annotations

@@ -43,8 +43,6 @@ STACK = np.dtype(
 )  # fmt: skip
 """The uniform ``Stack`` of ``shaders/surface_rays.wgsl``."""
 
-BEGIN = 6
-"""The level of nodes on which rays begin."""
 COARSER = 1.25
 """By how much a tolerance grows until its windows fit."""
 
@@ -132,7 +130,7 @@ class RayPass:
 
     def __init__(self, device: Device, camera: Any) -> None:
         self.device = device
-        self._program = Program(device, "surface_rays", BEGIN=BEGIN)
+        self._program = Program(device, "surface_rays")
         self._camera = self._program.bind({"camera": camera})
         self._stack = device.buffer(STACK.itemsize, "UNIFORM", "windows")
         self._pipelines: dict[bool, Any] = {}
