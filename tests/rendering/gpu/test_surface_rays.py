@@ -329,6 +329,16 @@ def test_pictures_are_the_cpus(device: Device, name: str) -> None:
         assert gpu.pixels.std() > 10
 
 
+def test_a_plan_has_the_heights_of_its_pixels(device: Device) -> None:
+    """From straight above no height moves anything, but it has a colour, and lines."""
+    terrain = GROUNDS["nested windows"]()
+    middle = tuple(float(v) for v in terrain.grid.xy(1450.0, 550.0))
+    view = View((*middle, 4000.0), (*middle, 200.0), projection="plan", width=SIZE[0], height=SIZE[1])
+    scene = Scene.of(terrain, view, samples=4, method="raycast", contours=Contours(20.0, labels=False), tolerance=1.0)
+    off = delta(draw_gpu(scene, device=device).pixels, draw_cpu(scene).pixels)
+    assert off.mean() < 0.6 and np.quantile(off, 0.95) < 3, (off.mean(), np.quantile(off, 0.95))
+
+
 def test_faces_are_those_of_the_triangles_that_are_hit(device: Device) -> None:
     """Light on facets: rays at all samples, and patches whose triangles are as small."""
     terrain = over(rough(130, 130, 300.0), Affine(20.0, 0, 7e5, 0, 20.0, 5.3e6))

@@ -8,6 +8,7 @@ reads the targets only. A new kind of selection gets its surface by a line in ``
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -121,7 +122,7 @@ class Ground:
             self._selected.none()
         else:
             have = self._selected.at_once if wait else self._selected.aside
-            have(scene, freeze or surface.mesh_view or view, tolerance)
+            have(scene, freeze or surface.mesh_view or view, _of_rays(scene, tolerance))
         self._drawn = Drawn(chosen, self._selected.selection or chosen.patches)
         return self._drawn
 
@@ -165,6 +166,17 @@ class Ground:
         """Stop reading and selecting."""
         self.tiles.close()
         self._selected.close()
+
+
+def _of_rays(scene: Scene, tolerance: float) -> float:
+    """The tolerance of rays where patches have that one, pixels: a plan's is a size of samples, its lines no matter."""
+    if scene.view.projection != "plan":
+        return tolerance
+    return min(scene.surface.tolerance or 1.0, math.inf if scene.annotations.contours is None else FINE)
+
+
+FINE = 0.7
+"""Pixels between the samples of a plan whose contour lines are drawn."""
 
 
 def streamed(scene: Scene) -> bool:
