@@ -79,7 +79,7 @@ class Renderer(Reading):
         device: where.
         terrain: what; it is read from several threads.
         gpu_memory: bytes of the atlases, a quarter of it for layers, if there are any; half as many more hold what rays
-            of light meet, and as many what the ground is cast from, if it is.
+            of light meet, and a quarter what the ground is cast from, if it is.
         memory: bytes of the method's tables.
         jobs: threads that read tiles.
     """
@@ -102,7 +102,7 @@ class Renderer(Reading):
         self._resources = Resources(device, terrain, self.heights, self.slopes, self.imagery, self.memo)
         self._ground = Ground(
             device, terrain, self._camera, self.tiles, self._resources.stored_slopes, self._resources.levels,
-            min(device.largest, gpu_memory // 2), jobs,
+            min(device.largest, gpu_memory // 4), jobs,
         )  # fmt: skip
         self._left = Left()
         self._letters = Letters(device, terrain)
