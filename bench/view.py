@@ -1,7 +1,8 @@
 """The interactive view off screen: flights over large terrains, frame by frame, on whatever GPU there is.
 
     python bench/view.py [--terrain california|synthetic-16385|synthetic-65537|PATH…] [--flight orbit|low|jump|steady]…
-        [--tolerance 2] [--size 1280x720] [--frames 120] [--judge 3] [--folder FOLDER] [--waited] [--no-look-ahead]
+        [--method auto]… [--tolerance 2] [--size 1280x720] [--frames 120] [--judge 3] [--folder FOLDER] [--waited]
+        [--no-look-ahead]
 
 Terrains: the 40 tiles of California (default; 11815 × 5567 samples in metres), the synthetic terrain of so many samples
 a side as a store (``bench/synthetic.py``; built first, if it is not there, in FOLDER or the cache), or any files.
@@ -12,17 +13,21 @@ terrain every ten frames. Every frame is drawn as the window draws it (the first
 stream in meanwhile; shadows and sky are on) and then waited for, and no frame is begun before its time on a clock of 60
 frames a second.
 
+Each flight is flown by every ``--method``, whose frames are compared best where other programs rest.
+
 Told as median and worst: ms until the GPU is done, ms of the GPU by its own clock (timestamps), ms of Python (*to
 submit*: until the frame is handed over, what the GPU waits for; *all*: with what is done after that) and of the loop
 (with what the driver does when it is given the work), ms of selection, patches, triangles, tiles loaded and lacking, MB
 uploaded, the bound of the largest error in pixels with the tiles that were there; and of ``--judge`` views, with all
-their tiles, the largest error that the referee finds among all full-resolution samples in view.
+their tiles, the largest error that the referee finds among all full-resolution samples in view (of other methods, in
+the picture: of all that its pixels show).
 """
 
 from __future__ import annotations
 
 import argparse
 import gc
+import itertools
 import math
 import sys
 import time
@@ -171,6 +176,17 @@ def judged(renderer: Renderer, terrain: Terrain, views: list[View], tolerance: f
     return found
 
 
+def judged_pictures(renderer: Renderer, device: Device, scenes: list[Scene]) -> list[float]:
+    """The largest error, pixels, of what pictures of scenes show, with all that they want."""
+    found = []
+    for scene in scenes:
+        size = scene.view.width, scene.view.height
+        target = device.texture(size, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC").create_view()
+        renderer.draw(target, "rgba8unorm", scene.but(light="none"), wait=True, samples=1)
+        found.append(verify.judge_depth(renderer.depth(), scene.terrain, scene.view).largest)
+    return found
+
+
 def row(name: str, values: list[float], form: str = "{:.1f}") -> str:
     middle, worst = float(np.median(values)), max(values)
     return f"  {name:30} median {form.format(middle):>10}   worst {form.format(worst):>10}"
@@ -208,6 +224,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--terrain", nargs="+", default=["california"])
     parser.add_argument("--flight", action="append", choices=list(FLIGHTS), help="default: orbit")
+    parser.add_argument("--method", action="append", help="as --method has it; default: auto, what is streamed")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--folder", type=Path, help="where synthetic stores are kept; default: the cache")
     parser.add_argument("--tolerance", type=float, default=2.0)
@@ -225,19 +242,22 @@ def main() -> None:
     device = open_device()
     rows, cols = terrain.grid.shape
     print(f"{device.adapter.name}: {rows} × {cols} samples, {width} × {height} pixels, {options.tolerance:g} px")
-    for name in options.flight or ["orbit"]:
+    for name, method in itertools.product(options.flight or ["orbit"], options.method or ["auto"]):
         views = FLIGHTS[name](terrain, (width, height), options.frames)
         begun = time.perf_counter()
         renderer = Renderer(device, terrain, gpu_memory=options.gpu_memory << 20)
         opened = time.perf_counter() - begun
         renderer.tiles.look_ahead = not options.no_look_ahead
-        scene = Scene.of(terrain, views[0], sky=True, tolerance=options.tolerance)
+        scene = Scene.of(terrain, views[0], sky=True, tolerance=options.tolerance, method=method)
         frames = fly(renderer, device, views, scene, options.waited)
-        print(f"{name}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
+        print(f"{name}, {method}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
         print(told(frames), flush=True)
         if options.judge:
             some = views[:: max(1, len(views) // options.judge)][: options.judge]
-            errors = judged(renderer, terrain, some, options.tolerance)
+            if method == "auto":
+                errors = judged(renderer, terrain, some, options.tolerance)
+            else:
+                errors = judged_pictures(renderer, device, [scene.but(view=view) for view in some])
             print("  px of error, by the referee    " + ", ".join(f"{e:.2f}" for e in errors), flush=True)
         renderer.close()
 

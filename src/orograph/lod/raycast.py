@@ -2,6 +2,7 @@
 
 A tile in view is drawn at a level whose stored error, projected, keeps the tolerance, and windows nest
 (``raycast.select``); rays are marched through maximum mipmaps (``raycast.traverse``; Tevs, Ihrke & Seidel 2008, §3).
+From straight above no height moves anything, but it has a colour: a plan's samples are as large as the tolerance.
 Pixels, samples.
 """
 
@@ -36,7 +37,8 @@ class RayCast(Method):
         tolerance = goal.tolerance
         assert tolerance is not None
         began = time.perf_counter()
-        windows = rectangles(self.terrain, camera.view, camera.exaggeration, tolerance)
+        by = "spacing" if camera.view.projection == "plan" else "error"
+        windows = rectangles(self.terrain, camera.view, camera.exaggeration, tolerance, by=by)
         took = time.perf_counter() - began
         stats = {
             "method": self.info.name, "tolerance": float(tolerance), "conservative": True,

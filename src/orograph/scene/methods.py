@@ -1,7 +1,7 @@
 """Methods for scenes: which one makes the mesh of a picture, and a method made with all that it uses.
 
 What draws can draw the terrain by itself: the CPU by rays, the GPU by patches that it streams (``registry.AUTO``). A
-scene whose method is that has no mesh; every other's selection is drawn as triangles.
+scene whose method is that has no mesh; every other's selection is drawn as triangles, on the GPU that of rays by rays.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ALWAYS = ("cull", "geomorph")
 
 
 def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> Choice | None:
-    """The method whose triangles are drawn; None where the backend draws the terrain by itself.
+    """The method whose selection is drawn; None where the backend draws the terrain by itself.
 
     Args:
         method: as ``--method`` has it. triangles: a budget, which what the GPU streams does not know.
@@ -38,13 +38,12 @@ def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> 
         return None
     choice = chosen(method, backend)
     own = choice.info.name == AUTO[backend]
-    if choice.info.kind == "rays":
+    if choice.info.kind == "rays" and backend == "cpu":
         if own:
             return None
-        what = "the GPU draws triangles" if backend == "gpu" else f"the rays of {AUTO['cpu']} alone are drawn"
         raise UsageError(
-            f"{choice.info.name} cannot be drawn so: {what}.",
-            remedy='Draw it by the CPU (`backend="cpu"`).' if choice.info.name == AUTO["cpu"] else "Choose another.",
+            f"{choice.info.name} cannot be drawn so: the rays of {AUTO['cpu']} alone are drawn by the CPU.",
+            remedy='Draw it by the GPU (`backend="gpu"`), or choose another.',
         )
     if own and backend == "gpu" and triangles is None:
         usual = choice.info.options()

@@ -137,7 +137,7 @@ class Drawing:
             self._slow = self._drawn_at - now > TOO_SLOW
             trouble = getattr(self.stats, "failed", "")
             before, self._trouble = self._trouble, trouble
-            empty, self._empty = self._empty, self.stats.triangles == 0
+            empty, self._empty = self._empty, self.stats.triangles + getattr(self.stats, "windows", 0) == 0
             if self._empty and not empty:
                 session.messages.say("No ground is in view: H goes home, where all of it is.")
             own = settings.painted.path if settings.painted is not None else None

@@ -74,7 +74,8 @@ def draw(
         )
     if scene.surface.tolerance is None and scene.surface.triangles is None:
         scene = scene.but(tolerance=TOLERANCE)
-    if mesh_choice(scene.surface.method, "gpu", scene.surface.triangles) is not None and not scene.surface.wireframe:
+    other = mesh_choice(scene.surface.method, "gpu", scene.surface.triangles)
+    if other is not None and other.info.kind != "rays" and not scene.surface.wireframe:
         overlay = replace(overlay, normals="faces")  # as the CPU lights a mesh
     if scene.surface.normals != "auto":
         overlay = replace(overlay, normals=scene.surface.normals)
@@ -138,6 +139,8 @@ def draw(
     if renderer.mesh is not None:
         mesh = renderer.mesh
         facts["mesh"] = {"method": scene.surface.method, "triangles": len(mesh.triangles), **mesh.stats}
+    if renderer.windows is not None:
+        facts["rays"] = renderer.windows.stats
     place = plan_grid(view, scene.terrain.grid.crs)
     return Picture(
         pixels, depth, view, facts, place, void_filled if void_filled.any() else None, renderer.tint,

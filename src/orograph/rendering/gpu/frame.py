@@ -48,6 +48,7 @@ class FrameStats:
         failed: a tile that could not be read, or a mesh that could not be made, and why, or "".
         current: whether the mesh of another method is that of this camera and tolerance; patches always are.
         notes: what a user should know of layers that were opened, full sentences; each is told once.
+        windows: at which rays were cast, in place of triangles; 0: none were, or nothing is in view.
         making: what is made aside of layers, and how far it is, a full sentence, or "": a later frame shows more.
     """
 
@@ -66,3 +67,4 @@ class FrameStats:
     current: bool = True
     submit_ms: float = 0.0
     making: str = ""
+    windows: int = 0

@@ -16,6 +16,7 @@ from orograph.rendering.gpu.shade.following import Following
 from orograph.rendering.gpu.shade.visible import points_of, wet_at
 from orograph.rendering.gpu.stream.imagery import Imagery
 from orograph.rendering.gpu.surface.ground import Ground
+from orograph.rendering.gpu.surface.rays import CastWindows
 from orograph.rendering.gpu.surface.void_fill import VoidFillPass
 from orograph.rendering.gpu.targets import Targets
 from orograph.rendering.gpu.temporal.jitter import Jitter
@@ -79,6 +80,11 @@ class Reading:
     def mesh(self) -> Tessellation | None:
         """The mesh of the scene's method that the last frame drew; None: patches."""
         return self._ground.mesh
+
+    @property
+    def windows(self) -> CastWindows | None:
+        """The windows that the last frame's rays were cast at; None: it drew triangles."""
+        return self._ground.rays
 
     @property
     def light(self) -> str:

@@ -79,7 +79,7 @@ class Renderer(Reading):
         device: where.
         terrain: what; it is read from several threads.
         gpu_memory: bytes of the atlases, a quarter of it for layers, if there are any; half as many more hold what rays
-            meet.
+            of light meet, and a quarter what the ground is cast from, if it is.
         memory: bytes of the method's tables.
         jobs: threads that read tiles.
     """
@@ -101,8 +101,9 @@ class Renderer(Reading):
         self._camera = device.buffer(CAMERA.itemsize, "UNIFORM", "camera")
         self._resources = Resources(device, terrain, self.heights, self.slopes, self.imagery, self.memo)
         self._ground = Ground(
-            device, terrain, self._camera, self.tiles, self._resources.stored_slopes, self._resources.levels
-        )
+            device, terrain, self._camera, self.tiles, self._resources.stored_slopes, self._resources.levels,
+            min(device.largest, gpu_memory // 4), jobs,
+        )  # fmt: skip
         self._left = Left()
         self._letters = Letters(device, terrain)
         self._breaks = BreakPass(device, self._camera, terrain, self._resources.stored_slopes)
@@ -174,7 +175,7 @@ class Renderer(Reading):
         else:
             settings = overlay, freeze is None, chosen.layers, flags
             came = np.concatenate([self.tiles.areas, self.imagery.areas]) if chosen.loaded else NONE
-            made, there = (self._light.maps, chosen.ground.mesh), self._samples
+            made, there = (self._light.maps, chosen.ground.other), self._samples
             light = self._antialiasing.encode(
                 encoder, targets, scene, settings, there.shift, there.gathered, came, made
             )  # fmt: skip
@@ -250,7 +251,7 @@ class Renderer(Reading):
         self._missing = tiles.missing + self.imagery.missing
         loaded = tiles.loaded + self.imagery.loaded
         lettered = self._letters.prepare(scene, self._looks.contours(scene), wait=wait, mesh=mesh)
-        state = loaded, layers, len(ground.patches.instances), mesh, self._letters.state
+        state = loaded, layers, len(ground.patches.instances), ground.other, self._letters.state
         return _Choice(
             ground, tolerance, layers, bool(lettered), loaded, tiles.bytes + 4 * SIDE**2 * self.imagery.loaded, state
         )
@@ -305,16 +306,20 @@ class Renderer(Reading):
 
     def _told(self, scene: Scene, chosen: _Choice, to_submit: float, after: float) -> FrameStats:
         """What a frame took: seconds of Python until it was handed over, and after that."""
-        patches, mesh = chosen.ground.patches, chosen.ground.mesh
+        patches, mesh, rays = chosen.ground.patches, chosen.ground.mesh, chosen.ground.rays
+        there, triangles, bound = len(patches.instances), patches.stats["triangles"], patches.stats["pixels"]
+        if mesh is not None:
+            there, triangles, bound = 0, len(mesh.triangles), scene.surface.tolerance or 1.0
+        elif rays is not None:
+            there, triangles, bound = 0, 0, rays.bound
         return FrameStats(
-            len(patches.instances) if mesh is None else 0,
-            patches.stats["triangles"] if mesh is None else len(mesh.triangles),
-            patches.stats["pixels"] if mesh is None else scene.surface.tolerance or 1.0,
+            there, triangles, bound,
             chosen.ground.streamed.seconds * 1e3, (to_submit + after) * 1e3, chosen.loaded, chosen.bytes,
             self.tiles.count + self.imagery.count, self._missing,
             self._samples.gathered, failed=self._ground.failure or self.imagery.failure,
             current=self._ground.current(scene), notes=tuple(self.imagery.told()),
             submit_ms=to_submit * 1e3, making=self.imagery.making,
+            windows=0 if rays is None or not len(patches.instances) else len(rays.windows),
         )  # fmt: skip
 
     def _pass(

@@ -65,7 +65,7 @@ def draw(window: Window) -> None:
 
 def drawable() -> tuple[str, ...]:
     """The methods that the window can draw, its own first."""
-    found = names("triangles", "patches", "batches", "rings")
+    found = names("triangles", "patches", "batches", "rings", "rays")
     return (AUTO["gpu"], *(name for name in found if name != AUTO["gpu"]))
 
 

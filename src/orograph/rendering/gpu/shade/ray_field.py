@@ -10,7 +10,7 @@ tolerance in pixels asks (``raycast.select``, as pictures of the CPU have it), a
 drawn from a level whose samples are at most d / margin apart: where that level is off by e, the edge of a shadow is
 turned by e / d at most (``RayField.turn`` says by how much: the largest over all windows).
 
-Heights are metres, float32, missing ones far below any other; windows are counted in samples of the raster.
+Heights lie in one array, as ``rendering.gpu.pool`` has it.
 """
 
 from __future__ import annotations
@@ -29,25 +29,19 @@ from orograph.gpu.program import Group, Program
 from orograph.hierarchy.clip_stack import ClipStack, Rectangle
 from orograph.raycast.mips import build_mips
 from orograph.raycast.select import load, rectangles
-from orograph.raycast.stack import HeightWindow, check_diagonals
+from orograph.raycast.stack import HeightWindow
+from orograph.rendering.gpu.pool import NODES, WINDOWS, Pool, Values, samples_in
 from orograph.store.terrain import EXACT_SAMPLES, TILE, Terrain
 from orograph.viewpoint import View
 
 if TYPE_CHECKING:
     from orograph.rendering.gpu.shade.tracing import Share
 
-Values = NDArray[np.float32]
-
 EXACT = EXACT_SAMPLES
 """Samples up to which a terrain is held whole."""
 
 MARGIN = 256
 """Samples of its own by which a window reaches beyond the finer one in it."""
-
-WINDOWS, NODES = 16, 256
-"""Windows, and levels of all their pyramids, that the shader's tables hold."""
-
-MISSING = np.float32(-1e30)
 
 FRAME = np.dtype(
     [
@@ -93,31 +87,16 @@ class RayField:
         frame["last"] = shape[1] - 1, shape[0] - 1
         frame["exaggeration"], frame["spacing"] = exaggeration, math.sqrt(abs(np.linalg.det(cells)))
         frame["count"], frame["stride"], frame["rays"], frame["total"] = len(windows), 1, 1, 1
-        check_diagonals(windows)
-        parts: list[Values] = []
-        at = row = 0
-        tops = []
-        for k, w in enumerate(windows):
-            rows, cols = w.heights.shape
-            mips = build_mips(w.heights, jobs)
-            scale = 2.0**w.level
-            first = w.col0 << w.level, w.row0 << w.level
-            end = np.minimum(
-                [cols - 1, rows - 1], [(shape[1] - 1 - first[0]) / scale, (shape[0] - 1 - first[1]) / scale]
-            )
+        pool = Pool.of(windows, [build_mips(w.heights, jobs) for w in windows], shape)
+        for k, w in enumerate(pool.windows):
             table = frame["windows"][k]
-            table[0] = *first, cols - 1, rows - 1
-            table[1] = at, cols, w.level, row
-            table[2, 0] = mips.levels - 1
-            table[2, 1:3] = end.astype(np.float32).view(np.int32)
-            parts += [np.where(np.isnan(w.heights), MISSING, w.heights).ravel(), np.maximum(mips.maxima, MISSING)]
-            for level in range(1, mips.levels):
-                frame["nodes"][row + level, :2] = at + w.heights.size + mips.max_offset[level], mips.cols[level]
-            at += w.heights.size + mips.maxima.size
-            row += mips.levels
-            tops.append(mips.height_range[1])
-        frame["top"] = max((t for t in tops if np.isfinite(t)), default=0.0)
-        return cls(np.concatenate(parts), frame, turn)
+            table[0] = *w.first, *w.cells
+            table[1] = w.offset, w.stride, w.level, w.node
+            end = (np.array(w.last) - w.first) * 2.0**-w.level
+            table[2] = w.top, *end.astype(np.float32).view(np.int32), 0
+        frame["nodes"][: len(pool.nodes), :2] = pool.nodes[:, :2]
+        frame["top"] = pool.high
+        return cls(pool.values, frame, turn)
 
 
 NOTHING = RayField(np.zeros(4, np.float32), np.zeros((), FRAME))
@@ -141,11 +120,6 @@ def field_of(
         return RayField.of(windows, terrain.grid.shape, [[a, b], [d, e]], exaggeration, turn, jobs)
 
     return chosen, make
-
-
-def samples_in(most: int) -> int:
-    """How many samples so many bytes hold: heights, and a third of that for maxima, 4 bytes each."""
-    return most // 16 * 3
 
 
 def choose(terrain: Terrain, view: View, exaggeration: float, tolerance: float, samples: int) -> ClipStack:

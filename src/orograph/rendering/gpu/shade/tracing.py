@@ -15,8 +15,9 @@ import numpy as np
 from orograph.gpu.background import BackgroundTask
 from orograph.gpu.device import Device
 from orograph.rendering.cpu.mesh_surface import surface_of
+from orograph.rendering.gpu.pool import samples_in
 from orograph.rendering.gpu.shade.light_maps import has_sun_maps
-from orograph.rendering.gpu.shade.ray_field import EXACT, NOTHING, RayField, field_of, samples_in
+from orograph.rendering.gpu.shade.ray_field import EXACT, NOTHING, RayField, field_of
 from orograph.rendering.gpu.temporal.jitter import SAMPLES
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain

@@ -1,13 +1,14 @@
 """The ground of a frame: what is selected of it, and the surface that draws such a selection.
 
 A *surface* draws one kind of selection into depth and marks. The terrain's own patches are streamed and drawn as
-instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind, or is
-drawn by its triangles (``meshes``). All that comes after (light, lines, voids) reads the targets only. A new kind of
-selection gets its surface by a line in ``Ground.surfaces``.
+instances out of the atlas of heights (``patches``); what another method selects has the surface of its kind (windows
+that rays are cast at: ``rays``), or is drawn by its triangles (``meshes``). All that comes after (light, lines, voids)
+reads the targets only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -15,13 +16,14 @@ from typing import Any, Protocol
 from orograph.errors import UsageError
 from orograph.gpu.device import Device
 from orograph.lod.patches.shape import INSTANCE, patch_indices, patch_vertices
-from orograph.lod.selection import Selection, TriangleMesh
+from orograph.lod.selection import RayWindows, Selection, TriangleMesh
 from orograph.lod.triangle_patches import Patches
 from orograph.rendering.gpu.stream.residency import Chosen, Residency
 from orograph.rendering.gpu.stream.tiles import missing
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
 from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
 from orograph.rendering.gpu.surface.patches import PatchPass
+from orograph.rendering.gpu.surface.rays import CastWindows, RayPass, Windows
 from orograph.rendering.gpu.targets import Targets
 from orograph.scene.methods import mesh_choice
 from orograph.scene.scene import Scene
@@ -56,8 +58,19 @@ class Drawn:
 
     @property
     def mesh(self) -> Tessellation | None:
-        """The triangles of another method's selection; None: patches are drawn."""
-        return None if isinstance(self.selection, Patches) else self.selection.tessellation()
+        """The triangles of another method's selection; None: patches are drawn, or rays are cast."""
+        return self.selection.mesh if isinstance(self.selection, TriangleMesh) else None
+
+    @property
+    def other(self) -> Any:
+        """What is drawn in place of patches, which is another object when it is another; None: patches are."""
+        mesh = self.mesh
+        return self.rays if mesh is None else mesh
+
+    @property
+    def rays(self) -> CastWindows | None:
+        """The windows that rays are cast at; None: triangles are drawn."""
+        return self.selection if isinstance(self.selection, CastWindows) else None
 
 
 class Ground:
@@ -66,6 +79,7 @@ class Ground:
     Args:
         camera: the uniform buffer (``camera.CAMERA``).
         tiles: of the terrain. stored_slopes, levels: of ``shade.resources.Resources``.
+        most: bytes of the windows that rays are cast at. jobs: threads.
 
     Attributes:
         surfaces: what draws a selection, by its type.
@@ -73,7 +87,7 @@ class Ground:
 
     def __init__(
         self, device: Device, terrain: Terrain, camera: Any, tiles: Residency, stored_slopes: tuple[Any, Any, Any],
-        levels: Any,
+        levels: Any, most: int, jobs: int | None = None,
     ) -> None:  # fmt: skip
         self.tiles = tiles
         legs, heights, absent = tiles.method.legs, tiles.heights, missing(terrain)
@@ -85,8 +99,9 @@ class Ground:
         self.surfaces: Mapping[type, Surface] = {
             Patches: self._patches,
             TriangleMesh: MeshPass(device, camera, field, absent),
+            CastWindows: RayPass(device, camera),
         }
-        self._selected = Selected(terrain, own=self.surfaces.keys())
+        self._selected = Selected(terrain, {RayWindows: Windows(device, terrain, most, jobs).ready})
         self._drawn: Drawn | None = None
 
     def choose(self, scene: Scene, freeze: View | None, tolerance: float, *, wait: bool) -> Drawn:
@@ -107,7 +122,7 @@ class Ground:
             self._selected.none()
         else:
             have = self._selected.at_once if wait else self._selected.aside
-            have(scene, freeze or surface.mesh_view or view)
+            have(scene, freeze or surface.mesh_view or view, _of_rays(scene, tolerance))
         self._drawn = Drawn(chosen, self._selected.selection or chosen.patches)
         return self._drawn
 
@@ -125,8 +140,13 @@ class Ground:
 
     @property
     def mesh(self) -> Tessellation | None:
-        """The triangles of another method's selection that the last frame drew; None: patches."""
+        """The triangles of another method's selection that the last frame drew; None: patches, or rays."""
         return None if self._drawn is None else self._drawn.mesh
+
+    @property
+    def rays(self) -> CastWindows | None:
+        """The windows that the last frame's rays were cast at; None: it drew triangles."""
+        return None if self._drawn is None else self._drawn.rays
 
     @property
     def busy(self) -> bool:
@@ -146,6 +166,17 @@ class Ground:
         """Stop reading and selecting."""
         self.tiles.close()
         self._selected.close()
+
+
+def _of_rays(scene: Scene, tolerance: float) -> float:
+    """The tolerance of rays where patches have that one, pixels: a plan's is a size of samples, its lines no matter."""
+    if scene.view.projection != "plan":
+        return tolerance
+    return min(scene.surface.tolerance or 1.0, math.inf if scene.annotations.contours is None else FINE)
+
+
+FINE = 0.7
+"""Pixels between the samples of a plan whose contour lines are drawn."""
 
 
 def streamed(scene: Scene) -> bool:

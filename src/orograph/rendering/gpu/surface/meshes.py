@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Collection
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from orograph.errors import OrographError, UsageError
 from orograph.gpu.background import BackgroundTask
 from orograph.gpu.device import Device
 from orograph.gpu.program import Program
-from orograph.lod.method import Method, Resources
+from orograph.lod.method import Goal, Method, Resources
 from orograph.lod.options import described
 from orograph.lod.registry import Choice
 from orograph.lod.selection import Selection, TriangleMesh
@@ -48,18 +48,22 @@ def packed(mesh: Tessellation) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
     return points, np.ascontiguousarray(mesh.triangles, np.uint32).reshape(-1)
 
 
+Ready = Callable[[Any, Callable[[float], Any]], Selection]
+
+
 class Selected:
     """The method of a scene, and what it selected last.
 
     Args:
-        own: the types of selections that have a surface of their own; others are turned into their triangles.
+        own: what makes selections that have a surface of their own ready for it, by their type: a function of one and
+            of a function that selects with another tolerance. Others are turned into their triangles.
 
     Attributes:
         selection: to be drawn; None until one is there. current: whether it is what the last scene asked for.
         failure: why the method selected nothing, or "".
     """
 
-    def __init__(self, terrain: Terrain, own: Collection[type]) -> None:
+    def __init__(self, terrain: Terrain, own: Mapping[type, Ready]) -> None:
         self.terrain, self.own = terrain, own
         self.selection: Selection | None = None
         self.current = False
@@ -74,20 +78,23 @@ class Selected:
         """Whether another mesh is on its way, or is to be made."""
         return self._wish is not None and not self.failure and (self._aside.busy or self._aside.done != self._wish)
 
-    def at_once(self, scene: Scene, view: View) -> None:
+    def at_once(self, scene: Scene, view: View, tolerance: float) -> None:
         """Have the mesh of a scene for a camera.
+
+        Args:
+            tolerance: of rays, pixels, whose lines are of what is drawn; meshes have the scene's.
 
         Raises:
             UsageError: there is no such method. StoreError: the store was built without errors of diamonds.
         """
-        key = self._asked(scene, view)
+        key = self._asked(scene, view, tolerance)
         if self.selection is None or self._aside.done != key:
-            self.selection = self._refined(scene, view, smooth=False)
+            self.selection = self._refined(scene, view, tolerance, smooth=False)
         self._aside.done, self.current = key, True
 
-    def aside(self, scene: Scene, view: View) -> None:
+    def aside(self, scene: Scene, view: View, tolerance: float) -> None:
         """Take the mesh that was made meanwhile, and have another one made if the scene wants it."""
-        key = self._asked(scene, view)
+        key = self._asked(scene, view, tolerance)
         made = self._aside.take()
         if isinstance(made, str):
             self.failure = made
@@ -98,7 +105,7 @@ class Selected:
 
             def make() -> Selection | str:
                 try:
-                    return self._refined(scene, view, smooth=True)
+                    return self._refined(scene, view, tolerance, smooth=True)
                 except OrographError as error:
                     return str(error)
 
@@ -112,14 +119,15 @@ class Selected:
     def close(self) -> None:
         self._aside.close()
 
-    def _asked(self, scene: Scene, view: View) -> Any:
-        key = scene.surface.method, scene.surface.exaggeration, scene.surface.tolerance, scene.surface.triangles, view
+    def _asked(self, scene: Scene, view: View, tolerance: float) -> Any:
+        surface = scene.surface
+        key = surface.method, surface.exaggeration, surface.tolerance, surface.triangles, view, tolerance
         if self._wish is None or self._wish[:2] != key[:2]:
             self.failure, self.selection = "", None
         self._wish = key
         return key
 
-    def _refined(self, scene: Scene, view: View, *, smooth: bool) -> Selection:
+    def _refined(self, scene: Scene, view: View, tolerance: float, *, smooth: bool) -> Selection:
         choice = mesh_choice(scene.surface.method, "gpu", scene.surface.triangles)
         assert choice is not None
         if smooth:
@@ -131,9 +139,11 @@ class Selected:
                 method = made(choice, self.terrain, Resources(memory, scene.budget.jobs))
                 self._method = (str(choice), memory, scene.budget.jobs), method
             camera = Camera.over(self.terrain.grid, view.whole, scene.surface.exaggeration)
-            selection = method.select(camera, goal_of(scene.surface.tolerance, scene.surface.triangles))
-            if type(selection) in self.own:
-                return selection
+            wanted = tolerance if choice.info.kind == "rays" else scene.surface.tolerance
+            selection = method.select(camera, goal_of(wanted, scene.surface.triangles))
+            ready = self.own.get(type(selection))
+            if ready is not None:
+                return ready(selection, lambda tolerance: method.select(camera, Goal(tolerance)))
             mesh = selection.tessellation()
             return TriangleMesh(method=selection.method, bound=selection.bound, stats=mesh.stats, mesh=mesh)
 
