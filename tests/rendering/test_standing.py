@@ -182,6 +182,26 @@ def test_points_of_geojson_and_tables_are_the_same(tmp_path):
     assert read_points(Dataset(columns, variable="mag"), grid).values.tolist() == [1.0]
 
 
+def test_points_of_other_vectors_are_the_same(tmp_path):
+    pyogrio = pytest.importorskip("pyogrio")
+    import struct
+
+    grid = ground().grid
+    one = read_points(Dataset(points_file(tmp_path / "q.geojson"), variable="mag"), grid)
+    shapes = np.array([struct.pack("<BIdd", 1, 1, x, y) for x, y in zip(one.x, one.y)] + [None], object)
+    path = tmp_path / "q.gpkg"
+    pyogrio.raw.write(
+        path, shapes, [np.array([*one.values, 9.0]), np.array(["a", "b", "c"], object)], ["mag", "place"],
+        geometry_type="Point", crs=UTM,
+    )  # fmt: skip
+    two = read_points(Dataset(str(path)), grid)
+    np.testing.assert_allclose(two.x, one.x)
+    np.testing.assert_allclose(two.values, one.values)
+    path.write_bytes(b"nothing")
+    with pytest.raises(ReadError, match="cannot be read"):
+        read_points(Dataset(str(path)), grid)
+
+
 def test_points_that_cannot_be_meant_are_refused(tmp_path):
     grid = ground().grid
     path = points_file(tmp_path / "q.geojson")

@@ -63,6 +63,10 @@ class Picture:
         """The pixels, (height, width, 3) uint8."""
         return np.array(self.pixels, dtype, copy=copy)
 
+    def describe(self) -> str:
+        """The picture in words: its terrain, camera, light, and data with their values and uncertainty."""
+        return str(self.facts.get("description", ""))
+
     def show(self) -> None:
         """Show the picture: in a notebook in the cell, elsewhere in the system's viewer of pictures."""
         from orograph.rendering.plotting import show

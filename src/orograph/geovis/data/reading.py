@@ -308,7 +308,19 @@ def _of_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
     if raw.ndim != 3:
         raise UsageError(f"Data are (rows, cols) or (members, rows, cols), not {raw.shape}.")
     fit = Affine.scale(grid.cols / raw.shape[2], grid.rows / raw.shape[1])
-    return Field(raw, Grid(raw.shape[1:], compose(grid.transform, fit), grid.crs), "data", "")
+    values, words = _members(raw, given, "the array")
+    return Field(values, Grid(raw.shape[1:], compose(grid.transform, fit), grid.crs), "data", "", words)
+
+
+def _members(values: Values, given: Dataset | Uncertainty, name: str) -> tuple[Values, str]:
+    """Of (members, rows, cols) those that are meant, and in words which they are."""
+    asked = given.member if given.member is not None else given.band
+    spread = isinstance(given, Dataset) and given.uncertainty is not None and given.uncertainty.of_members
+    if asked is not None:
+        values = values[[i - 1 for i in _picked(range(1, len(values) + 1), str(asked), name)]]
+    elif given.time is None and not spread:
+        values = values[:1]
+    return values, f"mean of {len(values)}" if len(values) > 1 else ""
 
 
 MEMBERS = ("member", "realization", "realisation", "number", "ensemble", "ens")
@@ -336,15 +348,8 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
     _, transform, crs = place_of(stacked.isel(dict.fromkeys(lead, 0)))
     values = np.asarray(stacked.transpose(*lead, *_rows_first(stacked, axes)).to_numpy(), np.float32)
     values = values.reshape(-1, *values.shape[-2:])
-    asked = given.member if given.member is not None else given.band
-    if asked is not None:
-        values = values[[i - 1 for i in _picked(range(1, len(values) + 1), str(asked), str(array.name))]]
-    elif given.time is None and not (
-        isinstance(given, Dataset) and given.uncertainty is not None and given.uncertainty.of_members
-    ):
-        values = values[:1]
-    if len(values) > 1:
-        words.insert(0, f"mean of {len(values)}")
+    values, mean = _members(values, given, str(array.name))
+    words = [mean, *words] if mean else words
     if transform is None:
         transform, crs = (
             compose(grid.transform, Affine.scale(grid.cols / values.shape[2], grid.rows / values.shape[1])), grid.crs

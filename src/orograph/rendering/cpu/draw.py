@@ -23,6 +23,7 @@ from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress, Task
 from orograph.rendering.cpu.ground import LEAST_MEMORY, Ground, fixed_memory
 from orograph.rendering.cpu.shading import Shader
+from orograph.rendering.describing import describe
 from orograph.rendering.gbuffer import Area
 from orograph.rendering.jitter import pattern
 from orograph.rendering.lines.silhouettes import Outlines, rim
@@ -77,7 +78,7 @@ def draw(
         what = "furniture" if scene.annotations.furniture else "a wireframe"
         raise UsageError(f"A tile has no {what}: that belongs to the whole picture.")
     check_memory((view.width, view.height))
-    facts: dict[str, Any] = {"warnings": diagnose(scene)}
+    facts: dict[str, Any] = {"warnings": diagnose(scene), "description": describe(scene)}
     for warning in facts["warnings"]:
         progress.warn(warning)
     subject = _Subject(scene)

@@ -19,6 +19,7 @@ from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.layers import drawn as visible
 from orograph.gpu.device import Device, open_device
 from orograph.progress import SILENT, Progress
+from orograph.rendering.describing import describe
 from orograph.rendering.furniture.furnish import furnish
 from orograph.rendering.furniture.legend import Drawn, furniture_of, sampled
 from orograph.rendering.gpu.frame import PLAIN, FrameStats, Overlay
@@ -133,7 +134,8 @@ def draw(
     facts: dict[str, Any] = {
         "backend": "gpu", "adapter": device.adapter.name, "patches": stats.patches, "triangles": stats.triangles,
         "tolerance_px": scene.surface.tolerance, "light": renderer.light, "tiles": stats.tiles_resident,
-        "warnings": warnings, "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
+        "warnings": warnings, "description": describe(scene),
+        "shown": shown, "hit_fraction": float(np.isfinite(depth).mean()),
         "seconds": {"all": round(time.perf_counter() - begun, 4)},
     }  # fmt: skip
     if renderer.mesh is not None:
