@@ -257,6 +257,41 @@ def test_every_style_and_sign_tells_the_certain_from_the_uncertain(tmp_path, sty
     assert np.abs(tiles[0] - tiles[2]).max() > 5
 
 
+def test_arrows_point_where_the_wind_goes(tmp_path):
+    """Against pyproj's own forward geodesics: a step along the arrow is a step along the wind."""
+    from pyproj import Geod, Transformer
+
+    from orograph.geovis.data import vectors
+
+    terrain = orograph.terrain(
+        np.zeros((60, 80), np.float32), transform=from_origin(200_000, 6_600_000, 500, 500), crs=UTM
+    )
+    to_degrees = Transformer.from_crs(UTM, 4326, always_xy=True)
+    lon, lat = to_degrees.transform(220_000, 6_585_000)
+    place = from_origin(lon - 2, lat + 2, 0.25, 0.25)
+    azimuth = 70.0
+    u, v = (np.full((16, 16), f(np.radians(azimuth)) * 7) for f in (np.sin, np.cos))
+    path = written(tmp_path / "w.tif", [u, v], place, crs="EPSG:4326")
+    found = shown(Dataset(path, band="1+2", style="arrows"), terrain.grid, 200, Priority())
+    np.testing.assert_allclose(found.values, 7, rtol=1e-5)
+    i, j = 70, 110
+    x, y = found.over.xy(j, i)
+    lon, lat = to_degrees.transform(x, y)
+    lon, lat, _ = Geod(ellps="WGS84").fwd(lon, lat, azimuth, 500)
+    x1, y1 = Transformer.from_crs(4326, UTM, always_xy=True).transform(lon, lat)
+    true = np.array([x1 - x, -(y1 - y)])
+    across, down = (part[i, j] for part in found.toward)
+    assert np.degrees(np.arccos((across * true[0] + down * true[1]) / np.hypot(*true))) < 0.3
+    # An arrow's shape: longer along its way than across, its head in front.
+    y, x = np.mgrid[:40, :40] + 0.5
+    ones = np.ones((40, 40))
+    seen = vectors.arrows(x, y, 40.0, ones, 0 * ones, ones)
+    assert np.ptp(np.nonzero(seen)[1]) > 35 and np.ptp(np.nonzero(seen)[0]) < 20
+    assert seen[:, 25:].sum(0).max() > 2 * seen[:, 5:15].sum(0).max()
+    with pytest.raises(UsageError, match="to the east and to the north"):
+        shown(Dataset(path, style="arrows"), terrain.grid, 200, Priority())
+
+
 def test_a_priority_sets_what_is_left_open_and_no_more():
     from orograph.scene.scene import Scene
 

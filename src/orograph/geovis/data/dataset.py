@@ -16,7 +16,7 @@ from typing import Any, Literal, Self, TypeVar, get_args
 from orograph.errors import UsageError
 from orograph.geovis.layers import keyed
 
-Style = Literal["continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple"]
+Style = Literal["continuous", "segmented", "isolines", "isobands", "cells", "hatching", "stipple", "arrows"]
 """Ways of showing values on the surface (A² of Dübel et al. 2014)."""
 
 Standing = Literal["bars", "spheres", "cones", "discs", "flags"]
@@ -87,7 +87,8 @@ class Dataset:
     Attributes:
         source: a raster or a file of points in any CRS; a ``DataArray`` (with dimensions ``time`` and ``member``, if it
             has them); a mapping of columns, a table, or GeoJSON, with places in its columns.
-        variable: of several (NetCDF, HDF5), or the attribute of points that is shown.
+        variable: of several (NetCDF, HDF5), or the attribute of points that is shown; for arrows two, "u10+v10": the
+            components to the east and to the north (or so the band).
         band: of a raster, from 1: ``3``, ``1-13``, ``all``. time: of a series: the beginning of a time
             (``2019-03-01T12``), or an hour of all days (``T12``). member: as ``band``, of an ensemble.
             Where several are chosen their mean is shown.

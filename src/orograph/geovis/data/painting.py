@@ -22,6 +22,7 @@ from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import Field, Positions, read
 from orograph.geovis.data.scales import ColorScale, spanned
 from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
+from orograph.geovis.data.vectors import arrows, directions, read_vectors
 from orograph.geovis.keys import Legend, Scale
 from orograph.geovis.layers import Layer
 
@@ -51,6 +52,7 @@ class Shown:
         dataset: as given. style, sign: how values and uncertainty are shown. field: what was read.
         sigma: (rows, cols) of the field's grid, in the data's unit; None: nothing is known. its grid is ``over``'s.
         scale: colours of values. doubt: the ends of the scale of uncertainties.
+        toward: of arrows, unit vectors along the image's columns and rows.
     """
 
     dataset: Dataset
@@ -62,6 +64,7 @@ class Shown:
     over: Grid
     scale: ColorScale
     doubt: tuple[float, float]
+    toward: tuple[Array, Array] | None = None
 
     @property
     def title(self) -> str:
@@ -94,23 +97,22 @@ def shown(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Show
 
     Raises: as ``reading.read``.
     """
-    field = read(dataset, grid)
+    style = dataset.style or priority.style
+    field, *parts = read_vectors(dataset, grid) if style == "arrows" else (read(dataset, grid),)
     over = _cropped(field, grid, texels)
     positions = Positions.of(over, field)
     values = positions.values(field.mean)
     sigma = _sigma(dataset, field, grid, over, positions)
-    style = dataset.style or priority.style
+    toward = directions(field, positions, *parts) if parts else None
     given = None if dataset.uncertainty is None else dataset.uncertainty.style
     sign = "none" if sigma is None else (given or priority.sign)
-    parts = style not in ("continuous", "bars", "spheres", "cones", "discs", "flags")
-    scale = ColorScale.of(
-        values, dataset.colormap, dataset.range, dataset.classes if parts else 0, dataset.breaks
-    )  # fmt: skip
+    classes = 0 if style in ("continuous", "arrows") else dataset.classes
+    scale = ColorScale.of(values, dataset.colormap, dataset.range, classes, dataset.breaks)
     doubt = (0.0, 1.0)
     if sigma is not None:
         asked = None if dataset.uncertainty is None else dataset.uncertainty.range
         doubt = asked or (0.0, spanned(sigma, None)[1])
-    return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt)
+    return Shown(dataset, style, sign, field, values, sigma, over, scale, doubt, toward)
 
 
 def _sigma(
@@ -207,6 +209,9 @@ def _paint(found: Shown, paint: Paint) -> Paint:
         paint = replace(paint, alpha=hatched(paint.x, paint.y, paint.pitch / 2, share) * there)
     elif found.style == "stipple":
         paint = replace(paint, alpha=dotted(paint.x, paint.y, paint.pitch / 2, 0.7 * share) * there)
+    elif found.style == "arrows" and found.toward is not None:
+        length = np.nan_to_num(found.scale.place(values))
+        paint = replace(paint, alpha=arrows(paint.x, paint.y, paint.pitch, *found.toward, length) * there)
     elif found.style == "cells":
         border = np.minimum(*(0.5 - np.abs(v / paint.pitch % 1 - 0.5) for v in (paint.x, paint.y))) * paint.pitch
         paint = paint.under(EDGE, covered(border - 0.5) * 0.5 * there)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from affine import Affine
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.errors import ReadError, UsageError
@@ -119,7 +120,7 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
     told: list[str] = []
     with HANDLES.borrow(location) as file:
         bands, chosen = _chosen(file, given)
-        placement = Placement.of(grid, grid_of(file), given.source, told)
+        placement = Placement.of(grid, _in_degrees(file, grid_of(file)), given.source, told)
         window = _window(placement, given.source)
         row0, row1, col0, col1 = window
         step = _step(row1 - row0, col1 - col0, len(bands))
@@ -149,6 +150,12 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         name = re.sub(r"\s*\[.*?\]\s*$", "", said) or (given.variable or Path(given.source).stem).replace("_", " ")
     values[~np.isfinite(values)] = np.nan
     return _in_units(Field(values, own, name, UNITS.get(unit.lower(), unit.strip("[]")), chosen, tuple(told)))
+
+
+def _in_degrees(file: Any, found: Grid) -> Grid:
+    """A raster's grid, in WGS 84 where its coordinates say degrees north (CF) and no CRS is told."""
+    said = any(str(value).lower().startswith("degrees_north") for key, value in file.tags().items() if "#units" in key)
+    return replace(found, crs=CRS.from_epsg(4326)) if found.crs is None and said else found
 
 
 def _in_units(field: Field) -> Field:
