@@ -56,9 +56,9 @@ def test_what_is_no_priority_is_refused(text):
 
 def test_figure_5_of_the_paper():
     a, b, c = (Priority.parse(text) for text in ("T+D-U-", "T-D+U-", "T-D-U+"))
-    assert (a.style, a.sign) == ("segmented", "transparency")
-    assert (b.style, b.sign) == ("continuous", "noise")
-    assert (c.style, c.sign) == ("segmented", "glyphs")
+    assert (a.style, a.sign(a.style)) == ("segmented", "transparency")
+    assert (b.style, b.sign(b.style)) == ("continuous", "noise")
+    assert (c.style, c.sign(c.style)) == ("segmented", "glyphs")
     assert all(Priority.parse(name) for name in SCENARIOS)
 
 

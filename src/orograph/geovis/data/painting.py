@@ -105,7 +105,7 @@ def shown(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Show
     sigma = _sigma(dataset, field, grid, over, positions)
     toward = directions(field, positions, *parts) if parts else None
     given = None if dataset.uncertainty is None else dataset.uncertainty.style
-    sign = "none" if sigma is None else (given or priority.sign)
+    sign = "none" if sigma is None else (given or priority.sign(style))
     classes = 0 if style in ("continuous", "arrows") else dataset.classes
     scale = ColorScale.of(values, dataset.colormap, dataset.range, classes, dataset.breaks)
     doubt = (0.0, 1.0)

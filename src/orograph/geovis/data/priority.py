@@ -62,9 +62,8 @@ class Priority:
         """The style of data that have none of their own."""
         return "continuous" if self.data else "segmented"
 
-    @property
-    def sign(self) -> str:
-        """The style of an uncertainty that has none of its own."""
+    def sign(self, style: str) -> str:
+        """The style of an uncertainty that has none of its own, of data in that style."""
         if self.uncertainty:
             return "glyphs"
-        return "noise" if self.data else "transparency"
+        return "noise" if style == "continuous" else "transparency"
