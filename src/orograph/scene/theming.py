@@ -63,7 +63,8 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
 def _things(dataset: Dataset, grid: Grid, priority: Priority) -> Things:
     """What stands for a dataset: for its own points, or for a raster's values on a lattice."""
     from orograph.geovis.data.points import Points, are_points, read_points
-    from orograph.geovis.data.reading import read, values_at
+    from orograph.geovis.data.reading import read
+    from orograph.geovis.data.sampling import values_at
     from orograph.geovis.data.standing import lattice_points, things_of
 
     if are_points(dataset.source):

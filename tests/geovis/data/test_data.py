@@ -19,7 +19,8 @@ from orograph.geovis.data import patterns, signs
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.painting import painted, shown
 from orograph.geovis.data.priority import SCENARIOS, Priority
-from orograph.geovis.data.reading import Positions, bilinear, matches, read
+from orograph.geovis.data.reading import matches, read
+from orograph.geovis.data.sampling import Positions, bilinear
 from orograph.geovis.data.scales import ColorScale, class_breaks, suppressed
 
 UTM = "EPSG:32630"

@@ -19,7 +19,8 @@ from orograph.geovis.color import linear_to_srgb
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.patterns import covered, dotted, hatched
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.reading import Field, Positions, read
+from orograph.geovis.data.reading import Field, read
+from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.scales import ColorScale, spanned
 from orograph.geovis.data.signs import Paint, colored, drawn_values, signed
 from orograph.geovis.data.vectors import arrows, directions, read_vectors

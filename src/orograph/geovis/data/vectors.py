@@ -16,7 +16,8 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.patterns import covered, lattice
-from orograph.geovis.data.reading import Field, Positions, Values, read
+from orograph.geovis.data.reading import Field, Values, read
+from orograph.geovis.data.sampling import Positions
 
 Array = NDArray[np.float64]
 
