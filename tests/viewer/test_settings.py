@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import datetime
 
+import numpy as np
 import pytest
 
+import orograph
 from orograph.errors import UsageError
 from orograph.geovis.layers import Layer
 from orograph.lighting.sun import Moment, Placed, position
@@ -122,3 +124,16 @@ def test_lamps_shine_where_the_light_knows_them(terrain):
     assert len(settings.scene(terrain, view).lighting.lamps) == 1
     settings.light = "relief"
     assert settings.scene(terrain, view).lighting.lamps == ()
+
+
+def test_data_are_painted_once_and_what_stands_is_refused():
+    terrain = orograph.terrain(np.add.outer(np.arange(30.0), np.arange(40.0)).astype(np.float32), spacing=10.0)
+    values = np.linspace(0, 1, 1200, dtype=np.float32).reshape(30, 40)
+    settings = Settings(terrain, data=orograph.Dataset(values, style="continuous"), priority="T-D+U-")
+    view = orograph.camera.whole(terrain, (160, 90))
+    one, two = (settings.scene(terrain, view) for _ in range(2))
+    assert [layer.title for layer in one.data.layers] == ["data"]
+    assert one.data.layers[0] is two.data.layers[0]
+    assert one.lighting.light == "none" and one.annotations.contours is not None
+    with pytest.raises(UsageError, match="pictures and films only"):
+        Settings(terrain, data=orograph.Dataset(values, style="bars"))
