@@ -120,12 +120,12 @@ def blurred(values: Array, u: Array, widest: float) -> Array:
 
     known = np.isfinite(values)
     steps = np.linspace(0, 1, 5)
-    layers: list[Any] = [np.where(known, values, 0)]
+    layers: list[Any] = [np.where(known, values, 0).astype(np.float32)]
     for step in steps[1:]:
-        weight = gaussian_filter(known.astype(np.float64), step * widest)
-        layers.append(gaussian_filter(layers[0], step * widest) / np.maximum(weight, 1e-9))
+        weight = np.float32(1) if known.all() else gaussian_filter(known.astype(np.float32), step * widest)
+        layers.append(gaussian_filter(layers[0], step * widest) / np.maximum(weight, 1e-6))
     at = np.clip(np.nan_to_num(u, nan=1.0), 0, 1) * (len(steps) - 1)
     k = np.minimum(at.astype(int), len(steps) - 2)
     stack = np.stack(layers)
     low, high = (np.take_along_axis(stack, (k + more)[None], 0)[0] for more in (0, 1))
-    return np.where(known, low + (high - low) * (at - k), np.nan)
+    return np.where(known, np.where(at > 0, low + (high - low) * (at - k), values), np.nan)
