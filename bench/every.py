@@ -58,6 +58,7 @@ BENCHES = {
     "layouts": Bench("--size 1025 --frames 10"),
     "measure": Bench("--size 513 --radius 5000"),
     "memory": Bench("--size 1025 --picture 1024x1024"),
+    "methods": Bench("--size 129"),
     "mosaic": Bench("--size 1025 --tiles 4", data=True, least="california-3s-tiles"),
     "movie": Bench("--frames 3 --size 320x180", data=True, least=HGT),
     "occlusion": Bench("--size 32 --radius 300 --only sweep"),
