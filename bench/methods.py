@@ -4,8 +4,8 @@
 
 Bytes are those of a store with what the method needs (``orograph build --for METHOD``) less those of one without any,
 by sample; seconds so likewise, kernels compiled, two threads. Triangles, milliseconds of a selection (the median) and
-the largest error in pixels by the referee are means over the three usual views of ``orograph compare``, 1280 × 720. Without
-a DEM the terrain is synthetic (``orograph synth --seed 7``).
+the largest error in pixels by the referee are means over the three usual views of ``orograph compare``, 1280 × 720.
+Without a DEM the terrain is synthetic (``orograph synth --seed 7``).
 """
 
 from __future__ import annotations
