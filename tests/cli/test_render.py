@@ -582,3 +582,28 @@ def test_a_wrong_view_is_said_before_anything_is_read(run, tmp_path):
     path.write_text('{"eye": [1, 2, 3], "target": [1, 2, 3]}')
     code, _, err = run("render", tmp_path / "not_there.tif", "-o", tmp_path / "a.png", "--view", path)
     assert code == 2 and "v.json" in err and "same point" in err
+
+
+def test_sizes_on_paper(run, dem, tmp_path):
+    out = tmp_path / "a.png"
+    for size, pixels, dpi in (
+        ("4x3cm", (472, 354), 300), ("40x30mm@150", (236, 177), 150), ("1.5x1in@200", (300, 200), 200),
+        ("160x90@96", (160, 90), 96), (" 4 X 3 CM @ 100 ", (157, 118), 100), ("160x90", (160, 90), None),
+    ):  # fmt: skip
+        code, _, err = run("render", dem, "-o", out, "--size", size, "--quiet")
+        assert code == 0, err
+        with Image.open(out) as image:
+            assert image.size == pixels
+            said = image.info.get("dpi", (None, None))
+            assert said == (None, None) if dpi is None else said == pytest.approx((dpi, dpi), abs=0.02)
+    options = ("--size", "16x12cm@300", "--max-memory", "150MiB", "--quiet")
+    code, _, _ = run("render", dem, "-o", tmp_path / "b.jpg", *options)
+    with Image.open(tmp_path / "b.jpg") as image:  # (drawn by bands)
+        assert code == 0 and image.size == (1890, 1417) and image.info["dpi"] == (300, 300)
+
+
+@pytest.mark.parametrize("size", ["20x15km", "20x15cm@", "20x15cm@0", "20.5x15", "0x15cm", "20x15@cm", "0.01x1mm@10"])
+def test_what_is_no_size(run, dem, tmp_path, size):
+    code, out, err = run("render", dem, "-o", tmp_path / "a.png", "--size", size, "--quiet")
+    assert code == 2 and out == "" and ("size" in err or "dots per inch" in err or "pixel" in err)
+    assert not (tmp_path / "a.png").exists()
