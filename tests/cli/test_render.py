@@ -607,3 +607,25 @@ def test_what_is_no_size(run, dem, tmp_path, size):
     code, out, err = run("render", dem, "-o", tmp_path / "a.png", "--size", size, "--quiet")
     assert code == 2 and out == "" and ("size" in err or "dots per inch" in err or "pixel" in err)
     assert not (tmp_path / "a.png").exists()
+
+
+def test_places_far_outside_are_told_with_distance_and_border(run, dem, tmp_path):
+    move = Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True)
+    options = ("-o", tmp_path / "a.png", "--size", "160x90")
+    lon, lat = move.transform(501_500, 3_999_000)
+    eye = ("--lonlat", f"{lon},{lat},3000")
+    refused(
+        run("render", dem, *eye, "--look-at", f"{lon},{lat + 3}", *options, "--quiet"), 2,
+        "no ground to look at", "332 km beyond the terrain's northern border",
+    )  # fmt: skip
+    code, _, err = run("render", dem, *eye, "--look-at", f"{lon},{lat + 0.015}", *options)
+    assert code == 0 and "beyond" not in err  # (a little outside: the horizon there)
+    code, _, err = run("render", dem, "--lonlat", f"{lon - 0.6},{lat},20000", *options)
+    assert code == 0 and "the eye stands 53 km beyond the terrain's western border, which is 3.84 km across" in err
+    code, _, err = run("render", dem, "--lonlat", f"{lon - 0.6},{lat},20000", "--fov", "3", *options)
+    assert code == 0 and "the eye stands" not in err
+    (tmp_path / "v.json").write_text(
+        json.dumps({"eye": [410_000, 3_999_000, 900], "target": [300_000, 3_999_000, 900]})
+    )
+    refused(run("render", dem, "--view", tmp_path / "v.json", *options, "--quiet"), 5,
+            "90 km beyond the terrain's western border, and looks")  # fmt: skip
