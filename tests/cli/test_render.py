@@ -582,3 +582,50 @@ def test_a_wrong_view_is_said_before_anything_is_read(run, tmp_path):
     path.write_text('{"eye": [1, 2, 3], "target": [1, 2, 3]}')
     code, _, err = run("render", tmp_path / "not_there.tif", "-o", tmp_path / "a.png", "--view", path)
     assert code == 2 and "v.json" in err and "same point" in err
+
+
+def test_sizes_on_paper(run, dem, tmp_path):
+    out = tmp_path / "a.png"
+    for size, pixels, dpi in (
+        ("4x3cm", (472, 354), 300), ("40x30mm@150", (236, 177), 150), ("1.5x1in@200", (300, 200), 200),
+        ("160x90@96", (160, 90), 96), (" 4 X 3 CM @ 100 ", (157, 118), 100), ("160x90", (160, 90), None),
+    ):  # fmt: skip
+        code, _, err = run("render", dem, "-o", out, "--size", size, "--quiet")
+        assert code == 0, err
+        with Image.open(out) as image:
+            assert image.size == pixels
+            said = image.info.get("dpi", (None, None))
+            assert said == (None, None) if dpi is None else said == pytest.approx((dpi, dpi), abs=0.02)
+    options = ("--size", "16x12cm@300", "--max-memory", "150MiB", "--quiet")
+    code, _, _ = run("render", dem, "-o", tmp_path / "b.jpg", *options)
+    with Image.open(tmp_path / "b.jpg") as image:  # (drawn by bands)
+        assert code == 0 and image.size == (1890, 1417) and image.info["dpi"] == (300, 300)
+
+
+@pytest.mark.parametrize("size", ["20x15km", "20x15cm@", "20x15cm@0", "20.5x15", "0x15cm", "20x15@cm", "0.01x1mm@10"])
+def test_what_is_no_size(run, dem, tmp_path, size):
+    code, out, err = run("render", dem, "-o", tmp_path / "a.png", "--size", size, "--quiet")
+    assert code == 2 and out == "" and ("size" in err or "dots per inch" in err or "pixel" in err)
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_places_far_outside_are_told_with_distance_and_border(run, dem, tmp_path):
+    move = Transformer.from_crs("EPSG:32611", "EPSG:4326", always_xy=True)
+    options = ("-o", tmp_path / "a.png", "--size", "160x90")
+    lon, lat = move.transform(501_500, 3_999_000)
+    eye = ("--lonlat", f"{lon},{lat},3000")
+    refused(
+        run("render", dem, *eye, "--look-at", f"{lon},{lat + 3}", *options, "--quiet"), 2,
+        "no ground to look at", "332 km beyond the terrain's northern border",
+    )  # fmt: skip
+    code, _, err = run("render", dem, *eye, "--look-at", f"{lon},{lat + 0.015}", *options)
+    assert code == 0 and "beyond" not in err  # (a little outside: the horizon there)
+    code, _, err = run("render", dem, "--lonlat", f"{lon - 0.6},{lat},20000", *options)
+    assert code == 0 and "the eye stands 53 km beyond the terrain's western border, which is 3.84 km across" in err
+    code, _, err = run("render", dem, "--lonlat", f"{lon - 0.6},{lat},20000", "--fov", "3", *options)
+    assert code == 0 and "the eye stands" not in err
+    (tmp_path / "v.json").write_text(
+        json.dumps({"eye": [410_000, 3_999_000, 900], "target": [300_000, 3_999_000, 900]})
+    )
+    refused(run("render", dem, "--view", tmp_path / "v.json", *options, "--quiet"), 5,
+            "90 km beyond the terrain's western border, and looks")  # fmt: skip

@@ -110,7 +110,7 @@ def test_looking_away_is_an_error():
     ground = terrain(hills())
     view = camera.whole(ground, SIZE)
     away = View(view.eye, tuple(2 * e - t for e, t in zip(view.eye, view.target)), width=160, height=90)
-    with pytest.raises(NothingInViewError, match="outside its area and looks towards"):
+    with pytest.raises(NothingInViewError, match="beyond the terrain's southern border, and looks towards"):
         cpu.draw(Scene.of(ground, away))
     x, y = (float(v) for v in ground.grid.xy(40, 30))
     with pytest.raises(NothingInViewError, match="above or under its area"):

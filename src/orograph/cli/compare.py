@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from orograph.cli import refining
-from orograph.cli.camera import Size
+from orograph.cli.camera import SIZES, Size, dpi_of
 from orograph.cli.options import FILE, progress_of, source_of
 from orograph.errors import OrographError
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     "--methods", "every", type=click.Choice(["all"]), help="All methods, besides those of --method.  [default]"
 )
 @refining.goal_options
-@click.option("--size", type=Size(), help="The views' size in pixels.  [default: 1280x720, or the files']")
+@click.option("--size", type=Size(), help=f"The views' size{SIZES}.  [default: 1280x720, or the files']")
 @click.option(
     "--judged",
     type=click.IntRange(min=1),
@@ -89,7 +89,7 @@ def command(
     refine = {name: options[name] for name in refining.REFINE}
     found = compare(
         list(paths), views, flight=flight, judged=judged, methods=(*(["all"] * bool(every)), *method),
-        size=size, picture=picture, max_memory=max_memory, jobs=jobs, progress=progress,
+        size=size, picture=picture, dpi=dpi_of(size), max_memory=max_memory, jobs=jobs, progress=progress,
         **refine, **source_of(options, set(refining.REFINE)),
     )  # fmt: skip
     told = _told(found) | {"picture": picture, "seconds_in_all": round(time.perf_counter() - began, 3)}

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from orograph.cli.camera import Size
+from orograph.cli.camera import SIZES, Size, dpi_of
 from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
@@ -42,7 +42,7 @@ OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 )
 @click.option("--tour", "tour_path", type=FILE, metavar="TOUR.json", help="The key frames; see docs/movies.md.")
 @tour_options
-@click.option("--size", type=Size(), help="The frames' size in pixels.  [default: the tour's, or 1280x720]")
+@click.option("--size", type=Size(), help=f"The frames' size{SIZES}.  [default: the tour's, or 1280x720]")
 @click.option("--fps", type=Float(), metavar="N", help="Frames per second.  [default: the tour's, or 30]")
 @click.option("--from", "begin", type=Float(), metavar="S", help="Begin here in the tour.  [default: 0]")
 @click.option("--to", "end", type=Float(), metavar="S", help="End here.  [default: the tour's end]")
@@ -121,7 +121,9 @@ def command(
     film = Film(
         tour, scene, draw=draw, fps=options["fps"], first=options["begin"], last=options["end"], progress=progress
     )
-    drawn = shoot(film, output, size, crf=crf, overwrite=overwrite, jobs=jobs, progress=progress)
+    drawn = shoot(
+        film, output, size, crf=crf, overwrite=overwrite, jobs=jobs, progress=progress, dpi=dpi_of(options["size"])
+    )
     seconds = time.perf_counter() - began
     if as_json:
         told = {

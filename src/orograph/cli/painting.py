@@ -25,7 +25,7 @@ def painted(
     """
     from dataclasses import replace
 
-    from orograph.cli.camera import camera_view
+    from orograph.cli.camera import camera_view, dpi_of
     from orograph.measuring.paint import save_paint
     from orograph.measuring.viewshed import Summary
     from orograph.rendering.api import render
@@ -38,7 +38,7 @@ def painted(
         picture = render(
             terrain, view, layers=drape if told.seen else (), max_memory=max_memory, jobs=jobs, progress=progress,
         )  # fmt: skip
-    replace(picture, pixels=_marked(picture, shed)).save(path)
+    replace(picture, pixels=_marked(picture, shed)).save(path, dpi=dpi_of(camera["size"]))
     return told.result()
 
 

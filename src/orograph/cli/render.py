@@ -10,7 +10,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, check_camera
+from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, check_camera, dpi_of
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
     FILE,
@@ -58,7 +58,7 @@ def command(
     Examples:
       orograph render N44W072.hgt -o relief.png
       orograph render tiles/*.tif -o area.png --from 225 --pitch 30 --sky
-      orograph render dem.tif -o map.png --projection plan --furniture --size 2000x2000
+      orograph render dem.tif -o map.png --projection plan --furniture --size 20x15cm@300
       orograph render dem.tif -o summit.png --lonlat -71.3,44.2,2500 --look-at -71.303,44.270
       orograph render dem.tif -o mesh.png --method soar --wireframe --tolerance 2
     """
@@ -90,7 +90,7 @@ def command(
         check_folder(Path(file))
     said = ctx.get_parameter_source("max_memory") is not ParameterSource.DEFAULT
 
-    gpu = options["backend"] == "gpu"
+    gpu, dpi = options["backend"] == "gpu", dpi_of(options["size"])
 
     def by_bands(size: tuple[int, int]) -> bool:
         """Whether a picture is drawn by bands; UsageError where it is not, and does not fit into memory."""
@@ -110,7 +110,7 @@ def command(
             draws = session(progress, backend=options["backend"])
             facts = draw_large(
                 scene, output, depth=depth, draw=draws, across=ACROSS if gpu else None, progress=progress,
-                pixels=band_pixels(max_memory, gpu=gpu),
+                pixels=band_pixels(max_memory, gpu=gpu), dpi=dpi,
             )  # fmt: skip
         else:
             picture = draw(scene, progress, backend=options["backend"])
@@ -124,7 +124,7 @@ def command(
             error.remedy = "See what the file holds with orograph info."
         raise
     if not large:
-        picture.save(output)
+        picture.save(output, dpi=dpi)
         if depth:
             picture.save_depth(depth)
     if save_view:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from orograph.cli.camera import Size
+from orograph.cli.camera import SIZES, Size
 from orograph.cli.files import check_outputs
 from orograph.cli.options import FILE, grid_options, jobs_option, memory_option, progress_of, source_of, source_options
 from orograph.cli.scenes import scene_option
@@ -26,7 +26,7 @@ def command() -> None:
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...")
 @click.option("--output", "-o", required=True, type=FILE, metavar="TOUR.json", help="The tour.")
 @tour_options
-@click.option("--size", type=Size(), default="1280x720", show_default=True, help="The pictures' size in pixels.")
+@click.option("--size", type=Size(), default="1280x720", show_default=True, help=f"The pictures' size{SIZES}.")
 @scene_option("exaggeration", help="Heights will be stretched so.")
 @grid_options("draw")
 @source_options

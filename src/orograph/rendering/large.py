@@ -32,6 +32,7 @@ from orograph.parallel import aside
 from orograph.progress import SILENT, Progress
 from orograph.rendering.backends import Session, session
 from orograph.rendering.memory import BYTES_PER_PIXEL, amount, band_pixels
+from orograph.rendering.metadata import check_dpi, stamp, tiff_tags
 from orograph.rendering.picture import picture_format, plan_grid
 from orograph.scene.scene import Scene
 
@@ -63,6 +64,7 @@ def is_large(size: tuple[int, int], max_memory: int | None, *, gpu: bool = False
 def draw_large(
     scene: Scene, path: str | os.PathLike[str], *, depth: str | os.PathLike[str] | None = None,
     draw: Session | None = None, progress: Progress = SILENT, pixels: int | None = None, across: int | None = None,
+    dpi: float | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Draw a scene into a file, within ``scene.budget.max_memory`` whatever the picture's size.
 
@@ -74,6 +76,7 @@ def draw_large(
         progress: hears of it.
         pixels: how many are drawn at a time; None: as many as ``memory.band_pixels`` says.
         across: columns that a tile has at most; None: as many as the picture, if so many pixels make ``ROWS`` of them.
+        dpi: dots per inch in print; None: not said.
 
     Returns:
         the picture's facts, as in ``Picture``.
@@ -85,6 +88,7 @@ def draw_large(
     """
     out, view = Path(path), scene.view
     kind = picture_format(out)
+    check_dpi(dpi)
     most = MOST.get(kind)
     if most is not None and max(view.width, view.height) > most:
         raise UsageError(f"A {kind} has at most {most} × {most} pixels, not {view.width} × {view.height}.", path=out,
@@ -113,7 +117,7 @@ def draw_large(
             sheet.furnish()
         scratch.close()
         with progress.task(f"Writing {out.name}"):
-            aside(lambda: encode(scratch, kind, place, scene.attribution))
+            aside(lambda: encode(scratch, kind, place, scene.attribution, dpi))
     sheet.facts["seconds"] = {"all": round(time.perf_counter() - began, 4)}
     return sheet.facts
 
@@ -251,7 +255,7 @@ class Scratch:
             self.file.write(np.ascontiguousarray(line).data)
 
     def described(self, attribution: tuple[str, ...]) -> Path:
-        """What GDAL reads with metadata that name the makers, for PNG and EXIF (it writes none into WebP)."""
+        """What GDAL reads with metadata that name the makers, for PNG and EXIF (into WebP ``stamp`` writes them)."""
         if not attribution:
             return self.path
         import rasterio.shutil
@@ -303,7 +307,9 @@ class DepthFile:
         self.stack.__exit__(*error)
 
 
-def encode(scratch: Scratch, kind: str, place: Grid | None, attribution: tuple[str, ...] = ()) -> None:
+def encode(
+    scratch: Scratch, kind: str, place: Grid | None, attribution: tuple[str, ...] = (), dpi: float | None = None
+) -> None:
     """Write what is in the scratch file as a picture, reading and writing a few rows at a time.
 
     Raises:
@@ -326,11 +332,12 @@ def encode(scratch: Scratch, kind: str, place: Grid | None, attribution: tuple[s
                 part, "w", driver=driver, width=scratch.width, height=scratch.height, count=3, dtype="uint8",
                 interleave="pixel", **options[kind], **located(place),
             ) as file:  # fmt: skip
-                file.update_tags(**copyright_tags(attribution))
+                file.update_tags(**copyright_tags(attribution), **tiff_tags(dpi))
                 for _, window in source.block_windows(1):
                     file.write(source.read(window=window), window=window)
         else:
             rasterio.shutil.copy(scratch.described(attribution), part, driver=driver, **options[kind])
+            stamp(part, kind, attribution, dpi)
 
 
 def located(place: Grid | None) -> dict[str, Any]:

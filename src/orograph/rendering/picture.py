@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +15,12 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from orograph.cards import png
-from orograph.dem.header import copyright_tags, plain_copyright
+from orograph.dem.header import copyright_tags
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.color import Tint
 from orograph.output import Beside
+from orograph.rendering.metadata import check_dpi, tiff_tags, told
 from orograph.viewpoint import View
 
 if TYPE_CHECKING:
@@ -114,18 +116,23 @@ class Picture:
 
         return to_xarray(self)
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
+    def save(self, path: str | os.PathLike[str], *, dpi: float | None = None) -> Path:
         """Write the picture; the format follows the ending (png, jpg, webp, tif). A plan as .tif is a GeoTIFF.
 
+        Args:
+            dpi: dots per inch, by which programs that print know how large it is; None: not said.
+
         Raises:
-            UsageError: the ending is unknown. OutputError: the file cannot be written.
+            UsageError: the ending is unknown, or the resolution none. OutputError: the file cannot be written.
         """
         out = Path(path)
         kind = picture_format(out)
+        check_dpi(dpi)
         if kind == "TIFF" and self.grid is not None:
-            self._write_tiff(out, self.pixels.transpose(2, 0, 1), {"photometric": "RGB", "predictor": 2})
+            creation = {"photometric": "RGB", "predictor": 2}
+            self._write_tiff(out, self.pixels.transpose(2, 0, 1), creation, tags=tiff_tags(dpi))
             return out
-        return save_pixels(self.pixels, out, self.attribution)
+        return save_pixels(self.pixels, out, self.attribution, dpi)
 
     def save_depth(self, path: str | os.PathLike[str]) -> Path:
         """Write the depth as a float32 TIFF, metres, NaN where nothing is hit; that of a plan is a GeoTIFF.
@@ -138,8 +145,9 @@ class Picture:
         return out
 
     def _write_tiff(
-        self, out: Path, bands: NDArray[Any], creation: dict[str, Any], description: str | None = None
-    ) -> None:
+        self, out: Path, bands: NDArray[Any], creation: dict[str, Any], description: str | None = None,
+        tags: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
         """Write bands (count, height, width) deflated, with the plan's place if this is one."""
         import rasterio
 
@@ -156,7 +164,7 @@ class Picture:
                 profile["crs"] = self.grid.crs.to_wkt()
         with raster_file(out) as part, rasterio.open(part, "w", **profile) as file:
             file.write(bands)
-            file.update_tags(**copyright_tags(self.attribution))
+            file.update_tags(**copyright_tags(self.attribution), **(tags or {}))
             if description is not None:
                 file.set_band_description(1, description)
 
@@ -174,37 +182,21 @@ def plan_grid(view: View, crs: CRS | None) -> Grid | None:
     return Grid((view.height, view.width), transform, crs)
 
 
-def _credited(kind: str, attribution: tuple[str, ...]) -> dict[str, Any]:
-    """What Pillow writes into a file to name the makers of what it shows."""
-    from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
-
-    text = "; ".join(attribution)
-    if not text:
-        return {}
-    if kind == "PNG":
-        info = PngInfo()
-        info.add_text("Copyright", text)
-        return {"pnginfo": info}
-    if kind == "TIFF":
-        return {"tiffinfo": {COPYRIGHT: plain_copyright(attribution)}}
-    exif = Image.Exif()
-    exif[COPYRIGHT] = plain_copyright(attribution)
-    return {"exif": exif}
-
-
-def save_pixels(pixels: NDArray[np.uint8], out: Path, attribution: tuple[str, ...] = ()) -> Path:
+def save_pixels(
+    pixels: NDArray[np.uint8], out: Path, attribution: tuple[str, ...] = (), dpi: float | None = None
+) -> Path:
     """Write pixels (height, width, 3) in the format that the path's ending stands for.
 
     Args:
-        attribution: whom to name in the file's metadata.
+        attribution: whom to name in the file's metadata. dpi: dots per inch in print; None: not said.
 
     Raises:
-        UsageError: the ending is unknown. OutputError: the file cannot be written.
+        UsageError: the ending is unknown, or the resolution none. OutputError: the file cannot be written.
     """
     from PIL import Image
 
     kind = picture_format(out)
+    check_dpi(dpi)
     every: dict[str, dict[str, Any]] = {
         "PNG": {"compress_level": 4},
         "JPEG": {"quality": 92, "subsampling": 0},
@@ -212,14 +204,11 @@ def save_pixels(pixels: NDArray[np.uint8], out: Path, attribution: tuple[str, ..
         "TIFF": {"compression": "tiff_deflate"},
     }
     encoded = io.BytesIO()  # not the file: of a full disk libtiff speaks for itself
-    Image.fromarray(pixels).save(encoded, format=kind, **every[kind], **_credited(kind, attribution))
+    Image.fromarray(pixels).save(encoded, format=kind, **every[kind], **told(kind, attribution, dpi))
     with Beside(out) as part:
         part.write_bytes(encoded.getbuffer())
     return out
 
-
-COPYRIGHT = 0x8298
-"""The tag of TIFF and EXIF."""
 
 FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP", ".tif": "TIFF", ".tiff": "TIFF"}
 

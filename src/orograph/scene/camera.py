@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError, UsageError
-from orograph.geo.transform import place
+from orograph.geo.beyond import beyond
+from orograph.geo.transform import far_outside, place
 from orograph.scene.parts import check_exaggeration
 from orograph.store.opening import takes_terrain
 from orograph.store.terrain import TILE, Terrain
@@ -288,7 +289,8 @@ def standing(
         fov_y: vertical field of view, degrees.
 
     Raises:
-        UsageError: the terrain has no CRS, a place cannot be brought to it, or its two numbers seem to be swapped.
+        UsageError: the terrain has no CRS, a place cannot be brought to it, its two numbers seem to be swapped, or what
+            is to be looked at lies more than the terrain's width or height outside of it.
     """
     x, y = place(terrain.grid, eye[0], eye[1])
     points = outline(terrain)
@@ -296,6 +298,12 @@ def standing(
         tx, ty = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     else:
         tx, ty = place(terrain.grid, *look_at)
+        if far_outside(terrain.grid, tx, ty):
+            raise UsageError(
+                f"There is no ground to look at near longitude {look_at[0]:g}, latitude {look_at[1]:g}: it lies "
+                f"{beyond(terrain.grid, tx, ty)}.", path=terrain.name,
+                remedy="Longitude comes first, then latitude; orograph info tells where the terrain lies.",
+            )  # fmt: skip
     z = ground(terrain, tx, ty, default=float(np.median(points[:, 2])))
     return View((x, y, eye[2]), (tx, ty, z), fov_y=fov_y, width=size[0], height=size[1])
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+from orograph.geo.beyond import beyond
 from orograph.geo.transform import far_outside
 from orograph.scene.camera import ground
 from orograph.scene.scene import Scene
@@ -21,6 +22,9 @@ TALL = 1e5
 NEEDLE = 100.0
 """How many times as tall as wide a terrain may be to be looked for in a picture of all of it."""
 
+
+SMALL = 0.1
+"""Part of the picture's height; a terrain that fills less of it may have been meant to be elsewhere."""
 
 LEAVE_CAMERA = "Leave the camera options away to see all of it."
 
@@ -37,6 +41,15 @@ def _eye(scene: Scene) -> str | None:
         if not z < top:
             return None
         return f"the plan's eye is at {z:.0f} m: what rises above it, up to {top:.0f} m, is left out."
+    far = beyond(scene.terrain.grid, x, y)
+    if far is not None:
+        across = _across(scene)
+        if across < SMALL * far.metres * 2 * math.tan(math.radians(scene.view.fov_y) / 2):
+            return (
+                f"the eye stands {far}, which is {across / 1000:,.3g} km across: from there it fills less than "
+                f"{SMALL:.0%} of the picture's height."
+            )
+        return None
     height = ground(scene.terrain, x, y, default=math.nan)
     if not z < height:
         return None
@@ -60,20 +73,25 @@ def _looks_like_degrees(scene: Scene) -> bool:
     return far_outside(scene.terrain.grid, x, y)
 
 
+def _across(scene: Scene) -> float:
+    """Metres from corner to opposite corner of the terrain."""
+    rows, cols = scene.terrain.grid.shape
+    return math.hypot(*(n * s for n, s in zip((cols, rows), scene.terrain.grid.spacing, strict=True)))
+
+
 def why_empty(scene: Scene) -> str:
     """Why nothing of a terrain is in view, a sentence or two."""
     view, terrain = scene.view, scene.terrain
-    (low, high), (rows, cols) = terrain.height_range, terrain.grid.shape
-    wide = math.hypot(*(n * s for n, s in zip((cols, rows), terrain.grid.spacing, strict=True)))
+    low, high = terrain.height_range
+    wide = _across(scene)
     tall = (high - low) * scene.surface.exaggeration
     if tall > NEEDLE * wide:
         return (
             f"Nothing of the terrain is in view: it is {wide:,.0f} m across and {tall:,.0f} m tall, which is thinner "
             "than a pixel where all of it is in view."
         )
-    col, row = (float(v) for v in terrain.grid.index(view.eye[0], view.eye[1]))
-    inside = 0 <= col <= cols - 1 and 0 <= row <= rows - 1
-    place = "above or under its area" if inside else "outside its area"
+    far = beyond(terrain.grid, view.eye[0], view.eye[1])
+    place = "above or under its area" if far is None else f"{far},"
     return (
         f"Nothing of the terrain is in view: the eye at ({view.eye[0]:.0f}, {view.eye[1]:.0f}, {view.eye[2]:.0f}) is "
         f"{place} and looks towards ({view.target[0]:.0f}, {view.target[1]:.0f}, {view.target[2]:.0f})."

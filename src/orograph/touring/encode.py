@@ -254,12 +254,14 @@ class Pictures:
         path: with a number in its name, such as frames/%05d.png; its folder is made.
         fingerprint: of the film (``Film.fingerprint``): frames of another are never mixed with these.
         overwrite: draw all frames anew. attribution: whom to name in the files' metadata.
+        dpi: dots per inch that they say; None: nothing.
     """
 
     def __init__(
-        self, path: str | Path, fingerprint: str, overwrite: bool = False, attribution: Sequence[str] = ()
-    ) -> None:
-        self.attribution = tuple(attribution)
+        self, path: str | Path, fingerprint: str, overwrite: bool = False, attribution: Sequence[str] = (),
+        dpi: float | None = None,
+    ) -> None:  # fmt: skip
+        self.attribution, self.dpi = tuple(attribution), dpi
         self.path, self.fingerprint, self.overwrite = Path(path), fingerprint, overwrite
         self.sign = self.path.with_name(f".{NUMBERED.sub('N', self.path.name)}.film")
         self.made: list[Path] = []
@@ -310,7 +312,7 @@ class Pictures:
     def add(self, number: int, pixels: Pixels) -> None:
         from orograph.rendering.picture import save_pixels
 
-        save_pixels(pixels, self.of(number), self.attribution)
+        save_pixels(pixels, self.of(number), self.attribution, self.dpi)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -19,6 +19,7 @@ from orograph.lod.registry import METHODS, Choice
 from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.rendering.comparison import Panel, caption, panel_view, sheet, usual_views
+from orograph.rendering.metadata import check_dpi
 from orograph.rendering.picture import Picture, picture_format
 from orograph.reporting import reporting
 from orograph.scene.methods import MEMORY, made
@@ -110,6 +111,7 @@ def compare(
     exaggeration: float = 1.0,
     size: tuple[int, int] | None = None,
     picture: str | os.PathLike[str] | None = None,
+    dpi: float | None = None,
     max_memory: int | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
@@ -129,6 +131,7 @@ def compare(
         exaggeration: how heights are stretched on the screen.
         size: of the views, pixels; None: their own, of the usual ones 1280 × 720.
         picture: also draw the first view's meshes side by side, into this file.
+        dpi: dots per inch that the picture's file says; None: nothing.
         max_memory: bytes that heights may take. jobs: threads. progress: hears of it; False: nothing is said.
 
     Returns:
@@ -148,6 +151,7 @@ def compare(
     check_exaggeration(exaggeration)
     if picture is not None:
         picture_format(Path(picture))
+        check_dpi(dpi)
         check_folder(Path(picture))
     errors = kinds_of(need for choice in choices for need in choice.method.needs(choice.options))
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, errors=errors, called="compare", **reading)
@@ -162,7 +166,7 @@ def compare(
             heard.warn(not_enough(goal.triangles, name, m.beyond))
     if picture is not None:
         drawn = [choice for choice in choices if choice.info.kind != "rays"]
-        _draw(means, next(iter(seen.values())), drawn).save(picture)
+        _draw(means, next(iter(seen.values())), drawn).save(picture, dpi=dpi)
     return found
 
 

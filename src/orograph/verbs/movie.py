@@ -106,16 +106,19 @@ def without(tour: Tour, options: Iterable[str]) -> Tour:
 
 def shoot(
     film: Film, path: str, size: tuple[int, int], *, crf: int | None, overwrite: bool, jobs: int | None,
-    progress: Progress,
+    progress: Progress, dpi: float | None = None,
 ) -> int:  # fmt: skip
     """Draw the frames of a film into its file or its pictures; how many were drawn, and were not there already.
+
+    Args:
+        dpi: dots per inch that pictures say; None: nothing.
 
     Raises:
         KeyboardInterrupt: it was stopped; a note says what there is.
     """
     writer: Pictures | Video
     if is_numbered(path):
-        writer = Pictures(path, film.fingerprint(), overwrite, film.base.attribution)
+        writer = Pictures(path, film.fingerprint(), overwrite, film.base.attribution, dpi)
     else:
         writer = Video(path, size, film.tour.fps, crf=crf, jobs=jobs, attribution=film.base.attribution)
     drawn, number = 0, film.numbers[0]
