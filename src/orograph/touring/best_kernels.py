@@ -17,29 +17,56 @@ LEAST = 1e-4
 
 
 @inlined
-def quality(eye, axes, slopes, fitting, point, kind, axis):
-    """q of a piece in a camera's picture if nothing hides it, 0 to 1, but for its light (docs/best-view.md)."""
-    dx, dy, dz = point[0] - eye[0], point[1] - eye[1], point[2] - eye[2]
-    depth = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
-    across = abs(axes[0, 0] * dx + axes[0, 1] * dy)
-    above = abs(axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz)
-    q = 0.0
-    if depth > 0.0 and across <= slopes[0] * depth and above <= slopes[1] * depth:
-        far2 = dx * dx + dy * dy + dz * dz
-        far = np.sqrt(far2)
-        near = min(1.0, fitting / far)
-        facing = (axis[0] * dx + axis[1] * dy + axis[2] * dz) / far
-        if kind == 2:
-            q = max(-facing, 0.0) * near * near
-        elif kind == 1:
-            q = np.sqrt(max(1.0 - facing * facing, 0.0)) * near
-        else:
-            q = near
-    return q
+def camera(eyes, axes, slopes, fitting, m):
+    """The numbers of camera m that ``quality`` takes."""
+    return (
+        eyes[m, 0], eyes[m, 1], eyes[m, 2], axes[m, 0, 0], axes[m, 0, 1], axes[m, 1, 0], axes[m, 1, 1], axes[m, 1, 2],
+        axes[m, 2, 0], axes[m, 2, 1], axes[m, 2, 2], slopes[m, 0], slopes[m, 1], fitting[m],
+    )  # fmt: skip
+
+
+@inlined
+def quality(cam, points, axis, i, kind):
+    """q of piece i in a camera's picture if nothing hides it, 0 to 1, but for its light (docs/best-view.md).
+
+    There are no branches, and ``kind`` is a constant where it counts: loops over pieces become vector instructions.
+    """
+    ex, ey, ez, rx, ry, ux, uy, uz, fx, fy, fz, tx, ty, fit = cam
+    dx, dy, dz = points[0, i] - ex, points[1, i] - ey, points[2, i] - ez
+    depth = fx * dx + fy * dy + fz * dz
+    across, above = abs(rx * dx + ry * dy), abs(ux * dx + uy * dy + uz * dz)
+    inside = (across <= tx * depth) & (above <= ty * depth)  # so the depth is not negative
+    near = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+    facing = (axis[0, i] * dx + axis[1, i] * dy + axis[2, i] * dz) * near
+    near = min(1.0, fit * near)
+    if kind == 2:
+        q = max(-facing, 0.0) * near * near
+    elif kind == 1:
+        q = np.sqrt(max(1.0 - facing * facing, 0.0)) * near
+    else:
+        q = near
+    return q if inside else 0.0
 
 
 @kernel
-def values(eyes, axes, slopes, fitting, points, kind, axis, weight, best, needed, first, last, out):
+def qualities(eyes, axes, slopes, fitting, m, points, spans, axis, out):
+    """``quality`` of all pieces for camera m.
+
+    Args:
+        points, axis: (3, n); spans: (4,) the first piece of each kind, and n.
+        out: (n,).
+    """
+    cam = camera(eyes, axes, slopes, fitting, m)
+    for i in range(spans[0], spans[1]):
+        out[i] = quality(cam, points, axis, i, 0)
+    for i in range(spans[1], spans[2]):
+        out[i] = quality(cam, points, axis, i, 1)
+    for i in range(spans[2], spans[3]):
+        out[i] = quality(cam, points, axis, i, 2)
+
+
+@kernel
+def values(eyes, axes, slopes, fitting, points, spans, axis, weight, best, needed, first, last, out):
     """What cameras [first, last) add to what is seen already: Σ weight·max(q − best, 0) over the pieces they see.
 
     Args:
@@ -48,19 +75,23 @@ def values(eyes, axes, slopes, fitting, points, kind, axis, weight, best, needed
             bound results.
         out: (last − first,) float64.
     """
+    q = np.empty(points.shape[1])
     for m in range(first, last):
+        qualities(eyes, axes, slopes, fitting, m, points, spans, axis, q)
+        height = eyes[m, 2]
+        for i in range(len(q)):
+            more = weight[i] * max(q[i] - best[i], 0.0)
+            q[i] = more if height >= needed[i] else 0.0
         s = 0.0
-        for i in range(points.shape[0]):
-            if eyes[m, 2] >= needed[i]:
-                q = quality(eyes[m], axes[m], slopes[m], fitting[m], points[i], kind[i], axis[i])
-                s += weight[i] * max(q - best[i], 0.0)
+        for i in range(len(q)):
+            s += q[i]
         out[m - first] = s
 
 
 @kernel
 def look(
     z, maxima, offset, per_row, at, place, lowest, heights, order, a, b,
-    eyes, axes, slopes, fitting, points, kind, axis, weight, best, needed, first, last, out,
+    eyes, axes, slopes, fitting, points, spans, axis, weight, best, needed, first, last, out,
 ):  # fmt: skip
     """Find ``needed`` of pieces order[a:b] from one place, and take what its cameras do not see from their values.
 
@@ -78,18 +109,11 @@ def look(
         )
         needed[i] = h
         if h > lowest:
+            kind = 0 if i < spans[1] else 1 if i < spans[2] else 2
             for m in range(first, last):
                 if eyes[m, 2] < h:
-                    q = quality(eyes[m], axes[m], slopes[m], fitting[m], points[i], kind[i], axis[i])
+                    q = quality(camera(eyes, axes, slopes, fitting, m), points, axis, i, kind)
                     out[m - first] -= weight[i] * max(q - best[i], 0.0)
-
-
-@kernel
-def shown(eye, axes, slopes, fitting, points, kind, axis, height, needed, out):
-    """(n,) q of the pieces that one camera sees; −1 of those that are hidden or beside its picture."""
-    for i in range(points.shape[0]):
-        q = quality(eye, axes, slopes, fitting, points[i], kind[i], axis[i])
-        out[i] = q if q > 0.0 and height >= needed[i] else -1.0
 
 
 @kernel

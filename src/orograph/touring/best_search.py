@@ -28,7 +28,7 @@ from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.touring.best_cameras import Cameras
-from orograph.touring.best_kernels import lit, look, shown, values
+from orograph.touring.best_kernels import lit, look, qualities, values
 from orograph.touring.best_target import AREA, Target
 
 Array = NDArray[np.float64]
@@ -142,7 +142,8 @@ class Search:
             self._above()
         self.light = np.ones(len(self._points)) if sun is None else self._lit(terrain, sun)
         weight = target.weight * self.light
-        self._pieces = self._points, target.kind, target.axis, weight
+        spans = np.searchsorted(target.kind, np.arange(4))
+        self._pieces = np.ascontiguousarray(self._points.T), spans, np.ascontiguousarray(target.axis.T), weight
         self._cameras = cams.eyes, cams.axes(), cams.slopes(), cams.fitting()
         self._order = np.random.default_rng(SEED).permutation(len(self._points))
         self._needed: dict[int, Array] = {}
@@ -249,13 +250,8 @@ class Search:
         """(n,) q with its light of the pieces that a camera sees, all of which were looked at; NaN of others."""
         p = int(np.searchsorted(self.cams.first, camera, "right")) - 1
         out = np.empty(len(self._points))
-        shown(
-            *(part[camera] for part in self._cameras),
-            *self._pieces[:3],
-            self.cams.eyes[camera, 2],
-            self._needed[p],
-            out,
-        )
+        qualities(*self._cameras, camera, *self._pieces[:3], out)
+        out[self.cams.eyes[camera, 2] < self._needed[p]] = 0.0
         return np.where(out > 0.0, out * self.light, np.nan)
 
     def _above(self) -> None:

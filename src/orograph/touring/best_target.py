@@ -41,7 +41,7 @@ class Target:
 
     Attributes:
         points: (n, 3) easting, northing and height of each.
-        kind: (n,) int64, ``POINT``, ``TRACK`` or ``AREA``.
+        kind: (n,) int64, ``POINT``, ``TRACK`` or ``AREA``; points are first, areas last.
         axis: (n, 3) the unit normal of an area's piece, the unit direction of a track's; zero of a point's.
         weight: (n,) of each, 1 in all (less by what lies beside the terrain).
         owner: (n,) int64, the number of the geometry it belongs to. count: how many geometries there are.
@@ -112,7 +112,9 @@ def read_target(terrain: Terrain, given: Any, pieces: int, progress: Progress = 
         progress.warn(f"{100 * (~known).mean():.3g} % of the target lies beside the terrain or in its holes.")
     weight = size[known] / shared[owner[known]] / len(shapes)
     points = np.column_stack([places, heights])[known]
-    return Target(points, kind[known], axis[known], weight, owner[known], len(shapes))
+    order = np.argsort(kind[known], kind="stable")
+    parts = (part[order] for part in (points, kind[known], axis[known], weight, owner[known]))
+    return Target(*parts, len(shapes))
 
 
 def _shapes(terrain: Terrain, given: Any) -> tuple[list[tuple[int, list[Array]]], str | None]:
