@@ -26,26 +26,28 @@ def camera(eyes, axes, slopes, fitting, m):
 
 
 @inlined
-def quality(cam, points, axis, i, kind):
+def quality(cam, points, axis, i, kind, zero, one):
     """q of piece i in a camera's picture if nothing hides it, 0 to 1, but for its light (docs/best-view.md).
 
     There are no branches, and ``kind`` is a constant where it counts: loops over pieces become vector instructions.
+    ``zero`` and ``one`` are of the
+    numbers' type, and indices are unsigned, for a negative one would count from the end, which is a branch.
     """
     ex, ey, ez, rx, ry, ux, uy, uz, fx, fy, fz, tx, ty, fit = cam
     dx, dy, dz = points[0, i] - ex, points[1, i] - ey, points[2, i] - ez
     depth = fx * dx + fy * dy + fz * dz
     across, above = abs(rx * dx + ry * dy), abs(ux * dx + uy * dy + uz * dz)
     inside = (across <= tx * depth) & (above <= ty * depth)  # so the depth is not negative
-    near = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
+    near = one / np.sqrt(dx * dx + dy * dy + dz * dz)
     facing = (axis[0, i] * dx + axis[1, i] * dy + axis[2, i] * dz) * near
-    near = min(1.0, fit * near)
+    near = min(one, fit * near)
     if kind == 2:
-        q = max(-facing, 0.0) * near * near
+        q = max(-facing, zero) * near * near
     elif kind == 1:
-        q = np.sqrt(max(1.0 - facing * facing, 0.0)) * near
+        q = np.sqrt(max(one - facing * facing, zero)) * near
     else:
         q = near
-    return q if inside else 0.0
+    return q if inside else zero
 
 
 @kernel
@@ -57,12 +59,12 @@ def qualities(eyes, axes, slopes, fitting, m, points, spans, axis, out):
         out: (n,).
     """
     cam = camera(eyes, axes, slopes, fitting, m)
-    for i in range(spans[0], spans[1]):
-        out[i] = quality(cam, points, axis, i, 0)
-    for i in range(spans[1], spans[2]):
-        out[i] = quality(cam, points, axis, i, 1)
-    for i in range(spans[2], spans[3]):
-        out[i] = quality(cam, points, axis, i, 2)
+    for i in range(np.uint64(spans[0]), np.uint64(spans[1])):
+        out[i] = quality(cam, points, axis, i, 0, 0.0, 1.0)
+    for i in range(np.uint64(spans[1]), np.uint64(spans[2])):
+        out[i] = quality(cam, points, axis, i, 1, 0.0, 1.0)
+    for i in range(np.uint64(spans[2]), np.uint64(spans[3])):
+        out[i] = quality(cam, points, axis, i, 2, 0.0, 1.0)
 
 
 @kernel
@@ -89,6 +91,34 @@ def values(eyes, axes, slopes, fitting, points, spans, axis, weight, best, neede
 
 
 @kernel
+def ceilings(eyes, axes, slopes, fitting, points, spans, axis, weight, starts, out):
+    """Upper bounds of what the best camera of each place shows: what is in its picture, hidden or not; float32 arrays.
+
+    Args:
+        eyes, points: counted from the target's middle. slopes, fitting: a little too large, for the rounding.
+        starts: (places + 1,) the first camera of each. out: (places,) float64.
+    """
+    zero, one = np.float32(0.0), np.float32(1.0)
+    n = points.shape[1]
+    q = np.zeros(n + 3, np.float32)
+    for p in range(len(starts) - 1):
+        most = 0.0
+        for m in range(starts[p], starts[p + 1]):
+            cam = camera(eyes, axes, slopes, fitting, m)
+            for i in range(np.uint64(spans[0]), np.uint64(spans[1])):
+                q[i] = weight[i] * quality(cam, points, axis, i, 0, zero, one)
+            for i in range(np.uint64(spans[1]), np.uint64(spans[2])):
+                q[i] = weight[i] * quality(cam, points, axis, i, 1, zero, one)
+            for i in range(np.uint64(spans[2]), np.uint64(spans[3])):
+                q[i] = weight[i] * quality(cam, points, axis, i, 2, zero, one)
+            a = b = c = d = 0.0
+            for i in range(0, n, 4):
+                a, b, c, d = a + q[i], b + q[i + 1], c + q[i + 2], d + q[i + 3]
+            most = max(most, a + b + c + d)
+        out[p] = most
+
+
+@kernel
 def look(
     z, maxima, offset, per_row, at, place, lowest, heights, order, a, b,
     eyes, axes, slopes, fitting, points, spans, axis, weight, best, needed, first, last, out,
@@ -112,7 +142,7 @@ def look(
             kind = 0 if i < spans[1] else 1 if i < spans[2] else 2
             for m in range(first, last):
                 if eyes[m, 2] < h:
-                    q = quality(camera(eyes, axes, slopes, fitting, m), points, axis, i, kind)
+                    q = quality(camera(eyes, axes, slopes, fitting, m), points, axis, i, kind, 0.0, 1.0)
                     out[m - first] -= weight[i] * max(q - best[i], 0.0)
 
 

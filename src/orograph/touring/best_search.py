@@ -24,17 +24,21 @@ from numpy.typing import NDArray
 
 from orograph.lighting.sun import Sun
 from orograph.measuring.viewshed_kernels import MISSING, first_level, next_level
-from orograph.parallel import map_ordered
+from orograph.parallel import for_each
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.touring.best_cameras import Cameras
-from orograph.touring.best_kernels import lit, look, qualities, values
+from orograph.touring.best_kernels import ceilings, lit, look, qualities, values
 from orograph.touring.best_target import AREA, Target
 
 Array = NDArray[np.float64]
 
 BLOCKS = 12
 """Parts in which a place's pieces are looked at."""
+PLACES = 64
+"""Places that a thread judges at once."""
+SLACK = 1e-4
+"""By how much bounds in single precision are widened."""
 ADDS = 1e-9
 """A view that adds less adds nothing."""
 AMBIENT = 0.5
@@ -159,13 +163,13 @@ class Search:
         allowed = np.ones(len(self.cams), bool)
         direction = self.cams.eyes - self.cams.middle
         direction /= np.linalg.norm(direction, axis=1)[:, None]
-        bounds = self._bounds(best, allowed)
+        bounds = self._bounds()
         with self.progress.task("Looking for views", total=k) as task:
             while len(found) < k:
                 chosen = self._next(best, allowed, bounds)
                 if chosen is None and best.any():  # all is seen that can be: what else shows much of it?
                     best = np.zeros(len(best))
-                    bounds = self._bounds(best, allowed)
+                    bounds = self._bounds()
                     continue
                 if chosen is None:
                     break
@@ -179,14 +183,23 @@ class Search:
                 task.advance()
         return found
 
-    def _bounds(self, best: Array, allowed: NDArray[np.bool_]) -> list[float]:
-        """What the best camera of each place could add."""
-        with self.progress.task("Judging cameras", total=len(self.cams.place)) as task:
-            out = []
-            for value in map_ordered(lambda p: self._bound(p, best, allowed), range(len(self.cams.place)), self.jobs):
-                out.append(float(value.max()))
-                task.advance()
-        return out
+    def _bounds(self) -> list[float]:
+        """Upper bounds of what the best camera of each place adds, whatever is seen already, in single precision."""
+        cams, middle = self.cams, self.cams.middle
+        eyes, points, axis = cams.eyes - middle, self._pieces[0] - middle[:, None], self._pieces[2]
+        _, axes, slopes, fitting = self._cameras
+        whole = (eyes, axes, slopes * (1 + SLACK), fitting * (1 + SLACK), points, axis, self._pieces[3])
+        eyes, axes, slopes, fitting, points, axis, weight = (part.astype(np.float32) for part in whole)
+        spans, out = self._pieces[1], np.empty(len(cams.place))
+        with self.progress.task("Judging cameras", total=len(out)) as task:
+
+            def judge(a: int) -> None:
+                b = min(a + PLACES, len(out))
+                ceilings(eyes, axes, slopes, fitting, points, spans, axis, weight, cams.first[a : b + 1], out[a:b])
+                task.advance(b - a)
+
+            for_each(judge, range(0, len(out), PLACES), self.jobs)
+        return [float(bound) for bound in out * (1 + SLACK) + ADDS]
 
     def _bound(self, p: int, best: Array, allowed: NDArray[np.bool_]) -> Array:
         """What each camera of a place could add, by what is known; −1 of those that are not allowed."""
