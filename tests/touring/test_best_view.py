@@ -207,14 +207,26 @@ def test_where_nothing_can_be_added_the_best_of_the_rest_follow() -> None:
     assert all(one.score == 1 for one in found)
 
 
+def test_more_ground_than_memory_is_taken_from_a_coarser_level(monkeypatch: pytest.MonkeyPatch) -> None:
+    ground = hills(side=521)
+    area = polygon(ground, (200, 200), (300, 210), (290, 300), (210, 280))
+    options: dict[str, Any] = {"azimuths": 24, "distances": [1500.0], "progress": False}
+    exact = orograph.best_view(ground, area, 1, **options)
+    monkeypatch.setattr("orograph.touring.best_search.EXACT_SAMPLES", 60000)
+    coarse = orograph.best_view(ground, area, 1, **options)
+    assert (exact.level, coarse.level) == (0, 1)
+    assert coarse[0].score == pytest.approx(exact[0].score, rel=0.1)
+
+
 def test_heights_above_the_ground() -> None:
     ground = hills()
     found = orograph.best_view(
         ground, [place(ground, 48, 48)], 1, heights=[2.0, 30.0], distances=[250.0], progress=False
     )
     eye = found[0].view.eye
-    above = eye[2] - orograph.measure.heights(ground, [eye[:2]])[0] if hasattr(orograph.measure, "heights") else None
-    assert above is None or min(abs(above - 2), abs(above - 30)) < 1e-3
+    col, row = ground.grid.index(eye[0], eye[1])
+    above = eye[2] - Caster.of(ground.read(0, 0, *ground.grid.shape[:1], 0, ground.grid.cols)).surface(col, row)
+    assert min(abs(above - 2), abs(above - 30)) < 1e-3
 
 
 def test_it_says_what_is_wrong(tmp_path: Path) -> None:
@@ -260,6 +272,7 @@ def test_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     for i, one in enumerate(views):
         assert orograph.View.load(f"views-{i + 1}.json") == orograph.View.from_dict(one["view"])
     tour = Tour.load("tour.json")
+    assert tour.at(tour.duration / 2).target == pytest.approx(views[0]["view"]["target"])
     assert len(tour.keys) == 2 and tour.at(0.0) == orograph.View.load("views-1.json")
     with pytest.raises(UsageError, match="overwrite the target"):
         CliRunner().invoke(cli, [*line[:-2], "-o", "target.geojson"], catch_exceptions=False)

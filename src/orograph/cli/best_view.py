@@ -139,7 +139,7 @@ def command(
     Examples:
       orograph best-view dem.tif --target lake.geojson -o views.json
       orograph render dem.tif --view views-1.json -o best.png
-      orograph best-view area.oro --target hike.geojson -k 5 --height 2 --height 50 -o views.json --tour tour.json
+      orograph best-view area.oro --target hike.geojson --height 2 -o views.json --tour tour.json
     """
     progress = progress_of(ctx)
     if not seconds > 0:

@@ -29,15 +29,14 @@ def camera(eyes, axes, slopes, fitting, m):
 def quality(cam, points, axis, i, kind, zero, one):
     """q of piece i in a camera's picture if nothing hides it, 0 to 1, but for its light (docs/best-view.md).
 
-    There are no branches, and ``kind`` is a constant where it counts: loops over pieces become vector instructions.
-    ``zero`` and ``one`` are of the
-    numbers' type, and indices are unsigned, for a negative one would count from the end, which is a branch.
+    There are no branches, ``kind`` is a constant where it counts, and ``i`` unsigned (a negative index would count from
+    the end), so that loops over pieces become vector instructions. ``zero`` and ``one`` are of the numbers' type.
     """
     ex, ey, ez, rx, ry, ux, uy, uz, fx, fy, fz, tx, ty, fit = cam
     dx, dy, dz = points[0, i] - ex, points[1, i] - ey, points[2, i] - ez
     depth = fx * dx + fy * dy + fz * dz
     across, above = abs(rx * dx + ry * dy), abs(ux * dx + uy * dy + uz * dz)
-    inside = (across <= tx * depth) & (above <= ty * depth)  # so the depth is not negative
+    inside = (depth > zero) & (across <= tx * depth) & (above <= ty * depth)
     near = one / np.sqrt(dx * dx + dy * dy + dz * dz)
     facing = (axis[0, i] * dx + axis[1, i] * dy + axis[2, i] * dz) * near
     near = min(one, fit * near)

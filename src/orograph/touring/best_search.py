@@ -37,8 +37,8 @@ BLOCKS = 12
 """Parts in which a place's pieces are looked at."""
 PLACES = 64
 """Places that a thread judges at once."""
-SLACK = 1e-4
-"""By how much bounds in single precision are widened."""
+WIDER = 1 + 1e-4
+"""By what bounds in single precision are widened."""
 ADDS = 1e-9
 """A view that adds less adds nothing."""
 AMBIENT = 0.5
@@ -186,20 +186,25 @@ class Search:
     def _bounds(self) -> list[float]:
         """Upper bounds of what the best camera of each place adds, whatever is seen already, in single precision."""
         cams, middle = self.cams, self.cams.middle
-        eyes, points, axis = cams.eyes - middle, self._pieces[0] - middle[:, None], self._pieces[2]
+        points, spans, axis, weight = self._pieces
         _, axes, slopes, fitting = self._cameras
-        whole = (eyes, axes, slopes * (1 + SLACK), fitting * (1 + SLACK), points, axis, self._pieces[3])
-        eyes, axes, slopes, fitting, points, axis, weight = (part.astype(np.float32) for part in whole)
-        spans, out = self._pieces[1], np.empty(len(cams.place))
+        single = [part.astype(np.float32) for part in (cams.eyes - middle, axes, slopes * WIDER, fitting * WIDER)]
+        pieces = (
+            (points - middle[:, None]).astype(np.float32),
+            spans,
+            axis.astype(np.float32),
+            weight.astype(np.float32),
+        )
+        out = np.empty(len(cams.place))
         with self.progress.task("Judging cameras", total=len(out)) as task:
 
             def judge(a: int) -> None:
                 b = min(a + PLACES, len(out))
-                ceilings(eyes, axes, slopes, fitting, points, spans, axis, weight, cams.first[a : b + 1], out[a:b])
+                ceilings(*single, *pieces, cams.first[a : b + 1], out[a:b])
                 task.advance(b - a)
 
             for_each(judge, range(0, len(out), PLACES), self.jobs)
-        return [float(bound) for bound in out * (1 + SLACK) + ADDS]
+        return [float(bound) for bound in out * WIDER + ADDS]
 
     def _bound(self, p: int, best: Array, allowed: NDArray[np.bool_]) -> Array:
         """What each camera of a place could add, by what is known; −1 of those that are not allowed."""

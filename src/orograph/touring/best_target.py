@@ -113,8 +113,8 @@ def read_target(terrain: Terrain, given: Any, pieces: int, progress: Progress = 
     weight = size[known] / shared[owner[known]] / len(shapes)
     points = np.column_stack([places, heights])[known]
     order = np.argsort(kind[known], kind="stable")
-    parts = (part[order] for part in (points, kind[known], axis[known], weight, owner[known]))
-    return Target(*parts, len(shapes))
+    points, weight, owner = points[order], weight[order], owner[known][order]
+    return Target(points, kind[known][order], axis[known][order], weight, owner, len(shapes))
 
 
 def _shapes(terrain: Terrain, given: Any) -> tuple[list[tuple[int, list[Array]]], str | None]:
