@@ -72,7 +72,8 @@ class Ground:
         level = 0
         while True:
             rows, cols = terrain.shape(level)
-            (left, top), (right, bottom) = at.min(0) / 2**level, at.max(0) / 2**level
+            # (A line along the border of what is read would leave it by its rounding.)
+            (left, top), (right, bottom) = at.min(0) / 2**level - 2, at.max(0) / 2**level + 2
             col, row = (max(min(math.floor(v), n - 2), 0) & ~1 for v, n in ((left, cols), (top, rows)))
             end = min(max(math.ceil(right) + 1, col + 2), cols), min(max(math.ceil(bottom) + 1, row + 2), rows)
             if (end[0] - col) * (end[1] - row) <= EXACT_SAMPLES or level == terrain.levels - 1:
@@ -136,7 +137,9 @@ class Search:
         jobs: int | None = None, progress: Progress = SILENT,
     ) -> None:  # fmt: skip
         self.target, self.cams, self.jobs, self.progress = target, cams, jobs, progress
-        self.ground = Ground.between(terrain, np.concatenate([target.points[:, :2], cams.place]))
+        shade = _shade(terrain, target, sun)
+        here = target.points[:, :2]
+        self.ground = Ground.between(terrain, np.concatenate([here, cams.place, here + shade[:2]]))
         g = self.ground
         self._surface = g.z, g.maxima, g.offset, g.per_row
         self._at, self._place = g.samples(terrain, target.points[:, :2]), g.samples(terrain, cams.place)
@@ -144,7 +147,7 @@ class Search:
         self._heights = np.ascontiguousarray(self._points[:, 2])
         if g.level:
             self._above()
-        self.light = np.ones(len(self._points)) if sun is None else self._lit(terrain, sun)
+        self.light = np.ones(len(self._points)) if sun is None else self._lit(terrain, sun, shade)
         weight = target.weight * self.light
         spans = np.searchsorted(target.kind, np.arange(4))
         self._pieces = np.ascontiguousarray(self._points.T), spans, np.ascontiguousarray(target.axis.T), weight
@@ -279,16 +282,22 @@ class Search:
         for i, (x, y) in enumerate(self._at):
             self._heights[i] = max(self._heights[i], ground_at(self.ground.z, x, y))
 
-    def _lit(self, terrain: Terrain, sun: Sun) -> Array:
+    def _lit(self, terrain: Terrain, sun: Sun, shade: Array) -> Array:
         """(n,) AMBIENT to 1: the light on each piece."""
-        towards = np.array(sun.direction)
-        target = self.target
-        reach = max(terrain.height_range[1] - float(self._heights.min()), 1.0)
+        towards, target = np.array(sun.direction), self.target
         if towards[2] <= 0.0:
             return np.full(len(self._points), AMBIENT)
         a, b, _, d, e, _ = terrain.grid.samples[:6]
-        step = np.linalg.solve([[a, b], [d, e]], towards[:2] / towards[2] * reach) / 2**self.ground.level
+        step = np.linalg.solve([[a, b], [d, e]], shade[:2]) / 2**self.ground.level
         out = np.empty(len(self._points))
-        lit(*self._surface, self._at, self._heights, step, reach, out)
+        lit(*self._surface, self._at, self._heights, step, float(shade[2]), out)
         facing = np.where(target.kind == AREA, np.maximum(target.axis @ towards, 0.0), 1.0)
         return np.asarray(AMBIENT + (1.0 - AMBIENT) * facing * out)
+
+
+def _shade(terrain: Terrain, target: Target, sun: Sun | None) -> Array:
+    """(3,) metres towards the sun, from the lowest piece to as high as the highest ground; 0 without a sun."""
+    towards = np.zeros(3) if sun is None else np.array(sun.direction)
+    if towards[2] <= 0.0:
+        return np.zeros(3)
+    return np.asarray(towards / towards[2] * max(terrain.height_range[1] - float(target.points[:, 2].min()), 1.0))
