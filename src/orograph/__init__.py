@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from orograph.store import Terrain, build, open, terrain
     from orograph.tessellation import Tessellation
     from orograph.touring.tour import Tour
+    from orograph.verbs.best_view import best_view
     from orograph.verbs.check import check
     from orograph.verbs.compare import compare
     from orograph.verbs.doctor import doctor
@@ -68,6 +69,7 @@ __all__ = [
     "__version__",
     "bake",
     "basemap",
+    "best_view",
     "build",
     "camera",
     "check",
@@ -107,6 +109,7 @@ _HOMES = {
     "View": "orograph.viewpoint",
     "bake": "orograph.lighting.bake",
     "basemap": "orograph.geovis.layers",
+    "best_view": "orograph.verbs.best_view",
     "build": "orograph.store",
     "camera": "orograph.scene.camera:",
     "check": "orograph.verbs.check",

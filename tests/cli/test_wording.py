@@ -51,7 +51,11 @@ def test_no_message_of_the_library_names_an_option_of_the_command_line() -> None
 
 
 def test_what_is_in_backticks_is_an_option_of_some_verb() -> None:
-    known = {name for verb in VERBS for name in flags_of(importlib.import_module(f"orograph.cli.{verb}").command)}
+    known = {
+        name
+        for verb in VERBS
+        for name in flags_of(importlib.import_module(f"orograph.cli.{verb.replace('-', '_')}").command)
+    }
     found = 0
     for text, where in messages():
         for code in re.findall("`([^`]+)`", text):

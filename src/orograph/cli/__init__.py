@@ -21,6 +21,7 @@ import click
 from orograph.errors import OrographError
 
 VERBS = {
+    "best-view": "Find the views that show most of a target.",
     "demo": "Draw the built-in sample, step by step.",
     "build": "Build a terrain store from DEM files.",
     "fetch": "Fetch open elevation models by place.",
@@ -56,7 +57,7 @@ class Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        command: click.Command = importlib.import_module(f"orograph.cli.{cmd_name}").command
+        command: click.Command = importlib.import_module(f"orograph.cli.{cmd_name.replace('-', '_')}").command
         return command
 
     def resolve_command(

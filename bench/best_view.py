@@ -1,0 +1,100 @@
+"""Best views beside brute force: the same cameras and pieces, every one looked at along a ray of its own.
+
+    python bench/best_view.py [DEM.tif] [--side SAMPLES] [--pieces N]
+
+Brute force casts a ray from every piece to every camera (``raycast.Caster``, the caster of pictures, on the exact
+surface) and multiplies by the quality that the search knows by itself. One thread each; compiled before they are timed.
+Without a DEM: a fractal terrain.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+import numpy as np
+
+import orograph
+from orograph.raycast.caster import Caster
+from orograph.touring.best_cameras import cameras
+from orograph.touring.best_kernels import qualities
+from orograph.touring.best_search import Search
+from orograph.touring.best_target import Target, read_target
+
+HEIGHTS = (2.0, 5.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0, 150.0, 200.0)
+PITCHES = (3.0, 6.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 50.0)
+
+
+def brute(search: Search, heights: np.ndarray, target: Target, eyes: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """(m,): the score of each camera."""
+    caster = Caster.of(heights, jobs=1)
+    start = np.column_stack([index, target.points[:, 2] + 1e-3])
+    out, q = np.empty(len(eyes)), np.empty(len(target.points))
+    for m, eye in enumerate(eyes):
+        qualities(*search._cameras, m, *search._pieces[:3], q)
+        t, _ = caster.cast(start, np.column_stack([eye[:2] - index, eye[2] - start[:, 2]]), 0.0, 1.0)
+        out[m] = target.weight @ np.where((q > 0) & np.isnan(t), q, 0.0)
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("dem", nargs="?")
+    parser.add_argument("--side", type=int, default=1025)
+    parser.add_argument("--pieces", type=int, default=1000)
+    parser.add_argument("--part", type=float, default=0.15, help="the target's side, of the terrain's")
+    given = parser.parse_args()
+    dem = given.dem or orograph.synth(size=given.side, seed=7)
+    terrain = orograph.terrain(dem, progress=False)
+    rows, cols = terrain.grid.shape
+    side = given.part * min(rows, cols)
+    ring = [
+        [float(v) for v in terrain.grid.xy(cols / 2 + side * x, rows / 2 + side * y)]
+        for x, y in ((-0.5, -0.5), (0.5, -0.4), (0.4, 0.5), (-0.5, 0.3), (-0.5, -0.5))
+    ]
+    area = {"type": "Polygon", "coordinates": [ring], "crs": {"properties": {"name": terrain.grid.crs.to_wkt()}}}
+    target = read_target(terrain, area, given.pieces)
+    measured(terrain, target, "orbits", pitches=PITCHES)
+    measured(
+        terrain,
+        target,
+        "near the ground",
+        pitches=(),
+        above=HEIGHTS,
+        distances=[1.5 * target.radius * f for f in (1, 1.5, 2, 3, 4)],
+    )
+
+
+def measured(terrain: Any, target: Target, called: str, **allowed: Any) -> None:
+    """Search, look from everywhere, tell."""
+    for _ in range(2):  # the first run compiles
+        begin = time.perf_counter()
+        cams = cameras(terrain, target, (1280, 720), azimuths=144, **allowed)
+        search = Search(terrain, target, cams, jobs=1)
+        found = search.views(1, 0.0)
+        ours = time.perf_counter() - begin
+    begin = time.perf_counter()
+    more = Search(terrain, target, cams, jobs=1)
+    three = more.views(3, 20.0)
+    ours3 = time.perf_counter() - begin
+    col, row = terrain.grid.index(target.points[:, 0], target.points[:, 1])
+    eyes = np.column_stack([*terrain.grid.index(cams.eyes[:, 0], cams.eyes[:, 1]), cams.eyes[:, 2]])
+    rows, cols = terrain.grid.shape
+    heights = terrain.read(0, 0, rows, 0, cols)
+    begin = time.perf_counter()
+    scores = brute(search, heights, target, eyes, np.column_stack([col, row]))
+    theirs = time.perf_counter() - begin
+    pairs = len(cams) * len(target.points)
+    print(f"{terrain.name}, {called}: {rows} × {cols} samples, {len(cams)} cameras, {len(target.points)} pieces")
+    print(f"brute force  {theirs:8.2f} s  {pairs} rays, best score {scores.max():.6f}")
+    print(
+        f"one view     {ours:8.3f} s  {search.looks} lines ({100 * search.looks / pairs:.2f} %), score "
+        f"{found[0].score:.6f}, {theirs / ours:.0f} times faster; brute force gives that camera "
+        f"{scores[found[0].camera]:.6f}, {100 * (1 - scores[found[0].camera] / scores.max()):.3f} % below its best"
+    )
+    print(f"three views  {ours3:8.3f} s  {more.looks} lines, together {sum(f.gain for f in three):.4f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,303 @@
+"""The search for the best views: best first by upper bounds, so that few lines of sight are looked along.
+
+Every camera begins with an upper bound of what it adds: all that would be in its picture if nothing hid anything. A
+place has the bound of its best camera, and the place of the highest bound is always looked at next: from it, lines of
+sight to some more pieces, in an order that mixes them well; what they hide is taken from the bounds of its cameras. A
+place whose pieces are all known and whose bound is still the highest has the best camera of all, for no other can reach
+it. So the result is that of looking at everything from everywhere.
+
+The next view is the one that adds most to those before (greedy cover). What a camera adds can only fall as views are
+added, so old bounds stay bounds, and are made new when their place comes to the top (Minoux 1978); together k such
+views see at least 1 − 1/e of what the best k could (Nemhauser, Wolsey & Fisher 1978).
+
+Source: best first with bounds is branch and bound (Land & Doig 1960) on Σ over pieces.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph.lighting.sun import Sun
+from orograph.measuring.viewshed_kernels import MISSING, first_level, next_level
+from orograph.parallel import for_each
+from orograph.progress import SILENT, Progress
+from orograph.store.terrain import EXACT_SAMPLES, Terrain
+from orograph.touring.best_cameras import Cameras
+from orograph.touring.best_kernels import ceilings, lit, look, qualities, values
+from orograph.touring.best_target import AREA, Target
+
+Array = NDArray[np.float64]
+
+BLOCKS = 12
+"""Parts in which a place's pieces are looked at."""
+PLACES = 64
+"""Places that a thread judges at once."""
+WIDER = 1 + 1e-4
+"""By what bounds in single precision are widened."""
+ADDS = 1e-9
+"""A view that adds less adds nothing."""
+AMBIENT = 0.5
+"""What a piece counts that no sun reaches, of one that the sun meets head on."""
+SEED = 19
+"""Of the order in which pieces are looked at: any will do, and the result is the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """The surface between a target and its cameras, for lines of sight.
+
+    Attributes:
+        level: of the terrain, 0 unless so much ground is too large for memory.
+        z, maxima, offset, per_row: float32 heights and their pyramid, as ``viewshed_kernels`` has them.
+        row, col: the first sample, at that level.
+    """
+
+    level: int
+    z: NDArray[np.float32]
+    maxima: NDArray[np.float32]
+    offset: NDArray[np.int64]
+    per_row: NDArray[np.int64]
+    row: int
+    col: int
+
+    @classmethod
+    def between(cls, terrain: Terrain, places: Array) -> Ground:
+        """The ground around places (n, 2) of the terrain's CRS, wherever it is known."""
+        at = np.stack(terrain.grid.index(places[:, 0], places[:, 1]), -1)
+        level = 0
+        while True:
+            rows, cols = terrain.shape(level)
+            # (A line along the border of what is read would leave it by its rounding.)
+            (left, top), (right, bottom) = at.min(0) / 2**level - 2, at.max(0) / 2**level + 2
+            col, row = (max(min(math.floor(v), n - 2), 0) & ~1 for v, n in ((left, cols), (top, rows)))
+            end = min(max(math.ceil(right) + 1, col + 2), cols), min(max(math.ceil(bottom) + 1, row + 2), rows)
+            if (end[0] - col) * (end[1] - row) <= EXACT_SAMPLES or level == terrain.levels - 1:
+                break
+            level += 1
+        z = terrain.read(level, row, end[1], col, end[0]).astype(np.float32)
+        return cls(level, *pyramid(z), row, col)
+
+    def samples(self, terrain: Terrain, places: Array) -> Array:
+        """(n, 2) column and row in ``z`` of places (n, 2)."""
+        at = np.stack(terrain.grid.index(places[:, 0], places[:, 1]), -1)
+        return np.asarray(at / 2**self.level - [self.col, self.row])
+
+
+def pyramid(
+    z: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+    """Heights with ``MISSING`` for NaN, the maxima over their cells, where each level begins and its nodes in a row."""
+    z = np.where(np.isnan(z), np.float32(MISSING), z)
+    levels: list[NDArray[np.float32]] = []
+    nodes = z.shape[0] - 1, z.shape[1] - 1
+    while max(nodes) > 1 or not levels:
+        nodes = -(-nodes[0] // 2), -(-nodes[1] // 2)
+        made = np.empty(nodes, np.float32)
+        (next_level if levels else first_level)(levels[-1] if levels else z, made, 0, nodes[0])
+        levels.append(made)
+    sizes = np.array([one.size for one in levels])
+    offset = np.concatenate([[-1, 0], np.cumsum(sizes)[:-1]]).astype(np.int64)
+    per_row = np.array([z.shape[1] - 1, *(one.shape[1] for one in levels)], np.int64)
+    return z, np.concatenate([one.ravel() for one in levels]), offset, per_row
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A view that was chosen.
+
+    Attributes:
+        camera: its number. score: what it shows alone; gain: what it adds to those before, both 0 to 1.
+        quality: (n,) q of the pieces it sees, with their light; NaN of those it does not see.
+    """
+
+    camera: int
+    score: float
+    gain: float
+    quality: Array
+
+
+class Search:
+    """The search for views of a target.
+
+    Args:
+        terrain, target, cams: see there. lift: metres above the ground of what is to be seen.
+        sun: lights the pieces; None: all alike. jobs: threads.
+
+    Attributes:
+        looks: lines of sight that were looked along.
+    """
+
+    def __init__(
+        self, terrain: Terrain, target: Target, cams: Cameras, *, lift: float = 0.0, sun: Sun | None = None,
+        jobs: int | None = None, progress: Progress = SILENT,
+    ) -> None:  # fmt: skip
+        self.target, self.cams, self.jobs, self.progress = target, cams, jobs, progress
+        shade = _shade(terrain, target, sun)
+        here = target.points[:, :2]
+        self.ground = Ground.between(terrain, np.concatenate([here, cams.place, here + shade[:2]]))
+        g = self.ground
+        self._surface = g.z, g.maxima, g.offset, g.per_row
+        self._at, self._place = g.samples(terrain, target.points[:, :2]), g.samples(terrain, cams.place)
+        self._points = target.points + np.array([0.0, 0.0, lift])
+        self._heights = np.ascontiguousarray(self._points[:, 2])
+        if g.level:
+            self._above()
+        self.light = np.ones(len(self._points)) if sun is None else self._lit(terrain, sun, shade)
+        weight = target.weight * self.light
+        spans = np.searchsorted(target.kind, np.arange(4))
+        self._pieces = np.ascontiguousarray(self._points.T), spans, np.ascontiguousarray(target.axis.T), weight
+        self._cameras = cams.eyes, cams.axes(), cams.slopes(), cams.fitting()
+        self._order = np.random.default_rng(SEED).permutation(len(self._points))
+        self._needed: dict[int, Array] = {}
+        self._done: dict[int, int] = {}
+        self._hidden_nothing = np.full(len(self._points), -np.inf)
+        self.looks = 0
+
+    def views(self, k: int, apart: float) -> list[Found]:
+        """The best view, the one that adds most to it, and so on: up to k, in directions at least ``apart`` degrees
+        from each other as seen from the target. Where nothing can be added any more, the best of the rest follow."""
+        found: list[Found] = []
+        best = np.zeros(len(self._points))
+        allowed = np.ones(len(self.cams), bool)
+        direction = self.cams.eyes - self.cams.middle
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        bounds = self._bounds()
+        with self.progress.task("Looking for views", total=k) as task:
+            while len(found) < k:
+                chosen = self._next(best, allowed, bounds)
+                if chosen is None and best.any():  # all is seen that can be: what else shows much of it?
+                    best = np.zeros(len(best))
+                    bounds = self._bounds()
+                    continue
+                if chosen is None:
+                    break
+                q = np.nan_to_num(self._seen(chosen))
+                before = np.nanmax([np.zeros(len(q)), *(one.quality for one in found)], axis=0)
+                gain = float((self.target.weight * np.maximum(q - before, 0.0)).sum())
+                found.append(Found(chosen, float((self.target.weight * q).sum()), gain, self._seen(chosen)))
+                best = np.maximum(best, q)
+                allowed &= direction @ direction[chosen] < math.cos(math.radians(apart))
+                allowed[chosen] = False
+                task.advance()
+        return found
+
+    def _bounds(self) -> list[float]:
+        """Upper bounds of what the best camera of each place adds, whatever is seen already, in single precision."""
+        cams, middle = self.cams, self.cams.middle
+        points, spans, axis, weight = self._pieces
+        _, axes, slopes, fitting = self._cameras
+        single = [part.astype(np.float32) for part in (cams.eyes - middle, axes, slopes * WIDER, fitting * WIDER)]
+        pieces = (
+            (points - middle[:, None]).astype(np.float32),
+            spans,
+            axis.astype(np.float32),
+            weight.astype(np.float32),
+        )
+        out = np.empty(len(cams.place))
+        with self.progress.task("Judging cameras", total=len(out)) as task:
+
+            def judge(a: int) -> None:
+                b = min(a + PLACES, len(out))
+                ceilings(*single, *pieces, cams.first[a : b + 1], out[a:b])
+                task.advance(b - a)
+
+            for_each(judge, range(0, len(out), PLACES), self.jobs)
+        return [float(bound) for bound in out * WIDER + ADDS]
+
+    def _bound(self, p: int, best: Array, allowed: NDArray[np.bool_]) -> Array:
+        """What each camera of a place could add, by what is known; −1 of those that are not allowed."""
+        first, last = int(self.cams.first[p]), int(self.cams.first[p + 1])
+        out = np.empty(last - first)
+        if not allowed[first:last].any():
+            return np.full(last - first, -1.0)
+        # (A picture's q has its light in it, and the kernels put it into the weight: there what was seen is without.)
+        values(
+            *self._cameras,
+            *self._pieces,
+            self._unlit(best),
+            self._needed.get(p, self._hidden_nothing),
+            first,
+            last,
+            out,
+        )
+        return np.where(allowed[first:last], out, -1.0)
+
+    def _unlit(self, best: Array) -> Array:
+        return best / self.light
+
+    def _next(self, best: Array, allowed: NDArray[np.bool_], bounds: list[float]) -> int | None:
+        """The camera that adds most; None if none adds anything. ``bounds`` are made better."""
+        first = self.cams.first
+        heap = [(-bound, p) for p, bound in enumerate(bounds)]
+        heapq.heapify(heap)
+        new: dict[int, Array] = {}
+        n = len(self._points)
+        unlit = self._unlit(best)
+        while heap:
+            bound, p = heap[0]
+            if bound >= -ADDS:
+                return None
+            if p not in new:
+                new[p] = self._bound(p, best, allowed)
+            elif self._done.get(p, 0) == n:
+                return int(first[p]) + int(new[p].argmax())
+            else:
+                self._look(p, unlit, new[p])
+            bounds[p] = float(new[p].max())
+            heapq.heapreplace(heap, (-bounds[p], p))
+        return None
+
+    def _look(self, p: int, unlit: Array, out: Array) -> None:
+        """Look from a place at some more pieces."""
+        n, begin = len(self._points), self._done.get(p, 0)
+        end = min(begin + max(-(-n // BLOCKS), 16), n)
+        if p not in self._needed:
+            self._needed[p] = np.full(n, -np.inf)
+        first, last = int(self.cams.first[p]), int(self.cams.first[p + 1])
+        lowest = float(self.cams.eyes[first:last, 2].min())
+        look(
+            *self._surface, self._at, self._place[p], lowest, self._heights, self._order, begin, end,
+            *self._cameras, *self._pieces, unlit, self._needed[p], first, last, out,
+        )  # fmt: skip
+        self.looks += end - begin
+        self._done[p] = end
+
+    def _seen(self, camera: int) -> Array:
+        """(n,) q with its light of the pieces that a camera sees, all of which were looked at; NaN of others."""
+        p = int(np.searchsorted(self.cams.first, camera, "right")) - 1
+        out = np.empty(len(self._points))
+        qualities(*self._cameras, camera, *self._pieces[:3], out)
+        out[self.cams.eyes[camera, 2] < self._needed[p]] = 0.0
+        return np.where(out > 0.0, out * self.light, np.nan)
+
+    def _above(self) -> None:
+        """Raise what is looked at onto a level's ground where that lies above it."""
+        from orograph.measuring.viewshed_kernels import ground_at
+
+        for i, (x, y) in enumerate(self._at):
+            self._heights[i] = max(self._heights[i], ground_at(self.ground.z, x, y))
+
+    def _lit(self, terrain: Terrain, sun: Sun, shade: Array) -> Array:
+        """(n,) AMBIENT to 1: the light on each piece."""
+        towards, target = np.array(sun.direction), self.target
+        if towards[2] <= 0.0:
+            return np.full(len(self._points), AMBIENT)
+        a, b, _, d, e, _ = terrain.grid.samples[:6]
+        step = np.linalg.solve([[a, b], [d, e]], shade[:2]) / 2**self.ground.level
+        out = np.empty(len(self._points))
+        lit(*self._surface, self._at, self._heights, step, float(shade[2]), out)
+        facing = np.where(target.kind == AREA, np.maximum(target.axis @ towards, 0.0), 1.0)
+        return np.asarray(AMBIENT + (1.0 - AMBIENT) * facing * out)
+
+
+def _shade(terrain: Terrain, target: Target, sun: Sun | None) -> Array:
+    """(3,) metres towards the sun, from the lowest piece to as high as the highest ground; 0 without a sun."""
+    towards = np.zeros(3) if sun is None else np.array(sun.direction)
+    if towards[2] <= 0.0:
+        return np.zeros(3)
+    return np.asarray(towards / towards[2] * max(terrain.height_range[1] - float(target.points[:, 2].min()), 1.0))

@@ -1,0 +1,117 @@
+"""The views that show a target best: what ``orograph.best_view`` gives, and how it is kept.
+
+The score and its parts are in docs/best-view.md; ``best_target``, ``best_cameras`` and ``best_search`` have the target,
+the cameras that are allowed, and the search.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orograph.documents import write
+from orograph.errors import UsageError
+from orograph.touring.best_cameras import Cameras
+from orograph.touring.best_search import Found, Search
+from orograph.touring.best_target import Target
+from orograph.touring.keys import Key
+from orograph.touring.tour import Tour
+from orograph.viewpoint import View
+
+
+@dataclass(frozen=True, slots=True)
+class BestView:
+    """A view of a target.
+
+    Attributes:
+        view: the camera. score: how well it shows the target, 0 to 1; gain: what it adds to the views before it.
+        visible: the part of the target's weight that is in its picture and not hidden, 0 to 1.
+        geometries: the same of each geometry of the target.
+    """
+
+    view: View
+    score: float
+    gain: float
+    visible: float
+    geometries: tuple[float, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its view as VIEW.json has it, and beside that its score and what it sees."""
+        return {"view": self.view.to_dict(), "score": self.score, "gain": self.gain, "visible": self.visible,
+                "geometries": list(self.geometries)}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class BestViews:
+    """Views of a target, the best first; a sequence.
+
+    Attributes:
+        views: the views. together: the score of all of them, 0 to 1.
+        cameras: how many were allowed. pieces: of the target. looks: lines of sight that it took.
+        level: the terrain's level on which they were looked along, 0 unless the ground is too large for memory.
+    """
+
+    views: tuple[BestView, ...]
+    together: float
+    cameras: int
+    pieces: int
+    looks: int
+    level: int
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def __getitem__(self, number: int) -> BestView:
+        return self.views[number]
+
+    def to_list(self) -> list[dict[str, Any]]:
+        """What ``save`` writes."""
+        return [one.to_dict() for one in self.views]
+
+    def save(self, path: str | os.PathLike[str]) -> list[str]:
+        """Write them as one JSON list, and each beside it as a VIEW.json of its own: NAME-1.json, NAME-2.json…
+
+        Returns:
+            the names of those. Raises OutputError: one cannot be written.
+        """
+        files = singles(path, len(self))
+        for file, one in zip(files, self.views):
+            one.view.save(file)
+        write(self.to_list(), Path(path))
+        return files
+
+    def tour(self, *, seconds: float = 6.0, hold: float = 2.0) -> Tour:
+        """A tour through the views, about the target.
+
+        Args:
+            seconds: from one view to the next. hold: seconds for which the camera stays at each.
+        """
+        if not (seconds > 0 and hold >= 0):
+            raise UsageError("A tour takes some seconds from view to view, and stays some seconds, at least 0.")
+        keys = [Key(one.view, i * (seconds + hold), hold=hold, path="orbit") for i, one in enumerate(self.views)]
+        return Tour(tuple(keys), above_ground=2.0)
+
+
+def singles(path: str | os.PathLike[str], count: int) -> list[str]:
+    """The files of single views beside that of all."""
+    whole = Path(path)
+    return [str(whole.with_name(f"{whole.stem}-{i + 1}{whole.suffix}")) for i in range(count)]
+
+
+def gathered(search: Search, found: list[Found], cams: Cameras, target: Target) -> BestViews:
+    """What a search found."""
+    views = []
+    for one in found:
+        seen = ~np.isnan(one.quality)
+        whole = np.bincount(target.owner, target.weight, target.count)
+        part = np.bincount(target.owner, target.weight * seen, target.count)
+        geometries = tuple(float(v) for v in np.where(whole > 0, part * target.count, 0.0))
+        views.append(
+            BestView(cams.view(one.camera), one.score, one.gain, float((target.weight * seen).sum()), geometries)
+        )
+    return BestViews(tuple(views), sum(one.gain for one in found), len(cams), len(target.points), search.looks,
+                     search.ground.level)  # fmt: skip

@@ -1,0 +1,110 @@
+"""``orograph.best_view``: of all cameras that are allowed, those that show a target best (``touring.best_view``)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from orograph.errors import UsageError
+from orograph.progress import Progress
+from orograph.reporting import reporting
+from orograph.store.opening import terrain as opened
+
+if TYPE_CHECKING:
+    from orograph.touring.best_view import BestViews
+
+PIECES = 1000
+AZIMUTHS = 72
+APART = 20.0
+
+
+def best_view(
+    terrain: Any,
+    target: Any,
+    k: int = 3,
+    *,
+    size: tuple[int, int] = (1280, 720),
+    azimuths: int | Sequence[float] = AZIMUTHS,
+    pitches: Sequence[float] | None = None,
+    heights: Sequence[float] = (),
+    distances: Sequence[float] = (),
+    fov: float | Sequence[float] = 40.0,
+    clearance: float = 2.0,
+    target_height: float = 0.0,
+    sun: Any = None,
+    apart: float = APART,
+    pieces: int = PIECES,
+    max_memory: int | None = None,
+    jobs: int | None = None,
+    progress: Progress | bool | None = None,
+    **reading: Any,
+) -> BestViews:
+    """The views that show most of a target: unoccluded, large, little foreshortened, and different from each other.
+
+    The first view has the highest score of all cameras that are allowed, each next one adds most to those before it.
+    The score is the part of the target that a view shows, each piece by its size in the picture (docs/best-view.md).
+    All cameras look at the target's middle.
+
+    Args:
+        terrain: whatever ``orograph.terrain`` takes, with its options (``reading``).
+        target: a GeoJSON file or object of points, lines and polygons, or what has ``__geo_interface__``; or places
+            (n, 2), or a pair of arrays (x, y), in the terrain's CRS. Every geometry counts alike.
+        k: how many views.
+        size: (width, height) of the pictures.
+        azimuths: the sides of the target that cameras may stand at, degrees clockwise from north; a number: so many,
+            evenly. pitches: degrees by which they look down; None: 5 to 50, unless heights are given.
+        heights: metres above the ground that cameras stand on. distances: metres over the ground, from the target's
+            middle; none: 0.75 to 3 times that from which all of the target is in the picture.
+        fov: vertical field of view, degrees; or several.
+        clearance: metres above the ground that every eye is at least.
+        target_height: metres above the ground of what is to be seen.
+        sun: prefer what it lights: as ``orograph.render`` takes it; None: all light is alike.
+        apart: degrees between the directions of any two views, seen from the target.
+        pieces: about how many pieces the target is judged by.
+        max_memory: bytes that heights may take. jobs: threads; results do not depend on them. progress: hears of it;
+            False: nothing is said.
+
+    Raises:
+        ReadError: the target cannot be read, or is empty. UsageError: it lies beside the terrain, no camera is above
+        the ground, or a number is out of its range.
+    """
+    check_best_view(k, target_height, apart, pieces)
+    ground = opened(terrain, progress, max_memory=max_memory, jobs=jobs, called="best_view", **reading)
+    from orograph.lighting.sun import sun_of
+    from orograph.scene.camera import check_size
+    from orograph.touring.best_cameras import PITCHES, cameras
+    from orograph.touring.best_search import Search
+    from orograph.touring.best_target import read_target
+    from orograph.touring.best_view import gathered
+
+    check_size(size)
+    told = reporting(progress)
+    pieces_of = read_target(ground, target, pieces, told)
+    fovs = [float(fov)] if isinstance(fov, int | float) else [float(v) for v in fov]
+    if pitches is None:
+        pitches = () if len(heights) else PITCHES
+    cams = cameras(
+        ground, pieces_of, size, azimuths=azimuths, pitches=pitches, above=heights, distances=distances, fovs=fovs,
+        clearance=clearance,
+    )  # fmt: skip
+    light = None if sun is None else sun_of(sun, ground.grid)
+    search = Search(ground, pieces_of, cams, lift=target_height, sun=light, jobs=jobs, progress=told)
+    found = search.views(k, apart)
+    if not found:
+        raise UsageError(
+            f"None of the {len(cams)} cameras sees anything of the target.",
+            remedy="Allow steeper `pitches`, or other `distances`.",
+        )
+    if len(found) < k:
+        told.warn(f"Only {len(found)} of {k} views: no other camera is {apart:g}° apart from these and sees any of it.")
+    return gathered(search, found, cams, pieces_of)
+
+
+def check_best_view(k: int, target_height: float, apart: float, pieces: int) -> None:
+    """Raise UsageError for numbers out of their range."""
+    if k < 1 or pieces < 1:
+        raise UsageError(f"`k` and `pieces` are whole numbers, at least 1, not {k} and {pieces}.")
+    if not 0 <= target_height < float("inf"):
+        raise UsageError(f"`target_height` is metres above the ground, 0 or more, not {target_height!r}.")
+    if not 0 <= apart <= 180:
+        raise UsageError(f"`apart` is an angle of 0 to 180 degrees, not {apart!r}.")
