@@ -89,6 +89,7 @@ def test_every_verb_is_a_function_with_its_options(verb: str) -> None:
         there |= set(Options.__dataclass_fields__) | set(MORE)
     said = {p.name for p in command.params} - NOT_HERE[""] - NOT_HERE.get(verb, set())
     said -= {name for more in DETAILS.values() for name in more}  # (they are of ``Contours`` and ``Silhouettes``)
+    said.discard("uncertainty")  # (it is a ``Dataset``'s)
     if verb not in ("tour", "best_view"):
         said -= CAMERA
     assert not said - there
