@@ -54,8 +54,8 @@ def tour_options(function: F) -> F:
             "--distance",
             type=Float(),
             metavar="M",
-            help="From an orbit to the terrain's middle, or to the place of --around.  [default: such that all of it is "
-            "in view]",
+            help="From an orbit to the terrain's middle, or to the place of --around.  [default: such that all of it "
+            "is in view]",
         ),
         click.option(
             "--fov",
