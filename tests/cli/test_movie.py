@@ -124,6 +124,10 @@ def test_what_is_said_beside_the_tour_holds(run, hilly, tour, tmp_path):
         (("-o", "a.mp4", "--point", "-117,36"), "two places"),
         (("-o", "a.mp4", "--orbit", "--seconds", "-1"), "seconds"),
         (("-o", "no/a.mp4", "--orbit"), "no folder"),
+        (("-o", "a.mp4", "--around", "-117,36,500", "--distance", "900"), "--around and --distance say the same"),
+        (("-o", "a.mp4", "--around", "-117,36", "--line", "a.gpx"), "--around says nothing about --line"),
+        (("-o", "a.mp4", "--around", "-117,89"), "km beyond the terrain's north"),
+        (("-o", "a.mp4", "--around", "-117"), "LON,LAT,RADIUS"),
     ],
 )
 def test_wrong_options(run, hilly, tmp_path, monkeypatch, options, words):

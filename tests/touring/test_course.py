@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pyproj import Transformer
 from scenes import hills, terrain
 
 from orograph.errors import ReadError, UsageError
@@ -84,6 +85,37 @@ def test_an_orbit_shows_all_from_every_side(pitch, exaggeration):
         reach.append(across.max())
     assert max(reach) <= MARGIN + 0.01 and max(reach) > MARGIN - 0.02
     assert tour.at(tour.duration) == tour.at(0)
+
+
+@pytest.mark.parametrize("size", [SIZE, (180, 320)])
+@pytest.mark.parametrize("exaggeration", [1.0, 2.0])
+def test_an_orbit_round_a_place_holds_the_ground_around_it_and_keeps_above_the_rest(size, exaggeration):
+    x, y = place(100, 80)
+    lonlat = Transformer.from_crs(LAND.grid.crs, "EPSG:4326", always_xy=True).transform(x, y)
+    tour = make.orbit(LAND, size, around=(*lonlat, 500.0), pitch=30.0, exaggeration=exaggeration)
+    z = ground(LAND, x, y, default=math.nan)
+    turn = np.linspace(0, 2 * np.pi, 90)
+    ring = np.stack([x + 500 * np.sin(turn), y + 500 * np.cos(turn), np.full(90, z)], 1)
+    reach = []
+    for time in np.linspace(0, tour.duration, 24, endpoint=False):
+        view = tour.at(time)
+        np.testing.assert_allclose(view.target, (x, y, z), atol=1e-3)
+        pixels, depth = view.project(ring, exaggeration)
+        assert (depth > 0).all()
+        reach.append(np.abs(pixels / [size[0] / 2, size[1] / 2] - 1).max())
+    assert max(reach) <= 1.0 + 1e-6 and max(reach) > 0.5
+    near = make.orbit(LAND, size, around=lonlat, pitch=1.0, distance=900.0)
+    course = Course(near, LAND)
+    for time in np.linspace(0, near.duration, 24, endpoint=False):
+        eye = course.at(time).eye
+        below = ground(LAND, eye[0], eye[1], default=-math.inf)
+        assert eye[2] >= below + 17.0
+    light = make.turntable(LAND, size, around=(*lonlat, 500.0), pitch=30.0, exaggeration=exaggeration)
+    np.testing.assert_allclose(light.at(3.0).eye, tour.at(3.0).eye)
+    with pytest.raises(UsageError, match="km beyond the terrain's northern border"):
+        make.orbit(LAND, size, around=(lonlat[0], lonlat[1] + 1))
+    with pytest.raises(UsageError, match="radius"):
+        make.orbit(LAND, size, around=(*lonlat, 0.0))
 
 
 def test_a_turntable_s_light_turns_with_the_camera():

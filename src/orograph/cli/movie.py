@@ -72,6 +72,7 @@ def command(
     \b
     Examples:
       orograph movie N44W072.hgt --orbit -o orbit.mp4
+      orograph movie N44W072.hgt --around -71.303,44.270,3000 -o summit.mp4
       orograph movie area.oro --tour tour.json -o tour.mp4 --size 1920x1080 --sky
       orograph movie dem.tif --line hike.gpx --height 200 -o hike.webm
       orograph movie dem.tif --tour tour.json -o frames/%05d.png --from 10 --to 20
@@ -82,7 +83,7 @@ def command(
     errors = check_scene(options, progress)
     if (tour_path is not None) == bool(chosen(options)):
         raise UsageError(
-            "Give a --tour or a kind of one (--orbit, --turntable, --line, --point), and not both.",
+            "Give a --tour or a kind of one (--orbit, --turntable, --around, --line, --point), and not both.",
             remedy="orograph tour new writes a tour to begin with.",
         )
     check_outputs(

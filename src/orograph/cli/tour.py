@@ -42,13 +42,16 @@ def new(
     \b
     Examples:
       orograph tour new N44W072.hgt --orbit -o orbit.json
+      orograph tour new N44W072.hgt --around -71.303,44.270,3000 -o summit.json
       orograph tour new area.oro --line hike.gpx --height 300 -o hike.json
       orograph tour new dem.tif --point -71.40,44.10 --point -71.30,44.27 --seconds 30 -o flight.json
     """
     progress = progress_of(ctx)
     check_tour(options)
     if not chosen(options):
-        raise UsageError("What kind of tour?", remedy="Say --orbit, --turntable, --line FILE, or --point twice.")
+        raise UsageError(
+            "What kind of tour?", remedy="Say --orbit, --turntable, --around LON,LAT, --line FILE, or --point twice."
+        )
     check_outputs({"--output": output}, {"the input": paths, "the line": [options["line"]]})
     source = source_of(options, WAY)
     with progress.task("Loading Orograph"):

@@ -15,6 +15,12 @@ def tour_options(function: F) -> F:
         click.option(
             "--turntable", is_flag=True, help="The same with the light turning too, as if the terrain were turned."
         ),
+        click.option(
+            "--around",
+            type=Numbers("LON,LAT,RADIUS", optional=1),
+            help="Orbit this place, RADIUS metres of ground around it in view.  [default: the whole terrain; of "
+            "RADIUS a quarter of its shorter side]",
+        ),
         click.option("--line", type=FILE, metavar="FILE", help="Fly along the longest line of a GPX or GeoJSON file."),
         click.option(
             "--point",
@@ -48,7 +54,8 @@ def tour_options(function: F) -> F:
             "--distance",
             type=Float(),
             metavar="M",
-            help="From an orbit to the terrain's middle.  [default: such that all of it is in view]",
+            help="From an orbit to the terrain's middle, or to the place of --around.  [default: such that all of it "
+            "is in view]",
         ),
         click.option(
             "--fov",

@@ -254,21 +254,26 @@ def around(
     Raises:
         UsageError: a number is out of its range. NothingInViewError: no sample is valid.
     """
-    if not math.isfinite(azimuth):
-        raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
-    if not -90 <= pitch <= 90:
-        raise UsageError(f"`pitch` is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
+    check_around(azimuth, pitch, distance, exaggeration)
     if distance is None:
         return whole(terrain, size, azimuth=azimuth, pitch=pitch, fov_y=fov_y, exaggeration=exaggeration, insets=insets)
-    check_exaggeration(exaggeration)
-    if not 0 < distance < math.inf:
-        raise UsageError(f"`distance` is in metres, more than 0, not {distance:g}.")
     points = outline(terrain)
     middle = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     target = np.array([*middle, ground(terrain, middle[0], middle[1], default=float(np.median(points[:, 2])))])
     forward = direction(azimuth, pitch)
     eye = target - forward * distance / np.array([1.0, 1.0, exaggeration])
     return View(tuple(eye), tuple(target), tuple(_skyward(forward, azimuth + 180.0)), fov_y, size[0], size[1])
+
+
+def check_around(azimuth: float, pitch: float, distance: float | None, exaggeration: float) -> None:
+    """Raise UsageError where a number of ``around`` is out of its range."""
+    if not math.isfinite(azimuth):
+        raise UsageError(f"`azimuth` is a direction in degrees clockwise from north, not {azimuth:g}.")
+    if not -90 <= pitch <= 90:
+        raise UsageError(f"`pitch` is the angle of looking down, −90 to 90 degrees, not {pitch:g}.")
+    check_exaggeration(exaggeration)
+    if distance is not None and not 0 < distance < math.inf:
+        raise UsageError(f"`distance` is in metres, more than 0, not {distance:g}.")
 
 
 @takes_terrain

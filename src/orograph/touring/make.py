@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
-from orograph.geo.transform import far_outside
+from orograph.geo.beyond import beyond
+from orograph.geo.transform import far_outside, place
 from orograph.lighting.sun import Placed
 from orograph.scene import camera
 from orograph.store.opening import takes_terrain
@@ -42,6 +43,9 @@ TURNTABLE_KEYS = 6
 SECONDS = 12.0
 """For once round."""
 
+CLEAR = 0.02
+"""Of its distance to a place that it goes round an eye keeps above the ground: hills may stand around."""
+
 CRUISE = 12.0
 """Seconds in which a fly-over crosses as much as it is high above the ground, times ``AHEAD``: a speed that feels even
 whatever the scale."""
@@ -57,6 +61,7 @@ KEYS_PER_LOOK = 3.0
 def orbit(
     terrain: Terrain, size: tuple[int, int], *, seconds: float = SECONDS, azimuth: float = 180.0, pitch: float = 35.0,
     distance: float | None = None, fov_y: float = 30.0, turns: int = 1, exaggeration: float = 1.0,
+    around: Sequence[float] | None = None,
 ) -> Tour:  # fmt: skip
     """Once round the terrain, at even speed: a loop.
 
@@ -64,23 +69,32 @@ def orbit(
         size: (width, height) of the pictures. seconds: for all turns.
         azimuth: the side that it begins from. turns: clockwise seen from above; negative: the other way.
         pitch, distance: as for ``camera.around``; None: from as near as leaves all of it in view from every side.
+        around: (longitude, latitude[, radius]): a place to go round instead, with so many metres of ground around it
+            in view (a quarter of the terrain's shorter side, if neither this nor the distance is said); the eye keeps
+            above the ground.
 
     Raises:
-        UsageError: a number is out of its range. NothingInViewError: no sample is valid.
+        UsageError: a number is out of its range, or the place lies beside the terrain. NothingInViewError: no sample is
+            valid.
     """
     if not 0 < seconds < math.inf:
         raise UsageError(f"A tour takes some seconds, more than 0, not {seconds:g}.")
     if turns == 0:
         raise UsageError("An orbit goes round at least once: its turns are 1, −1, 2, …")
-    view = _around(terrain, size, azimuth, pitch, distance, fov_y, exaggeration)
-    return Tour((Key(view, 0.0, path="orbit", turns=turns),), seconds=seconds, loop=True, ease=False)
+    if around is None:
+        view, above = _around(terrain, size, azimuth, pitch, distance, fov_y, exaggeration), None
+    else:
+        view = _about(terrain, size, around, azimuth, pitch, distance, fov_y, exaggeration)
+        above = CLEAR * view.distance
+    key = Key(view, 0.0, path="orbit", turns=turns)
+    return Tour((key,), seconds=seconds, loop=True, ease=False, above_ground=above)
 
 
 @takes_terrain
 def turntable(
     terrain: Terrain, size: tuple[int, int], *, sun: tuple[float, float] = (315.0, 45.0), seconds: float = SECONDS,
     azimuth: float = 180.0, pitch: float = 35.0, distance: float | None = None, fov_y: float = 30.0,
-    exaggeration: float = 1.0,
+    exaggeration: float = 1.0, around: Sequence[float] | None = None,
 ) -> Tour:  # fmt: skip
     """The terrain turned once before a camera and a sun that stay: a loop. Arguments as for ``orbit``.
 
@@ -88,13 +102,13 @@ def turntable(
         sun: where it stands as the tour begins.
     """
     once = orbit(terrain, size, seconds=seconds, azimuth=azimuth, pitch=pitch, distance=distance, fov_y=fov_y,
-                 exaggeration=exaggeration)  # fmt: skip
+                 exaggeration=exaggeration, around=around)  # fmt: skip
     keys = []
     for k in range(TURNTABLE_KEYS):
         time = seconds * k / TURNTABLE_KEYS
         light = Placed((sun[0] + 360.0 * k / TURNTABLE_KEYS) % 360.0, sun[1])
         keys.append(Key(once.at(time), time, path="orbit", sun=light))
-    return Tour(tuple(keys), seconds=seconds, loop=True, ease=False)
+    return Tour(tuple(keys), seconds=seconds, loop=True, ease=False, above_ground=once.above_ground)
 
 
 @takes_terrain
@@ -213,6 +227,35 @@ def _around(
     middle = middle - [0.0, 0.0, drop / exaggeration]
     eye = middle - camera.direction(azimuth, pitch) * far * 1.005 / stretch
     return View(tuple(eye), tuple(middle), fov_y=fov_y, width=size[0], height=size[1])
+
+
+def _about(
+    terrain: Terrain, size: tuple[int, int], around: Sequence[float], azimuth: float, pitch: float,
+    distance: float | None, fov_y: float, exaggeration: float,
+) -> View:  # fmt: skip
+    """The view of a place from a side, at a distance or with a radius of ground around it in view from every side."""
+    camera.check_around(azimuth, pitch, distance, exaggeration)
+    if len(around) not in (2, 3):
+        raise UsageError(f"A place to go round is (longitude, latitude[, radius]), not {around!r}.")
+    x, y = place(terrain.grid, *around[:2])
+    far = beyond(terrain.grid, x, y)
+    if far is not None:
+        raise UsageError(
+            f"The place to go round lies {far}.", path=terrain.name,
+            remedy="Longitude comes first, then latitude; orograph info tells where the terrain lies.",
+        )  # fmt: skip
+    if distance is None:
+        sides = (n * s for n, s in zip(terrain.grid.shape[::-1], terrain.grid.spacing))
+        radius = around[2] if len(around) == 3 else min(sides) / 4
+        if not 0 < radius < math.inf:
+            raise UsageError(f"The radius around a place is in metres, more than 0, not {radius:g}.")
+        # A ball of this radius is in view whatever the side and the pitch.
+        half = math.atan(math.tan(math.radians(fov_y) / 2) * min(1.0, size[0] / size[1]))
+        distance = radius / math.sin(half)
+    middle = float(np.mean(terrain.height_range))
+    target = np.array([x, y, camera.ground(terrain, x, y, default=middle)])
+    eye = target - camera.direction(azimuth, pitch) * distance / np.array([1.0, 1.0, exaggeration])
+    return View(tuple(eye), tuple(target), fov_y=fov_y, width=size[0], height=size[1])
 
 
 def read_line(path: str | Path, crs: Any, line_crs: Any = None) -> Array:

@@ -48,7 +48,7 @@ def movie(
         terrain: whatever ``orograph.terrain`` takes, with its options.
         output: the film: .mp4, .mov, .mkv (H.264), .webm (VP9), .gif, or pictures such as frames/%05d.png.
         tour: the key frames (``orograph.tour``), or their file; None: the way that ``options`` describe as for
-            ``orograph.tour`` (orbit, turntable, line, points…), or an orbit.
+            ``orograph.tour`` (orbit, turntable, around, line, points…), or an orbit.
         size: (width, height) of the frames; None: the tour's, or 1280 × 720. fps: frames a second; None: the tour's.
         begin, end: seconds in the tour to begin and to end at; None: all of it.
         crf: constant rate factor: lower is better and larger; None: 18 for H.264, 28 for VP9.
@@ -73,7 +73,7 @@ def movie(
     if conservative:
         check_promise(options.get("method", "auto"), backend)
     if tour is not None and any(way.values()):
-        raise UsageError("Give a tour or say its way (orbit, turntable, line, points), not both.")
+        raise UsageError("Give a tour or say its way (orbit, turntable, around, line, points), not both.")
     if tour is None and not chosen(way):
         way["orbit"] = True
     check_tour(way)

@@ -21,6 +21,7 @@ def tour(
     turntable: bool = False,
     line: Any = None,
     points: Sequence[Sequence[float]] = (),
+    around: Sequence[float] | None = None,
     azimuth: float | None = None,
     pitch: float | None = None,
     distance: float | None = None,
@@ -44,8 +45,11 @@ def tour(
             the light turning too.
         line: a GPX or GeoJSON file: fly along its longest line. points: (longitude, latitude): fly over them.
         line_crs: the CRS of the line or the points; None: EPSG:4326.
+        around: (longitude, latitude[, radius]): orbit this place, with so many metres of ground around it in view,
+            rather than the terrain; without a radius a quarter of its shorter side.
         azimuth: the side an orbit begins from, degrees clockwise from north; None: 180. pitch: how far it looks down;
-            None: 35. distance: metres from the terrain's middle; None: such that all of it is in view.
+            None: 35. distance: metres from the terrain's middle, or from the
+            place in ``around``; None: such that all of it is in view.
         fov: the vertical field of view, degrees; None: 30, along a line 45.
         seconds: how long it takes. height: metres above the ground, along a line. speed: metres a second there.
         exaggeration: how heights will be stretched.
@@ -55,8 +59,9 @@ def tour(
         UsageError: options contradict each other. ReadError: the line cannot be read.
     """
     options = {
-        "orbit": orbit, "turntable": turntable, "line": line, "points": tuple(points), "azimuth": azimuth,
-        "pitch": pitch, "distance": distance, "fov": fov, "seconds": seconds, "height": height, "speed": speed,
+        "orbit": orbit, "turntable": turntable, "line": line, "points": tuple(points), "around": around,
+        "azimuth": azimuth, "pitch": pitch, "distance": distance, "fov": fov, "seconds": seconds,
+        "height": height, "speed": speed,
         "line_crs": line_crs,
     }  # fmt: skip
     if not chosen(options):

@@ -12,13 +12,16 @@ if TYPE_CHECKING:
     from orograph.touring.tour import Tour
 
 KINDS = ("orbit", "turntable", "line", "points")
-WAY = (*KINDS, "azimuth", "pitch", "distance", "fov", "seconds", "height", "speed", "line_crs")
+WAY = (*KINDS, "around", "azimuth", "pitch", "distance", "fov", "seconds", "height", "speed", "line_crs")
 """All that is said of the way of a tour."""
+
+ROUND = ("around", "azimuth", "pitch", "distance")
+"""What is about orbits only."""
 
 
 def chosen(options: Mapping[str, Any]) -> list[str]:
-    """The kinds of tours that were asked for."""
-    return [kind for kind in KINDS if options[kind]]
+    """The kinds of tours that were asked for; round a place one goes in an orbit, if nothing else is said."""
+    return [kind for kind in KINDS if options[kind]] or ["orbit"] * (options["around"] is not None)
 
 
 def check_tour(options: Mapping[str, Any]) -> None:
@@ -28,7 +31,7 @@ def check_tour(options: Mapping[str, Any]) -> None:
         raise UsageError(f"{kinds[0]} and {kinds[1]} are two tours: choose one.")
     kind = (chosen(options) or [""])[0]
     only = {"orbit": ("height", "speed", "line_crs"), "turntable": ("height", "speed", "line_crs"),
-            "line": ("azimuth", "pitch", "distance"), "points": ("azimuth", "pitch", "distance")}  # fmt: skip
+            "line": ROUND, "points": ROUND}  # fmt: skip
     for name in only.get(kind, WAY[len(KINDS) :]):
         if options[name] is not None:
             raise UsageError(f"`{name}` says nothing about {kinds[0] if kinds else 'a tour from a file'}.")
@@ -36,6 +39,8 @@ def check_tour(options: Mapping[str, Any]) -> None:
         raise UsageError("`seconds` and `speed` say the same twice: give one of them.")
     if options["speed"] is not None and not options["speed"] > 0:
         raise UsageError(f"`speed` is in metres per second, more than 0, not {options['speed']:g}.")
+    if options["around"] is not None and len(options["around"]) > 2 and options["distance"] is not None:
+        raise UsageError("The radius in `around` and `distance` say the same twice: give one of them.")
     if kind == "points" and len(options["points"]) < 2:
         raise UsageError("A line to fly along has at least two places: give `points` twice or more.")
 
@@ -48,7 +53,8 @@ def tour_of(
 
     given = {new: options[old] for old, new in
              (("azimuth", "azimuth"), ("pitch", "pitch"), ("distance", "distance"), ("seconds", "seconds"),
-              ("fov", "fov_y"), ("height", "height"), ("speed", "speed")) if options[old] is not None}  # fmt: skip
+              ("fov", "fov_y"), ("around", "around"),
+              ("height", "height"), ("speed", "speed")) if options[old] is not None}  # fmt: skip
     kind = (chosen(options) or ["orbit"])[0]
     if kind == "turntable":
         return make.turntable(terrain, size, sun=sun, exaggeration=exaggeration, **given)
