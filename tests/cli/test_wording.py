@@ -140,3 +140,18 @@ def test_warnings_speak_so_too(run, nowhere, tmp_path) -> None:  # type: ignore[
     code, out, _ = run("info", nowhere)
     assert code == 0 and "--assume-crs EPSG:4326" in out and "`" not in out
     assert run("methods", "soar")[1].count("--method soar,key=value") == 1
+
+
+@pytest.mark.parametrize(
+    ("verb", "given", "meant"),
+    [("render", "--legend", "--furniture"), ("render", "--scale-bar", "--furniture"), ("movie", "--cmap", "--colormap"),
+     ("render", "--overlay", "--drape"), ("build", "--threads", "--jobs"), ("render", "--dpi", "--size")],
+)  # fmt: skip
+def test_names_from_elsewhere_are_led_to_ours(run, verb, given, meant):
+    code, _, words = run(verb, "dem.tif", given)
+    assert code == 2
+    assert f"Did you mean '{meant}'?" in words
+
+
+def test_a_slip_is_still_led_to_the_nearest(run):
+    assert "--furniture" in run("render", "dem.tif", "--furnitur")[2]

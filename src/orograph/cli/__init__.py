@@ -139,6 +139,8 @@ def _fail(failure: Exception, debug: bool) -> NoReturn:
     try:
         raise failure
     except click.ClickException as error:
+        if isinstance(error, click.NoSuchOption):
+            _wording().lead(error)
         error.show()
         sys.exit(error.exit_code)
     except OrographError as error:

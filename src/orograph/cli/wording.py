@@ -34,3 +34,26 @@ def flag(name: str, flags: Mapping[str, str] | None = None) -> str:
 def spoken(text: str, flags: Mapping[str, str] | None = None) -> str:
     """A text with its Python in backticks as the command line has it; ``flags``: as for ``flag``."""
     return wording.spoken(text, lambda name: flag(name, flags))
+
+
+MEANT = {
+    **dict.fromkeys(("legend", "scale-bar", "scalebar", "north-arrow", "colorbar", "attribution"), "furniture"),
+    **dict.fromkeys(("cmap", "palette", "color", "colors"), "colormap"),
+    **dict.fromkeys(("ve", "vertical-exaggeration", "z-factor", "zscale"), "exaggeration"),
+    **dict.fromkeys(("layer", "layers", "overlay", "image", "imagery", "basemap"), "drape"),
+    **dict.fromkeys(("threads", "cores", "workers", "n-jobs"), "jobs"),
+    **dict.fromkeys(("dpi", "width", "height", "figsize"), "size"),
+    **dict.fromkeys(("hillshade", "shading", "lighting"), "light"),
+    **dict.fromkeys(("engine", "algorithm"), "method"),
+    **dict.fromkeys(("error", "sigma"), "uncertainty"),
+    "camera": "view",
+}  # fmt: skip
+"""What options are called elsewhere, and here."""
+
+
+def lead(error: click.NoSuchOption) -> None:
+    """Have an error suggest the option that a user who knows another name for it may mean, if its verb has that."""
+    there = {flag for one in (error.ctx.command.params if error.ctx else ()) for flag in one.opts}
+    flag = "--" + MEANT.get(error.option_name.lstrip("-").lower().replace("_", "-"), "")
+    if flag in there:
+        setattr(error, "possibilities", [flag])  # noqa: B010 (given to a new error it would have to look alike)
