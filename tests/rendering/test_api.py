@@ -124,7 +124,7 @@ def test_an_eye_below_the_ground(ground):
     assert "250 m below the ground" in said and f"({height:.0f} m)" in said and "underside" in said
     assert diagnose(Scene.of(ground, high)) == []
     beside = View((x - 1e5, y, 0), (x, y, height))
-    assert diagnose(Scene.of(ground, beside)) == []
+    assert not any("below" in said for said in diagnose(Scene.of(ground, beside)))
     heard = Heard()
     orograph.render(ground, low.resized(*SIZE), progress=heard, **PLAIN)
     assert said in heard.warnings
