@@ -99,14 +99,10 @@ def main() -> None:
             )  # fmt: skip
     if given.pictures is not None:
         for letter, name in zip("abc", ("T+D-U-", "T-D+U-", "T-D-U+")):
-            told = {
-                **common,
-                "data": data,
-                "priority": name,
-                "furniture": True,
-                "title": f"Noon in March 2019 ({name})",
-            }
-            made[f"figure-5{letter}"] = orograph.render(**told)
+            made[f"figure-5{letter}"] = orograph.render(
+                terrain, size=(1200, 720), exaggeration=STRETCH, data=data, priority=name, furniture=True,
+                title=f"Noon in March 2019 ({name})", progress=False,
+            )  # fmt: skip
         save(made, given.pictures)
 
 

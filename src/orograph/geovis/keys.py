@@ -52,3 +52,14 @@ class Legend:
     def words(self) -> str:
         """All that is written in it, but for numbers."""
         return " ".join([*(scale.words for scale in self.scales), *(words for words, _ in self.swatches)])
+
+
+UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "c": "°C", "degc": "°C", "celsius": "°C",
+         "degree_celsius": "°C", "degrees celsius": "°C", "kelvin": "K", "percent": "%", "m s**-1": "m/s",
+         "m s-1": "m/s", "1": ""}  # fmt: skip
+
+
+def written_unit(told: str) -> str:
+    """A unit of a file as people write it."""
+    bare = told.strip().strip("[]")
+    return UNITS.get(bare.lower(), bare)

@@ -38,16 +38,26 @@ def kinds_of(needs: Iterable[Need]) -> tuple[ErrorKind, ...]:
     return tuple(dict.fromkeys(need.options["error"] for need in needs if need.name == "diamonds"))
 
 
+def _check_room(terrain: Terrain, resources: Resources, each: float, what: str, remedy: str) -> None:
+    """Raise UsageError where making what a store lacks takes more memory than is allowed.
+
+    Args:
+        each: bytes a sample.
+    """
+    needed = int(terrain.grid.rows * terrain.grid.cols * each)
+    if needed > resources.max_memory:
+        raise UsageError(
+            f"The store has no {what}, and to make them in memory takes {needed >> 20} MiB.", path=terrain.name,
+            remedy=remedy,
+        )  # fmt: skip
+
+
 def _diamonds(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
     kind = options["error"]
     if not isinstance(terrain, StoredTerrain) or terrain.has("diamonds", error=kind):
         return
-    needed = int(terrain.grid.rows * terrain.grid.cols * BYTES_PER_SAMPLE)
-    if needed > resources.max_memory:
-        raise UsageError(
-            f"The store has no {kind} errors, and to make them in memory takes {needed >> 20} MiB.", path=terrain.name,
-            remedy=f"Build it with them (`orograph.build(..., errors={(*terrain.errors, kind)}, overwrite=True)`).",
-        )  # fmt: skip
+    remedy = f"Build it with them (`orograph.build(..., errors={(*terrain.errors, kind)}, overwrite=True)`)."
+    _check_room(terrain, resources, BYTES_PER_SAMPLE, f"{kind} errors", remedy)
     resources.progress.note(
         f"the store has no {kind} errors: they are made in memory "
         f"(`orograph.build(..., errors={(*terrain.errors, kind)})` keeps them)"
@@ -65,12 +75,8 @@ def _patches(terrain: Terrain, options: Mapping[str, Any], resources: Resources)
 def _tins(terrain: Terrain, options: Mapping[str, Any], resources: Resources) -> None:
     if not isinstance(terrain, StoredTerrain) or terrain.has("tins", **options):
         return
-    needed = int(terrain.grid.rows * terrain.grid.cols * TIN_BYTES_PER_SAMPLE)
-    if needed > resources.max_memory:
-        raise UsageError(
-            f"The store has no TINs, and to make them in memory takes {needed >> 20} MiB.", path=terrain.name,
-            remedy=f"Allow more memory, or build it with them (`orograph.build(..., tins={options['legs']})`).",
-        )  # fmt: skip
+    remedy = f"Allow more memory, or build it with them (`orograph.build(..., tins={options['legs']})`)."
+    _check_room(terrain, resources, TIN_BYTES_PER_SAMPLE, "TINs", remedy)
     resources.progress.note(
         f"the store lacks these TINs: made in memory (`orograph.build(..., tins={options['legs']})` keeps them)"
     )

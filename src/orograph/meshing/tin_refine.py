@@ -13,7 +13,7 @@ import numpy as np
 
 from orograph._numba import kernel, leaf
 from orograph.triangulation.deviation import worst_crossing, worst_sample
-from orograph.triangulation.heap import NOWHERE, sift, take_out
+from orograph.triangulation.heap import put_in, take_out
 from orograph.triangulation.mesh import TRIANGLES, after, before, insert, locate
 
 
@@ -44,12 +44,7 @@ def assess(m, heights, q, t, limit, surface):
     if error <= limit:
         take_out(q, t)
         return
-    q.error[t], q.x[t], q.y[t] = error, x, y
-    if q.place[t] == NOWHERE:
-        q.heap[q.size[0]] = t
-        q.place[t] = q.size[0]
-        q.size[0] += 1
-    sift(q, q.place[t])
+    put_in(q, t, error, x, y)
 
 
 @kernel

@@ -11,13 +11,13 @@ from orograph._numba import kernel
 from orograph.meshing.tin_outline import Window, constraints, unit_triangles
 from orograph.meshing.tin_reduce import reduce
 from orograph.meshing.tin_refine import missed, refine
+from orograph.triangulation.constraints import fix_edge
 from orograph.triangulation.deviation import worst_crossing, worst_sample
 from orograph.triangulation.heap import new_queue
 from orograph.triangulation.mesh import (
     TRIANGLES,
     VERTICES,
     begin,
-    fix_edge,
     insert,
     locate,
     make_delaunay,

@@ -24,15 +24,13 @@ def describe(scene: Scene) -> str:
         parts.append(f"The light comes from the {come}, {light.sun.altitude:.0f}° high.")
     if scene.annotations.contours is not None:
         parts.append("Contour lines show the heights.")
-    things = scene.theme.things
-    keys = [] if things is None else [things.legend]
-    keys += [layer.key for layer in drawn(scene.data.layers) if layer.key is not None]
-    for key in keys:
+    for key in scene.keys:
         parts += [_scale(scale) for scale in key.scales]
         if key.note:
             parts.append(f"{key.note}.")
         if key.swatches:
             parts.append(f"Their uncertainty is shown, {key.swatches[0][0]} to {key.swatches[-1][0]} and beyond.")
+    things = scene.theme.things
     if things is not None:
         shown = things.values[np.isfinite(things.values)]
         parts.append(f"{len(shown)} places have values from {shown.min():.4g} to {shown.max():.4g}.")

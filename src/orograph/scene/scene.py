@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 from orograph.errors import ReadError
-from orograph.geovis.layers import attributed
+from orograph.geovis.keys import Legend
+from orograph.geovis.layers import attributed, drawn
 from orograph.scene.parts import OPTIONS, PARTS, Annotations, Budget, Data, Lighting, Surface, Theme, by_part
 from orograph.scene.theming import themed
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
@@ -77,6 +78,13 @@ class Scene:
     def attribution(self) -> tuple[str, ...]:
         """Whom the makers of its heights and layers want to be named."""
         return attributed(self.terrain.attribution, self.data.layers)
+
+    @property
+    def keys(self) -> tuple[Legend, ...]:
+        """What the colours and signs of its data mean: of what stands, then of painted data, the uppermost first."""
+        things = self.theme.things
+        painted = [layer.key for layer in reversed(drawn(self.data.layers)) if layer.key is not None]
+        return (*((things.legend,) if things is not None else ()), *painted)
 
     @property
     def pixel_tolerance(self) -> float:

@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 
 from orograph._numba import kernel, leaf
 from orograph.store.tin_windows import across, clipped, in_region, line_at, on_leg, place
-from orograph.triangulation.deviation import FUZZ, span, worst_crossing, worst_sample
-from orograph.triangulation.heap import NOWHERE, Queue, sift, take_out
+from orograph.triangulation.constraints import fix_edge
+from orograph.triangulation.deviation import FUZZ, facet_of, span, worst_crossing, worst_sample
+from orograph.triangulation.heap import NOWHERE, Queue, put_in, take_out
 from orograph.triangulation.mesh import (
     TRIANGLES,
     VERTICES,
     Mesh,
     after,
     before,
-    fix_edge,
     insert,
     link,
     locate,
@@ -222,19 +222,7 @@ def triangulate(w, work, heights, ends, marks):
 def worst(w, m, heights, free, t):
     """The sample of the lattice that may be inserted and is farthest from a triangle: how far, its row and column."""
     a, b, c = m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2]
-    if m.y[b] < m.y[a]:
-        a, b = b, a
-    if m.y[c] < m.y[a]:
-        a, c = c, a
-    if m.y[c] < m.y[b]:
-        b, c = c, b
-    x0, y0, x1, y1, x2, y2 = (
-        np.float64(m.x[a]), np.int64(m.y[a]), np.float64(m.x[b]), np.int64(m.y[b]), np.float64(m.x[c]), np.int64(m.y[c])
-    )  # fmt: skip
-    z0, z1, z2 = m.z[a], m.z[b], m.z[c]
-    det = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-    right = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / det
-    down = ((x1 - x0) * (z2 - z0) - (x2 - x0) * (z1 - z0)) / det
+    x0, y0, x1, y1, x2, y2, z0, right, down, _ = facet_of(m, a, b, c)
     largest, at_i, at_j = -1.0, np.int64(0), np.int64(0)
     rows, cols = heights.shape
     i = (y0 + w.step - 1) // w.step
@@ -272,12 +260,7 @@ def assess(w, work, heights, free, t, limit):
     if off <= limit:
         take_out(q, t)
         return
-    q.error[t], q.x[t], q.y[t] = off, j, i
-    if q.place[t] == NOWHERE:
-        q.heap[q.size[0]] = t
-        q.place[t] = q.size[0]
-        q.size[0] += 1
-    sift(q, q.place[t])
+    put_in(q, t, off, j, i)
 
 
 @kernel

@@ -7,6 +7,8 @@ the lines x + y even and x − y even, for the diagonal of a cell joins its (eve
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from orograph._numba import inlined, leaf
@@ -21,9 +23,29 @@ def span(y, x0, y0, x1, y1):
     return x0 + (y - y0) * ((x1 - x0) / (y1 - y0))
 
 
+class Facet(NamedTuple):
+    """A triangle of a mesh, its corners from the upper one to the lower one.
+
+    Attributes:
+        x0, y0, x1, y1, x2, y2: columns (float64) and rows (int64). z0: the upper corner's height.
+        across, down: slopes of its plane along rows and columns. det: twice its signed area.
+    """
+
+    x0: float
+    y0: Any
+    x1: float
+    y1: Any
+    x2: float
+    y2: Any
+    z0: float
+    across: float
+    down: float
+    det: float
+
+
 @leaf
-def worst_sample(heights, m, a, b, c):
-    """The largest deviation at the samples of a triangle, its outline included; where; and the sum of squares."""
+def facet_of(m, a, b, c):
+    """The triangle of three vertices."""
     if m.y[b] < m.y[a]:
         a, b = b, a
     if m.y[c] < m.y[a]:
@@ -35,10 +57,17 @@ def worst_sample(heights, m, a, b, c):
     )  # fmt: skip
     z0, z1, z2 = m.z[a], m.z[b], m.z[c]
     det = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-    if abs(det) == 1:  # no other samples (Pick's theorem)
-        return 0.0, np.int64(x0), y0, 0.0
     across = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / det
     down = ((x1 - x0) * (z2 - z0) - (x2 - x0) * (z1 - z0)) / det
+    return Facet(x0, y0, x1, y1, x2, y2, z0, across, down, det)
+
+
+@leaf
+def worst_sample(heights, m, a, b, c):
+    """The largest deviation at the samples of a triangle, its outline included; where; and the sum of squares."""
+    x0, y0, x1, y1, x2, y2, z0, across, down, det = facet_of(m, a, b, c)
+    if abs(det) == 1:  # no other samples (Pick's theorem)
+        return 0.0, np.int64(x0), y0, 0.0
     largest, at_x, at_y, squares = -1.0, np.int64(0), np.int64(0), 0.0
     for y in range(y0, y2 + 1):
         if y2 == y0:

@@ -72,6 +72,17 @@ def sift(q, i):
 
 
 @leaf
+def put_in(q, t, error, x, y):
+    """Put a triangle into the heap, or move it there, by its error and the sample that would mend it."""
+    q.error[t], q.x[t], q.y[t] = error, x, y
+    if q.place[t] == NOWHERE:
+        q.heap[q.size[0]] = t
+        q.place[t] = q.size[0]
+        q.size[0] += 1
+    sift(q, q.place[t])
+
+
+@leaf
 def take_out(q, t):
     """Take a triangle out of the heap, if it is in there."""
     i = q.place[t]

@@ -99,12 +99,12 @@ def shown(dataset: Dataset, grid: Grid, texels: int, priority: Priority) -> Show
     Raises: as ``reading.read``.
     """
     style = dataset.style or priority.style
-    field, *parts = read_vectors(dataset, grid) if style == "arrows" else (read(dataset, grid),)
+    field, *components = read_vectors(dataset, grid) if style == "arrows" else (read(dataset, grid),)
     over = _cropped(field, grid, texels)
     positions = Positions.of(over, field)
     values = positions.values(field.mean)
     sigma = _sigma(dataset, field, grid, over, positions)
-    toward = directions(field, positions, *parts) if parts else None
+    toward = directions(field, positions, *components) if components else None
     given = None if dataset.uncertainty is None else dataset.uncertainty.style
     sign = "none" if sigma is None else (given or priority.sign(style))
     classes = 0 if style in ("continuous", "arrows") else dataset.classes

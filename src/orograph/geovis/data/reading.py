@@ -24,6 +24,7 @@ from orograph.dem.handles import HANDLES, cause_of, locate
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid, compose
 from orograph.geovis.data.dataset import Dataset, Uncertainty
+from orograph.geovis.keys import written_unit
 from orograph.geovis.placement import Lattice, Placement, extent, grid_of
 
 Values = NDArray[np.float32]
@@ -36,11 +37,6 @@ HELD = 1 << 27
 
 HOT = 150.0
 """Degrees Celsius that no air or ground has: values above it are kelvin, whatever the file says."""
-
-UNITS = {"[c]": "°C", "c": "°C", "degc": "°C", "celsius": "°C", "degree_celsius": "°C", "degrees celsius": "°C",
-         "[k]": "K", "kelvin": "K", "metre": "m", "meter": "m", "metres": "m", "meters": "m", "percent": "%",
-         "[m/s]": "m/s", "m s**-1": "m/s", "m s-1": "m/s", "[pa]": "Pa", "1": ""}  # fmt: skip
-"""Units as people write them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +142,7 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         said = tags.get("long_name") or tags.get("GRIB_COMMENT") or ""
         name = re.sub(r"\s*\[.*?\]\s*$", "", said) or (given.variable or Path(given.source).stem).replace("_", " ")
     values[~np.isfinite(values)] = np.nan
-    return _in_units(Field(values, own, name, UNITS.get(unit.lower(), unit.strip("[]")), chosen, tuple(told)))
+    return _in_units(Field(values, own, name, written_unit(unit), chosen, tuple(told)))
 
 
 def _in_degrees(file: Any, found: Grid) -> Grid:
@@ -361,7 +357,7 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid) -> Field:
     unit = str(array.attrs.get("units", ""))
     name = str(array.attrs.get("long_name") or array.name or "data").replace("_", " ")
     own = Grid(values.shape[1:], transform, crs)
-    return _in_units(Field(values, own, name, UNITS.get(unit.lower(), unit), " ".join(words)))
+    return _in_units(Field(values, own, name, written_unit(unit), " ".join(words)))
 
 
 def _rows_first(array: Any, axes: list[Any]) -> tuple[Any, Any]:

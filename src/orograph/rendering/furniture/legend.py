@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from orograph.geo.grid import Grid
 from orograph.geovis.color import Tint, linear_to_srgb
-from orograph.geovis.keys import Legend, Scale
+from orograph.geovis.keys import Legend, Scale, written_unit
 from orograph.geovis.layers import Layer
 from orograph.geovis.layers import drawn as visible
 from orograph.geovis.tables import Table
@@ -33,10 +33,6 @@ CONVERGENCE = 3.0
 
 MOST_SCALES, MOST_CLASSES = 3, 12
 """Of a legend."""
-
-UNITS = {"metre": "m", "meter": "m", "metres": "m", "meters": "m", "degree_celsius": "°C", "degc": "°C",
-         "degrees celsius": "°C", "kelvin": "K", "percent": "%", "1": ""}  # fmt: skip
-"""Units as people write them."""
 
 NAMELESS = ("unknown", "unnamed", "undefined", "undetermined", "none")
 """How the names of CRS begin that are none."""
@@ -83,9 +79,7 @@ def furniture_of(scene: Scene, drawn: Drawn) -> dict[str, Any]:
         parts.append(f"contours every {interval:g} m")
     if view.projection == "perspective" and metres is not None:
         parts.append("scale at the picture's middle")
-    if scene.theme.things is not None and scene.theme.things.legend.note:
-        parts.append(scene.theme.things.legend.note)
-    parts += [one.key.note for one in visible(scene.data.layers) if one.key is not None and one.key.note]
+    parts += [key.note for key in scene.keys if key.note]
     if crs := _crs_name(terrain.grid.crs):
         parts.append(crs)
     title = scene.annotations.title
@@ -102,16 +96,9 @@ def _legend(drawn: Drawn, scene: Scene) -> Legend | None:
     (nearly) all, of water, of no data."""
     shown, tint = drawn.shown, drawn.tint
     dry = shown["ground"] - shown["water"]
-    scales: list[Scale] = []
-    swatches: list[tuple[str, Any]] = []
-    if scene.theme.things is not None:
-        scales += scene.theme.things.legend.scales
-        swatches += scene.theme.things.legend.swatches
-    for layer in [one for one in reversed(visible(scene.data.layers)) if one.colormap is not None or one.key]:
-        if layer.key is not None:
-            scales += layer.key.scales
-            swatches += layer.key.swatches
-            continue
+    scales = [scale for key in scene.keys for scale in key.scales]
+    swatches = [swatch for key in scene.keys for swatch in key.swatches]
+    for layer in [one for one in reversed(visible(scene.data.layers)) if one.colormap is not None]:
         explained = explain(layer, scene.terrain.grid)
         if isinstance(explained, Scale):
             scales.append(explained)
@@ -143,7 +130,7 @@ def explain(layer: Layer, grid: Grid) -> Scale | list[tuple[str, Any]]:
     with HANDLES.borrow(laid.location) as file:
         unit = (file.units[layer.band - 1] or "").strip()
     beyond = layer.range is None and getattr(layer.colormap, "span", None) is None  # (the ends are percentiles)
-    return Scale(low, high, table[:, :3], UNITS.get(unit.lower(), unit), layer.title, beyond, beyond)
+    return Scale(low, high, table[:, :3], written_unit(unit), layer.title, beyond, beyond)
 
 
 def _crs_name(crs: Any) -> str | None:

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orograph.errors import NothingInViewError, UsageError
 from orograph.geovis.layers import drawn as visible
@@ -117,17 +118,7 @@ def draw(
             pixels = device.read_texture(texture, np.uint8, 4)[..., :3][own_pixels].copy()
             depth, void_filled, scene = depth[own_pixels], void_filled[own_pixels], scene.but(view=view)
             shown = renderer.shown(scene, depth, void_filled)
-            if scene.theme.things is not None:
-                from orograph.rendering.standing import stand
-
-                pixels, stood = stand(scene.theme.things, pixels, depth, scene).told(progress)
-                depth = stood.astype(np.float32)
-            if scene.annotations.furniture:
-                drawn = Drawn(
-                    renderer.tint, shown, bool(visible(scene.data.layers)), sampled(depth, *depth.shape),
-                    depth[:, view.width // 2].astype(np.float64),
-                )  # fmt: skip
-                pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | void_filled)
+            pixels, depth = _adorned(scene, renderer, shown, pixels, depth, void_filled, progress)
     finally:
         if own:
             renderer.close()
@@ -148,6 +139,25 @@ def draw(
         pixels, depth, view, facts, place, void_filled if void_filled.any() else None, renderer.tint,
         scene.terrain.grid.crs, scene.surface.exaggeration, scene.attribution,
     )  # fmt: skip
+
+
+def _adorned(
+    scene: Scene, renderer: Renderer, shown: dict[str, int], pixels: NDArray[np.uint8], depth: NDArray[np.float32],
+    void_filled: NDArray[np.bool_], progress: Progress,
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:  # fmt: skip
+    """Pixels and depth with what stands on the ground, and the furniture around it."""
+    if scene.theme.things is not None:
+        from orograph.rendering.standing import stand
+
+        pixels, stood = stand(scene.theme.things, pixels, depth, scene).told(progress)
+        depth = stood.astype(np.float32)
+    if scene.annotations.furniture:
+        drawn = Drawn(
+            renderer.tint, shown, bool(visible(scene.data.layers)), sampled(depth, *depth.shape),
+            depth[:, scene.view.width // 2].astype(np.float64),
+        )  # fmt: skip
+        pixels = furnish(pixels, **furniture_of(scene, drawn), ground=np.isfinite(depth) | void_filled)
+    return pixels, depth
 
 
 def _coarser(scene: Scene, stats: FrameStats, renderer: Renderer) -> list[str]:
